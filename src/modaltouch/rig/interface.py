@@ -1,0 +1,71 @@
+"""What the session asks of a rig: load, fire, stop, close."""
+
+from __future__ import annotations
+
+import typing
+from dataclasses import asdict, dataclass
+from typing import Any, Self
+
+from modaltouch.stimulus.burst import Burst
+
+
+class RigError(Exception):
+    """The rig failed; its outputs are off, or everything possible was done to switch them off."""
+
+
+@dataclass(frozen=True)
+class Firing:
+    """What was commanded of the instrument, and what it confirmed.
+
+    Attributes
+    ----------
+    commanded_amplitude, confirmed_amplitude : tuple of float
+        Generator amplitude of each channel, sent and read back [V peak to peak].
+    confirmed : bool
+        Whether every setting was read back within tolerance with an empty error queue.
+    onset : float
+        When the trigger was armed, by `time.perf_counter` [s]; the first burst follows within `onset_uncertainty`.
+    onset_uncertainty : float
+        Longest time from `onset` to the first burst [s].
+    """
+
+    commanded_amplitude: tuple[float, ...]
+    confirmed_amplitude: tuple[float, ...]
+    confirmed: bool
+    onset: float
+    onset_uncertainty: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the firing as plain values for the record."""
+        return asdict(self)
+
+
+class Rig(typing.Protocol):
+    """A generator with a beam behind it, real or simulated."""
+
+    @property
+    def identity(self) -> str:
+        """Reply to ``*IDN?``."""
+
+    @property
+    def address(self) -> str:
+        """VISA address."""
+
+    def load(self, burst: Burst) -> None:
+        """Upload both channels' records and verify them, outputs off."""
+
+    def fire(self, velocity: float) -> Firing:
+        """Set the level [m/s], switch the outputs on and repeat the burst until `stop`."""
+
+    def stop(self) -> None:
+        """Switch both outputs off and confirm it."""
+
+    def heartbeat(self) -> None:
+        """Tell the watchdog that the session is alive; called about every millisecond, cheap."""
+
+    def close(self) -> None:
+        """Switch the outputs off and release the instrument; never raises."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *exc: object) -> None: ...

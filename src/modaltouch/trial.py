@@ -1,0 +1,112 @@
+"""The atom of the experiment: a Trial is what is asked, a Response what is answered."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+Answer = Literal["left", "right", "both"]
+ANSWERS: tuple[Answer, ...] = ("left", "right", "both")
+
+FINGERS: dict[tuple[str, str], tuple[str, str]] = {
+    ("one_hand", "right"): ("right index", "right middle"),
+    ("one_hand", "left"): ("left middle", "left index"),
+    ("two_hands", "right"): ("left index", "right index"),
+    ("two_hands", "left"): ("left index", "right index"),
+}
+"""Fingers on the left and right zone, by finger condition and the hand used for ``one_hand``, palms down."""
+
+
+@dataclass(frozen=True)
+class Condition:
+    """What distinguishes one cell of the design from another.
+
+    Attributes
+    ----------
+    finger_condition : str
+        ``one_hand`` (index and middle finger of one hand; the paper's test 1) or ``two_hands`` (both index
+        fingers; test 2).
+    zone_left, zone_right : str
+        Zones under the two fingers, left and right as the participant sees the beam.
+    velocity_mm_s : float
+        Peak velocity at the centre of the focus zone at the focusing instant [mm/s].
+    """
+
+    finger_condition: str
+    zone_left: str
+    zone_right: str
+    velocity_mm_s: float
+
+    @property
+    def pair(self) -> tuple[str, str]:
+        """Zones under the left and the right finger."""
+        return (self.zone_left, self.zone_right)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One presentation and one answer.
+
+    Attributes
+    ----------
+    index : int
+        Place in the session, from 1; practice trials count from 1 on their own.
+    block : int
+        Block (one finger condition) from 1; 0 for practice.
+    condition : Condition
+        What is presented.
+    repetition : int
+        Which presentation of this condition it is, from 1.
+    practice : bool
+        Whether the answer stays out of the analysis.
+    """
+
+    index: int
+    block: int
+    condition: Condition
+    repetition: int = 1
+    practice: bool = False
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the trial as plain values for the record."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> Trial:
+        """Return the trial that `as_dict` described."""
+        return cls(**{**values, "condition": Condition(**values["condition"])})
+
+
+@dataclass(frozen=True)
+class Response:
+    """What the participant answered, and how.
+
+    Attributes
+    ----------
+    answer : str
+        ``left``, ``right`` or ``both``, as the participant sees the beam.
+    reaction_time : float
+        From the onset named by `onset` to the answer event [s].
+    onset : str
+        ``first_burst`` or ``question`` (where the stimulus stops before the question).
+    answered_by : str
+        ``participant``, ``experimenter`` (typed for the participant) or ``simulated``.
+    device : str
+        ``key``, ``mouse`` or ``model`` (an observer without a window).
+    key : str
+        Name of the key or of the button clicked.
+    double : bool
+        Whether another answer came within 50 ms.
+    """
+
+    answer: Answer
+    reaction_time: float
+    onset: str = "first_burst"
+    answered_by: str = "participant"
+    device: str = "key"
+    key: str = ""
+    double: bool = False
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the response as plain values for the record."""
+        return asdict(self)

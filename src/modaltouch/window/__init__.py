@@ -1,0 +1,1 @@
+"""Asks the participant: the PsychoPy window, and a simulated participant behind the same interface."""

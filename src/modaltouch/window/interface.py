@@ -1,0 +1,100 @@
+"""What the session asks of the answer window."""
+
+from __future__ import annotations
+
+import typing
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Self
+
+from modaltouch.trial import Response, Trial
+
+
+class WindowError(Exception):
+    """The answer window cannot be opened or was lost."""
+
+
+class SessionStopped(Exception):  # noqa: N818
+    """The participant or experimenter ended the session (Escape and confirmed, or the window's close button).
+
+    Attributes
+    ----------
+    reason : str
+        One of ``escape``, ``window closed``.
+    """
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(reason)
+        self.reason = reason
+
+
+class TrialInterrupted(Exception):  # noqa: N818
+    """The trial was cut (Escape then continue, or focus lost): offer it again.
+
+    Attributes
+    ----------
+    reason : str
+        One of ``escape``, ``focus lost``.
+    """
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(reason)
+        self.reason = reason
+
+
+Log = Callable[..., None]
+"""``log(event, **facts)`` appends one event to the session log."""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where the session stands, as the participant may see it: trial `number` of `total`."""
+
+    number: int
+    total: int
+
+
+class AnswerWindow(typing.Protocol):
+    """Shows the session to the participant and collects the answers.
+
+    Every method that waits calls the `tick` given at opening about every millisecond; `tick` may raise.
+    """
+
+    def describe(self) -> dict[str, Any]:
+        """Return size, backend and versions for the start record."""
+
+    def welcome(self) -> None:
+        """Show the instructions until the participant goes on."""
+
+    def place_fingers(self, trial: Trial) -> None:
+        """Show which finger goes on which zone until it is confirmed."""
+
+    def announce(self, text: str) -> None:
+        """Show one text of the protocol (``practice``, ``start``) until the participant goes on."""
+
+    def ask(self, trial: Trial, progress: Progress, *, onset: float, stop: Callable[[], None]) -> Response:
+        """Show the trial and return the answer.
+
+        `onset` is when the stimulus began (`time.perf_counter`) [s]. `stop` ends the stimulus; it is called at
+        the answer, at any interruption, and after the presentation where the protocol stops it first.
+
+        Raises
+        ------
+        TrialInterrupted
+            If the trial was cut and must be offered again.
+        SessionStopped
+            If the session was ended.
+        """
+
+    def rest(self, progress: Progress) -> None:
+        """Show the break until the participant goes on."""
+
+    def goodbye(self) -> None:
+        """Thank the participant."""
+
+    def close(self) -> None:
+        """Close the window; never raises."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *exc: object) -> None: ...
