@@ -1,0 +1,170 @@
+"""Lines that check each other: every line carries the SHA-256 of itself and of the line before.
+
+A session log is a file of JSON objects, one a line. The last member of each is ``check``, the SHA-256 of
+the previous line's check followed by the line's own bytes up to that member. A changed, removed, doubled or
+reordered line breaks the chain. A line cut while it was written (power failure, full disk) stays in the file:
+the next line written after it declares its length and hash under ``torn``, so that even the remains are
+checked.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+GENESIS = "0" * 64
+"""The check before the first line."""
+
+_TAIL = re.compile(rb',"check":"([0-9a-f]{64})"\}\Z')
+
+
+class RecordError(Exception):
+    """A record is damaged, in use, or would be overwritten."""
+
+
+@dataclass(frozen=True)
+class Chain:
+    """What a file of chained lines holds.
+
+    Attributes
+    ----------
+    events : tuple of dict
+        The sound lines, in order, without their checks.
+    checks : tuple of str
+        The check of each of them.
+    problems : tuple of str
+        What is wrong, in words; empty for an intact file.
+    torn : bytes
+        A cut line at the very end that no later line declares; empty if the file ends well.
+    ends_in_newline : bool
+        Whether the last line is terminated.
+    """
+
+    events: tuple[dict[str, Any], ...]
+    checks: tuple[str, ...]
+    problems: tuple[str, ...]
+    torn: bytes
+    ends_in_newline: bool
+
+    @property
+    def last_check(self) -> str:
+        """The check that the next line continues."""
+        return self.checks[-1] if self.checks else GENESIS
+
+
+def encode_line(event: dict[str, Any], previous: str) -> tuple[bytes, str]:
+    """Return one line of the log and its check.
+
+    Parameters
+    ----------
+    event : dict
+        Plain values; NaN and infinity are refused.
+    previous : str
+        Check of the line before.
+
+    Returns
+    -------
+    line : bytes
+        UTF-8, terminated by a newline.
+    check : str
+        Its check, 64 hexadecimal digits.
+
+    Raises
+    ------
+    ValueError
+        If the event is empty or holds a value that JSON cannot.
+    """
+    if not event:
+        raise ValueError("an event needs at least one member, given none")
+    body = json.dumps(event, ensure_ascii=False, separators=(",", ":"), allow_nan=False)[:-1].encode()
+    check = _check(previous, body)
+    return body + b',"check":"' + check.encode() + b'"}\n', check
+
+
+def read_chain(path: Path) -> Chain:
+    """Return the sound lines of a log and everything that is wrong with it.
+
+    Parameters
+    ----------
+    path : Path
+        The log.
+
+    Raises
+    ------
+    RecordError
+        If the file cannot be read.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise RecordError(
+            f"{path}: cannot be read ({error.strerror}); give the session.jsonl of a session"
+        ) from error
+    return parse_chain(data, str(path))
+
+
+def parse_chain(data: bytes, name: str) -> Chain:
+    """Return what the bytes of a log hold; `name` stands before each problem."""
+    events: list[dict[str, Any]] = []
+    checks: list[str] = []
+    problems: list[str] = []
+    pending = b""
+    pending_line = 0
+    previous = GENESIS
+    for number, line in enumerate(_lines(data), start=1):
+        event, check = _decode(line.removesuffix(b"\n"), previous)
+        if event is None or (pending and not _declares(event, pending)):
+            pending = pending + line if pending else line
+            pending_line = pending_line or number
+            continue
+        if not pending and "torn" in event:
+            problems.append(f"{name}:{number}: the remains of a cut line that this line declares are missing")
+        pending, pending_line = b"", 0
+        events.append(event)
+        checks.append(check)
+        previous = check
+    if b"\n" in pending:
+        problems.append(
+            f"{name}:{pending_line}: the chain breaks: a line was changed, removed, doubled or moved"
+        )
+    elif pending:
+        problems.append(
+            f"{name}:{pending_line}: the last line was cut while being written ({len(pending)} bytes)"
+        )
+    elif events and not data.endswith(b"\n"):
+        problems.append(f"{name}:{len(events)}: the last line lacks its newline; its content is whole")
+    return Chain(tuple(events), tuple(checks), tuple(problems), pending, data.endswith(b"\n") or not data)
+
+
+def describe_torn(torn: bytes) -> dict[str, Any]:
+    """Return the declaration of a cut line that the next line carries."""
+    return {"bytes": len(torn), "sha256": hashlib.sha256(torn).hexdigest()}
+
+
+def _lines(data: bytes) -> list[bytes]:
+    # bytes.splitlines would also split at a lone carriage return inside a damaged line.
+    *whole, rest = data.split(b"\n")
+    return [line + b"\n" for line in whole] + ([rest] if rest else [])
+
+
+def _check(previous: str, body: bytes) -> str:
+    return hashlib.sha256(previous.encode() + body).hexdigest()
+
+
+def _decode(line: bytes, previous: str) -> tuple[dict[str, Any] | None, str]:
+    tail = _TAIL.search(line)
+    if tail is None:
+        return None, ""
+    body, check = line[: tail.start()], tail.group(1).decode()
+    if _check(previous, body) != check:
+        return None, ""
+    event = json.loads(body + b"}")
+    return event, check
+
+
+def _declares(event: dict[str, Any], torn: bytes) -> bool:
+    return bool(event.get("torn") == describe_torn(torn.removesuffix(b"\n")))

@@ -1,0 +1,237 @@
+"""The session log: one JSON line an event, on disk before anything else happens."""
+
+from __future__ import annotations
+
+import os
+import time
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from modaltouch.record.chain import GENESIS, Chain, RecordError, describe_torn, encode_line, read_chain
+from modaltouch.record.locking import lock
+
+SCHEMA = 1
+"""Version of the session log's format, carried by its first line."""
+
+
+class SessionLog:
+    """An open session log; `append` returns once the event is on the disk.
+
+    Use `create` for a new session and `reopen` for one that was interrupted.
+    """
+
+    def __init__(self, path: Path, descriptor: int, chain: Chain | None) -> None:
+        self.path = path
+        self.events: list[dict[str, Any]] = list(chain.events) if chain else []
+        self._descriptor = descriptor
+        self._check = chain.last_check if chain else GENESIS
+        self._torn = chain.torn if chain else b""
+        self._needs_newline = bool(chain and not chain.ends_in_newline)
+        self._failure = ""
+
+    @classmethod
+    def create(cls, path: Path) -> Self:
+        """Create a log that does not exist yet, readable by its owner alone.
+
+        Raises
+        ------
+        RecordError
+            If it exists or the folder cannot be written.
+        """
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+            descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o600)
+        except FileExistsError as error:
+            raise RecordError(
+                f"{path}: this session exists already and is never overwritten; "
+                f"continue it with `modaltouch resume {path.parent}` or give another session number"
+            ) from error
+        except OSError as error:
+            raise RecordError(
+                f"{path}: cannot be created ({error.strerror}); give a folder you may write to with --results"
+            ) from error
+        _take(path, descriptor)
+        sync_folder(path.parent)
+        return cls(path, descriptor, None)
+
+    @classmethod
+    def reopen(cls, path: Path) -> Self:
+        """Open an interrupted log to append to it; a cut last line stays and is declared by the next one.
+
+        Raises
+        ------
+        RecordError
+            If the log is damaged, in use by another process, or cannot be written.
+        """
+        try:
+            descriptor = os.open(path, os.O_WRONLY | os.O_APPEND)
+        except OSError as error:
+            raise RecordError(f"{path}: cannot be opened for writing ({error.strerror})") from error
+        _take(path, descriptor)
+        chain = read_chain(path)
+        damaged = [problem for problem in chain.problems if "chain breaks" in problem or "remains" in problem]
+        if damaged or not chain.events:
+            os.close(descriptor)
+            raise RecordError(
+                "\n".join(damaged) or f"{path}: holds no whole line: there is nothing to continue"
+            )
+        return cls(path, descriptor, chain)
+
+    def append(self, event: str, **facts: Any) -> dict[str, Any]:
+        """Write one event and return it once it is on the disk.
+
+        Parameters
+        ----------
+        event : str
+            What happened.
+        **facts
+            Plain values that say how.
+
+        Raises
+        ------
+        RecordError
+            If the disk refuses; nothing more can be appended to this log afterwards.
+        """
+        if self._failure:
+            raise RecordError(self._failure)
+        line = {
+            "n": len(self.events) + 1,
+            "time": datetime.now(UTC).isoformat(timespec="milliseconds"),
+            "clock": round(time.perf_counter(), 6),
+            "event": event,
+            **({"torn": describe_torn(self._torn)} if self._torn else {}),
+            **facts,
+        }
+        data, check = encode_line(line, self._check)
+        self._write(b"\n" * self._needs_newline + data)
+        self._check, self._torn, self._needs_newline = check, b"", False
+        self.events.append(line)
+        return line
+
+    @property
+    def head(self) -> dict[str, Any]:
+        """How far the log has come: its number of lines and the check of the last."""
+        return {"lines": len(self.events), "check": self._check}
+
+    def close(self) -> None:
+        """Close the file; a second call does nothing."""
+        if self._descriptor >= 0:
+            os.close(self._descriptor)
+            self._descriptor = -1
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _write(self, data: bytes) -> None:
+        try:
+            # One write call: SIGKILL leaves all of a line or nothing; only a full disk or a power cut tears it.
+            written = os.write(self._descriptor, data)
+            os.fsync(self._descriptor)
+        except OSError as error:
+            self._failure = f"{self.path}: writing failed ({error.strerror}); earlier events are on the disk"
+            raise RecordError(self._failure) from error
+        if written != len(data):
+            self._failure = f"{self.path}: the disk is full; all earlier events are on it, this one is not"
+            raise RecordError(self._failure)
+
+
+@dataclass(frozen=True)
+class Session:
+    """A session as its log tells it.
+
+    Attributes
+    ----------
+    path : Path
+        The log.
+    events : tuple of dict
+        Its sound lines.
+    problems : tuple of str
+        What is wrong with the file; empty for an intact one.
+    """
+
+    path: Path
+    events: tuple[dict[str, Any], ...]
+    problems: tuple[str, ...]
+
+    @property
+    def start(self) -> dict[str, Any]:
+        """The start record; empty if the session was cut before it."""
+        return self.events[0] if self.events and self.events[0].get("event") == "start" else {}
+
+    @property
+    def mode(self) -> str:
+        """``real``, ``pilot`` or ``simulated``."""
+        return str(self.start.get("mode", "unknown"))
+
+    @property
+    def participant(self) -> str:
+        """Participant id."""
+        return str(self.start.get("participant", ""))
+
+    @property
+    def protocol(self) -> str:
+        """Name of the protocol."""
+        return str(self.start.get("protocol", {}).get("name", ""))
+
+    @property
+    def trials(self) -> tuple[dict[str, Any], ...]:
+        """The trial events that count: answered, and not superseded by a later one."""
+        superseded = {event["supersedes"] for event in self.events if event.get("supersedes")}
+        return tuple(
+            event for event in self.events if event.get("event") == "trial" and event["n"] not in superseded
+        )
+
+    @property
+    def answered(self) -> frozenset[tuple[bool, int]]:
+        """Which trials are done, as (practice, index)."""
+        return frozenset((event["trial"]["practice"], event["trial"]["index"]) for event in self.trials)
+
+    @property
+    def complete(self) -> bool:
+        """Whether every scheduled trial is answered (practice not counted)."""
+        done = {index for practice, index in self.answered if not practice}
+        return bool(self.start) and done >= {trial["index"] for trial in self.start["schedule"]["trials"]}
+
+
+def read_session(path: Path) -> Session:
+    """Return a session from its log.
+
+    Parameters
+    ----------
+    path : Path
+        A ``session.jsonl``.
+
+    Raises
+    ------
+    RecordError
+        If the file cannot be read.
+    """
+    chain = read_chain(path)
+    return Session(path, chain.events, chain.problems)
+
+
+def sync_folder(folder: Path) -> None:
+    """Force a folder's entries to the disk, where the system can."""
+    if os.name == "nt":  # Windows keeps no descriptor of a folder; its file system logs the entries itself
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _take(path: Path, descriptor: int) -> None:
+    try:
+        lock(descriptor)
+    except OSError as error:
+        os.close(descriptor)
+        raise RecordError(f"{path}: another process is writing this session; wait until it ends") from error

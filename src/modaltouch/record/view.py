@@ -1,0 +1,163 @@
+"""The BIDS view: tables and side files derived from the session log, valid at every moment.
+
+Every file is written beside its place and renamed into it, so a reader never meets half a file. The log is the
+only truth; the view may be rebuilt from it at any time.
+
+References
+----------
+Brain Imaging Data Structure 1.10, "Behavioral experiments (with no neural recordings)".
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+from modaltouch import __version__
+from modaltouch.record.chain import RecordError
+from modaltouch.record.folders import LOG_NAME, SessionFolder
+from modaltouch.record.log import Session, sync_folder
+
+BIDS_VERSION = "1.10.0"
+
+COLUMNS: dict[str, dict[str, Any]] = {
+    "trial": {"Description": "Place in the session, from 1; practice trials count on their own"},
+    "block": {"Description": "Block (one finger condition), from 1; 0 for practice"},
+    "practice": {
+        "Description": "Practice trial, to be left out of the analysis",
+        "Levels": {"0": "no", "1": "yes"},
+    },
+    "finger_condition": {
+        "Description": "Fingers on the two zones",
+        "Levels": {
+            "one_hand": "index and middle finger of one hand (test 1 of the paper)",
+            "two_hands": "both index fingers (test 2 of the paper)",
+        },
+    },
+    "zone_left": {"Description": "Zone under the left finger, as the participant sees the beam"},
+    "zone_right": {"Description": "Zone under the right finger"},
+    "finger_left": {"Description": "Finger on the left zone"},
+    "finger_right": {"Description": "Finger on the right zone"},
+    "velocity_mm_s": {"Description": "Peak velocity asked at the focus", "Units": "mm/s"},
+    "repetition": {"Description": "Which presentation of this condition it is, from 1"},
+    "response": {
+        "Description": "Where the participant felt the stimulation",
+        "Levels": {"left": "left finger", "right": "right finger", "both": "both fingers"},
+    },
+    "response_time": {"Description": "From the onset named beside it to the answer", "Units": "s"},
+    "response_onset": {
+        "Description": "What the response time counts from",
+        "Levels": {"first_burst": "the first burst", "question": "the question, the stimulus having ended"},
+    },
+    "answered_by": {
+        "Description": "Who gave the answer to the program: participant, experimenter or simulated"
+    },
+    "confirmed": {
+        "Description": "The instrument confirmed amplitude and state before the trial",
+        "Levels": {"0": "no", "1": "yes"},
+    },
+    "log_line": {"Description": f"Number of the line in {LOG_NAME}"},
+}
+
+
+def write_view(place: SessionFolder, session: Session, head: dict[str, Any]) -> None:
+    """Write the session's table and its side file from the log.
+
+    Parameters
+    ----------
+    place : SessionFolder
+        Where the session lives.
+    session : Session
+        What its log holds.
+    head : dict
+        How far the log has come (`SessionLog.head`); the side file carries it, so that a log that lost its last
+        lines is noticed.
+
+    Raises
+    ------
+    RecordError
+        If a file cannot be written; the files before it stay valid.
+    """
+    rows = [_row(event) for event in session.trials]
+    lines = ["\t".join(COLUMNS), *("\t".join(row) for row in rows)]
+    side = {
+        "TaskName": place.protocol,
+        **COLUMNS,
+        "Mode": session.mode,
+        "SessionLog": {"File": LOG_NAME, **head},
+    }
+    replace_file(place.table, "\n".join(lines) + "\n")
+    replace_file(place.table.with_suffix(".json"), json.dumps(side, indent=2, ensure_ascii=False) + "\n")
+
+
+def write_dataset(place: SessionFolder, title: str) -> None:
+    """Write the dataset's description, list of participants and ignore file, as the folders stand.
+
+    Raises
+    ------
+    RecordError
+        If a file cannot be written.
+    """
+    description = {
+        "Name": title or place.protocol,
+        "BIDSVersion": BIDS_VERSION,
+        "DatasetType": "raw",
+        "GeneratedBy": [{"Name": "modaltouch", "Version": __version__}],
+    }
+    place.dataset.mkdir(parents=True, exist_ok=True, mode=0o700)
+    if not (place.dataset / "dataset_description.json").exists():
+        text = json.dumps(description, indent=2, ensure_ascii=False) + "\n"
+        replace_file(place.dataset / "dataset_description.json", text)
+        replace_file(
+            place.dataset / "README", f"{description['Name']}: sessions recorded by modaltouch {__version__}.\n"
+        )
+        replace_file(place.dataset / ".bidsignore", "*.jsonl\n*.log\n")
+    folders = sorted(path.name for path in place.dataset.glob("sub-*") if path.is_dir())
+    replace_file(place.dataset / "participants.tsv", "\n".join(["participant_id", *folders]) + "\n")
+
+
+def replace_file(path: Path, text: str) -> None:
+    """Put a text file in place in one step: a reader sees the old one or the new one, never a part.
+
+    Raises
+    ------
+    RecordError
+        If the file cannot be written.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with temporary.open("w", encoding="utf-8", newline="\n") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+        sync_folder(path.parent)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise RecordError(f"{path}: cannot be written ({error.strerror}); the session log is intact") from error
+
+
+def _row(event: dict[str, Any]) -> list[str]:
+    trial, response = event["trial"], event["response"]
+    condition = trial["condition"]
+    values = {
+        "trial": trial["index"],
+        "block": trial["block"],
+        "practice": int(trial["practice"]),
+        "finger_condition": condition["finger_condition"],
+        "zone_left": condition["zone_left"],
+        "zone_right": condition["zone_right"],
+        "finger_left": event["fingers"][0],
+        "finger_right": event["fingers"][1],
+        "velocity_mm_s": f"{condition['velocity_mm_s']:g}",
+        "repetition": trial["repetition"],
+        "response": response["answer"],
+        "response_time": f"{response['reaction_time']:.4f}",
+        "response_onset": response["onset"],
+        "answered_by": response["answered_by"],
+        "confirmed": int(event["confirmed"]["confirmed"]),
+        "log_line": event["n"],
+    }
+    return [str(values[column]).replace("\t", " ").replace("\n", " ") for column in COLUMNS]
