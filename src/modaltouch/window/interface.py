@@ -86,6 +86,9 @@ class AnswerWindow(typing.Protocol):
             If the session was ended.
         """
 
+    def wait(self, seconds: float) -> None:
+        """Let the pause between two trials pass, events polled; a simulated participant does not wait."""
+
     def rest(self, progress: Progress) -> None:
         """Show the break until the participant goes on."""
 
