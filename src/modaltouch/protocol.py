@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import string
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, ValidationInfo, field_validator
 
 from modaltouch.apparatus import Positive, Section
 
@@ -63,6 +64,18 @@ class AnswersSection(Section):
     question_delay_s: Annotated[float, Field(strict=True, ge=0)] = 0.5
     pause_s: Annotated[float, Field(strict=True, ge=0)] = 1.0
     keys: dict[Literal["left", "both", "right"], tuple[str, ...]]
+    continue_keys: tuple[str, ...] = ("space", "enter", "num_enter")
+
+
+_PLACEHOLDERS: dict[str, frozenset[str]] = {
+    "how_to_answer": frozenset({"pause_key"}),
+    "place_fingers": frozenset({"left_finger", "left_zone", "right_finger", "right_zone"}),
+    "trial_of": frozenset({"number", "total"}),
+    "practice_of": frozenset({"number", "total"}),
+    "pause": frozenset({"key", "end_key"}),
+    "press_to_continue": frozenset({"key"}),
+}
+"""Words in braces that a text must contain; every other text must contain none."""
 
 
 class Texts(Section):
@@ -71,6 +84,7 @@ class Texts(Section):
     language: str
     welcome: str
     instructions: str
+    how_to_answer: str
     place_fingers: str
     practice: str
     start: str
@@ -90,6 +104,29 @@ class Texts(Section):
     right_middle: str
     left_index: str
     left_middle: str
+    key_names: dict[str, str] = {}
+
+    @field_validator("*")
+    @classmethod
+    def _holds_its_placeholders(cls, text: object, info: ValidationInfo) -> object:
+        """Refuse an empty text, and one whose words in braces differ from what the window fills in."""
+        if not isinstance(text, str):
+            return text
+        if not text.strip():
+            raise ValueError(
+                "given an empty text; allowed: at least one word; write what the participant reads"
+            )
+        wanted = _PLACEHOLDERS.get(str(info.field_name), frozenset())
+        needed = ", ".join(f"{{{name}}}" for name in sorted(wanted)) or "no words in braces"
+        try:
+            fields = [field for field in string.Formatter().parse(text) if field[1] is not None]
+        except ValueError as error:
+            raise ValueError(f"given {text!r} ({error}); allowed: {needed}; close every brace") from None
+        found = {str(name) for _, name, _, _ in fields}
+        if found != wanted or any(spec or conversion for _, _, spec, conversion in fields):
+            given = ", ".join(f"{{{name}}}" for name in sorted(found)) or "no words in braces"
+            raise ValueError(f"given {given} in {text!r}; allowed: exactly {needed}; write each of them once")
+        return text
 
 
 class Protocol(Section):
