@@ -69,6 +69,7 @@ def conduct(sitting: Sitting) -> None:
         write_down(sitting, trial, response, firing)
         if fault:
             raise fault
+        sitting.window.confirm(response)
         sitting.window.wait(sitting.protocol.answers.pause_s)
         previous = trial
     sitting.window.goodbye()

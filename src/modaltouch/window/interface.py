@@ -73,7 +73,11 @@ class AnswerWindow(typing.Protocol):
         """Show one text of the protocol (``practice``, ``start``) until the participant goes on."""
 
     def ask(self, trial: Trial, progress: Progress, *, onset: float, stop: Callable[[], None]) -> Response:
-        """Show the trial and return the answer.
+        """Show the trial and return the answer, as soon as it is known and without confirming it on screen.
+
+        The session writes the answer to the disk first and calls `confirm` then, so that an answer the
+        participant saw confirmed is never lost. From the accepted answer to the return nothing may raise,
+        `tick` included.
 
         `onset` is when the stimulus began (`time.perf_counter`) [s]. `stop` ends the stimulus; it is called at
         the answer, at any interruption, and after the presentation where the protocol stops it first.
@@ -85,6 +89,9 @@ class AnswerWindow(typing.Protocol):
         SessionStopped
             If the session was ended.
         """
+
+    def confirm(self, response: Response) -> None:
+        """Show which answer was taken; it is on the disk."""
 
     def wait(self, seconds: float) -> None:
         """Let the pause between two trials pass, events polled; a simulated participant does not wait."""
