@@ -1,0 +1,75 @@
+# Every target starts at `install`, which needs python3, make and git alone on a Debian-like system.
+.DEFAULT_GOAL := help
+SHELL := /bin/sh
+PYTHON := $(if $(filter Windows_NT,$(OS)),.venv/Scripts/python.exe,.venv/bin/python)
+UV := $(shell command -v uv 2>/dev/null || echo .uv/bin/uv)
+# Root needs no sudo; everyone else is asked for it only where a package is missing.
+SUDO := $(shell [ "$$(id -u)" = 0 ] || echo sudo)
+export UV_SYSTEM_CERTS := 1
+export MPLBACKEND := agg
+
+## help: list the targets
+.PHONY: help
+help:
+	@sed -n 's/^## /  make /p' Makefile
+
+## install: uv, the locked environment in .venv, and the system packages of the window
+.PHONY: install
+install: .venv/.installed system
+
+.uv/bin/uv:
+	@python3 -m venv .uv >/dev/null 2>&1 || { rm -rf .uv; $(SUDO) apt-get update -q && $(SUDO) apt-get install -y -q --no-install-recommends python3-venv && python3 -m venv .uv; }
+	.uv/bin/python -m pip install --quiet --disable-pip-version-check uv
+
+.venv/.installed: requirements.lock pyproject.toml | $(filter .uv/bin/uv,$(UV))
+	[ -x $(PYTHON) ] || $(UV) venv --quiet --python '>=3.11,<3.13' .venv
+	$(UV) pip sync --python $(PYTHON) --require-hashes requirements.lock
+	$(UV) pip install --python $(PYTHON) --quiet --no-deps --no-build-isolation --editable .
+	@touch $@
+
+# OpenGL for the answer window, PortAudio for masking noise, and a virtual display with its own keyboard for
+# the tests and for machines without a screen.
+DEBIAN_PACKAGES := libgl1 libgl1-mesa-dri libglx-mesa0 libglu1-mesa libx11-6 libxext6 xvfb
+.PHONY: system
+system:
+	@[ "$$(uname)" = Linux ] || exit 0; \
+	libraries=$$(PATH="$$PATH:/sbin:/usr/sbin" ldconfig -p); drivers=$$(ls /usr/lib/*/dri/swrast_dri.so /usr/lib/*/libgallium*.so 2>/dev/null || true); \
+	case "$$libraries" in *libGLU.so.1*) glu=yes;; esac; case "$$libraries" in *libGL.so.1*) gl=yes;; esac; \
+	[ -n "$$gl" ] && [ -n "$$glu" ] && [ -n "$$drivers" ] && command -v Xvfb >/dev/null && exit 0; \
+	command -v apt-get >/dev/null || { echo "Install OpenGL (libGL, libGLU, Mesa) and Xvfb with this system's package manager, then run make again." >&2; exit 1; }; \
+	$(SUDO) apt-get update -q && $(SUDO) env DEBIAN_FRONTEND=noninteractive apt-get install -y -q --no-install-recommends $(DEBIAN_PACKAGES)
+
+## demo: a whole short session on the simulated rig, in the real window, then its report
+.PHONY: demo
+demo: install
+	$(PYTHON) -m modaltouch demo
+
+## test: the whole test suite, window tests included
+.PHONY: test
+test: install
+	$(PYTHON) -m pytest
+
+## check: formatting, lint, types and the import contracts
+.PHONY: check
+check: install
+	$(PYTHON) -m ruff format --check src tests
+	$(PYTHON) -m ruff check src tests
+	$(PYTHON) -m mypy
+	.venv/bin/lint-imports
+
+## format: let ruff format and mend the code
+.PHONY: format
+format: install
+	$(PYTHON) -m ruff format src tests
+	$(PYTHON) -m ruff check --fix src tests
+
+## lock: resolve the dependencies again into requirements.lock
+.PHONY: lock
+lock: | $(filter .uv/bin/uv,$(UV))
+	$(UV) pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-header \
+	  --group dev pyproject.toml --upgrade --output-file requirements.lock
+
+## clean: remove what was built, never results
+.PHONY: clean
+clean:
+	rm -rf .venv .uv build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
