@@ -1,0 +1,96 @@
+"""The session log's lines check each other (architecture.md: each line carries a running checksum)."""
+
+import hashlib
+import json
+
+import pytest
+
+from modaltouch.record.chain import GENESIS, RecordError, describe_torn, encode_line, parse_chain, read_chain
+
+
+def chain_of(*events: dict) -> bytes:
+    """Return the bytes of a log with these events."""
+    data, check = b"", GENESIS
+    for event in events:
+        line, check = encode_line(event, check)
+        data += line
+    return data
+
+
+EVENTS = tuple(
+    {"n": n, "event": "trial", "answer": answer} for n, answer in enumerate(("left", "both", "right"), 1)
+)
+
+
+def test_a_sound_log_gives_back_its_events_and_no_problem():
+    """What was written is read; the checks are SHA-256 of the previous check and the line's own bytes."""
+    chain = parse_chain(chain_of(*EVENTS), "log")
+    assert chain.events == EVENTS
+    assert chain.problems == ()
+    body = json.dumps(EVENTS[0], separators=(",", ":"))[:-1].encode()
+    assert chain.checks[0] == hashlib.sha256(GENESIS.encode() + body).hexdigest()
+
+
+def test_every_single_byte_change_is_found():
+    """Issue: every single-byte change of a session log is found."""
+    data = chain_of(*EVENTS)
+    for place in range(len(data)):
+        for change in (1, 0x20, 0x80):
+            changed = data[:place] + bytes([data[place] ^ change]) + data[place + 1 :]
+            assert parse_chain(changed, "log").problems, f"byte {place} changed by {change:#x} went unseen"
+
+
+@pytest.mark.parametrize(
+    ("name", "order"),
+    [("removed", (0, 2)), ("doubled", (0, 1, 1, 2)), ("reordered", (0, 2, 1)), ("first removed", (1, 2))],
+)
+def test_removed_doubled_and_reordered_lines_are_found(name, order):
+    """A line continues only the line that stood before it when it was written."""
+    lines = chain_of(*EVENTS).splitlines(keepends=True)
+    assert parse_chain(b"".join(lines[i] for i in order), "log").problems, name
+
+
+def test_a_cut_last_line_is_told_apart_from_damage():
+    """A power cut tears the last line; everything before it stays sound."""
+    data = chain_of(*EVENTS)
+    chain = parse_chain(data[:-7], "log")
+    assert chain.events == EVENTS[:2]
+    assert "cut while being written" in chain.problems[0]
+    assert chain.torn
+
+
+def test_a_whole_last_line_without_its_newline_counts():
+    """The answer is on the disk even if only the newline is missing."""
+    chain = parse_chain(chain_of(*EVENTS)[:-1], "log")
+    assert chain.events == EVENTS
+    assert "lacks its newline" in chain.problems[0]
+    assert not chain.torn
+
+
+def test_the_line_after_a_cut_one_vouches_for_the_remains():
+    """The remains stay in the file, declared by the next line, and a change of them is found."""
+    first, check = encode_line(EVENTS[0], GENESIS)
+    remains = b'{"n":2,"eve'
+    second, _ = encode_line({"n": 2, "event": "resume", "torn": describe_torn(remains)}, check)
+    assert parse_chain(first + remains + b"\n" + second, "log").problems == ()
+    assert parse_chain(first + remains.replace(b"eve", b"ewe") + b"\n" + second, "log").problems
+    assert "missing" in parse_chain(first + second, "log").problems[0]
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_numbers_that_json_lacks_are_refused(value):
+    """RFC 8259 has no NaN and no infinity."""
+    with pytest.raises(ValueError, match="Out of range float"):
+        encode_line({"value": value}, GENESIS)
+
+
+def test_an_empty_event_is_refused():
+    """A line must say something."""
+    with pytest.raises(ValueError, match="at least one member"):
+        encode_line({}, GENESIS)
+
+
+def test_a_file_that_cannot_be_read_is_named(tmp_path):
+    """The message says which file, and what to give instead."""
+    with pytest.raises(RecordError, match=r"session.jsonl: cannot be read"):
+        read_chain(tmp_path / "session.jsonl")

@@ -1,0 +1,148 @@
+"""The session log: on disk before anything else happens, never overwritten, continued after a cut."""
+
+import json
+import multiprocessing
+import os
+import signal
+import stat
+import time
+
+import pytest
+
+from modaltouch.record.chain import RecordError, read_chain
+from modaltouch.record.log import SessionLog, read_session
+
+TRIAL = {"index": 1, "block": 1, "practice": False}
+
+
+def start_event(n_trials=2):
+    """Return the facts of a start record that `Session` reads."""
+    trials = [{"index": index} for index in range(1, n_trials + 1)]
+    return {
+        "mode": "simulated",
+        "participant": "p01",
+        "protocol": {"name": "x"},
+        "schedule": {"trials": trials},
+    }
+
+
+def test_an_event_is_in_the_file_when_append_returns(tmp_path):
+    """Append writes through: another reader sees the line at once."""
+    with SessionLog.create(tmp_path / "a" / "session.jsonl") as log:
+        log.append("start", **start_event())
+        assert [event["event"] for event in read_chain(log.path).events] == ["start"]
+
+
+def test_a_log_is_readable_by_its_owner_alone(tmp_path):
+    """Participants' answers are personal data."""
+    with SessionLog.create(tmp_path / "session.jsonl") as log:
+        assert stat.S_IMODE(log.path.stat().st_mode) == 0o600
+
+
+def test_an_existing_log_is_never_overwritten(tmp_path):
+    """A second session with the same id is refused, and told how to go on."""
+    SessionLog.create(tmp_path / "session.jsonl").close()
+    with pytest.raises(RecordError, match=r"exists already and is never overwritten.*resume"):
+        SessionLog.create(tmp_path / "session.jsonl")
+
+
+def test_two_writers_of_one_log_are_refused(tmp_path):
+    """The second process is told that the first is writing."""
+    with SessionLog.create(tmp_path / "session.jsonl") as log:
+        log.append("start", **start_event())
+        with pytest.raises(RecordError, match="another process is writing this session"):
+            SessionLog.reopen(log.path)
+
+
+def test_a_reopened_log_continues_the_chain(tmp_path):
+    """Lines written after a reopening are checked against those before."""
+    path = tmp_path / "session.jsonl"
+    with SessionLog.create(path) as log:
+        log.append("start", **start_event())
+    with SessionLog.reopen(path) as log:
+        log.append("resume")
+    chain = read_chain(path)
+    assert [event["event"] for event in chain.events] == ["start", "resume"]
+    assert chain.problems == ()
+
+
+@pytest.mark.parametrize("cut", [1, 2, 30])
+def test_a_torn_log_is_continued_with_its_remains_kept(tmp_path, cut):
+    """Nothing is mended silently: the remains stay, and the next line vouches for them."""
+    path = tmp_path / "session.jsonl"
+    with SessionLog.create(path) as log:
+        log.append("start", **start_event())
+        log.append("trial", trial=TRIAL)
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-cut])
+    with SessionLog.reopen(path) as log:
+        log.append("resume")
+    assert path.read_bytes().startswith(whole[:-cut])
+    chain = read_chain(path)
+    assert chain.problems == ()
+    assert [event["event"] for event in chain.events] == (
+        ["start", "trial", "resume"] if cut == 1 else ["start", "resume"]
+    )
+
+
+def test_a_damaged_log_is_not_continued(tmp_path):
+    """A changed line is damage, not a cut."""
+    path = tmp_path / "session.jsonl"
+    with SessionLog.create(path) as log:
+        log.append("start", **start_event())
+        log.append("trial", trial=TRIAL)
+    path.write_bytes(path.read_bytes().replace(b'"start"', b'"stort"'))
+    with pytest.raises(RecordError, match="the chain breaks"):
+        SessionLog.reopen(path)
+
+
+def test_a_full_disk_is_said_and_the_log_takes_nothing_more(tmp_path, monkeypatch):
+    """ENOSPC ends the writing with a clear message; earlier lines are sound."""
+    log = SessionLog.create(tmp_path / "session.jsonl")
+    log.append("start", **start_event())
+    real_write = os.write
+    monkeypatch.setattr(os, "write", lambda fd, data: real_write(fd, data[:10]))
+    with pytest.raises(RecordError, match="the disk is full"):
+        log.append("trial", trial=TRIAL)
+    monkeypatch.undo()
+    with pytest.raises(RecordError, match="the disk is full"):
+        log.append("trial", trial=TRIAL)
+    log.close()
+    assert [event["event"] for event in read_chain(log.path).events] == ["start"]
+
+
+def _append_for_ever(path):
+    log = SessionLog.create(path)
+    log.append("start", **start_event())
+    number = 0
+    while True:
+        number += 1
+        log.append("trial", trial={**TRIAL, "index": number})
+
+
+@pytest.mark.parametrize("delay", [0.02, 0.05, 0.09, 0.14])
+def test_a_log_killed_while_writing_is_sound(tmp_path, delay):
+    """SIGKILL at any instant leaves whole lines (runners.md, section 8: what no runner states)."""
+    path = tmp_path / "session.jsonl"
+    writer = multiprocessing.get_context("fork").Process(target=_append_for_ever, args=(path,))
+    writer.start()
+    while not path.exists() or path.stat().st_size < 200:
+        time.sleep(0.001)
+    time.sleep(delay)
+    os.kill(writer.pid, signal.SIGKILL)
+    writer.join()
+    chain = read_chain(path)
+    assert chain.problems == ()
+    assert [event["n"] for event in chain.events] == list(range(1, len(chain.events) + 1))
+
+
+def test_a_superseded_trial_does_not_count(tmp_path):
+    """A replaced trial is a new record that supersedes; the old one stays in the file."""
+    with SessionLog.create(tmp_path / "session.jsonl") as log:
+        log.append("start", **start_event(1))
+        old = log.append("trial", trial=TRIAL, response={"answer": "left"}, supersedes=None)
+        log.append("trial", trial=TRIAL, response={"answer": "both"}, supersedes=old["n"])
+    session = read_session(log.path)
+    assert [event["response"]["answer"] for event in session.trials] == ["both"]
+    assert session.complete
+    assert json.loads(log.path.read_bytes().splitlines()[1])["response"] == {"answer": "left"}
