@@ -21,7 +21,7 @@ def start_event(n_trials=2):
     return {
         "mode": "simulated",
         "participant": "p01",
-        "protocol": {"name": "x"},
+        "protocol": "x",
         "schedule": {"trials": trials},
     }
 

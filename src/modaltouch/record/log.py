@@ -179,7 +179,7 @@ class Session:
     @property
     def protocol(self) -> str:
         """Name of the protocol."""
-        return str(self.start.get("protocol", {}).get("name", ""))
+        return str(self.start.get("protocol", ""))
 
     @property
     def trials(self) -> tuple[dict[str, Any], ...]:
