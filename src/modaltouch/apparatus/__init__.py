@@ -1,0 +1,64 @@
+"""YAML -> Apparatus: the beam, its zones and modes, the actuator sets, amplifier and generator."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from modaltouch.apparatus.checks import check_apparatus, zone_edges
+from modaltouch.apparatus.sections import (
+    ActuatorSet,
+    Amplifier,
+    Apparatus,
+    Beam,
+    Generator,
+    Mode,
+    Safety,
+    Twin,
+    Zone,
+)
+from modaltouch.document import InputError, Problem, Reading, Source, load_source, read
+from modaltouch.document.section import Number, Positive, Section
+
+__all__ = [
+    "ActuatorSet",
+    "Amplifier",
+    "Apparatus",
+    "Beam",
+    "Generator",
+    "Mode",
+    "Number",
+    "Positive",
+    "Safety",
+    "Section",
+    "Twin",
+    "Zone",
+    "check_apparatus",
+    "examine_apparatus",
+    "read_apparatus",
+    "zone_edges",
+]
+
+
+def read_apparatus(path: Path | str) -> Apparatus:
+    """Return the apparatus that a YAML file describes.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+
+    Raises
+    ------
+    InputError
+        With every fault of the file.
+    """
+    reading, problems = examine_apparatus(load_source(Path(path)))
+    if problems or reading.value is None:
+        raise InputError(problems)
+    return reading.value
+
+
+def examine_apparatus(source: Source) -> tuple[Reading[Apparatus], list[Problem]]:
+    """Return what the text of an apparatus file holds, as far as it is sound, and its faults."""
+    reading = read(source, Apparatus)
+    return reading, [*reading.problems, *check_apparatus(reading)]

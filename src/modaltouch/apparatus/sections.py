@@ -1,0 +1,189 @@
+"""Apparatus: the beam, its zones and modes, the actuator sets, amplifier and generator, as the file gives them.
+
+Numbers keep the units of their keys (mm, Hz, mm/s, V); `modal_model` and `amplifier_values` make SI values of
+them, and nothing else does.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from modaltouch.document.section import (
+    FileName,
+    Label,
+    NotNegative,
+    Number,
+    Positive,
+    Section,
+    Text,
+    Word,
+    described,
+)
+
+if TYPE_CHECKING:
+    from modaltouch.stimulus.design import Amplifier as AmplifierValues
+    from modaltouch.stimulus.modes import ModalModel
+
+
+class Beam(Section):
+    """The bare beam."""
+
+    length_mm: Positive = described("Length of the beam [mm].")
+    width_mm: Positive = described("Width of the beam [mm].")
+    thickness_mm: Positive = described("Thickness of the beam [mm].")
+    theory: Literal["euler_bernoulli"] = described(
+        "Where the mode shapes come from: those of a uniform free-free beam.", default="euler_bernoulli"
+    )
+
+
+class Zone(Section):
+    """A stretch of the beam that a finger may touch; origin at mid-beam, positive to the right."""
+
+    centre_mm: Number = described("Centre of the zone [mm from mid-beam, positive to the participant's right].")
+    width_mm: Positive = described("Width of the zone [mm].")
+
+
+class ActuatorSet(Section):
+    """Patches wired together and fed by one generator output."""
+
+    channel: Annotated[int, Field(strict=True, ge=1, le=2)] = described("Generator output that feeds the set.")
+
+
+class Mode(Section):
+    """A modelled vibration mode: one line of Table I."""
+
+    label: Label = described(
+        "Number of the mode: 1 rigid translation, 2 rigid rotation, k from 3 on the bending mode k - 2."
+    )
+    natural_frequency_Hz: Positive = described("Natural frequency [Hz].")  # noqa: N815
+    damping_ratio: Annotated[float, Field(strict=True, gt=0, lt=1, allow_inf_nan=False)] = described(
+        "Damping ratio [1]."
+    )
+    gain_mm_s2_per_V: dict[Word, Number] = described(  # noqa: N815
+        "Modal acceleration per volt at the beam [mm/s^2 per V], by actuator set; a set that is left out is "
+        "unknown and taken as zero."
+    )
+    assumed: tuple[Word, ...] = described("Actuator sets whose gain is assumed, not measured.", default=())
+
+
+class Amplifier(Section):
+    """What stands between generator and beam."""
+
+    gain_V_per_V: Positive = described("Voltage gain [V at the beam per V of the generator].")  # noqa: N815
+    limit_V: Positive = described("Highest voltage at the beam [V, peak]; no protocol can raise it.")  # noqa: N815
+    bandwidth_kHz: Positive | None = described(  # noqa: N815
+        "Corner of its first-order pole [kHz]; null where it has not been identified.", default=None
+    )
+    delay_us: NotNegative = described("Delay from generator to beam [us].", default=0.0)
+
+
+class Safety(Section):
+    """Limits that no protocol can raise."""
+
+    velocity_limit_mm_s: Positive = described("Highest velocity anywhere in a zone [mm/s, peak].")
+
+
+class Generator(Section):
+    """The arbitrary function generator."""
+
+    model: Text = described("Model as its identity names it.", default="AFG3022B")
+    load: Literal["high_impedance", "50_ohm"] = described(
+        "What its outputs see: high_impedance or 50_ohm.", default="high_impedance"
+    )
+
+    @property
+    def load_factor(self) -> float:
+        """Voltage at the load over the open-circuit voltage, for an output of 50 ohm [1]."""
+        return 1.0 if self.load == "high_impedance" else 0.5
+
+
+class Twin(Section):
+    """How the simulated beam differs from the identified one."""
+
+    seed: Annotated[int, Field(strict=True, ge=0)] = described("Seed of the differences.", default=1)
+    natural_frequency_mismatch: Annotated[float, Field(strict=True, ge=0, lt=0.1)] = described(
+        "Relative standard deviation of the natural frequencies [1].", default=0.0
+    )
+    damping_ratio_mismatch: Annotated[float, Field(strict=True, ge=0, lt=0.5)] = described(
+        "Relative standard deviation of the damping ratios [1].", default=0.0
+    )
+    gain_mismatch: Annotated[float, Field(strict=True, ge=0, lt=0.5)] = described(
+        "Relative standard deviation of the gains [1].", default=0.0
+    )
+    cross_gain: Annotated[float, Field(strict=True, ge=-1, le=1)] = described(
+        "Gain of a set that does not drive a mode, relative to the one that does [1].", default=0.0
+    )
+
+
+class Apparatus(Section):
+    """Everything a lab has on its table."""
+
+    apparatus: FileName = described("Name of the apparatus.")
+    description: Text = described("What it is, in a sentence.", default="")
+    beam: Beam = described("The bare beam.")
+    zones: dict[Word, Zone] = described("Stretches of the beam that fingers touch, by name.", min_length=1)
+    actuator_sets: dict[Word, ActuatorSet] = described(
+        "Actuator sets, by name, each on an output of its own.", min_length=1
+    )
+    modes: tuple[Mode, ...] = described("Modelled modes, as identified.", min_length=1, max_length=200)
+    amplifier: Amplifier = described("What stands between generator and beam.")
+    safety: Safety = described("Limits that no protocol can raise.")
+    generator: Generator = described("The arbitrary function generator.", default=Generator())
+    twin: Twin = described("What the simulated rig has and the table has not.", default=Twin())
+
+    def modal_model(self) -> ModalModel:
+        """Return the identified plant in SI units.
+
+        Returns
+        -------
+        ModalModel
+            Modal gains of shape (n_modes, n_channels) [m/s^2 per V at the beam], zero where unknown; natural
+            frequencies [Hz], damping ratios [1], length [m].
+        """
+        from modaltouch.stimulus.modes import ModalModel
+
+        channel = {name: actuators.channel for name, actuators in self.actuator_sets.items()}
+        gain = np.zeros((len(self.modes), max(channel.values())))
+        for row, mode in enumerate(self.modes):
+            for name, value in mode.gain_mm_s2_per_V.items():
+                gain[row, channel[name] - 1] = value * 1e-3
+        return ModalModel(
+            label=tuple(mode.label for mode in self.modes),
+            natural_frequency=np.array([mode.natural_frequency_Hz for mode in self.modes]),
+            damping_ratio=np.array([mode.damping_ratio for mode in self.modes]),
+            modal_gain=gain,
+            length=self.beam.length_mm * 1e-3,
+            theory=self.beam.theory,
+        )
+
+    def amplifier_values(self) -> AmplifierValues:
+        """Return the amplifier: gain [V/V], limit [V at the beam], bandwidth [Hz] or None, delay [s]."""
+        from modaltouch.stimulus.design import Amplifier as AmplifierValues
+
+        amplifier = self.amplifier
+        return AmplifierValues(
+            gain=amplifier.gain_V_per_V,
+            limit=amplifier.limit_V,
+            bandwidth=None if amplifier.bandwidth_kHz is None else amplifier.bandwidth_kHz * 1e3,
+            delay=amplifier.delay_us * 1e-6,
+        )
+
+    def unknown_gains(self) -> tuple[tuple[int, str], ...]:
+        """Return mode label and actuator set of every gain that is unknown and taken as zero."""
+        return tuple(
+            (mode.label, name)
+            for mode in self.modes
+            for name in self.actuator_sets
+            if name not in mode.gain_mm_s2_per_V
+        )
+
+    def assumed_gains(self) -> tuple[tuple[int, str], ...]:
+        """Return mode label and actuator set of every gain that is assumed, not measured."""
+        return tuple((mode.label, name) for mode in self.modes for name in mode.assumed)
+
+    def zone_order(self) -> tuple[str, ...]:
+        """Return the zones' names from left to right."""
+        return tuple(sorted(self.zones, key=lambda name: self.zones[name].centre_mm))

@@ -1,0 +1,25 @@
+"""Reads YAML with the place of every value, and says every fault with its place.
+
+``problems``  Problem and InputError: what was given, what is allowed, what to do
+``source``    the text of a file, with its hash for the record
+``tree``      YAML 1.2 -> tree of nodes that know their line and column
+``reading``   tree + model -> sound values and located problems
+"""
+
+from modaltouch.document.problems import InputError, Problem, fault, suggest
+from modaltouch.document.reading import Reading, read
+from modaltouch.document.source import Source, load_source
+from modaltouch.document.tree import Node, parse_tree
+
+__all__ = [
+    "InputError",
+    "Node",
+    "Problem",
+    "Reading",
+    "Source",
+    "fault",
+    "load_source",
+    "parse_tree",
+    "read",
+    "suggest",
+]

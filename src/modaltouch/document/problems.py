@@ -1,0 +1,113 @@
+"""What is wrong in a file, where, and what to do about it."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from pydantic_core import PydanticCustomError
+
+
+@dataclass(frozen=True, order=True)
+class Problem:
+    """One fault of one file.
+
+    Attributes
+    ----------
+    file : str
+        File as it was named.
+    line, column : int
+        Place of the fault, both from 1.
+    path : str
+        Key within the file, as in ``conditions.zone_pairs[1]``; empty for the file as a whole.
+    given, allowed, remedy : str
+        What stands there, what may stand there, and what to do (empty where `allowed` says it).
+    """
+
+    file: str
+    line: int
+    column: int
+    path: str
+    given: str
+    allowed: str
+    remedy: str = ""
+
+    @property
+    def message(self) -> str:
+        """The fault without its place."""
+        allowed = f"; allowed: {self.allowed}" if self.allowed else ""
+        remedy = f"; {self.remedy}" if self.remedy else ""
+        return f"given {self.given}{allowed}{remedy}"
+
+    def __str__(self) -> str:
+        path = f" {self.path}:" if self.path else ""
+        return f"{self.file}:{self.line}:{self.column}:{path} {self.message}"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the problem as plain values for ``--json``."""
+        return {
+            "file": self.file,
+            "line": self.line,
+            "column": self.column,
+            "path": self.path,
+            "given": self.given,
+            "allowed": self.allowed,
+            "remedy": self.remedy,
+            "message": self.message,
+        }
+
+
+class InputError(Exception):
+    """Files that cannot be used: every fault of all of them, sorted by place.
+
+    Parameters
+    ----------
+    problems : iterable of Problem
+        At least one.
+    """
+
+    def __init__(self, problems: Iterable[Problem]) -> None:
+        self.problems: tuple[Problem, ...] = tuple(sorted(set(problems)))
+        super().__init__("\n".join(str(problem) for problem in self.problems))
+
+
+def fault(given: str, allowed: str, remedy: str = "") -> PydanticCustomError:
+    """Return the error that a model's validator raises so that `Problem` can say it in its three parts."""
+    return PydanticCustomError(
+        "modaltouch",
+        "given {given}; allowed: {allowed}; {remedy}",
+        {"given": given, "allowed": allowed, "remedy": remedy},
+    )
+
+
+def suggest(word: str, known: Iterable[str]) -> str:
+    """Return the known word that `word` is probably meant to be, or an empty string.
+
+    Words that differ in their unit alone, as ``base_cm`` and ``base_mm``, are taken as meant.
+
+    >>> suggest("peak_velocities_cm_s", ["zone_pairs", "peak_velocities_mm_s"])
+    'peak_velocities_mm_s'
+    """
+    names = sorted(known)
+    folded = {name.casefold().replace("-", "_").replace(" ", "_"): name for name in names}
+    wanted = word.casefold().replace("-", "_").replace(" ", "_")
+    if wanted in folded:
+        return folded[wanted]
+    same_stem = [name for name in names if _stem(name) == _stem(word)]
+    if len(same_stem) == 1:
+        return same_stem[0]
+    close = difflib.get_close_matches(wanted, list(folded), n=1, cutoff=0.7)
+    return folded[close[0]] if close else ""
+
+
+_UNITS = "m mm cm um s ms us ns hz khz mhz v mv kv vpp per percent a ma rad deg m2 s2 mm2 cm2"
+
+
+def _stem(name: str) -> str:
+    """Return a key's name without its unit."""
+    words, units = name.casefold().split("_"), _UNITS.split()
+    while len(words) > 1 and words[-1] in units:
+        words.pop()
+    return "_".join(words)

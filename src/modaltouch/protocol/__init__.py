@@ -1,0 +1,51 @@
+"""YAML -> Protocol: what is presented, asked and repeated, with the apparatus and texts that it names.
+
+``sections``    the protocol file's keys
+``texts``       the words the participant reads
+``keys``        names of the keys that can answer
+``checks``      faults between the keys of a protocol
+``fit``         faults between a protocol and its apparatus
+``experiment``  read_protocol: all three files, every fault at once
+``schemas``     JSON Schemas for editors
+"""
+
+from modaltouch.protocol.experiment import (
+    Experiment,
+    Findings,
+    Sources,
+    examine_files,
+    read_protocol,
+    restore_experiment,
+)
+from modaltouch.protocol.keys import KEY_NAMES, RESERVED_KEYS
+from modaltouch.protocol.schemas import write_schemas
+from modaltouch.protocol.sections import (
+    AnswersSection,
+    ConditionsSection,
+    FingerCondition,
+    Protocol,
+    ScheduleSection,
+    StimulusSection,
+    WishedField,
+)
+from modaltouch.protocol.texts import Texts
+
+__all__ = [
+    "KEY_NAMES",
+    "RESERVED_KEYS",
+    "AnswersSection",
+    "ConditionsSection",
+    "Experiment",
+    "Findings",
+    "FingerCondition",
+    "Protocol",
+    "ScheduleSection",
+    "Sources",
+    "StimulusSection",
+    "Texts",
+    "WishedField",
+    "examine_files",
+    "read_protocol",
+    "restore_experiment",
+    "write_schemas",
+]

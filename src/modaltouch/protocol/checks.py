@@ -1,0 +1,155 @@
+"""What a protocol can say that no single key can: doubles, instants outside the burst, keys that clash."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from modaltouch.document import Problem, Reading, suggest
+from modaltouch.protocol.keys import KEY_NAMES, RESERVED_KEYS
+from modaltouch.protocol.sections import Protocol
+
+TRIAL_LIMIT = 10_000
+"""Most trials of a session: a day of them."""
+
+CLOCK_RATE = 250e6
+"""Sampling rate of the generator [Hz]."""
+
+
+def check_protocol(reading: Reading[Protocol]) -> list[Problem]:
+    """Return the faults between the keys of a protocol, as far as its sound parts show them."""
+    return [
+        *_check_stimulus(reading),
+        *_check_doubles(reading),
+        *_check_schedule(reading),
+        *_check_keys(reading),
+        *_check_times(reading),
+    ]
+
+
+def _check_stimulus(reading: Reading[Protocol]) -> Iterator[Problem]:
+    section = ("stimulus",)
+    duration = reading.sound(*section, "duration_ms")
+    instant = reading.sound(*section, "focusing_instant_ms")
+    rate = reading.sound(*section, "repetition_rate_Hz")
+    n_samples = reading.sound(*section, "n_samples")
+    if duration is not None and rate is not None and duration * rate > 1e3:
+        given = f"{duration:g} ms at {rate:g} bursts per second"
+        allowed = f"at most {1e3 / rate:g} ms, the time from one burst to the next"
+        yield reading.problem(
+            (*section, "duration_ms"), given, allowed, "shorten the burst or repeat it less often"
+        )
+    if duration is not None and instant is not None and instant >= duration:
+        given = f"{instant:g} ms, which is not within the burst of {duration:g} ms"
+        yield reading.problem(
+            (*section, "focusing_instant_ms"), given, f"below {duration:g} ms", "move one of them"
+        )
+    if duration is not None and n_samples is not None:
+        sampling_rate = n_samples / duration * 1e3
+        if sampling_rate > CLOCK_RATE * (1 + 1e-12):
+            given = f"{n_samples} samples in {duration:g} ms, which is {sampling_rate:.4g} Hz"
+            allowed = f"at most {int(duration * 1e-3 * CLOCK_RATE)} samples, at the generator's 250 MHz"
+            yield reading.problem((*section, "n_samples"), given, allowed, "take fewer")
+        if instant is not None and instant < duration / n_samples:
+            given = f"{instant:g} ms, before the second sample"
+            yield reading.problem(
+                (*section, "focusing_instant_ms"),
+                given,
+                f"at least {duration / n_samples:g} ms",
+                "move it later",
+            )
+    yield from _doubled(reading, (*section, "selected_modes"), "mode")
+    n_decomposed = reading.sound(*section, "decomposed_modes")
+    for index, label in reading.items(*section, "selected_modes"):
+        if n_decomposed is not None and label > n_decomposed:
+            given = f"{label}, which is beyond the {n_decomposed} decomposed modes"
+            remedy = "raise decomposed_modes or leave it out"
+            yield reading.problem((*section, "selected_modes", index), given, f"1 to {n_decomposed}", remedy)
+    n_selected = reading.sound(*section, "selected_modes")
+    if n_decomposed is not None and isinstance(n_selected, int) and n_selected > n_decomposed:
+        given = f"{n_selected}, more than the {n_decomposed} decomposed modes"
+        remedy = "raise decomposed_modes or select fewer"
+        yield reading.problem((*section, "selected_modes"), given, f"1 to {n_decomposed}", remedy)
+
+
+def _check_doubles(reading: Reading[Protocol]) -> Iterator[Problem]:
+    yield from _doubled(reading, ("conditions", "finger_conditions"), "finger condition")
+    yield from _doubled(reading, ("conditions", "peak_velocities_mm_s"), "peak velocity")
+    seen: dict[frozenset[str], int] = {}
+    for index, pair in reading.items("conditions", "zone_pairs"):
+        path, zones = ("conditions", "zone_pairs", index), frozenset(pair)
+        if len(zones) == 1:
+            given = f"[{pair[0]}, {pair[1]}], the same zone for both fingers"
+            yield reading.problem(path, given, "two different zones")
+        elif zones in seen:
+            given = f"[{pair[0]}, {pair[1]}], the pair of zone_pairs[{seen[zones]}] again"
+            yield reading.problem(path, given, "each pair once", "remove it; for more trials raise repetitions")
+        seen.setdefault(zones, index)
+
+
+def _doubled(reading: Reading[Protocol], path: tuple[str, ...], noun: str) -> Iterator[Problem]:
+    seen: dict[object, int] = {}
+    for index, value in reading.items(*path):
+        if value in seen:
+            word = f"{value:g}" if isinstance(value, float) else value
+            given = f"{word}, the {noun} of {path[-1]}[{seen[value]}] again"
+            yield reading.problem((*path, index), given, f"each {noun} once", "remove it")
+        seen.setdefault(value, index)
+
+
+def _check_schedule(reading: Reading[Protocol]) -> Iterator[Problem]:
+    counts = [len(reading.items("conditions", key)) for key in ("zone_pairs", "peak_velocities_mm_s")]
+    n_pairs, n_levels = counts
+    n_blocks = len(reading.items("conditions", "finger_conditions"))
+    repetitions = reading.sound("schedule", "repetitions")
+    running = reading.sound("schedule", "max_same_pair_running")
+    if repetitions is None or not n_pairs or not n_levels:
+        return
+    n_trials = n_pairs * n_levels * repetitions * max(n_blocks, 1)
+    if n_trials > TRIAL_LIMIT:
+        given = f"{repetitions}, which makes {n_trials} trials"
+        yield reading.problem(
+            ("schedule", "repetitions"), given, f"at most {TRIAL_LIMIT} trials", "repeat less often"
+        )
+    faulty = any(problem.path.startswith("conditions.zone_pairs") for problem in reading.problems)
+    if running is not None and n_pairs == 1 and not faulty and n_levels * repetitions > running:
+        given = f"{running} where every trial has the same pair"
+        allowed = f"at least {n_levels * repetitions}, or null for no limit"
+        path = ("schedule", "max_same_pair_running")
+        yield reading.problem(path, given, allowed, "add a pair of zones or lift the limit")
+
+
+def _check_keys(reading: Reading[Protocol]) -> Iterator[Problem]:
+    keys = reading.find(("answers", "keys"))
+    given_answers = list(keys.content) if keys is not None and isinstance(keys.content, dict) else None
+    for answer in ("left", "both", "right"):
+        if given_answers is not None and answer not in given_answers:
+            path = ("answers", "keys", answer)
+            yield reading.problem(path, "nothing", "a list of keys", f"add the missing key `{answer}`")
+    taken: dict[str, str] = {}
+    paths = [("answers", "keys", answer) for answer in ("left", "both", "right")]
+    for path in paths:
+        for index, name in reading.items(*path):
+            yield from _check_key(reading, (*path, index), name)
+            if name in taken:
+                given = f"'{name}', which answers {taken[name]} already"
+                yield reading.problem((*path, index), given, "each key for one answer", "remove one of them")
+            taken.setdefault(name, path[-1])
+    for index, name in reading.items("answers", "continue_keys"):
+        yield from _check_key(reading, ("answers", "continue_keys", index), name)
+
+
+def _check_key(reading: Reading[Protocol], path: tuple[str | int, ...], name: str) -> Iterator[Problem]:
+    if name in RESERVED_KEYS:
+        yield reading.problem(path, f"'{name}', which pauses the session", "any other key", "choose another")
+    elif name not in KEY_NAMES:
+        meant = suggest(name, KEY_NAMES)
+        allowed = "left, right, up, down, space, enter, letters, digits, num_0 to num_9, f1 to f20 and the like"
+        remedy = f"did you mean '{meant}'?" if meant else "write it in small letters"
+        yield reading.problem(path, f"'{name}', which is no key's name", allowed, remedy)
+
+
+def _check_times(reading: Reading[Protocol]) -> Iterator[Problem]:
+    for key in ("presentation_s", "question_delay_s", "pause_s"):
+        value = reading.sound("answers", key)
+        if value is not None and value > 600:
+            yield reading.problem(("answers", key), f"{value:g} s", "at most 600 s", "shorten it")

@@ -1,0 +1,179 @@
+"""Experiment: a protocol with the apparatus and the texts that it names, and their sources for the record."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from modaltouch.apparatus import Apparatus, examine_apparatus
+from modaltouch.document import InputError, Problem, Reading, Source, load_source, read
+from modaltouch.protocol.checks import check_protocol
+from modaltouch.protocol.fit import check_fit
+from modaltouch.protocol.sections import Protocol
+from modaltouch.protocol.texts import Texts
+
+
+@dataclass(frozen=True)
+class Sources:
+    """The three files of an experiment as they were read.
+
+    Attributes
+    ----------
+    protocol, apparatus, texts : Source
+        Path, text and hash of each.
+    """
+
+    protocol: Source
+    apparatus: Source
+    texts: Source
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return path, hash and text of each file for the record."""
+        return {name: getattr(self, name).as_dict() for name in ("protocol", "apparatus", "texts")}
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> Sources:
+        """Return the sources that `as_dict` described."""
+        return cls(**{name: Source(Path(each["path"]), each["text"]) for name, each in values.items()})
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """Everything that the files of a protocol say.
+
+    Attributes
+    ----------
+    protocol : Protocol
+        What is presented, asked and repeated.
+    apparatus : Apparatus
+        What it is presented with.
+    texts : Texts
+        What the participant reads.
+    sources : Sources
+        The files, for the record.
+    """
+
+    protocol: Protocol
+    apparatus: Apparatus
+    texts: Texts
+    sources: Sources
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What the files of a protocol hold, as far as they are sound, and everything that is wrong with them.
+
+    Attributes
+    ----------
+    protocol, apparatus, texts : Reading or None
+        Each file; None where it cannot be opened.
+    problems : tuple of Problem
+        Every fault of all of them.
+    """
+
+    protocol: Reading[Protocol] | None
+    apparatus: Reading[Apparatus] | None
+    texts: Reading[Texts] | None
+    problems: tuple[Problem, ...]
+
+    def experiment(self) -> Experiment:
+        """Return the experiment.
+
+        Raises
+        ------
+        InputError
+            With every fault of all its files.
+        """
+        if self.problems or not (self.protocol and self.apparatus and self.texts):
+            raise InputError(self.problems)
+        protocol, apparatus, texts = self.protocol.value, self.apparatus.value, self.texts.value
+        if protocol is None or apparatus is None or texts is None:
+            raise InputError(self.problems)
+        sources = Sources(self.protocol.source, self.apparatus.source, self.texts.source)
+        return Experiment(protocol, apparatus, texts, sources)
+
+
+def read_protocol(path: Path | str) -> Experiment:
+    """Return the experiment that a protocol file describes, with the apparatus and texts that it names.
+
+    Parameters
+    ----------
+    path : path
+        The protocol file.
+
+    Raises
+    ------
+    InputError
+        With every fault of the protocol, its apparatus and its texts.
+    """
+    return examine_files(Path(path)).experiment()
+
+
+def restore_experiment(sources: Sources) -> Experiment:
+    """Return the experiment of a record from the texts kept there, whatever became of its files.
+
+    Parameters
+    ----------
+    sources : Sources
+        As `Sources.from_dict` reads them from the record.
+
+    Raises
+    ------
+    InputError
+        With every fault of the texts.
+    """
+    protocol, texts = read(sources.protocol, Protocol), read(sources.texts, Texts)
+    apparatus, problems = examine_apparatus(sources.apparatus)
+    problems += [
+        *protocol.problems,
+        *check_protocol(protocol),
+        *texts.problems,
+        *check_fit(protocol, apparatus),
+    ]
+    return Findings(protocol, apparatus, texts, tuple(problems)).experiment()
+
+
+def examine_files(path: Path) -> Findings:
+    """Return what a protocol file and the files that it names hold, with every fault of them.
+
+    Parameters
+    ----------
+    path : Path
+        The protocol file.
+    """
+    try:
+        source = load_source(path)
+    except InputError as error:
+        return Findings(None, None, None, error.problems)
+    protocol = read(source, Protocol)
+    problems = [*protocol.problems, *check_protocol(protocol)]
+    apparatus, texts = None, None
+    named = _load_named(protocol, "apparatus", problems)
+    if named is not None:
+        apparatus, found = examine_apparatus(named)
+        problems += [*found, *check_fit(protocol, apparatus)]
+    named = _load_named(protocol, "texts", problems)
+    if named is not None:
+        texts = read(named, Texts)
+        problems += texts.problems
+    return Findings(protocol, apparatus, texts, tuple(sorted(set(problems))))
+
+
+def _load_named(protocol: Reading[Protocol], key: str, problems: list[Problem]) -> Source | None:
+    """Return the text of the file that a key names; what is wrong with the name goes to `problems`."""
+    name = protocol.sound(key)
+    if name is None:
+        return None
+    path = protocol.source.path.parent / name
+    try:
+        return load_source(path)
+    except InputError as error:
+        found = error.problems[0]
+        if found.line > 1 or found.column > 1 or "UTF-8" in found.allowed:
+            problems.append(found)
+        else:
+            allowed = found.allowed or "a YAML file, named as seen from this file"
+            given = f"{name!r}, {found.given} ({path})"
+            problems.append(protocol.problem((key,), given, allowed, found.remedy))
+        return None

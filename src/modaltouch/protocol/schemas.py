@@ -1,0 +1,42 @@
+"""JSON Schemas of the YAML files, so that editors complete and check them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from modaltouch.apparatus import Apparatus
+from modaltouch.document.allowed import schema_of
+from modaltouch.protocol.sections import Protocol
+from modaltouch.protocol.texts import Texts
+
+SCHEMAS = {"protocol": Protocol, "apparatus": Apparatus, "texts": Texts}
+"""Model of each kind of file."""
+
+
+def schema(name: str) -> dict[str, Any]:
+    """Return the JSON Schema of ``protocol``, ``apparatus`` or ``texts``."""
+    bare = _without(schema_of(SCHEMAS[name]), "x-allowed")
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **bare}
+
+
+def write_schemas(folder: Path) -> tuple[Path, ...]:
+    """Write the JSON Schemas into a folder and return their files.
+
+    Parameters
+    ----------
+    folder : Path
+        Where they go; made where it does not exist.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    files = tuple(folder / f"{name}.json" for name in SCHEMAS)
+    for file, name in zip(files, SCHEMAS, strict=True):
+        file.write_text(json.dumps(schema(name), indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+    return files
+
+
+def _without(value: Any, key: str) -> Any:
+    if isinstance(value, dict):
+        return {name: _without(each, key) for name, each in value.items() if name != key}
+    return [_without(each, key) for each in value] if isinstance(value, list) else value

@@ -1,0 +1,163 @@
+"""Protocol: what is presented, asked and repeated, as the file gives it."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Discriminator, Field, Tag
+
+from modaltouch.document.section import (
+    Count,
+    FileName,
+    Label,
+    NotNegative,
+    Positive,
+    Section,
+    Text,
+    Word,
+    described,
+)
+
+FingerCondition = Literal["one_hand", "two_hands"]
+ZoneName = Annotated[Word, Field(json_schema_extra={"x-allowed": "the name of a zone of the beam"})]
+ZonePair = tuple[ZoneName, ZoneName]
+SampleCount = Annotated[int, Field(strict=True, ge=2, le=131_072, multiple_of=2)]
+KeyName = Annotated[Text, Field(json_schema_extra={"x-allowed": "the name of a key"})]
+
+_UNIQUE = {"uniqueItems": True}
+
+
+class WishedField(Section):
+    """The velocity map wished at the focusing instant."""
+
+    shape: Literal["triangle", "box", "half_cosine", "raised_cosine", "gaussian"] = described(
+        "Shape of the velocity over the beam.", default="triangle"
+    )
+    base_mm: Positive = described(
+        "Width of its base; for the gaussian, its full width at half maximum [mm].", default=56.0
+    )
+
+
+def _kind_of_selection(value: object) -> str:
+    return "labels" if isinstance(value, list | tuple) else "number"
+
+
+Selection = Annotated[
+    Annotated[Count, Tag("number")] | Annotated[tuple[Label, ...], Field(min_length=1), Tag("labels")],
+    Discriminator(_kind_of_selection),
+]
+
+
+class StimulusSection(Section):
+    """The burst that every trial plays, up to its level."""
+
+    law: Literal["exact", "paper"] = described(
+        "Drive law: exact (least energy, every modelled mode met) or paper (its equations 6 and 7).",
+        default="exact",
+    )
+    focus: ZoneName = described("Zone whose centre reaches the peak velocity.")
+    field: WishedField = described("The velocity map wished at the focusing instant.", default=WishedField())
+    decomposed_modes: Annotated[Count, Field(le=1000)] = described(
+        "Number of modes on which the wished field is projected.", default=50
+    )
+    selected_modes: Selection = described(
+        "Number of modelled modes to drive, the strongest first, or a list of their labels.", default=6
+    )
+    focusing_instant_ms: Positive = described(
+        "When the field reaches its wish [ms from the start].", default=25.0
+    )
+    duration_ms: Positive = described("Length of a burst [ms].", default=50.0)
+    release: Literal["braked", "free"] = described(
+        "After the focusing instant: braked to rest at the end of the burst, or free to decay.",
+        default="braked",
+    )
+    n_samples: SampleCount = described(
+        "Samples of a burst; 125,000 are held exactly 100 clocks each by the generator.", default=125_000
+    )
+    repetition_rate_Hz: Positive = described("Bursts per second [Hz].", default=7.0)  # noqa: N815
+
+
+class ConditionsSection(Section):
+    """The cells of the design: every finger condition with every pair of zones and every peak velocity."""
+
+    finger_conditions: tuple[FingerCondition, ...] = described(
+        "one_hand: index and middle finger of one hand; two_hands: both index fingers.",
+        min_length=1,
+        json_schema_extra=_UNIQUE,
+    )
+    hand: Literal["right", "left"] = described("The hand used in one_hand.", default="right")
+    zone_pairs: tuple[ZonePair, ...] = described(
+        "Zones under the two fingers, left and right as the participant sees the beam.",
+        min_length=1,
+        json_schema_extra=_UNIQUE,
+    )
+    peak_velocities_mm_s: tuple[Positive, ...] = described(
+        "Peak velocities at the centre of the focus zone at the focusing instant [mm/s].",
+        min_length=1,
+        json_schema_extra=_UNIQUE,
+    )
+
+
+class ScheduleSection(Section):
+    """How the trials are ordered."""
+
+    repetitions: Annotated[Count, Field(le=10_000)] = described("Trials of each condition.", default=1)
+    max_same_pair_running: Count | None = described(
+        "Most trials in a row with the same pair of zones; null for no limit.", default=None
+    )
+    counterbalance_finger_conditions: bool = Field(
+        strict=True,
+        default=True,
+        description="Whether participants take turns in which finger condition comes first.",
+    )
+    practice_trials: Annotated[int, Field(strict=True, ge=0, le=1000)] = described(
+        "Trials before the ones that count.", default=0
+    )
+    break_after_trials: Count | None = described("Trials between two breaks; null for no breaks.", default=None)
+
+
+class AnswersSection(Section):
+    """How the question is asked and answered."""
+
+    given_by: Literal["participant", "experimenter"] = described(
+        "Who types the answer: the participant, or the experimenter for them.", default="participant"
+    )
+    stimulus_until: Literal["answer", "question"] = described(
+        "Whether the stimulus plays until the answer, or stops before the question.", default="answer"
+    )
+    presentation_s: Positive = described(
+        "Length of the stimulus where it stops before the question [s].", default=2.0
+    )
+    question_delay_s: NotNegative = described("From the first burst to the question [s].", default=0.5)
+    pause_s: NotNegative = described("Between an answer and the next stimulus [s].", default=1.0)
+    keys: dict[Literal["left", "both", "right"], Annotated[tuple[KeyName, ...], Field(min_length=1)]] = (
+        described("Keys of each answer.", json_schema_extra={"required": ["left", "both", "right"]})
+    )
+    continue_keys: tuple[KeyName, ...] = described(
+        "Keys that go on from a screen that waits.", default=("space", "enter", "num_enter"), min_length=1
+    )
+
+
+class Protocol(Section):
+    """The whole experiment as one frozen value."""
+
+    protocol: FileName = described("Name of the protocol; it names the folder of its results.")
+    title: Text = described("Title on reports.", default="")
+    apparatus: Text = described("File of the apparatus, seen from this file.")
+    texts: Text = described("File of the participant's texts, seen from this file.")
+    stimulus: StimulusSection = described("The burst that every trial plays, up to its level.")
+    conditions: ConditionsSection = described("The cells of the design.")
+    schedule: ScheduleSection = described("How the trials are ordered.", default=ScheduleSection())
+    answers: AnswersSection = described("How the question is asked and answered.")
+
+    @property
+    def n_trials(self) -> int:
+        """Number of trials that count, over all finger conditions."""
+        return len(self.conditions.finger_conditions) * self.trials_per_block
+
+    @property
+    def trials_per_block(self) -> int:
+        """Number of trials of one finger condition."""
+        conditions = self.conditions
+        n_cells = len(conditions.zone_pairs) * len(conditions.peak_velocities_mm_s)
+        return n_cells * self.schedule.repetitions

@@ -1,0 +1,73 @@
+"""Texts: every word the participant reads, in one language."""
+
+from __future__ import annotations
+
+import string
+
+from pydantic import ValidationInfo, field_validator
+
+from modaltouch.document import fault
+from modaltouch.document.section import Section, Text, described
+
+_PLACEHOLDERS: dict[str, frozenset[str]] = {
+    "how_to_answer": frozenset({"pause_key"}),
+    "place_fingers": frozenset({"left_finger", "left_zone", "right_finger", "right_zone"}),
+    "trial_of": frozenset({"number", "total"}),
+    "practice_of": frozenset({"number", "total"}),
+    "pause": frozenset({"key", "end_key"}),
+    "press_to_continue": frozenset({"key"}),
+}
+"""Words in braces that a text must contain; every other text must contain none."""
+
+
+class Texts(Section):
+    """Every word the participant reads, in one language."""
+
+    language: Text = described("Name of the language, in that language.")
+    welcome: Text = described("Greeting on the first screen.")
+    instructions: Text = described("What the experiment asks of the participant.")
+    how_to_answer: Text = described("How to answer and to pause; holds {pause_key}.")
+    place_fingers: Text = described(
+        "Which finger goes where; holds {left_finger}, {left_zone}, {right_finger}, {right_zone}."
+    )
+    practice: Text = described("Announces the practice trials.")
+    start: Text = described("Announces the trials that count.")
+    feel: Text = described("Shown while the stimulus plays and before the question.")
+    question: Text = described("The question.")
+    left: Text = described("The answer left.")
+    both: Text = described("The answer both.")
+    right: Text = described("The answer right.")
+    trial_of: Text = described("Progress; holds {number} and {total}.")
+    practice_of: Text = described("Progress in practice; holds {number} and {total}.")
+    rest: Text = described("Shown in a break.")
+    pause: Text = described("Shown in a pause; holds {key} and {end_key}.")
+    goodbye: Text = described("Thanks at the end.")
+    press_to_continue: Text = described("How to go on; holds {key}.")
+    experimenter_answers: Text = described("Says that the experimenter types the spoken answer.")
+    right_index: Text = described("The right index finger.")
+    right_middle: Text = described("The right middle finger.")
+    left_index: Text = described("The left index finger.")
+    left_middle: Text = described("The left middle finger.")
+    key_names: dict[str, Text] = described(
+        "Keys as the participant knows them, by the name a protocol gives them.", default={}
+    )
+
+    @field_validator("*")
+    @classmethod
+    def _holds_its_placeholders(cls, text: object, info: ValidationInfo) -> object:
+        """Refuse an empty text, and one whose words in braces differ from what the window fills in."""
+        if not isinstance(text, str):
+            return text
+        if not text.strip():
+            raise fault("an empty text", "at least one word", "write what the participant reads")
+        wanted = _PLACEHOLDERS.get(str(info.field_name), frozenset())
+        needed = ", ".join(f"{{{name}}}" for name in sorted(wanted)) or "no words in braces"
+        try:
+            fields = [field for field in string.Formatter().parse(text) if field[1] is not None]
+        except ValueError as error:
+            raise fault(f"{text!r} ({error})", needed, "close every brace") from None
+        found = {str(name) for _, name, _, _ in fields}
+        if found != wanted or any(spec or conversion for _, _, spec, conversion in fields):
+            given = ", ".join(f"{{{name}}}" for name in sorted(found)) or "no words in braces"
+            raise fault(f"{given} in {text!r}", f"exactly {needed}", "write each of them once")
+        return text
