@@ -1,1 +1,1 @@
-"""The physics of the stimulus: from a wished velocity field to the codes of a generator, and back. NumPy only."""
+"""The physics of the stimulus: from a wished velocity field to a generator's codes, and back. NumPy only."""

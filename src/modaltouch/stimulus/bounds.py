@@ -1,0 +1,51 @@
+"""What the engine refuses: numbers outside their bounds, each with value, bound and remedy."""
+
+from __future__ import annotations
+
+import math
+
+
+def require_positive(name: str, value: float, unit: str, remedy: str) -> None:
+    """Refuse a quantity that is not a finite number above zero.
+
+    Parameters
+    ----------
+    name : str
+        What the quantity is.
+    value : float
+        What was given.
+    unit : str
+        Unit of the quantity, for the message.
+    remedy : str
+        What to do about it.
+
+    Raises
+    ------
+    ValueError
+        If the value is not finite, or zero or below.
+    """
+    if not (math.isfinite(value) and value > 0):
+        raise ValueError(f"{name} is {value} {unit}; it must be a finite number above 0 {unit}: {remedy}")
+
+
+def require_finite(name: str, value: float, unit: str, remedy: str) -> None:
+    """Refuse a quantity that is NaN or infinite.
+
+    Parameters
+    ----------
+    name : str
+        What the quantity is.
+    value : float
+        What was given.
+    unit : str
+        Unit of the quantity, for the message.
+    remedy : str
+        What to do about it.
+
+    Raises
+    ------
+    ValueError
+        If the value is not finite.
+    """
+    if not math.isfinite(value):
+        raise ValueError(f"{name} is {value} {unit}; it must be a finite number: {remedy}")

@@ -1,0 +1,289 @@
+r"""The two drive laws: modal velocities in, voltages at the beam out.
+
+`exact` is this project's: the least weighted energy that takes every modelled mode from rest to its target, at
+zero displacement, as the generator plays it. `paper` is equations (6) and (7) of the paper with these errata
+corrected:
+
+1. the gain of section III-B is printed with :math:`\omega^2`; at resonance
+   :math:`|\dot\eta| = G|v|/(2\xi\omega)`;
+2. equation (7) is printed with the factor :math:`4a^2/b`; inserting (6) in (5) gives
+   :math:`\psi = 4a\,\dot\eta`;
+4. equation (6) has :math:`e^{ct}`, equation (7) :math:`e^{a(t-t_F)}` with the same amplitude; the latter is
+   meant;
+
+and one kept, since its miss is the reason for the exact law:
+
+3. the orbit (6) does not start at rest; begun from rest, mode 1 ends 4 % short.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modaltouch.stimulus.dynamics import DiagonalSystem
+from modaltouch.stimulus.gramian import GramianSolver, Reach, Taper
+from modaltouch.stimulus.modes import ModalModel
+from modaltouch.stimulus.synthesis import synthesise
+from modaltouch.stimulus.timing import Timing
+from modaltouch.stimulus.vibration import states_by_channel
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Law = Literal["exact", "paper"]
+Release = Literal["braked", "free"]
+
+RISE = 1.0e-3
+"""Length of the taper at the start of a stretch [s]."""
+
+FALL = 0.4e-3
+"""Length of the taper before the focus, which keeps the speed after it from passing the speed at it [s]."""
+
+_REFINEMENTS = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """Voltages of a burst, and how well its equations were solved.
+
+    Attributes
+    ----------
+    voltage : (n_channels, n_samples) array
+        At the beam [V].
+    condition_number : float
+        Of the scaled Gramian [1]; 1 where nothing is solved (`paper`).
+    residual : float
+        Largest deviation of a state at the focusing instant from its target [m/s], of these voltages unrounded.
+    n_before : int
+        Samples played before the focusing instant; voltages after them do not act on it.
+    """
+
+    voltage: FloatArray
+    condition_number: float
+    residual: float
+    n_before: int
+
+
+def check_drivable(model: ModalModel, target: FloatArray, timing: Timing) -> None:
+    """Refuse modes that cannot be driven to their targets, or whose oscillation the samples cannot follow.
+
+    Parameters
+    ----------
+    model : ModalModel
+        The modelled modes.
+    target : (n_modes,) array
+        Modal velocities at the focusing instant [m/s].
+    timing : Timing
+        Clock of the samples.
+
+    Raises
+    ------
+    ValueError
+        If a mode with a target has no gain, or a mode lies at or above half the sampling rate.
+    """
+    for k, wished, gain, frequency in zip(
+        model.label, target, model.modal_gain, model.natural_frequency, strict=True
+    ):
+        if wished != 0 and not gain.any():
+            raise ValueError(
+                f"mode {k} is asked for, but its gain is 0 m/s^2 per V on every channel; it must be driven by "
+                f"at least one: identify the gain, or select other modes"
+            )
+        if frequency >= timing.sampling_rate / 2:
+            raise ValueError(
+                f"mode {k} at {frequency:g} Hz is not below half the sampling rate of "
+                f"{timing.sampling_rate:g} Hz: take more than {math.ceil(2 * frequency * timing.duration)} "
+                f"samples"
+            )
+
+
+def exact_drive(
+    model: ModalModel, system: DiagonalSystem, timing: Timing, target: FloatArray, release: Release
+) -> Drive:
+    """Return the cheapest voltages from rest to (velocity = target, displacement = 0) at the focusing instant.
+
+    Parameters
+    ----------
+    model : ModalModel
+        The modelled modes; all of them are steered, those with target 0 to rest.
+    system : DiagonalSystem
+        Their equations behind the amplifier.
+    timing : Timing
+        Clock of the samples.
+    target : (n_modes,) array
+        Modal velocities at the focusing instant [m/s].
+    release : str
+        ``braked`` (steered to rest at the end of the burst) or ``free`` (zero volts after the focus).
+
+    Raises
+    ------
+    ValueError
+        If a mode cannot be driven, or there are fewer samples than conditions.
+    """
+    check_drivable(model, target, timing)
+    n_before, remainder = timing.samples_until(timing.focusing_instant - system.delay)
+    driven = model.modal_gain.any(axis=1)
+    _check_enough(model.modal_gain[driven], n_before, timing, "before the focusing instant")
+    read = np.concatenate([system.velocity[driven], system.displacement[driven]])
+    held = system.held_gain(timing.hold) * np.exp(system.exponent * remainder)[:, None]
+    reach = Reach(
+        row=read[:, None, :] * held.T,
+        exponent=system.exponent,
+        hold=timing.hold,
+        taper=Taper.fitting(n_before, RISE * timing.sampling_rate, FALL * timing.sampling_rate),
+    )
+    wished = np.concatenate([target[driven], np.zeros(int(driven.sum()))])
+    voltage = np.zeros((model.n_channels, timing.n_samples))
+    condition, residual = _steer(system, timing, reach, (read, wished), voltage[:, :n_before])
+    if release == "braked":
+        brake(model, system, timing, voltage, n_before + (remainder > 0))
+    return Drive(voltage, condition, residual, n_before)
+
+
+def _steer(
+    system: DiagonalSystem,
+    timing: Timing,
+    reach: Reach,
+    goal: tuple[ComplexArray, FloatArray],
+    voltage: FloatArray,
+) -> tuple[float, float]:
+    """Write the voltages that read the goal at the focusing instant; return condition number and residual.
+
+    The residual is measured forward, on the voltages as written and the clock as it is, and solved for again:
+    that takes the rounding of the closed-form Gramian and the unevenness of the clock out of the result.
+    """
+    read, wished = goal
+    solver = GramianSolver.of(reach.gramian())
+    weight = np.zeros_like(wished)
+    best, kept = np.inf, weight
+    short = wished
+    for _ in range(_REFINEMENTS):
+        weight = weight + solver.solve(short)
+        reach.write(reach.amplitudes(weight), voltage)
+        state = states_by_channel(system, voltage, timing, timing.focusing_instant).sum(axis=0)
+        short = wished - (read @ state).real
+        residual = float(np.abs(short).max())
+        if residual >= 0.5 * best:
+            break
+        best, kept = residual, weight
+        if residual <= 4 * np.finfo(float).eps * float(np.abs(wished).max()):
+            break
+    if kept is not weight:
+        reach.write(reach.amplitudes(kept), voltage)
+    return solver.condition_number, best
+
+
+def brake(model: ModalModel, system: DiagonalSystem, timing: Timing, voltage: FloatArray, start: int) -> None:
+    """Write the cheapest voltages from a sample on that leave every driven mode at rest when the burst ends.
+
+    Parameters
+    ----------
+    model : ModalModel
+        The modelled modes.
+    system : DiagonalSystem
+        Their equations behind the amplifier.
+    timing : Timing
+        Clock of the samples.
+    voltage : (n_channels, n_samples) array
+        Voltages of the burst [V]; overwritten from `start` on.
+    start : int
+        First sample that brakes.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer samples left than conditions.
+    """
+    driven = np.flatnonzero(model.modal_gain.any(axis=1))
+    n_left = timing.n_samples - start
+    _check_enough(model.modal_gain[driven], n_left, timing, "after the focusing instant, or release it `free`")
+    voltage[:, start:] = 0.0
+    # What is read at rest are the modes' own states: the amplifier's die out by themselves within the silence.
+    read = np.zeros((2 * driven.size, system.exponent.size), dtype=complex)
+    read[np.arange(driven.size), driven] = 1.0
+    read[np.arange(driven.size) + driven.size, driven] = -1j
+    held = system.held_gain(timing.hold)
+    reach = Reach(
+        row=read[:, None, :] * held.T,
+        exponent=system.exponent,
+        hold=timing.hold,
+        taper=Taper.fitting(n_left, RISE * timing.sampling_rate, RISE * timing.sampling_rate),
+    )
+    end = timing.duration + system.delay
+    state = states_by_channel(system, voltage, timing, end).sum(axis=0)
+    weight = GramianSolver.of(reach.gramian()).solve(-(read @ state).real)
+    reach.write(reach.amplitudes(weight), voltage[:, start:])
+
+
+def _check_enough(gain: FloatArray, n_samples: int, timing: Timing, where: str) -> None:
+    """Refuse fewer free samples than conditions; the first and the last of a stretch are not free."""
+    driving = gain != 0
+    alone = driving & (driving.sum(axis=1, keepdims=True) == 1)
+    n_conditions = 2 * gain.shape[0]
+    n_channels = max(1, int(driving.any(axis=0).sum()))
+    least = 2 + max(-(-n_conditions // n_channels), 2 * int(alone.sum(axis=0).max(initial=0)))
+    if n_samples < least:
+        raise ValueError(
+            f"{n_samples} samples are fewer than {n_conditions} conditions on {n_channels} channels need; at "
+            f"least {least} must lie {where}: take more than {timing.n_samples} samples, or another focusing "
+            f"instant"
+        )
+
+
+def assigned_channel(model: ModalModel) -> NDArray[np.intp]:
+    """Return the channel that drives each mode best, (n_modes,) array of indices: the paper's assignment.
+
+    Parameters
+    ----------
+    model : ModalModel
+        The modelled modes.
+    """
+    return np.asarray(np.argmax(np.abs(model.modal_gain), axis=1))
+
+
+def paper_drive(
+    model: ModalModel, system: DiagonalSystem, timing: Timing, target: FloatArray, release: Release
+) -> Drive:
+    r"""Return the voltages of the paper, :math:`v = \sum_k 4 a_k \dot\eta_k(t) / G_k` until the focus.
+
+    With :math:`\dot\eta_k = \dot\eta_k(t_F) e^{a_k (t - t_F)} \cos b_k (t - t_F)`, each mode on the channel
+    that drives it best, sampled at the middle of each hold. Sample 0 is set to 0 V, where the generator idles.
+
+    Parameters
+    ----------
+    model : ModalModel
+        The modelled modes; those with target 0 are left alone.
+    system : DiagonalSystem
+        Their equations behind the amplifier, of which the paper takes no account.
+    timing : Timing
+        Clock of the samples.
+    target : (n_modes,) array
+        Modal velocities at the focusing instant [m/s].
+    release : str
+        ``braked`` (steered to rest at the end of the burst) or ``free`` (zero volts after the focus).
+
+    References
+    ----------
+    Section II-C, equations (6) and (7), errata in the docstring of this module.
+    """
+    check_drivable(model, target, timing)
+    asked = np.flatnonzero(target)
+    channel = assigned_channel(model)[asked]
+    exponent = model.exponent[asked]
+    n_before = min(int(timing.focusing_instant * timing.sampling_rate + 0.5), timing.n_samples - 1)
+    to_focus = timing.focusing_instant - (n_before - 0.5) * timing.hold
+    amplitude = np.zeros((model.n_channels, asked.size), dtype=complex)
+    force = -4 * exponent.real * target[asked] * np.exp(exponent * to_focus)
+    amplitude[channel, np.arange(asked.size)] = force / model.modal_gain[asked, channel]
+    voltage = np.zeros((model.n_channels, timing.n_samples))
+    synthesise(amplitude, exponent, timing.hold, voltage[:, :n_before])
+    voltage[:, 0] = 0.0
+    if release == "braked":
+        brake(model, system, timing, voltage, n_before)
+    state = states_by_channel(system, voltage, timing, timing.focusing_instant).sum(axis=0)
+    miss = np.concatenate([(system.velocity @ state).real - target, (system.displacement @ state).real])
+    return Drive(voltage, 1.0, float(np.abs(miss).max()), n_before)

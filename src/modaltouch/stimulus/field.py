@@ -1,0 +1,293 @@
+"""The wished velocity field, its projection on the modes, and the modes that are selected for it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from modaltouch.stimulus.bounds import require_finite, require_positive
+from modaltouch.stimulus.modes import ModalModel, mode_shapes
+
+FloatArray = NDArray[np.float64]
+Shape = Literal["triangle", "box", "half_cosine", "raised_cosine", "gaussian"]
+
+_PROFILES: dict[Shape, Callable[[FloatArray], FloatArray]] = {
+    "triangle": lambda u: 1 - u,
+    "box": np.ones_like,
+    "half_cosine": lambda u: np.cos(np.pi * u / 2),
+    "raised_cosine": lambda u: 0.5 + 0.5 * np.cos(np.pi * u),
+}
+"""Fields of bounded width against the distance from their centre, 1 at their edge [1]."""
+
+_NODES = 16
+_PHASE_PER_PANEL = 10.0
+"""A 16-node Gauss rule integrates 10 rad of a sinusoid to 1e-22 of its own amplitude."""
+
+_NOTHING = 1e-9
+"""A projection below this fraction of the wish is rounding, not vibration."""
+
+
+@dataclass(frozen=True)
+class Wish:
+    """The velocity field wished at the focusing instant.
+
+    Attributes
+    ----------
+    shape : str
+        ``triangle``, ``box``, ``half_cosine``, ``raised_cosine`` or ``gaussian``.
+    base : float
+        Width of the field where it leaves zero [m]; a Gaussian is as wide at half height as a triangle of this
+        base.
+    centre : float
+        Where the field peaks, origin at mid-beam [m].
+    velocity : float
+        Velocity at the centre at the focusing instant, for the highest level [m/s].
+    n_decomposed : int
+        The wish is decomposed on modes 1 to this label.
+    selection : int or tuple of int
+        Number of strongest modelled modes to excite, or their labels.
+    """
+
+    shape: Shape = "triangle"
+    base: float = 0.056
+    centre: float = 0.0
+    velocity: float = 0.2
+    n_decomposed: int = 50
+    selection: int | tuple[int, ...] = 6
+
+    def __post_init__(self) -> None:
+        """Refuse a wish that no beam can be asked."""
+        if self.shape not in get_args(Shape):
+            raise ValueError(
+                f"the field shape {self.shape!r} is unknown; allowed: {', '.join(get_args(Shape))}"
+            )
+        require_positive("the base of the field", self.base, "m", "the shipped field has 56 mm")
+        require_finite("the centre of the field", self.centre, "m", "give a point of the beam")
+        require_positive("the velocity level", self.velocity, "m/s", "the paper has 0.08 to 0.2 m/s")
+        if self.n_decomposed < 1:
+            raise ValueError(
+                f"the field is decomposed on {self.n_decomposed} modes; at least 1 is needed: give 50"
+            )
+        if isinstance(self.selection, tuple):
+            if not self.selection or len(set(self.selection)) < len(self.selection):
+                raise ValueError(f"the selected modes are {self.selection}; give at least one label, each once")
+        elif self.selection < 1:
+            raise ValueError(f"{self.selection} modes are to be selected; at least 1 is needed: give 6")
+
+    def profile(self, position: ArrayLike) -> FloatArray:
+        """Return the wished field at unit velocity, (n_points,) array [1].
+
+        Parameters
+        ----------
+        position : (n_points,) array_like
+            Coordinate along the beam, origin at its middle [m].
+        """
+        offset = np.abs(np.atleast_1d(np.asarray(position, dtype=float)) - self.centre) / (self.base / 2)
+        if self.shape == "gaussian":
+            return np.asarray(np.exp(-math.log(2) * (2 * offset) ** 2))
+        inside = offset <= 1
+        values = _PROFILES[self.shape](np.minimum(offset, 1.0))
+        return np.where(inside, values, 0.0)
+
+    def edges(self, length: float) -> list[float]:
+        """Return the points where the field or its slope jumps, with the ends of the beam, increasing [m].
+
+        Parameters
+        ----------
+        length : float
+            Length of the beam [m].
+        """
+        half = length / 2
+        inner = [self.centre - self.base / 2, self.centre, self.centre + self.base / 2]
+        return [-half, *(x for x in inner if -half < x < half), half]
+
+
+@lru_cache(maxsize=1)
+def _gauss_rule() -> tuple[FloatArray, FloatArray]:
+    node, weight = np.polynomial.legendre.leggauss(_NODES)
+    return node, weight
+
+
+def quadrature(edges: list[float], phase_rate: float) -> tuple[FloatArray, FloatArray]:
+    """Return nodes and weights that integrate products of smooth pieces and mode shapes to rounding.
+
+    Parameters
+    ----------
+    edges : list of float
+        Ends of the smooth pieces, increasing [m].
+    phase_rate : float
+        Fastest phase of the integrand along the beam [rad/m].
+
+    Returns
+    -------
+    position : (n_nodes,) array
+        Nodes [m].
+    weight : (n_nodes,) array
+        Weights [m].
+    """
+    node, weight = _gauss_rule()
+    borders: list[float] = []
+    for left, right in zip(edges[:-1], edges[1:], strict=True):
+        n_panels = max(1, math.ceil((right - left) * phase_rate / _PHASE_PER_PANEL))
+        borders.extend((left + (right - left) * np.arange(n_panels) / n_panels).tolist())
+    borders.append(edges[-1])
+    border = np.asarray(borders)
+    half = np.diff(border)[:, None] / 2
+    middle = (border[:-1] + border[1:])[:, None] / 2
+    return (middle + half * node).ravel(), (half * weight).ravel()
+
+
+@dataclass(frozen=True, eq=False)
+class Projection:
+    """A wish as the modes of a model see it.
+
+    Attributes
+    ----------
+    model : ModalModel
+        The modelled modes.
+    wish : Wish
+        The wished field.
+    """
+
+    model: ModalModel
+    wish: Wish
+
+    def __post_init__(self) -> None:
+        """Refuse a wish that the modelled modes cannot follow."""
+        half = self.model.length / 2
+        if abs(self.wish.centre) > half:
+            raise ValueError(
+                f"the field is centred at {self.wish.centre * 1e3:g} mm, off the beam, which spans "
+                f"-{half * 1e3:g} to {half * 1e3:g} mm: centre it on a zone"
+            )
+        selection = self.wish.selection
+        if isinstance(selection, tuple):
+            for k in selection:
+                if k not in self.model.label:
+                    raise ValueError(
+                        f"mode {k} is selected but not modelled; modelled are "
+                        f"{', '.join(map(str, self.model.label))}: identify it, or leave it out"
+                    )
+        elif selection > self.model.n_modes:
+            raise ValueError(
+                f"{selection} modes are to be selected, but {self.model.n_modes} are modelled: "
+                f"select at most {self.model.n_modes}"
+            )
+        beyond = [k for k in self.model.label if k > self.wish.n_decomposed]
+        if beyond:
+            raise ValueError(
+                f"mode {beyond[0]} is modelled, but the field is decomposed on {self.wish.n_decomposed} modes "
+                f"only: decompose on at least {max(self.model.label)}"
+            )
+
+    @cached_property
+    def _nodes(self) -> tuple[FloatArray, FloatArray]:
+        phase_rate = (self.wish.n_decomposed + 1) * 2 * np.pi / self.model.length
+        return quadrature(self.wish.edges(self.model.length), phase_rate)
+
+    @cached_property
+    def decomposition(self) -> FloatArray:
+        """Coefficients of the wish at unit velocity on modes 1 to `n_decomposed`, (n_decomposed,) array [1]."""
+        position, weight = self._nodes
+        profile = self.wish.profile(position)
+        alive = profile > 0
+        labels = np.arange(1, self.wish.n_decomposed + 1)
+        shapes = mode_shapes(labels, position[alive], self.model.length)
+        return np.asarray(shapes @ (weight * profile)[alive] / self.model.length)
+
+    @cached_property
+    def coefficient(self) -> FloatArray:
+        """Coefficients of the wish at unit velocity on the modelled modes, (n_modes,) array [1]."""
+        position, weight = self._nodes
+        profile = self.wish.profile(position)
+        return np.asarray(self.model.shapes(position) @ (weight * profile) / self.model.length)
+
+    @cached_property
+    def selected(self) -> tuple[int, ...]:
+        """Labels of the modes that are excited, increasing."""
+        if isinstance(self.wish.selection, tuple):
+            return tuple(sorted(self.wish.selection))
+        strongest = np.argsort(-np.abs(self.coefficient), kind="stable")[: self.wish.selection]
+        return tuple(sorted(self.model.label[i] for i in strongest))
+
+    @cached_property
+    def target(self) -> FloatArray:
+        """Modal velocities at the focusing instant, (n_modes,) array [m/s], 0 for modes not selected.
+
+        Scaled so that they add up to the wished velocity at the centre of the field.
+        """
+        chosen = np.isin(self.model.label, self.selected)
+        kept = np.where(chosen, self.coefficient, 0.0)
+        at_centre = float(kept @ self.model.shapes([self.wish.centre])[:, 0])
+        if at_centre < _NOTHING:
+            raise ValueError(
+                f"the field at {self.wish.centre * 1e3:g} mm projects to {at_centre:.2g} of itself on the "
+                f"modes {', '.join(map(str, self.selected))}, which is nothing: select modes that move there, "
+                f"or move the field"
+            )
+        return kept * (self.wish.velocity / at_centre)
+
+    def field(self, position: ArrayLike) -> FloatArray:
+        """Return the velocity field that the selected modes make, (n_points,) array [m/s].
+
+        Parameters
+        ----------
+        position : (n_points,) array_like
+            Coordinate along the beam, origin at its middle [m].
+        """
+        return np.asarray(self.target @ self.model.shapes(position))
+
+    def residual(self, position: ArrayLike) -> FloatArray:
+        """Return what of the wish stays unreached, wish less field, (n_points,) array [m/s].
+
+        Parameters
+        ----------
+        position : (n_points,) array_like
+            Coordinate along the beam, origin at its middle [m].
+        """
+        return self.wish.velocity * self.wish.profile(position) - self.field(position)
+
+    @cached_property
+    def reconstruction_error(self) -> float:
+        """Root mean square of the residual over that of the wish [1]."""
+        position, weight = self._nodes
+        wished = self.wish.velocity * self.wish.profile(position)
+        return math.sqrt(float(weight @ self.residual(position) ** 2) / float(weight @ wished**2))
+
+    def width(self, fraction: float) -> float:
+        """Return how wide the field is at a fraction of its value at the centre [m].
+
+        Parameters
+        ----------
+        fraction : float
+            Of the velocity at the centre, above 0 and below 1 [1].
+
+        Raises
+        ------
+        ValueError
+            If the fraction lies outside.
+        """
+        if not 0 < fraction < 1:
+            raise ValueError(
+                f"a width is asked at {fraction} of the centre; give a fraction above 0 and below 1"
+            )
+        half = self.model.length / 2
+        level = fraction * self.wish.velocity
+        ends = []
+        for end in (-half, half):
+            position = np.linspace(self.wish.centre, end, 2001)
+            above = self.field(position) - level
+            below = np.flatnonzero(above < 0)
+            if below.size == 0 or below[0] == 0:
+                ends.append(end if below.size == 0 else self.wish.centre)
+                continue
+            i = int(below[0])
+            share = above[i - 1] / (above[i - 1] - above[i])
+            ends.append(float(position[i - 1] + share * (position[i] - position[i - 1])))
+        return ends[1] - ends[0]

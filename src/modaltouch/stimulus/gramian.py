@@ -1,0 +1,216 @@
+r"""The cheapest voltages that take the modes from rest to a wished state: weights, Gramian, solution.
+
+Least weighted energy :math:`\sum v^2/D` under :math:`R v = x_F` is solved by :math:`v = D R^T W^{-1} x_F` with
+the reachability Gramian :math:`W = R D R^T` (linear control). The rows of R are sums of exponentials and the
+weight D is one too, so that every entry of W is a geometric sum: R itself, with a column per sample, is never
+built.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modaltouch.stimulus.synthesis import synthesise
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Taper:
+    """Weight 1 with raised-cosine ends; the first and the last sample weigh nothing.
+
+    Attributes
+    ----------
+    n_samples : int
+        Samples weighted.
+    rise, fall : int
+        Samples from 0 to 1 at the start, and from 1 to 0 at the end, at least 1 each.
+    """
+
+    n_samples: int
+    rise: int
+    fall: int
+
+    @classmethod
+    def fitting(cls, n_samples: int, rise: float, fall: float) -> Taper:
+        """Return the taper with the wished ends, shortened together where they would fill over half of it.
+
+        Parameters
+        ----------
+        n_samples : int
+            Samples weighted.
+        rise, fall : float
+            Wished ends [samples].
+        """
+        shrink = min(1.0, 0.5 * n_samples / max(rise + fall, 1.0))
+        return cls(n_samples, max(1, int(rise * shrink)), max(1, int(fall * shrink)))
+
+    @property
+    def n_free(self) -> int:
+        """Samples with a weight above zero."""
+        return max(0, self.n_samples - 2)
+
+    def apply(self, voltage: FloatArray) -> None:
+        """Multiply voltages by the weight, in place.
+
+        Parameters
+        ----------
+        voltage : (n_channels, n_samples) array
+            Voltages [V].
+        """
+        voltage[:, : self.rise] *= raised_cosine(self.rise)
+        voltage[:, self.n_samples - self.fall :] *= raised_cosine(self.fall)[::-1]
+
+    def transform(self, rate: ComplexArray) -> ComplexArray:
+        """Return the sum over samples of weight * exp(rate * samples before the last), elementwise.
+
+        Parameters
+        ----------
+        rate : complex array
+            Exponents per sample, real parts at most 0 [1].
+        """
+        falling, rising = 1j * np.pi / self.fall, 1j * np.pi / self.rise
+        flat_until = self.n_samples - self.rise
+        at_fall = 0.5 * _geometric(rate, self.fall) - 0.25 * (
+            _geometric(rate + falling, self.fall) + _geometric(rate - falling, self.fall)
+        )
+        flat = np.exp(rate * self.fall) * _geometric(rate, flat_until - self.fall)
+        turn = np.exp(rising * (self.rise - 1))
+        at_rise = 0.5 * _geometric(rate, self.rise) - 0.25 * (
+            turn * _geometric(rate - rising, self.rise)
+            + turn.conjugate() * _geometric(rate + rising, self.rise)
+        )
+        return np.asarray(at_fall + flat + np.exp(rate * flat_until) * at_rise)
+
+
+def raised_cosine(n: int) -> FloatArray:
+    """Return the rise of a raised cosine from 0 towards 1, (n,) array [1].
+
+    Parameters
+    ----------
+    n : int
+        Samples of the rise; sample n would be 1.
+    """
+    ramp = np.empty((1, n))
+    synthesise(np.array([[-0.5 + 0j]]), np.array([1j * np.pi / n]), 1.0, ramp[:, ::-1])
+    ramp += 0.5
+    ramp[0, 0] = 0.0
+    return np.asarray(ramp[0])
+
+
+def _geometric(rate: ComplexArray, n: int) -> ComplexArray:
+    """Return the sum of exp(rate * m) for m from 0 to n - 1."""
+    step = np.expm1(rate)
+    still = step == 0
+    return np.where(still, n, np.expm1(rate * n) / np.where(still, 1, step))
+
+
+@dataclass(frozen=True, eq=False)
+class Reach:
+    """How a stretch of tapered samples reaches a state: rows in, voltages out.
+
+    Attributes
+    ----------
+    row : (n_conditions, n_channels, n_states) complex array
+        Condition j of a volt on channel c, m samples before the last, is the real part of
+        ``sum(row[j, c] * exp(exponent * hold * m))``.
+    exponent : (n_states,) complex array
+        Exponents of the states [1/s].
+    hold : float
+        Length of a sample [s].
+    taper : Taper
+        Weight of the samples.
+    """
+
+    row: ComplexArray
+    exponent: ComplexArray
+    hold: float
+    taper: Taper
+
+    def gramian(self) -> FloatArray:
+        """Return W = R D R^T, (n_conditions, n_conditions) array."""
+        rate = self.exponent * self.hold
+        together = self.taper.transform(rate[:, None] + rate)
+        against = self.taper.transform(rate[:, None] + rate.conj())
+        rows = self.row.transpose(1, 0, 2)
+        gram = rows @ together @ rows.transpose(0, 2, 1) + rows @ against @ rows.conj().transpose(0, 2, 1)
+        return np.asarray(0.5 * gram.real.sum(axis=0))
+
+    def amplitudes(self, weight: FloatArray) -> ComplexArray:
+        """Return the amplitudes of R^T weight, (n_channels, n_states) array.
+
+        Parameters
+        ----------
+        weight : (n_conditions,) array
+            Multiplier of each condition.
+        """
+        return np.asarray(np.tensordot(weight, self.row, axes=1))
+
+    def write(self, amplitude: ComplexArray, voltage: FloatArray) -> None:
+        """Write the tapered voltages of amplitudes.
+
+        Parameters
+        ----------
+        amplitude : (n_channels, n_states) complex array
+            From `amplitudes` [V].
+        voltage : (n_channels, n_samples) array
+            Where they go [V]; each row contiguous.
+        """
+        synthesise(amplitude, self.exponent, self.hold, voltage)
+        self.taper.apply(voltage)
+
+
+@dataclass(frozen=True, eq=False)
+class GramianSolver:
+    """Solves W x = b with rows scaled to a unit diagonal, and knows how well it can.
+
+    Attributes
+    ----------
+    scale : (n,) array
+        Inverse square roots of the diagonal.
+    eigenvalue : (n,) array
+        Of the scaled Gramian, increasing.
+    eigenvector : (n, n) array
+        Of the scaled Gramian, in columns.
+    """
+
+    scale: FloatArray
+    eigenvalue: FloatArray
+    eigenvector: FloatArray
+
+    @classmethod
+    def of(cls, gramian: FloatArray) -> GramianSolver:
+        """Return the solver of a Gramian with a positive diagonal.
+
+        Parameters
+        ----------
+        gramian : (n, n) array
+            Symmetric, from `Reach.gramian`.
+        """
+        scale = 1 / np.sqrt(np.diag(gramian))
+        eigenvalue, eigenvector = np.linalg.eigh(gramian * scale[:, None] * scale)
+        return cls(scale, eigenvalue, eigenvector)
+
+    @property
+    def condition_number(self) -> float:
+        """Largest over smallest eigenvalue of the scaled Gramian [1]; infinite where it is singular."""
+        smallest = float(self.eigenvalue[0])
+        return float(self.eigenvalue[-1]) / smallest if smallest > 0 else float("inf")
+
+    def solve(self, value: FloatArray) -> FloatArray:
+        """Return the solution; directions lost in rounding are left out.
+
+        Parameters
+        ----------
+        value : (n,) array
+            Right-hand side.
+        """
+        lost = self.eigenvalue <= self.eigenvalue.size * np.finfo(float).eps * self.eigenvalue[-1]
+        inverse = np.where(lost, 0.0, 1 / np.where(lost, 1.0, self.eigenvalue))
+        return np.asarray(
+            self.scale * (self.eigenvector @ (inverse * (self.eigenvector.T @ (self.scale * value))))
+        )

@@ -1,0 +1,123 @@
+"""When things happen: the samples of a burst, the clock that holds them, the focusing instant."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modaltouch.stimulus.bounds import require_positive
+
+FloatArray = NDArray[np.float64]
+
+MAX_SAMPLES = 131_072
+"""Longest record of the AFG3022B [samples]."""
+
+_ON_GRID = 1e-6
+"""Fraction of a sample below which an instant counts as lying on the sample grid."""
+
+
+@dataclass(frozen=True)
+class Timing:
+    """One burst on the generator's clock.
+
+    Attributes
+    ----------
+    n_samples : int
+        Samples of each channel, 2 to 131,072; 125,000 over 50 ms are held exactly 100 clocks each.
+    duration : float
+        Length of the burst [s].
+    focusing_instant : float
+        When the wished field is reached, from the start of the burst [s].
+    repetition_rate : float
+        Bursts per second [Hz].
+    clock_rate : float
+        Clock of the generator [Hz].
+    """
+
+    n_samples: int = 125_000
+    duration: float = 0.05
+    focusing_instant: float = 0.025
+    repetition_rate: float = 7.0
+    clock_rate: float = 250e6
+
+    def __post_init__(self) -> None:
+        """Refuse a burst that the generator cannot play."""
+        if not 2 <= self.n_samples <= MAX_SAMPLES:
+            raise ValueError(
+                f"a burst of {self.n_samples} samples does not fit the generator, which holds 2 to "
+                f"{MAX_SAMPLES}: take 125000 over 50 ms, which it holds exactly 100 clocks each"
+            )
+        require_positive("the duration of the burst", self.duration, "s", "50 ms is the paper's")
+        require_positive("the repetition rate", self.repetition_rate, "Hz", "7 Hz is the paper's")
+        require_positive("the clock rate", self.clock_rate, "Hz", "250 MHz is the AFG3022B's")
+        require_positive("the focusing instant", self.focusing_instant, "s", "25 ms is the paper's")
+        if self.duration * self.repetition_rate > 1 + 1e-12:
+            raise ValueError(
+                f"a burst of {self.duration * 1e3:g} ms does not fit the period of "
+                f"{1e3 / self.repetition_rate:g} ms: shorten the burst or lower the repetition rate of "
+                f"{self.repetition_rate:g} Hz"
+            )
+        if self.focusing_instant < self.hold * (1 - _ON_GRID):
+            raise ValueError(
+                f"the focusing instant of {self.focusing_instant:g} s is shorter than one sample of "
+                f"{self.hold:g} s: set it later, or take more samples"
+            )
+        if self.focusing_instant > self.duration * (1 + 1e-12):
+            raise ValueError(
+                f"the focusing instant of {self.focusing_instant * 1e3:g} ms lies beyond the burst of "
+                f"{self.duration * 1e3:g} ms: set it earlier, or lengthen the burst"
+            )
+        if self.hold * self.clock_rate < 1 - 1e-12:
+            raise ValueError(
+                f"{self.n_samples} samples in {self.duration:g} s pass the clock of {self.clock_rate:g} Hz: "
+                f"take at most {int(self.duration * self.clock_rate)}"
+            )
+
+    @property
+    def hold(self) -> float:
+        """How long each sample is held [s]."""
+        return self.duration / self.n_samples
+
+    @property
+    def sampling_rate(self) -> float:
+        """Samples per second [Hz]."""
+        return self.n_samples / self.duration
+
+    def samples_until(self, instant: float) -> tuple[int, float]:
+        """Return how many samples end by an instant, and the time left over.
+
+        Parameters
+        ----------
+        instant : float
+            From the start of the burst [s].
+
+        Returns
+        -------
+        n_samples : int
+            Whole samples that end by then, at most all of them.
+        remainder : float
+            From the end of the last of them to the instant [s], 0 on the grid.
+        """
+        steps = instant * self.sampling_rate
+        nearest = round(steps)
+        whole = nearest if abs(steps - nearest) < _ON_GRID else int(np.floor(steps))
+        whole = max(0, min(whole, self.n_samples))
+        remainder = (steps - whole) * self.hold
+        return whole, 0.0 if abs(remainder) < _ON_GRID * self.hold else remainder
+
+    @cached_property
+    def lateness(self) -> FloatArray | None:
+        """How late the clock begins each sample, (n_samples + 1,) array [s], or None where it is never late.
+
+        The phase accumulator plays sample ``floor(clock * n_samples / n_clocks)``: where the clocks of a burst
+        are no multiple of the samples, sample n begins at the first clock at or after ``n * hold``.
+        """
+        clocks = self.duration * self.clock_rate / self.n_samples
+        if abs(clocks - round(clocks)) < 1e-9 * clocks:
+            return None
+        ideal = np.arange(self.n_samples + 1) * clocks
+        late = np.ceil(ideal - 1e-6) - ideal
+        return np.asarray(np.maximum(late, 0.0) / self.clock_rate)

@@ -1,0 +1,212 @@
+"""The facade on the shipped numbers: what the other rooms rely on."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from modaltouch.stimulus.design import Amplifier, ModalModel, Timing, Wish, design_stimulus
+
+
+def test_shipped_field_selects_the_modes_of_the_paper(shipped):
+    """Section II-B of the paper: modes 1, 3, 5, 7, 11 and 13 were selected."""
+    assert shipped.selected == (1, 3, 5, 7, 11, 13)
+
+
+def test_target_adds_up_to_the_level_at_the_centre(shipped):
+    """Definition of the level: the velocity at the centre of the focus at the focusing instant."""
+    assert shipped.target @ shipped.model.shapes([0.0])[:, 0] == pytest.approx(0.2, rel=1e-14)
+
+
+def test_shipped_field_is_fourteen_millimetres_wide_at_80_per_cent(shipped):
+    """physics.md section 2: 14 mm at 80 %, the paper's "roughly 1.5 cm"."""
+    assert shipped.width_80 == pytest.approx(14e-3, abs=0.1e-3)
+    assert 0.025 < shipped.fwhm < 0.035
+
+
+def test_rounded_codes_meet_every_modal_target_at_every_level(shipped):
+    """Issue 3: at all four levels, with the amplitude grid counted in, at most 1e-4 of the peak."""
+    for level in shipped.levels:
+        assert shipped.worst_modal_error(level) < 1e-4 * level
+
+
+def test_paper_law_misses_what_the_exact_law_meets(shipped, shipped_paper):
+    """Erratum 3: begun from rest mode 1 ends exp(-2 a t_F) = 4.3 % short under the paper's law."""
+    reached, _ = shipped_paper.achieved(0.2)
+    a = 0.0437 * 2 * np.pi * 229
+    assert reached[0] / shipped_paper.target[0] - 1 == pytest.approx(-np.exp(-2 * a * 0.025), abs=2e-3)
+    assert shipped_paper.worst_modal_error(0.2) > 100 * shipped.worst_modal_error(0.2)
+
+
+def test_speed_at_the_focus_does_not_overshoot(shipped):
+    """Issue 3: the largest speed at the focus over all time lies within 1 % of the level."""
+    for level in shipped.levels:
+        assert shipped.peak_velocity([0.0], level)[0] == pytest.approx(level, rel=0.01)
+
+
+def test_burst_begins_and_ends_at_rest(shipped, shipped_paper):
+    """The generator idles at the first or the last code, unknown which: both are mid-scale (instruments.md)."""
+    for stimulus in (shipped, shipped_paper):
+        assert (stimulus.burst.codes[:, [0, -1]] == 8191).all()
+        assert stimulus.burst.codes.min() >= 0
+        assert stimulus.burst.codes.max() <= 16382
+
+
+def test_all_levels_lie_on_the_amplitude_grid(shipped):
+    """Four digits of amplitude: 80 : 100 : 150 : 200 must come out exactly (physics.md section 4)."""
+    for level in shipped.levels:
+        exact = np.asarray(shipped.burst.amplitude) * (level / 0.2)
+        assert shipped.burst.amplitude_for(level) == pytest.approx(exact, rel=1e-12)
+
+
+def test_every_level_shares_one_record(shipped):
+    """Everything downstream is linear in the level: achieved velocities only scale."""
+    low, _ = shipped.achieved(0.1)
+    high, _ = shipped.achieved(0.2)
+    assert low == pytest.approx(high / 2, rel=1e-12)
+
+
+def test_braked_burst_repeats_exactly(design):
+    """physics.md section 4: with `braked` every later burst is as exact as the first, with `free` it is not."""
+    braked, free = design(), design(release="free")
+    later = {s.release: np.abs(s.achieved_steady(0.2)[0] - s.achieved(0.2)[0]).max() for s in (braked, free)}
+    assert later["braked"] < 1e-9 * 0.2
+    assert 1e-6 < later["free"] < 1e-5
+
+
+def test_zones_mirror_under_symmetric_modes(shipped, zones):
+    """All selected modes are symmetric: A and E, B and D move alike."""
+    speed = shipped.peak_velocity(zones, 0.2)
+    assert speed[:2] == pytest.approx(speed[:2:-1], rel=1e-9)
+
+
+def test_load_of_50_ohm_doubles_the_open_circuit_amplitude(design):
+    """The generator's 50 ohm halve its open-circuit voltage into 50 ohm; the volts at the beam stay."""
+    open_circuit, matched = design(), design(load_factor=0.5)
+    assert matched.burst.amplitude[0] == pytest.approx(2 * open_circuit.burst.amplitude[0], rel=0.05)
+    assert matched.achieved(0.2)[0] == pytest.approx(open_circuit.achieved(0.2)[0], abs=1e-5)
+
+
+def test_amplifier_limit_gives_the_highest_level(shipped):
+    """Linear in the level: 250 V at the beam over the peak at 200 mm/s."""
+    assert shipped.highest_velocity == pytest.approx(0.2 * 250 / shipped.peak_voltage.max())
+
+
+def test_pole_and_delay_of_the_amplifier_are_made_up_for(design):
+    """An unmodelled 100 kHz pole costs 3 mm/s (physics.md section 4); a modelled one costs nothing."""
+    amplifier = Amplifier(gain=25.0, limit=250.0, bandwidth=100e3, delay=4.6e-6)
+    assert design(amplifier=amplifier).worst_modal_error(0.2) < 1e-4 * 0.2
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"damping_ratio": [0.0]}, r"damping ratio of mode 3 is 0\.0; it must lie above 0 and below 1"),
+        ({"damping_ratio": [1.0]}, r"damping ratio of mode 3 is 1\.0"),
+        ({"natural_frequency": [0.0]}, r"natural frequency of mode 3 is 0\.0 Hz"),
+        ({"natural_frequency": [float("nan")]}, r"natural frequency of mode 3 is nan Hz"),
+        ({"modal_gain": [[float("inf")]]}, r"modal gain of mode 3 is inf"),
+        ({"modal_gain": [[1.0], [2.0]]}, r"modal_gain has shape \(2, 1\), but 1 modes are labelled"),
+        ({"length": -0.1}, r"length of the beam is -0\.1 m"),
+        ({"label": (3, 3)}, r"mode label 3 is given twice"),
+        ({"label": (0,)}, r"mode label 0 does not exist"),
+        ({"label": ()}, r"no mode is modelled"),
+    ],
+)
+def test_impossible_modes_are_refused(change, message):
+    """Issue 3, bad input: value, bound and remedy, naming the mode."""
+    sound = {
+        "label": (3,),
+        "natural_frequency": [2553.0],
+        "damping_ratio": [0.0165],
+        "modal_gain": [[0.654]],
+        "length": 0.1,
+    }
+    with pytest.raises(ValueError, match=message):
+        ModalModel(**{**sound, **change})
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"n_samples": 131_073}, r"131073 samples does not fit the generator, which holds 2 to 131072"),
+        ({"n_samples": 1}, r"1 samples does not fit"),
+        ({"focusing_instant": 1e-9}, r"shorter than one sample"),
+        ({"focusing_instant": 0.051}, r"lies beyond the burst of 50 ms"),
+        ({"focusing_instant": float("nan")}, r"focusing instant is nan s"),
+        ({"duration": 0.2}, r"burst of 200 ms does not fit the period of 142\.857 ms"),
+        ({"repetition_rate": 0.0}, r"repetition rate is 0\.0 Hz"),
+        ({"clock_rate": 1e6}, r"125000 samples in 0\.05 s pass the clock of 1e\+06 Hz: take at most 50000"),
+    ],
+)
+def test_impossible_timings_are_refused(change, message):
+    """Issue 3, bad input."""
+    with pytest.raises(ValueError, match=message):
+        Timing(**change)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"shape": "square"}, r"field shape 'square' is unknown; allowed: triangle"),
+        ({"velocity": 0.0}, r"velocity level is 0\.0 m/s"),
+        ({"velocity": -0.1}, r"velocity level is -0\.1 m/s"),
+        ({"base": float("nan")}, r"base of the field is nan m"),
+        ({"centre": float("inf")}, r"centre of the field is inf m"),
+        ({"selection": 0}, r"0 modes are to be selected"),
+        ({"selection": ()}, r"give at least one label"),
+    ],
+)
+def test_impossible_wishes_are_refused(change, message):
+    """Issue 3, bad input."""
+    with pytest.raises(ValueError, match=message):
+        Wish(**change)
+
+
+@pytest.mark.parametrize(
+    ("wish", "message"),
+    [
+        (Wish(selection=(1, 4)), r"mode 4 is selected but not modelled; modelled are 1, 3, 5"),
+        (Wish(selection=10), r"10 modes are to be selected, but 9 are modelled"),
+        (Wish(centre=0.06), r"centred at 60 mm, off the beam, which spans -50 to 50 mm"),
+        (Wish(n_decomposed=10), r"mode 11 is modelled, but the field is decomposed on 10 modes only"),
+        (Wish(centre=0.02, base=1e-12), r"projects to .* which is nothing"),
+    ],
+)
+def test_wishes_beyond_the_model_are_refused(model, wish, message):
+    """Issue 3, bad input."""
+    with pytest.raises(ValueError, match=message):
+        design_stimulus(model, wish, Timing(), Amplifier(gain=25.0, limit=250.0))
+
+
+def test_mode_without_a_gain_is_refused_only_where_it_is_asked_for(model, design):
+    """physics.md section 6: a zero gain is an uncontrollable mode; unselected it rests by itself."""
+    gain = model.modal_gain.copy()
+    gain[4] = 0.0
+    assert design(replace(model, modal_gain=gain)).worst_modal_error(0.2) < 1e-4 * 0.2
+    gain[2] = 0.0
+    with pytest.raises(
+        ValueError, match=r"mode 5 is asked for, but its gain is 0 m/s\^2 per V on every channel"
+    ):
+        design(replace(model, modal_gain=gain))
+
+
+def test_mode_above_half_the_sampling_rate_is_refused(design):
+    """2 x 87.855 kHz x 50 ms = 8785.5 samples are too few."""
+    with pytest.raises(ValueError, match=r"mode 17 at 87855 Hz .* take more than 8786 samples"):
+        design(timing=Timing(n_samples=8000))
+
+
+def test_fewer_samples_than_conditions_are_refused(design):
+    """Nine modes have 18 conditions, ten of them on channel 2 alone; two samples of a stretch are not free."""
+    timing = Timing(n_samples=125_000, focusing_instant=11 * 4e-7)
+    with pytest.raises(ValueError, match=r"11 samples are fewer than 18 conditions .* at least 12"):
+        _ = design(timing=timing).voltage
+
+
+def test_level_above_the_reference_is_refused(design):
+    """The codes fill the range at the reference level: nothing lies above it."""
+    with pytest.raises(ValueError, match=r"level of 250 mm/s passes the reference of 200 mm/s"):
+        design(levels=(0.25,))
+    with pytest.raises(ValueError, match=r"velocity level is 0\.0 m/s"):
+        design(levels=(0.0,))
