@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from modaltouch.document import Problem, Reading, suggest
-from modaltouch.protocol.keys import KEY_NAMES, RESERVED_KEYS
+from modaltouch.protocol.keys import KEY_ALIASES, KEY_NAMES, RESERVED_KEYS
 from modaltouch.protocol.sections import Protocol
 
 TRIAL_LIMIT = 10_000
@@ -142,7 +142,7 @@ def _check_key(reading: Reading[Protocol], path: tuple[str | int, ...], name: st
     if name in RESERVED_KEYS:
         yield reading.problem(path, f"'{name}', which pauses the session", "any other key", "choose another")
     elif name not in KEY_NAMES:
-        meant = suggest(name, KEY_NAMES)
+        meant = KEY_ALIASES.get(name.casefold()) or suggest(name, KEY_NAMES)
         allowed = "left, right, up, down, space, enter, letters, digits, num_0 to num_9, f1 to f20 and the like"
         remedy = f"did you mean '{meant}'?" if meant else "write it in small letters"
         yield reading.problem(path, f"'{name}', which is no key's name", allowed, remedy)

@@ -12,7 +12,7 @@ ampersand apostrophe asciicircum asciitilde asterisk at backslash backspace bar 
 bracketleft bracketright break cancel capslock clear colon comma delete dollar doublequote down end enter equal
 escape exclamation execute find function greater help home insert lalt lcommand lctrl left less linefeed lmeta
 loption lshift lwindows menu minus numlock pagedown pageup parenleft parenright pause percent period plus pound
-print question quoteleft ralt rcommand rctrl redo return right rmeta roption rshift rwindows scriptswitch
+print question quoteleft ralt rcommand rctrl redo right rmeta roption rshift rwindows scriptswitch
 scrolllock select semicolon slash space sysreq tab underscore undo up
 """
 
@@ -30,3 +30,6 @@ KEY_NAMES = frozenset(
         *(f"num_{name}" for name in [*string.digits, *_KEYPAD.split()]),
     ]
 )
+
+KEY_ALIASES = {"return": "enter", "esc": "escape", "spacebar": "space", "del": "delete", "ins": "insert"}
+"""Other names that people give to keys."""

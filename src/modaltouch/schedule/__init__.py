@@ -1,0 +1,20 @@
+"""Protocol + participant + seed -> Schedule of Blocks of Trials; pure.
+
+``streams``  a random stream of its own for each purpose
+``orders``   uniform draws among the orders that keep a limit on runs
+``draw``     draw_schedule
+"""
+
+from modaltouch.schedule.draw import Block, Schedule, draw_schedule
+from modaltouch.schedule.orders import count_orders, draw_order
+from modaltouch.schedule.streams import Stream, random_generator
+
+__all__ = [
+    "Block",
+    "Schedule",
+    "Stream",
+    "count_orders",
+    "draw_order",
+    "draw_schedule",
+    "random_generator",
+]

@@ -1,0 +1,101 @@
+"""A random stream of its own for each purpose, so that a draw added to one shifts no other.
+
+A stream is numpy's PCG64 seeded by a SeedSequence of (study seed, participant, session, purpose). Only its raw
+64-bit words are used: numpy promises these, and not what its distributions make of them, to stay the same in
+every version, and an order must be recomputable years later.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Sequence
+from typing import TypeVar
+
+import numpy as np
+
+ALGORITHM = (
+    "modaltouch order 1: raw words of numpy PCG64, seeded by SeedSequence(seed, participant, session, purpose)"
+)
+"""Name and version of what turns a seed into an order, for the record."""
+
+Item = TypeVar("Item")
+
+_WORD_BITS = 64
+
+
+def key_of(name: str) -> int:
+    """Return the number that stands for a participant or a purpose: its SHA-256."""
+    return int.from_bytes(hashlib.sha256(name.encode()).digest(), "big")
+
+
+def seed_sequence(seed: int, participant: str, session: int, purpose: str) -> np.random.SeedSequence:
+    """Return the seed of one stream.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of the study, 0 or above.
+    participant : str
+        Identifier of the participant.
+    session : int
+        Number of the session, from 1.
+    purpose : str
+        What the stream is for.
+    """
+    return np.random.SeedSequence([seed, key_of(participant), session, key_of(purpose)])
+
+
+def random_generator(seed: int, participant: str, session: int, purpose: str) -> np.random.Generator:
+    """Return numpy's generator on a stream, for purposes that need distributions (a simulated observer)."""
+    return np.random.Generator(np.random.PCG64(seed_sequence(seed, participant, session, purpose)))
+
+
+class Stream:
+    """Uniform whole numbers and orders from one stream.
+
+    Parameters
+    ----------
+    seed, participant, session, purpose
+        As `seed_sequence` takes them.
+    """
+
+    def __init__(self, seed: int, participant: str, session: int, purpose: str) -> None:
+        self._source = np.random.PCG64(seed_sequence(seed, participant, session, purpose))
+        self._words: list[int] = []
+
+    def _word(self) -> int:
+        if not self._words:
+            self._words = self._source.random_raw(256).tolist()[::-1]
+        return self._words.pop()
+
+    def below(self, bound: int) -> int:
+        """Return a uniform whole number from 0 to `bound` - 1, exactly, however large the bound."""
+        n_bits = (bound - 1).bit_length()
+        while True:
+            value = 0
+            for _ in range(-(-n_bits // _WORD_BITS)):
+                value = value << _WORD_BITS | self._word()
+            value >>= -n_bits % _WORD_BITS
+            if value < bound:
+                return value
+
+    def shuffled(self, items: Iterable[Item]) -> list[Item]:
+        """Return the items in an order drawn uniformly among all of them (Fisher-Yates)."""
+        order = list(items)
+        for last in range(len(order) - 1, 0, -1):
+            other = self.below(last + 1)
+            order[last], order[other] = order[other], order[last]
+        return order
+
+    def chosen(self, items: Iterable[Item], n_items: int) -> list[Item]:
+        """Return some of the items, drawn uniformly among all choices of so many."""
+        return self.shuffled(items)[:n_items]
+
+    def weighted(self, weights: Sequence[int]) -> int:
+        """Return an index drawn with whole-number weights, exactly."""
+        place = self.below(sum(weights))
+        for index, weight in enumerate(weights):
+            if place < weight:
+                return index
+            place -= weight
+        raise ValueError(f"the weights sum to {sum(weights)}; at least one must be above 0")
