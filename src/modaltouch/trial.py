@@ -97,6 +97,10 @@ class Response:
         Name of the key or of the button clicked.
     double : bool
         Whether another answer came within 50 ms.
+    question_after : float or None
+        From the onset of the stimulus to the question on the screen [s]; None without a screen.
+    time_uncertainty : float
+        Longest time the answer event may have waited before it was stamped [s].
     """
 
     answer: Answer
@@ -106,6 +110,8 @@ class Response:
     device: str = "key"
     key: str = ""
     double: bool = False
+    question_after: float | None = None
+    time_uncertainty: float = 0.0
 
     def as_dict(self) -> dict[str, Any]:
         """Return the response as plain values for the record."""

@@ -1,0 +1,177 @@
+"""The event tap: everything a person does to the window, stamped by one monotonic clock.
+
+PsychoPy's own input classes lose quick clicks and keys, or end the process (design notes of the project), so
+the tap hangs on the pyglet window that PsychoPy draws into. Its handlers only queue: an exception raised
+inside one would be swallowed on Windows.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections import deque
+from dataclasses import dataclass
+from typing import Any, Literal
+
+EventKind = Literal["key", "release", "click", "close", "focus", "blur", "expose"]
+
+_ALIASES = {"return": "enter", "esc": "escape", "spacebar": "space", "del": "delete", "ins": "insert"}
+
+_REPEAT_GAP = 0.001
+"""A key that comes up and goes down again sooner than this was held: no hand is that fast [s]."""
+
+
+@dataclass(frozen=True)
+class Event:
+    """One thing that happened to the window.
+
+    Attributes
+    ----------
+    time : float
+        When it was received, by `time.perf_counter` [s].
+    kind : str
+        ``key``, ``release``, ``click``, ``close``, ``focus``, ``blur`` or ``expose``.
+    key : str
+        Name of the key, for ``key`` and ``release``.
+    x, y : float
+        Place of a click [window heights], origin in the middle of the window, y upwards.
+    """
+
+    time: float
+    kind: EventKind
+    key: str = ""
+    x: float = 0.0
+    y: float = 0.0
+
+
+def canonical_key(name: str) -> str:
+    """Return the one name of a key, as protocols write it and the tap reports it.
+
+    Examples
+    --------
+    >>> canonical_key("RETURN"), canonical_key("_1"), canonical_key("NUM_4")
+    ('enter', '1', 'num_4')
+    """
+    plain = name.strip().lower()
+    if len(plain) == 2 and plain[0] == "_":
+        plain = plain[1]
+    return _ALIASES.get(plain, plain)
+
+
+class EventTap:
+    """Queues the events of one pyglet window.
+
+    Parameters
+    ----------
+    window : pyglet window
+        The window that PsychoPy draws into (its ``winHandle``).
+    """
+
+    def __init__(self, window: Any) -> None:
+        from pyglet.window import key, mouse
+
+        self._window = window
+        self._queue: deque[Event] = deque()
+        self._held: set[str] = set()
+        self._symbol_name = key.symbol_string
+        self._left_button = mouse.LEFT
+        self.repeats_are_detectable = _report_releases_once(window)
+        window.push_handlers(
+            on_key_press=self._on_key_press,
+            on_key_release=self._on_key_release,
+            on_text=self._swallow,
+            on_text_motion=self._swallow,
+            on_mouse_press=self._on_mouse_press,
+            on_mouse_release=self._swallow,
+            on_close=self._on_close,
+            on_activate=self._on_activate,
+            on_deactivate=self._on_deactivate,
+            on_expose=self._on_expose,
+        )
+
+    def poll(self) -> list[Event]:
+        """Return what happened since the last poll, in order, key repeats left out."""
+        self._window.dispatch_events()
+        events = list(self._queue)
+        self._queue.clear()
+        return [event for event in _drop_repeats(events) if self._is_news(event)]
+
+    def _is_news(self, event: Event) -> bool:
+        """Return whether the event is no repeat of a key that is held."""
+        if event.kind == "key":
+            if event.key in self._held:
+                return False
+            self._held.add(event.key)
+        elif event.kind == "release":
+            self._held.discard(event.key)
+        elif event.kind in ("focus", "blur"):
+            # A release outside the window is never reported.
+            self._held.clear()
+        return True
+
+    def _add(self, kind: EventKind, key: str = "", x: float = 0.0, y: float = 0.0) -> bool:
+        self._queue.append(Event(time.perf_counter(), kind, key, x, y))
+        return True
+
+    def _on_key_press(self, symbol: int, modifiers: int) -> bool:
+        return self._add("key", canonical_key(self._symbol_name(symbol)))
+
+    def _on_key_release(self, symbol: int, modifiers: int) -> bool:
+        return self._add("release", canonical_key(self._symbol_name(symbol)))
+
+    def _on_mouse_press(self, x: int, y: int, button: int, modifiers: int) -> bool:
+        if button != self._left_button:
+            return True
+        width, height = self._window.get_size()
+        return self._add("click", "", (x - width / 2) / height, (y - height / 2) / height)
+
+    def _on_close(self) -> bool:
+        return self._add("close")
+
+    def _on_activate(self) -> bool:
+        return self._add("focus")
+
+    def _on_deactivate(self) -> bool:
+        return self._add("blur")
+
+    def _on_expose(self) -> bool:
+        return self._add("expose")
+
+    def _swallow(self, *_: object) -> bool:
+        """Keep PsychoPy's own buffers empty."""
+        return True
+
+
+def _drop_repeats(events: list[Event]) -> list[Event]:
+    """Return the events without the release-and-press pairs by which X reports a held key."""
+    kept: list[Event] = []
+    for event in events:
+        last = kept[-1] if kept else None
+        if (
+            event.kind == "key"
+            and last is not None
+            and last.kind == "release"
+            and last.key == event.key
+            and event.time - last.time < _REPEAT_GAP
+        ):
+            kept.pop()
+            continue
+        kept.append(event)
+    return kept
+
+
+def _report_releases_once(window: Any) -> bool:
+    """Ask X to report a held key by presses alone, and return whether it agreed.
+
+    pyglet asks once, on the connection of its hidden window, while PsychoPy opens the visible one on a
+    connection of its own.
+    """
+    if not sys.platform.startswith("linux"):
+        return True
+    from ctypes import byref, c_int
+
+    from pyglet.window.xlib import XkbSetDetectableAutoRepeat
+
+    agreed = c_int()
+    XkbSetDetectableAutoRepeat(window.display._display, 1, byref(agreed))
+    return bool(agreed.value)

@@ -1,0 +1,122 @@
+"""Where everything stands on the screen, and what a click hits; pure geometry."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from modaltouch.trial import Answer
+from modaltouch.window.marks import Box
+
+SHOWN_ANSWERS: tuple[Answer, ...] = ("left", "both", "right")
+"""Answers in the order of their buttons, from the left."""
+
+_FULL_ASPECT = 1.32
+"""Windows at least this much wider than high show everything at full size; narrower ones shrink it to fit."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Places and sizes for one window [window heights].
+
+    Attributes
+    ----------
+    width : float
+        Width of the window; its height is 1.
+    unit : float
+        Size of what must fit across the window, relative to a wide window [1].
+    type_scale : float
+        Size of the type, relative to a wide window [1].
+    zones : dict of str to Box
+        Zones of the beam from the left, by name.
+    buttons : dict of Answer to Box
+        Answer buttons, by answer.
+    headline, body, page, go_on, label, bar, note : Box
+        The question or title; the text under a title; the text of a screen without a beam; the button to go
+        on; progress in words; progress as a bar; the line under the answer buttons.
+    """
+
+    width: float
+    unit: float
+    type_scale: float
+    zones: dict[str, Box]
+    buttons: dict[Answer, Box]
+    headline: Box
+    body: Box
+    page: Box
+    go_on: Box
+    label: Box
+    bar: Box
+    note: Box
+
+    def answer_at(self, x: float, y: float) -> Answer | None:
+        """Return the answer whose button lies at a point, or None.
+
+        Parameters
+        ----------
+        x, y : float
+            Place of the click [window heights], origin in the middle of the window, y upwards.
+        """
+        return next((answer for answer, box in self.buttons.items() if box.contains(x, y)), None)
+
+    def beam(self) -> Box:
+        """Return the whole bar of zones."""
+        boxes = tuple(self.zones.values())
+        left, right = boxes[0].left, boxes[-1].right
+        return Box((left + right) / 2, boxes[0].y, right - left, boxes[0].height)
+
+
+def lay_out(
+    width_px: int, height_px: int, zones: tuple[str, ...], answers: tuple[Answer, ...] = SHOWN_ANSWERS
+) -> Layout:
+    """Return where everything stands in a window.
+
+    Parameters
+    ----------
+    width_px, height_px : int
+        Size of the window [pixels].
+    zones : tuple of str
+        Names of the zones from the left.
+    answers : tuple of Answer
+        Answers in the order of their buttons, from the left.
+
+    Raises
+    ------
+    ValueError
+        If the window has no area, or there is no zone or answer to show.
+    """
+    if width_px < 1 or height_px < 1:
+        raise ValueError(f"given a window of {width_px} x {height_px} pixels; allowed: at least 1 x 1")
+    if not zones or not answers:
+        raise ValueError(f"given zones {zones} and answers {answers}; allowed: at least one of each")
+    width = width_px / height_px
+    unit = min(1.0, width / _FULL_ASPECT)
+    type_scale = max(unit, min(1.0, 0.2 + 0.8 * width))
+    zone_width = min(0.22, 1.1 / len(zones)) * unit
+    first = -(len(zones) - 1) / 2
+    zone_boxes = {
+        name: Box((first + place) * zone_width, 0.16, zone_width, 0.105 * unit)
+        for place, name in enumerate(zones)
+    }
+    across = 1.2 * unit
+    gap = 0.045 * unit
+    button_width = min(0.4 * unit, (across - gap * (len(answers) - 1)) / len(answers))
+    button_height = 0.175 * max(unit, 0.8)
+    first = -(len(answers) - 1) / 2
+    buttons = {
+        answer: Box((first + place) * (button_width + gap), -0.275, button_width, button_height)
+        for place, answer in enumerate(answers)
+    }
+    return Layout(
+        width=width,
+        unit=unit,
+        type_scale=type_scale,
+        zones=zone_boxes,
+        buttons=buttons,
+        headline=Box(0, 0.405, 1.24 * unit, 0.14),
+        body=Box(0, 0.24, 1.18 * unit, 0.21),
+        page=Box(0, 0.06, 1.14 * unit, 0.6),
+        go_on=Box(0, -0.432, min(1.2 * unit, 0.9 * type_scale), 0.08),
+        label=Box(0, -0.428, 1.2 * unit, 0.036),
+        bar=Box(0, -0.462, across, 0.01),
+        note=Box(0, -0.385, 1.2 * unit, 0.036),
+    )

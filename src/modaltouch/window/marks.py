@@ -1,0 +1,172 @@
+"""What a picture is made of: filled polygons and words, in units of the window's height.
+
+The origin is the middle of the window, x to the right and y upwards. A picture is plain data: what a screen
+shows can be read, compared and tested without opening a window.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+Point = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Box:
+    """A rectangle by its centre and size [window heights]."""
+
+    x: float
+    y: float
+    width: float
+    height: float
+
+    @property
+    def left(self) -> float:
+        """Left edge [window heights]."""
+        return self.x - self.width / 2
+
+    @property
+    def right(self) -> float:
+        """Right edge [window heights]."""
+        return self.x + self.width / 2
+
+    @property
+    def bottom(self) -> float:
+        """Lower edge [window heights]."""
+        return self.y - self.height / 2
+
+    @property
+    def top(self) -> float:
+        """Upper edge [window heights]."""
+        return self.y + self.height / 2
+
+    def contains(self, x: float, y: float) -> bool:
+        """Return whether a point lies in the box, edges included."""
+        return self.left <= x <= self.right and self.bottom <= y <= self.top
+
+    def inset(self, margin: float) -> Box:
+        """Return the box with a margin taken off every side."""
+        return Box(self.x, self.y, self.width - 2 * margin, self.height - 2 * margin)
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A filled convex polygon.
+
+    Attributes
+    ----------
+    corners : tuple of (x, y)
+        Corners in order [window heights].
+    fill : str
+        Colour as ``#RRGGBB``.
+    """
+
+    corners: tuple[Point, ...]
+    fill: str
+
+
+@dataclass(frozen=True)
+class Words:
+    """A text centred in its box, made smaller where it would not fit.
+
+    Attributes
+    ----------
+    text : str
+        What is written; a line break starts a new line.
+    box : Box
+        Where it must fit.
+    size : float
+        Wished size of the type, em [window heights].
+    fill : str
+        Colour as ``#RRGGBB``.
+    bold : bool
+        Whether the type is bold.
+    """
+
+    text: str
+    box: Box
+    size: float
+    fill: str
+    bold: bool = False
+
+
+Mark = Shape | Words
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One screen: its name and its marks, in drawing order.
+
+    Attributes
+    ----------
+    name : str
+        Name under which a screenshot is kept, such as ``question_one_hand_AC``.
+    marks : tuple of Shape or Words
+        What is drawn, the first mark lowest.
+    """
+
+    name: str
+    marks: tuple[Mark, ...]
+
+    @property
+    def texts(self) -> tuple[str, ...]:
+        """Every text in the picture, in drawing order."""
+        return tuple(mark.text for mark in self.marks if isinstance(mark, Words))
+
+
+def moved(marks: tuple[Mark, ...], rise: float) -> tuple[Mark, ...]:
+    """Return the marks moved upwards [window heights]."""
+    return tuple(
+        replace(mark, corners=tuple((x, y + rise) for x, y in mark.corners))
+        if isinstance(mark, Shape)
+        else replace(mark, box=replace(mark.box, y=mark.box.y + rise))
+        for mark in marks
+    )
+
+
+def rectangle(box: Box, fill: str) -> Shape:
+    """Return a filled rectangle."""
+    corners = ((box.left, box.bottom), (box.right, box.bottom), (box.right, box.top), (box.left, box.top))
+    return Shape(corners, fill)
+
+
+def rounded(box: Box, radius: float, fill: str, *, n_steps: int = 8) -> Shape:
+    """Return a filled rectangle with round corners of a radius [window heights]."""
+    radius = min(radius, box.width / 2, box.height / 2)
+    centres = (
+        (box.right - radius, box.top - radius, 0.0),
+        (box.left + radius, box.top - radius, 0.5),
+        (box.left + radius, box.bottom + radius, 1.0),
+        (box.right - radius, box.bottom + radius, 1.5),
+    )
+    corners = tuple(
+        (x + radius * math.cos(angle), y + radius * math.sin(angle))
+        for x, y, start in centres
+        for angle in (math.pi * (start + step / (2 * n_steps)) for step in range(n_steps + 1))
+    )
+    return Shape(corners, fill)
+
+
+def framed(box: Box, radius: float, edge: str, fill: str, line: float) -> tuple[Shape, Shape]:
+    """Return a rounded rectangle with an edge of a width [window heights] inside the box."""
+    return rounded(box, radius, edge), rounded(box.inset(line), radius - line, fill)
+
+
+def capsule(start: Point, end: Point, radius: float, fill: str, *, n_steps: int = 12) -> Shape:
+    """Return a bar with round ends between two points [window heights]."""
+    heading = math.atan2(end[1] - start[1], end[0] - start[0])
+    halves = ((end, heading - math.pi / 2), (start, heading + math.pi / 2))
+    corners = tuple(
+        (x + radius * math.cos(angle), y + radius * math.sin(angle))
+        for (x, y), first in halves
+        for angle in (first + math.pi * step / n_steps for step in range(n_steps + 1))
+    )
+    return Shape(corners, fill)
+
+
+def triangle(direction: str, x: float, y: float, radius: float, fill: str) -> Shape:
+    """Return a triangle pointing ``left``, ``right``, ``up`` or ``down``, by its circumscribed circle."""
+    first = {"right": 0.0, "up": 0.5, "left": 1.0, "down": 1.5}[direction] * math.pi
+    angles = (first + 2 * math.pi * corner / 3 for corner in range(3))
+    return Shape(tuple((x + radius * math.cos(a), y + radius * math.sin(a)) for a in angles), fill)

@@ -1,0 +1,262 @@
+"""Every screen the participant sees, as plain pictures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from modaltouch.protocol import AnswersSection, Texts
+from modaltouch.trial import FINGERS, Answer, Trial
+from modaltouch.window.hands import draw_beam, draw_hands
+from modaltouch.window.interface import Progress
+from modaltouch.window.layout import Layout
+from modaltouch.window.marks import Box, Mark, Picture, Words, framed, moved, rounded, triangle
+from modaltouch.window.reading import END_KEY, PAUSE_KEY
+from modaltouch.window.theme import Theme
+
+_ARROWS = ("left", "right", "up", "down")
+
+
+@dataclass(frozen=True)
+class Illustrator:
+    """Draws the screens of one protocol in one window.
+
+    Nothing in a picture depends on the stimulus: two trials with the same fingers on the same zones look
+    alike whatever their level.
+
+    Attributes
+    ----------
+    layout : Layout
+        Places and sizes.
+    theme : Theme
+        Colours.
+    texts : Texts
+        Words.
+    answers : AnswersSection
+        Keys, and who answers.
+    hand : str
+        Hand used in ``one_hand``.
+    """
+
+    layout: Layout
+    theme: Theme
+    texts: Texts
+    answers: AnswersSection
+    hand: str
+
+    def welcome(self, trial: Trial) -> Picture:
+        """Return the first screen: what happens, with the beam and the hands."""
+        lowered = moved(self._beam(trial), -0.21)
+        return Picture("welcome", (*self._intro(self.texts.welcome, self.texts.instructions), *lowered))
+
+    def answering(self, trial: Trial) -> Picture:
+        """Return the screen that shows how to answer."""
+        title, *rest = _paragraphs(self.texts.how_to_answer.format(pause_key=self.key_name(PAUSE_KEY)))
+        layout = self.layout
+        below = Box(0, 0.07, layout.body.width, 0.4)
+        words = Words("\n\n".join(rest), below, 0.042 * layout.type_scale, self.theme.text)
+        return Picture("answers", (self._headline(title, 0.054), words, *self._buttons(None), *self._go_on()))
+
+    def placement(self, trial: Trial) -> Picture:
+        """Return which finger goes on which zone."""
+        left, right = self.finger_names(trial)
+        words = self.texts.place_fingers.format(
+            left_finger=left,
+            left_zone=trial.condition.zone_left,
+            right_finger=right,
+            right_zone=trial.condition.zone_right,
+        )
+        return Picture(
+            f"place_fingers_{_tag(trial)}", (self._headline(words, 0.046), *self._beam(trial), *self._go_on())
+        )
+
+    def ready(self, trial: Trial, progress: Progress) -> Picture:
+        """Return the beam alone, between two trials."""
+        return Picture(f"ready_{_tag(trial)}", (*self._beam(trial), *self._progress(trial, progress)))
+
+    def feel(self, trial: Trial, progress: Progress) -> Picture:
+        """Return the screen while the stimulus runs and the question is not yet asked."""
+        return Picture(
+            f"feel_{_tag(trial)}",
+            (
+                self._headline(self.texts.feel, 0.056, dim=True),
+                *self._beam(trial),
+                *self._progress(trial, progress),
+            ),
+        )
+
+    def question(self, trial: Trial, progress: Progress, chosen: str | None = None) -> Picture:
+        """Return the question with its answers; `chosen` is shown as taken."""
+        name = f"answered_{chosen}" if chosen else f"question_{_tag(trial)}"
+        note: tuple[Mark, ...] = ()
+        if self.answers.given_by == "experimenter":
+            words, layout = self.texts.experimenter_answers, self.layout
+            note = (Words(words, layout.note, 0.03 * layout.type_scale, self.theme.dim),)
+        return Picture(
+            name,
+            (
+                self._headline(self.texts.question, 0.056),
+                *self._beam(trial),
+                *self._buttons(chosen),
+                *note,
+                *self._progress(trial, progress),
+            ),
+        )
+
+    def page(self, name: str, text: str, progress: Progress | None = None, *, waits: bool = True) -> Picture:
+        """Return a screen of words: its first paragraph large, the rest under it."""
+        title, *rest = _paragraphs(text)
+        layout, scale = self.layout, self.layout.type_scale
+        lift = 0.11 if rest else 0.03
+        top = Box(layout.page.x, layout.page.y + lift, layout.page.width, 0.22)
+        marks: list[Mark] = [Words(title, top, 0.06 * scale, self.theme.text, bold=True)]
+        if rest:
+            below = Box(layout.page.x, layout.page.y - 0.12, layout.page.width, 0.25)
+            marks.append(Words("\n\n".join(rest), below, 0.042 * scale, self.theme.text))
+        if waits:
+            marks += self._go_on()
+        if progress is not None:
+            marks += self._bar(progress, lift=0.14)
+        return Picture(name, tuple(marks))
+
+    def pause(self, trial: Trial | None) -> Picture:
+        """Return the pause screen, with the fingers' places where a trial is to be repeated."""
+        words = self.texts.pause.format(
+            key=self.key_name(self.answers.continue_keys[0]), end_key=self.key_name(END_KEY)
+        )
+        title, *rest = _paragraphs(words)
+        layout, scale = self.layout, self.layout.type_scale
+        below = Box(0, -0.285, layout.headline.width, 0.24)
+        beam = self._beam(trial) if trial else ()
+        return Picture(
+            "pause",
+            (
+                self._headline(title, 0.056),
+                *beam,
+                Words("\n\n".join(rest), below, 0.04 * scale, self.theme.text),
+            ),
+        )
+
+    def finger_names(self, trial: Trial) -> tuple[str, str]:
+        """Return what the participant calls the fingers on the left and on the right zone."""
+        left, right = FINGERS[trial.condition.finger_condition, self.hand]
+        named = {
+            "left index": self.texts.left_index,
+            "left middle": self.texts.left_middle,
+            "right index": self.texts.right_index,
+            "right middle": self.texts.right_middle,
+        }
+        return named[left], named[right]
+
+    def key_name(self, key: str) -> str:
+        """Return what the participant calls a key."""
+        return self.texts.key_names.get(key, key.removeprefix("num_").upper())
+
+    def _headline(self, words: str, size: float, *, dim: bool = False) -> Words:
+        fill = self.theme.dim if dim else self.theme.text
+        return Words(words, self.layout.headline, size * self.layout.type_scale, fill, bold=not dim)
+
+    def _intro(self, title: str, text: str) -> tuple[Mark, ...]:
+        layout, scale = self.layout, self.layout.type_scale
+        return (
+            self._headline(title, 0.054),
+            Words("\n\n".join(_paragraphs(text)), layout.body, 0.036 * scale, self.theme.text),
+            *self._go_on(),
+        )
+
+    def _beam(self, trial: Trial) -> tuple[Mark, ...]:
+        condition = trial.condition
+        fingers = FINGERS[condition.finger_condition, self.hand]
+        return (
+            *draw_beam(self.layout, self.theme, condition.pair),
+            *draw_hands(self.layout, self.theme, condition.pair, fingers, self.finger_names(trial)),
+        )
+
+    def _buttons(self, chosen: str | None) -> tuple[Mark, ...]:
+        marks: list[Mark] = []
+        for answer in self.layout.buttons:
+            marks += self._button(answer, pressed=answer == chosen)
+        return tuple(marks)
+
+    def _button(self, answer: Answer, *, pressed: bool) -> tuple[Mark, ...]:
+        theme, box, unit = self.theme, self.layout.buttons[answer], self.layout.unit
+        edge = {"left": theme.left, "right": theme.right}.get(answer, theme.button_edge)
+        fill, ink = (theme.pressed, theme.pressed_text) if pressed else (theme.button, theme.text)
+        word = str(getattr(self.texts, answer))
+        upper = Box(box.x, box.y + 0.18 * box.height, box.width * 0.66, 0.52 * box.height)
+        at = 0.4 * box.width
+        arrows = [
+            triangle(way, box.x + sign * at, upper.y - 0.004 * unit, 0.018 * unit, ink if pressed else edge)
+            for way, sign in (("left", -1), ("right", 1))
+            if answer in (way, "both")
+        ]
+        return (
+            *framed(box, 0.022 * unit, edge, fill, 0.006 * unit),
+            Words(word, upper, 0.062 * self.layout.type_scale, ink, bold=True),
+            *arrows,
+            *self._key_caps(
+                answer, Box(box.x, box.y - 0.27 * box.height, box.width * 0.9, 0.25 * box.height), ink
+            ),
+        )
+
+    def _key_caps(self, answer: Answer, box: Box, ink: str) -> tuple[Mark, ...]:
+        """Return the keys that give an answer: arrows where there are any, else the first two."""
+        if self.answers.given_by == "experimenter":
+            return ()
+        keys = self.answers.keys[answer]
+        shown = [key for key in keys if key in _ARROWS] or list(keys[:2])
+        marks: list[Mark] = []
+        labels = [None if key in _ARROWS else self.key_name(key) for key in shown]
+        widths = [
+            box.height if label is None else box.height * max(1.0, 0.34 * len(label) + 0.5) for label in labels
+        ]
+        gap = 0.25 * box.height
+        x = box.x - (sum(widths) + gap * (len(widths) - 1)) / 2
+        for key, label, width in zip(shown, labels, widths, strict=True):
+            cap = Box(x + width / 2, box.y, width, box.height)
+            edge = self.theme.button_edge
+            marks.append(rounded(cap, 0.2 * box.height, edge))
+            marks.append(rounded(cap.inset(0.05 * box.height), 0.16 * box.height, self.theme.ground))
+            if label is None:
+                marks.append(triangle(key, cap.x, cap.y, 0.24 * box.height, self.theme.text))
+            else:
+                inner = cap.inset(0.08 * box.height)
+                marks.append(Words(label, inner, 0.58 * box.height, self.theme.text))
+            x += width + gap
+        return tuple(marks)
+
+    def _go_on(self) -> tuple[Mark, ...]:
+        layout, theme = self.layout, self.theme
+        words = self.texts.press_to_continue.format(key=self.key_name(self.answers.continue_keys[0]))
+        return (
+            *framed(layout.go_on, 0.043, theme.button_edge, theme.button, 0.003),
+            Words(words, layout.go_on.inset(0.012), 0.036 * layout.type_scale, theme.text),
+        )
+
+    def _progress(self, trial: Trial, progress: Progress) -> tuple[Mark, ...]:
+        form = self.texts.practice_of if trial.practice else self.texts.trial_of
+        words = form.format(number=progress.number, total=progress.total)
+        label = Words(words, self.layout.label, 0.028 * self.layout.type_scale, self.theme.dim)
+        return (label, *self._bar(progress))
+
+    def _bar(self, progress: Progress, lift: float = 0.0) -> tuple[Mark, ...]:
+        """Return the bar of what is done; the trial that is on counts as not done."""
+        low = self.layout.bar
+        bar = Box(low.x, low.y + lift, low.width, low.height)
+        share = min(max((progress.number - 1) / max(progress.total, 1), 0.0), 1.0)
+        track = rounded(bar, bar.height / 2, self.theme.beam)
+        if share == 0.0:
+            return (track,)
+        width = max(bar.width * share, bar.height)
+        return (
+            track,
+            rounded(Box(bar.left + width / 2, bar.y, width, bar.height), bar.height / 2, self.theme.dim),
+        )
+
+
+def _paragraphs(text: str) -> list[str]:
+    """Return the paragraphs of a text, which blank lines part; other line breaks are spaces."""
+    return [" ".join(paragraph.split()) for paragraph in text.split("\n\n") if paragraph.strip()]
+
+
+def _tag(trial: Trial) -> str:
+    return f"{trial.condition.finger_condition}_{''.join(trial.condition.pair)}"

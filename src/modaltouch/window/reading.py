@@ -1,0 +1,77 @@
+"""What an event means to a session: an answer, going on, a pause, the end."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Self
+
+from modaltouch.protocol import AnswersSection
+from modaltouch.trial import Answer
+from modaltouch.window.events import Event, canonical_key
+from modaltouch.window.layout import Layout
+
+END_KEY = "q"
+"""Key that ends the session from the pause screen."""
+PAUSE_KEY = "escape"
+"""Key that pauses the session."""
+
+
+@dataclass(frozen=True)
+class Reader:
+    """Reads events by one protocol's keys and one window's layout.
+
+    Attributes
+    ----------
+    layout : Layout
+        Where the answer buttons are.
+    keys : dict of str to Answer
+        Answer by key.
+    continue_keys : frozenset of str
+        Keys that go on from one screen to the next.
+    """
+
+    layout: Layout
+    keys: dict[str, Answer]
+    continue_keys: frozenset[str]
+
+    @classmethod
+    def of(cls, answers: AnswersSection, layout: Layout) -> Self:
+        """Return the reader for a protocol's keys."""
+        keys = {canonical_key(key): answer for answer, given in answers.keys.items() for key in given}
+        return cls(layout, keys, frozenset(map(canonical_key, answers.continue_keys)))
+
+    def answer(self, event: Event) -> Answer | None:
+        """Return the answer that a key press or a click gives, or None."""
+        if event.kind == "key":
+            return self.keys.get(event.key)
+        if event.kind == "click":
+            return self.layout.answer_at(event.x, event.y)
+        return None
+
+    def goes_on(self, event: Event) -> bool:
+        """Return whether the event is a key to go on."""
+        return event.kind == "key" and event.key in self.continue_keys
+
+    def pauses(self, event: Event) -> bool:
+        """Return whether the event asks for a pause, or for the end."""
+        return event.kind == "close" or (event.kind == "key" and event.key == PAUSE_KEY)
+
+    def interrupts(self, event: Event) -> bool:
+        """Return whether the event cuts a trial: a pause, or keys that now go to another window."""
+        return event.kind == "blur" or self.pauses(event)
+
+    def ends(self, event: Event) -> bool:
+        """Return whether the event ends the session from the pause screen."""
+        return event.kind == "key" and event.key == END_KEY
+
+
+def is_press(event: Event) -> bool:
+    """Return whether the event is a key press or a click."""
+    return event.kind in ("key", "click")
+
+
+def describe_press(event: Event) -> dict[str, Any]:
+    """Return a press as the record names it."""
+    if event.kind == "key":
+        return {"key": event.key}
+    return {"click": [round(event.x, 3), round(event.y, 3)]}

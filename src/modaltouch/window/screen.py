@@ -1,0 +1,302 @@
+"""The one place where PsychoPy is: opens its window, draws pictures into it, reports what happens to it."""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+import time
+from collections import OrderedDict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from modaltouch.window.events import Event, EventTap
+from modaltouch.window.interface import WindowError
+from modaltouch.window.marks import Mark, Picture, Shape, Words
+from modaltouch.window.softening import cover
+
+_KEPT_MARKS = 1500
+"""Marks kept ready to draw; a session with ten zone pairs needs about 600."""
+_SMALLEST_SHRINK = 0.4
+"""Type is never made smaller than this share of its wished size."""
+
+
+class Screen:
+    """An open window.
+
+    Parameters
+    ----------
+    size : (width, height) of int
+        Size of the window [pixels]; a full screen takes the monitor's.
+    fullscreen : bool
+        Whether the window covers the monitor.
+    monitor : int
+        Which monitor, from 0.
+    ground : str
+        Background colour as ``#RRGGBB``.
+    title : str
+        Title of the window.
+
+    Raises
+    ------
+    WindowError
+        If there is no display, or none that can draw.
+    """
+
+    def __init__(
+        self,
+        *,
+        size: tuple[int, int] = (1280, 800),
+        fullscreen: bool = False,
+        monitor: int = 0,
+        ground: str = "#000000",
+        title: str = "modaltouch",
+    ) -> None:
+        visual, monitors = _import_psychopy()
+        self._visual = visual
+        self._fonts = _find_fonts()
+        self._ready: OrderedDict[Mark, tuple[Any, ...]] = OrderedDict()
+        self._window = _open(
+            visual,
+            size,
+            fullscr=fullscreen,
+            allowGUI=not fullscreen,
+            screen=monitor,
+            color=ground,
+            colorSpace="rgb",
+            units="height",
+            # A monitor without a file behind it: PsychoPy then neither warns nor writes one.
+            monitor=monitors.Monitor("modaltouch", width=50, distance=60, verbose=False, autoLog=False),
+            checkTiming=False,
+            gammaErrorPolicy="ignore",
+            winType="pyglet",
+            autoLog=False,
+            title=title,
+        )
+        self._window.mouseVisible = True
+        self._tap = EventTap(self._window.winHandle)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the drawing area [pixels]."""
+        width, height = self._window.size
+        return int(width), int(height)
+
+    def describe(self) -> dict[str, Any]:
+        """Return what the start record says about the window."""
+        import psychopy
+        import pyglet
+
+        return {
+            "backend": "psychopy",
+            "psychopy": psychopy.__version__,
+            "pyglet": pyglet.version,
+            "renderer": self._window.winHandle.context.get_info().get_renderer(),
+            "size_px": list(self.size),
+            "detectable_key_repeat": self._tap.repeats_are_detectable,
+        }
+
+    def prepare(self, picture: Picture) -> None:
+        """Make the picture's marks ready, so that showing it later takes no longer than a frame."""
+        for mark in picture.marks:
+            self._stimuli(mark)
+
+    def show(self, picture: Picture, screenshot: Path | None = None) -> float:
+        """Draw the picture, and return when it came onto the screen, by `time.perf_counter` [s].
+
+        Parameters
+        ----------
+        picture : Picture
+            What to draw.
+        screenshot : Path, optional
+            PNG file to write the drawn picture to.
+
+        Raises
+        ------
+        WindowError
+            If the screenshot cannot be written.
+        """
+        for mark in picture.marks:
+            for stimulus in self._stimuli(mark):
+                stimulus.draw()
+        image = self._window._getFrame(buffer="back") if screenshot is not None else None
+        self._window.flip()
+        shown = time.perf_counter()
+        if image is not None and screenshot is not None:
+            try:
+                image.convert("RGB").save(screenshot)
+            except OSError as error:
+                raise WindowError(
+                    f"the screenshot {screenshot} cannot be written ({error}); give a folder that takes files"
+                ) from error
+        return shown
+
+    def poll(self) -> list[Event]:
+        """Return what happened to the window since the last poll."""
+        return self._tap.poll()
+
+    def type_key(self, key: str, *, down: bool) -> None:
+        """Put a key press or release into the window's own event queue, as if a person had typed it.
+
+        Raises
+        ------
+        ValueError
+            If no key has that name.
+        """
+        from pyglet.window import key as keys
+
+        name = key.upper() if not key.isdigit() else f"_{key}"
+        symbol = getattr(keys, name, None)
+        if symbol is None:
+            raise ValueError(
+                f"given the key {key!r}; allowed: a key name of pyglet, such as left, space, num_4 or a"
+            )
+        self._window.winHandle.dispatch_event("on_key_press" if down else "on_key_release", symbol, 0)
+
+    def fits(self, words: Words) -> bool:
+        """Return whether the words lie inside their box."""
+        width, height = self._measure(self._stimuli(words)[0])
+        return width <= words.box.width and height <= words.box.height
+
+    def close(self) -> None:
+        """Close the window; never raises."""
+        try:
+            self._window.close()
+        except Exception as error:  # noqa: BLE001 - whatever the display does, the session must go on to its end
+            sys.stderr.write(f"the answer window did not close cleanly: {error}\n")
+
+    def _stimuli(self, mark: Mark) -> tuple[Any, ...]:
+        """Return what draws a mark, made once and kept."""
+        ready = self._ready.get(mark)
+        if ready is None:
+            ready = (self._polygon(mark),) if isinstance(mark, Shape) else (self._text(mark),)
+            self._ready[mark] = ready
+            if len(self._ready) > _KEPT_MARKS:
+                self._ready.popitem(last=False)
+        else:
+            self._ready.move_to_end(mark)
+        return ready
+
+    def _polygon(self, shape: Shape) -> Any:
+        """Return the polygon as an image whose pixels are the window's own."""
+        width, height = self.size
+        corners = np.array(shape.corners) * height + (width / 2, height / 2)
+        covered = cover(corners)
+        rows, columns = covered.alpha.shape
+        image = np.empty((rows, columns, 4), dtype=np.float32)
+        # Unlike everywhere else in PsychoPy, colours count from 0 to 1 in an image with opacity.
+        image[..., :3] = [int(shape.fill[place : place + 2], 16) / 255 for place in (1, 3, 5)]
+        image[..., 3] = covered.alpha
+        return self._visual.ImageStim(
+            self._window,
+            image=image,
+            units="pix",
+            size=(columns, rows),
+            pos=(covered.left + columns / 2 - width / 2, covered.bottom + rows / 2 - height / 2),
+            interpolate=False,
+            autoLog=False,
+        )
+
+    def _text(self, words: Words) -> Any:
+        """Return the text, at its wished size or the largest that fits its box."""
+        share = 1.0
+        while True:
+            stimulus = self._visual.TextStim(
+                self._window,
+                words.text,
+                font="Noto Sans",
+                fontFiles=self._fonts,
+                pos=(words.box.x, words.box.y),
+                height=words.size * share,
+                wrapWidth=words.box.width,
+                color=words.fill,
+                bold=words.bold,
+                autoLog=False,
+            )
+            width, height = self._measure(stimulus)
+            if (width <= words.box.width and height <= words.box.height) or share <= _SMALLEST_SHRINK:
+                return stimulus
+            share -= 0.05
+
+    def _measure(self, stimulus: Any) -> tuple[float, float]:
+        """Return the extent of a text [window heights]."""
+        width, height = stimulus.boundingBox
+        return width / self.size[1], height / self.size[1]
+
+
+def _import_psychopy() -> tuple[Any, Any]:
+    """Import PsychoPy's drawing half quietly, and return its modules ``visual`` and ``monitors``.
+
+    Raises
+    ------
+    WindowError
+        If there is no display, or no PsychoPy.
+    """
+    if sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
+        raise WindowError(
+            "the answer window needs a display, but DISPLAY is not set; run it on the desktop, "
+            "on a virtual display (`xvfb-run -s '-screen 0 1920x1080x24' modaltouch ...`), or answer without a "
+            "window (`--answers simulated`)"
+        )
+    # Without these, PsychoPy puts its plug-in folders on sys.path and its clock follows the wall clock.
+    os.environ.setdefault("PSYCHOPYNOPACKAGES", "1")
+    os.environ.setdefault("PSYCH_GETSECS_CLOCK", "1")
+    _ensure_writable_home()
+    try:
+        from psychopy import logging
+
+        logging.console.setLevel(logging.ERROR)
+        from psychopy import monitors, visual
+    except ImportError as error:
+        raise WindowError(
+            f"PsychoPy cannot be imported ({error}); install the project's environment again (`make install`), "
+            "or answer without a window (`--answers simulated`)"
+        ) from error
+    except Exception as error:
+        raise WindowError(_explain(error)) from error
+    return visual, monitors
+
+
+def _ensure_writable_home() -> None:
+    """Give PsychoPy a folder for its settings where the home folder takes none."""
+    name = "APPDATA" if sys.platform == "win32" else "HOME"
+    home = os.environ.get(name)
+    if not home or not os.access(home, os.W_OK | os.X_OK):
+        os.environ[name] = tempfile.mkdtemp(prefix="modaltouch-home-")
+
+
+def _explain(error: Exception) -> str:
+    """Return what a failure to reach the display means, and what to do."""
+    display = os.environ.get("DISPLAY", "")
+    kind = type(error).__name__
+    if "NoSuchDisplay" in kind:
+        return (
+            f"the answer window cannot reach the display {display!r} ({error}); check that the X server runs "
+            "and lets this user in (`xdpyinfo`), then start again"
+        )
+    if "GLX" in str(error) or "GLX" in kind:
+        return (
+            f"the display {display!r} cannot draw with OpenGL ({error}); use one with GLX and 24-bit colour (a "
+            "virtual one: `Xvfb -screen 0 1920x1080x24 +extension GLX`) and install libgl1 and libgl1-mesa-dri"
+        )
+    return (
+        f"the answer window cannot be opened on display {display!r}: {kind}: {error}; run `modaltouch doctor`"
+    )
+
+
+def _find_fonts() -> list[str]:
+    """Return the font files that PsychoPy brings along, so that every machine shows the same picture."""
+    import psychopy
+
+    folder = Path(psychopy.__file__).parent / "assets" / "fonts"
+    return [str(folder / name) for name in ("NotoSans-Regular.ttf", "NotoSans-Bold.ttf")]
+
+
+def _open(visual: Any, size: tuple[int, int], **options: Any) -> Any:
+    """Return a PsychoPy window."""
+    try:
+        return visual.Window(size, **options)
+    except Exception as error:
+        raise WindowError(_explain(error)) from error

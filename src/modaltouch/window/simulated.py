@@ -1,0 +1,144 @@
+"""A simulated participant: a psychophysical observer that answers, with no window."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+
+from modaltouch.observer import Participant
+from modaltouch.trial import Answer, Response, Trial
+from modaltouch.window.interface import Progress
+
+
+@dataclass(frozen=True)
+class Answerer:
+    """Someone who answers by what the fingers feel.
+
+    Attributes
+    ----------
+    participant : Participant
+        Drawn from an observer model.
+    felt : callable
+        Peak speeds under the left and the right finger in a trial [m/s].
+    generator : numpy.random.Generator
+        Source of chance. It is never advanced: each trial has a stream of its own, so that a resumed session
+        and a repeated trial get the same answers as an uninterrupted one.
+    """
+
+    participant: Participant
+    felt: Callable[[Trial], tuple[float, float]]
+    generator: np.random.Generator
+
+    def answer(self, trial: Trial) -> tuple[Answer, float]:
+        """Return the answer to a trial and its reaction time [s].
+
+        Raises
+        ------
+        ValueError
+            If the generator was not made from a seed sequence.
+        """
+        seed = self.generator.bit_generator.seed_seq
+        if not isinstance(seed, np.random.SeedSequence):
+            raise ValueError(
+                f"given a generator seeded by {type(seed).__name__}; allowed: one with a SeedSequence, such as "
+                "numpy.random.default_rng(seed)"
+            )
+        key = (*seed.spawn_key, int(trial.practice), trial.index)
+        stream = np.random.default_rng(np.random.SeedSequence(seed.entropy, spawn_key=key))
+        left, right = self.felt(trial)
+        return self.participant.answer(left, right, trial.condition.finger_condition, stream)
+
+
+class SimulatedParticipant:
+    """Answers every trial by an observer model.
+
+    Parameters
+    ----------
+    answerer : Answerer
+        Who answers.
+    tick : callable
+        Called at every step; may raise.
+    stimulus_until : str
+        ``answer``, or ``question`` where the stimulus stops before the question.
+    waits : bool
+        Whether reaction times and pauses really pass.
+    """
+
+    def __init__(
+        self,
+        answerer: Answerer,
+        *,
+        tick: Callable[[], None],
+        stimulus_until: str = "answer",
+        waits: bool = False,
+    ) -> None:
+        self._answerer = answerer
+        self._tick = tick
+        self._onset_is = "question" if stimulus_until == "question" else "first_burst"
+        self._waits = waits
+
+    def describe(self) -> dict[str, Any]:
+        """Return the backend for the start record."""
+        return {"backend": "simulated", "answered_by": "simulated", "waits": self._waits}
+
+    def welcome(self) -> None:
+        """Read nothing."""
+        self._tick()
+
+    def place_fingers(self, trial: Trial) -> None:
+        """Place the fingers at once."""
+        self._tick()
+
+    def announce(self, text: str) -> None:
+        """Read nothing."""
+        self._tick()
+
+    def ask(self, trial: Trial, progress: Progress, *, onset: float, stop: Callable[[], None]) -> Response:
+        """Return the observer's answer."""
+        self._tick()
+        answer, reaction_time = self._answerer.answer(trial)
+        self._pass(reaction_time)
+        stop()
+        return Response(
+            answer=answer,
+            reaction_time=reaction_time,
+            onset=self._onset_is,
+            answered_by="simulated",
+            device="model",
+        )
+
+    def confirm(self, response: Response) -> None:
+        """Look at nothing."""
+
+    def wait(self, seconds: float) -> None:
+        """Go on at once, unless time passes."""
+        self._pass(seconds)
+
+    def rest(self, progress: Progress) -> None:
+        """Need no break."""
+        self._tick()
+
+    def goodbye(self) -> None:
+        """Leave."""
+        self._tick()
+
+    def close(self) -> None:
+        """Do nothing; there is no window."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def _pass(self, seconds: float) -> None:
+        """Tick once, or for as long as the time takes."""
+        self._tick()
+        end = time.perf_counter() + seconds if self._waits else 0.0
+        while time.perf_counter() < end:
+            self._tick()
+            time.sleep(1e-3)

@@ -1,0 +1,208 @@
+"""Keeps one picture on the display and gathers what happens to it, about a thousand times a second."""
+
+from __future__ import annotations
+
+import time
+import typing
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from modaltouch.trial import Trial
+from modaltouch.window.events import Event
+from modaltouch.window.interface import Log, WindowError
+from modaltouch.window.marks import Picture
+
+POLL_INTERVAL = 1e-3
+"""Rest between two polls: the resolution of a reaction time [s]."""
+_REDRAW_INTERVAL = 0.25
+"""A covered and uncovered window is drawn again, but no more often than this [s]."""
+
+
+class Display(typing.Protocol):
+    """What the stage needs of a window: `screen.Screen`, or a stand-in of the tests."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height [pixels]."""
+
+    def describe(self) -> dict[str, Any]:
+        """Return what the start record says about the window."""
+
+    def prepare(self, picture: Picture) -> None:
+        """Make a picture ready to be shown quickly."""
+
+    def show(self, picture: Picture, screenshot: Path | None = None) -> float:
+        """Show a picture and return when it came onto the screen [s]."""
+
+    def poll(self) -> list[Event]:
+        """Return what happened since the last poll."""
+
+    def type_key(self, key: str, *, down: bool) -> None:
+        """Put a key press or release into the window's event queue."""
+
+    def close(self) -> None:
+        """Close the window; never raises."""
+
+
+@dataclass(frozen=True)
+class Moment:
+    """What the participant faces.
+
+    Attributes
+    ----------
+    wants : str
+        ``go_on``, ``answer`` or ``nothing``.
+    trial : Trial or None
+        The trial that is on.
+    onset : float
+        When its stimulus began, by `time.perf_counter` [s].
+    """
+
+    wants: typing.Literal["go_on", "answer", "nothing"] = "nothing"
+    trial: Trial | None = None
+    onset: float = 0.0
+
+
+class Sitter(typing.Protocol):
+    """Someone in front of the window who is not flesh and blood: `robot.Robot`, or nobody."""
+
+    def see(self, moment: Moment, shown: float) -> None:
+        """Take in what is on the screen since `shown` [s]."""
+
+    def act(self, now: float, type_key: Callable[..., None]) -> None:
+        """Do what is due."""
+
+
+class Nobody:
+    """No robot: a person answers."""
+
+    def see(self, moment: Moment, shown: float) -> None:
+        """Do nothing."""
+
+    def act(self, now: float, type_key: Callable[..., None]) -> None:
+        """Do nothing."""
+
+
+class Stage:
+    """One display, the picture on it, and the events to be read.
+
+    Parameters
+    ----------
+    display : Display
+        The window.
+    tick : callable
+        Called at every poll; may raise.
+    log : callable
+        Takes the window's events for the record.
+    screenshots : Path, optional
+        Folder for one PNG of each kind of picture.
+    sitter : Sitter
+        A robot, or nobody.
+
+    Raises
+    ------
+    WindowError
+        If the folder for screenshots cannot be made.
+    """
+
+    def __init__(
+        self,
+        display: Display,
+        *,
+        tick: Callable[[], None],
+        log: Log,
+        screenshots: Path | None,
+        sitter: Sitter,
+    ) -> None:
+        self._display = display
+        self._tick = tick
+        self._log = log
+        self._screenshots = screenshots
+        self._sitter = sitter
+        self._kept: set[str] = set()
+        self._unread: deque[Event] = deque()
+        self._unwritten: list[tuple[str, dict[str, Any]]] = []
+        self._picture: Picture | None = None
+        self._shown = 0.0
+        self._is_stale = False
+        self._last_poll = time.perf_counter()
+        self.poll_gap = 0.0
+        """Time between the last two polls: the longest an event of the last one can have waited [s]."""
+        if screenshots is not None:
+            try:
+                screenshots.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise WindowError(
+                    f"the folder {screenshots} for screenshots cannot be made ({error}); give another one"
+                ) from error
+
+    def prepare(self, picture: Picture) -> None:
+        """Make a picture ready to be shown quickly."""
+        self._display.prepare(picture)
+
+    def show(self, picture: Picture, moment: Moment | None = None) -> float:
+        """Show a picture unless it is on already, and return since when it is on [s]."""
+        if picture != self._picture:
+            self._shown = self._display.show(picture, self._screenshot(picture))
+            self._picture = picture
+            self._is_stale = False
+        if moment is not None:
+            self._sitter.see(moment, self._shown)
+        return self._shown
+
+    def poll(self) -> list[Event]:
+        """Tick, and return what happened since the last poll; rests a millisecond if that is nothing."""
+        self._tick()
+        self._sitter.act(time.perf_counter(), self._display.type_key)
+        events = self.poll_quietly()
+        self._refresh()
+        if not events:
+            time.sleep(POLL_INTERVAL)
+        return events
+
+    def poll_quietly(self) -> list[Event]:
+        """Return what happened since the last poll, without a tick, so that nothing can raise."""
+        events = self._display.poll()
+        self.poll_gap, self._last_poll = time.perf_counter() - self._last_poll, time.perf_counter()
+        self._is_stale = self._is_stale or any(event.kind == "expose" for event in events)
+        unread = list(self._unread)
+        self._unread.clear()
+        return [*unread, *(event for event in events if event.kind != "expose")]
+
+    def put_back(self, events: list[Event]) -> None:
+        """Leave events to be returned by the next poll."""
+        self._unread.extend(events)
+
+    def note(self, event: str, **facts: Any) -> None:
+        """Write an event into the record now."""
+        self._log(event, **facts)
+
+    def note_later(self, event: str, **facts: Any) -> None:
+        """Keep an event until `write_notes`, for the moment when nothing may raise."""
+        self._unwritten.append((event, facts))
+
+    def write_notes(self) -> None:
+        """Write the events that were kept."""
+        notes, self._unwritten = self._unwritten, []
+        for event, facts in notes:
+            self._log(event, **facts)
+
+    def _refresh(self) -> None:
+        """Draw again what another window has covered."""
+        if (
+            self._is_stale
+            and self._picture is not None
+            and time.perf_counter() - self._shown > _REDRAW_INTERVAL
+        ):
+            self._display.show(self._picture)
+            self._is_stale = False
+
+    def _screenshot(self, picture: Picture) -> Path | None:
+        """Return the file for the first screenshot of this kind of picture."""
+        if self._screenshots is None or picture.name in self._kept:
+            return None
+        self._kept.add(picture.name)
+        return self._screenshots / f"{picture.name}.png"
