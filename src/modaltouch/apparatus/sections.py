@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import Field
 
 from modaltouch.document.section import (
+    SMALLEST,
     FileName,
     Label,
     NotNegative,
@@ -59,7 +60,7 @@ class Mode(Section):
         "Number of the mode: 1 rigid translation, 2 rigid rotation, k from 3 on the bending mode k - 2."
     )
     natural_frequency_Hz: Positive = described("Natural frequency [Hz].")  # noqa: N815
-    damping_ratio: Annotated[float, Field(strict=True, gt=0, lt=1, allow_inf_nan=False)] = described(
+    damping_ratio: Annotated[float, Field(strict=True, ge=SMALLEST, lt=1, allow_inf_nan=False)] = described(
         "Damping ratio [1]."
     )
     gain_mm_s2_per_V: dict[Word, Number] = described(  # noqa: N815

@@ -9,6 +9,8 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from modaltouch.document.section import LARGEST, SMALLEST
+
 Step = str | int
 
 
@@ -105,6 +107,10 @@ def _list_in_words(root: dict[str, Any], schema: dict[str, Any]) -> str:
 
 
 def _bounds(schema: dict[str, Any]) -> str:
+    # The bounds against overflow are no news to anyone who reads a message.
+    schema = {key: value for key, value in schema.items() if value not in (LARGEST, -LARGEST)}
+    if schema.get("minimum") == SMALLEST:
+        schema = {**schema, "minimum": None, "exclusiveMinimum": 0}
     words = [
         f"{word} {schema[key]:g}"
         for key, word in (
@@ -113,7 +119,7 @@ def _bounds(schema: dict[str, Any]) -> str:
             ("exclusiveMaximum", "below"),
             ("maximum", "at most"),
         )
-        if key in schema
+        if schema.get(key) is not None
     ]
     if schema.get("multipleOf") == 2:
         words.append("even")

@@ -43,9 +43,12 @@ def _word(value: object) -> object:
     return value
 
 
-Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
-Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
-NotNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
+SMALLEST, LARGEST = 1e-9, 1e12
+"""Beyond these no quantity of this experiment lies in any of its units; within them nothing overflows."""
+
+Number = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-LARGEST, le=LARGEST)]
+Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=SMALLEST, le=LARGEST)]
+NotNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=LARGEST)]
 Count = Annotated[int, Field(strict=True, ge=1)]
 Label = Annotated[int, Field(strict=True, ge=1, le=1000)]
 Text = Annotated[str, BeforeValidator(_word)]

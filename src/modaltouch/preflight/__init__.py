@@ -1,0 +1,12 @@
+"""Everything that can fail before the participant sits down: files, limits, predicted speeds; no hardware.
+
+``ground``   the sound parts of the files that a stimulus needs
+``limits``   amplifier, generator and safety limits at every level
+``faults``   what the stimulus engine refuses, with its place in the files
+``figures``  what each level does to the beam
+``examine``  the whole check
+"""
+
+from modaltouch.preflight.examine import Preflight, examine
+
+__all__ = ["Preflight", "examine"]

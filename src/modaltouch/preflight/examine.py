@@ -1,0 +1,220 @@
+"""The whole check of a protocol, without any hardware."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from modaltouch.document import InputError, Problem
+from modaltouch.preflight.faults import locate
+from modaltouch.preflight.figures import (
+    contrasts,
+    estimated_duration,
+    stimulus_figures,
+    warnings,
+    zone_centres,
+)
+from modaltouch.preflight.ground import Ground, design, find_ground
+from modaltouch.preflight.limits import check_levels, fits_generator
+from modaltouch.protocol import Experiment, Findings, Protocol, examine_files
+from modaltouch.schedule import draw_schedule
+from modaltouch.stimulus.design import Stimulus
+from modaltouch.stimulus.drive import Law
+from modaltouch.trial import Trial
+
+
+@dataclass(frozen=True, eq=False)
+class Preflight:
+    """A protocol, examined.
+
+    Attributes
+    ----------
+    findings : Findings
+        The files and what they hold.
+    problems : tuple of Problem
+        Every fault, of the files and of the physics; empty when the session may run.
+    ground : Ground or None
+        What the stimulus was designed from; None where the files do not say it.
+    designed : Stimulus or None
+        The stimulus of all levels; None where there is none.
+    """
+
+    findings: Findings
+    problems: tuple[Problem, ...]
+    ground: Ground | None
+    designed: Stimulus | None
+
+    @property
+    def experiment(self) -> Experiment:
+        """The files' contents.
+
+        Raises
+        ------
+        InputError
+            If anything is wrong with them.
+        """
+        if self.problems:
+            raise InputError(self.problems)
+        return self.findings.experiment()
+
+    @property
+    def stimulus(self) -> Stimulus:
+        """The stimulus of all levels.
+
+        Raises
+        ------
+        InputError
+            If anything is wrong with the protocol.
+        """
+        return self._sound[1]
+
+    @property
+    def _sound(self) -> tuple[Ground, Stimulus]:
+        if self.problems or self.ground is None or self.designed is None:
+            raise InputError(self.problems)
+        return self.ground, self.designed
+
+    def speeds(self, trial: Trial) -> tuple[float, float]:
+        """Return the predicted peak speeds at the centres of the zones under the left and right finger [m/s].
+
+        Parameters
+        ----------
+        trial : Trial
+            What is presented.
+        """
+        ground, stimulus = self._sound
+        peaks = stimulus.peak_velocity(zone_centres(ground), trial.condition.velocity_mm_s * 1e-3)
+        by_zone = dict(zip(ground.zones, peaks.tolist(), strict=True))
+        return by_zone[trial.condition.zone_left], by_zone[trial.condition.zone_right]
+
+    @cached_property
+    def stimuli(self) -> list[dict[str, Any]]:
+        """What each level does to the beam, in the protocol's order; empty where anything is wrong."""
+        if self.problems:
+            return []
+        ground, stimulus = self._sound
+        return [stimulus_figures(ground, stimulus, level) for level in ground.levels.values()]
+
+    def comparison(self) -> list[dict[str, Any]]:
+        """Return what the other drive law would do on the same rig, level by level."""
+        if self.problems:
+            return []
+        ground, stimulus = self._sound
+        other: Law = "paper" if stimulus.law == "exact" else "exact"
+        compared = design(ground, law=other)
+        return [stimulus_figures(ground, compared, level) for level in ground.levels.values()]
+
+    def as_dict(self, *, compare: bool = False) -> dict[str, Any]:
+        """Return everything as plain values, as ``modaltouch check --json`` prints it.
+
+        Parameters
+        ----------
+        compare : bool
+            Whether the other drive law is shown too.
+        """
+        reading = self.findings.protocol
+        values: dict[str, Any] = {
+            "protocol": reading.sound("protocol") if reading else None,
+            "title": reading.sound("title") if reading else None,
+            "file": str(reading.source.path) if reading else None,
+            "apparatus": self._apparatus_name(),
+            "n_trials": None,
+            "n_practice_trials": None,
+            "estimated_duration_min": None,
+            "problems": [problem.as_dict() for problem in self.problems],
+            "warnings": [],
+            "stimuli": self.stimuli,
+            "contrasts": [],
+            "unknown_gains": [],
+            "assumed_gains": [],
+        }
+        if reading is not None and reading.value is not None:
+            values |= _design_figures(reading.value)
+        if self.problems:
+            return values
+        ground, stimulus = self._sound
+        protocol, apparatus = self.experiment.protocol, ground.apparatus
+        values |= {
+            "warnings": warnings(ground, stimulus, self.stimuli),
+            "contrasts": contrasts(protocol, self.stimuli[-1]["zone_peak_mm_s"]),
+            "unknown_gains": [{"mode": label, "set": name} for label, name in apparatus.unknown_gains()],
+            "assumed_gains": [{"mode": label, "set": name} for label, name in apparatus.assumed_gains()],
+        }
+        return values | ({"comparison": self.comparison()} if compare else {})
+
+    def _apparatus_name(self) -> str | None:
+        reading = self.findings.apparatus
+        name: str | None = reading.sound("apparatus") if reading else None
+        return name
+
+
+def examine(path: Path | str) -> Preflight:
+    """Return the whole check of a protocol: files, limits, predictions; no hardware is touched.
+
+    Parameters
+    ----------
+    path : path
+        The protocol file.
+
+    Returns
+    -------
+    Preflight
+        With every fault in its `problems`; nothing is raised for a faulty file.
+    """
+    return examine_findings(examine_files(Path(path)))
+
+
+def examine_findings(findings: Findings) -> Preflight:
+    """Return the whole check of files that have been read.
+
+    Parameters
+    ----------
+    findings : Findings
+        The files and what is wrong with them.
+    """
+    problems = list(findings.problems)
+    ground, stimulus = find_ground(findings), None
+    if ground is not None and findings.protocol is not None:
+        try:
+            with np.errstate(all="ignore"):
+                stimulus = _design_to_fit(ground)
+                problems += check_levels(ground, stimulus, findings.protocol)
+        except (ValueError, ArithmeticError) as error:
+            problems.append(locate(error, findings))
+    if findings.protocol is not None and findings.protocol.value is not None:
+        problems += _check_schedule(findings)
+    return Preflight(findings, tuple(sorted(set(problems))), ground, stimulus)
+
+
+def _design_to_fit(ground: Ground) -> Stimulus:
+    """Return the stimulus, without the 5 % of full scale for the amplitude grid where they do not fit."""
+    stimulus = design(ground)
+    within = float(stimulus.peak_voltage.max()) <= ground.apparatus.amplifier.limit_V
+    if within and not fits_generator(ground, stimulus):
+        return design(ground, on_grid=False)
+    return stimulus
+
+
+def _check_schedule(findings: Findings) -> list[Problem]:
+    """Return why no order can be drawn, if none can."""
+    reading = findings.protocol
+    if reading is None or reading.value is None or findings.problems:
+        return []
+    try:
+        draw_schedule(reading.value, "p01", 0)
+    except ValueError as error:
+        path = ("schedule", "max_same_pair_running")
+        return [reading.problem(path, f"a limit that cannot be kept, {error}", "")]
+    return []
+
+
+def _design_figures(protocol: Protocol) -> dict[str, Any]:
+    return {
+        "n_trials": protocol.n_trials,
+        "n_practice_trials": protocol.schedule.practice_trials,
+        "estimated_duration_min": estimated_duration(protocol),
+    }

@@ -1,0 +1,160 @@
+"""What each level does to the beam, as plain values in the units of their keys."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from modaltouch.preflight.ground import Ground
+from modaltouch.preflight.limits import peak_drive
+from modaltouch.protocol import Protocol
+from modaltouch.stimulus.design import Stimulus
+
+ANSWER_S, PLACEMENT_S, BREAK_S, INSTRUCTIONS_S = 1.5, 5.0, 30.0, 90.0
+"""Guesses that go into the estimated duration: answering, moving the fingers, a break, the instructions [s]."""
+
+
+def stimulus_figures(ground: Ground, stimulus: Stimulus, level: float) -> dict[str, Any]:
+    """Return what a level does to the beam, of the rounded codes as the generator plays them.
+
+    Parameters
+    ----------
+    ground : Ground
+        What the stimulus was designed from.
+    stimulus : Stimulus
+        The stimulus of all levels.
+    level : float
+        Peak velocity at the focus [mm/s].
+    """
+    velocity = level * 1e-3
+    labels = [str(label) for label in stimulus.model.label]
+    reached, displacement = stimulus.achieved(velocity)
+    centres = zone_centres(ground)
+    at_focus = stimulus.velocity_at_focus(centres, velocity)
+    peaks = stimulus.peak_velocity(centres, velocity)
+    channels = [str(number + 1) for number in range(len(stimulus.burst.amplitude))]
+    return {
+        "velocity_mm_s": level,
+        "focus": ground.section.focus,
+        "law": stimulus.law,
+        "release": stimulus.release,
+        "selected_modes": [int(label) for label in stimulus.selected],
+        "target_mm_s": _by(labels, stimulus.target * velocity / stimulus.wish.velocity * 1e3),
+        "achieved_mm_s": _by(labels, reached * 1e3),
+        "achieved_displacement_mm_s": _by(labels, displacement * 1e3),
+        "worst_modal_error_mm_s": finite(stimulus.worst_modal_error(velocity) * 1e3),
+        "peak_drive_V": _by(channels, peak_drive(stimulus, velocity)),
+        "amplitude_Vpp": _by(channels, stimulus.burst.amplitude_for(velocity)),
+        "n_samples": ground.section.n_samples,
+        "sampling_rate_Hz": finite(stimulus.timing.sampling_rate),
+        "fwhm_mm": finite(stimulus.fwhm * 1e3),
+        "width_80_mm": finite(stimulus.width_80 * 1e3),
+        "reconstruction_error": finite(stimulus.reconstruction_error),
+        "condition_number": finite(stimulus.condition_number),
+        "zone_at_focus_mm_s": _by(ground.zones, at_focus * 1e3),
+        "zone_peak_mm_s": _by(ground.zones, peaks * 1e3),
+    }
+
+
+def contrasts(protocol: Protocol, zone_peak: dict[str, float]) -> list[dict[str, Any]]:
+    """Return for each pair the speeds at its zones and how many times the faster is the slower.
+
+    Parameters
+    ----------
+    protocol : Protocol
+        The design.
+    zone_peak : dict of str to float
+        Largest speed at the centre of each zone [mm/s].
+    """
+    rows = []
+    for left, right in protocol.conditions.zone_pairs:
+        slower, faster = sorted((zone_peak[left], zone_peak[right]))
+        rows.append(
+            {
+                "zone_left": left,
+                "zone_right": right,
+                "left_mm_s": zone_peak[left],
+                "right_mm_s": zone_peak[right],
+                "contrast": finite(faster / slower) if slower else None,
+            }
+        )
+    return rows
+
+
+def zone_centres(ground: Ground) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Return the centres of the zones from left to right, (n_zones,) array [m]."""
+    return np.array([zone.centre_mm for zone in ground.zones.values()]) * 1e-3
+
+
+def estimated_duration(protocol: Protocol) -> float:
+    """Return about how long a session takes, answers, finger placements and breaks guessed [min].
+
+    Parameters
+    ----------
+    protocol : Protocol
+        The design.
+    """
+    answers, schedule = protocol.answers, protocol.schedule
+    n_trials = protocol.n_trials + schedule.practice_trials
+    before_question = answers.question_delay_s
+    if answers.stimulus_until == "question":
+        before_question = max(before_question, answers.presentation_s)
+    # The fingers move wherever the pair differs from the one before.
+    n_pairs = len(protocol.conditions.zone_pairs)
+    n_placements = 1 + (n_trials - 1) * (1 - 1 / n_pairs)
+    n_breaks = (protocol.n_trials - 1) // schedule.break_after_trials if schedule.break_after_trials else 0
+    seconds = (
+        n_trials * (before_question + ANSWER_S + answers.pause_s)
+        + n_placements * PLACEMENT_S
+        + n_breaks * BREAK_S
+        + INSTRUCTIONS_S
+    )
+    return round(seconds / 60, 1)
+
+
+def warnings(ground: Ground, stimulus: Stimulus, figures: list[dict[str, Any]]) -> list[str]:
+    """Return what a lab should know and the rig does not refuse.
+
+    Parameters
+    ----------
+    ground : Ground
+        What the stimulus was designed from.
+    stimulus : Stimulus
+        The stimulus of all levels.
+    figures : list of dict
+        As `stimulus_figures` returns them, one to each level.
+    """
+    said = []
+    clocks = stimulus.timing.duration * stimulus.timing.clock_rate / stimulus.timing.n_samples
+    if not math.isclose(clocks, round(clocks), rel_tol=1e-9):
+        said.append(
+            f"{stimulus.timing.n_samples} samples are held {clocks:.2f} clocks each, so their edges jitter; "
+            f"125000 samples in 50 ms are held exactly 100"
+        )
+    highest = float(stimulus.model.natural_frequency.max())
+    if stimulus.timing.sampling_rate < 2.5 * highest:
+        per_cycle = stimulus.timing.sampling_rate / highest
+        said.append(f"{per_cycle:.2g} samples to a cycle of the {highest:g} Hz mode; at least 2.5 are advised")
+    if ground.apparatus.assumed_gains():
+        modes = ", ".join(f"{label} ({name})" for label, name in ground.apparatus.assumed_gains())
+        said.append(f"the gains of these modes are assumed, not measured: {modes}")
+    if stimulus.condition_number > 1e6:
+        said.append(f"the condition number is {stimulus.condition_number:.1e}: two modes are nearly alike")
+    worst = max(figures, key=lambda each: each["worst_modal_error_mm_s"] / each["velocity_mm_s"], default=None)
+    if worst and worst["worst_modal_error_mm_s"] > 1e-3 * worst["velocity_mm_s"]:
+        said.append(
+            f"at {worst['velocity_mm_s']:g} mm/s the law `{stimulus.law}` misses a mode by "
+            f"{worst['worst_modal_error_mm_s']:.2g} mm/s on the identified beam"
+        )
+    return said
+
+
+def finite(value: float) -> float | None:
+    """Return a number for JSON, or None where it is not finite."""
+    return float(value) if math.isfinite(value) else None
+
+
+def _by(names: Any, values: Any) -> dict[str, float | None]:
+    return {name: finite(float(value)) for name, value in zip(names, values, strict=True)}

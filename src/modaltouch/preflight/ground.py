@@ -1,0 +1,134 @@
+"""The sound parts of the files that a stimulus needs, whatever is wrong with the rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from modaltouch.apparatus import Apparatus, Zone
+from modaltouch.document import Problem
+from modaltouch.protocol import Findings, StimulusSection
+from modaltouch.stimulus.design import Stimulus, Timing, Wish, design_stimulus
+from modaltouch.stimulus.drive import Law
+
+_NEEDED = ("stimulus", "beam", "actuator_sets", "modes", "amplifier", "generator")
+
+_FALLBACK_LEVEL = 100.0
+"""Level of the design where the protocol has none that is sound [mm/s]; everything is linear in it."""
+
+
+@dataclass(frozen=True)
+class Ground:
+    """What a stimulus is designed from.
+
+    Attributes
+    ----------
+    section : StimulusSection
+        The burst.
+    apparatus : Apparatus
+        Its parts; those a stimulus does not need may be missing.
+    centre_mm : float
+        Centre of the focus zone [mm].
+    levels : dict of int to float
+        Sound peak velocities by their place in the protocol [mm/s].
+    velocity_limit : float
+        Safety limit [mm/s]; infinite where it is not sound.
+    """
+
+    section: StimulusSection
+    apparatus: Apparatus
+    centre_mm: float
+    levels: dict[int, float]
+    velocity_limit: float
+
+    @property
+    def reference(self) -> float:
+        """Highest level within the safety limit, for which the codes fill the generator's range [mm/s]."""
+        allowed = [level for level in self.levels.values() if level <= self.velocity_limit]
+        return max(allowed, default=min(self.levels.values(), default=_FALLBACK_LEVEL))
+
+    @property
+    def zones(self) -> dict[str, Zone]:
+        """Zones by name, from left to right."""
+        return {name: self.apparatus.zones[name] for name in self.apparatus.zone_order()}
+
+
+def find_ground(findings: Findings) -> Ground | None:
+    """Return what a stimulus is designed from, or None where the files do not say it.
+
+    Parameters
+    ----------
+    findings : Findings
+        The files and what is wrong with them.
+    """
+    protocol, apparatus = findings.protocol, findings.apparatus
+    if protocol is None or apparatus is None:
+        return None
+    # Faults of a single key are told apart below; faults between keys are blamed on the section.
+    between = set(findings.problems) - set(protocol.problems) - set(apparatus.problems)
+    if any(_section(problem) in _NEEDED for problem in between):
+        return None
+    section = protocol.salvage("stimulus")
+    parts = {name: apparatus.salvage(name) for name in _NEEDED if name != "stimulus"}
+    if section is None or any(part is None for part in parts.values()):
+        return None
+    zones = dict(apparatus.items("zones"))
+    if section.focus not in zones:
+        return None
+    limit = apparatus.sound("safety", "velocity_limit_mm_s")
+    return Ground(
+        section=section,
+        apparatus=Apparatus.model_construct(apparatus="", zones=zones, **parts),
+        centre_mm=zones[section.focus].centre_mm,
+        levels=dict(protocol.items("conditions", "peak_velocities_mm_s")),
+        velocity_limit=float("inf") if limit is None else limit,
+    )
+
+
+def design(ground: Ground, *, law: Law | None = None, on_grid: bool = True) -> Stimulus:
+    """Return the stimulus of a protocol.
+
+    Parameters
+    ----------
+    ground : Ground
+        What it is designed from.
+    law : str, optional
+        Drive law; the protocol's own if not given.
+    on_grid : bool
+        Whether all levels shall lie on the generator's amplitude grid, for which the full scale may pass the
+        peak by 5 %; otherwise the full scale is the peak.
+
+    Raises
+    ------
+    ValueError
+        If the engine refuses it.
+    """
+    section, reference = ground.section, ground.reference
+    levels = tuple(sorted({level for level in ground.levels.values() if level <= reference})) or (reference,)
+    wish = Wish(
+        shape=section.field.shape,
+        base=section.field.base_mm * 1e-3,
+        centre=ground.centre_mm * 1e-3,
+        velocity=reference * 1e-3,
+        n_decomposed=section.decomposed_modes,
+        selection=section.selected_modes,
+    )
+    timing = Timing(
+        n_samples=section.n_samples,
+        duration=section.duration_ms * 1e-3,
+        focusing_instant=section.focusing_instant_ms * 1e-3,
+        repetition_rate=section.repetition_rate_Hz,
+    )
+    return design_stimulus(
+        ground.apparatus.modal_model(),
+        wish,
+        timing,
+        ground.apparatus.amplifier_values(),
+        law=law or section.law,
+        release=section.release,
+        levels=tuple(level * 1e-3 for level in levels) if on_grid else None,
+        load_factor=ground.apparatus.generator.load_factor,
+    )
+
+
+def _section(problem: Problem) -> str:
+    return problem.path.split(".")[0].split("[")[0]
