@@ -101,7 +101,9 @@ def present(sitting: Sitting, trial: Trial) -> tuple[Response, Firing, RigError 
         try:
             response = sitting.window.ask(trial, progress, onset=firing.onset, stop=stop)
         except TrialInterrupted as cut:
-            sitting.log.append("trial_cut", trial=trial.as_dict(), reason=cut.reason, confirmed=firing.as_dict())
+            sitting.log.append(
+                "trial_cut", trial=trial.as_dict(), reason=cut.reason, confirmed=firing.as_dict()
+            )
         else:
             return response, firing, faults[0] if faults else None
         finally:

@@ -100,3 +100,29 @@ def find_log(session: Path) -> Path:
         listed = "".join(f"\n  {log.parent}" for log in logs[:10])
         raise RecordError(f"{session}: holds {len(logs)} sessions, exactly one is needed; name it{listed}")
     return logs[0]
+
+
+def locate(log: Path, mode: str, protocol: str) -> SessionFolder:
+    """Return the place of a session from the path of its log.
+
+    Raises
+    ------
+    RecordError
+        If the log does not lie where sessions lie.
+    """
+    folder = log.resolve().parent
+    session, participant = folder.parent.name, folder.parent.parent.name
+    dataset = folder.parent.parent.parent
+    results = dataset.parent if mode == "real" else dataset.parent.parent
+    named = re.fullmatch(r"ses-([1-9]\d*)", session), re.fullmatch(r"sub-(\w+)", participant)
+    if mode not in ("real", "pilot", "simulated") or not all(named):
+        raise RecordError(
+            f"{log}: does not lie in a folder sub-<id>/ses-<n>/beh; put it back there"
+        )
+    place = SessionFolder(results, mode, protocol, participant[4:], int(session[4:]))  # type: ignore[arg-type]
+    if place.log != log.resolve():
+        raise RecordError(
+            f"{log}: is a {mode} session of the protocol {protocol} and belongs in {place.folder}; "
+            "put it back there"
+        )
+    return place

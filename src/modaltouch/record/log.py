@@ -198,7 +198,7 @@ class Session:
     def complete(self) -> bool:
         """Whether every scheduled trial is answered (practice not counted)."""
         done = {index for practice, index in self.answered if not practice}
-        return bool(self.start) and done >= {trial["index"] for trial in self.start["schedule"]["trials"]}
+        return bool(self.start) and done >= set(range(1, self.start["schedule"]["n_trials"] + 1))
 
 
 def read_session(path: Path) -> Session:

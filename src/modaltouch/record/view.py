@@ -80,16 +80,20 @@ def write_view(place: SessionFolder, session: Session, head: dict[str, Any]) -> 
     RecordError
         If a file cannot be written; the files before it stay valid.
     """
-    rows = [_row(event) for event in session.trials]
-    lines = ["\t".join(COLUMNS), *("\t".join(row) for row in rows)]
     side = {
         "TaskName": place.protocol,
         **COLUMNS,
         "Mode": session.mode,
         "SessionLog": {"File": LOG_NAME, **head},
     }
-    replace_file(place.table, "\n".join(lines) + "\n")
+    replace_file(place.table, table_text(session))
     replace_file(place.table.with_suffix(".json"), json.dumps(side, indent=2, ensure_ascii=False) + "\n")
+
+
+def table_text(session: Session) -> str:
+    """Return the BIDS table of a session: one row for each answer that counts."""
+    rows = [_row(event) for event in session.trials]
+    return "\n".join(["\t".join(COLUMNS), *("\t".join(row) for row in rows)]) + "\n"
 
 
 def write_dataset(place: SessionFolder, title: str) -> None:

@@ -1,0 +1,48 @@
+"""``modaltouch analyse``: tables, bars, statistics and the report."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from modaltouch.cli.faults import print_json, reporting
+
+
+def analyse(
+    source: Annotated[
+        Path,
+        typer.Argument(
+            help="A results folder, or a CSV with the columns participant, finger_condition, zone_left, zone_right, "
+            "velocity_mm_s, response.",
+            show_default=False,
+        ),
+    ],
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for what is written.", show_default="analysis/ beside the data")
+    ] = None,
+    mode: Annotated[
+        str | None, typer.Option(help="Which sessions of a results folder: real, pilot or simulated.")
+    ] = None,
+    json_output: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
+) -> None:
+    """Write the tables and bars of Fig. 10 and Fig. 11, exact statistics, and an HTML report."""
+    from modaltouch.analysis.analyse import analyse as run_analysis
+
+    with reporting(json_output=json_output):
+        analysis = run_analysis(source, out, mode=mode)
+        if json_output:
+            print_json(analysis.as_dict())
+        else:
+            tell(analysis)
+
+
+def tell(analysis: Any) -> None:
+    """Print what an analysis found and where it is."""
+    values = analysis.as_dict()
+    print(f"{values['n_responses']} answers of {values['n_participants']} participants")
+    for left_out in values["left_out"]:
+        typer.secho(f"left out: {left_out}", err=True, fg=typer.colors.YELLOW)
+    for name, path in values["files"].items():
+        print(f"{name:12} {path}")

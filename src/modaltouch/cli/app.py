@@ -1,0 +1,46 @@
+"""The ``modaltouch`` command and its sub-commands."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from modaltouch import __version__
+from modaltouch.cli import analysing, checking, looking, rigs, running
+
+app = typer.Typer(
+    name="modaltouch",
+    help=(
+        "Run a psychophysics experiment on a vibrating beam, from a YAML protocol to the statistics of the paper.\n\n"
+        "First time: `modaltouch demo`. Then `modaltouch check PROTOCOL`, `modaltouch run PROTOCOL -p p01`, "
+        "`modaltouch analyse results`.\n\n"
+        "Exit status: 0 done; 2 bad input, with its place; 3 rig or window failed, outputs are off; "
+        "4 a record is damaged or would be overwritten; 130 interrupted, outputs are off, data kept."
+    ),
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+@app.callback()
+def version(
+    show: Annotated[bool, typer.Option("--version", help="Print the version and end.", is_eager=True)] = False,
+) -> None:
+    """Print the version where it is asked for."""
+    if show:
+        print(__version__)
+        raise typer.Exit
+
+
+app.command("demo")(running.demo)
+app.command("check")(checking.check)
+app.command("run")(running.run)
+app.command("resume")(running.resume)
+app.command("simulate")(running.simulate)
+app.command("analyse")(analysing.analyse)
+app.command("verify")(looking.verify)
+app.command("doctor")(looking.doctor)
+app.add_typer(rigs.app, name="rig")

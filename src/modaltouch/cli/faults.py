@@ -1,0 +1,78 @@
+"""How a failure leaves the program: words on standard error, an exit status, never a traceback."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, NoReturn
+
+import typer
+
+DONE = 0
+BAD_INPUT = 2
+RIG_FAILED = 3
+RECORD_AT_RISK = 4
+INTERRUPTED = 130
+
+
+@contextmanager
+def reporting(*, json_output: bool = False) -> Iterator[None]:
+    """Turn every failure a user may meet into its message and exit status.
+
+    Parameters
+    ----------
+    json_output : bool
+        Whether standard output carries one JSON object, also on failure.
+    """
+    try:
+        yield
+    except (typer.Exit, typer.Abort):
+        raise
+    except KeyboardInterrupt:
+        leave(
+            INTERRUPTED, "interrupted; outputs are off and everything answered is kept", json_output=json_output
+        )
+    except BaseException as error:
+        status, problems = explain(error)
+        if status is None:
+            raise
+        leave(status, str(error) or type(error).__name__, problems, json_output=json_output)
+
+
+def explain(error: BaseException) -> tuple[int | None, list[dict[str, Any]]]:
+    """Return the exit status of an error and its problems one by one; no status for a programming error."""
+    # By name of the modules already loaded: a failure must not import PyVISA or pandas to be told.
+    from modaltouch.document import InputError
+
+    if isinstance(error, InputError):
+        return BAD_INPUT, [problem.as_dict() for problem in error.problems]
+    statuses = {
+        ("modaltouch.rig.interface", "RigError"): RIG_FAILED,
+        ("modaltouch.window.interface", "WindowError"): RIG_FAILED,
+        ("modaltouch.record.chain", "RecordError"): RECORD_AT_RISK,
+        ("modaltouch.window.interface", "SessionStopped"): INTERRUPTED,
+        ("modaltouch.interruption", "Interrupted"): INTERRUPTED,
+    }
+    for (module, name), status in statuses.items():
+        kind = getattr(sys.modules.get(module), name, None)
+        if kind is not None and isinstance(error, kind):
+            return status, []
+    return None, []
+
+
+def leave(
+    status: int, message: str, problems: list[dict[str, Any]] | None = None, *, json_output: bool = False
+) -> NoReturn:
+    """Print a message and end the program."""
+    if json_output:
+        print_json({"error": message, "problems": problems or []})
+    else:
+        typer.secho(message, err=True, fg=typer.colors.RED if status != INTERRUPTED else None)
+    raise typer.Exit(status)
+
+
+def print_json(values: dict[str, Any]) -> None:
+    """Print one JSON object on standard output."""
+    print(json.dumps(values, ensure_ascii=False, allow_nan=False))

@@ -1,0 +1,54 @@
+"""``modaltouch verify`` and ``modaltouch doctor``: look, and change nothing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from modaltouch.cli.faults import RECORD_AT_RISK, RIG_FAILED, print_json, reporting
+
+MARKS = {"ok": ("ok", "green"), "warning": ("warning", "yellow"), "fault": ("FAULT", "red")}
+
+
+def verify(
+    session: Annotated[
+        Path, typer.Argument(help="A session's folder or its session.jsonl.", show_default=False)
+    ],
+    json_output: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
+) -> None:
+    """Check a session's record: its chain of lines, its order, its drive and its BIDS view, all recomputed."""
+    from modaltouch.verification import verify_session
+
+    with reporting(json_output=json_output):
+        verdict = verify_session(session)
+        if json_output:
+            print_json(verdict.as_dict())
+        else:
+            for line in verdict.lines:
+                print(line)
+            for problem in verdict.problems:
+                typer.secho(problem, err=True, fg=typer.colors.RED)
+        if verdict.problems:
+            raise typer.Exit(RECORD_AT_RISK)
+
+
+def doctor(
+    results: Annotated[Path, typer.Option(help="Folder where sessions would be recorded.")] = Path("results"),
+    json_output: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
+) -> None:
+    """Look at what this machine has of what a session needs, and say what to do about the rest."""
+    from modaltouch.doctor import examine_machine
+
+    with reporting(json_output=json_output):
+        findings = examine_machine(results)
+        if json_output:
+            print_json({"findings": [finding.as_dict() for finding in findings]})
+        else:
+            for finding in findings:
+                word, colour = MARKS[finding.state]
+                remedy = f": {finding.remedy}" if finding.remedy else ""
+                print(f"{typer.style(f'{word:8}', fg=colour)} {finding.subject:16} {finding.found}{remedy}")
+        if any(finding.state == "fault" for finding in findings):
+            raise typer.Exit(RIG_FAILED)

@@ -1,0 +1,233 @@
+"""``modaltouch run``, ``resume``, ``simulate`` and ``demo``: participant sessions."""
+
+from __future__ import annotations
+
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from modaltouch.cli.checking import PROTOCOL, show
+from modaltouch.cli.faults import print_json, reporting
+
+if TYPE_CHECKING:
+    from modaltouch.record.log import Session
+
+
+class Answers(StrEnum):
+    """Who answers, and how."""
+
+    window = "window"
+    robot = "robot"
+    simulated = "simulated"
+
+
+class Theme(StrEnum):
+    """Colours of the window."""
+
+    dark = "dark"
+    light = "light"
+
+
+RIG = Annotated[
+    str, typer.Option(help="`simulated`, or the generator's VISA address, such as TCPIP::192.168.1.20::INSTR.")
+]
+ANSWERS = Annotated[
+    Answers,
+    typer.Option(
+        help="window: a person at the answer window; robot: a simulated participant at that window; "
+        "simulated: a simulated participant without one."
+    ),
+]
+SEED = Annotated[int, typer.Option(min=0, help="Seed of the study; the same for all its participants.")]
+RESULTS = Annotated[Path, typer.Option(help="Folder where sessions are recorded.")]
+FULLSCREEN = Annotated[
+    bool, typer.Option("--fullscreen/--windowed", help="Answer window over the whole screen.")
+]
+SIZE = Annotated[str, typer.Option(help="Size of the answer window in pixels, where it is not full screen.")]
+THEME = Annotated[Theme, typer.Option(help="Colours of the answer window.")]
+SCREEN = Annotated[int, typer.Option(min=0, help="Which screen shows the answer window.")]
+SCREENSHOTS = Annotated[Path | None, typer.Option(help="Folder for a picture of each kind of screen.")]
+JSON = Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")]
+
+
+def run(
+    protocol: PROTOCOL,
+    participant: Annotated[
+        str | None,
+        typer.Option("--participant", "-p", help="Participant id: letters and digits.", show_default=False),
+    ] = None,
+    session: Annotated[int, typer.Option(min=1, help="Number of the participant's session.")] = 1,
+    rig: RIG = "simulated",
+    answers: ANSWERS = Answers.window,
+    pilot: Annotated[bool, typer.Option("--pilot", help="Keep the data apart, as a pilot's.")] = False,
+    seed: SEED = 1,
+    results: RESULTS = Path("results"),
+    fullscreen: FULLSCREEN = False,
+    size: SIZE = "1280x800",
+    theme: THEME = Theme.dark,
+    screen: SCREEN = 0,
+    screenshots: SCREENSHOTS = None,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Begin without asking.")] = False,
+    json_output: JSON = False,
+) -> None:
+    """Run one participant's session, after a full check of the protocol.
+
+    Every answer is on the disk before the next trial. If anything ends the session early, the outputs are off
+    and `modaltouch resume` goes on where it stopped.
+    """
+    from modaltouch.preflight import require
+    from modaltouch.record.folders import check_participant
+
+    with reporting(json_output=json_output):
+        window_options = _window_options(fullscreen, size, theme, screen, screenshots)
+        preflight = require(protocol)
+        if participant is None:
+            participant = _ask_participant()
+        check_participant(participant)
+        if sys.stdin.isatty() and not yes and not json_output:
+            show(preflight)
+            typer.confirm("Begin?", default=True, abort=True)
+        from modaltouch.wiring import wire_run
+
+        setup = wire_run(
+            preflight,
+            participant,
+            session=session,
+            rig=rig,
+            answers=answers.value,
+            pilot=pilot,
+            seed=seed,
+            results=results,
+            window_options=window_options,
+        )
+        from modaltouch.sitting import begin
+
+        _finish(begin(setup), json_output=json_output)
+
+
+def resume(
+    session: Annotated[
+        Path, typer.Argument(help="A session's folder or its session.jsonl.", show_default=False)
+    ],
+    rig: Annotated[str | None, typer.Option(help="Another VISA address than the recorded one.")] = None,
+    answers: Annotated[
+        Answers | None, typer.Option(help="Another way of answering than the recorded one.")
+    ] = None,
+    fullscreen: FULLSCREEN = False,
+    size: SIZE = "1280x800",
+    theme: THEME = Theme.dark,
+    screen: SCREEN = 0,
+    screenshots: SCREENSHOTS = None,
+    json_output: JSON = False,
+) -> None:
+    """Go on with an interrupted session: the trials that are left, in the order they had.
+
+    Everything is taken from the record itself, so it does not matter what became of the protocol's files.
+    """
+    from modaltouch.sitting import resume as go_on
+    from modaltouch.wiring import wire_resume
+
+    with reporting(json_output=json_output):
+        setup = wire_resume(
+            session,
+            rig=rig,
+            answers=answers.value if answers else None,
+            window_options=_window_options(fullscreen, size, theme, screen, screenshots),
+        )
+        _finish(go_on(setup), json_output=json_output)
+
+
+def simulate(
+    protocol: PROTOCOL,
+    participants: Annotated[int, typer.Option("--participants", "-n", min=1, help="Size of the cohort.")] = 10,
+    seed: SEED = 1,
+    results: RESULTS = Path("results"),
+    json_output: JSON = False,
+) -> None:
+    """Run a cohort of simulated participants through the same code on the simulated rig."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from modaltouch.preflight import require
+    from modaltouch.sitting import begin
+    from modaltouch.wiring import wire_run
+
+    with reporting(json_output=json_output):
+        preflight = require(protocol)
+        sessions = []
+        with Progress(console=Console(stderr=True)) as progress:
+            task = progress.add_task("participants", total=participants)
+            for number in range(1, participants + 1):
+                setup = wire_run(
+                    preflight,
+                    f"sim{number:0{max(2, len(str(participants)))}d}",
+                    answers="simulated",
+                    seed=seed,
+                    results=results,
+                )
+                sessions.append(begin(setup))
+                progress.advance(task)
+        dataset = sessions[0].path.parents[3]
+        if json_output:
+            print_json(
+                {"sessions": [str(session.path.parent) for session in sessions], "dataset": str(dataset)}
+            )
+        else:
+            print(f"{len(sessions)} sessions in {dataset}")
+            print(f"Next: modaltouch analyse {dataset}")
+
+
+def demo(
+    results: RESULTS = Path("results"),
+    size: SIZE = "1280x800",
+    theme: THEME = Theme.dark,
+    seed: SEED = 1,
+) -> None:
+    """Run a whole short session on the simulated rig, in the real window, and report it.
+
+    A simulated participant answers by typing into the window. Without a screen a virtual one is started.
+    """
+    from modaltouch.demonstration import demonstrate
+
+    with reporting():
+        width_height = _window_options(False, size, theme, 0, None)
+        outcome = demonstrate(results, seed=seed, window_options=width_height, tell=typer.echo)
+        print(f"Session      {outcome.session}")
+        print(f"Screenshots  {outcome.screenshots}")
+        print(f"Report       {outcome.report}")
+
+
+def _window_options(
+    fullscreen: bool,  # noqa: FBT001
+    size: str,
+    theme: Theme,
+    screen: int,
+    screenshots: Path | None,
+) -> dict[str, Any]:
+    width, _, height = size.partition("x")
+    if not (width.isdecimal() and height.isdecimal() and int(width) >= 640 and int(height) >= 480):
+        raise typer.BadParameter(f"given {size!r}; allowed: WIDTHxHEIGHT in pixels, at least 640x480")
+    return {
+        "fullscreen": fullscreen,
+        "size": (int(width), int(height)),
+        "theme": theme.value,
+        "screen": screen,
+        "screenshots": screenshots,
+    }
+
+
+def _ask_participant() -> str:
+    if not sys.stdin.isatty():
+        raise typer.BadParameter("a session needs a participant id: give it with -p, for example -p p01")
+    return str(typer.prompt("Participant id (letters and digits, never a name)"))
+
+
+def _finish(session: Session, *, json_output: bool) -> None:
+    folder = session.path.parent
+    if json_output:
+        print_json({"session": str(folder), "complete": session.complete, "n_answered": len(session.trials)})
+    else:
+        print(f"Done: {sum(not t['trial']['practice'] for t in session.trials)} answers in {folder}")

@@ -1,0 +1,84 @@
+"""A whole short session for a first look: simulated rig, real window, simulated participant, report."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from modaltouch.analysis.analyse import analyse
+from modaltouch.preflight import require
+from modaltouch.record.folders import SessionFolder
+from modaltouch.sitting import begin
+from modaltouch.window.virtual_display import some_display
+from modaltouch.wiring import wire_run
+
+PARTICIPANT = "demo"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Where a demonstration left its traces.
+
+    Attributes
+    ----------
+    session : Path
+        Folder of the session's record.
+    screenshots : Path
+        Folder with a picture of each kind of screen.
+    report : Path
+        The HTML report.
+    """
+
+    session: Path
+    screenshots: Path
+    report: Path
+
+
+def shipped_protocols() -> Path:
+    """Return the folder of the protocols that come with the program."""
+    installed = Path(__file__).parent / "protocols"
+    return installed if installed.is_dir() else Path(__file__).parents[2] / "protocols"
+
+
+def demonstrate(
+    results: Path, *, seed: int, window_options: dict[str, Any], tell: Callable[[str], None]
+) -> Outcome:
+    """Run the demonstration and return where its traces are.
+
+    Parameters
+    ----------
+    results : Path
+        Folder where sessions are recorded; every demonstration is a new session in its simulated tree.
+    seed : int
+        Seed of the order and of the simulated participant.
+    window_options : dict
+        Further arguments of `modaltouch.window.open_window`.
+    tell : callable
+        Takes a sentence on what happens next.
+    """
+    preflight = require(shipped_protocols() / "demo.yaml")
+    protocol = preflight.experiment.protocol
+    number = 1
+    while SessionFolder(results, "simulated", protocol.protocol, PARTICIPANT, number).log.exists():
+        number += 1
+    place = SessionFolder(results, "simulated", protocol.protocol, PARTICIPANT, number)
+    traces = place.dataset / "derivatives" / f"sub-{PARTICIPANT}_ses-{number}"
+    screenshots = window_options["screenshots"] or traces / "screenshots"
+    options = {**window_options, "screenshots": screenshots}
+    with some_display() as display:
+        tell(f"Session {number} on {display}: a simulated participant answers in the window, about a minute.")
+        setup = wire_run(
+            preflight,
+            PARTICIPANT,
+            session=number,
+            answers="robot",
+            seed=seed,
+            results=results,
+            window_options=options,
+        )
+        session = begin(setup)
+    tell(f"{len(session.trials)} answers recorded; now the analysis.")
+    analysis = analyse(session.path.parent, traces / "analysis", mode="simulated")
+    return Outcome(session.path.parent, screenshots, Path(analysis.as_dict()["files"]["report"]))

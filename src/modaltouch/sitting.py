@@ -1,0 +1,246 @@
+"""Sets up one sitting of one participant, new or resumed: instrument, window, record; then the one loop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager, ExitStack
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from modaltouch.interruption import Interrupted, Interruption
+from modaltouch.preflight import Preflight
+from modaltouch.provenance import commit, versions
+from modaltouch.record.chain import RecordError
+from modaltouch.record.folders import SessionFolder
+from modaltouch.record.log import SCHEMA, Session, SessionLog, read_session
+from modaltouch.record.view import write_dataset, write_view
+from modaltouch.rig.interface import Rig, RigError
+from modaltouch.schedule import Schedule
+from modaltouch.session import Sitting, conduct
+from modaltouch.window.interface import AnswerWindow, SessionStopped, WindowError
+
+OpenRig = Callable[[Callable[..., None]], AbstractContextManager[Rig]]
+"""Opens the instrument for a while, given a function that takes each exchange with it."""
+
+OpenWindow = Callable[[Callable[[], None], Callable[..., None]], AnswerWindow]
+"""Opens the answer window, given the tick it must call while it waits and a function that takes its events."""
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What a sitting is made of.
+
+    Attributes
+    ----------
+    preflight : Preflight
+        The checked experiment.
+    schedule : Schedule
+        The participant's trials.
+    place : SessionFolder
+        Where it is recorded.
+    open_rig, open_window : callable
+        How the instrument and the window are opened.
+    facts : dict
+        What else the start record should say: rig, answers, seed.
+    on_progress : callable
+        Called with (answered, total) after each trial.
+    """
+
+    preflight: Preflight
+    schedule: Schedule
+    place: SessionFolder
+    open_rig: OpenRig
+    open_window: OpenWindow
+    facts: dict[str, Any] = field(default_factory=dict)
+    on_progress: Callable[[int, int], None] = lambda answered, total: None
+
+
+class Journal:
+    """Carries the events of instrument and window into the session log.
+
+    Events that come before the log exists are kept until it does. What is said to the instrument is gathered
+    and written in one line a step: an fsync for each command would cost more than the command.
+    """
+
+    def __init__(self) -> None:
+        self._log: SessionLog | None = None
+        self._early: list[tuple[str, dict[str, Any]]] = []
+        self._exchanges: list[dict[str, Any]] = []
+
+    def open(self, log: SessionLog) -> None:
+        """Write to this log from now on."""
+        self._log = log
+
+    def event(self, event: str, **facts: Any) -> None:
+        """Write an event of the window."""
+        if self._log is None:
+            self._early.append((event, facts))
+        else:
+            self._log.append(event, **facts)
+
+    def exchange(self, event: str, **facts: Any) -> None:
+        """Keep an exchange with the instrument until `flush`."""
+        self._exchanges.append({"what": event, **facts})
+
+    def flush(self) -> None:
+        """Write everything that was kept."""
+        if self._log is None:
+            return
+        early, self._early = self._early, []
+        for event, facts in early:
+            self._log.append(event, **facts)
+        if self._exchanges:
+            exchanges, self._exchanges = self._exchanges, []
+            self._log.append("rig", exchanges=exchanges)
+
+
+def begin(setup: Setup) -> Session:
+    """Run a new session and return it as recorded.
+
+    Raises
+    ------
+    RecordError
+        If the session exists already or cannot be written.
+    RigError, WindowError, SessionStopped, Interrupted
+        Whatever ended it early; outputs are off and what was answered is kept.
+    """
+    if setup.place.log.exists():
+        SessionLog.create(setup.place.log)  # raises, and says how to go on
+    return _sit(setup, lambda: SessionLog.create(setup.place.log), "start")
+
+
+def resume(setup: Setup) -> Session:
+    """Continue an interrupted session with the trials that are left, in the order they had.
+
+    Raises
+    ------
+    RecordError
+        If the record is damaged or in use, or this program would draw another order than the recorded one.
+    RigError, WindowError, SessionStopped, Interrupted
+        Whatever ended it early again.
+    """
+    recorded = read_session(setup.place.log).start["schedule"]
+    if recorded["order_hash"] != setup.schedule.order_hash:
+        raise RecordError(
+            f"{setup.place.log}: its order has the hash {recorded['order_hash'][:12]}, this program draws "
+            f"{setup.schedule.order_hash[:12]}; resume it with the version that began it "
+            f"({read_session(setup.place.log).start['versions']['modaltouch']})"
+        )
+    return _sit(setup, lambda: SessionLog.reopen(setup.place.log), "resume")
+
+
+def _sit(setup: Setup, open_log: Callable[[], SessionLog], first: str) -> Session:
+    journal = Journal()
+    with Interruption() as interruption, ExitStack() as stack:
+        rig = stack.enter_context(setup.open_rig(journal.exchange))
+        rig.load(setup.preflight.stimulus.burst)
+
+        def tick() -> None:
+            interruption.check()
+            rig.heartbeat()
+
+        window = stack.enter_context(setup.open_window(tick, journal.event))
+        log = stack.enter_context(open_log())
+        journal.open(log)
+        log.append(first, **_describe(setup, rig, window, first))
+        ending = {"reason": "finished"}
+        try:
+            write_dataset(setup.place, setup.preflight.experiment.protocol.title)
+            conduct(_sitting(setup, rig, window, log, journal, tick))
+        except BaseException as error:
+            ending = _ending(error)
+            raise
+        finally:
+            # Off first, then written down: nothing on disk is worth a beam that still moves.
+            rig.close()
+            _conclude(setup, log, journal, ending)
+    return read_session(setup.place.log)
+
+
+def _sitting(
+    setup: Setup,
+    rig: Rig,
+    window: AnswerWindow,
+    log: SessionLog,
+    journal: Journal,
+    tick: Callable[[], None],
+) -> Sitting:
+    done = Session(log.path, tuple(log.events), ()).answered
+    schedule = setup.schedule
+    remaining = [
+        trial for trial in (*schedule.practice, *schedule.trials) if (trial.practice, trial.index) not in done
+    ]
+    total = len(schedule.trials)
+
+    def save_view() -> None:
+        journal.flush()
+        session = Session(log.path, tuple(log.events), ())
+        write_view(setup.place, session, log.head)
+        setup.on_progress(sum(not practice for practice, _ in session.answered), total)
+
+    save_view()
+    return Sitting(
+        protocol=setup.preflight.experiment.protocol,
+        trials=tuple(remaining),
+        total=total,
+        speeds=setup.preflight.speeds,
+        rig=rig,
+        window=window,
+        log=log,
+        save_view=save_view,
+        tick=tick,
+    )
+
+
+def _describe(setup: Setup, rig: Rig, window: AnswerWindow, first: str) -> dict[str, Any]:
+    experiment, schedule, burst = setup.preflight.experiment, setup.schedule, setup.preflight.stimulus.burst
+    about = {
+        **setup.facts,
+        "rig": {"identity": rig.identity, "address": rig.address},
+        "window": window.describe(),
+        "versions": versions(),
+        "commit": commit(),
+    }
+    if first == "resume":
+        return about
+    return {
+        "schema": SCHEMA,
+        "mode": setup.place.mode,
+        "participant": setup.place.participant,
+        "session": setup.place.session,
+        "protocol": experiment.protocol.protocol,
+        "apparatus": experiment.apparatus.apparatus,
+        "language": experiment.texts.language,
+        "sources": experiment.sources.as_dict(),
+        "schedule": schedule.as_dict(),
+        "stimulus": {
+            "content_hash": burst.content_hash,
+            "velocity_mm_s": burst.velocity * 1e3,
+            "amplitude_Vpp": list(burst.amplitude),
+            "stimuli": setup.preflight.as_dict()["stimuli"],
+        },
+        **about,
+    }
+
+
+def _ending(error: BaseException) -> dict[str, str]:
+    if isinstance(error, SessionStopped):
+        return {"reason": error.reason}
+    if isinstance(error, Interrupted):
+        return {"reason": error.signal_name}
+    kinds: dict[type[BaseException], Literal["rig fault", "window lost", "record fault"]] = {
+        RigError: "rig fault",
+        WindowError: "window lost",
+        RecordError: "record fault",
+    }
+    reason = next((reason for kind, reason in kinds.items() if isinstance(error, kind)), "error")
+    return {"reason": reason, "message": f"{type(error).__name__}: {error}"}
+
+
+def _conclude(setup: Setup, log: SessionLog, journal: Journal, ending: dict[str, str]) -> None:
+    if ending["reason"] == "record fault":
+        return  # the log takes nothing more
+    journal.flush()
+    session = Session(log.path, tuple(log.events), ())
+    log.append("stop", **ending, complete=session.complete, n_answered=len(session.trials))
+    write_view(setup.place, session, log.head)

@@ -1,0 +1,119 @@
+"""Recomputes a session's order and drive from its own record, and checks its chain and its BIDS view."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from modaltouch.preflight import prepare
+from modaltouch.protocol import Sources, restore_experiment
+from modaltouch.record.chain import read_chain
+from modaltouch.record.folders import find_log
+from modaltouch.record.log import Session
+from modaltouch.record.view import table_text
+from modaltouch.schedule import draw_schedule
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What a verification found.
+
+    Attributes
+    ----------
+    path : Path
+        The session log.
+    lines : tuple of str
+        What was checked and holds, in words.
+    problems : tuple of str
+        What does not hold; empty for a sound session.
+    """
+
+    path: Path
+    lines: tuple[str, ...]
+    problems: tuple[str, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the verdict as plain values."""
+        return {
+            "session": str(self.path),
+            "sound": not self.problems,
+            "checked": list(self.lines),
+            "problems": list(self.problems),
+        }
+
+
+def verify_session(path: Path) -> Verdict:
+    """Check a session's record against itself.
+
+    Parameters
+    ----------
+    path : Path
+        A session's folder or its ``session.jsonl``.
+
+    Raises
+    ------
+    RecordError
+        If there is no such session.
+    """
+    log = find_log(path)
+    chain = read_chain(log)
+    session = Session(log, chain.events, chain.problems)
+    lines: list[str] = []
+    problems = list(chain.problems)
+    if not problems:
+        lines.append(f"{len(chain.events)} lines, each continuing the one before")
+    if not session.start:
+        return Verdict(log, tuple(lines), (*problems, f"{log}: has no start record"))
+    for check in (_check_order, _check_drive):
+        holds, line = check(session)
+        (lines if holds else problems).append(line)
+    problems += _check_view(session, chain.checks)
+    if not problems:
+        lines.append(f"BIDS view agrees: {len(session.trials)} answers")
+    lines.append("complete" if session.complete else "not complete: resume it, or analyse it as incomplete")
+    return Verdict(log, tuple(lines), tuple(problems))
+
+
+def _check_order(session: Session) -> tuple[bool, str]:
+    start = session.start
+    protocol = restore_experiment(Sources.from_dict(start["sources"])).protocol
+    schedule = draw_schedule(protocol, start["participant"], start["seed"], start["session"])
+    if schedule.as_dict() == start["schedule"]:
+        return True, f"order of {len(schedule.trials)} trials drawn again from seed {start['seed']}: the same"
+    return False, f"{session.path}: seed {start['seed']} draws another order than the recorded one"
+
+
+def _check_drive(session: Session) -> tuple[bool, str]:
+    preflight = prepare(restore_experiment(Sources.from_dict(session.start["sources"])))
+    found, recorded = preflight.stimulus.burst.content_hash, session.start["stimulus"]["content_hash"]
+    if found == recorded:
+        return True, f"drive computed again: the same codes ({found[:12]})"
+    return (
+        False,
+        f"{session.path}: the drive computed again has the hash {found[:12]}, the record says {recorded[:12]}",
+    )
+
+
+def _check_view(session: Session, checks: tuple[str, ...]) -> list[str]:
+    tables = sorted(session.path.parent.glob("*_beh.tsv"))
+    if len(tables) != 1:
+        return [f"{session.path.parent}: holds {len(tables)} BIDS tables (*_beh.tsv), exactly one is needed"]
+    table, side = tables[0], tables[0].with_suffix(".json")
+    try:
+        head = json.loads(side.read_text(encoding="utf-8"))["SessionLog"]
+        text = table.read_text(encoding="utf-8")
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        return [f"{table}: the BIDS view cannot be read ({error})"]
+    if head["lines"] > len(checks):
+        return [
+            f"{session.path}: the BIDS view was made from {head['lines']} lines, the log has {len(checks)}: "
+            "lines were removed from its end"
+        ]
+    if head["lines"] and checks[head["lines"] - 1] != head["check"]:
+        return [f"{side}: was made from another log"]
+    made_from = Session(session.path, session.events[: head["lines"]], ())
+    if text != table_text(made_from):
+        return [f"{table}: differs from what the log says; the log is the truth"]
+    return []

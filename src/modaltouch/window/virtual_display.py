@@ -1,0 +1,83 @@
+"""A screen that nobody sees, for machines without one: Xvfb for as long as it is needed."""
+
+from __future__ import annotations
+
+import os
+import select
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from modaltouch.window.interface import WindowError
+
+_PATIENCE = 10.0
+"""Longest time Xvfb may take to say which display it serves [s]."""
+
+
+@contextmanager
+def some_display(size: tuple[int, int] = (1920, 1080)) -> Iterator[str]:
+    """Keep the display there is, or start a virtual one and take it down again.
+
+    Parameters
+    ----------
+    size : (width, height) of int
+        Size of the virtual screen [pixels].
+
+    Yields
+    ------
+    str
+        What is used, in words.
+
+    Raises
+    ------
+    WindowError
+        If there is neither a display nor Xvfb.
+    """
+    if sys.platform != "linux" or os.environ.get("DISPLAY"):
+        yield "the screen"
+        return
+    with virtual_display(size) as name:
+        before = os.environ.get("DISPLAY")
+        os.environ["DISPLAY"] = name
+        try:
+            yield f"a virtual display ({name}), as there is no screen"
+        finally:
+            os.environ.pop("DISPLAY")
+            if before is not None:
+                os.environ["DISPLAY"] = before
+
+
+@contextmanager
+def virtual_display(size: tuple[int, int] = (1920, 1080)) -> Iterator[str]:
+    """Run Xvfb on a display number of its own choice and give its name, such as ``:1``.
+
+    Parameters
+    ----------
+    size : (width, height) of int
+        Size of the screen [pixels].
+
+    Raises
+    ------
+    WindowError
+        If Xvfb is absent or does not start.
+    """
+    program = shutil.which("Xvfb")
+    if program is None:
+        raise WindowError("there is no display, and no Xvfb to make one: install xvfb, or log in at a screen")
+    reading, writing = os.pipe()
+    # Depth 24 and no less: at 16 PsychoPy's window waits for ever. -noreset keeps it alive between clients.
+    command = [program, "-displayfd", str(writing), "-screen", "0", f"{size[0]}x{size[1]}x24", "-nolisten", "tcp", "-noreset"]
+    server = subprocess.Popen(command, pass_fds=(writing,), stderr=subprocess.DEVNULL)
+    os.close(writing)
+    try:
+        ready, _, _ = select.select([reading], [], [], _PATIENCE)
+        number = os.read(reading, 16).decode().strip() if ready else ""
+        if not number:
+            raise WindowError(f"{program} did not start within {_PATIENCE:g} s; run it by hand to see why")
+        yield f":{number}"
+    finally:
+        os.close(reading)
+        server.terminate()
+        server.wait()

@@ -1,0 +1,191 @@
+"""Puts real or simulated parts behind the session's interfaces: the only place that knows which is which."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from modaltouch.observer import Observer
+from modaltouch.preflight import Preflight, prepare
+from modaltouch.protocol import Sources, restore_experiment
+from modaltouch.record.chain import RecordError
+from modaltouch.record.folders import Mode, SessionFolder, find_log, locate
+from modaltouch.record.log import read_session
+from modaltouch.rig import open_rig, start_simulator
+from modaltouch.rig.interface import Rig
+from modaltouch.schedule import Schedule, draw_schedule, random_generator
+from modaltouch.sitting import Setup
+from modaltouch.trial import Trial
+from modaltouch.window import AnswersBy, open_window
+from modaltouch.window.interface import AnswerWindow
+from modaltouch.window.simulated import Answerer
+
+if TYPE_CHECKING:
+    from modaltouch.rig.simulator import Simulator
+
+SIMULATED = "simulated"
+"""What stands in a rig's place for the digital twin."""
+
+
+class Wires:
+    """The parts of one sitting, opened when the sitting asks for them.
+
+    Parameters
+    ----------
+    preflight : Preflight
+        The checked experiment.
+    participant : str
+        Participant id.
+    session, seed : int
+        Which session of the participant, and the seed of the study.
+    rig : str
+        ``simulated`` or a VISA address.
+    answers : str
+        ``window``, ``robot`` or ``simulated``.
+    window_options : dict
+        Further arguments of `open_window`.
+    """
+
+    def __init__(
+        self,
+        preflight: Preflight,
+        participant: str,
+        *,
+        session: int,
+        seed: int,
+        rig: str,
+        answers: AnswersBy,
+        window_options: dict[str, Any],
+    ) -> None:
+        self._preflight = preflight
+        self._person = (seed, participant, session)
+        self._rig = rig
+        self._answers = answers
+        self._window_options = window_options
+        self._simulator: Simulator | None = None
+
+    @contextmanager
+    def open_rig(self, log: Callable[..., None]) -> Iterator[Rig]:
+        """Open the driver, on the twin's address where no other is given."""
+        apparatus, address = self._preflight.experiment.apparatus, self._rig
+        with ExitStack() as stack:
+            if self._rig == SIMULATED:
+                self._simulator = stack.enter_context(start_simulator(apparatus))
+                address = self._simulator.address
+            yield stack.enter_context(open_rig(address, apparatus, log=log))
+
+    def open_window(self, tick: Callable[[], None], log: Callable[..., None]) -> AnswerWindow:
+        """Open the answer window, with a simulated participant where no person answers."""
+        experiment = self._preflight.experiment
+        zones = experiment.apparatus.zones
+        return open_window(
+            self._answers,
+            experiment.protocol,
+            experiment.texts,
+            zones=tuple(sorted(zones, key=lambda name: zones[name].centre_mm)),
+            tick=tick,
+            log=log,
+            answerer=None if self._answers == "window" else self._answerer(),
+            **self._window_options,
+        )
+
+    def _answerer(self) -> Answerer:
+        person = Observer().draw(random_generator(*self._person, "observer"))
+        return Answerer(person, self._felt, random_generator(*self._person, "answers"))
+
+    def _felt(self, trial: Trial) -> tuple[float, float]:
+        """Return the speeds under the two fingers: the twin's where there is one, else the predicted ones."""
+        if self._simulator is None:
+            return self._preflight.speeds(trial)
+        left, right = self._simulator.felt_velocity(trial.condition.pair)
+        return float(left), float(right)
+
+
+def wire_run(
+    preflight: Preflight,
+    participant: str,
+    *,
+    session: int = 1,
+    rig: str = SIMULATED,
+    answers: AnswersBy = "window",
+    pilot: bool = False,
+    seed: int = 1,
+    results: Path = Path("results"),
+    window_options: dict[str, Any] | None = None,
+) -> Setup:
+    """Return what a new session needs.
+
+    Raises
+    ------
+    RecordError
+        If the participant id is not allowed.
+    """
+    protocol = preflight.experiment.protocol
+    place = SessionFolder(results, _mode(rig, answers, pilot=pilot), protocol.protocol, participant, session)
+    schedule = draw_schedule(protocol, participant, seed, session)
+    return _setup(preflight, schedule, place, seed, rig, answers, window_options or {})
+
+
+def wire_resume(
+    path: Path,
+    *,
+    rig: str | None = None,
+    answers: AnswersBy | None = None,
+    window_options: dict[str, Any] | None = None,
+) -> Setup:
+    """Return what an interrupted session needs to go on, all of it from the session's own record.
+
+    Raises
+    ------
+    RecordError
+        If there is no such session, it is complete or damaged, or a real one would go on simulated.
+    """
+    log = find_log(path)
+    session = read_session(log)
+    start = session.start
+    if not start:
+        damage = "".join(f"\n{problem}" for problem in session.problems)
+        raise RecordError(f"{log}: has no start record, so there is nothing to continue{damage}")
+    if session.complete:
+        raise RecordError(f"{log}: is complete; analyse it, or run the participant's next session")
+    place = locate(log, session.mode, session.protocol)
+    rig, answers = rig or start["rig_choice"], answers or start["answers_choice"]
+    if _mode(rig, answers, pilot=session.mode == "pilot") != session.mode:
+        raise RecordError(
+            f"{log}: is a {session.mode} session, and with rig {rig!r} and answers {answers!r} it would go on as "
+            "another kind; give --rig and --answers as it began"
+        )
+    preflight = prepare(restore_experiment(Sources.from_dict(start["sources"])))
+    schedule = draw_schedule(preflight.experiment.protocol, place.participant, start["seed"], place.session)
+    return _setup(preflight, schedule, place, start["seed"], rig, answers, window_options or {})
+
+
+def _setup(
+    preflight: Preflight,
+    schedule: Schedule,
+    place: SessionFolder,
+    seed: int,
+    rig: str,
+    answers: AnswersBy,
+    window_options: dict[str, Any],
+) -> Setup:
+    wires = Wires(
+        preflight,
+        place.participant,
+        session=place.session,
+        seed=seed,
+        rig=rig,
+        answers=answers,
+        window_options=window_options,
+    )
+    facts = {"seed": seed, "rig_choice": rig, "answers_choice": answers}
+    return Setup(preflight, schedule, place, wires.open_rig, wires.open_window, facts)
+
+
+def _mode(rig: str, answers: AnswersBy, *, pilot: bool) -> Mode:
+    """``simulated`` as soon as anything is."""
+    if rig == SIMULATED or answers != "window":
+        return "simulated"
+    return "pilot" if pilot else "real"
