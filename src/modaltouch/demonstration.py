@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from modaltouch.analysis.analyse import analyse
-from modaltouch.preflight import require
+from modaltouch.preflight import examine
 from modaltouch.record.folders import SessionFolder
 from modaltouch.sitting import begin
 from modaltouch.window.virtual_display import some_display
@@ -58,7 +58,7 @@ def demonstrate(
     tell : callable
         Takes a sentence on what happens next.
     """
-    preflight = require(shipped_protocols() / "demo.yaml")
+    preflight = examine(shipped_protocols() / "demo.yaml").require()
     protocol = preflight.experiment.protocol
     number = 1
     while SessionFolder(results, "simulated", protocol.protocol, PARTICIPANT, number).log.exists():

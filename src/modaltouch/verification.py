@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from modaltouch.preflight import prepare
-from modaltouch.protocol import Sources, restore_experiment
+from modaltouch.preflight import examine_findings
+from modaltouch.protocol import Sources, examine_sources, restore_experiment
 from modaltouch.record.chain import read_chain
 from modaltouch.record.folders import find_log
 from modaltouch.record.log import Session
@@ -86,7 +86,7 @@ def _check_order(session: Session) -> tuple[bool, str]:
 
 
 def _check_drive(session: Session) -> tuple[bool, str]:
-    preflight = prepare(restore_experiment(Sources.from_dict(session.start["sources"])))
+    preflight = examine_findings(examine_sources(Sources.from_dict(session.start["sources"]))).require()
     found, recorded = preflight.stimulus.burst.content_hash, session.start["stimulus"]["content_hash"]
     if found == recorded:
         return True, f"drive computed again: the same codes ({found[:12]})"

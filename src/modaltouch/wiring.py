@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from modaltouch.observer import Observer
-from modaltouch.preflight import Preflight, prepare
-from modaltouch.protocol import Sources, restore_experiment
+from modaltouch.preflight import Preflight, examine_findings
+from modaltouch.protocol import Sources, examine_sources
 from modaltouch.record.chain import RecordError
 from modaltouch.record.folders import Mode, SessionFolder, find_log, locate
 from modaltouch.record.log import read_session
@@ -157,7 +157,7 @@ def wire_resume(
             f"{log}: is a {session.mode} session, and with rig {rig!r} and answers {answers!r} it would go on as "
             "another kind; give --rig and --answers as it began"
         )
-    preflight = prepare(restore_experiment(Sources.from_dict(start["sources"])))
+    preflight = examine_findings(examine_sources(Sources.from_dict(start["sources"]))).require()
     schedule = draw_schedule(preflight.experiment.protocol, place.participant, start["seed"], place.session)
     return _setup(preflight, schedule, place, start["seed"], rig, answers, window_options or {})
 

@@ -78,12 +78,12 @@ def run(
     Every answer is on the disk before the next trial. If anything ends the session early, the outputs are off
     and `modaltouch resume` goes on where it stopped.
     """
-    from modaltouch.preflight import require
+    from modaltouch.preflight import examine
     from modaltouch.record.folders import check_participant
 
     with reporting(json_output=json_output):
         window_options = _window_options(fullscreen, size, theme, screen, screenshots)
-        preflight = require(protocol)
+        preflight = examine(protocol).require()
         if participant is None:
             participant = _ask_participant()
         check_participant(participant)
@@ -151,12 +151,12 @@ def simulate(
     from rich.console import Console
     from rich.progress import Progress
 
-    from modaltouch.preflight import require
+    from modaltouch.preflight import examine
     from modaltouch.sitting import begin
     from modaltouch.wiring import wire_run
 
     with reporting(json_output=json_output):
-        preflight = require(protocol)
+        preflight = examine(protocol).require()
         sessions = []
         with Progress(console=Console(stderr=True)) as progress:
             task = progress.add_task("participants", total=participants)

@@ -7,6 +7,6 @@
 ``examine``  the whole check
 """
 
-from modaltouch.preflight.examine import Preflight, examine
+from modaltouch.preflight.examine import Preflight, examine, examine_findings
 
-__all__ = ["Preflight", "examine"]
+__all__ = ["Preflight", "examine", "examine_findings"]

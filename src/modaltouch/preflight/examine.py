@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -47,6 +47,18 @@ class Preflight:
     problems: tuple[Problem, ...]
     ground: Ground | None
     designed: Stimulus | None
+
+    def require(self) -> Self:
+        """Return the preflight itself if a session may run.
+
+        Raises
+        ------
+        InputError
+            With every problem.
+        """
+        if self.problems:
+            raise InputError(self.problems)
+        return self
 
     @property
     def experiment(self) -> Experiment:

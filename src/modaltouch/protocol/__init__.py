@@ -14,6 +14,7 @@ from modaltouch.protocol.experiment import (
     Findings,
     Sources,
     examine_files,
+    examine_sources,
     read_protocol,
     restore_experiment,
 )
@@ -45,6 +46,7 @@ __all__ = [
     "Texts",
     "WishedField",
     "examine_files",
+    "examine_sources",
     "read_protocol",
     "restore_experiment",
     "write_schemas",

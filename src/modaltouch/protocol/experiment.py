@@ -123,15 +123,21 @@ def restore_experiment(sources: Sources) -> Experiment:
     InputError
         With every fault of the texts.
     """
+    return examine_sources(sources).experiment()
+
+
+def examine_sources(sources: Sources) -> Findings:
+    """Return what the texts of a record hold, with every fault of them.
+
+    Parameters
+    ----------
+    sources : Sources
+        As `Sources.from_dict` reads them from the record.
+    """
     protocol, texts = read(sources.protocol, Protocol), read(sources.texts, Texts)
     apparatus, problems = examine_apparatus(sources.apparatus)
-    problems += [
-        *protocol.problems,
-        *check_protocol(protocol),
-        *texts.problems,
-        *check_fit(protocol, apparatus),
-    ]
-    return Findings(protocol, apparatus, texts, tuple(problems)).experiment()
+    problems += [*protocol.problems, *check_protocol(protocol), *texts.problems, *check_fit(protocol, apparatus)]
+    return Findings(protocol, apparatus, texts, tuple(problems))
 
 
 def examine_files(path: Path) -> Findings:
