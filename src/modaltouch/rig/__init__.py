@@ -1,1 +1,60 @@
-"""Plays the burst: the generator over PyVISA, and its simulated twin behind the same driver."""
+"""Plays the burst: the generator over PyVISA, and its simulated twin behind the same driver.
+
+A session opens the driver at an address; the simulator is one more address::
+
+    with start_simulator(apparatus) as simulator, open_rig(simulator.address, apparatus, log=log) as rig:
+        rig.load(burst)
+        rig.fire(velocity)
+        speeds = simulator.felt_velocity(["A", "C"])
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from modaltouch.apparatus import Apparatus
+    from modaltouch.rig.interface import Rig
+    from modaltouch.rig.link import Log
+    from modaltouch.rig.simulator import Simulator
+
+
+def open_rig(address: str, apparatus: Apparatus, *, log: Log, **options: Any) -> Rig:
+    """Return the generator at a VISA address, outputs off.
+
+    Parameters
+    ----------
+    address : str
+        VISA address, of an instrument or of a simulator.
+    apparatus : Apparatus
+        What is on the table.
+    log : callable
+        ``log(event, **facts)`` takes every exchange and event.
+    **options
+        Further arguments of `modaltouch.rig.generator.Generator`.
+
+    Raises
+    ------
+    RigError
+        If there is no such instrument at the address.
+    """
+    from modaltouch.rig.generator import Generator
+
+    return Generator(address, apparatus, log=log, **options)
+
+
+def start_simulator(apparatus: Apparatus, seed: int | None = None, *, port: int = 0) -> Simulator:
+    """Return a running simulator of a rig, with its address.
+
+    Parameters
+    ----------
+    apparatus : Apparatus
+        What is on the table, and in its section ``twin`` how the true beam differs from the identified one.
+    seed : int, optional
+        Instead of the seed in ``twin``.
+    port : int
+        TCP port on 127.0.0.1; 0 takes a free one.
+    """
+    from modaltouch.rig.simulator import Simulator
+
+    return Simulator(apparatus, seed, port=port)

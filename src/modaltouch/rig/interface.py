@@ -24,9 +24,12 @@ class Firing:
     confirmed : bool
         Whether every setting was read back within tolerance with an empty error queue.
     onset : float
-        When the trigger was armed, by `time.perf_counter` [s]; the first burst follows within `onset_uncertainty`.
+        When the trigger was armed, by `time.perf_counter` [s]; the first burst follows within
+        `onset_uncertainty`.
     onset_uncertainty : float
         Longest time from `onset` to the first burst [s].
+    reason : str
+        Why it is not confirmed.
     """
 
     commanded_amplitude: tuple[float, ...]
@@ -34,6 +37,7 @@ class Firing:
     confirmed: bool
     onset: float
     onset_uncertainty: float
+    reason: str = ""
 
     def as_dict(self) -> dict[str, Any]:
         """Return the firing as plain values for the record."""
@@ -50,6 +54,10 @@ class Rig(typing.Protocol):
     @property
     def address(self) -> str:
         """VISA address."""
+
+    @property
+    def firing(self) -> Firing | None:
+        """The latest firing; `stop` makes it unconfirmed if the settings or outputs were no longer as set."""
 
     def load(self, burst: Burst) -> None:
         """Upload both channels' records and verify them, outputs off."""

@@ -1,0 +1,326 @@
+"""The state of a simulated AFG3022B: channels, memories, trigger, error queue; no text and no transport.
+
+Facts and their sources are listed in the project's notes on the instrument; what no public source tells is a
+field of `Behaviour`, so that each possibility can be tried.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+
+from modaltouch.rig.scpi import ScpiError
+
+MAX_CODE = 16382
+"""Highest code of a point."""
+
+MID_CODE = 8191
+"""Code of zero volts."""
+
+OPEN = math.inf
+"""Load impedance of an open circuit [ohm]."""
+
+SOURCE_IMPEDANCE = 50.0
+"""Output impedance of every channel [ohm]."""
+
+
+@dataclass(frozen=True)
+class Behaviour:
+    """What is not publicly known of the real instrument, or differs between units.
+
+    Attributes
+    ----------
+    identity : str
+        Reply to ``*IDN?``.
+    idle_level : str
+        Where the output rests between bursts: at the ``first`` or ``last`` point, or at the ``offset``.
+    timer_digits : int
+        Significant digits that the trigger timer keeps.
+    copy_time : float
+        How long storing a record in a USER memory takes [s].
+    amplitude_ranges : tuple of float
+        Amplitudes at which a range relay switches [V peak to peak, open circuit].
+    limit_violation : str
+        Whether a level beyond VOLTage:LIMit is refused (``error``) or cut (``clip``).
+    block_end : bytes
+        What follows a block reply.
+    max_sessions : int
+        Links accepted at the same time.
+    queue_depth : int
+        Errors kept.
+    """
+
+    identity: str = "TEKTRONIX,AFG3022B,C000000,SCPI:99.0 FV:3.2.2"
+    idle_level: Literal["first", "last", "offset"] = "first"
+    timer_digits: int = 9
+    copy_time: float = 0.0
+    amplitude_ranges: tuple[float, ...] = (0.2, 2.0)
+    limit_violation: Literal["error", "clip"] = "error"
+    block_end: bytes = b"\n"
+    max_sessions: int = 16
+    queue_depth: int = 32
+
+
+@dataclass
+class Channel:
+    """Settings of one output; levels are kept as open-circuit volts, whatever load is configured."""
+
+    function: str = "SIN"
+    frequency: float = 1e6
+    phase: float = 0.0
+    amplitude: float = 2.0
+    offset: float = 0.0
+    unit: str = "VPP"
+    limit_high: float = 10.0
+    limit_low: float = -10.0
+    load: float = SOURCE_IMPEDANCE
+    polarity: str = "NORM"
+    output: bool = False
+    burst: bool = False
+    burst_mode: str = "TRIG"
+    n_cycles: float = 5.0
+    delay: float = 0.0
+    range_switches: int = 0
+
+    @property
+    def load_factor(self) -> float:
+        """Volts at the configured load per open-circuit volt [1]."""
+        return 1.0 if math.isinf(self.load) else self.load / (self.load + SOURCE_IMPEDANCE)
+
+
+@dataclass(frozen=True)
+class Playback:
+    """What one output is sending.
+
+    Attributes
+    ----------
+    record : bytes
+        Codes of one burst, two bytes each, big-endian.
+    amplitude, offset : float
+        Of the record's full scale, open circuit [V peak to peak, V].
+    duration : float
+        Length of the record [s].
+    period : float
+        Time from one burst to the next [s]; infinite for a single burst.
+    idle_code : int
+        Code at which the output rests between bursts.
+    """
+
+    record: bytes
+    amplitude: float
+    offset: float
+    duration: float
+    period: float
+    idle_code: int
+
+
+@dataclass
+class Afg:
+    """A two-channel arbitrary function generator.
+
+    Attributes
+    ----------
+    clip_amplitude : float
+        Fault: amplitude beyond which the output stage silently stays behind [V peak to peak, open circuit].
+    """
+
+    behaviour: Behaviour = field(default_factory=Behaviour)
+    n_channels: int = 2
+    min_points: int = 2
+    max_points: int = 131_072
+    clip_amplitude: float = math.inf
+    now: Callable[[], float] = time.monotonic
+    lock: threading.RLock = field(default_factory=threading.RLock, repr=False)
+
+    def __post_init__(self) -> None:
+        self.user: dict[int, bytes | None] = dict.fromkeys((1, 2, 3, 4))
+        self.locked: dict[int, bool] = dict.fromkeys((1, 2, 3, 4), False)
+        self.saved: dict[int, tuple[dict[int, Channel], str, float]] = {}
+        self.errors: deque[str] = deque()
+        self.power_on()
+
+    def power_on(self) -> None:
+        """Start as after a power cut: USER memories kept, everything else at its default, outputs off."""
+        with self.lock:
+            self.errors.clear()
+            self.event_status, self.event_enable, self.service_enable = 128, 0, 0
+            self.edit = blank_record(1000)
+            self.reset()
+
+    def reset(self) -> None:
+        """Do what ``*RST`` does; USER memories, status and errors stay."""
+        with self.lock:
+            self.channels = {number: Channel() for number in range(1, self.n_channels + 1)}
+            self.trigger_source, self.timer = "TIM", 1e-3
+            self.last_trigger = -math.inf
+            self.level_concurrent = self.frequency_concurrent = False
+            self.trigger_output = "TRIG"
+
+    # errors and status
+
+    def fail(self, error: ScpiError) -> None:
+        """Put an error in the queue and set its bit of the event status register."""
+        bits = {1: 32, 2: 16, 3: 8, 4: 4}
+        with self.lock:
+            self.event_status |= bits.get(-error.code // 100, 8)
+            if len(self.errors) < self.behaviour.queue_depth:
+                self.errors.append(str(error))
+            elif self.errors:
+                self.errors[-1] = str(ScpiError(-350))
+
+    def next_error(self) -> str:
+        """Return and forget the oldest error."""
+        return self.errors.popleft() if self.errors else '0,"No error"'
+
+    @property
+    def status_byte(self) -> int:
+        """Bits 2 (error queue) and 5 (event status); bit 4 (message available) belongs to a link."""
+        return (4 if self.errors else 0) | (32 if self.event_status & self.event_enable else 0)
+
+    # memories
+
+    def write_edit(self, block: bytes) -> None:
+        """Replace the edit memory."""
+        n_points, rest = divmod(len(block), 2)
+        if rest or n_points < self.min_points:
+            raise ScpiError(-161, f"{len(block)} bytes")
+        if n_points > self.max_points:
+            raise ScpiError(-223, f"{n_points} points: at most {self.max_points}")
+        highest = int(np.frombuffer(block, ">u2").max())
+        if highest > MAX_CODE:
+            raise ScpiError(-222, f"code {highest}: at most {MAX_CODE}")
+        with self.lock:
+            self.edit = bytes(block)
+
+    def define_edit(self, n_points: int) -> None:
+        """Reset the edit memory to a number of points at zero volts."""
+        with self.lock:
+            self.edit = blank_record(n_points)
+
+    def copy_to_user(self, number: int) -> None:
+        """Store the edit memory; a playing channel that selects the memory plays the new record."""
+        if self.locked[number]:
+            raise ScpiError(-221, f"USER{number} is locked")
+        time.sleep(self.behaviour.copy_time)
+        with self.lock:
+            self.user[number] = self.edit
+
+    def copy_from_user(self, number: int) -> None:
+        """Load the edit memory from a USER memory."""
+        record = self.user[number]
+        if record is None:
+            raise ScpiError(-224, f"USER{number} is empty")
+        with self.lock:
+            self.edit = record
+
+    def erase(self, number: int) -> None:
+        """Empty a USER memory; refused while it is locked or selected."""
+        if self.locked[number] or any(channel.function == f"USER{number}" for channel in self.channels.values()):
+            raise ScpiError(-221, f"USER{number} is locked or selected")
+        self.user[number] = None
+
+    def select(self, number: int, function: str) -> None:
+        """Choose a channel's waveform."""
+        if function.startswith("USER") and self.user[int(function[4:])] is None:
+            raise ScpiError(-224, f"{function} is empty")
+        self.channels[number].function = function
+
+    # levels
+
+    def set_levels(self, number: int, *, amplitude: float | None = None, offset: float | None = None) -> None:
+        """Set amplitude [V peak to peak] or offset [V], open circuit, within VOLTage:LIMit."""
+        channel = self.channels[number]
+        amplitude = channel.amplitude if amplitude is None else amplitude
+        offset = channel.offset if offset is None else offset
+        room = min(channel.limit_high - offset, offset - channel.limit_low)
+        if amplitude / 2 > room * (1 + 1e-9):
+            if self.behaviour.limit_violation == "error":
+                raise ScpiError(-222, f"{amplitude:g} Vpp at {offset:g} V exceeds VOLTage:LIMit")
+            amplitude = max(2 * room, 0.0)
+        amplitude = min(amplitude, self.clip_amplitude)
+        ranges = self.behaviour.amplitude_ranges
+        crossed = sum((channel.amplitude > border) != (amplitude > border) for border in ranges)
+        channel.range_switches += crossed
+        channel.amplitude, channel.offset = amplitude, offset
+
+    def set_limit(self, number: int, *, high: float | None = None, low: float | None = None) -> None:
+        """Set an output limit, open circuit [V]; refused where the present level exceeds it."""
+        channel = self.channels[number]
+        limit_high = channel.limit_high if high is None else high
+        limit_low = channel.limit_low if low is None else low
+        half = channel.amplitude / 2
+        if channel.offset + half > limit_high * (1 + 1e-9) or channel.offset - half < limit_low * (1 + 1e-9):
+            raise ScpiError(-221, f"the level {2 * half:g} Vpp at {channel.offset:g} V exceeds the new limit")
+        channel.limit_high, channel.limit_low = limit_high, limit_low
+
+    # trigger
+
+    def set_trigger_source(self, source: str) -> None:
+        """Choose TIMer (free running) or EXTernal; the timer starts with a trigger."""
+        with self.lock:
+            if source == "TIM" and self.trigger_source != "TIM":
+                self.last_trigger = self.now()
+            self.trigger_source = source
+
+    def trigger(self) -> None:
+        """Force one trigger, for both channels."""
+        if not any(channel.burst for channel in self.channels.values()):
+            raise ScpiError(-211, "no channel is in burst")
+        self.last_trigger = self.now()
+
+    def abort(self) -> None:
+        """Reset the trigger system."""
+        self.last_trigger = -math.inf
+
+    # save and recall
+
+    def save(self, place: int) -> None:
+        """Keep the settings under a number."""
+        channels = {number: replace(channel) for number, channel in self.channels.items()}
+        self.saved[place] = (channels, self.trigger_source, self.timer)
+
+    def recall(self, place: int) -> None:
+        """Restore settings; the outputs come back off."""
+        if place not in self.saved:
+            raise ScpiError(-224, f"nothing saved under {place}")
+        channels, self.trigger_source, self.timer = self.saved[place]
+        self.channels = {number: replace(channel, output=False) for number, channel in channels.items()}
+
+    # what comes out
+
+    def playback(self, number: int) -> Playback | None:
+        """Return what a channel sends, None where its output is off or no arbitrary record is playing."""
+        with self.lock:
+            channel = self.channels[number]
+            if not channel.output or not channel.function.startswith("USER"):
+                return None
+            record = self.user[int(channel.function[4:])]
+            duration = 1 / channel.frequency
+            period = self._burst_period(channel, duration)
+            if record is None or period is None:
+                return None
+            sign = -1.0 if channel.polarity == "INV" else 1.0
+            idle = {"first": record[:2], "last": record[-2:]}.get(self.behaviour.idle_level)
+            idle_code = MID_CODE if idle is None else int.from_bytes(idle, "big")
+            return Playback(record, sign * channel.amplitude, channel.offset, duration, period, idle_code)
+
+    def _burst_period(self, channel: Channel, duration: float) -> float | None:
+        """Return the time between records [s], None where no trigger comes."""
+        if not channel.burst:
+            return duration
+        if self.trigger_source == "TIM":
+            return self.timer
+        played = duration * channel.n_cycles
+        return math.inf if self.now() - self.last_trigger <= played else None
+
+
+def blank_record(n_points: int) -> bytes:
+    """Return a record at zero volts."""
+    return MID_CODE.to_bytes(2, "big") * n_points

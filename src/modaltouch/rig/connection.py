@@ -1,0 +1,239 @@
+"""A generator that is reached, known, and kept safe: identity, outputs off, a lost connection found again."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from modaltouch.apparatus import Apparatus
+from modaltouch.rig.controls import CHANNELS, Controls, Unconfirmed
+from modaltouch.rig.guard import Guard
+from modaltouch.rig.interface import RigError
+from modaltouch.rig.link import Link, LinkError, Log, Resource
+from modaltouch.rig.settings import KNOWN_MODELS, STOPPED, Limits, Setting, quiet_settings
+
+
+@dataclass(frozen=True)
+class Patience:
+    """How long the driver waits, and how often it tries.
+
+    Attributes
+    ----------
+    reply : float
+        Longest wait for a reply [s].
+    copy : float
+        Longest wait for an upload or a copy into a USER memory [s].
+    tries : int
+        How often a lost connection is opened again.
+    pause : float
+        Before the second try; doubled before each further one [s].
+    """
+
+    reply: float = 2.0
+    copy: float = 15.0
+    tries: int = 4
+    pause: float = 0.25
+
+
+@dataclass(frozen=True)
+class Found:
+    """How the outputs and settings were found when the outputs were switched off.
+
+    Attributes
+    ----------
+    outputs : tuple of bool
+        Which were on.
+    differences : tuple of str
+        Settings that were no longer as made.
+    """
+
+    outputs: tuple[bool, ...]
+    differences: tuple[str, ...] = ()
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """Why what was played until then cannot be vouched for; empty if it can."""
+        silent = [f"output {n} was off" for n, on in zip(CHANNELS, self.outputs, strict=True) if not on]
+        return (*silent, *self.differences)
+
+
+class Connection:
+    """The way to one generator.
+
+    Parameters
+    ----------
+    address : str
+        VISA address.
+    apparatus : Apparatus
+        Expected model, and limits.
+    open_resource : callable
+        Opens the VISA resource.
+    guard : Guard
+        The watchdog.
+    log : callable
+        Takes every exchange and event.
+    patience : Patience
+        How long to wait.
+    """
+
+    def __init__(
+        self,
+        address: str,
+        apparatus: Apparatus,
+        open_resource: Callable[[], Resource],
+        *,
+        guard: Guard,
+        log: Log,
+        patience: Patience,
+    ) -> None:
+        self.address = address
+        self.identity = ""
+        self.limits = Limits.of(apparatus)
+        self.guard = guard
+        self._expected_model = apparatus.generator.model
+        self._log = log
+        self._patience = patience
+        self._link = Link(open_resource, log=log, timeout=patience.reply)
+        self.controls = Controls(self._link, revive=self._revive, log=log, copy_timeout=patience.copy)
+
+    def open(self) -> None:
+        """Reach the instrument, see that it is the right one, and bring it to a known state, outputs off.
+
+        Raises
+        ------
+        RigError
+            If no such instrument answers, or it does not take its settings.
+        """
+        try:
+            self._link.open()
+            self.identity = self.controls.identify()
+            self._refuse_stranger()
+            self.controls.outputs_off()
+            self.controls.clear_errors()
+            self._prepare()
+        except LinkError as error:
+            raise RigError(
+                f"no generator answers at {self.address}: {error}{self._reported()}; no output was "
+                "switched on; see that it is on and connected, and find its address with `modaltouch rig list`"
+            ) from error
+        except Unconfirmed as error:
+            raise RigError(
+                f"{self.identity} at {self.address} does not take its settings: {error}; no output was "
+                "switched on; see `modaltouch rig check`"
+            ) from error
+
+    def close(self, *, clean: bool) -> None:
+        """End the session; unless the outputs are off, the watchdog stays and switches them off."""
+        self._link.close()
+        self.guard.release(clean=clean)
+
+    def switch_off(self, doing: str, expected: Sequence[Setting], replay: Callable[[], None]) -> Found:
+        """Switch the outputs off, over a new connection if need be.
+
+        Parameters
+        ----------
+        doing : str
+            What is going on, for the message.
+        expected : sequence of Setting
+            Settings to compare with what is found.
+        replay : callable
+            Makes the settings again that a new connection may have to do with.
+
+        Raises
+        ------
+        RigError
+            If the instrument does not confirm that they are off.
+        """
+        try:
+            outputs = self.controls.outputs_off()
+            self.guard.disarm()
+            return Found(outputs, tuple(self.controls.differences(expected)))
+        except (LinkError, Unconfirmed) as error:
+            self._log("connection_lost", doing=doing, reason=str(error))
+        return self.restore(doing, expected, replay)
+
+    def restore(self, doing: str, expected: Sequence[Setting], replay: Callable[[], None]) -> Found:
+        """Open the connection anew, outputs off, and make every setting again; outputs stay off.
+
+        Parameters and errors are those of `switch_off`.
+        """
+        last: Exception = LinkError("it was not tried")
+        for attempt in range(self._patience.tries):
+            if attempt:
+                time.sleep(self._patience.pause * 2 ** (attempt - 1))
+            try:
+                found = Found(self._revive(), tuple(self.controls.differences(expected)))
+                reported = self.controls.pending_errors()
+                self.controls.clear_errors()
+                self._prepare()
+                replay()
+            except (LinkError, Unconfirmed) as error:
+                last = error
+                self._log("reconnect_failed", attempt=attempt + 1, reason=str(error))
+            else:
+                self._log(
+                    "reconnected",
+                    attempt=attempt + 1,
+                    found_on=list(found.outputs),
+                    found_changed=list(found.differences),
+                    reported=reported,
+                )
+                return found
+        raise RigError(
+            f"{doing} failed, and so did {self._patience.tries} new connections to {self.address}: {last}; "
+            f"{self._last_resort()}; see that the generator is on and connected, then go on with "
+            "`modaltouch resume`"
+        ) from last
+
+    def _reported(self) -> str:
+        """Return what the error queue says over a new connection: a refused query stays silent."""
+        errors = []
+        with contextlib.suppress(LinkError):
+            self._link.open()
+            errors = self.controls.pending_errors()
+        return f" (it reports {', '.join(errors)})" if errors else ""
+
+    def _last_resort(self) -> str:
+        """Try once more to switch off, and return what is known of the outputs."""
+        with contextlib.suppress(LinkError, Unconfirmed):
+            self.controls.outputs_off()
+            self.guard.disarm()
+            return "the outputs are off"
+        return (
+            "the outputs could not be confirmed off: SWITCH THE AMPLIFIER OFF (a watchdog process goes "
+            "on trying for half a minute)"
+        )
+
+    def _revive(self) -> tuple[bool, ...]:
+        """Open the connection anew, to the same instrument, outputs off, and return which were on."""
+        self._link.open()
+        identity = self.controls.identify()
+        if identity != self.identity:
+            raise RigError(
+                f"{self.address} now answers as '{identity}', before as '{self.identity}'; the outputs of the "
+                "latter may be on: SWITCH THE AMPLIFIER OFF; connect one generator and start again"
+            )
+        outputs = self.controls.outputs_off()
+        self.guard.disarm()
+        return outputs
+
+    def _prepare(self) -> None:
+        """Bring the instrument from any state to the one that is common to all bursts, outputs off."""
+        self.controls.reset()
+        for channel in CHANNELS:
+            self.controls.apply_each(quiet_settings(channel, self.limits))
+        self.controls.apply([STOPPED])
+
+    def _refuse_stranger(self) -> None:
+        fields = self.identity.split(",")
+        model = fields[1].strip() if len(fields) > 2 else ""
+        if model != self._expected_model:
+            raise RigError(
+                f"the instrument at {self.address} says it is '{self.identity}': the apparatus file names "
+                f"{self._expected_model}; no output was switched on; correct the address, or generator.model "
+                f"in the apparatus file (known models: {', '.join(KNOWN_MODELS)})"
+            )
+        if model not in KNOWN_MODELS:
+            self._log("unknown_model", model=model, taken_for=KNOWN_MODELS[0])

@@ -1,0 +1,265 @@
+"""The generator's controls, each used and at once read back; knows commands, not sessions or safety."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modaltouch.rig.link import Link, LinkError, Log, split_reply
+from modaltouch.rig.settings import MAX_POINTS, Setting
+
+NO_ERROR = 0
+QUERIES_PER_MESSAGE = 12
+MOST_ERRORS = 64
+N_SPOTS = 64
+USER_MEMORIES = (1, 2, 3, 4)
+CHANNELS = (1, 2)
+
+
+class Unconfirmed(Exception):  # noqa: N818
+    """The instrument answered, but not that it does what was asked.
+
+    Attributes
+    ----------
+    read_back : tuple of str
+        What the settings read instead, where they were read.
+    """
+
+    def __init__(self, reason: str, read_back: tuple[str, ...] = ()) -> None:
+        super().__init__(reason)
+        self.read_back = read_back
+
+
+class Controls:
+    """Sets, reads back and uploads over one link.
+
+    Parameters
+    ----------
+    link : Link
+        An open session.
+    revive : callable
+        Opens the session anew after a failed exchange, to the same instrument, outputs off.
+    log : callable
+        Takes events.
+    copy_timeout : float
+        Longest wait for an upload, a copy between memories or ``*OPC?`` [s].
+    """
+
+    def __init__(self, link: Link, *, revive: Callable[[], object], log: Log, copy_timeout: float) -> None:
+        self._link = link
+        self._revive = revive
+        self._log = log
+        self._copy_timeout = copy_timeout
+        self._stored: dict[int, str] = {}
+
+    def identify(self) -> str:
+        """Return the reply to ``*IDN?``."""
+        return self._link.ask("*IDN?")
+
+    def clear_errors(self) -> None:
+        """Empty the error queue, whatever was left in it; the log keeps it."""
+        self._link.ask("*CLS;*OPC?")
+
+    def reset(self) -> None:
+        """Restore the defaults, outputs off; USER memories stay, but are to be read before they are trusted."""
+        self._stored.clear()
+        self._link.ask("*RST;*OPC?", timeout=self._copy_timeout)
+        self._refuse_errors("*RST", self.pending_errors())
+
+    def outputs_off(self) -> tuple[bool, ...]:
+        """Switch both outputs off, confirm it, and return which were on.
+
+        Raises
+        ------
+        Unconfirmed
+            If an output is still on.
+        """
+        asked = ";".join(f":OUTP{n}?" for n in CHANNELS)
+        off = ";".join(f":OUTP{n} OFF" for n in CHANNELS)
+        replies = split_reply(self._link.ask(f"{asked};{off};{asked};:SYST:ERR?"))
+        n = len(CHANNELS)
+        if len(replies) != 2 * n + 1 or any(reply != "0" for reply in replies[n : 2 * n]):
+            raise Unconfirmed(f"asked whether its outputs are off, the generator says {replies[n : 2 * n]}")
+        if _error_number(replies[-1]) != NO_ERROR:
+            self.pending_errors()
+        return tuple(reply != "0" for reply in replies[:n])
+
+    def outputs_on(self) -> None:
+        """Switch both outputs on in one message.
+
+        Raises
+        ------
+        Unconfirmed
+            If one stays off.
+        """
+        self.apply([Setting(f"OUTP{n}", "ON") for n in CHANNELS])
+
+    def apply(self, settings: Sequence[Setting]) -> tuple[str, ...]:
+        """Make settings in one message, read each back, read the error queue, and return what was read back.
+
+        Raises
+        ------
+        Unconfirmed
+            If the queue holds an error or a setting reads back differently.
+        """
+        commands = ";:".join(setting.command for setting in settings)
+        queries = ";:".join(setting.query for setting in settings)
+        replies = split_reply(self._link.ask(f":{commands};:{queries};:SYST:ERR?"))
+        if len(replies) != len(settings) + 1:
+            raise Unconfirmed(f"to '{commands}' the generator answers {replies}")
+        read_back = tuple(replies[:-1])
+        self._refuse_errors(commands, replies[-1:], read_back)
+        wrong = _differences(settings, replies)
+        if wrong:
+            raise Unconfirmed("; ".join(wrong), read_back)
+        return read_back
+
+    def apply_each(self, settings: Iterable[Setting]) -> None:
+        """Make settings one by one."""
+        for setting in settings:
+            self.apply([setting])
+
+    def differences(self, settings: Sequence[Setting]) -> list[str]:
+        """Return which settings no longer read as they were made."""
+        wrong = []
+        for start in range(0, len(settings), QUERIES_PER_MESSAGE):
+            part = settings[start : start + QUERIES_PER_MESSAGE]
+            replies = split_reply(self._link.ask(":" + ";:".join(setting.query for setting in part)))
+            if len(replies) != len(part):
+                raise Unconfirmed(f"{len(part)} settings were asked for, {len(replies)} came: {replies}")
+            wrong += _differences(part, replies)
+        return wrong
+
+    def command(self, command: str) -> None:
+        """Send a command that has nothing to read back, and read the error queue."""
+        self._refuse_errors(command, [self._link.ask(f":{command};:SYST:ERR?")])
+
+    def store(self, codes: NDArray[np.uint16], wanted: int, in_use: Sequence[int]) -> int:
+        """Have a record in a USER memory, verified, and return the memory's number.
+
+        A record that is there already, remembered from this session or read back, is not sent again.
+
+        Parameters
+        ----------
+        codes : (n_samples,) array of uint16
+            Codes of the record.
+        wanted : int
+            Memory to take if the record is nowhere.
+        in_use : sequence of int
+            Memories that must not be overwritten.
+
+        Raises
+        ------
+        Unconfirmed
+            If the record does not read back as sent, twice.
+        """
+        block = codes.astype(">u2").tobytes()
+        digest = hashlib.sha256(block).hexdigest()
+        known = [slot for slot, held in self._stored.items() if held == digest]
+        if known:
+            return known[0]
+        if wanted in in_use:
+            wanted = next(slot for slot in reversed(USER_MEMORIES) if slot not in in_use)
+        if wanted not in self._stored and self._holds(wanted, codes):
+            self._log("record_found", memory=f"USER{wanted}", sha256=digest, n_points=codes.size)
+        else:
+            self._upload(wanted, codes, block)
+            self._log("record_sent", memory=f"USER{wanted}", sha256=digest, n_points=codes.size)
+        self._stored[wanted] = digest
+        return wanted
+
+    def _holds(self, slot: int, codes: NDArray[np.uint16]) -> bool:
+        """Return whether a memory holds a record already."""
+        if f"USER{slot}" not in self._link.ask("DATA:CAT?"):
+            return False
+        try:
+            return bool(np.array_equal(self._read_back(slot), codes))
+        except Unconfirmed:
+            return False
+        except LinkError:
+            self._revive()
+            return False
+
+    def _upload(self, slot: int, codes: NDArray[np.uint16], block: bytes) -> None:
+        if not 2 <= codes.size <= MAX_POINTS:
+            raise Unconfirmed(f"a record of {codes.size} points: the generator holds 2 to {MAX_POINTS}")
+        self._stored.pop(slot, None)
+        for attempt in (1, 2):
+            self._link.send_block("DATA:DATA EMEM", block, timeout=self._copy_timeout)
+            self._complete("the upload")
+            n_points = self._link.ask("DATA:POIN? EMEM")
+            if n_points != str(codes.size):
+                raise Unconfirmed(f"{codes.size} points were sent, the generator counts {n_points}")
+            self._copy(f"USER{slot},EMEM")
+            if self._verified(slot, codes):
+                return
+            self._log("record_differs", memory=f"USER{slot}", attempt=attempt)
+        raise Unconfirmed(f"USER{slot} does not hold the record that was sent, after two uploads")
+
+    def _verified(self, slot: int, codes: NDArray[np.uint16]) -> bool:
+        """Return whether a memory reads back right; by samples of it where whole blocks cannot be read."""
+        for _ in range(2):
+            try:
+                return bool(np.array_equal(self._read_back(slot), codes))
+            except LinkError:
+                self._revive()
+        return self._spots_agree(codes)
+
+    def _read_back(self, slot: int) -> NDArray[np.uint16]:
+        self._copy(f"EMEM,USER{slot}")
+        return self._link.read_codes("DATA:DATA? EMEM", timeout=self._copy_timeout)
+
+    def _spots_agree(self, codes: NDArray[np.uint16]) -> bool:
+        """Return whether count and a spread of single points agree with a record in the edit memory."""
+        self._log("record_spot_check", n_spots=N_SPOTS, why="its blocks cannot be read back")
+        if self._link.ask("DATA:POIN? EMEM") != str(codes.size):
+            return False
+        strongest = np.argsort(np.abs(codes.astype(int) - int(np.median(codes))))[-N_SPOTS // 2 :]
+        spread = np.linspace(0, codes.size - 1, N_SPOTS // 2).astype(int)
+        return all(self._link.ask(f"DATA:DATA:VAL? EMEM,{at + 1}") == str(codes[at]) for at in {*strongest, *spread})
+
+    def _copy(self, what: str) -> None:
+        self._link.ask(f"DATA:COPY {what};*OPC?", timeout=self._copy_timeout)
+        self._refuse_errors(f"DATA:COPY {what}", self.pending_errors())
+
+    def _complete(self, what: str) -> None:
+        self._link.ask("*OPC?", timeout=self._copy_timeout)
+        self._refuse_errors(what, self.pending_errors())
+
+    def pending_errors(self) -> list[str]:
+        """Empty the error queue and return what was in it."""
+        errors = []
+        for _ in range(MOST_ERRORS):
+            reply = self._link.ask("SYST:ERR?")
+            if _error_number(reply) == NO_ERROR:
+                break
+            errors.append(reply)
+        if errors:
+            self._log("instrument_errors", errors=errors)
+        return errors
+
+    def _refuse_errors(self, what: str, replies: Sequence[str], read_back: tuple[str, ...] = ()) -> None:
+        errors = [reply for reply in replies if _error_number(reply) != NO_ERROR]
+        if errors:
+            errors += self.pending_errors()
+            reported = ", ".join(dict.fromkeys(errors))
+            raise Unconfirmed(f"to '{what[:80]}' the generator reports {reported}", read_back)
+
+
+def _differences(settings: Sequence[Setting], replies: Sequence[str]) -> list[str]:
+    return [
+        f"{setting.header} reads {reply}, {setting.value}{setting.unit} was set"
+        for setting, reply in zip(settings, replies, strict=False)
+        if not setting.confirmed_by(reply)
+    ]
+
+
+def _error_number(reply: str) -> int:
+    """Return the number of an error-queue entry; what is no entry counts as a device error."""
+    try:
+        return int(reply.partition(",")[0])
+    except ValueError:
+        return -300

@@ -1,0 +1,99 @@
+"""A simulated AFG3022B as its transport sees it: messages in, replies out, faults on the way."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+
+from modaltouch.rig.afg import Afg
+from modaltouch.rig.commands import command_table
+from modaltouch.rig.faults import Fault, Faults, Kind
+from modaltouch.rig.scpi import ScpiError
+from modaltouch.rig.vxi11 import Reply
+
+
+class Instrument:
+    """Carries out program messages, one at a time whichever link they come from.
+
+    Parameters
+    ----------
+    afg : Afg
+        State of the generator.
+    faults : Faults
+        What goes wrong.
+    """
+
+    def __init__(self, afg: Afg, faults: Faults) -> None:
+        self.afg = afg
+        self.faults = faults
+        self._table = command_table(afg)
+        self._busy = threading.RLock()
+
+    @property
+    def max_sessions(self) -> int:
+        """Links accepted at the same time."""
+        return self.afg.behaviour.max_sessions
+
+    @property
+    def status_byte(self) -> int:
+        """Status byte without the message-available bit."""
+        return self.afg.status_byte
+
+    def fail(self, error: ScpiError) -> None:
+        """Put an error in the queue."""
+        self.afg.fail(error)
+
+    def trigger(self) -> None:
+        """Take a group execute trigger, as ``*TRG``."""
+        self.perform(b"*TRG")
+
+    def perform(self, message: bytes) -> list[bytes]:
+        """Carry out a message as the front panel would, past every fault, and return the replies."""
+        with self._busy:
+            return self._table.run(message, fail=self.afg.fail)
+
+    def execute(self, message: bytes) -> Reply:
+        """Carry out a message that came over a link."""
+        met = self.faults.take(message)
+        with self._busy:
+            if "power_cycle" in met:
+                self.afg.power_on()
+            if "power_cycle" in met or "dropped_connection" in met:
+                return Reply(hang_up=True)
+            if "ignored_message" in met:
+                return Reply(b"lost", delay=math.inf)
+            if "slow_command" in met:
+                time.sleep(float(met["slow_command"].value))
+            replies = self._table.run(_spoil_upload(message, met), fail=self.afg.fail)
+            if "scpi_error" in met:
+                self.afg.fail(ScpiError(int(float(met["scpi_error"].value))))
+            if "front_panel" in met:
+                self.perform(str(met["front_panel"].value).encode())
+        data = b";".join(replies) + b"\n" if replies else b""
+        return _spoil_reply(data, met)
+
+
+def _spoil_upload(message: bytes, met: dict[Kind, Fault]) -> bytes:
+    if "truncated_upload" in met:
+        return message[: len(message) // 2]
+    if "garbled_upload" in met:
+        spoiled = bytearray(message)
+        spoiled[len(message) // 2] ^= 0x01
+        return bytes(spoiled)
+    return message
+
+
+def _spoil_reply(data: bytes, met: dict[Kind, Fault]) -> Reply:
+    if "dropped_reply" in met:
+        return Reply(hang_up=True)
+    if "lost_reply" in met:
+        return Reply(data or b"lost", delay=math.inf)
+    if "garbled_reply" in met:
+        data = b"\xfe\xff" + data[2:]
+    if "truncated_reply" in met:
+        data = data[: max(len(data) // 2, 1)]
+    if "wrong_reply" in met:
+        data = str(met["wrong_reply"].value).encode() + b"\n"
+    delay = float(met["delayed_reply"].value) if "delayed_reply" in met else 0.0
+    return Reply(data, delay)

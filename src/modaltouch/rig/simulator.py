@@ -1,0 +1,174 @@
+"""A whole rig on the loopback interface: generator behind a VXI-11 server, amplifier, beam, fingers.
+
+``python -m modaltouch.rig.simulator --port 0 APPARATUS.yaml`` runs one in a process of its own.
+"""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+import threading
+from collections.abc import Sequence
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modaltouch.apparatus import Apparatus, read_apparatus
+from modaltouch.document import InputError
+from modaltouch.rig.afg import Afg, Behaviour
+from modaltouch.rig.faults import Faults
+from modaltouch.rig.instrument import Instrument
+from modaltouch.rig.twin import Twin
+from modaltouch.rig.vxi11 import Vxi11Server
+
+
+class Simulator:
+    """The digital twin of a rig, reached like a real one through its VISA address.
+
+    Parameters
+    ----------
+    apparatus : Apparatus
+        What is on the table; its section ``twin`` says how the true beam differs from the identified one.
+    seed : int, optional
+        Instead of the seed in ``twin``.
+    port : int
+        TCP port on 127.0.0.1; 0 takes a free one.
+    behaviour : Behaviour, optional
+        What is not publicly known of the real generator.
+
+    Attributes
+    ----------
+    afg : Afg
+        State of the generator.
+    twin : Twin
+        Amplifier and true beam.
+    faults : Faults
+        What goes wrong, switchable at any time.
+    """
+
+    def __init__(
+        self,
+        apparatus: Apparatus,
+        seed: int | None = None,
+        *,
+        port: int = 0,
+        behaviour: Behaviour | None = None,
+    ) -> None:
+        self.apparatus = apparatus
+        self.afg = Afg(behaviour or Behaviour())
+        self.faults = Faults()
+        self.twin = Twin(apparatus, apparatus.twin.seed if seed is None else seed)
+        self._instrument = Instrument(self.afg, self.faults)
+        self._server = Vxi11Server(self._instrument, port)
+
+    @property
+    def address(self) -> str:
+        """VISA address."""
+        return self._server.address
+
+    @property
+    def outputs(self) -> tuple[bool, ...]:
+        """Whether each output is on."""
+        return tuple(channel.output for channel in self.afg.channels.values())
+
+    def felt_velocity(self, places: Sequence[str | float]) -> NDArray[np.float64]:
+        """Return the peak speed that fingers feel now.
+
+        Parameters
+        ----------
+        places : sequence of str or float
+            Names of zones (their centres are taken) or positions, origin at mid-beam [m].
+
+        Returns
+        -------
+        (n_places,) array
+            Highest speed over one burst [m/s]; 0 while no output is on or no burst comes.
+
+        Raises
+        ------
+        ValueError
+            If there is no such zone.
+        """
+        playbacks = [self.afg.playback(number) for number in self.afg.channels]
+        return self.twin.felt(playbacks, [self._position(place) for place in places])
+
+    def _position(self, place: str | float) -> float:
+        if not isinstance(place, str):
+            return float(place)
+        zone = self.apparatus.zones.get(place)
+        if zone is None:
+            known = ", ".join(self.apparatus.zones)
+            raise ValueError(f"'{place}' is not a zone of this beam: name one of {known}, or a position in metres")
+        return zone.centre_mm * 1e-3
+
+    def front_panel(self, command: str) -> str:
+        """Do at the instrument what a command says, and return the reply of a query."""
+        return b";".join(self._instrument.perform(command.encode())).decode("latin1")
+
+    def power_cycle(self) -> None:
+        """Cut the generator's power: connections gone, settings lost, outputs off, USER memories kept."""
+        self.afg.power_on()
+        self._server.drop_connections()
+
+    def drop_connections(self) -> None:
+        """Reset every connection, as pulling the plug does; the generator goes on as it is."""
+        self._server.drop_connections()
+
+    def refuse_connections(self) -> None:
+        """Accept no new connection until `accept_connections`."""
+        self._server.refuse()
+
+    def accept_connections(self) -> None:
+        """Accept connections again, on the same port."""
+        self._server.listen()
+
+    def trip_amplifier(self) -> None:
+        """Let the amplifier's protection cut its output until `reset_amplifier`."""
+        self.twin.tripped = True
+
+    def reset_amplifier(self) -> None:
+        """Switch the amplifier on again."""
+        self.twin.tripped = False
+
+    def close(self) -> None:
+        """Stop serving."""
+        self._server.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+def serve(apparatus: Apparatus, *, port: int = 0, seed: int | None = None) -> None:
+    """Run a simulator until SIGINT or SIGTERM; its address is the first line on standard output."""
+    ended = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: ended.set())
+    with Simulator(apparatus, seed, port=port) as simulator:
+        sys.stdout.write(simulator.address + "\n")
+        sys.stdout.flush()
+        ended.wait()
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run ``python -m modaltouch.rig.simulator``."""
+    parser = argparse.ArgumentParser(prog="python -m modaltouch.rig.simulator", description=__doc__)
+    parser.add_argument("apparatus", help="apparatus file (YAML)")
+    parser.add_argument("--port", type=int, default=0, help="TCP port on 127.0.0.1; 0 takes a free one")
+    parser.add_argument("--seed", type=int, default=None, help="instead of the seed in the file")
+    options = parser.parse_args(arguments)
+    try:
+        apparatus = read_apparatus(options.apparatus)
+    except InputError as error:
+        sys.stderr.write(f"{error}\n")
+        return 2
+    serve(apparatus, port=options.port, seed=options.seed)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,152 @@
+"""A rig on the loopback interface for each test, and a burst short enough to be sent often."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from modaltouch.apparatus import Apparatus, read_apparatus
+from modaltouch.rig.connection import Patience
+from modaltouch.rig.generator import Generator
+from modaltouch.rig.simulator import Simulator
+from modaltouch.stimulus.burst import Burst
+
+APPARATUS = Path(__file__).parents[2] / "protocols" / "apparatus" / "beam_100x6x2.yaml"
+
+
+class Heard:
+    """Keeps what a driver logs, in order, and refuses what a session log could not write down."""
+
+    def __init__(self) -> None:
+        self.events: list[tuple[str, dict[str, Any]]] = []
+
+    def __call__(self, event: str, **facts: Any) -> None:
+        json.dumps(facts, allow_nan=False)
+        self.events.append((event, facts))
+
+    def of(self, event: str) -> list[dict[str, Any]]:
+        """Return the facts of one kind of event."""
+        return [facts for kind, facts in self.events if kind == event]
+
+    @property
+    def sent(self) -> list[str]:
+        """Every message sent."""
+        return [facts["sent"] for facts in self.of("scpi")]
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self.events.clear()
+
+
+class QuietGuard:
+    """Stands at the process boundary in tests that are not about the watchdog: keeps what it is told."""
+
+    def __init__(self) -> None:
+        self.told: list[str] = []
+
+    def arm(self) -> None:
+        self.told.append("arm")
+
+    def beat(self) -> None:
+        self.told.append("beat")
+
+    def disarm(self) -> None:
+        self.told.append("disarm")
+
+    def release(self, *, clean: bool) -> None:
+        self.told.append("clean" if clean else "left watching")
+
+
+@pytest.fixture(scope="session")
+def apparatus() -> Apparatus:
+    """Return the shipped apparatus."""
+    return read_apparatus(APPARATUS)
+
+
+@pytest.fixture
+def simulator(apparatus: Apparatus) -> Iterator[Simulator]:
+    """Return a running simulator."""
+    with Simulator(apparatus) as running:
+        yield running
+
+
+@pytest.fixture
+def heard() -> Heard:
+    """Return a log that keeps its events."""
+    return Heard()
+
+
+@pytest.fixture
+def guard() -> QuietGuard:
+    """Return the stand-in for the watchdog that `open_generator` uses."""
+    return QuietGuard()
+
+
+@pytest.fixture
+def patience() -> Patience:
+    """Return waits short enough for faults to be met often."""
+    return Patience(reply=0.2, copy=0.4, tries=2, pause=0.02)
+
+
+@pytest.fixture
+def open_generator(
+    apparatus: Apparatus, simulator: Simulator, heard: Heard, guard: QuietGuard, patience: Patience
+) -> Iterator[Callable[..., Generator]]:
+    """Return what opens the driver at the simulator; whatever it opens is closed."""
+    opened: list[Generator] = []
+
+    def open_one(**options: Any) -> Generator:
+        defaults = {
+            "log": heard,
+            "patience": patience,
+            "start_guard": lambda address, library: guard,
+        }
+        opened.append(Generator(simulator.address, apparatus, **(defaults | options)))
+        return opened[-1]
+
+    yield open_one
+    for generator in opened:
+        generator.close()
+
+
+@pytest.fixture
+def generator(open_generator: Callable[..., Generator]) -> Generator:
+    """Return the driver, open at the simulator."""
+    return open_generator()
+
+
+@pytest.fixture
+def loaded(generator: Generator, burst: Burst, heard: Heard) -> Generator:
+    """Return the driver with the burst loaded and the log empty."""
+    generator.load(burst)
+    heard.clear()
+    return generator
+
+
+def make_burst(n_samples: int = 2500, seed: int = 0, amplitude: tuple[float, ...] = (12.0, 8.0)) -> Burst:
+    """Return a smooth random burst of 50 ms, at rest at both ends, for 200 mm/s."""
+    rng = np.random.default_rng(seed)
+    time = np.linspace(0, 1, n_samples)
+    waves = rng.uniform(-1, 1, (len(amplitude), 8)) @ np.sin(np.pi * np.arange(1, 9)[:, None] * time)
+    waves = waves * np.sin(np.pi * time) ** 2
+    waves = waves / np.abs(waves).max(axis=1, keepdims=True)
+    codes = np.round(8191 + 8191 * waves).astype(np.uint16)
+    codes[:, [0, -1]] = 8191
+    return Burst(codes, 0.05, 7.0, 0.2, amplitude)
+
+
+@pytest.fixture
+def burst() -> Burst:
+    """Return a short burst."""
+    return make_burst()
+
+
+@pytest.fixture
+def make() -> Callable[..., Burst]:
+    """Return what makes bursts of other lengths, contents and amplitudes."""
+    return make_burst

@@ -1,0 +1,327 @@
+"""The driver against the simulator: what it sends, what it confirms, and that its outputs are off."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from modaltouch.apparatus import Apparatus
+from modaltouch.rig.generator import Generator
+from modaltouch.rig.interface import RigError
+from modaltouch.rig.settings import continuous_codes
+from modaltouch.rig.simulator import Simulator
+from modaltouch.stimulus.burst import Burst
+
+LEVELS = (0.08, 0.1, 0.15, 0.2)
+
+
+def test_outputs_are_off_after_opening(simulator: Simulator, open_generator: Callable[..., Generator]) -> None:
+    """An output left on by somebody else is off once the driver has the instrument (promise list)."""
+    simulator.front_panel("OUTP1 ON;:OUTP2 ON")
+    open_generator()
+    assert simulator.outputs == (False, False)
+
+
+def test_firing_is_confirmed_and_felt(loaded: Generator, simulator: Simulator) -> None:
+    """Between fire and stop both outputs are on and fingers feel something; before and after they do not."""
+    assert simulator.felt_velocity(["A", "C"]).tolist() == [0, 0]
+    firing = loaded.fire(0.2)
+    assert firing.confirmed
+    assert firing.confirmed_amplitude == firing.commanded_amplitude == (12.0, 8.0)
+    assert simulator.outputs == (True, True)
+    assert (simulator.felt_velocity(["A", "C"]) > 0).all()
+    loaded.stop()
+    assert simulator.outputs == (False, False)
+    assert simulator.felt_velocity(["A", "C"]).tolist() == [0, 0]
+
+
+def test_level_scales_what_is_felt(loaded: Generator, simulator: Simulator) -> None:
+    """The beam is linear: speeds are in the ratio of the levels, 0.4 to 0.5 to 0.75 to 1."""
+    felt = []
+    for level in LEVELS:
+        loaded.fire(level)
+        felt.append(simulator.felt_velocity(["B", "D"]))
+        loaded.stop()
+    assert np.allclose(np.array(felt) / felt[-1], np.array(LEVELS)[:, None] / 0.2, rtol=1e-9)
+
+
+def test_instrument_is_set_as_the_burst_asks(loaded: Generator, simulator: Simulator) -> None:
+    """State of the instrument while it fires: 20 Hz, one cycle a trigger, 1/7 s, 12 and 8 Vpp, no offset."""
+    loaded.fire(0.2)
+    for channel, memory, amplitude in zip(simulator.afg.channels.values(), ("USER1", "USER2"), (12, 8), strict=True):
+        assert channel.function == memory
+        assert (channel.frequency, channel.n_cycles, channel.burst, channel.burst_mode) == (20, 1, True, "TRIG")
+        assert (channel.offset, channel.delay, channel.polarity) == (0, 0, "NORM")
+        assert math.isinf(channel.load)
+        assert channel.amplitude == pytest.approx(amplitude)
+    assert simulator.afg.trigger_source == "TIM"
+    assert simulator.afg.timer == pytest.approx(1 / 7, rel=1e-8)
+
+
+def test_memories_hold_the_codes(loaded: Generator, simulator: Simulator, burst: Burst) -> None:
+    """USER1 and USER2 hold the burst's codes, two bytes each, big-endian (instruments.md, arbitrary waveforms)."""
+    for number, codes in enumerate(burst.codes, start=1):
+        assert simulator.afg.user[number] == codes.astype(">u2").tobytes()
+
+
+def test_voltage_limits_are_set_before_any_output_goes_on(
+    generator: Generator, simulator: Simulator, burst: Burst, heard: Any, apparatus: Apparatus
+) -> None:
+    """VOLTage:LIMit is what the amplifier allows, 250 V / 25, and precedes the first output on."""
+    generator.load(burst)
+    generator.fire(0.1)
+    sent = heard.sent
+    first_on = next(i for i, message in enumerate(sent) if "OUTP1 ON" in message)
+    for side in ("HIGH 10V", "LOW -10V"):
+        assert any(f"SOUR1:VOLT:LIM:{side}" in message for message in sent[:first_on])
+        assert any(f"SOUR2:VOLT:LIM:{side}" in message for message in sent[:first_on])
+    assert simulator.afg.channels[1].limit_high == 10
+
+
+def test_every_set_reads_the_error_queue(loaded: Generator, heard: Any) -> None:
+    """Each message that sets something ends by asking for errors (promise list)."""
+    loaded.fire(0.1)
+    loaded.stop()
+    sets = [m for m in heard.sent if any(" " in unit.strip() for unit in m.split(";"))]
+    assert sets
+    assert all(message.endswith("SYST:ERR?") for message in sets)
+
+
+def test_level_change_sends_no_record(loaded: Generator, heard: Any) -> None:
+    """A trial sets two amplitudes, the outputs and the trigger source; nothing else (promise list)."""
+    for level in LEVELS:
+        loaded.fire(level)
+        loaded.stop()
+    assert not any("DATA" in message for message in heard.sent)
+
+
+def test_levels_are_set_while_the_trigger_is_stopped(loaded: Generator, simulator: Simulator) -> None:
+    """No burst plays between the two channels' settings: the trigger waits and both outputs are off."""
+    seen = []
+    set_levels = simulator.afg.set_levels
+
+    def watch(number: int, **levels: float) -> None:
+        seen.append((simulator.afg.trigger_source, simulator.outputs))
+        set_levels(number, **levels)
+
+    simulator.afg.set_levels = watch
+    loaded.fire(0.1)
+    loaded.fire(0.2)
+    assert seen == [("EXT", (False, False))] * 4
+
+
+def test_level_change_takes_at_most_two_milliseconds(loaded: Generator) -> None:
+    """Two amplitudes set, read back and free of errors, over VXI-11: the bar is 2 ms (fastest of 50 tries)."""
+    took = []
+    for step in range(50):
+        started = time.perf_counter()
+        loaded.set_levels((1 + step / 1000, 2.0))
+        took.append(time.perf_counter() - started)
+    assert min(took) < 2e-3
+
+
+def test_record_already_there_is_not_sent_again(
+    open_generator: Callable[..., Generator], burst: Burst, heard: Any
+) -> None:
+    """A second session reads the memories back, finds the record right and sends none (promise list)."""
+    with open_generator() as first:
+        first.load(burst)
+    assert len(heard.of("record_sent")) == 2
+    heard.clear()
+    open_generator().load(burst)
+    assert heard.of("record_sent") == []
+    assert len(heard.of("record_found")) == 2
+
+
+def test_record_with_one_wrong_code_is_sent_again(
+    open_generator: Callable[..., Generator], simulator: Simulator, burst: Burst, heard: Any
+) -> None:
+    """A memory that differs in a single code is not taken for the record."""
+    with open_generator() as first:
+        first.load(burst)
+    simulator.front_panel("DATA:COPY EMEM,USER2;:DATA:DATA:VAL EMEM,1000,8192;:DATA:COPY USER2,EMEM")
+    heard.clear()
+    open_generator().load(burst)
+    assert [facts["memory"] for facts in heard.of("record_sent")] == ["USER2"]
+    assert simulator.afg.user[2] == burst.codes[1].astype(">u2").tobytes()
+
+
+def test_two_bursts_share_the_memories(
+    loaded: Generator, simulator: Simulator, burst: Burst, make: Callable[..., Burst], heard: Any
+) -> None:
+    """Loading another burst and the first again plays the first one's records."""
+    other = make(seed=1)
+    loaded.load(other)
+    loaded.load(burst)
+    loaded.fire(0.1)
+    for channel, codes in zip(simulator.afg.channels.values(), burst.codes, strict=True):
+        assert simulator.afg.user[int(channel.function[4:])] == codes.astype(">u2").tobytes()
+
+
+def test_log_holds_every_exchange_but_no_record(generator: Generator, burst: Burst, heard: Any) -> None:
+    """Commands come with reply and time; a record is named by its length and hash."""
+    generator.load(burst)
+    exchanges = heard.of("scpi")
+    assert all(facts["seconds"] >= 0 for facts in exchanges)
+    assert max(len(str(facts)) for facts in exchanges) < 1000
+    uploads = [facts["sent"] for facts in exchanges if facts["sent"].startswith("DATA:DATA EMEM,")]
+    assert len(uploads) == 2
+    assert all(f"<{2 * burst.codes.shape[1]} bytes, sha256 " in sent for sent in uploads)
+
+
+def test_silent_channel_plays_nothing(generator: Generator, simulator: Simulator, burst: Burst) -> None:
+    """A channel without drive keeps the lowest amplitude and a record of zero volts."""
+    codes = burst.codes.copy()
+    codes[1] = 8191
+    generator.load(replace(burst, codes=codes, amplitude=(12.0, 0.0)))
+    firing = generator.fire(0.2)
+    assert firing.confirmed
+    assert firing.commanded_amplitude == (12.0, 0.02)
+
+
+@pytest.mark.parametrize(
+    ("level", "message"),
+    [
+        (0.0, "0 mm/s was asked for: allowed above 0"),
+        (-0.1, "-100 mm/s"),
+        (math.nan, "nan mm/s"),
+        (math.inf, "inf mm/s"),
+        (0.6, "600 mm/s was asked for.*safety limit of 500 mm/s"),
+        (0.4, "400 mm/s needs 24 V peak to peak of output 1, 300.0 V at the beam: allowed at most 250 V"),
+        (0.0002, "needs 0.012 V peak to peak of output 1: allowed 0.02 to 20 V"),
+    ],
+)
+def test_level_beyond_a_limit_is_refused(loaded: Generator, simulator: Simulator, level: float, message: str) -> None:
+    """Limits: safety 500 mm/s, 250 V at the beam = 20 Vpp * 25 / 2, lowest amplitude 20 mVpp (apparatus, NI)."""
+    with pytest.raises(RigError, match=message):
+        loaded.fire(level)
+    assert simulator.outputs == (False, False)
+
+
+def test_lower_amplifier_limit_binds_the_instrument(
+    simulator: Simulator, apparatus: Apparatus, guard: Any, burst: Burst
+) -> None:
+    """With 100 V allowed at the beam the instrument itself refuses more than 4 V at its output."""
+    gentle = apparatus.model_copy(update={"amplifier": apparatus.amplifier.model_copy(update={"limit_V": 100.0})})
+    with Generator(simulator.address, gentle, start_guard=lambda *_: guard) as generator:
+        generator.load(burst)
+        with pytest.raises(RigError, match=r"200 mm/s needs 12 V .* 150.0 V at the beam: allowed at most 100 V"):
+            generator.fire(0.2)
+        assert simulator.front_panel("SOUR1:VOLT 12VPP;:SYST:ERR?").startswith("-222")
+
+
+def test_fifty_ohm_load_halves_the_volts_at_the_beam(
+    simulator: Simulator, apparatus: Apparatus, guard: Any, burst: Burst
+) -> None:
+    """Into 50 ohm half the open-circuit volts remain: 20 Vpp at the generator are 125 V at the beam."""
+    terminated = apparatus.model_copy(update={"generator": apparatus.generator.model_copy(update={"load": "50_ohm"})})
+    strong = replace(burst, amplitude=(20.0, 8.0))
+    with Generator(simulator.address, terminated, start_guard=lambda *_: guard) as generator:
+        generator.load(strong)
+        assert generator.fire(0.2).confirmed
+
+
+def test_fire_before_load_is_refused(generator: Generator) -> None:
+    """There is nothing to fire."""
+    with pytest.raises(RigError, match="fire was called before load"):
+        generator.fire(0.1)
+
+
+def test_burst_of_one_channel_is_refused(generator: Generator, make: Callable[..., Burst]) -> None:
+    """The generator has two outputs and one trigger: a record is due for each."""
+    with pytest.raises(RigError, match="the burst has 1 channels: the generator has 2"):
+        generator.load(make(amplitude=(10.0,)))
+
+
+def test_another_model_is_refused(simulator: Simulator, apparatus: Apparatus, guard: Any) -> None:
+    """An instrument other than the apparatus file's is left alone, and the remedy named."""
+    other = apparatus.model_copy(update={"generator": apparatus.generator.model_copy(update={"model": "AFG31022"})})
+    simulator.front_panel("OUTP1 ON")
+    with pytest.raises(RigError, match=r"says it is 'TEKTRONIX,AFG3022B.*names AFG31022; no output was switched on"):
+        Generator(simulator.address, other, start_guard=lambda *_: guard)
+    assert guard.told == ["clean"]
+    assert simulator.outputs == (True, False)
+
+
+def test_fire_while_firing_stops_first(loaded: Generator, simulator: Simulator) -> None:
+    """A second fire changes the level with the outputs off in between, and is confirmed."""
+    loaded.fire(0.1)
+    assert loaded.fire(0.2).confirmed
+    assert simulator.outputs == (True, True)
+
+
+def test_exception_inside_the_session_leaves_outputs_off(
+    open_generator: Callable[..., Generator], simulator: Simulator, burst: Burst
+) -> None:
+    """Any way out of the with statement switches off."""
+
+    class SomethingElse(BaseException):
+        pass
+
+    with pytest.raises(SomethingElse), open_generator() as rig:
+        rig.load(burst)
+        rig.fire(0.1)
+        raise SomethingElse
+    assert simulator.outputs == (False, False)
+
+
+def test_close_is_final_and_can_be_repeated(loaded: Generator, simulator: Simulator, guard: Any) -> None:
+    """The second close does nothing; the watchdog is let go once, cleanly."""
+    loaded.fire(0.1)
+    loaded.close()
+    loaded.close()
+    assert simulator.outputs == (False, False)
+    assert guard.told[-1] == "clean"
+    assert guard.told.count("clean") == 1
+
+
+def test_watchdog_is_armed_before_the_outputs_go_on(loaded: Generator, guard: Any, heard: Any) -> None:
+    """The watchdog knows first; it is relieved once the outputs are confirmed off."""
+    loaded.fire(0.1)
+    assert guard.told[-1] == "arm"
+    loaded.stop()
+    assert guard.told[-1] == "disarm"
+
+
+def test_onset_bounds_the_first_burst(loaded: Generator) -> None:
+    """The timer runs free: the first burst comes within one period of 1/7 s after the trigger was armed."""
+    before = time.perf_counter()
+    firing = loaded.fire(0.1)
+    after = time.perf_counter()
+    assert before < firing.onset < after
+    assert 1 / 7 < firing.onset_uncertainty < 1 / 7 + (after - before)
+
+
+def test_continuous_record_repeats_without_trigger(
+    open_generator: Callable[..., Generator], simulator: Simulator, make: Callable[..., Burst]
+) -> None:
+    """Without burst mode one record of 1/7 s holds burst and silence; what is felt differs by under 2 %."""
+    burst = make(n_samples=125_000)
+    felt = []
+    for repetition in ("burst", "continuous"):
+        with open_generator(repetition=repetition) as rig:
+            rig.load(burst)
+            assert rig.fire(0.2).confirmed
+            felt.append(simulator.felt_velocity(["A", "C", "E"]))
+            rig.stop()
+            assert rig.firing is not None
+            assert rig.firing.confirmed
+    assert simulator.afg.channels[1].frequency == pytest.approx(7)
+    assert felt[1] == pytest.approx(felt[0], rel=0.02)
+
+
+def test_continuous_codes_hold_the_burst_and_then_rest(burst: Burst) -> None:
+    """Point n of 131072 lies at (n + 1/2) / (7 Hz * 131072): the burst's sample of that instant, else 0 V."""
+    codes = continuous_codes(burst)
+    n_points = 131_072
+    assert codes.shape == (2, n_points)
+    for n in (0, 1, 1000, 30_000, 45_874):
+        sample = int((n + 0.5) / (7 * n_points) / (0.05 / burst.codes.shape[1]))
+        assert codes[0, n] == burst.codes[0, sample]
+    assert (codes[:, 45_876:] == 8191).all()
