@@ -49,10 +49,10 @@ class Participant:
         Standard deviation of the logarithm of the decision time [1].
     """
 
-    noise: float = 0.25
-    criterion: float = 0.36
-    suppression: float = 0.5
-    suppression_across_hands: float = 0.4
+    noise: float = 0.22
+    criterion: float = 0.33
+    suppression: float = 0.6
+    suppression_across_hands: float = 0.5
     side_bias: float = 0.0
     lapse_rate: float = 0.005
     detection_speed: float = 0.001
@@ -74,9 +74,7 @@ class Participant:
             least = -math.inf if item.name == "side_bias" else 0.0
             most = 1.0 if item.name == "lapse_rate" else math.inf
             if not (math.isfinite(value) and least <= value <= most):
-                raise ValueError(
-                    f"{item.name}: given {value}; allowed: a finite number from {least:g} to {most:g}"
-                )
+                raise ValueError(f"{item.name}: given {value}; allowed: a finite number from {least:g} to {most:g}")
 
     def difference(self, speed_left: float, speed_right: float, finger_condition: str) -> float:
         """Return how much stronger the right finger feels, apart from noise (log ratio) [1].
@@ -95,9 +93,7 @@ class Participant:
         """
         for side, speed in (("left", speed_left), ("right", speed_right)):
             if not (math.isfinite(speed) and speed >= 0):
-                raise ValueError(
-                    f"given {speed} m/s under the {side} finger; allowed: a finite speed, 0 or more"
-                )
+                raise ValueError(f"given {speed} m/s under the {side} finger; allowed: a finite speed, 0 or more")
         floor = max(self.detection_speed, 1e-12)
         ratio = math.log((speed_right + floor) / (speed_left + floor))
         suppression = self.suppression if finger_condition == _SAME_HAND else self.suppression_across_hands
@@ -141,7 +137,7 @@ class Observer:
     """A population of participants.
 
     The defaults answer as the paper's participants did: nearly all name the zone of the higher speed where the
-    speeds differ by 1.8 : 1 or more, and most say ``both`` where they are equal. They agree with what is known
+    speeds differ by 1.6 : 1 or more, and most say ``both`` where they are equal. They agree with what is known
     of touch:
 
     - Intensity is compared by ratio: difference thresholds for vibration are 0.7 dB (far above threshold) to

@@ -69,9 +69,7 @@ def open_window(
         If the theme is unknown, or an observer is missing.
     """
     if answers != "window" and answerer is None:
-        raise ValueError(
-            f"given answers by {answers!r} and no observer; give `answerer`, or answers by 'window'"
-        )
+        raise ValueError(f"given answers by {answers!r} and no observer; give `answerer`, or answers by 'window'")
     if answers == "simulated" and answerer is not None:
         from modaltouch.window.simulated import SimulatedParticipant
 

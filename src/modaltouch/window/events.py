@@ -15,7 +15,25 @@ from typing import Any, Literal
 
 EventKind = Literal["key", "release", "click", "close", "focus", "blur", "expose"]
 
-_ALIASES = {"return": "enter", "esc": "escape", "spacebar": "space", "del": "delete", "ins": "insert"}
+_ALIASES = {
+    "return": "enter",
+    "esc": "escape",
+    "spacebar": "space",
+    # The number pad with and without NumLock is one and the same set of keys.
+    "num_insert": "num_0",
+    "num_end": "num_1",
+    "num_down": "num_2",
+    "num_page_down": "num_3",
+    "num_next": "num_3",
+    "num_left": "num_4",
+    "num_begin": "num_5",
+    "num_right": "num_6",
+    "num_home": "num_7",
+    "num_up": "num_8",
+    "num_page_up": "num_9",
+    "num_prior": "num_9",
+    "num_delete": "num_decimal",
+}
 
 _REPEAT_GAP = 0.001
 """A key that comes up and goes down again sooner than this was held: no hand is that fast [s]."""
@@ -49,7 +67,7 @@ def canonical_key(name: str) -> str:
 
     Examples
     --------
-    >>> canonical_key("RETURN"), canonical_key("_1"), canonical_key("NUM_4")
+    >>> canonical_key("RETURN"), canonical_key("_1"), canonical_key("NUM_LEFT")
     ('enter', '1', 'num_4')
     """
     plain = name.strip().lower()

@@ -71,10 +71,7 @@ def draw_hands(
         if finger not in {f"{side} {name}" for side in ("left", "right") for name in ("index", "middle")}:
             raise ValueError(f"given the finger {finger!r}; allowed: left or right, then index or middle")
     colours = (theme.left, theme.right)
-    tips = {
-        finger: (layout.zones[zone].x, layout.zones[zone].y)
-        for finger, zone in zip(fingers, zones, strict=True)
-    }
+    tips = {finger: (layout.zones[zone].x, layout.zones[zone].y) for finger, zone in zip(fingers, zones, strict=True)}
     fills = dict(zip(fingers, colours, strict=True))
     marks: list[Mark] = []
     for side in ("left", "right"):
@@ -90,9 +87,7 @@ def draw_hands(
     return tuple(marks)
 
 
-def _draw_hand(
-    layout: Layout, theme: Theme, side: str, tips: dict[str, Point], fills: dict[str, str]
-) -> list[Mark]:
+def _draw_hand(layout: Layout, theme: Theme, side: str, tips: dict[str, Point], fills: dict[str, str]) -> list[Mark]:
     """Return one hand: palm, resting fingers, then the touching fingers over them."""
     unit = layout.unit
     outward = 1 if side == "right" else -1

@@ -94,8 +94,7 @@ def lay_out(
     zone_width = min(0.22, 1.1 / len(zones)) * unit
     first = -(len(zones) - 1) / 2
     zone_boxes = {
-        name: Box((first + place) * zone_width, 0.16, zone_width, 0.105 * unit)
-        for place, name in enumerate(zones)
+        name: Box((first + place) * zone_width, 0.16, zone_width, 0.105 * unit) for place, name in enumerate(zones)
     }
     across = 1.2 * unit
     gap = 0.045 * unit

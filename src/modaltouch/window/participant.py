@@ -186,10 +186,7 @@ class ParticipantWindow:
             self._pictures.placement(trial),
             self._pictures.feel(trial, progress),
             self._pictures.question(trial, progress),
-            *(
-                self._pictures.question(trial, progress, chosen=answer)
-                for answer in self._pictures.layout.buttons
-            ),
+            *(self._pictures.question(trial, progress, chosen=answer) for answer in self._pictures.layout.buttons),
         ):
             self._stage.prepare(picture)
 
@@ -246,9 +243,7 @@ class ParticipantWindow:
                     rest.append(other)
                 elif second != answer and other.time <= event.time + DOUBLE_WINDOW:
                     is_double = True
-                    self._stage.note_later(
-                        "double", first=answer, second=second, after_s=other.time - event.time
-                    )
+                    self._stage.note_later("double", first=answer, second=second, after_s=other.time - event.time)
             if time.perf_counter() > event.time + DOUBLE_WINDOW:
                 self._stage.put_back(rest)
                 return is_double
@@ -272,9 +267,7 @@ class ParticipantWindow:
         """Show the pause screen until the session goes on or ends."""
         if event.kind == "close":
             self._end("window closed")
-        self._stage.note(
-            "focus_lost" if event.kind == "blur" else "pause", trial=trial.index if trial else None
-        )
+        self._stage.note("focus_lost" if event.kind == "blur" else "pause", trial=trial.index if trial else None)
         began = time.perf_counter()
         shown = self._stage.show(self._pictures.pause(trial), Moment("go_on", trial))
         while True:
@@ -308,6 +301,4 @@ class ParticipantWindow:
 
     def _discard(self, event: Event, when: str, trial: Trial | None = None) -> None:
         if is_press(event):
-            self._stage.note(
-                "discarded", when=when, trial=trial.index if trial else None, **describe_press(event)
-            )
+            self._stage.note("discarded", when=when, trial=trial.index if trial else None, **describe_press(event))

@@ -193,9 +193,7 @@ class Illustrator:
             *framed(box, 0.022 * unit, edge, fill, 0.006 * unit),
             Words(word, upper, 0.062 * self.layout.type_scale, ink, bold=True),
             *arrows,
-            *self._key_caps(
-                answer, Box(box.x, box.y - 0.27 * box.height, box.width * 0.9, 0.25 * box.height), ink
-            ),
+            *self._key_caps(answer, Box(box.x, box.y - 0.27 * box.height, box.width * 0.9, 0.25 * box.height), ink),
         )
 
     def _key_caps(self, answer: Answer, box: Box, ink: str) -> tuple[Mark, ...]:
@@ -206,9 +204,7 @@ class Illustrator:
         shown = [key for key in keys if key in _ARROWS] or list(keys[:2])
         marks: list[Mark] = []
         labels = [None if key in _ARROWS else self.key_name(key) for key in shown]
-        widths = [
-            box.height if label is None else box.height * max(1.0, 0.34 * len(label) + 0.5) for label in labels
-        ]
+        widths = [box.height if label is None else box.height * max(1.0, 0.34 * len(label) + 0.5) for label in labels]
         gap = 0.25 * box.height
         x = box.x - (sum(widths) + gap * (len(widths) - 1)) / 2
         for key, label, width in zip(shown, labels, widths, strict=True):

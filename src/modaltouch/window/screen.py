@@ -56,7 +56,7 @@ class Screen:
     ) -> None:
         visual, monitors = _import_psychopy()
         self._visual = visual
-        self._fonts = _find_fonts()
+        _load_fonts()
         self._ready: OrderedDict[Mark, tuple[Any, ...]] = OrderedDict()
         self._window = _open(
             visual,
@@ -150,9 +150,7 @@ class Screen:
         name = key.upper() if not key.isdigit() else f"_{key}"
         symbol = getattr(keys, name, None)
         if symbol is None:
-            raise ValueError(
-                f"given the key {key!r}; allowed: a key name of pyglet, such as left, space, num_4 or a"
-            )
+            raise ValueError(f"given the key {key!r}; allowed: a key name of pyglet, such as left, space, num_4 or a")
         self._window.winHandle.dispatch_event("on_key_press" if down else "on_key_release", symbol, 0)
 
     def fits(self, words: Words) -> bool:
@@ -207,7 +205,6 @@ class Screen:
                 self._window,
                 words.text,
                 font="Noto Sans",
-                fontFiles=self._fonts,
                 pos=(words.box.x, words.box.y),
                 height=words.size * share,
                 wrapWidth=words.box.width,
@@ -281,17 +278,18 @@ def _explain(error: Exception) -> str:
             f"the display {display!r} cannot draw with OpenGL ({error}); use one with GLX and 24-bit colour (a "
             "virtual one: `Xvfb -screen 0 1920x1080x24 +extension GLX`) and install libgl1 and libgl1-mesa-dri"
         )
-    return (
-        f"the answer window cannot be opened on display {display!r}: {kind}: {error}; run `modaltouch doctor`"
-    )
+    return f"the answer window cannot be opened on display {display!r}: {kind}: {error}; run `modaltouch doctor`"
 
 
-def _find_fonts() -> list[str]:
-    """Return the font files that PsychoPy brings along, so that every machine shows the same picture."""
+def _load_fonts() -> None:
+    """Load the fonts that PsychoPy brings along, so that every machine shows the same picture."""
     import psychopy
+    import pyglet.font
 
     folder = Path(psychopy.__file__).parent / "assets" / "fonts"
-    return [str(folder / name) for name in ("NotoSans-Regular.ttf", "NotoSans-Bold.ttf")]
+    for name in ("NotoSans-Regular.ttf", "NotoSans-Bold.ttf"):
+        with (folder / name).open("rb") as file:
+            pyglet.font.add_file(file)
 
 
 def _open(visual: Any, size: tuple[int, int], **options: Any) -> Any:

@@ -192,11 +192,7 @@ class Stage:
 
     def _refresh(self) -> None:
         """Draw again what another window has covered."""
-        if (
-            self._is_stale
-            and self._picture is not None
-            and time.perf_counter() - self._shown > _REDRAW_INTERVAL
-        ):
+        if self._is_stale and self._picture is not None and time.perf_counter() - self._shown > _REDRAW_INTERVAL:
             self._display.show(self._picture)
             self._is_stale = False
 

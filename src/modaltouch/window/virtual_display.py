@@ -68,7 +68,17 @@ def virtual_display(size: tuple[int, int] = (1920, 1080)) -> Iterator[str]:
         raise WindowError("there is no display, and no Xvfb to make one: install xvfb, or log in at a screen")
     reading, writing = os.pipe()
     # Depth 24 and no less: at 16 PsychoPy's window waits for ever. -noreset keeps it alive between clients.
-    command = [program, "-displayfd", str(writing), "-screen", "0", f"{size[0]}x{size[1]}x24", "-nolisten", "tcp", "-noreset"]
+    command = [
+        program,
+        "-displayfd",
+        str(writing),
+        "-screen",
+        "0",
+        f"{size[0]}x{size[1]}x24",
+        "-nolisten",
+        "tcp",
+        "-noreset",
+    ]
     server = subprocess.Popen(command, pass_fds=(writing,), stderr=subprocess.DEVNULL)
     os.close(writing)
     try:

@@ -1,0 +1,300 @@
+"""A private display, the one real window that the tests share, and hands that press real keys."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from modaltouch.protocol import Experiment, read_protocol
+from modaltouch.trial import Condition, Trial
+from modaltouch.window.events import Event
+from modaltouch.window.marks import Picture
+from modaltouch.window.participant import ParticipantWindow
+from modaltouch.window.theme import DARK
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def start_xvfb(*options: str) -> tuple[subprocess.Popen[bytes], str]:
+    """Start a virtual display and return it with its name, once it is ready."""
+    readable, writable = os.pipe()
+    command = ["Xvfb", "-displayfd", str(writable), "-screen", "0", "3840x2160x24", "-nolisten", "tcp", "-noreset"]
+    server = subprocess.Popen([*command, *options], pass_fds=(writable,), stderr=subprocess.DEVNULL)
+    os.close(writable)
+    with os.fdopen(readable) as pipe:
+        number = pipe.readline().strip()
+    if not number:
+        server.wait()
+        raise RuntimeError("Xvfb did not start; install it (Debian: xvfb libgl1 libgl1-mesa-dri)")
+    return server, f":{number}"
+
+
+@pytest.fixture(scope="session")
+def display() -> Iterator[str]:
+    """Give a display of our own, so that no test types into somebody's desktop."""
+    if shutil.which("Xvfb") is None:
+        raise RuntimeError("the window tests need Xvfb (Debian: xvfb libgl1 libgl1-mesa-dri)")
+    server, name = start_xvfb()
+    before = os.environ.get("DISPLAY")
+    os.environ["DISPLAY"] = name
+    yield name
+    if before is None:
+        del os.environ["DISPLAY"]
+    else:
+        os.environ["DISPLAY"] = before
+    server.terminate()
+    server.wait()
+
+
+@pytest.fixture(scope="session")
+def screen(display: str) -> Iterator[Any]:
+    """Give the real window; each one opened leaks a connection, so all tests share it."""
+    from modaltouch.window.screen import Screen
+
+    opened = Screen(size=(1280, 800), ground=DARK.ground, title="modaltouch under test")
+    yield opened
+    opened.close()
+
+
+@pytest.fixture(scope="session")
+def experiment() -> Experiment:
+    """Give the shipped demonstration."""
+    return read_protocol(ROOT / "protocols" / "demo.yaml")
+
+
+@pytest.fixture
+def trial() -> Trial:
+    """Give one trial with the right index finger on A and the right middle finger on C."""
+    return make_trial()
+
+
+def make_trial(pair: str = "AC", finger_condition: str = "one_hand", velocity: float = 100.0, **kwargs: Any) -> Trial:
+    """Return a trial on a pair of zones."""
+    return Trial(5, 1, Condition(finger_condition, pair[0], pair[1], velocity), **kwargs)
+
+
+class PaperDisplay:
+    """A display without a window: keeps the pictures, reports the events it is given."""
+
+    def __init__(self, size: tuple[int, int] = (1280, 800)) -> None:
+        self.size = size
+        self.typed: list[tuple[str, bool]] = []
+        self.events: list[Event] = []
+        self.prepared: list[Picture] = []
+        self.is_open = True
+
+    def describe(self) -> dict[str, Any]:
+        return {"backend": "paper"}
+
+    def prepare(self, picture: Picture) -> None:
+        self.prepared.append(picture)
+
+    def show(self, picture: Picture, screenshot: Path | None = None) -> float:
+        if screenshot is not None:
+            screenshot.write_text(picture.name)
+        return time.perf_counter()
+
+    def poll(self) -> list[Event]:
+        events, self.events = self.events, []
+        return events
+
+    def type_key(self, key: str, *, down: bool) -> None:
+        self.typed.append((key, down))
+        self.events.append(Event(time.perf_counter(), "key" if down else "release", key))
+
+    def close(self) -> None:
+        self.is_open = False
+
+
+@dataclass
+class Room:
+    """A window under test, with everything it did.
+
+    `script` maps what to do to when: each step waits until a picture whose name starts with the given words has
+    been on for some seconds, then acts; steps run in order, from within the window's own tick.
+    """
+
+    display: Any
+    window: Any = None
+    log: list[tuple[str, dict[str, Any]]] = field(default_factory=list)
+    shown: list[tuple[str, float]] = field(default_factory=list)
+    stopped: list[float] = field(default_factory=list)
+    script: list[tuple[str, float, Callable[[], None]]] = field(default_factory=list)
+    deadline: float = 0.0
+
+    def tick(self) -> None:
+        """Play the script; fail the test instead of hanging it."""
+        now = time.perf_counter()
+        if now > self.deadline:
+            raise TimeoutError(f"the window waits; shown {self.shown[-3:]}, log {self.log[-3:]}, script {self.script}")
+        if self.script and self.shown:
+            name, after, act = self.script[0]
+            if self.shown[-1][0].startswith(name) and now - self.shown[-1][1] >= after:
+                self.script.pop(0)
+                act()
+
+    def stop(self) -> None:
+        self.stopped.append(time.perf_counter())
+
+    def events(self, name: str) -> list[dict[str, Any]]:
+        return [facts for event, facts in self.log if event == name]
+
+    @property
+    def names(self) -> list[str]:
+        return [name for name, _ in self.shown]
+
+
+class Watched:
+    """Passes everything on to a display, and notes what is shown."""
+
+    def __init__(self, display: Any, room: Room) -> None:
+        self._display, self._room = display, room
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._display, name)
+
+    def show(self, picture: Picture, screenshot: Path | None = None) -> float:
+        shown = self._display.show(picture, screenshot)
+        self._room.shown.append((picture.name, shown))
+        return shown
+
+
+def furnish(display: Any, experiment: Experiment, *, seconds: float = 15.0, **options: Any) -> Room:
+    """Return a window on a display, with its log and script."""
+    room = Room(display, deadline=time.perf_counter() + seconds)
+    changes = options.pop("answers", {})
+    protocol = experiment.protocol
+    if changes:
+        protocol = protocol.model_copy(update={"answers": protocol.answers.model_copy(update=changes)})
+    room.window = ParticipantWindow(
+        Watched(display, room),
+        protocol,
+        options.pop("texts", experiment.texts),
+        zones=tuple(experiment.apparatus.zones),
+        theme=options.pop("theme", DARK),
+        tick=room.tick,
+        log=lambda event, **facts: room.log.append((event, facts)),
+        **options,
+    )
+    return room
+
+
+@pytest.fixture
+def paper_room(experiment: Experiment) -> Callable[..., Room]:
+    """Give a window's rules without a window."""
+
+    def make(**options: Any) -> Room:
+        return furnish(PaperDisplay(), experiment, **options)
+
+    return make
+
+
+@pytest.fixture
+def room(screen: Any, experiment: Experiment) -> Callable[..., Room]:
+    """Give the rules on the real window, with nothing left over from the test before."""
+
+    def make(**options: Any) -> Room:
+        settle = time.perf_counter() + 0.05
+        while time.perf_counter() < settle:
+            screen.poll()
+        return furnish(screen, experiment, **options)
+
+    return make
+
+
+class Hands:
+    """Presses keys and buttons of the display server, as a keyboard and a mouse do."""
+
+    def __init__(self, display: str) -> None:
+        from Xlib.display import Display
+
+        self._display = Display(display)
+        self.pressed: list[float] = []
+
+    def key(self, name: str, *, down: bool = True, up: bool = True) -> None:
+        from Xlib import XK, X
+        from Xlib.ext import xtest
+
+        code = self._display.keysym_to_keycode(XK.string_to_keysym(name))
+        if down:
+            xtest.fake_input(self._display, X.KeyPress, code)
+            self._display.sync()
+            self.pressed.append(time.perf_counter())
+        if up:
+            xtest.fake_input(self._display, X.KeyRelease, code)
+            self._display.sync()
+
+    def click(self, x: int, y: int, button: int = 1) -> None:
+        from Xlib import X
+        from Xlib.ext import xtest
+
+        xtest.fake_input(self._display, X.MotionNotify, x=x, y=y)
+        xtest.fake_input(self._display, X.ButtonPress, button)
+        self._display.sync()
+        self.pressed.append(time.perf_counter())
+        xtest.fake_input(self._display, X.ButtonRelease, button)
+        self._display.sync()
+
+    def find(self, title: str) -> Any:
+        """Return the top window with a title."""
+        for window in self._display.screen().root.query_tree().children:
+            if window.get_wm_name() == title:
+                return window
+        raise LookupError(title)
+
+    def origin(self, title: str) -> tuple[int, int]:
+        """Return where the top left corner of a window lies on the display [pixels]."""
+        geometry = self.find(title).get_geometry()
+        return geometry.x, geometry.y
+
+    def press_close_button(self, title: str) -> None:
+        from Xlib import X
+        from Xlib.protocol import event
+
+        window = self.find(title)
+        message = event.ClientMessage(
+            window=window,
+            client_type=self._display.intern_atom("WM_PROTOCOLS"),
+            data=(32, [self._display.intern_atom("WM_DELETE_WINDOW"), X.CurrentTime, 0, 0, 0]),
+        )
+        window.send_event(message)
+        self._display.sync()
+
+    def take_focus(self) -> None:
+        """Open another window and give it the keyboard."""
+        from Xlib import X
+
+        root = self._display.screen().root
+        self._other = root.create_window(3700, 2000, 50, 50, 0, self._display.screen().root_depth)
+        self._other.map()
+        self._display.sync()
+        time.sleep(0.05)
+        self._other.set_input_focus(X.RevertToParent, X.CurrentTime)
+        self._display.sync()
+
+    def give_focus_back(self, title: str) -> None:
+        from Xlib import X
+
+        self.find(title).set_input_focus(X.RevertToParent, X.CurrentTime)
+        self._display.sync()
+        self._other.destroy()
+        self._display.sync()
+
+    def close(self) -> None:
+        self._display.close()
+
+
+@pytest.fixture
+def hands(display: str) -> Iterator[Hands]:
+    """Give hands on the private display."""
+    pair = Hands(display)
+    yield pair
+    pair.close()

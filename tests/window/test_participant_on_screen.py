@@ -1,0 +1,202 @@
+"""The real window on a virtual display, with keys and clicks injected into the display server."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from modaltouch.observer import Participant
+from modaltouch.trial import Trial
+from modaltouch.window.interface import Progress, SessionStopped, TrialInterrupted
+from modaltouch.window.robot import Robot
+from modaltouch.window.simulated import Answerer
+
+pytestmark = pytest.mark.window
+PROGRESS = Progress(5, 12)
+TITLE = "modaltouch under test"
+
+
+def ask(room: Any, trial: Trial) -> Any:
+    """Ask one trial whose stimulus begins now."""
+    return room.window.ask(trial, PROGRESS, onset=time.perf_counter(), stop=room.stop)
+
+
+@pytest.mark.parametrize(
+    ("key", "answer"),
+    [("Left", "left"), ("Right", "right"), ("Up", "both"), ("Down", "both"), ("space", "both"), ("KP_4", "left")],
+)
+def test_a_key_of_the_protocol_gives_its_answer(
+    room: Callable[..., Any], hands: Any, trial: Trial, key: str, answer: str
+) -> None:
+    """Expected answers: answers.keys of protocols/demo.yaml."""
+    made = room()
+    made.script = [("question", 0.1, lambda: hands.key(key))]
+    response = ask(made, trial)
+    assert (response.answer, response.device, response.answered_by) == (answer, "key", "participant")
+    assert len(made.stopped) == 1
+
+
+def test_reaction_time_runs_from_the_first_burst_to_the_key(room: Callable[..., Any], hands: Any, trial: Trial) -> None:
+    """Expected time: the moment at which the key was injected into the display server."""
+    made = room()
+    made.script = [("question", 0.2, lambda: hands.key("Right"))]
+    onset = time.perf_counter()
+    response = made.window.ask(trial, PROGRESS, onset=onset, stop=made.stop)
+    error = response.reaction_time - (hands.pressed[0] - onset)
+    assert -0.002 < error < 0.05
+    assert response.onset == "first_burst"
+    assert response.question_after == pytest.approx(made.shown[1][1] - onset)
+    assert made.stopped[0] >= onset + response.reaction_time
+
+
+def test_a_click_on_a_button_answers_and_one_beside_it_does_not(
+    room: Callable[..., Any], hands: Any, trial: Trial
+) -> None:
+    """Expected place: the middle button's centre in the layout, 1280 x 800 pixels, y downwards on the display."""
+    made = room()
+    button = made.window._pictures.layout.buttons["both"]
+    left, top = hands.origin(TITLE)
+    x, y = left + round(640 + button.x * 800), top + round(400 - button.y * 800)
+    made.script = [
+        ("question", 0.1, lambda: hands.click(x, top + 400)),
+        ("question", 0.15, lambda: hands.click(x, y, button=3)),
+        ("question", 0.2, lambda: hands.click(x, y)),
+    ]
+    response = ask(made, trial)
+    assert (response.answer, response.device, response.key) == ("both", "mouse", "both")
+    assert [facts["click"] for facts in made.events("ignored")] == [[0.0, 0.0]]
+
+
+def test_presses_before_the_question_are_discarded_and_logged(
+    room: Callable[..., Any], hands: Any, trial: Trial
+) -> None:
+    """Expected: the design's rule that a press before the question never counts (issue, item 5)."""
+    made = room()
+    made.script = [
+        ("feel", 0.05, lambda: hands.key("Left")),
+        ("question", 0.15, lambda: hands.key("Right")),
+    ]
+    assert ask(made, trial).answer == "right"
+    assert [(facts["key"], facts["when"]) for facts in made.events("discarded")] == [("left", "before the question")]
+
+
+def test_a_key_held_since_before_the_question_counts_only_when_pressed_anew(
+    room: Callable[..., Any], hands: Any, trial: Trial
+) -> None:
+    """Expected: one discarded press, though X repeats a held key 25 times a second; then the second press."""
+    made = room()
+    made.script = [
+        ("feel", 0.02, lambda: hands.key("Left", up=False)),
+        ("question", 1.2, lambda: hands.key("Left", down=False)),
+        ("question", 1.3, lambda: hands.key("Right")),
+    ]
+    response = ask(made, trial)
+    assert response.answer == "right"
+    assert len(made.events("discarded")) == 1
+    assert made.events("ignored") == []
+
+
+def test_two_keys_at_once_give_the_first_and_flag_the_trial(room: Callable[..., Any], hands: Any, trial: Trial) -> None:
+    """Expected: the first answer counts, a different one within 50 ms flags the trial (issue, item 5)."""
+    made = room()
+
+    def press_both() -> None:
+        hands.key("Left")
+        hands.key("Right")
+
+    made.script = [("question", 0.1, press_both)]
+    response = ask(made, trial)
+    assert (response.answer, response.double) == ("left", True)
+    made.window.confirm(response)
+    assert [(facts["first"], facts["second"]) for facts in made.events("double")] == [("left", "right")]
+
+
+def test_escape_stops_the_stimulus_and_space_offers_the_trial_again(
+    room: Callable[..., Any], hands: Any, trial: Trial
+) -> None:
+    """Expected: the stimulus is stopped before the pause is on screen; the session then repeats the trial."""
+    made = room()
+    made.script = [("question", 0.1, lambda: hands.key("Escape")), ("pause", 0.4, lambda: hands.key("space"))]
+    with pytest.raises(TrialInterrupted, match="escape"):
+        ask(made, trial)
+    paused = next(when for name, when in made.shown if name == "pause")
+    assert made.stopped[0] < paused
+    assert [event for event, _ in made.log] == ["pause", "continued"]
+
+
+def test_q_in_the_pause_ends_the_session(room: Callable[..., Any], hands: Any, trial: Trial) -> None:
+    """Expected: Escape asks before it ends the session (issue, item 5)."""
+    made = room()
+    made.script = [("feel", 0.05, lambda: hands.key("Escape")), ("pause", 0.4, lambda: hands.key("q"))]
+    with pytest.raises(SessionStopped, match="escape"):
+        ask(made, trial)
+    assert len(made.stopped) == 1
+
+
+def test_the_close_button_ends_the_session(room: Callable[..., Any], hands: Any, trial: Trial) -> None:
+    """Expected: WM_DELETE_WINDOW ends the session at once; PsychoPy alone would only set a flag."""
+    made = room()
+    made.script = [("question", 0.1, lambda: hands.press_close_button(TITLE))]
+    with pytest.raises(SessionStopped, match="window closed"):
+        ask(made, trial)
+    assert len(made.stopped) == 1
+
+
+def test_a_lost_focus_stops_the_stimulus_and_pauses(room: Callable[..., Any], hands: Any, trial: Trial) -> None:
+    """Expected: keys typed into another window are never taken; the trial is offered again on return."""
+    made = room()
+    hands.take_focus()
+    hands.give_focus_back(TITLE)
+    time.sleep(0.1)
+    made.window._stage.poll_quietly()
+
+    def come_back() -> None:
+        hands.give_focus_back(TITLE)
+        time.sleep(0.05)
+        hands.key("space")
+
+    made.script = [
+        ("question", 0.1, hands.take_focus),
+        ("pause", 0.3, lambda: hands.key("Left")),
+        ("pause", 0.4, come_back),
+    ]
+    with pytest.raises(TrialInterrupted, match="focus lost"):
+        ask(made, trial)
+    assert [event for event, _ in made.log] == ["focus_lost", "continued"]
+    assert len(made.stopped) == 1
+
+
+def test_a_robot_answers_by_the_windows_own_event_queue(
+    room: Callable[..., Any], experiment: Any, trial: Trial, tmp_path: Path
+) -> None:
+    """Expected: a noiseless observer with twice the speed under the right finger answers right."""
+    answerer = Answerer(Participant(noise=0.0, lapse_rate=0.0), lambda _: (0.1, 0.2), np.random.default_rng(1))
+    robot = Robot(answerer, experiment.protocol.answers, patience=0.3)
+    made = room(robot=robot, screenshots=tmp_path)
+    made.window.welcome()
+    made.window.place_fingers(trial)
+    response = ask(made, trial)
+    made.window.confirm(response)
+    assert (response.answer, response.answered_by, response.device) == ("right", "simulated", "key")
+    assert response.reaction_time == pytest.approx(answerer.answer(trial)[1], abs=0.05)
+    kept = {path.stem for path in tmp_path.glob("*.png")}
+    assert kept == set(made.names)
+    with Image.open(tmp_path / "question_one_hand_AC.png") as image:
+        assert image.size == (1280, 800)
+        button = made.window._pictures.layout.buttons["both"]
+        edge = image.getpixel((round(640 + button.left * 800) + 2, round(400 - button.y * 800)))
+        assert edge == (0x8B, 0x97, 0xA3)
+
+
+def test_nothing_is_drawn_while_nothing_changes(room: Callable[..., Any], hands: Any, trial: Trial) -> None:
+    """Expected: two pictures in a trial of more than a second, feel and question."""
+    made = room()
+    made.script = [("question", 1.0, lambda: hands.key("Left"))]
+    ask(made, trial)
+    assert made.names == ["feel_one_hand_AC", "question_one_hand_AC"]
