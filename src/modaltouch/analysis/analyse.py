@@ -1,0 +1,155 @@
+"""The whole analysis: answers in, tables, figures, statistics and report out."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from modaltouch import __version__
+from modaltouch.analysis.findings import Finding, to_frame
+from modaltouch.analysis.output import write_files
+from modaltouch.analysis.responses import Responses, read_responses
+from modaltouch.analysis.statistics import find
+from modaltouch.analysis.style import level_label
+from modaltouch.analysis.tables import AnswerCounts, count_answers, figure_names, tabulate, zone_table
+
+
+@dataclass(frozen=True, eq=False)
+class Analysis:
+    """What an analysis found, and where it wrote it.
+
+    Attributes
+    ----------
+    responses : Responses
+        The answers.
+    answers : AnswerCounts
+        Their counts.
+    findings : tuple of Finding
+        The statistics.
+    files : dict of str to Path
+        Files written, by name.
+    """
+
+    responses: Responses
+    answers: AnswerCounts
+    findings: tuple[Finding, ...]
+    files: dict[str, Path]
+
+    @property
+    def counts(self) -> pd.DataFrame:
+        """Counts of every cell, as `count_responses` returns them."""
+        return tabulate(self.answers)
+
+    @property
+    def tests(self) -> pd.DataFrame:
+        """The statistics, as `run_tests` returns them."""
+        return to_frame(self.findings)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return everything as plain values for ``--json``; what is not a finite number is null."""
+        return {
+            "counts": [plain_row(row) for row in self.counts.to_dict("records")],
+            "tests": [plain_row(row) for row in self.tests.to_dict("records")],
+            "files": {name: str(path) for name, path in self.files.items()},
+            "n_participants": self.answers.n_participants,
+            "n_responses": int(self.answers.counts.sum()),
+            "mode": self.responses.source.mode or None,
+            "source": self.responses.source.path,
+            "left_out": [{"source": item.source, "reason": item.reason} for item in self.responses.left_out],
+        }
+
+
+def analyse(path: Path | str, out: Path | str | None = None, *, mode: str | None = None) -> Analysis:
+    """Analyse answers and write tables, figures, statistics and a report.
+
+    Parameters
+    ----------
+    path : Path or str
+        A tidy CSV, or a tree of recorded sessions.
+    out : Path or str, optional
+        Folder for what is written; by default ``analysis`` in the tree, or ``<name>_analysis`` beside the CSV.
+    mode : {"real", "pilot", "simulated"}, optional
+        Which sessions of a tree to take.
+
+    Returns
+    -------
+    Analysis
+
+    Raises
+    ------
+    InputError
+        If the answers cannot be used, with every fault.
+    RecordError
+        If a file would be overwritten that this command did not write, or cannot be written.
+    """
+    responses = read_responses(path, mode=mode)
+    answers = count_answers(responses.frame, responses.focus)
+    findings = tuple(find(answers, responses.frame))
+    analysis = Analysis(responses, answers, findings, {})
+    folder = Path(out) if out is not None else default_folder(Path(path))
+    about = {
+        "version": __version__,
+        "source": responses.source.path,
+        "sha256": responses.source.sha256,
+        "mode": responses.source.mode,
+    }
+    files = write_files(folder, render_files(analysis), about)
+    return Analysis(responses, answers, findings, files)
+
+
+def default_folder(path: Path) -> Path:
+    """Return where an analysis goes if nobody says otherwise."""
+    if path.is_dir():
+        return path / "analysis"
+    return path.parent / ("analysis" if path.suffix == ".jsonl" else f"{path.stem}_analysis")
+
+
+def render_files(analysis: Analysis) -> dict[str, bytes]:
+    """Return the contents of every file of an analysis, by name.
+
+    Parameters
+    ----------
+    analysis : Analysis
+        What was found.
+    """
+    from modaltouch.analysis.gallery import draw_all
+    from modaltouch.analysis.report import render_report
+    from modaltouch.analysis.style import render
+
+    counts, tests = analysis.counts, analysis.tests
+    files = {"counts.csv": _csv(counts)}
+    for condition, name in figure_names(analysis.answers.finger_conditions).items():
+        table = zone_table(counts, condition, analysis.answers.focus)
+        table.columns = pd.Index([level_label(float(level)) for level in table.columns])
+        files[f"{name}.csv"] = _csv(table.reset_index())
+    pictures = draw_all(analysis.answers, analysis.responses)
+    vectors = {picture.name: render(picture.figure, "svg") for picture in pictures}
+    for picture in pictures:
+        files[f"{picture.name}.svg"] = vectors[picture.name]
+        files[f"{picture.name}.png"] = render(picture.figure, "png")
+    files["tests.csv"] = _csv(tests)
+    rows = [plain_row(row) for row in tests.to_dict("records")]
+    files["tests.json"] = (json.dumps(rows, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()
+    files["report.html"] = render_report(analysis, pictures, vectors).encode()
+    return files
+
+
+def plain_row(row: dict[Any, Any]) -> dict[str, Any]:
+    """Return a row of a table as plain values; what is not a finite number becomes None."""
+    values: dict[str, Any] = {}
+    for key, value in row.items():
+        plain = value.item() if hasattr(value, "item") else value
+        values[str(key)] = None if isinstance(plain, float) and not math.isfinite(plain) else plain
+    return values
+
+
+def _csv(table: pd.DataFrame) -> bytes:
+    buffer = io.StringIO()
+    table.to_csv(buffer, index=False, lineterminator="\n")
+    return buffer.getvalue().encode()

@@ -1,0 +1,206 @@
+"""Figures of what might bend the answers: side, order, time, and the speeds under the two fingers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from modaltouch.analysis.intervals import korn_graubard
+from modaltouch.analysis.secondary import ANTICIPATION, has_values, ranked_answers
+from modaltouch.analysis.style import (
+    ANSWER_COLOURS,
+    CONDITION_COLOURS,
+    FAINT,
+    INK,
+    house_style,
+    new_figure,
+    pair_colours,
+    quiet_grid,
+)
+from modaltouch.analysis.tables import LEFT, RIGHT, AnswerCounts
+
+BURST_PERIOD = 1 / 7
+"""Time between bursts at the paper's 7 Hz, marked on the axis of reaction times [s]."""
+
+MOST_TRIALS = 40
+"""Orders beyond this many are averaged in groups, so that the points stay apart."""
+
+
+def draw_side(answers: AnswerCounts) -> Figure | None:
+    """Return each participant's choice of the focus when it lies right against when it lies left.
+
+    Parameters
+    ----------
+    answers : AnswerCounts
+        Counts of the answers.
+
+    Returns
+    -------
+    Figure or None
+        None where the design never has the focus on both sides.
+    """
+    right = [q for q, pair in enumerate(answers.pairs) if pair.focused and pair.dominant_index == RIGHT]
+    left = [q for q, pair in enumerate(answers.pairs) if pair.focused and pair.dominant_index == LEFT]
+    if not (right and left):
+        return None
+    dominant = answers.dominant().mean(axis=3) / answers.n_repetitions
+    with house_style():
+        figure = new_figure(4.2, 3.6)
+        axes = figure.subplots()
+        axes.plot([0, 1], [0, 1], color=FAINT, linewidth=0.8)
+        rng = np.random.default_rng(1)
+        for f, condition in enumerate(answers.finger_conditions):
+            on_left, on_right = dominant[:, f, left].mean(axis=1), dominant[:, f, right].mean(axis=1)
+            shake = rng.uniform(-0.018, 0.018, (2, answers.n_participants))
+            axes.scatter(
+                on_left + shake[0], on_right + shake[1], s=22, marker="os^D"[f % 4], alpha=0.75, edgecolor="white",
+                linewidth=0.4, color=CONDITION_COLOURS[f % 4], label=condition,
+            )  # fmt: skip
+        names = [", ".join(answers.pairs[q].label for q in group) for group in (left, right)]
+        axes.set_xlabel(f"share choosing the focus on the left ({names[0]})")
+        axes.set_ylabel(f"on the right ({names[1]})")
+        axes.set_xlim(-0.05, 1.05)
+        axes.set_ylim(-0.05, 1.05)
+        axes.set_aspect("equal")
+        axes.legend(loc="lower left", frameon=False)
+        figure.suptitle(f"Side bias: above the line, right is preferred (N = {answers.n_participants})", fontsize=9)
+    return figure
+
+
+def draw_order(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
+    """Return the share of dominant answers over the session.
+
+    Parameters
+    ----------
+    answers : AnswerCounts
+        Counts of the answers.
+    frame : DataFrame
+        Tidy answers.
+
+    Returns
+    -------
+    Figure or None
+        None where the table does not tell the order.
+    """
+    if not has_values(frame, "trial"):
+        return None
+    ranked = ranked_answers(answers, frame)
+    labels = ranked["zone_left"] + "-" + ranked["zone_right"]
+    trials = ranked.groupby("participant", observed=True)["trial"].rank(method="first")
+    step = int(np.ceil(trials.max() / MOST_TRIALS))
+    shares = ranked["dominant"].groupby([(trials - 1) // step * step + (step + 1) / 2, labels]).mean().unstack()
+    with house_style():
+        figure = new_figure(6.4, 2.8)
+        axes = figure.subplots()
+        for (label, colour), marker in zip(
+            pair_colours([pair.label for pair in answers.pairs]).items(),
+            "os^Dvp" * len(answers.pairs),
+            strict=False,
+        ):
+            axes.plot(
+                shares.index, shares[label], linestyle="none", marker=marker, markersize=4.5, color=colour,
+                markeredgecolor=INK, markeredgewidth=0.4, label=label,
+            )  # fmt: skip
+        axes.set_ylim(-0.04, 1.04)
+        axes.set_xlabel("trial of the session" + (f", in groups of {step}" if step > 1 else ""))
+        axes.set_ylabel("share of the\ndominant zone")
+        axes.legend(loc="best", frameon=False, ncols=len(answers.pairs))
+        quiet_grid(axes)
+        figure.suptitle(f"Order and fatigue (N = {answers.n_participants})", fontsize=9)
+    return figure
+
+
+def draw_times(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
+    """Return reaction times by pair and answer.
+
+    Parameters
+    ----------
+    answers : AnswerCounts
+        Counts of the answers.
+    frame : DataFrame
+        Tidy answers.
+
+    Returns
+    -------
+    Figure or None
+        None where the table holds no reaction times.
+    """
+    if not has_values(frame, "response_time"):
+        return None
+    kept = frame[frame["response_time"] >= ANTICIPATION]
+    if kept.empty:
+        return None
+    with house_style():
+        figure = new_figure(6.4, 3.0)
+        axes = figure.subplots()
+        groups, ticks = [], []
+        for pair in answers.pairs:
+            for condition in answers.finger_conditions:
+                own = (kept["zone_left"].astype(str) == pair.left) & (kept["zone_right"].astype(str) == pair.right)
+                own &= kept["finger_condition"].astype(str) == condition
+                groups.append(kept.loc[own, "response_time"].to_numpy())
+                ticks.append(f"{pair.label}\n{condition}")
+        axes.boxplot(groups, whis=(5, 95), widths=0.55, medianprops={"color": INK, "linewidth": 1.4},
+                     flierprops={"marker": ".", "markersize": 2, "markeredgecolor": FAINT})  # fmt: skip
+        axes.set_xticks(range(1, len(ticks) + 1), ticks)
+        axes.set_ylim(0, None)
+        axes.set_ylabel("reaction time [s]")
+        quiet_grid(axes)
+        figure.suptitle(
+            f"Reaction times: median, quartiles, 5th to 95th percentile, n = {len(kept)}; "
+            f"bursts at 7 Hz quantise them in steps of {BURST_PERIOD * 1000:.0f} ms", fontsize=8,
+        )  # fmt: skip
+    return figure
+
+
+def draw_speeds(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
+    """Return the shares of the three answers against the predicted ratio of speeds under the two fingers.
+
+    Parameters
+    ----------
+    answers : AnswerCounts
+        Counts of the answers.
+    frame : DataFrame
+        Tidy answers.
+
+    Returns
+    -------
+    Figure or None
+        None where the table holds no predicted speeds.
+    """
+    if not (has_values(frame, "speed_left_mm_s") and has_values(frame, "speed_right_mm_s")):
+        return None
+    ratio = (frame["speed_right_mm_s"] / frame["speed_left_mm_s"]).round(3)
+    with house_style():
+        figure = new_figure(3.3 * len(answers.finger_conditions) + 0.6, 3.0)
+        panels = figure.subplots(1, len(answers.finger_conditions), sharey=True, squeeze=False)[0]
+        for axes, condition in zip(panels, answers.finger_conditions, strict=True):
+            own = (frame["finger_condition"].astype(str) == condition).to_numpy()
+            _draw_ratios(axes, frame[own].assign(ratio=ratio[own]))
+            axes.set_title(condition)
+            axes.set_xlabel("predicted peak speed, right / left finger")
+        panels[0].set_ylabel("share of answers")
+        panels[0].legend(frameon=False, loc="center left")
+        figure.suptitle(f"Answers by predicted speed ratio (95 % intervals, N = {answers.n_participants})", fontsize=9)
+    return figure
+
+
+def _draw_ratios(axes: Axes, frame: pd.DataFrame) -> None:
+    colours = {"left": ANSWER_COLOURS["other"], "both": FAINT, "right": ANSWER_COLOURS["dominant"]}
+    for answer, marker in zip(colours, "<o>", strict=True):
+        points = []
+        for ratio, own in frame.groupby("ratio"):
+            hits = (own["response"].astype(str) == answer).groupby(own["participant"].astype(str)).agg(["sum", "size"])
+            share = korn_graubard(hits["sum"].to_numpy(), int(hits["size"].iloc[0]))
+            points.append((float(str(ratio)), share.estimate, share.estimate - share.low, share.high - share.estimate))
+        x, y, below, above = np.array(points).T
+        axes.errorbar(
+            x, y, yerr=np.maximum([below, above], 0), marker=marker, color=colours[answer], label=answer, capsize=2,
+            markersize=5, linewidth=0.9, elinewidth=0.7,
+        )  # fmt: skip
+    axes.set_xscale("log", base=2)
+    axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    axes.set_ylim(-0.03, 1.03)
+    quiet_grid(axes)

@@ -1,0 +1,324 @@
+"""Exact tests for few participants: multinomial, sign flips, and level trends within participants.
+
+Distributions are built by convolution, so cost grows with the range of the score and never with 2^N. Scores
+are integers, which leaves no doubt about ties. Every test also returns the smallest p its data could give.
+
+References
+----------
+Fisher, "The Design of Experiments" (1935), section 21 (sign flips); Pitman, J. R. Stat. Soc. Suppl. 4 (1937)
+(randomisation); Engels, "XNomial" (exact multinomial test and its three orderings).
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from modaltouch.analysis.convolution import Kernel, tail_probability
+
+IntArray = NDArray[np.int64]
+FloatArray = NDArray[np.float64]
+Ordering = Literal["likelihood_ratio", "probability", "chi_square"]
+
+GRID_STEPS = 1000
+"""Levels that share no coarser grid are placed on one of this many steps between the lowest and the highest."""
+
+
+@dataclass(frozen=True)
+class ExactTest:
+    """A two-sided exact test.
+
+    Attributes
+    ----------
+    statistic : float
+        Value of the test statistic.
+    p : float
+        Probability, if the null hypothesis holds, of a statistic at least as extreme.
+    p_min : float
+        Smallest p these data could have given, however the answers had fallen.
+    n_informative : int
+        Participants (or answers, in the multinomial test) that could move the statistic.
+    """
+
+    statistic: float
+    p: float
+    p_min: float
+    n_informative: int
+
+    def __post_init__(self) -> None:
+        # No outcome is impossible: what is too small for a float is printed as the smallest normal one.
+        for name in ("p", "p_min"):
+            object.__setattr__(self, name, min(max(getattr(self, name), sys.float_info.min), 1.0))
+
+
+def multinomial_tests(
+    counts: ArrayLike, probabilities: Sequence[float] | None = None, *, ordering: Ordering = "likelihood_ratio"
+) -> tuple[ExactTest, ...]:
+    """Return exact goodness-of-fit tests of several count vectors with the same total.
+
+    Every possible outcome is enumerated once for all of them.
+
+    Parameters
+    ----------
+    counts : (n_tests, n_categories) array of int
+        Observed counts; all rows have the same total.
+    probabilities : sequence of float, optional
+        Probability of each category under the null hypothesis [1]; equal by default.
+    ordering : {"likelihood_ratio", "probability", "chi_square"}
+        What makes one outcome more extreme than another; they give different p values.
+
+    Returns
+    -------
+    tuple of ExactTest
+        One test per row; the statistic is that of the ordering.
+
+    Raises
+    ------
+    ValueError
+        If the counts are negative, fewer than two categories, of different totals, or the probabilities do not
+        add up to one.
+    """
+    observed = np.asarray(counts, dtype=np.int64)
+    null = _check_multinomial(observed, probabilities)
+    n = int(observed[0].sum())
+    if n == 0:
+        return tuple(ExactTest(0.0, 1.0, 1.0, 0) for _ in observed)
+    log_p, extremeness = _tables(n, null, ordering)
+    categories = np.arange(null.size)
+    reached = extremeness[categories, observed].sum(axis=1)
+    tolerance = 1e-9 * np.maximum(1.0, np.abs(reached))
+    p = np.zeros(len(observed))
+    largest, p_min = -math.inf, 0.0
+    for head, tail in _outcomes(n, null.size):
+        mass = np.exp(log_p[-2, tail] + log_p[-1, tail[::-1]] + sum(log_p[j, x] for j, x in enumerate(head)))
+        value = extremeness[-2, tail] + extremeness[-1, tail[::-1]]
+        value = value + sum(extremeness[j, x] for j, x in enumerate(head))
+        p += [mass[value >= bound].sum() for bound in reached - tolerance]
+        top, slack = float(value.max()), 1e-9 * max(1.0, abs(float(value.max())))
+        if top > largest + slack:
+            largest, p_min = top, 0.0
+        p_min += float(mass[value >= largest - slack].sum())
+    return tuple(ExactTest(float(s), float(q), min(p_min, float(q)), n) for s, q in zip(reached, p, strict=True))
+
+
+def multinomial_test(
+    counts: ArrayLike, probabilities: Sequence[float] | None = None, *, ordering: Ordering = "likelihood_ratio"
+) -> ExactTest:
+    """Return the exact goodness-of-fit test of one count vector; see `multinomial_tests`.
+
+    Examples
+    --------
+    >>> round(multinomial_test([10, 0, 0]).p, 8)  # three such outcomes, each of probability (1/3)^10
+    5.081e-05
+    """
+    return multinomial_tests(np.asarray(counts)[np.newaxis], probabilities, ordering=ordering)[0]
+
+
+def sign_flip_test(scores: ArrayLike) -> ExactTest:
+    """Return the exact test that scores are symmetric about zero.
+
+    Under the null hypothesis every participant's score could as well have had the other sign.
+
+    Parameters
+    ----------
+    scores : (n_participants,) array of int
+        One net score per participant.
+
+    Returns
+    -------
+    ExactTest
+        The statistic is the sum of the scores; without any non-zero score p is 1.
+
+    Examples
+    --------
+    >>> sign_flip_test([4] * 10).p == 2 / 2**10
+    True
+    """
+    values = _integers(scores, "scores")
+    sizes = np.abs(values[values != 0])
+    total = int(values.sum())
+    if sizes.size == 0:
+        return ExactTest(float(total), 1.0, 1.0, 0)
+    unit = int(np.gcd.reduce(sizes))
+    kernels = [_coin_kernel(int(size) // unit, count) for size, count in sorted(Counter(sizes.tolist()).items())]
+    reach = abs(total) // unit
+    p = 1.0 if reach == 0 else tail_probability(kernels, -reach, reach)
+    return ExactTest(float(total), p, 2.0 ** (1 - int(sizes.size)), int(sizes.size))
+
+
+def sign_test(scores: ArrayLike) -> ExactTest:
+    """Return the exact sign test: how many participants lean one way, zeros left out.
+
+    Parameters
+    ----------
+    scores : (n_participants,) array of int
+        One net score per participant.
+
+    Returns
+    -------
+    ExactTest
+        The statistic is the number of positive scores.
+    """
+    values = _integers(scores, "scores")
+    test = sign_flip_test(np.sign(values))
+    return ExactTest(float((values > 0).sum()), test.p, test.p_min, test.n_informative)
+
+
+def trend_test(chosen: ArrayLike, levels: Sequence[float], n_repetitions: int = 1) -> ExactTest:
+    """Return the exact test of a trend over levels, answers shuffled within each participant.
+
+    Under the null hypothesis a participant's answers have nothing to do with the level, so any assignment of
+    the answers to the presentations was as likely. Participants whose answers are all the same drop out.
+
+    Parameters
+    ----------
+    chosen : (n_participants, n_levels) array of int
+        How often the answer was chosen at each level.
+    levels : sequence of float
+        Levels, as scores of the trend; only their ratios of distances matter.
+    n_repetitions : int
+        Presentations of each level.
+
+    Returns
+    -------
+    ExactTest
+        The statistic is the sum over participants of score times count less its expectation, in units of the
+        grid `level_scores` returns.
+
+    Raises
+    ------
+    ValueError
+        If the counts do not fit the levels and repetitions.
+    """
+    counts = _integers(chosen, "chosen")
+    scores = level_scores(levels)
+    if counts.ndim != 2 or counts.shape[1] != len(scores):
+        raise ValueError(
+            f"chosen has shape {counts.shape}, but there are {len(scores)} levels: give participants by levels"
+        )
+    if counts.size and (counts.min() < 0 or counts.max() > n_repetitions):
+        raise ValueError(f"chosen runs from {counts.min()} to {counts.max()}, allowed are 0 to {n_repetitions}")
+    totals = counts.sum(axis=1)
+    moving = (totals > 0) & (totals < n_repetitions * len(scores))
+    n_levels = len(scores)
+    # Everything is multiplied by the number of levels, so that the expectation is an integer too.
+    observed = int((counts[moving] @ scores).sum()) * n_levels
+    expected = int(totals[moving].sum()) * int(scores.sum())
+    if not moving.any() or scores.max() == 0:
+        return ExactTest(0.0, 1.0, 1.0, 0)
+    by_total = _draws_without_replacement(scores, n_repetitions)
+    kernels = [Kernel(by_total[k], count) for k, count in sorted(Counter(totals[moving].tolist()).items())]
+    distance = abs(observed - expected)
+    lowest, highest = (sum(k.count * edge for k in kernels for edge in (k.ends[i],)) for i in (0, 1))
+    farthest = max(expected - lowest * n_levels, highest * n_levels - expected)
+    p, p_min = (
+        1.0
+        if d == 0
+        else tail_probability(kernels, math.floor((expected - d) / n_levels), math.ceil((expected + d) / n_levels))
+        for d in (distance, farthest)
+    )
+    return ExactTest((observed - expected) / n_levels, p, min(p_min, p), int(moving.sum()))
+
+
+def level_scores(levels: Sequence[float]) -> IntArray:
+    """Return levels as small integers from zero, on their common grid.
+
+    Parameters
+    ----------
+    levels : sequence of float
+        Levels in one unit, to three decimals.
+
+    Returns
+    -------
+    (n_levels,) array of int
+        Scores; levels without a common grid of at most `GRID_STEPS` steps are rounded to one.
+
+    Examples
+    --------
+    >>> level_scores([80, 100, 150, 200]).tolist()
+    [0, 2, 7, 12]
+    """
+    fine = np.rint(np.asarray(levels, dtype=float) * 1000).astype(np.int64)
+    fine = fine - fine.min()
+    unit = int(np.gcd.reduce(fine)) or 1
+    scores = fine // unit
+    if scores.max() > GRID_STEPS:
+        scores = np.rint(scores * (GRID_STEPS / scores.max())).astype(np.int64)
+    return np.asarray(scores, dtype=np.int64)
+
+
+def _check_multinomial(observed: IntArray, probabilities: Sequence[float] | None) -> FloatArray:
+    if observed.ndim != 2 or observed.shape[1] < 2 or observed.size == 0:
+        raise ValueError(f"counts have shape {observed.shape}: give (n_tests, n_categories), two categories or more")
+    if observed.min() < 0 or len(set(observed.sum(axis=1).tolist())) != 1:
+        raise ValueError(f"counts must not be negative and every row must have the same total, got {observed.tolist()}")
+    k = observed.shape[1]
+    null = np.full(k, 1 / k) if probabilities is None else np.asarray(probabilities, dtype=float)
+    if null.shape != (k,) or (null <= 0).any() or abs(null.sum() - 1) > 1e-9:
+        raise ValueError(f"probabilities {null.tolist()} must be {k} positive numbers that add up to 1")
+    return null
+
+
+def _tables(n: int, null: FloatArray, ordering: Ordering) -> tuple[FloatArray, FloatArray]:
+    """Return, per category and count, its share of the log probability and of the statistic."""
+    x = np.arange(n + 1)
+    log_factorial = np.concatenate([[0.0], np.cumsum(np.log(x[1:]))])
+    log_p = x * np.log(null)[:, np.newaxis] - log_factorial
+    log_p[0] += log_factorial[n]
+    expected = n * null[:, np.newaxis]
+    if ordering == "likelihood_ratio":
+        return log_p, np.asarray(2 * x * np.log(np.maximum(x, 1) / expected), dtype=float)
+    if ordering == "chi_square":
+        return log_p, (x - expected) ** 2 / expected
+    if ordering == "probability":
+        return log_p, -log_p
+    raise ValueError(f"ordering {ordering!r} is not known: use likelihood_ratio, probability or chi_square")
+
+
+def _outcomes(n: int, k: int) -> Iterator[tuple[tuple[int, ...], IntArray]]:
+    """Yield the counts of all but the last two categories, and the range that the last but one can take."""
+    for head in product(range(n + 1), repeat=k - 2):
+        if sum(head) <= n:
+            yield head, np.arange(n - sum(head) + 1, dtype=np.int64)
+
+
+def _coin_kernel(size: int, count: int) -> Kernel:
+    """Return the distribution of `count` scores of one size under random signs."""
+    weights = np.array([math.comb(count, heads) / (1 << count) for heads in range(count + 1)])
+    steps = np.arange(-count, count + 1, 2, dtype=np.int64) * size
+    return Kernel((steps, weights), 1)
+
+
+def _draws_without_replacement(scores: IntArray, n_repetitions: int) -> list[tuple[IntArray, FloatArray]]:
+    """Return, for every k, the distribution of the sum of k presentations drawn without replacement."""
+    n_answers = n_repetitions * len(scores)
+    ways = np.zeros((n_answers + 1, n_repetitions * int(scores.sum()) + 1))
+    ways[0, 0] = 1.0
+    for score in scores.tolist():
+        grown = ways.copy()
+        for taken in range(1, n_repetitions + 1):
+            shift = taken * score
+            grown[taken:, shift:] += (
+                math.comb(n_repetitions, taken) * ways[: n_answers + 1 - taken, : ways.shape[1] - shift]
+            )
+        ways = grown
+    distributions = []
+    for k in range(n_answers + 1):
+        sums = np.flatnonzero(ways[k])
+        distributions.append((sums.astype(np.int64), ways[k, sums] / math.comb(n_answers, k)))
+    return distributions
+
+
+def _integers(values: ArrayLike, name: str) -> IntArray:
+    array = np.asarray(values)
+    if array.dtype.kind not in "iub" and not np.array_equal(array, np.rint(array)):
+        raise ValueError(f"{name} must be whole numbers, so that ties are exact; got {array.ravel()[:5].tolist()}")
+    return array.astype(np.int64)

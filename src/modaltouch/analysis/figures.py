@@ -1,0 +1,262 @@
+"""The figures of the answers: bars as in Fig. 10 and Fig. 11, an overview, and participants one by one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
+
+from modaltouch.analysis.intervals import clopper_pearson, korn_graubard
+from modaltouch.analysis.style import (
+    ANSWER_COLOURS,
+    CONDITION_COLOURS,
+    FAINT,
+    INK,
+    house_style,
+    level_label,
+    new_figure,
+    pair_colours,
+    quiet_grid,
+)
+from modaltouch.analysis.tables import BOTH, RIGHT, AnswerCounts
+
+FINGERS = {
+    "one_hand": "index and middle finger of one hand",
+    "two_hands": "index fingers of both hands",
+}
+PAIRS_PER_ROW = 3
+STRIP_PARTICIPANTS = 60
+"""Above this many participants the strips would be too thin to see one."""
+
+
+def draw_counts(table: pd.DataFrame, finger_condition: str, n_participants: int | None = None) -> Figure:
+    """Return the answers of one finger condition as bars, in the form of Fig. 10 and Fig. 11.
+
+    Parameters
+    ----------
+    table : DataFrame
+        As `zone_table` returns it: index (pair, answer), one column for each level.
+    finger_condition : str
+        Named in the title.
+    n_participants : int, optional
+        With several answers of each participant in a cell: intervals as if each had given one, the most cautious
+        reading. By default every answer is another participant's.
+
+    Returns
+    -------
+    Figure
+        Bars with exact 95 % intervals (Clopper-Pearson); the labels say pair, answer and level, so nothing
+        hangs on colour alone.
+    """
+    pairs = list(dict.fromkeys(table.index.get_level_values("pair")))
+    colours = pair_colours(pairs)
+    rows = [pairs[i : i + PAIRS_PER_ROW] for i in range(0, len(pairs), PAIRS_PER_ROW)]
+    totals = {pair: table.loc[pair].sum() for pair in pairs}
+    most = int(max(total.max() for total in totals.values()))
+    with house_style():
+        figure = new_figure(7.6, 0.5 + 2.9 * len(rows))
+        panels = figure.subplots(len(rows), 1, squeeze=False)[:, 0]
+        for axes, row in zip(panels, rows, strict=True):
+            _draw_row(axes, table, row, colours, totals, n_participants)
+            axes.set_ylim(0, most * 1.02)
+            axes.yaxis.set_major_locator(MaxNLocator(nbins=6, integer=True, steps=[1, 2, 5, 10]))
+            axes.set_ylabel(f"answers out of {most}")
+            quiet_grid(axes)
+        panels[-1].set_xlabel("answer, and below each bar the peak velocity at the focus [mm/s]")
+        title = f"{finger_condition}: {FINGERS[finger_condition]}" if finger_condition in FINGERS else finger_condition
+        figure.suptitle(title, fontsize=10.5)
+    return figure
+
+
+def _draw_row(
+    axes: Axes,
+    table: pd.DataFrame,
+    pairs: Sequence[str],
+    colours: dict[str, str],
+    totals: dict[str, pd.Series],
+    n: int | None,
+) -> None:
+    levels = [float(level) for level in table.columns]
+    width, gap, apart = 1.0, 1.1, 2.2
+    left = 0.0
+    for pair in pairs:
+        start = left
+        for answer, counts in table.loc[pair].iterrows():
+            places = left + np.arange(len(levels)) * width
+            _draw_group(axes, places, counts.to_numpy(), totals[pair].to_numpy(), colours[pair], n)
+            for place, level in zip(places, levels, strict=True):
+                axes.text(
+                    place, -0.015, level_label(level), rotation=90, ha="center", va="top", fontsize=6.2,
+                    color=FAINT, transform=axes.get_xaxis_transform(),
+                )  # fmt: skip
+            centre = float(places.mean())
+            axes.text(
+                centre,
+                -0.125,
+                str(answer),
+                ha="center",
+                va="top",
+                fontsize=9.5,
+                transform=axes.get_xaxis_transform(),
+            )
+            left = float(places[-1]) + width + gap
+        middle = (start + left - width - gap) / 2
+        axes.text(
+            middle, 1.02, f"({pair.replace('-', ', ')})", ha="center", fontsize=9,
+            transform=axes.get_xaxis_transform(),
+        )  # fmt: skip
+        left += apart - gap
+    axes.set_xlim(-width, left - apart)
+    axes.set_xticks([])
+    axes.xaxis.labelpad = 34
+
+
+def _draw_group(
+    axes: Axes, places: NDArray[Any], counts: NDArray[Any], totals: NDArray[Any], colour: str, n: int | None
+) -> None:
+    axes.bar(places, counts, width=0.82, color=colour, edgecolor=INK, linewidth=0.5)
+    intervals = [clopper_pearson(k * (n or t) / t, n or t) for k, t in zip(counts, totals, strict=True)]
+    low = [k - t * i.low for k, t, i in zip(counts, totals, intervals, strict=True)]
+    high = [t * i.high - k for k, t, i in zip(counts, totals, intervals, strict=True)]
+    spread = np.maximum([low, high], 0)
+    # A white line under the dark one keeps the interval visible within a dark bar.
+    for colour, width in (("white", 2.2), (INK, 0.8)):
+        axes.errorbar(
+            places,
+            counts,
+            yerr=spread,
+            fmt="none",
+            ecolor=colour,
+            elinewidth=width,
+            capsize=1.8,
+            capthick=width,
+        )
+
+
+def draw_overview(answers: AnswerCounts) -> Figure:
+    """Return the share of the dominant zone over level, every pair and finger condition in one row.
+
+    Parameters
+    ----------
+    answers : AnswerCounts
+        Counts of the answers.
+    """
+    markers = ("o", "s", "^", "D", "v", "P")
+    lines = ("-", "--", "-.", ":")
+    with house_style():
+        figure = new_figure(min(2.4 * len(answers.pairs) + 0.6, 12), 2.9)
+        panels = figure.subplots(1, len(answers.pairs), sharey=True, squeeze=False)[0]
+        dominant, both = answers.dominant(), answers.counts[..., BOTH]
+        places = np.arange(len(answers.levels), dtype=float)
+        for q, (axes, pair) in enumerate(zip(panels, answers.pairs, strict=True)):
+            for f, condition in enumerate(answers.finger_conditions):
+                shift = 0.16 * (f - (len(answers.finger_conditions) - 1) / 2)
+                equal = both[:, f, q].mean(axis=0) / answers.n_repetitions
+                colour = CONDITION_COLOURS[f % len(CONDITION_COLOURS)]
+                style = {
+                    "marker": markers[f % 6],
+                    "linestyle": lines[f % 4],
+                    "markersize": 4.5,
+                    "linewidth": 1.1,
+                }
+                _draw_shares(axes, places + shift, dominant[:, f, q], answers.n_repetitions, colour, condition, style)
+                axes.plot(places + shift, equal, color=FAINT, marker=markers[f % 6], markersize=3, linewidth=0.7,
+                          linestyle=lines[f % 4], markerfacecolor="white", label=f"{condition}: both")  # fmt: skip
+            axes.set_title(f"{pair.dominant} of ({pair.left}, {pair.right})")
+            axes.set_xticks(places, [level_label(level) for level in answers.levels])
+            axes.set_ylim(-0.03, 1.03)
+            quiet_grid(axes)
+        panels[0].set_ylabel("share of answers")
+        panels[len(panels) // 2].set_xlabel("peak velocity at the focus [mm/s]")
+        handles, labels = panels[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 4), frameon=False)
+        figure.suptitle(f"Dominant zone (filled, 95 % intervals) and “both” (open), {_sample(answers)}", fontsize=9)
+    return figure
+
+
+def _draw_shares(
+    axes: Axes,
+    places: NDArray[np.float64],
+    chosen: NDArray[np.int64],
+    n_repetitions: int,
+    colour: str,
+    label: str,
+    style: dict[str, Any],
+) -> None:
+    intervals = [korn_graubard(column, n_repetitions) for column in chosen.T]
+    spread = [[i.estimate - i.low for i in intervals], [i.high - i.estimate for i in intervals]]
+    axes.errorbar(
+        places, [i.estimate for i in intervals], yerr=np.maximum(spread, 0), color=colour, capsize=2, label=label,
+        elinewidth=0.8, **style,
+    )  # fmt: skip
+
+
+def draw_participants(answers: AnswerCounts) -> Figure:
+    """Return one strip for each participant: every cell's answer, by colour and letter.
+
+    Parameters
+    ----------
+    answers : AnswerCounts
+        Counts of the answers; the first `STRIP_PARTICIPANTS` participants are drawn.
+    """
+    shown = answers.participants[:STRIP_PARTICIPANTS]
+    n_columns = len(answers.pairs) * len(answers.levels)
+    modal = answers.modal()[: len(shown)]
+    with house_style():
+        size = 0.22
+        width = 1.0 + size * n_columns * len(answers.finger_conditions) + 0.3 * len(answers.finger_conditions)
+        figure = new_figure(max(width, 5.0), 1.5 + size * len(shown))
+        panels = figure.subplots(1, len(answers.finger_conditions), sharey=True, squeeze=False)[0]
+        for f, (axes, condition) in enumerate(zip(panels, answers.finger_conditions, strict=True)):
+            _draw_strip(axes, answers, modal[:, f], shown)
+            axes.set_title(condition, pad=14)
+        panels[0].set_yticks(range(len(shown)), list(shown))
+        panels[0].set_ylabel("participant")
+        more = "" if len(shown) == answers.n_participants else f", first {len(shown)} of {answers.n_participants} shown"
+        words = "letter: zone answered, & both" + (", ? tie between repetitions" if (modal < 0).any() else "")
+        figure.suptitle(f"Every answer ({words}){more}", fontsize=9)
+        figure.supxlabel("zone pair and peak velocity [mm/s]", fontsize=9)
+    return figure
+
+
+def _draw_strip(axes: Axes, answers: AnswerCounts, modal: NDArray[np.int64], shown: Sequence[str]) -> None:
+    colours = [ANSWER_COLOURS["dominant"], ANSWER_COLOURS["both"], ANSWER_COLOURS["other"], "white"]
+    n_levels = len(answers.levels)
+    picture = np.full((len(shown), len(answers.pairs) * n_levels), 3)
+    for q, pair in enumerate(answers.pairs):
+        own = modal[:, q]
+        kind = np.select([own == pair.dominant_index, own == BOTH, own == RIGHT - pair.dominant_index], [0, 1, 2], 3)
+        picture[:, q * n_levels : (q + 1) * n_levels] = kind
+        letters = (pair.dominant, "&", pair.other, "?")
+        for (row, column), value in np.ndenumerate(kind):
+            axes.text(
+                q * n_levels + column, row, letters[value][:2], ha="center", va="center", fontsize=6,
+                color="white" if value in (0, 2) else INK,
+            )  # fmt: skip
+        if q:
+            axes.axvline(q * n_levels - 0.5, color=INK, linewidth=1.2)
+        axes.text(
+            (q + 0.5) * n_levels - 0.5, 1.0, pair.label, ha="center", va="bottom", fontsize=7, color=FAINT,
+            transform=axes.get_xaxis_transform(),
+        )  # fmt: skip
+    axes.imshow(picture, cmap=ListedColormap(colours), vmin=0, vmax=3, aspect="equal", interpolation="nearest")
+    axes.set_xticks(
+        range(picture.shape[1]),
+        [level_label(level) for level in answers.levels] * len(answers.pairs),
+        rotation=90,
+    )
+    axes.tick_params(length=0, labelsize=6.5)
+    for edge in ("left", "bottom"):
+        axes.spines[edge].set_visible(False)
+
+
+def _sample(answers: AnswerCounts) -> str:
+    times = "" if answers.n_repetitions == 1 else f", {answers.n_repetitions} answers a cell"
+    return f"N = {answers.n_participants}{times}"

@@ -1,0 +1,164 @@
+"""One row of the statistics: a test, an estimate, or both; and Holm's correction within families."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import pandas as pd
+
+from modaltouch.analysis.exact import ExactTest
+from modaltouch.analysis.intervals import Interval
+
+ALPHA = 0.05
+"""Level of significance that `note` refers to."""
+
+COLUMNS = (
+    "question",
+    "name",
+    "scope",
+    "statistic",
+    "p",
+    "p_min",
+    "p_holm",
+    "estimate",
+    "low",
+    "high",
+    "n",
+    "quantity",
+    "family",
+    "note",
+)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A test with its estimate.
+
+    Attributes
+    ----------
+    question : str
+        Letter of the question (statistics plan, a to f), or a word for further ones.
+    name : str
+        The test or estimate.
+    scope : str
+        Finger condition, pair and level it is about.
+    quantity : str
+        What `estimate`, `low` and `high` are.
+    estimate, low, high : float
+        Estimate with its 95 % interval; not a number where there is none.
+    n : int
+        Participants (or answers, where `name` says so) it rests on.
+    statistic, p, p_min : float
+        Test statistic, its p, and the smallest p these data could have given; not a number without a test.
+    family : str
+        Tests corrected together by Holm's method; empty where none is.
+    note : str
+        What a reader must know.
+    p_holm : float
+        Holm's p within the family; not a number outside families.
+    """
+
+    question: str
+    name: str
+    scope: str
+    quantity: str
+    estimate: float
+    low: float
+    high: float
+    n: int
+    statistic: float = math.nan
+    p: float = math.nan
+    p_min: float = math.nan
+    family: str = ""
+    note: str = ""
+    p_holm: float = math.nan
+
+
+def finding_of(
+    question: str,
+    name: str,
+    scope: str,
+    test: ExactTest,
+    quantity: str,
+    interval: Interval,
+    n: int,
+    *,
+    family: str = "",
+    notes: Sequence[str] = (),
+) -> Finding:
+    """Return a finding from an exact test and an interval; says so where the data hold no information."""
+    words = [note for note in notes if note]
+    if test.p_min > ALPHA:
+        words.insert(0, f"no information: whatever the answers, p could not fall below {test.p_min:.2g}")
+    return Finding(
+        question,
+        name,
+        scope,
+        quantity,
+        interval.estimate,
+        interval.low,
+        interval.high,
+        n,
+        test.statistic,
+        test.p,
+        test.p_min,
+        family,
+        "; ".join(words),
+    )
+
+
+def correct(findings: Iterable[Finding]) -> list[Finding]:
+    """Return the findings with Holm's p within each family.
+
+    All tests of a family count, also those that could not have become significant; these are named in the note.
+
+    Parameters
+    ----------
+    findings : iterable of Finding
+        Tests of any number of families.
+    """
+    rows = list(findings)
+    for family in dict.fromkeys(row.family for row in rows if row.family):
+        members = [i for i, row in enumerate(rows) if row.family == family]
+        adjusted = holm([rows[i].p for i in members])
+        for i, p in zip(members, adjusted, strict=True):
+            row = rows[i]
+            out_of_reach = row.p_min <= ALPHA < row.p_min * len(members)
+            reach = f"cannot pass Holm's correction as smallest p of {len(members)}: p is at least {row.p_min:.2g}"
+            note = "; ".join(part for part in (reach if out_of_reach else "", row.note) if part)
+            rows[i] = replace(row, p_holm=p, note=note)
+    return rows
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """Return Holm's step-down adjusted p values.
+
+    Parameters
+    ----------
+    p_values : sequence of float
+        p values of one family [1].
+
+    References
+    ----------
+    Holm, Scandinavian Journal of Statistics 6 (1979) 65-70.
+
+    Examples
+    --------
+    >>> [round(p, 3) for p in holm([0.01, 0.04, 0.03])]
+    [0.03, 0.06, 0.06]
+    """
+    order = sorted(range(len(p_values)), key=lambda i: p_values[i])
+    adjusted = [0.0] * len(p_values)
+    running = 0.0
+    for rank, i in enumerate(order):
+        running = max(running, min(1.0, (len(p_values) - rank) * p_values[i]))
+        adjusted[i] = running
+    return adjusted
+
+
+def to_frame(findings: Iterable[Finding]) -> pd.DataFrame:
+    """Return findings as a tidy table, one row each, in the columns of `COLUMNS`."""
+    rows = [{column: getattr(finding, column) for column in COLUMNS} for finding in findings]
+    return pd.DataFrame(rows, columns=list(COLUMNS))

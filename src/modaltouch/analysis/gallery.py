@@ -1,0 +1,96 @@
+"""Every figure of an analysis with its file name, caption and description."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from matplotlib.figure import Figure
+
+from modaltouch.analysis.courses import draw_order, draw_side, draw_speeds, draw_times
+from modaltouch.analysis.figures import draw_counts, draw_overview, draw_participants
+from modaltouch.analysis.responses import Responses
+from modaltouch.analysis.tables import AnswerCounts, figure_names, tabulate, zone_table
+
+INTERVALS = "Error bars: exact 95 % intervals (Clopper-Pearson) over participants."
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A figure for the report.
+
+    Attributes
+    ----------
+    name : str
+        File name without ending.
+    section : {"answers", "further"}
+        Where in the report it stands.
+    figure : Figure
+        The figure.
+    caption : str
+        What the reader sees and must know.
+    finger_condition : str
+        Whose bars it shows; empty for other figures.
+    """
+
+    name: str
+    section: str
+    figure: Figure
+    caption: str
+    finger_condition: str = ""
+
+
+def draw_all(answers: AnswerCounts, responses: Responses) -> tuple[Picture, ...]:
+    """Return every figure that the answers allow.
+
+    Parameters
+    ----------
+    answers : AnswerCounts
+        Counts of the answers.
+    responses : Responses
+        The answers themselves.
+    """
+    pictures = list(_bars(answers))
+    pictures.append(
+        Picture(
+            "overview",
+            "answers",
+            draw_overview(answers),
+            "Share of the dominant zone and of “both” over the level, all finger conditions. "
+            "Error bars: 95 % intervals over participants.",
+        )
+    )
+    pictures.append(
+        Picture("participants", "answers", draw_participants(answers), "Every participant's answer in every cell.")
+    )
+    frame = responses.frame
+    further = (
+        ("side_bias", draw_side(answers), "Each point is a participant, shaken a little so that equal ones show."),
+        ("order", draw_order(answers, frame), "Share of the dominant zone against the place in the session."),
+        (
+            "reaction_times",
+            draw_times(answers, frame),
+            "The stimulus repeats at a fixed rate and an answer may wait for the next burst, so reaction times are "
+            "quantised and small differences mean little. Answers too early to be answers are left out.",
+        ),
+        (
+            "speed_ratio",
+            draw_speeds(answers, frame),
+            "Predicted peak speeds come from the identified modes of the beam, not from a measurement.",
+        ),
+    )
+    pictures += [Picture(name, "further", figure, caption) for name, figure, caption in further if figure is not None]
+    return tuple(pictures)
+
+
+def _bars(answers: AnswerCounts) -> list[Picture]:
+    counts = tabulate(answers)
+    pictures = []
+    for condition, name in figure_names(answers.finger_conditions).items():
+        table = zone_table(counts, condition, answers.focus)
+        n = answers.n_participants
+        figure = draw_counts(table, condition, n if answers.n_repetitions > 1 else None)
+        number = {"fig_10": "Fig. 10. ", "fig_11": "Fig. 11. "}.get(name, "")
+        several = f", {answers.n_repetitions} answers each" if answers.n_repetitions > 1 else ""
+        caption = f"{number}Answers under {condition}, {n} participants{several}. {INTERVALS}"
+        pictures.append(Picture(name, "answers", figure, caption, condition))
+    return pictures

@@ -1,0 +1,117 @@
+"""Writes a set of files into a folder: whole or not at all, and never over a stranger's."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from modaltouch.record.chain import RecordError
+
+MANIFEST = "manifest.json"
+
+
+def write_files(folder: Path, files: dict[str, bytes], about: dict[str, Any]) -> dict[str, Path]:
+    """Write files into a folder, with a manifest that tells ours from others.
+
+    Everything is first written to a folder beside it, so a full disk or a kill leaves what was there.
+
+    Parameters
+    ----------
+    folder : Path
+        Where they go; created if needed. Other files in it are left alone.
+    files : dict of str to bytes
+        Contents by name.
+    about : dict
+        What the manifest says of their making, plain values.
+
+    Returns
+    -------
+    dict of str to Path
+        Where each file lies.
+
+    Raises
+    ------
+    RecordError
+        If a file of that name is not ours, was changed since, or cannot be written.
+    """
+    known = _read_manifest(folder)
+    for name in (*files, MANIFEST):
+        _refuse_strange(folder / name, known.get(name, []) if name != MANIFEST else None, bool(known))
+    hashes = {name: hashlib.sha256(data).hexdigest() for name, data in files.items()}
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", suffix=".tmp", dir=folder.parent))
+    except OSError as error:
+        raise _cannot(folder, error) from error
+    try:
+        for name, data in files.items():
+            (temporary / name).write_bytes(data)
+        # While files are replaced one by one, the manifest owns the old and the new ones alike.
+        either = {name: sorted({*known.get(name, []), new}) for name, new in hashes.items()}
+        folder.mkdir(exist_ok=True)
+        _put(temporary, folder, MANIFEST, _manifest(about, {**known, **either}))
+        for name in files:
+            (temporary / name).replace(folder / name)
+        for name in known.keys() - hashes.keys():
+            (folder / name).unlink(missing_ok=True)
+        _put(temporary, folder, MANIFEST, _manifest(about, {name: [value] for name, value in hashes.items()}))
+    except OSError as error:
+        raise _cannot(folder, error) from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+    return {name: folder / name for name in files}
+
+
+def _put(temporary: Path, folder: Path, name: str, text: str) -> None:
+    path = temporary / name
+    with path.open("w", encoding="utf-8", newline="\n") as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+    path.replace(folder / name)
+
+
+def _manifest(about: dict[str, Any], hashes: dict[str, list[str]]) -> str:
+    values = {"generated_by": "modaltouch analyse", **about, "files": dict(sorted(hashes.items()))}
+    return json.dumps(values, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _read_manifest(folder: Path) -> dict[str, list[str]]:
+    if folder.exists() and not folder.is_dir():
+        raise RecordError(f"{folder}: is a file, but a folder is needed; give another one with --out")
+    try:
+        values = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+        if values["generated_by"] != "modaltouch analyse":
+            return {}
+        return {str(name): [str(h) for h in hashes] for name, hashes in values["files"].items() if _plain(name)}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return {}
+
+
+def _plain(name: object) -> bool:
+    return isinstance(name, str) and Path(name).name == name
+
+
+def _refuse_strange(path: Path, own: list[str] | None, ours: bool) -> None:
+    if not path.exists():
+        return
+    if own is None:
+        if not ours:
+            raise RecordError(f"{path}: is there already and not from modaltouch; give another folder with --out")
+        return
+    try:
+        found = hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise _cannot(path, error) from error
+    if found not in own:
+        kind = "was changed since it was written" if own else "is there already and not from modaltouch"
+        raise RecordError(f"{path}: {kind} and is not overwritten; move it away, or give another folder with --out")
+
+
+def _cannot(path: Path, error: OSError) -> RecordError:
+    return RecordError(f"{path}: cannot be written ({error.strerror}); give a folder you may write to with --out")

@@ -1,0 +1,195 @@
+"""Further questions: side bias, order and fatigue, reaction time, and answers against the ratio of speeds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from itertools import combinations
+from statistics import NormalDist
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from modaltouch.analysis.exact import sign_flip_test
+from modaltouch.analysis.findings import Finding, finding_of
+from modaltouch.analysis.intervals import CONFIDENCE, Interval, paired_mean
+from modaltouch.analysis.probit import fit_ordered_probit
+from modaltouch.analysis.tables import LEFT, RIGHT, AnswerCounts
+
+ANTICIPATION = 0.15
+"""Answers earlier than this cannot be answers to the stimulus [s]; they are left out of reaction times."""
+
+
+def secondary_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Finding]:
+    """Yield the further questions, as far as the table holds what they need.
+
+    Parameters
+    ----------
+    answers : AnswerCounts
+        Counts of the answers.
+    frame : DataFrame
+        Tidy answers; columns ``trial`` (order), ``response_time`` [s], ``speed_left_mm_s`` and
+        ``speed_right_mm_s`` (predicted peak speeds under the fingers) are used where they are there.
+    """
+    yield from side_findings(answers)
+    if has_values(frame, "trial"):
+        yield from order_findings(answers, frame)
+    if has_values(frame, "response_time"):
+        yield from time_findings(answers, frame)
+    if has_values(frame, "speed_left_mm_s") and has_values(frame, "speed_right_mm_s"):
+        yield from speed_findings(answers, frame)
+
+
+def has_values(frame: pd.DataFrame, column: str) -> bool:
+    """Return whether a numeric column is there and filled for single answers."""
+    single = bool((frame["n"] == 1).all()) if "n" in frame.columns else True
+    return column in frame.columns and single and bool(frame[column].notna().all())
+
+
+def side_findings(answers: AnswerCounts) -> Iterator[Finding]:
+    """Yield whether the focus is chosen more often when it lies on the right than on the left."""
+    right = [q for q, pair in enumerate(answers.pairs) if pair.focused and pair.dominant_index == RIGHT]
+    left = [q for q, pair in enumerate(answers.pairs) if pair.focused and pair.dominant_index == LEFT]
+    if not (right and left):
+        return
+    dominant = answers.dominant().sum(axis=3)
+    n = answers.n_participants
+    for f, condition in enumerate(answers.finger_conditions):
+        on_right, on_left = dominant[:, f, right].sum(axis=1), dominant[:, f, left].sum(axis=1)
+        score = on_right * len(left) - on_left * len(right)
+        interval = paired_mean(score, answers.n_answers * len(left) * len(right))
+        labels = [", ".join(answers.pairs[q].label for q in group) for group in (right, left)]
+        sensitivity, criterion = detection(answers.counts[:, f, right], answers.counts[:, f, left])
+        notes = [f"d' {sensitivity:.2f}, criterion c {criterion:.2f} with the log-linear correction, all answers"]
+        name = "exact sign-flip test of side bias"
+        yield finding_of(
+            "side", name, f"{condition} {labels[0]} - {labels[1]}", sign_flip_test(score),
+            "P(focus) on the right less on the left", interval, n, notes=notes,
+        )  # fmt: skip
+
+
+def detection(on_right: NDArray[np.int64], on_left: NDArray[np.int64]) -> tuple[float, float]:
+    """Return sensitivity d' and criterion c of telling right from left, "both" not counted.
+
+    Parameters
+    ----------
+    on_right, on_left : (..., 3) array of int
+        Counts of left, both, right where the focus was on the right, and where it was on the left.
+
+    References
+    ----------
+    Hautus, Behavior Research Methods 27 (1995) 46-51 (log-linear correction).
+    """
+    signal = on_right.reshape(-1, 3).sum(axis=0)
+    noise = on_left.reshape(-1, 3).sum(axis=0)
+    hit = (signal[RIGHT] + 0.5) / (signal[RIGHT] + signal[LEFT] + 1)
+    false_alarm = (noise[RIGHT] + 0.5) / (noise[RIGHT] + noise[LEFT] + 1)
+    z = NormalDist().inv_cdf
+    return z(hit) - z(false_alarm), -(z(hit) + z(false_alarm)) / 2
+
+
+def order_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Finding]:
+    """Yield whether answers drift over the session, and whether the first finger condition differs."""
+    ranked = ranked_answers(answers, frame)
+    scores = ranked.groupby("participant", observed=True)["drift"].sum().to_numpy()
+    largest = float(ranked.groupby("participant", observed=True)["reach"].sum().max())
+    interval = paired_mean(scores, largest) if largest else Interval(math.nan, math.nan, math.nan, 0)
+    yield finding_of(
+        "order", "exact sign-flip test of drift over the session", "all", sign_flip_test(scores),
+        "drift of P(dominant), -1 to 1", interval, answers.n_participants,
+        notes=["rank of the trial within its pair and finger condition against choosing the dominant zone"],
+    )  # fmt: skip
+    if len(answers.finger_conditions) != 2:
+        return
+    first = ranked.groupby(["participant", "finger_condition"], observed=True)["trial"].min().unstack()
+    began = first.columns.to_numpy()[first.to_numpy().argmin(axis=1)]
+    total = ranked.groupby(["participant", "finger_condition"], observed=True)["dominant"].sum().unstack()
+    sign = np.where(began == total.columns[0], 1, -1)
+    score = sign * (total.iloc[:, 0] - total.iloc[:, 1]).to_numpy()
+    counted = ", ".join(f"{int((began == name).sum())} began with {name}" for name in answers.finger_conditions)
+    yield finding_of(
+        "order", "exact sign-flip test of first against second finger condition", "all", sign_flip_test(score),
+        "P(dominant), first less second", paired_mean(score, answers.n_answers * len(answers.pairs)),
+        answers.n_participants, notes=[counted],
+    )  # fmt: skip
+
+
+def time_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Finding]:
+    """Yield whether reaction times differ between pairs: medians within participants, sign flips over them."""
+    kept = frame[frame["response_time"] >= ANTICIPATION]
+    dropped = len(frame) - len(kept)
+    for condition in answers.finger_conditions:
+        medians, all_medians = (_medians(table, condition) for table in (kept, frame))
+        for first, second in combinations(answers.pairs, 2):
+            gap = (medians[first.label] - medians[second.label]).dropna().to_numpy()
+            every = (all_medians[first.label] - all_medians[second.label]).dropna().to_numpy()
+            test, unfiltered = (sign_flip_test(np.rint(values * 1000).astype(np.int64)) for values in (gap, every))
+            notes = [f"{dropped} of {len(frame)} answers below {ANTICIPATION:g} s left out in all"]
+            notes += [f"with them p = {unfiltered.p:.2g}"] if dropped else []
+            yield finding_of(
+                "time", "exact sign-flip test of median reaction times",
+                f"{condition} {first.label} - {second.label}", test, "difference of medians [s]",
+                student_interval(gap), int(gap.size), notes=notes,
+            )  # fmt: skip
+
+
+def speed_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Finding]:
+    """Yield ordered probit fits of left < both < right on the ratio of predicted speeds; estimates, no p."""
+    ratio = np.log2((frame["speed_right_mm_s"] / frame["speed_left_mm_s"]).to_numpy())
+    places = frame["response"].astype(str).map({"left": 0, "both": 1, "right": 2}).to_numpy()
+    for condition in answers.finger_conditions:
+        own = (frame["finger_condition"].astype(str) == condition).to_numpy()
+        groups = frame["participant"].astype(str).to_numpy()[own]
+        fit = fit_ordered_probit(ratio[own], places[own], groups)
+        yield Finding(
+            "speed", "ordered probit on the log ratio of predicted speeds", condition,
+            "probit slope per doubling of right over left", fit.slope.estimate, fit.slope.low, fit.slope.high,
+            answers.n_participants, note=fit.note,
+        )  # fmt: skip
+
+
+def student_interval(values: NDArray[np.float64]) -> Interval:
+    """Return the t interval of a mean; without bounds where the values do not vary.
+
+    Parameters
+    ----------
+    values : (n,) array
+        One value a participant.
+    """
+    n = values.size
+    if n < 2 or np.ptp(values) == 0:
+        return Interval(float(values.mean()) if n else math.nan, math.nan, math.nan, n)
+    from scipy.special import stdtrit
+
+    half = float(stdtrit(n - 1, 1 - (1 - CONFIDENCE) / 2)) * float(values.std(ddof=1)) / math.sqrt(n)
+    mean = float(values.mean())
+    return Interval(mean, mean - half, mean + half, n)
+
+
+def _medians(frame: pd.DataFrame, condition: str) -> pd.DataFrame:
+    own = frame[frame["finger_condition"].astype(str) == condition]
+    labels = own["zone_left"].astype(str) + "-" + own["zone_right"].astype(str)
+    return own.groupby([own["participant"].astype(str), labels])["response_time"].median().unstack()
+
+
+def ranked_answers(answers: AnswerCounts, frame: pd.DataFrame) -> pd.DataFrame:
+    """Return each answer with its order within participant, finger condition and pair, centred on zero.
+
+    Parameters
+    ----------
+    answers : AnswerCounts
+        Counts of the answers.
+    frame : DataFrame
+        Tidy answers with a column ``trial``.
+    """
+    dominant = {(pair.left, pair.right): ("left", "right")[pair.dominant == pair.right] for pair in answers.pairs}
+    zones = zip(frame["zone_left"].astype(str), frame["zone_right"].astype(str), strict=True)
+    keys = ["participant", "finger_condition", "zone_left", "zone_right"]
+    table = frame[keys].astype(str).assign(trial=frame["trial"].to_numpy())
+    table["dominant"] = (frame["response"].astype(str).to_numpy() == [dominant[pair] for pair in zones]).astype(int)
+    ranks = table.groupby(keys)["trial"].rank(method="first").astype(int)
+    centred = 2 * ranks - (answers.n_answers + 1)
+    table["drift"] = centred * table["dominant"]
+    table["reach"] = centred.where(centred > 0, 0)
+    return table

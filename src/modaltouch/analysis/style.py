@@ -1,0 +1,109 @@
+"""How every figure looks: the paper's colours, legible in greyscale, bytes that depend on the data alone."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+PAIR_COLOURS = ("#0b3c8c", "#5bb8e8", "#f4c518", "#9a5b9f", "#2f9e77", "#c4c4c4")
+"""Dark blue, light blue and yellow as in Fig. 10 and Fig. 11; then further pairs."""
+
+CONDITION_COLOURS = ("#0b3c8c", "#c2541b", "#2f9e77", "#9a5b9f")
+ANSWER_COLOURS = {"dominant": "#0b3c8c", "both": "#c9ced6", "other": "#d1603d"}
+INK = "#1d2530"
+FAINT = "#8a94a3"
+
+_RC: dict[Any, Any] = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9.0,
+    "axes.titlesize": 10.0,
+    "axes.labelsize": 9.0,
+    "xtick.labelsize": 8.0,
+    "ytick.labelsize": 8.0,
+    "legend.fontsize": 8.0,
+    "axes.edgecolor": INK,
+    "axes.labelcolor": INK,
+    "text.color": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.linewidth": 0.8,
+    "figure.facecolor": "white",
+    "savefig.facecolor": "white",
+    "hatch.linewidth": 0.6,
+    "svg.hashsalt": "modaltouch",
+    "svg.fonttype": "path",
+}
+
+PNG_DPI = 200
+
+
+@contextmanager
+def house_style() -> Iterator[None]:
+    """Draw in the project's style, leaving matplotlib's own settings as they were."""
+    with mpl.rc_context(_RC):
+        yield
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """Return an empty figure that belongs to no window.
+
+    Parameters
+    ----------
+    width, height : float
+        Size [inch].
+    """
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def render(figure: Figure, kind: str) -> bytes:
+    """Return a figure as the bytes of a file; the same figure always gives the same bytes.
+
+    Parameters
+    ----------
+    figure : Figure
+        What to render.
+    kind : {"svg", "png"}
+        File format.
+    """
+    buffer = io.BytesIO()
+    engine = figure.get_layout_engine()
+    with house_style():
+        if engine is not None:
+            # Laid out once for both formats: it costs as much as drawing, and again with every file.
+            engine.execute(figure)
+            figure.set_layout_engine("none")
+        if kind == "svg":
+            figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": "modaltouch"})
+        else:
+            figure.savefig(buffer, format="png", dpi=PNG_DPI, metadata={"Software": "modaltouch"})
+    return buffer.getvalue()
+
+
+def pair_colours(labels: Sequence[str]) -> dict[str, str]:
+    """Return a colour for each zone pair, in order."""
+    return {label: PAIR_COLOURS[i % len(PAIR_COLOURS)] for i, label in enumerate(labels)}
+
+
+def level_label(level: float) -> str:
+    """Return a level as it is printed [mm/s].
+
+    Examples
+    --------
+    >>> level_label(80.0), level_label(92.5)
+    ('80', '92.5')
+    """
+    return f"{level:g}"
+
+
+def quiet_grid(axes: Axes) -> None:
+    """Draw faint horizontal lines behind the data."""
+    axes.set_axisbelow(True)
+    axes.grid(axis="y", color="#e3e7ec", linewidth=0.7)

@@ -1,0 +1,324 @@
+"""Tidy answers -> counts: per cell, in the form of Fig. 10 and Fig. 11, and as one array for the statistics."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from modaltouch.analysis.responses import CELL
+from modaltouch.trial import ANSWERS
+
+LEFT, BOTH, RIGHT = 0, 1, 2
+"""Places of the answers in the last axis of `AnswerCounts.counts`."""
+
+PAPER_CONDITIONS = ("one_hand", "two_hands")
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two zones under the fingers.
+
+    Attributes
+    ----------
+    left, right : str
+        Zones under the left and the right finger.
+    dominant : str
+        Zone whose choice counts as the effect: the focus where it is touched, else the left one.
+    focused : bool
+        Whether the focus is one of the two.
+    """
+
+    left: str
+    right: str
+    dominant: str
+    focused: bool
+
+    @property
+    def label(self) -> str:
+        """Both zones, as in ``A-C``."""
+        return f"{self.left}-{self.right}"
+
+    @property
+    def other(self) -> str:
+        """The zone that is not the dominant one."""
+        return self.right if self.dominant == self.left else self.left
+
+    @property
+    def dominant_index(self) -> int:
+        """Place of the dominant answer in the last axis of the counts."""
+        return LEFT if self.dominant == self.left else RIGHT
+
+    @property
+    def answers(self) -> tuple[tuple[str, int], ...]:
+        """Labels of the three answers in the paper's order, and their places in the counts."""
+        first = self.dominant_index
+        both = f"{self.right} & {self.left}" if self.focused and first == RIGHT else f"{self.left} & {self.right}"
+        return ((self.dominant, first), (self.other, RIGHT - first), (both, BOTH))
+
+
+@dataclass(frozen=True, eq=False)
+class AnswerCounts:
+    """How often each participant gave each answer in each cell.
+
+    Attributes
+    ----------
+    participants, finger_conditions : tuple of str
+        Names along the first two axes.
+    pairs : tuple of Pair
+        Zone pairs along the third axis.
+    levels : tuple of float
+        Peak velocities along the fourth axis [mm/s].
+    counts : (n_participants, n_finger_conditions, n_pairs, n_levels, 3) array of int
+        Counts of left, both and right.
+    n_repetitions : int
+        Answers of each participant in each cell.
+    focus : str
+        Zone of the focus; empty if unknown.
+    """
+
+    participants: tuple[str, ...]
+    finger_conditions: tuple[str, ...]
+    pairs: tuple[Pair, ...]
+    levels: tuple[float, ...]
+    counts: NDArray[np.int64]
+    n_repetitions: int
+    focus: str = ""
+
+    @property
+    def n_participants(self) -> int:
+        """Number of participants."""
+        return len(self.participants)
+
+    @property
+    def n_answers(self) -> int:
+        """Answers of each participant to one pair under one finger condition."""
+        return self.n_repetitions * len(self.levels)
+
+    def dominant(self) -> NDArray[np.int64]:
+        """Return the counts of the dominant zone, without the last axis."""
+        return np.stack([self.counts[:, :, i, :, pair.dominant_index] for i, pair in enumerate(self.pairs)], axis=2)
+
+    def other(self) -> NDArray[np.int64]:
+        """Return the counts of the other zone, without the last axis."""
+        return np.stack(
+            [self.counts[:, :, i, :, RIGHT - pair.dominant_index] for i, pair in enumerate(self.pairs)], axis=2
+        )
+
+    def modal(self) -> NDArray[np.int64]:
+        """Return each participant's most frequent answer per cell; -1 where two answers tie."""
+        top = self.counts.max(axis=-1, keepdims=True)
+        tied = (self.counts == top).sum(axis=-1) > 1
+        return np.where(tied, -1, self.counts.argmax(axis=-1))
+
+
+def count_answers(frame: pd.DataFrame, focus: str = "") -> AnswerCounts:
+    """Return the answers of a tidy table as one array.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Tidy answers; a column ``n`` counts equal ones.
+    focus : str
+        Zone of the focus; guessed by `find_focus` if empty.
+
+    Returns
+    -------
+    AnswerCounts
+
+    Raises
+    ------
+    ValueError
+        If a participant lacks a cell, or has more answers in one cell than in another.
+    """
+    conditions = _ordered_conditions(frame["finger_condition"].astype(str).unique().tolist())
+    zones = sorted(set(zip(frame["zone_left"].astype(str), frame["zone_right"].astype(str), strict=True)))
+    levels = sorted(float(level) for level in frame["velocity_mm_s"].unique())
+    participants = sorted(frame["participant"].astype(str).unique().tolist(), key=_natural)
+    focus = focus or find_focus(zones)
+    pairs = tuple(_pair(left, right, focus) for left, right in zones)
+    axes = (
+        participants,
+        conditions,
+        [f"{left}\n{right}" for left, right in zones],
+        levels,
+        ["left", "both", "right"],
+    )
+    joined = frame["zone_left"].astype(str) + "\n" + frame["zone_right"].astype(str)
+    keys = (
+        frame["participant"].astype(str),
+        frame["finger_condition"].astype(str),
+        joined,
+        frame["velocity_mm_s"],
+        frame["response"].astype(str),
+    )
+    places = [_places(axis, key) for axis, key in zip(axes, keys, strict=True)]
+    if (places[-1] < 0).any():
+        unknown = frame["response"][places[-1] < 0].astype(str).iloc[0]
+        raise ValueError(f"response {unknown!r} is not an answer: allowed are {', '.join(ANSWERS)}")
+    counts = np.zeros([len(axis) for axis in axes], dtype=np.int64)
+    weights = frame["n"].to_numpy() if "n" in frame.columns else np.ones(len(frame), dtype=np.int64)
+    np.add.at(counts, tuple(places), weights)
+    _refuse_imbalance(counts.sum(axis=-1), participants, conditions, pairs, levels)
+    return AnswerCounts(
+        tuple(participants), tuple(conditions), pairs, tuple(levels), counts, int(counts[0, 0, 0, 0].sum()), focus
+    )
+
+
+def find_focus(zones: Sequence[tuple[str, str]]) -> str:
+    """Return the zone that most pairs share; where no one zone leads, C if it is touched, else none.
+
+    Parameters
+    ----------
+    zones : sequence of (str, str)
+        Zone pairs.
+
+    Examples
+    --------
+    >>> find_focus([("A", "C"), ("B", "D"), ("C", "E")])
+    'C'
+    """
+    touched = Counter(zone for pair in zones for zone in pair).most_common()
+    if touched[0][1] > 1 and (len(touched) == 1 or touched[1][1] < touched[0][1]):
+        return touched[0][0]
+    return "C" if any(zone == "C" for zone, _ in touched) else ""
+
+
+def count_responses(frame: pd.DataFrame, focus: str = "") -> pd.DataFrame:
+    """Return the counts of every cell.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Tidy answers.
+    focus : str
+        Zone of the focus; guessed if empty.
+
+    Returns
+    -------
+    DataFrame
+        Columns finger_condition, pair, zone_left, zone_right, velocity_mm_s, left, both, right, n; one row for
+        each cell.
+    """
+    return tabulate(count_answers(frame, focus))
+
+
+def tabulate(answers: AnswerCounts) -> pd.DataFrame:
+    """Return the counts of every cell, summed over participants, as `count_responses` does."""
+    sums = answers.counts.sum(axis=0)
+    rows = [
+        (condition, pair.label, pair.left, pair.right, level, *sums[f, q, v].tolist(), int(sums[f, q, v].sum()))
+        for f, condition in enumerate(answers.finger_conditions)
+        for q, pair in enumerate(answers.pairs)
+        for v, level in enumerate(answers.levels)
+    ]
+    return pd.DataFrame(rows, columns=["finger_condition", "pair", *CELL[1:], "left", "both", "right", "n"])
+
+
+def zone_table(counts: pd.DataFrame, finger_condition: str, focus: str = "") -> pd.DataFrame:
+    """Return the counts of one finger condition by zone, in the form of Fig. 10 and Fig. 11.
+
+    Parameters
+    ----------
+    counts : DataFrame
+        As `count_responses` returns them.
+    finger_condition : str
+        Which finger condition.
+    focus : str
+        Zone of the focus; guessed if empty.
+
+    Returns
+    -------
+    DataFrame
+        Index (pair, answer), answers as in the paper: ``C``, ``A``, ``C & A`` and so on; one column for each
+        level [mm/s], holding how many answers out of the cell's n.
+
+    Raises
+    ------
+    ValueError
+        If there is no such finger condition.
+    """
+    own = counts[counts["finger_condition"] == finger_condition]
+    if own.empty:
+        known = ", ".join(counts["finger_condition"].unique())
+        raise ValueError(f"finger condition {finger_condition!r} is not in the counts; there are {known}")
+    zones = list(dict.fromkeys(zip(own["zone_left"], own["zone_right"], strict=True)))
+    focus = focus or find_focus(zones)
+    columns = ("left", "both", "right")
+    rows = {}
+    for left, right in zones:
+        pair = _pair(str(left), str(right), focus)
+        cells = own[(own["zone_left"] == left) & (own["zone_right"] == right)].set_index("velocity_mm_s")
+        for label, place in pair.answers:
+            rows[pair.label, label] = cells[columns[place]].sort_index()
+    table = pd.DataFrame(rows).T.astype(int)
+    table.index.names = ["pair", "answer"]
+    table.columns.name = "velocity_mm_s"
+    return table
+
+
+def figure_names(finger_conditions: Sequence[str]) -> dict[str, str]:
+    """Return the file name, without ending, of the figure of each finger condition.
+
+    Parameters
+    ----------
+    finger_conditions : sequence of str
+        The paper's two get its figure numbers, any other a name of its own.
+
+    Examples
+    --------
+    >>> figure_names(["one_hand", "two_hands", "gloved hand"])
+    {'one_hand': 'fig_10', 'two_hands': 'fig_11', 'gloved hand': 'fig_gloved_hand'}
+    """
+    names = dict(zip(PAPER_CONDITIONS, ("fig_10", "fig_11"), strict=True))
+    for condition in finger_conditions:
+        word = "".join(c if c.isascii() and c.isalnum() else "_" for c in condition)[:60]
+        taken = {name.casefold() for name in names.values()}
+        candidates = [f"fig_{word}", *(f"fig_{word}_{i}" for i in range(2, len(names) + 3))]
+        names.setdefault(condition, next(name for name in candidates if name.casefold() not in taken))
+    return {condition: names[condition] for condition in finger_conditions}
+
+
+def _places(axis: Sequence[Any], key: pd.Series) -> NDArray[np.int64]:
+    return np.asarray(pd.Index(list(axis)).get_indexer(pd.Index(key)), dtype=np.int64)
+
+
+def _refuse_imbalance(
+    totals: NDArray[np.int64],
+    participants: Sequence[str],
+    conditions: Sequence[str],
+    pairs: Sequence[Pair],
+    levels: Sequence[float],
+) -> None:
+    if totals.min() == totals.max() > 0:
+        return
+    p, f, q, v = (int(i) for i in np.unravel_index(int(totals.argmin()), totals.shape))
+    cell = f"{conditions[f]} {pairs[q].label} {levels[v]:g} mm/s"
+    raise ValueError(
+        f"participant {participants[p]} has {totals[p, f, q, v]} answers in {cell}, others {totals.max()}: "
+        "every participant must have answered every cell equally often; read the file with read_responses"
+    )
+
+
+def _pair(left: str, right: str, focus: str) -> Pair:
+    return Pair(left, right, focus if focus in (left, right) else left, focus in (left, right))
+
+
+def _ordered_conditions(names: list[str]) -> list[str]:
+    return [name for name in PAPER_CONDITIONS if name in names] + [n for n in names if n not in PAPER_CONDITIONS]
+
+
+def _natural(name: str) -> tuple[tuple[int, int, str], ...]:
+    """Return a key that sorts p2 before p10."""
+    parts: list[str] = []
+    for character in name:
+        if parts and parts[-1][-1].isdecimal() == character.isdecimal():
+            parts[-1] += character
+        else:
+            parts.append(character)
+    return tuple((0, int(part), "") if part.isdecimal() else (1, 0, part) for part in parts)

@@ -1,0 +1,203 @@
+"""The tidy CSV: every word, number and cell checked, all faults at once."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from modaltouch.analysis.balance import check_balance
+from modaltouch.analysis.csv_table import MOST_LISTED, Column, Table, read_table
+from modaltouch.analysis.responses import REQUIRED, LeftOut, Responses, Source
+from modaltouch.document import InputError, Problem, suggest
+from modaltouch.trial import ANSWERS
+
+FINGER_CONDITIONS = ("one_hand", "two_hands")
+
+NUMBERS = ("trial", "block", "response_time", "speed_left_mm_s", "speed_right_mm_s")
+"""Further columns the analysis uses where they are there, named as in the record's own table."""
+
+_TRUTH = {"0": False, "false": False, "no": False, "": False, "1": True, "true": True, "yes": True}
+
+
+def read_csv(path: Path) -> Responses:
+    """Return the answers in a tidy CSV file.
+
+    Parameters
+    ----------
+    path : Path
+        A table with the six columns, and optionally ``n`` (count of equal answers), ``repetition``,
+        ``practice`` and any others, which are kept.
+
+    Raises
+    ------
+    InputError
+        With every fault found.
+    """
+    table = read_table(path, REQUIRED)
+    problems: list[Problem] = []
+    frame = pd.DataFrame(index=pd.RangeIndex(table.n_rows))
+    for name in REQUIRED[:4]:
+        frame[name] = _words(table, name, problems)
+    frame["velocity_mm_s"] = _numbers(table, "velocity_mm_s", problems, "a peak velocity in mm/s, above 0", _positive)
+    frame["response"] = _answers(table, problems)
+    frame["n"] = _whole_numbers(table, "n", problems, 0) if "n" in table.columns else 1
+    if "repetition" in table.columns:
+        frame["repetition"] = _whole_numbers(table, "repetition", problems, 1)
+    for name, column in table.columns.items():
+        if name in NUMBERS:
+            frame[name] = _numbers(table, name, problems, "a number, or nothing", _anything, empty=True)
+        elif name not in frame.columns:
+            frame[name] = _categorical(column.codes, column.words).astype("str")
+    problems += _same_zone(table, frame) + _near_conditions(table)
+    if problems:
+        raise InputError(problems)
+    frame, practice = _without_practice(table, frame, problems)
+    if not problems:
+        problems += check_balance(table, frame)
+    if problems:
+        raise InputError(problems)
+    left_out = (LeftOut(f"{table.file}: {practice} rows", "practice trials"),) if practice else ()
+    return Responses(frame, (), left_out, Source(table.file, "csv", table.sha256))
+
+
+def _report(
+    table: Table, column: Column, faulty: list[int], allowed: str, say: Callable[[str], tuple[str, str]]
+) -> list[Problem]:
+    """Return one problem for each faulty word, at its first row."""
+    first, counts = column.first_rows(), column.counts()
+    problems = []
+    for code in faulty[:MOST_LISTED]:
+        given, remedy = say(column.words[code])
+        if counts[code] > 1:
+            given += f" (in {counts[code]} rows)"
+        problems.append(table.problem(int(first[code]), column.name, given, allowed, remedy))
+    if len(faulty) > MOST_LISTED:
+        rest = f"{len(faulty) - MOST_LISTED} more words of this kind"
+        problems.append(table.problem(int(first[faulty[MOST_LISTED]]), column.name, rest, allowed))
+    return problems
+
+
+def _words(table: Table, name: str, problems: list[Problem]) -> pd.Categorical:
+    column = table.columns[name]
+    empty = [code for code, word in enumerate(column.words) if not word]
+    problems += _report(table, column, empty, "a word", lambda word: ("nothing", "fill it in"))
+    return _categorical(column.codes, column.words)
+
+
+def _categorical(codes: NDArray[np.int64], words: Sequence[str]) -> pd.Categorical:
+    values: pd.Categorical = pd.Categorical.from_codes(codes.astype(np.intp), pd.Index(list(words), dtype="str"))
+    return values
+
+
+def _answers(table: Table, problems: list[Problem]) -> pd.Categorical:
+    column = table.columns["response"]
+    unknown = [code for code, word in enumerate(column.words) if word not in ANSWERS]
+
+    def say(word: str) -> tuple[str, str]:
+        meant = suggest(word, ANSWERS)
+        return repr(word) if word else "nothing", f"write {meant}" if meant else "write one of these words"
+
+    problems += _report(table, column, unknown, ", ".join(ANSWERS), say)
+    codes = np.array([ANSWERS.index(word) if word in ANSWERS else -1 for word in column.words], dtype=np.int64)
+    return _categorical(codes[column.codes], ANSWERS)
+
+
+def _positive(value: float) -> bool:
+    return math.isfinite(value) and value > 0
+
+
+def _anything(value: float) -> bool:
+    return math.isfinite(value)
+
+
+def _numbers(
+    table: Table,
+    name: str,
+    problems: list[Problem],
+    allowed: str,
+    sound: Callable[[float], bool],
+    *,
+    empty: bool = False,
+) -> NDArray[np.float64]:
+    column = table.columns[name]
+    values = np.array([_number(word, table.separator, empty=empty) for word in column.words])
+    absent = np.array([empty and word in ("", "n/a") for word in column.words], dtype=bool)
+    faulty = [code for code in range(len(values)) if not absent[code] and not sound(float(values[code]))]
+
+    def say(word: str) -> tuple[str, str]:
+        if "," in word and math.isnan(_number(word, table.separator)):
+            return repr(word), "write a decimal point"
+        return repr(word) if word else "nothing", "write a plain number such as 80 or 92.5"
+
+    problems += _report(table, column, faulty, allowed, say)
+    return np.asarray(values[column.codes], dtype=float)
+
+
+def _number(word: str, separator: str, *, empty: bool = False) -> float:
+    # A decimal comma is beyond doubt only where commas do not separate fields and no point stands beside it.
+    if separator != "," and word.count(",") == 1 and "." not in word:
+        word = word.replace(",", ".")
+    if "_" in word:
+        return math.nan
+    try:
+        return float(word)
+    except ValueError:
+        return math.nan
+
+
+def _whole_numbers(table: Table, name: str, problems: list[Problem], least: int) -> NDArray[np.int64]:
+    values = _numbers(
+        table,
+        name,
+        problems,
+        f"a whole number, {least} or above",
+        lambda value: math.isfinite(value) and value == int(value) and least <= value < 1e9,
+    )
+    return np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0).astype(np.int64)
+
+
+def _same_zone(table: Table, frame: pd.DataFrame) -> list[Problem]:
+    same = np.flatnonzero((frame["zone_left"].astype(str) == frame["zone_right"].astype(str)).to_numpy())
+    return [
+        table.problem(
+            int(row),
+            "zone_right",
+            f"zone {frame['zone_right'].iloc[row]!r} under both fingers",
+            "two different zones",
+            "correct zone_left or zone_right",
+        )
+        for row in same[:MOST_LISTED]
+    ]
+
+
+def _near_conditions(table: Table) -> list[Problem]:
+    """Return the finger conditions that are probably a slip of the pen."""
+    column = table.columns["finger_condition"]
+    slips = [
+        code
+        for code, word in enumerate(column.words)
+        if word and word not in FINGER_CONDITIONS and _folded(word) in {_folded(known) for known in FINGER_CONDITIONS}
+    ]
+    allowed = f"{', '.join(FINGER_CONDITIONS)}, or a name of your own"
+    return _report(table, column, slips, allowed, lambda w: (repr(w), f"write {suggest(w, FINGER_CONDITIONS)}"))
+
+
+def _folded(word: str) -> str:
+    return "".join(character for character in word.casefold() if character.isalnum()).rstrip("s")
+
+
+def _without_practice(table: Table, frame: pd.DataFrame, problems: list[Problem]) -> tuple[pd.DataFrame, int]:
+    if "practice" not in table.columns:
+        return frame, 0
+    column = table.columns["practice"]
+    unknown = [code for code, word in enumerate(column.words) if word.casefold() not in _TRUTH]
+    problems += _report(table, column, unknown, "0 or 1", lambda w: (repr(w), "write 1 for a practice trial"))
+    known: list[Any] = [_TRUTH.get(word.casefold(), False) for word in column.words]
+    practice = np.array(known, dtype=bool)[column.codes]
+    return frame[~practice], int(practice.sum())

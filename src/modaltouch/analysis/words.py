@@ -1,0 +1,208 @@
+"""The findings in words: one paragraph for each question, with the numbers filled in."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from modaltouch.analysis.findings import ALPHA, Finding
+from modaltouch.analysis.tables import AnswerCounts
+
+HEADINGS = {
+    "a1": "Do the answers of a cell differ from guessing?",
+    "a2": "Is one zone of each pair chosen more than the other?",
+    "b": "Does the level matter?",
+    "c": "Do the finger conditions differ?",
+    "d": "Do the pairs of zones differ in “both”?",
+    "e": "Do the participants agree?",
+    "f": "How large are the effects?",
+    "side": "Is there a side bias?",
+    "order": "Do answers drift, or depend on what came first?",
+    "time": "Do reaction times differ?",
+    "speed": "Do the answers follow the speeds under the fingers?",
+}
+"""Questions of the analysis plan, then the further ones."""
+
+
+@dataclass(frozen=True)
+class Paragraph:
+    """One question answered in words."""
+
+    question: str
+    heading: str
+    text: str
+
+
+def write_paragraphs(findings: Sequence[Finding], answers: AnswerCounts) -> tuple[Paragraph, ...]:
+    """Return a paragraph for each question that the findings answer.
+
+    Parameters
+    ----------
+    findings : sequence of Finding
+        Rows of the statistics.
+    answers : AnswerCounts
+        Counts of the answers.
+    """
+    writers = {"a1": _chance, "a2": _dominance, "b": _level, "c": _conditions, "d": _pairs, "e": _agreement}
+    paragraphs = []
+    for question, heading in HEADINGS.items():
+        own = [finding for finding in findings if finding.question == question]
+        if own:
+            text = writers[question](own, answers) if question in writers else _plain(question, own)
+            paragraphs.append(Paragraph(question, heading, text))
+    return tuple(paragraphs)
+
+
+def say_p(p: float) -> str:
+    """Return a p value as it stands in a paper.
+
+    Examples
+    --------
+    >>> say_p(0.0312), say_p(0.00004), say_p(1.0)
+    ('= 0.031', '< 0.001', '= 1')
+    """
+    if math.isnan(p):
+        return "not available"
+    if p < 0.001:
+        return "< 0.001"
+    return f"= {p:.2g}" if p < 1 else "= 1"
+
+
+def say_number(value: float) -> str:
+    """Return a number for a table: three digits, a dash where there is none.
+
+    Examples
+    --------
+    >>> say_number(0.97512), say_number(float("nan")), say_number(float("inf")), say_number(39.0)
+    ('0.975', '–', '∞', '39')
+    """
+    if math.isnan(value):
+        return "–"
+    if math.isinf(value):
+        return "∞" if value > 0 else "−∞"
+    if abs(value) <= 2 * sys.float_info.min and value != 0:
+        return "< 1e-300"
+    text = f"{value:.3g}"
+    return "0" if float(text) == 0 else text.replace("-", "−") if value < 0 else text
+
+
+def say_interval(finding: Finding) -> str:
+    """Return an estimate with its interval, as in ``0.975 [0.798, 0.996]``."""
+    bounds = ", ".join(say_number(value) for value in (finding.low, finding.high))
+    return f"{say_number(finding.estimate)} [{bounds}]"
+
+
+def _chance(own: Sequence[Finding], answers: AnswerCounts) -> str:
+    beyond = [finding for finding in own if finding.p_holm <= ALPHA]
+    rest = [finding.scope for finding in own if finding.p_holm > ALPHA]
+    text = (
+        f"In {len(beyond)} of {len(own)} cells the answers of the {answers.n_participants} participants differ from "
+        f"an even split over left, both and right (exact multinomial test ordered by likelihood ratio, Holm-corrected "
+        f"over {len(own)} cells, p ≤ {ALPHA:g})."
+    )
+    if rest and beyond:
+        text += f" They do not in {_join(rest)}."
+    least = own[0].p_min
+    if least * len(own) > ALPHA:
+        text += (
+            f" Even a unanimous cell could not pass the correction: its p is {say_number(least)}; "
+            "more participants are needed, so this question stays open."
+        )
+    return text
+
+
+def _dominance(own: Sequence[Finding], answers: AnswerCounts) -> str:
+    sentences = []
+    for finding in (f for f in own if f.family):
+        zones = finding.quantity.replace("P(", "").replace(")", "").split(" - ")
+        sentences.append(
+            f"{finding.scope}: {zones[0]} over {zones[1]} by {say_interval(finding)} in share of answers; "
+            f"{finding.note.split('; ')[-1]}; {_verdict(finding)}."
+        )
+    return (
+        "Net dominance over all levels (dominant less other answers, “both” counting zero), exact sign flips over "
+        f"participants, Holm over {_family(own)}. " + " ".join(sentences)
+    )
+
+
+def _level(own: Sequence[Finding], answers: AnswerCounts) -> str:
+    if len(answers.levels) < 2:
+        return "Only one level was presented, so nothing can be said about the level."
+    tested = [f for f in own if f.family]
+    open_ones = [f for f in tested if f.p_min > ALPHA]
+    text = (
+        f"Trend of the dominant answer over {answers.levels[0]:g} to {answers.levels[-1]:g} mm/s, levels shuffled "
+        f"within participants (exact), Holm over {_family(own)}. "
+    )
+    text += " ".join(f"{f.scope}: {say_interval(f)} per 100 mm/s, {_verdict(f)}." for f in tested if f not in open_ones)
+    if open_ones:
+        text += (
+            f" No information on {_join([f.scope for f in open_ones])}: too few participants changed their answer "
+            "between levels for any trend to show. This is not evidence that the level does not matter."
+        )
+    return text
+
+
+def _conditions(own: Sequence[Finding], answers: AnswerCounts) -> str:
+    text = f"Whole-participant swaps of the finger conditions (exact sign flips), Holm over {_family(own)}. "
+    text += " ".join(
+        f"{f.scope}, {f.quantity}: {say_interval(f)}, {_verdict(f)}; {f.note.split('; ')[-1]}." for f in own
+    )
+    return text + (
+        " A difference that is not significant does not show that the conditions are alike; what the data support "
+        "is equivalence within the margin named."
+    )
+
+
+def _pairs(own: Sequence[Finding], answers: AnswerCounts) -> str:
+    text = f"Share of “both”, compared between pairs within participants (exact sign flips), Holm over {_family(own)}. "
+    return text + " ".join(f"{f.scope}: {say_interval(f)}, {_verdict(f)}." for f in own if f.family)
+
+
+def _agreement(own: Sequence[Finding], answers: AnswerCounts) -> str:
+    if answers.n_participants < 2:
+        return "One participant alone: agreement between participants has no meaning."
+    text = "Gwet's AC1 (1 where all agree; kappa is undefined there and is not used). "
+    return text + " ".join(
+        f"{f.scope}: {say_interval(f)}; participants differ from each other: {_verdict(f)}."
+        for f in own
+        if f.quantity == "Gwet AC1"
+    )
+
+
+def _plain(question: str, own: Sequence[Finding]) -> str:
+    if question == "f":
+        shares = [f for f in own if f.name.startswith("Korn")]
+        return (
+            "Shares over all levels with intervals over participants (Korn-Graubard): "
+            + "; ".join(f"{f.scope} {f.quantity} {say_interval(f)}" for f in shares)
+            + ". Paired differences of single cells (Tango) and matched odds ratios are in tests.csv."
+        )
+    sentences = []
+    for f in own:
+        verdict = f", {_verdict(f)}" if not math.isnan(f.p) else ""
+        note = "" if math.isnan(f.p) is False and f.p_min > ALPHA else f" ({f.note})" if f.note else ""
+        sentences.append(f"{f.scope}: {f.quantity} {say_interval(f)}{verdict}{note}.")
+    caution = {
+        "time": " Bursts repeat at a fixed rate, so reaction times come in steps of one burst period.",
+        "order": " In the paper the order of the two finger conditions is not told.",
+    }
+    return " ".join(sentences) + caution.get(question, "")
+
+
+def _verdict(finding: Finding) -> str:
+    if finding.p_min > ALPHA:
+        return f"no information (the smallest p these data could have given is {say_number(finding.p_min)})"
+    corrected = "" if math.isnan(finding.p_holm) else f", Holm p {say_p(finding.p_holm)}"
+    return f"p {say_p(finding.p)}{corrected} (smallest possible {say_number(finding.p_min)})"
+
+
+def _family(own: Iterable[Finding]) -> int:
+    first = [f.family for f in own if f.family]
+    return sum(name == first[0] for name in first) if first else 0
+
+
+def _join(words: Sequence[str]) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
