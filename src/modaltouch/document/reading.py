@@ -211,15 +211,19 @@ def _unknown_key(reading: Reading[Any], path: tuple[Step, ...]) -> Problem:
 
 def _in_words(node: Node | None) -> str:
     """Return what stands at a node."""
-    if node is None or (node.content is None and not node.text):
+    if node is None or node.content is None:
         return "nothing"
     if isinstance(node.content, list):
         return "an empty list" if not node.content else f"a list of {len(node.content)}"
     if isinstance(node.content, dict):
         return "a mapping"
     if isinstance(node.content, str):
-        return repr(node.content if len(node.content) <= 60 else node.content[:57] + "...")
-    return node.text
+        return repr(_shortened(node.content))
+    return _shortened(node.text)
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= 60 else text[:57] + "..."
 
 
 def _remedy(reading: Reading[Any], path: tuple[Step, ...], node: Node | None) -> str:

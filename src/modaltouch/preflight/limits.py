@@ -12,6 +12,7 @@ from modaltouch.apparatus import zone_edges
 from modaltouch.document import Problem, Reading
 from modaltouch.preflight.ground import Ground
 from modaltouch.protocol import Protocol
+from modaltouch.stimulus.burst import MID_CODE
 from modaltouch.stimulus.design import Stimulus
 
 AMPLITUDE_RANGE = (0.02, 20.0)
@@ -87,7 +88,7 @@ def _check_generator(
     ground: Ground, stimulus: Stimulus, protocol: Reading[Protocol], index: int, level: float
 ) -> Iterator[Problem]:
     smallest, largest = AMPLITUDE_RANGE[0], _highest_amplitude(ground)
-    silent = stimulus.peak_voltage == 0
+    silent = (stimulus.burst.codes == MID_CODE).all(axis=1)
     for channel, amplitude in enumerate(stimulus.burst.amplitude_for(level * 1e-3)):
         where = f"{level:g} mm/s, which needs {amplitude:.4g} V peak to peak of output {channel + 1}"
         path = (*_LEVELS, index)

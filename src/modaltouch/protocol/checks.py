@@ -35,14 +35,10 @@ def _check_stimulus(reading: Reading[Protocol]) -> Iterator[Problem]:
     if duration is not None and rate is not None and duration * rate > 1e3:
         given = f"{duration:g} ms at {rate:g} bursts per second"
         allowed = f"at most {1e3 / rate:g} ms, the time from one burst to the next"
-        yield reading.problem(
-            (*section, "duration_ms"), given, allowed, "shorten the burst or repeat it less often"
-        )
+        yield reading.problem((*section, "duration_ms"), given, allowed, "shorten the burst or repeat it less often")
     if duration is not None and instant is not None and instant >= duration:
         given = f"{instant:g} ms, which is not within the burst of {duration:g} ms"
-        yield reading.problem(
-            (*section, "focusing_instant_ms"), given, f"below {duration:g} ms", "move one of them"
-        )
+        yield reading.problem((*section, "focusing_instant_ms"), given, f"below {duration:g} ms", "move one of them")
     if duration is not None and n_samples is not None:
         sampling_rate = n_samples / duration * 1e3
         if sampling_rate > CLOCK_RATE * (1 + 1e-12):
@@ -107,9 +103,7 @@ def _check_schedule(reading: Reading[Protocol]) -> Iterator[Problem]:
     n_trials = n_pairs * n_levels * repetitions * max(n_blocks, 1)
     if n_trials > TRIAL_LIMIT:
         given = f"{repetitions}, which makes {n_trials} trials"
-        yield reading.problem(
-            ("schedule", "repetitions"), given, f"at most {TRIAL_LIMIT} trials", "repeat less often"
-        )
+        yield reading.problem(("schedule", "repetitions"), given, f"at most {TRIAL_LIMIT} trials", "repeat less often")
     faulty = any(problem.path.startswith("conditions.zone_pairs") for problem in reading.problems)
     if running is not None and n_pairs == 1 and not faulty and n_levels * repetitions > running:
         given = f"{running} where every trial has the same pair"

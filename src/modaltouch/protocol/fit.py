@@ -47,9 +47,7 @@ def _check_zones(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> 
             yield protocol.problem(path, given, "the left zone first", f"write [{pair[1]}, {pair[0]}]")
 
 
-def _unknown_zone(
-    protocol: Reading[Protocol], path: tuple[str | int, ...], name: str, zones: list[str]
-) -> Problem:
+def _unknown_zone(protocol: Reading[Protocol], path: tuple[str | int, ...], name: str, zones: list[str]) -> Problem:
     meant = suggest(name, zones)
     remedy = f"did you mean '{meant}'?" if meant else ""
     return protocol.problem(path, f"'{name}', which is not a zone of this beam", ", ".join(zones), remedy)
@@ -75,9 +73,7 @@ def _check_modes(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> 
     yield from _check_nyquist(protocol, apparatus, n_modes)
 
 
-def _check_nyquist(
-    protocol: Reading[Protocol], apparatus: Reading[Apparatus], n_modes: int
-) -> Iterator[Problem]:
+def _check_nyquist(protocol: Reading[Protocol], apparatus: Reading[Apparatus], n_modes: int) -> Iterator[Problem]:
     n_samples, duration = (protocol.sound("stimulus", key) for key in ("n_samples", "duration_ms"))
     known = [apparatus.sound("modes", index, "natural_frequency_Hz") for index in range(n_modes)]
     highest: Any = max((value for value in known if value is not None), default=None)

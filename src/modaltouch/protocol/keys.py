@@ -17,8 +17,7 @@ scrolllock select semicolon slash space sysreq tab underscore undo up
 """
 
 _KEYPAD = """
-add begin decimal delete divide down end enter equal f1 f2 f3 f4 home insert left multiply page_down page_up
-right separator space subtract tab up
+add decimal divide enter equal f1 f2 f3 f4 multiply separator space subtract tab
 """
 
 KEY_NAMES = frozenset(
@@ -31,5 +30,20 @@ KEY_NAMES = frozenset(
     ]
 )
 
-KEY_ALIASES = {"return": "enter", "esc": "escape", "spacebar": "space", "del": "delete", "ins": "insert"}
-"""Other names that people give to keys."""
+KEY_ALIASES = {
+    "return": "enter",
+    "esc": "escape",
+    "spacebar": "space",
+    "num_insert": "num_0",
+    "num_end": "num_1",
+    "num_down": "num_2",
+    "num_page_down": "num_3",
+    "num_left": "num_4",
+    "num_begin": "num_5",
+    "num_right": "num_6",
+    "num_home": "num_7",
+    "num_up": "num_8",
+    "num_page_up": "num_9",
+    "num_delete": "num_decimal",
+}
+"""Other names that people give to keys; the number pad is one set of keys with and without NumLock."""

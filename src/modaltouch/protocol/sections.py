@@ -63,9 +63,7 @@ class StimulusSection(Section):
     selected_modes: Selection = described(
         "Number of modelled modes to drive, the strongest first, or a list of their labels.", default=6
     )
-    focusing_instant_ms: Positive = described(
-        "When the field reaches its wish [ms from the start].", default=25.0
-    )
+    focusing_instant_ms: Positive = described("When the field reaches its wish [ms from the start].", default=25.0)
     duration_ms: Positive = described("Length of a burst [ms].", default=50.0)
     release: Literal["braked", "free"] = described(
         "After the focusing instant: braked to rest at the end of the burst, or free to decay.",
@@ -125,13 +123,11 @@ class AnswersSection(Section):
     stimulus_until: Literal["answer", "question"] = described(
         "Whether the stimulus plays until the answer, or stops before the question.", default="answer"
     )
-    presentation_s: Positive = described(
-        "Length of the stimulus where it stops before the question [s].", default=2.0
-    )
+    presentation_s: Positive = described("Length of the stimulus where it stops before the question [s].", default=2.0)
     question_delay_s: NotNegative = described("From the first burst to the question [s].", default=0.5)
     pause_s: NotNegative = described("Between an answer and the next stimulus [s].", default=1.0)
-    keys: dict[Literal["left", "both", "right"], Annotated[tuple[KeyName, ...], Field(min_length=1)]] = (
-        described("Keys of each answer.", json_schema_extra={"required": ["left", "both", "right"]})
+    keys: dict[Literal["left", "both", "right"], Annotated[tuple[KeyName, ...], Field(min_length=1)]] = described(
+        "Keys of each answer.", json_schema_extra={"required": ["left", "both", "right"]}
     )
     continue_keys: tuple[KeyName, ...] = described(
         "Keys that go on from a screen that waits.", default=("space", "enter", "num_enter"), min_length=1

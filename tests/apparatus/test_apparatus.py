@@ -1,0 +1,158 @@
+"""The apparatus file: what it says, what it may not say, what becomes of it in SI units."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from modaltouch.apparatus import Apparatus, read_apparatus
+from modaltouch.document import InputError
+
+Edit = Callable[..., Path]
+FILE = "apparatus/beam_100x6x2.yaml"
+
+
+@pytest.fixture
+def apparatus(shipped: Path) -> Apparatus:
+    """The shipped apparatus."""
+    return read_apparatus(shipped / FILE)
+
+
+def test_the_shipped_file_is_table_1(apparatus: Apparatus) -> None:
+    """Natural frequencies and damping ratios as printed in Table I of the paper."""
+    table = {
+        1: (229, 0.0437),
+        3: (2553, 0.0165),
+        5: (7137, 0.0265),
+        7: (12701, 0.0168),
+        9: (22810, 0.0112),
+        11: (29390, 0.0166),
+        13: (58303, 0.0101),
+        15: (68543, 0.0176),
+        17: (87855, 0.0147),
+    }
+    read = {mode.label: (mode.natural_frequency_Hz, mode.damping_ratio) for mode in apparatus.modes}
+    assert read == table
+
+
+def test_the_model_is_in_si_units(apparatus: Apparatus) -> None:
+    """Table I prints mode 13 with 41448 mm/(s V), which is 41.448 m/s^2 per V; the beam is 100 mm long."""
+    model = apparatus.modal_model()
+    row = model.label.index(13)
+    assert model.length == pytest.approx(0.1, rel=1e-15)
+    assert model.natural_frequency[row] == 58303
+    np.testing.assert_allclose(model.modal_gain[row], [-41.448, 0.0], rtol=1e-15)
+
+
+def test_gains_stand_in_the_column_of_their_channel(edit: Edit) -> None:
+    """With the outputs swapped, the columns swap."""
+    swapped = edit(FILE, ("centre: {channel: 1}", "centre: {channel: 2}"), ("side: {channel: 2}", "side: {channel: 1}"))
+    model = read_apparatus(swapped).modal_model()
+    np.testing.assert_allclose(model.modal_gain[model.label.index(5)], [6.5, 0.0], rtol=1e-15)
+    np.testing.assert_allclose(model.modal_gain[model.label.index(1)], [0.0, 0.114], rtol=1e-15)
+
+
+def test_the_amplifier_is_in_si_units(edit: Edit) -> None:
+    """100 kHz and 4.6 us, the values of the design notes."""
+    file = edit(FILE, ("bandwidth_kHz: null", "bandwidth_kHz: 100"), ("delay_us: 0", "delay_us: 4.6"))
+    values = read_apparatus(file).amplifier_values()
+    assert (values.gain, values.limit) == (25, 250)
+    assert values.bandwidth == pytest.approx(1e5, rel=1e-15)
+    assert values.delay == pytest.approx(4.6e-6, rel=1e-15)
+
+
+def test_unknown_and_assumed_gains_are_listed(apparatus: Apparatus) -> None:
+    """Table I gives each mode one actuator set; the paper names none for modes 9, 15 and 17."""
+    assert len(apparatus.unknown_gains()) == 9
+    assert (1, "side") in apparatus.unknown_gains()
+    assert apparatus.assumed_gains() == ((9, "side"), (15, "side"), (17, "side"))
+
+
+def test_zones_are_ordered_by_their_place(edit: Edit) -> None:
+    """A and E change sides."""
+    file = edit(FILE, ("A: {centre_mm: -40", "A: {centre_mm: 40"), ("E: {centre_mm: 40", "E: {centre_mm: -40"))
+    assert read_apparatus(file).zone_order() == ("E", "B", "C", "D", "A")
+
+
+def test_a_50_ohm_load_halves_the_open_circuit_voltage(edit: Edit) -> None:
+    """Voltage divider of 50 ohm output and 50 ohm load."""
+    assert read_apparatus(edit(FILE, ("load: high_impedance", "load: 50_ohm"))).generator.load_factor == 0.5
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "fault"),
+    [
+        ("width_mm: 6", "width_cm: 6", r":9:3: beam.width_cm: .*did you mean 'width_mm'"),
+        (
+            "E: {centre_mm: 40",
+            "E: {centre_mm: 45",
+            r":18:3: zones.E: given a zone from 35 to 55 mm; allowed: from -50 to",
+        ),
+        ("D: {centre_mm: 20", "D: {centre_mm: 15", r":17:3: zones.D: given a zone that begins at 5 mm, within zone C"),
+        (
+            "side: {channel: 2}",
+            "side: {channel: 1}",
+            r":22:19: actuator_sets.side.channel: given 1, which feeds the set",
+        ),
+        (
+            "side: {channel: 2}",
+            "side: {channel: 3}",
+            r":22:19: .*given 3; allowed: a whole number of at least 1, at most",
+        ),
+        ("{centre: 114}", "{center: 114}", r":27:85: modes\[0\].gain_mm_s2_per_V.center: .* did you mean 'centre'"),
+        ("{centre: 114}", "{}", None),
+        ("label: 3,", "label: 1,", r":28:13: modes\[1\].label: given 1, the label of modes\[0\] too"),
+        (
+            "assumed: [side]}\n  - {label: 11",
+            "assumed: [centre]}\n  - {label: 11",
+            r"modes\[4\].assumed\[0\]: given 'centre'",
+        ),
+        (
+            "damping_ratio: 0.0437",
+            "damping_ratio: 4.37",
+            r"modes\[0\].damping_ratio: given 4.37; allowed: a number above 0, below 1",
+        ),
+        ("damping_ratio: 0.0437", "damping_ratio: 0", r"modes\[0\].damping_ratio: given 0"),
+        (
+            "natural_frequency_Hz: 229",
+            "natural_frequency_Hz: .inf",
+            r"given .inf, which is not finite; allowed: a number \[Hz\]",
+        ),
+        (
+            "apparatus: beam_100x6x2",
+            "apparatus: ../beam",
+            r":4:12: apparatus: given '../beam', which is no plain file name",
+        ),
+        ("limit_V: 250", "limit_V: 250 V", r"write the number alone: 250"),
+        ("load: high_impedance", "load: 50", r"generator.load: given 50; allowed: high_impedance, 50_ohm"),
+        ("velocity_limit_mm_s: 500", "velocity_limit_mm_s: -1", r"safety.velocity_limit_mm_s: given -1"),
+    ],
+)
+def test_each_fault_is_said_with_its_place(edit: Edit, old: str, new: str, fault: str | None) -> None:
+    """Lines and columns counted in the shipped file; a mode that no set is known to drive is no fault."""
+    file = edit(FILE, (old, new))
+    if fault is None:
+        assert read_apparatus(file).modal_model().modal_gain[0].tolist() == [0.0, 0.0]
+        return
+    with pytest.raises(InputError, match=fault) as caught:
+        read_apparatus(file)
+    assert len(caught.value.problems) == (2 if "cm: 6" in new else 1)
+
+
+def test_faults_of_all_sections_come_at_once(edit: Edit) -> None:
+    """Five sections with a fault each."""
+    file = edit(
+        FILE,
+        ("length_mm: 100", "length_mm: long"),
+        ("B: {centre_mm: -20", "B: {centre_mm: -25"),
+        ("side: {channel: 2}", "side: {channel: 1}"),
+        ("label: 3,", "label: 1,"),
+        ("gain_V_per_V: 25", "gain_V_per_V: 0"),
+    )
+    with pytest.raises(InputError) as caught:
+        read_apparatus(file)
+    sections = [problem.path.split(".")[0].split("[")[0] for problem in caught.value.problems]
+    assert sections == ["beam", "zones", "actuator_sets", "modes", "amplifier"]

@@ -1,0 +1,56 @@
+"""What a fault says, and what a misspelt word was meant to be."""
+
+from __future__ import annotations
+
+import pytest
+
+from modaltouch.document import InputError, Problem, suggest
+
+ZONE = Problem(
+    "protocols/x.yaml",
+    12,
+    9,
+    "conditions.zone_pairs[1]",
+    "'F', which is not a zone of this beam",
+    "A, B, C, D, E",
+)
+
+
+def test_a_problem_prints_as_the_brief_has_it() -> None:
+    """The form that compilers made editors understand: file:line:column."""
+    assert str(ZONE) == (
+        "protocols/x.yaml:12:9: conditions.zone_pairs[1]: given 'F', which is not a zone of this beam; "
+        "allowed: A, B, C, D, E"
+    )
+
+
+def test_a_problem_as_plain_values_keeps_its_message() -> None:
+    """The keys that `check --json` promises."""
+    values = ZONE.as_dict()
+    assert {"file", "line", "column", "path", "given", "allowed", "message"} <= set(values)
+    assert str(ZONE).endswith(values["message"])
+
+
+def test_an_input_error_sorts_its_problems_by_place_and_says_each_once() -> None:
+    """File, then line as a number, then column."""
+    early, late = Problem("a", 9, 1, "", "x", ""), Problem("a", 10, 1, "", "x", "")
+    error = InputError([late, ZONE, early, late])
+    assert error.problems == (early, late, ZONE)
+    assert str(error).count("\n") == 2
+
+
+@pytest.mark.parametrize(
+    ("word", "meant"),
+    [
+        ("peak_velocities_cm_s", "peak_velocities_mm_s"),
+        ("peak_velocities", "peak_velocities_mm_s"),
+        ("peak_velocity_mm_s", "peak_velocities_mm_s"),
+        ("Zone-Pairs", "zone_pairs"),
+        ("zonepairs", "zone_pairs"),
+        ("base_cm", "base_mm"),
+        ("colour", ""),
+    ],
+)
+def test_misspelt_keys_and_wrong_units_are_understood(word: str, meant: str) -> None:
+    """What a person would take the word for."""
+    assert suggest(word, ["peak_velocities_mm_s", "zone_pairs", "base_mm", "hand"]) == meant

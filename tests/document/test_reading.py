@@ -1,0 +1,137 @@
+"""Trees -> values: what is allowed is said in words, and one fault does not hide another."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import pytest
+from pydantic import Field
+
+from modaltouch.document import Source, read
+from modaltouch.document.allowed import describe, number_meant
+from modaltouch.document.section import Count, Positive, Section, Text
+
+
+class Inner(Section):
+    """A section of a file."""
+
+    speed_mm_s: Positive
+    law: Literal["exact", "paper"] = "exact"
+    levels_V: tuple[Positive, ...] = (1.0,)  # noqa: N815
+    flag: bool = Field(strict=True, default=True)
+
+
+class File(Section):
+    """A file."""
+
+    name: Text
+    n_things: Count = 3
+    inner: Inner
+    limit_V: Positive | None = None  # noqa: N815
+    pairs: tuple[tuple[Text, Text], ...] = ()
+
+
+GOOD = "name: a\ninner:\n  speed_mm_s: 5\n"
+
+
+def faults(text: str) -> list[str]:
+    """Return the faults of a text."""
+    return [str(problem) for problem in read(Source(Path("x"), text), File).problems]
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        (GOOD + "  sped: 1\n", "x:4:3: inner.sped: given 'sped', which is not a key here; allowed: speed_mm_s, law"),
+        (GOOD + "  speed_cm_s: 1\n", "did you mean 'speed_mm_s'?"),
+        ("name: a\ninner: {}\n", "x:2:1: inner.speed_mm_s: given nothing; allowed: a number [mm/s] above 0; add the"),
+        ("inner: {speed_mm_s: 1}\n", "x:1:1: name: given nothing; allowed: text; add the missing key `name`"),
+        (GOOD.replace("5", "80 mm/s"), "x:3:15: inner.speed_mm_s: given '80 mm/s'; allowed: a number [mm/s] above 0;"),
+        (GOOD.replace("5", "80 mm/s"), "write the number alone: 80; the unit stands in the key"),
+        (GOOD.replace("5", "0,5"), "write the number alone: 0.5"),
+        (GOOD.replace("5", "5e"), "x:3:15: inner.speed_mm_s: given '5e'"),
+        (GOOD.replace("5", ".nan"), "x:3:15: inner.speed_mm_s: given .nan, which is not finite"),
+        (GOOD.replace("5", "-.inf"), "x:3:15: inner.speed_mm_s: given -.inf, which is not finite"),
+        (GOOD.replace("5", "1e999"), "x:3:15: inner.speed_mm_s: given 1e999, which is not finite"),
+        (GOOD.replace("5", "true"), "x:3:15: inner.speed_mm_s: given true; allowed: a number [mm/s] above 0"),
+        (GOOD.replace("5", "0"), "x:3:15: inner.speed_mm_s: given 0; allowed: a number [mm/s] above 0"),
+        (GOOD.replace("5", "~"), "x:3:15: inner.speed_mm_s: given nothing; allowed: a number [mm/s] above 0"),
+        (GOOD.replace("5", "9" * 5000), "9..., which is not finite; allowed: a number [mm/s] above 0"),
+        (GOOD.replace("5", "[5]"), "x:3:15: inner.speed_mm_s: given a list of 1"),
+        (GOOD + "  law: exakt\n", "x:4:8: inner.law: given 'exakt'; allowed: exact, paper; did you mean 'exact'?"),
+        (GOOD + "  levels_V: [1, x]\n", "x:4:17: inner.levels_V[1]: given 'x'; allowed: a number [V] above 0"),
+        (GOOD + "  levels_V: 5\n", "x:4:13: inner.levels_V: given 5; allowed: a list, each a number [V] above 0"),
+        (GOOD + "  flag: yes\n", "x:4:9: inner.flag: given 'yes'; allowed: true or false"),
+        (GOOD + "n_things: 2.0\n", "x:4:11: n_things: given 2.0; allowed: a whole number of at least 1; write 2"),
+        (GOOD.replace("a\n", "1\n", 1), "x:1:7: name: given 1, which is not text; allowed: text; write it in quotes"),
+        (GOOD + "limit_V: none\n", "x:4:10: limit_V: given 'none'; allowed: a number [V] above 0 or null"),
+        (GOOD + "pairs: [[a]]\n", "x:4:9: pairs[0]: given a list of 1; allowed: a list of exactly 2, each text"),
+        (GOOD + "pairs: [[a, b, c]]\n", "x:4:9: pairs[0]: given a list of 3; allowed: a list of exactly 2, each text"),
+        ("name: a\ninner: 5\n", "x:2:8: inner: given 5; allowed: a mapping with the keys speed_mm_s, law"),
+    ],
+)
+def test_each_fault_says_place_given_allowed_and_remedy(text: str, fault: str) -> None:
+    """Lines and columns counted by eye in the text."""
+    (found,) = faults(text)
+    assert fault in found
+
+
+def test_all_faults_come_at_once() -> None:
+    """Four lines with a fault each."""
+    text = "name: 1\nn_things: 0\nmore: 1\ninner:\n  speed_mm_s: x\n  law: 5\n"
+    assert sorted(found.split(":")[1] for found in faults(text)) == ["1", "2", "3", "5", "6"]
+
+
+def test_sound_values_survive_faults_around_them() -> None:
+    """Only what is wrong by itself is missing; absent keys have their defaults."""
+    text = "nam: x\nn_things: 0\ninner:\n  speed_mm_s: 7\n  levels_V: [1, -1, 3]\n"
+    reading = read(Source(Path("x"), text), File)
+    assert reading.value is None
+    assert reading.sound("inner", "speed_mm_s") == 7
+    assert reading.items("inner", "levels_V") == [(0, 1), (2, 3)]
+    assert reading.sound("inner", "law") == "exact"
+    assert reading.sound("n_things") is None
+    assert reading.sound("name") is None
+    assert reading.sound("inner", "nothing") is None
+    assert reading.sound("inner") is None
+
+
+def test_a_section_is_salvaged_from_keys_that_are_not_its_own() -> None:
+    """A foreign key is left out; a misspelt one is not, since its value is wanted."""
+    foreign = read(Source(Path("x"), GOOD + "  colour: 1\n"), File)
+    assert foreign.salvage("inner") == Inner(speed_mm_s=5)
+    misspelt = read(Source(Path("x"), GOOD + "  level_V: [2]\n"), File)
+    assert misspelt.salvage("inner") is None
+
+
+def test_an_unreadable_text_has_no_sound_values() -> None:
+    """Not even defaults: nothing is known of what it meant."""
+    reading = read(Source(Path("x"), "a: [\n"), File)
+    assert reading.sound("n_things") is None
+    assert reading.items("inner", "levels_V") == []
+
+
+@pytest.mark.parametrize(
+    ("path", "words"),
+    [
+        (("n_things",), "a whole number of at least 1"),
+        (("limit_V",), "a number [V] above 0 or null"),
+        (("inner", "flag"), "true or false"),
+        (("inner", "law"), "exact, paper"),
+        (("pairs", 0, 1), "text"),
+        (("nowhere", "at", "all"), ""),
+    ],
+)
+def test_what_is_allowed_is_said_in_words(path: tuple[str | int, ...], words: str) -> None:
+    """The annotations of the model above, in plain English."""
+    assert describe(File, path) == words
+
+
+@pytest.mark.parametrize(
+    ("word", "number"),
+    [("80 mm/s", "80"), ("80mm/s", "80"), ("-1.5e3 V", "-1.5e3"), ("0,5", "0.5"), ("mm", ""), ("", "")],
+)
+def test_the_number_in_front_of_a_unit_is_found(word: str, number: str) -> None:
+    """What a person would have written without the unit."""
+    assert number_meant(word) == number

@@ -1,0 +1,153 @@
+"""YAML texts -> trees: values of the core schema, places, and every refusal."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from modaltouch.document import Source, parse_tree
+from modaltouch.document.scalars import resolve
+
+
+def tree(text: str):
+    """Return the tree of a text that has no fault."""
+    root, problems = parse_tree(Source(Path("x.yaml"), text))
+    assert problems == []
+    return root
+
+
+def faults(text: str) -> list[str]:
+    """Return the faults of a text as they are printed."""
+    return [str(problem) for problem in parse_tree(Source(Path("x.yaml"), text))[1]]
+
+
+@pytest.mark.parametrize(
+    ("word", "value"),
+    [
+        ("0", 0),
+        ("-19", -19),
+        ("0o7", 7),
+        ("0x3A", 58),
+        ("0.", 0.0),
+        ("-0.0", 0.0),
+        (".5", 0.5),
+        ("+12e03", 12000.0),
+        ("-2E+05", -200000.0),
+        ("true", True),
+        ("FALSE", False),
+        ("~", None),
+        ("NULL", None),
+        ("yes", "yes"),
+        ("on", "on"),
+        ("1_000", "1_000"),
+        ("2001-01-01", "2001-01-01"),
+        ("12:30", "12:30"),
+        ("5e", "5e"),
+        ("80 mm/s", "80 mm/s"),
+        ("1" * 5000, float("inf")),
+    ],
+)
+def test_words_resolve_as_the_core_schema_says(word: str, value: object) -> None:
+    """Examples of section 10.3.2 of the YAML 1.2.2 specification, and words of YAML 1.1 that 1.2 gave up."""
+    found = resolve(word)
+    assert found == value
+    assert type(found) is type(value)
+
+
+@given(st.floats(allow_nan=False, allow_infinity=False))
+def test_every_number_reads_as_written(number: float) -> None:
+    """Python's shortest form of a number reads back as the same number."""
+    assert resolve(repr(number)) == number
+
+
+def test_places_are_lines_and_columns_from_one() -> None:
+    """Counted by eye in the text."""
+    root = tree("a: 1\nbee:\n  - x\n  - {c: [7, 'q']}\n")
+    assert root.keys == {"a": (1, 1), "bee": (2, 1)}
+    inner = root.child("bee").child(1)
+    assert (inner.line, inner.column) == (4, 5)
+    quoted = inner.child("c").child(1)
+    assert (quoted.line, quoted.column, quoted.content) == (4, 13, "q")
+
+
+def test_an_alias_stands_for_its_anchor() -> None:
+    """YAML 1.2, section 7.1; the place is the anchored text's, where a fault must be mended."""
+    root = tree("a: &pair [A, C]\nb: *pair\n")
+    assert root.plain() == {"a": ["A", "C"], "b": ["A", "C"]}
+    assert root.child("b").line == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("", "x.yaml:1:1: given an empty file"),
+        ("# only a comment\n", "x.yaml:1:1: given an empty file"),
+        ("- a\n- b\n", "x.yaml:1:1: given a list at the top"),
+        ("just words\n", "x.yaml:1:1: given a single value at the top"),
+        ("a: 1\n\tb: 2\n", "x.yaml:2:1: given a tab where YAML wants spaces"),
+        ("a: 1\nb: [1, 2\nc: 3\n", "x.yaml:3:2: given text that is not YAML"),
+        ("a: 'x\n", "x.yaml:2:1: given text that is not YAML"),
+        ("a: b: c\n", "x.yaml:1:5: given text that is not YAML"),
+        ("a: 1\na: 2\n", "x.yaml:2:1: a: given `a` a second time (first in line 1)"),
+        ("1: 2\n", 'x.yaml:1:1: given 1 as a key; allowed: a word as a key; write "1" in quotes'),
+        ("? [a]\n: 1\n", "x.yaml:1:3: given a list, a mapping or nothing as a key"),
+        ("a: !!python/object/apply:os.system [ls]\n", "x.yaml:1:4: given the tag `!!python/object/apply:os.system`"),
+        ("a: !mine 5\n", "x.yaml:1:4: given the tag `!mine`"),
+        ("a: *b\n", "x.yaml:1:4: given `*b`, which stands for nothing"),
+        ("a: &x [*x]\n", "x.yaml:1:8: given `*x`, which stands for nothing"),
+        ("a: 1\n---\nb: 2\n", "x.yaml:2:1: given a second document"),
+        ("a: \x07\n", "x.yaml:1:4: given the character U+0007"),
+        ("%YAML 7.0\n---\na: 1\n", "x.yaml:1:1: given text that is not YAML"),
+    ],
+)
+def test_each_fault_is_said_with_its_place(text: str, fault: str) -> None:
+    """Lines and columns counted by eye in the text."""
+    assert [found[: len(fault)] for found in faults(text)] == [fault]
+
+
+def test_faults_that_leave_the_text_readable_come_together() -> None:
+    """A doubled key, a tag and an unknown alias stand in three lines."""
+    assert [found.split(":")[1] for found in faults("a: 1\na: 2\nb: !x 1\nc: *d\n")] == ["2", "3", "4"]
+
+
+@pytest.mark.parametrize(
+    "bomb",
+    [
+        "a: " + "[" * 100_000,
+        "a: " + "{b: " * 50_000,
+        "a0: &a0 [x, x]\n" + "".join(f"a{n}: &a{n} [*a{n - 1}, *a{n - 1}]\n" for n in range(1, 40)),
+        "a: &a [x, x, x, x, x, x, x, x, x, x]\n" + "b: [" + "*a, " * 3000 + "]\n",
+        "a: [" + "x, " * 30_000 + "]\n",
+        "a0: &a0 [x]\n" + "".join(f"a{n}: &a{n} [*a{n - 1}]\n" for n in range(1, 2000)),
+        "".join("  " * n + f"k{n}:\n" for n in range(300)),
+    ],
+    ids=["lists", "mappings", "alias bomb", "wide aliases", "long list", "alias chain", "deep block"],
+)
+def test_bombs_are_refused_in_a_moment(bomb: str) -> None:
+    """The billion laughs and its kin; ten seconds are far above what a refusal needs."""
+    begin = time.perf_counter()
+    found = faults(bomb)
+    assert time.perf_counter() - begin < 10
+    assert len(found) == 1
+    assert "more than 20000 values" in found[0] or "nested deeper than 16" in found[0]
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.text(max_size=80))
+def test_no_text_raises(text: str) -> None:
+    """Whatever the text, there is a tree or a fault."""
+    root, problems = parse_tree(Source(Path("x.yaml"), text))
+    assert root is not None or problems
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.text(alphabet="ab1:-? \n[]{},&*!|>'\"%#~\t", max_size=60))
+def test_no_yaml_like_text_raises(text: str) -> None:
+    """As above, with characters that mean something to YAML."""
+    root, problems = parse_tree(Source(Path("x.yaml"), text))
+    assert root is not None or problems
+    assert all(problem.line >= 1 and problem.column >= 1 for problem in problems)

@@ -1,0 +1,231 @@
+"""The protocol file: what it says, and every fault of it and of the files that it names, at once."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from modaltouch.document import InputError
+from modaltouch.protocol import (
+    KEY_NAMES,
+    Sources,
+    examine_files,
+    read_protocol,
+    restore_experiment,
+)
+from modaltouch.protocol.keys import KEY_ALIASES
+
+Edit = Callable[..., Path]
+FILE = "differentiated_stimulation.yaml"
+BEAM = "apparatus/beam_100x6x2.yaml"
+LEVELS = "[80, 100, 150, 200]"
+PAIRS = "[[A, C], [B, D], [C, E]]"
+
+
+def faults(file: Path) -> list[str]:
+    """Return the faults of a protocol and its files."""
+    return [str(problem).replace(str(file.parent) + "/", "") for problem in examine_files(file).problems]
+
+
+def test_the_shipped_protocol_is_the_papers_experiment(shipped: Path) -> None:
+    """Section V-B of the paper: pairs, speeds, 7 Hz, one hand and two hands."""
+    experiment = read_protocol(shipped / FILE)
+    conditions = experiment.protocol.conditions
+    assert conditions.zone_pairs == (("A", "C"), ("B", "D"), ("C", "E"))
+    assert conditions.peak_velocities_mm_s == (80, 100, 150, 200)
+    assert conditions.finger_conditions == ("one_hand", "two_hands")
+    assert experiment.protocol.stimulus.repetition_rate_Hz == 7
+    assert experiment.protocol.n_trials == 24
+    assert experiment.apparatus.apparatus == "beam_100x6x2"
+    assert experiment.texts.language == "English"
+
+
+def test_every_shipped_protocol_is_sound(shipped: Path) -> None:
+    """A lab must be able to start from any of them."""
+    for file in sorted(shipped.glob("*.yaml")):
+        assert faults(file) == []
+
+
+def test_an_experiment_is_restored_from_its_record_alone(edit: Edit) -> None:
+    """The files may have changed or gone since."""
+    file = edit(FILE)
+    experiment = read_protocol(file)
+    kept = experiment.sources.as_dict()
+    for name in (FILE, BEAM, "texts/english.yaml"):
+        (file.parent / name).unlink()
+    assert restore_experiment(Sources.from_dict(kept)) == experiment
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "fault"),
+    [
+        (PAIRS, "[[A, C], [B, F]]", f"{FILE}:24:28: conditions.zone_pairs[1][1]: given 'F', which is not a zone of"),
+        (PAIRS, "[[A, C], [B, F]]", "this beam; allowed: A, B, C, D, E"),
+        (PAIRS, "[[A, C], [a, D]]", "given 'a', which is not a zone of this beam; allowed: A, B, C, D, E; did you"),
+        (PAIRS, "[[A, C], [A, C]]", f"{FILE}:24:24: conditions.zone_pairs[1]: given [A, C], the pair of zone_pairs[0]"),
+        (PAIRS, "[[C, A]]", f"{FILE}:24:16: conditions.zone_pairs[0]: given [C, A], whose left zone C lies right of A"),
+        (PAIRS, "[[C, C]]", "conditions.zone_pairs[0]: given [C, C], the same zone for both fingers"),
+        (PAIRS, "[[A, B, C]]", "given a list of 3; allowed: a list of exactly 2, each the name of a zone of the beam"),
+        (PAIRS, "[A, C]", "conditions.zone_pairs[1]: given 'C'; allowed: a list of exactly 2"),
+        (PAIRS, "[]", "conditions.zone_pairs: given an empty list; allowed: a list of at least 1"),
+        (LEVELS, "[]", f"{FILE}:25:25: conditions.peak_velocities_mm_s: given an empty list; allowed: a list of at"),
+        (LEVELS, "[80, 80.0]", "conditions.peak_velocities_mm_s[1]: given 80, the peak velocity of peak_velocities"),
+        (
+            LEVELS,
+            "[80, .nan]",
+            "conditions.peak_velocities_mm_s[1]: given .nan, which is not finite; allowed: a number",
+        ),
+        (LEVELS, "[-80]", "conditions.peak_velocities_mm_s[0]: given -80; allowed: a number [mm/s] above 0"),
+        (LEVELS, "[80 mm/s]", "write the number alone: 80"),
+        (LEVELS, "[true]", "conditions.peak_velocities_mm_s[0]: given true; allowed: a number [mm/s] above 0"),
+        (LEVELS, "[501]", "given 501 mm/s, beyond the safety limit of the apparatus; allowed: at most 500 mm/s"),
+        (LEVELS, "80", "conditions.peak_velocities_mm_s: given 80; allowed: a list of at least 1, each a number"),
+        (
+            "[one_hand, two_hands]",
+            "[one_hand, one_hand]",
+            "given one_hand, the finger condition of finger_conditions[0]",
+        ),
+        ("[one_hand, two_hands]", "[three_hands]", "given 'three_hands'; allowed: one_hand, two_hands; did you mean"),
+        ("[one_hand, two_hands]", "[]", "conditions.finger_conditions: given an empty list"),
+        ("focus: C", "focus: X", "stimulus.focus: given 'X', which is not a zone of this beam; allowed: A, B, C, D, E"),
+        ("focusing_instant_ms: 25", "focusing_instant_ms: 50", "given 50 ms, which is not within the burst of 50 ms"),
+        ("focusing_instant_ms: 25", "focusing_instant_ms: 1e-5", "before the second sample; allowed: at least 0.0004"),
+        ("duration_ms: 50", "duration_ms: 150", "given 150 ms at 7 bursts per second; allowed: at most 142.857 ms"),
+        (
+            "n_samples: 125000",
+            "n_samples: 131074",
+            "given 131074; allowed: a whole number of at least 2, at most 131072",
+        ),
+        ("n_samples: 125000", "n_samples: 124999", "stimulus.n_samples: given 124999; allowed: a whole number"),
+        ("n_samples: 125000", "n_samples: 8000", "too few for the mode of 87855 Hz; allowed: at least 10982"),
+        ("selected_modes: 6", "selected_modes: 10", "given 10, more than the 9 modelled modes; allowed: 1 to 9"),
+        ("selected_modes: 6", "selected_modes: [1, 2]", "given 2, which is not a modelled mode; allowed: 1, 3, 5, 7"),
+        ("selected_modes: 6", "selected_modes: [1, 1]", "given 1, the mode of selected_modes[0] again"),
+        ("selected_modes: 6", "selected_modes: []", "stimulus.selected_modes: given an empty list"),
+        (
+            "selected_modes: 6",
+            "selected_modes: six",
+            "stimulus.selected_modes: given 'six'; allowed: a whole number of",
+        ),
+        ("protocol: differentiated_stimulation", "protocol: Simulated", "which the results tree keeps for itself"),
+        ("protocol: differentiated_stimulation", "protocol: a/b", "protocol: given 'a/b', which is no plain file name"),
+        ("protocol: differentiated_stimulation", "protocol: 5", "protocol: given 5, which is not text; allowed: text"),
+        (
+            "max_same_pair_running: 2",
+            "max_same_pair_running: 0",
+            "given 0; allowed: a whole number of at least 1 or null",
+        ),
+        ("repetitions: 1", "repetitions: 1000", "given 1000, which makes 24000 trials; allowed: at most 10000 trials"),
+        ("left: [left, num_4]", "left: [escape]", "given 'escape', which pauses the session"),
+        ("left: [left, num_4]", "left: [leeft]", "given 'leeft', which is no key's name"),
+        ("left: [left, num_4]", "left: [return]", "given 'return', which is no key's name; allowed: left, right, up"),
+        ("left: [left, num_4]", "left: [up]", "answers.keys.both[0]: given 'up', which answers left already"),
+        ("left: [left, num_4]", "left: []", "answers.keys.left: given an empty list"),
+        ("    left: [left, num_4]\n", "", "answers.keys.left: given nothing; allowed: a list of keys; add the missing"),
+        (
+            "    left: [left",
+            "    lift: [left",
+            "answers.keys.lift: given 'lift' as a key; allowed: 'left', 'both', 'right'",
+        ),
+        (
+            "texts/english.yaml",
+            "texts/klingon.yaml",
+            f"{FILE}:7:8: texts: given 'texts/klingon.yaml', a file that does",
+        ),
+        ("apparatus/beam_100x6x2.yaml", "apparatus", f"{FILE}:6:12: apparatus: given 'apparatus', a folder or device"),
+        (
+            "hand: right ",
+            "hnad: right ",
+            f"{FILE}:23:3: conditions.hnad: given 'hnad', which is not a key here; allowed",
+        ),
+        ("peak_velocities_mm_s", "peak_velocities_cm_s", "did you mean 'peak_velocities_mm_s'?"),
+        ("\nconditions:", "\nconditoins:", "given 'conditoins', which is not a key here"),
+    ],
+)
+def test_each_fault_says_place_given_and_allowed(edit: Edit, old: str, new: str, fault: str) -> None:
+    """Lines and columns counted in the shipped file."""
+    found = faults(edit(FILE, (old, new)))
+    assert any(fault in each for each in found), found
+
+
+def test_one_pair_cannot_keep_a_limit_on_runs(edit: Edit) -> None:
+    """Four levels of one pair come four times running in every order."""
+    (found,) = faults(edit(FILE, (PAIRS, "[[A, C]]")))
+    assert "schedule.max_same_pair_running: given 2 where every trial has the same pair; allowed: at least 4" in found
+
+
+def test_faults_of_all_files_come_at_once_and_in_order(edit: Edit) -> None:
+    """Protocol, apparatus and texts have faults; each is said, sorted by file, line and column."""
+    edit(BEAM, ("gain_V_per_V: 25", "gain_V_per_V: x"))
+    edit("texts/english.yaml", ("language: English", "language: ''"))
+    file = edit(FILE, ("repetitions: 1", "repetitions: 0"), ("[C, E]", "[C, F]"), ("law: exact", "law: exakt"))
+    with pytest.raises(InputError) as caught:
+        read_protocol(file)
+    places = [(Path(problem.file).name, problem.path) for problem in caught.value.problems]
+    assert places == [
+        ("beam_100x6x2.yaml", "amplifier.gain_V_per_V"),
+        (FILE, "stimulus.law"),
+        (FILE, "conditions.zone_pairs[2][1]"),
+        (FILE, "schedule.repetitions"),
+        ("english.yaml", "language"),
+    ]
+
+
+def test_a_wrong_entry_does_not_hide_a_fault_of_the_next(edit: Edit) -> None:
+    """Each entry of a list is judged by itself, in structure and against the apparatus."""
+    found = faults(edit(FILE, (LEVELS, "[x, 600]"), (PAIRS, "[7, [A, F], [D, B]]")))
+    assert len(found) == 5
+    assert any("600 mm/s, beyond the safety limit" in each for each in found)
+    assert any("'F', which is not a zone" in each for each in found)
+    assert any("whose left zone D lies right of B" in each for each in found)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "fault"),
+    [
+        ("trial_of: ", "trial_of: '{numbr} of {total}' #", "trial_of: given {numbr}, {total} in"),
+        ("goodbye: ", "#goodbye: ", "goodbye: given nothing; allowed: text; add the missing key `goodbye`"),
+        ("question: ", "question: 'Where {' #", "question: given 'Where {'"),
+    ],
+)
+def test_a_text_that_would_fail_on_screen_is_a_fault(edit: Edit, old: str, new: str, fault: str) -> None:
+    """What the window fills in is known beforehand."""
+    file = edit(FILE)
+    texts = file.parent / "texts" / "english.yaml"
+    lines = texts.read_text(encoding="utf-8").splitlines()
+    start = next(number for number, line in enumerate(lines) if line.startswith(old))
+    # A text may run over several indented lines; its key's line and they go.
+    rest = lines[start + 1 :]
+    while rest and (rest[0].startswith(" ") or not rest[0]):
+        rest.pop(0)
+    value = [new] if new.endswith("#") else []
+    texts.write_text("\n".join([*lines[:start], *value, *rest]) + "\n", encoding="utf-8")
+    found = faults(file)
+    assert len(found) == 1
+    assert fault in found[0]
+
+
+def test_key_names_are_the_windows() -> None:
+    """The names of pyglet's key symbols, as the window's event tap writes them."""
+    from modaltouch.window.events import canonical_key
+
+    pyglet_keys = {canonical_key(name) for name in _pyglet_key_names()}
+    assert pyglet_keys == KEY_NAMES
+    assert all(canonical_key(alias) == name for alias, name in KEY_ALIASES.items())
+
+
+def _pyglet_key_names() -> list[str]:
+    """Return pyglet's names of key symbols; its file is loaded alone, since the package wants a display."""
+    package = importlib.util.find_spec("pyglet")
+    assert package is not None
+    assert package.origin is not None
+    path = Path(package.origin).parent / "window" / "key.py"
+    spec = importlib.util.spec_from_file_location("pyglet_key_names", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return list(module._key_names.values())
