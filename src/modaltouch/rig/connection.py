@@ -70,8 +70,9 @@ class Connection:
         Expected model, and limits.
     open_resource : callable
         Opens the VISA resource.
-    guard : Guard
-        The watchdog.
+    start_guard : callable
+        Starts the watchdog, once the instrument is reached: were it first, an instrument that admits one
+        session would be taken.
     log : callable
         Takes every exchange and event.
     patience : Patience
@@ -84,19 +85,33 @@ class Connection:
         apparatus: Apparatus,
         open_resource: Callable[[], Resource],
         *,
-        guard: Guard,
+        start_guard: Callable[[], Guard],
         log: Log,
         patience: Patience,
     ) -> None:
         self.address = address
         self.identity = ""
         self.limits = Limits.of(apparatus)
-        self.guard = guard
+        self._guard: Guard | None = None
+        self._start_guard = start_guard
         self._expected_model = apparatus.generator.model
         self._log = log
         self._patience = patience
         self._link = Link(open_resource, log=log, timeout=patience.reply)
         self.controls = Controls(self._link, revive=self._revive, log=log, copy_timeout=patience.copy)
+
+    @property
+    def guard(self) -> Guard:
+        """The watchdog.
+
+        Raises
+        ------
+        RigError
+            Before `open`.
+        """
+        if self._guard is None:
+            raise RigError(f"the generator at {self.address} is not open, so nothing watches it: open it first")
+        return self._guard
 
     def open(self) -> None:
         """Reach the instrument, see that it is the right one, and bring it to a known state, outputs off.
@@ -113,6 +128,7 @@ class Connection:
             self.controls.outputs_off()
             self.controls.clear_errors()
             self._prepare()
+            self._guard = self._start_guard()
         except LinkError as error:
             raise RigError(
                 f"no generator answers at {self.address}: {error}{self._reported()}; no output was "
@@ -127,7 +143,8 @@ class Connection:
     def close(self, *, clean: bool) -> None:
         """End the session; unless the outputs are off, the watchdog stays and switches them off."""
         self._link.close()
-        self.guard.release(clean=clean)
+        if self._guard is not None:
+            self._guard.release(clean=clean)
 
     def switch_off(self, doing: str, expected: Sequence[Setting], replay: Callable[[], None]) -> Found:
         """Switch the outputs off, over a new connection if need be.

@@ -94,7 +94,7 @@ class Generator:
             address,
             apparatus,
             lambda: open_resource(address, visa_library),
-            guard=start_guard(address, visa_library),
+            start_guard=lambda: start_guard(address, visa_library),
             log=log,
             patience=patience or Patience(),
         )

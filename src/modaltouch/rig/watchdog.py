@@ -29,7 +29,7 @@ LIMIT = 1.0
 PERSISTENCE = 30.0
 """How long it keeps trying to reach the instrument [s]."""
 
-MERCY = 3.0
+MERCY = 1.0
 """How long a stalled session may go on holding an instrument that admits no second one [s]."""
 
 REPLY_TIMEOUT = 1.0
