@@ -113,13 +113,17 @@ def read_table(path: Path, required: Sequence[str]) -> Table:
     file = str(path)
     separator = _find_separator(text, required)
     reader = csv.reader(io.StringIO(text), delimiter=separator, skipinitialspace=True, strict=True)
-    rows = ((reader.line_num, [field.strip() for field in row]) for row in reader)
+    # A row is blank only if its first field is, so most rows are told by that one.
+    rows = ((reader.line_num, row) for row in reader if row and (row[0].strip() or any(field.strip() for field in row)))
     try:
-        header_line, header = next(((n, row) for n, row in rows if any(row)), (0, []))
+        header_line, header = next(rows, (0, []))
+        header = [name.strip() for name in header]
+        while header and not header[-1]:
+            header.pop()
         if not header:
             raise InputError([_whole(file, "an empty file", _form(required), "write the answers into it")])
         _check_header(file, header_line, header, required, text)
-        words, codes, lines, problems = _encode(file, header, (item for item in rows if any(item[1])), separator)
+        words, codes, lines, problems = _encode(file, header, rows, separator)
     except csv.Error as error:
         given = f"a line that is not CSV ({error})"
         where = Problem(file, reader.line_num, 1, "", given, "fields in matching quotes", "repair that line")
@@ -188,27 +192,48 @@ def _check_header(file: str, line: int, header: list[str], required: Sequence[st
         raise InputError(problems)
 
 
+class _Vocabulary(dict[str, int]):
+    """Gives every word of a column its code, without the space around it; a known word costs one look-up."""
+
+    def __init__(self) -> None:
+        self.words: list[str] = []
+
+    def __missing__(self, field: str) -> int:
+        word = field.strip()
+        code = self.get(word, len(self.words))
+        if code == len(self.words):
+            self.words.append(word)
+            self[word] = code
+        self[field] = code
+        return code
+
+
 def _encode(
     file: str, header: list[str], rows: Iterable[tuple[int, list[str]]], separator: str
 ) -> tuple[list[tuple[str, ...]], list[NDArray[np.int64]], NDArray[np.int64], list[Problem]]:
-    vocabularies: list[dict[str, int]] = [{} for _ in header]
+    vocabularies = [_Vocabulary() for _ in header]
     coded: list[list[NDArray[np.int64]]] = [[] for _ in header]
     lines: list[NDArray[np.int64]] = []
     problems: list[Problem] = []
-    iterator = iter(rows)
+    n_wrong, width, iterator = 0, len(header), iter(rows)
     while chunk := list(islice(iterator, CHUNK_ROWS)):
-        problems += [_length(file, line, len(row), header, separator) for line, row in chunk if len(row) != len(header)]
-        sound = [item for item in chunk if len(item[1]) == len(header)]
+        for place, (line, row) in enumerate(chunk):
+            if len(row) > width and not any(field.strip() for field in row[width:]):
+                chunk[place] = (line, row[:width])
+        wrong = [(line, len(row)) for line, row in chunk if len(row) != width]
+        problems += [_length(file, line, n, header, separator) for line, n in wrong[: MOST_LISTED - len(problems)]]
+        n_wrong += len(wrong)
+        sound = [item for item in chunk if len(item[1]) == width]
         lines.append(np.array([line for line, _ in sound], dtype=np.int64))
         fields = zip(*(row for _, row in sound), strict=True) if sound else ([] for _ in header)
         for vocabulary, parts, column in zip(vocabularies, coded, fields, strict=True):
-            parts.append(np.array([vocabulary.setdefault(word, len(vocabulary)) for word in column], dtype=np.int64))
-    if len(problems) > MOST_LISTED:
-        rest = f"{len(problems) - MOST_LISTED} more rows of a wrong length"
-        problems = [*problems[:MOST_LISTED], _whole(file, rest, f"{len(header)} fields in every row", "")]
+            parts.append(np.fromiter(map(vocabulary.__getitem__, column), dtype=np.int64, count=len(sound)))
+    if n_wrong > len(problems):
+        rest = f"{n_wrong - len(problems)} more rows of a wrong length"
+        problems = [*problems, _whole(file, rest, f"{width} fields in every row", "")]
     empty = np.zeros(0, dtype=np.int64)
     return (
-        [tuple(vocabulary) for vocabulary in vocabularies],
+        [tuple(vocabulary.words) for vocabulary in vocabularies],
         [np.concatenate(parts) if parts else empty for parts in coded],
         np.concatenate(lines) if lines else empty,
         problems,

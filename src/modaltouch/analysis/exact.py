@@ -101,7 +101,7 @@ def multinomial_tests(
         mass = np.exp(log_p[-2, tail] + log_p[-1, tail[::-1]] + sum(log_p[j, x] for j, x in enumerate(head)))
         value = extremeness[-2, tail] + extremeness[-1, tail[::-1]]
         value = value + sum(extremeness[j, x] for j, x in enumerate(head))
-        p += [mass[value >= bound].sum() for bound in reached - tolerance]
+        p += (value >= (reached - tolerance)[:, np.newaxis]) @ mass
         top, slack = float(value.max()), 1e-9 * max(1.0, abs(float(value.max())))
         if top > largest + slack:
             largest, p_min = top, 0.0

@@ -10,6 +10,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
@@ -32,8 +33,12 @@ FINGERS = {
     "two_hands": "index fingers of both hands",
 }
 PAIRS_PER_ROW = 3
-STRIP_PARTICIPANTS = 60
-"""Above this many participants the strips would be too thin to see one."""
+STRIP_COLOURS = (ANSWER_COLOURS["dominant"], ANSWER_COLOURS["both"], ANSWER_COLOURS["other"], "white")
+STRIP_PARTICIPANTS = 40
+"""Participants that one figure of strips can show."""
+
+LETTER_PARTICIPANTS = 24
+"""Participants up to whom every answer also carries its letter."""
 
 
 def draw_counts(table: pd.DataFrame, finger_condition: str, n_participants: int | None = None) -> Figure:
@@ -220,14 +225,23 @@ def draw_participants(answers: AnswerCounts) -> Figure:
         panels[0].set_yticks(range(len(shown)), list(shown))
         panels[0].set_ylabel("participant")
         more = "" if len(shown) == answers.n_participants else f", first {len(shown)} of {answers.n_participants} shown"
-        words = "letter: zone answered, & both" + (", ? tie between repetitions" if (modal < 0).any() else "")
-        figure.suptitle(f"Every answer ({words}){more}", fontsize=9)
-        figure.supxlabel("zone pair and peak velocity [mm/s]", fontsize=9)
+        names = [
+            "dominant zone",
+            "both (&)",
+            "other zone",
+            *(["tie between repetitions (?)"] * bool((modal < 0).any())),
+        ]
+        patches = [
+            Patch(facecolor=c, edgecolor=INK, linewidth=0.5, label=n)
+            for c, n in zip(STRIP_COLOURS, names, strict=False)
+        ]
+        figure.legend(handles=patches, loc="outside lower center", ncols=len(names), frameon=False)
+        figure.suptitle(f"Every participant's answer in every cell{more}", fontsize=9)
+        panels[0].set_xlabel("peak velocity [mm/s]")
     return figure
 
 
 def _draw_strip(axes: Axes, answers: AnswerCounts, modal: NDArray[np.int64], shown: Sequence[str]) -> None:
-    colours = [ANSWER_COLOURS["dominant"], ANSWER_COLOURS["both"], ANSWER_COLOURS["other"], "white"]
     n_levels = len(answers.levels)
     picture = np.full((len(shown), len(answers.pairs) * n_levels), 3)
     for q, pair in enumerate(answers.pairs):
@@ -235,7 +249,7 @@ def _draw_strip(axes: Axes, answers: AnswerCounts, modal: NDArray[np.int64], sho
         kind = np.select([own == pair.dominant_index, own == BOTH, own == RIGHT - pair.dominant_index], [0, 1, 2], 3)
         picture[:, q * n_levels : (q + 1) * n_levels] = kind
         letters = (pair.dominant, "&", pair.other, "?")
-        for (row, column), value in np.ndenumerate(kind):
+        for (row, column), value in np.ndenumerate(kind) if len(shown) <= LETTER_PARTICIPANTS else ():
             axes.text(
                 q * n_levels + column, row, letters[value][:2], ha="center", va="center", fontsize=6,
                 color="white" if value in (0, 2) else INK,
@@ -246,7 +260,7 @@ def _draw_strip(axes: Axes, answers: AnswerCounts, modal: NDArray[np.int64], sho
             (q + 0.5) * n_levels - 0.5, 1.0, pair.label, ha="center", va="bottom", fontsize=7, color=FAINT,
             transform=axes.get_xaxis_transform(),
         )  # fmt: skip
-    axes.imshow(picture, cmap=ListedColormap(colours), vmin=0, vmax=3, aspect="equal", interpolation="nearest")
+    axes.imshow(picture, cmap=ListedColormap(STRIP_COLOURS), vmin=0, vmax=3, aspect="equal", interpolation="nearest")
     axes.set_xticks(
         range(picture.shape[1]),
         [level_label(level) for level in answers.levels] * len(answers.pairs),

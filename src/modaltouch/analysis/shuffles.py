@@ -26,7 +26,7 @@ FloatArray = NDArray[np.float64]
 SEED = 20190709
 SHUFFLES = 9999
 LEAST_SHUFFLES = 199
-WORK = 8_000_000
+WORK = 4_000_000
 """About how many answers are shuffled altogether; decides how many shuffles large data get."""
 
 BATCH = 200_000
@@ -85,7 +85,7 @@ def level_association(table: IntArray, seed: int = SEED) -> ShuffleTest:
         gap = sums - expected
         return np.asarray(np.einsum("...la,ab,...lb->...", gap, inverse, gap))
 
-    cards = np.repeat(np.tile(np.arange(n_kinds), len(sub)), margins[moving].ravel()).reshape(
+    cards = np.repeat(np.tile(np.arange(n_kinds, dtype=np.int8), len(sub)), margins[moving].ravel()).reshape(
         len(sub), per_level * n_levels
     )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 import pandas as pd
@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from modaltouch.analysis.responses import CELL
 from modaltouch.trial import ANSWERS
+
+T = TypeVar("T")
 
 LEFT, BOTH, RIGHT = 0, 1, 2
 """Places of the answers in the last axis of `AnswerCounts.counts`."""
@@ -136,37 +138,33 @@ def count_answers(frame: pd.DataFrame, focus: str = "") -> AnswerCounts:
     ValueError
         If a participant lacks a cell, or has more answers in one cell than in another.
     """
-    conditions = _ordered_conditions(frame["finger_condition"].astype(str).unique().tolist())
-    zones = sorted(set(zip(frame["zone_left"].astype(str), frame["zone_right"].astype(str), strict=True)))
-    levels = sorted(float(level) for level in frame["velocity_mm_s"].unique())
-    participants = sorted(frame["participant"].astype(str).unique().tolist(), key=_natural)
+    (who, participants), (fingers, conditions) = (_coded(frame[name]) for name in ("participant", "finger_condition"))
+    (left, left_zones), (right, right_zones) = (_coded(frame[name]) for name in ("zone_left", "zone_right"))
+    joint, pairing = np.unique(left * len(right_zones) + right, return_inverse=True)
+    zones = [(left_zones[code // len(right_zones)], right_zones[code % len(right_zones)]) for code in joint.tolist()]
+    levels, level = np.unique(frame["velocity_mm_s"].to_numpy(dtype=float), return_inverse=True)
     focus = focus or find_focus(zones)
-    pairs = tuple(_pair(left, right, focus) for left, right in zones)
-    axes = (
-        participants,
-        conditions,
-        [f"{left}\n{right}" for left, right in zones],
-        levels,
-        ["left", "both", "right"],
-    )
-    joined = frame["zone_left"].astype(str) + "\n" + frame["zone_right"].astype(str)
-    keys = (
-        frame["participant"].astype(str),
-        frame["finger_condition"].astype(str),
-        joined,
-        frame["velocity_mm_s"],
-        frame["response"].astype(str),
-    )
-    places = [_places(axis, key) for axis, key in zip(axes, keys, strict=True)]
-    if (places[-1] < 0).any():
-        unknown = frame["response"][places[-1] < 0].astype(str).iloc[0]
-        raise ValueError(f"response {unknown!r} is not an answer: allowed are {', '.join(ANSWERS)}")
-    counts = np.zeros([len(axis) for axis in axes], dtype=np.int64)
+    given, words = _coded(frame["response"])
+    unknown = sorted(set(words) - set(ANSWERS))
+    if unknown:
+        raise ValueError(f"response {unknown[0]!r} is not an answer: allowed are {', '.join(ANSWERS)}")
+    answer = np.array([("left", "both", "right").index(word) for word in words], dtype=np.int64)[given]
+    participants, who = _reordered(participants, who, sorted(participants, key=_natural))
+    conditions, fingers = _reordered(conditions, fingers, _ordered_conditions(conditions))
+    zones, pairing = _reordered(zones, pairing, sorted(zones))
+    pairs = tuple(_pair(*pair, focus) for pair in zones)
+    counts = np.zeros((len(participants), len(conditions), len(zones), len(levels), len(ANSWERS)), dtype=np.int64)
     weights = frame["n"].to_numpy() if "n" in frame.columns else np.ones(len(frame), dtype=np.int64)
-    np.add.at(counts, tuple(places), weights)
-    _refuse_imbalance(counts.sum(axis=-1), participants, conditions, pairs, levels)
+    np.add.at(counts, (who, fingers, pairing, level, answer), weights)
+    _refuse_imbalance(counts.sum(axis=-1), participants, conditions, pairs, levels.tolist())
     return AnswerCounts(
-        tuple(participants), tuple(conditions), pairs, tuple(levels), counts, int(counts[0, 0, 0, 0].sum()), focus
+        tuple(participants),
+        tuple(conditions),
+        pairs,
+        tuple(levels.tolist()),
+        counts,
+        int(counts[0, 0, 0, 0].sum()),
+        focus,
     )
 
 
@@ -284,8 +282,16 @@ def figure_names(finger_conditions: Sequence[str]) -> dict[str, str]:
     return {condition: names[condition] for condition in finger_conditions}
 
 
-def _places(axis: Sequence[Any], key: pd.Series) -> NDArray[np.int64]:
-    return np.asarray(pd.Index(list(axis)).get_indexer(pd.Index(key)), dtype=np.int64)
+def _coded(column: pd.Series) -> tuple[NDArray[np.int64], list[str]]:
+    """Return the code of every row and the words that occur, in order of appearance or of the categories."""
+    codes, words = pd.factorize(column, use_na_sentinel=False)
+    return np.asarray(codes, dtype=np.int64), [str(word) for word in words]
+
+
+def _reordered(values: list[T], codes: NDArray[np.int64], order: list[T]) -> tuple[list[T], NDArray[np.int64]]:
+    """Return values in another order, and the codes that still name the same ones."""
+    places = {value: place for place, value in enumerate(order)}
+    return order, np.array([places[value] for value in values], dtype=np.int64)[codes]
 
 
 def _refuse_imbalance(
