@@ -31,7 +31,7 @@ class Patience:
         Before the second try; doubled before each further one [s].
     """
 
-    reply: float = 2.0
+    reply: float = 1.0
     copy: float = 15.0
     tries: int = 4
     pause: float = 0.25
@@ -70,6 +70,8 @@ class Connection:
         Expected model, and limits.
     open_resource : callable
         Opens the VISA resource.
+    abandon : callable
+        Cuts one whose other end may be gone.
     start_guard : callable
         Starts the watchdog, once the instrument is reached: were it first, an instrument that admits one
         session would be taken.
@@ -84,6 +86,7 @@ class Connection:
         address: str,
         apparatus: Apparatus,
         open_resource: Callable[[], Resource],
+        abandon: Callable[[Resource], None],
         *,
         start_guard: Callable[[], Guard],
         log: Log,
@@ -97,7 +100,7 @@ class Connection:
         self._expected_model = apparatus.generator.model
         self._log = log
         self._patience = patience
-        self._link = Link(open_resource, log=log, timeout=patience.reply)
+        self._link = Link(open_resource, abandon, log=log, timeout=patience.reply)
         self.controls = Controls(self._link, revive=self._revive, log=log, copy_timeout=patience.copy)
 
     @property

@@ -187,17 +187,21 @@ class Controls:
         if not 2 <= codes.size <= MAX_POINTS:
             raise Unconfirmed(f"a record of {codes.size} points: the generator holds 2 to {MAX_POINTS}")
         self._stored.pop(slot, None)
-        for attempt in (1, 2):
-            self._link.send_block("DATA:DATA EMEM", block, timeout=self._copy_timeout)
-            self._complete("the upload")
-            n_points = self._link.ask("DATA:POIN? EMEM")
-            if n_points != str(codes.size):
-                raise Unconfirmed(f"{codes.size} points were sent, the generator counts {n_points}")
-            self._copy(f"USER{slot},EMEM")
-            if self._verified(slot, codes):
-                return
-            self._log("record_differs", memory=f"USER{slot}", attempt=attempt)
-        raise Unconfirmed(f"USER{slot} does not hold the record that was sent, after two uploads")
+        try:
+            self._upload_once(slot, codes, block)
+        except Unconfirmed as error:
+            self._log("upload_repeated", memory=f"USER{slot}", reason=str(error))
+            self._upload_once(slot, codes, block)
+
+    def _upload_once(self, slot: int, codes: NDArray[np.uint16], block: bytes) -> None:
+        self._link.send_block("DATA:DATA EMEM", block, timeout=self._copy_timeout)
+        self._complete("the upload")
+        n_points = self._link.ask("DATA:POIN? EMEM")
+        if n_points != str(codes.size):
+            raise Unconfirmed(f"{codes.size} points were sent, the generator counts {n_points}")
+        self._copy(f"USER{slot},EMEM")
+        if not self._verified(slot, codes):
+            raise Unconfirmed(f"USER{slot} does not hold the record that was sent, after two uploads")
 
     def _verified(self, slot: int, codes: NDArray[np.uint16]) -> bool:
         """Return whether a memory reads back right; by samples of it where whole blocks cannot be read."""

@@ -9,6 +9,7 @@ switched off and every setting made again.
 from __future__ import annotations
 
 import contextlib
+import socket
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -94,6 +95,7 @@ class Generator:
             address,
             apparatus,
             lambda: open_resource(address, visa_library),
+            abandon,
             start_guard=lambda: start_guard(address, visa_library),
             log=log,
             patience=patience or Patience(),
@@ -176,9 +178,12 @@ class Generator:
             try:
                 firing = self._start(commanded, 1 / self._burst.repetition_rate)
             except (Unconfirmed, LinkError) as error:
-                self._switch_off("starting the stimulus")
                 firing = _unconfirmed(commanded, error)
                 self._log("unconfirmed", reason=firing.reason)
+                self._switch_off("starting the stimulus")
+                if isinstance(error, Unconfirmed):
+                    # Whoever changed a setting is to find it as it was for the next try.
+                    self._connection.restore("starting the stimulus", (), self._replay)
         self._firing = firing
         return firing
 
@@ -196,6 +201,8 @@ class Generator:
             reason = "; ".join(found.faults) + " when the stimulus ended"
             self._firing = replace(self._firing, confirmed=False, reason=reason)
             self._log("unconfirmed", reason=reason)
+        if was_on and found.differences:
+            self._connection.restore("making the settings again", (), self._replay)
 
     def heartbeat(self) -> None:
         """Tell the watchdog that the session is alive; costs well under a microsecond between two beats.
@@ -340,12 +347,30 @@ def open_resource(address: str, visa_library: str) -> Resource:
     """
     import pyvisa
 
+    _knock(address)
     resource = pyvisa.ResourceManager(visa_library).open_resource(address)
     message_based = cast("pyvisa.resources.MessageBasedResource", resource)
     message_based.chunk_size = CHUNK
     if address.upper().endswith("SOCKET"):
         message_based.read_termination = message_based.write_termination = "\n"
     return cast("Resource", message_based)
+
+
+def _knock(address: str) -> None:
+    """See whether anybody listens, where the address names a port: pyvisa-py leaks a refused socket."""
+    host, _, port = (address.split("::") + [""])[1].partition(",")
+    if address.upper().startswith("TCPIP") and port.isdigit():
+        socket.create_connection((host, int(port)), timeout=5).close()
+
+
+def abandon(resource: Resource) -> None:
+    """Cut a session of pyvisa-py over TCP, so that closing it fails at once.
+
+    Closing says goodbye, and pyvisa-py waits five busy seconds for the reply of a peer that has gone politely.
+    Other backends are left to close as they do.
+    """
+    session = cast("Any", resource).visalib.sessions[cast("Any", resource).session]
+    session.interface.sock.shutdown(socket.SHUT_RDWR)
 
 
 def find_instruments(visa_library: str = "@py") -> tuple[str, ...]:

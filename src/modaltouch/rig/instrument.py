@@ -62,7 +62,7 @@ class Instrument:
             if "power_cycle" in met or "dropped_connection" in met:
                 return Reply(hang_up=True)
             if "ignored_message" in met:
-                return Reply(b"lost", delay=math.inf)
+                return Reply(b"lost", delay=math.inf) if b"?" in message[:4096] else Reply()
             if "slow_command" in met:
                 time.sleep(float(met["slow_command"].value))
             replies = self._table.run(_spoil_upload(message, met), fail=self.afg.fail)

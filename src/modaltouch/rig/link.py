@@ -48,14 +48,24 @@ class Link:
     ----------
     open_resource : callable
         Opens the VISA resource.
+    abandon : callable
+        Cuts a resource whose other end may be gone, so that closing it takes no time.
     log : callable
         Takes ``scpi`` events: sent, reply, seconds.
     timeout : float
         Longest wait for a reply [s].
     """
 
-    def __init__(self, open_resource: Callable[[], Resource], *, log: Log, timeout: float) -> None:
+    def __init__(
+        self,
+        open_resource: Callable[[], Resource],
+        abandon: Callable[[Resource], None],
+        *,
+        log: Log,
+        timeout: float,
+    ) -> None:
         self._open_resource = open_resource
+        self._abandon = abandon
         self._log = log
         self._timeout = timeout
         self._resource: Resource | None = None
@@ -85,13 +95,17 @@ class Link:
         self._resource = resource
         self._log("link", did="open", seconds=_since(started))
 
-    def close(self) -> None:
-        """End the session, whatever state it is in."""
+    def close(self, *, broken: bool = False) -> None:
+        """End the session, whatever state it is in; without a word to the other end if it is broken."""
         resource, self._resource = self._resource, None
-        if resource is not None:
-            # The other end may be long gone, and there is nothing left to be done about it.
+        if resource is None:
+            return
+        # The other end may be long gone, and there is nothing left to be done about it.
+        if broken:
             with contextlib.suppress(Exception):
-                resource.close()
+                self._abandon(resource)
+        with contextlib.suppress(Exception):
+            resource.close()
 
     def ask(self, message: str, *, timeout: float | None = None) -> str:
         """Send a message that contains a query and return the reply.
@@ -150,12 +164,12 @@ class Link:
             if timeout is not None:
                 resource.timeout = self._timeout * 1e3
         except Exception as error:
-            self.close()
+            self.close(broken=True)
             self._log("scpi", sent=message, **facts, failed=_describe(error), seconds=_since(started))
             raise LinkError(f"'{message[:60]}' failed ({_describe(error)})") from error
         except BaseException:
             # Cut by a signal: a reply may still be on its way, so the session is of no more use.
-            self.close()
+            self.close(broken=True)
             raise
         self._log("scpi", sent=message, **facts, seconds=_since(started))
 

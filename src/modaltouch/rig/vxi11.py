@@ -154,6 +154,8 @@ class Vxi11Server:
             except OSError:
                 return
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            # A close is a reset, as when the plug is pulled.
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
             with self._guard:
                 self._connections.add(connection)
             threading.Thread(target=self._serve, args=(connection,), daemon=True, name="vxi11-link").start()
@@ -166,9 +168,7 @@ class Vxi11Server:
                     call = _read_record(stream)
                     body = self._answer(call, own)
                     connection.sendall(struct.pack(">I", 0x80000000 | len(body)) + body)
-        except (HangUp, struct.error):
-            _reset(connection)
-        except (OSError, EOFError, ValueError):
+        except (HangUp, struct.error, OSError, EOFError, ValueError):
             return
         finally:
             with self._guard:
@@ -346,9 +346,6 @@ def _padded(length: int) -> int:
 
 
 def _reset(connection: socket.socket) -> None:
-    """Close a connection so that the client sees a reset."""
+    """Wake the thread that serves a connection, which closes it; the client sees a reset."""
     with contextlib.suppress(OSError):
-        connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-        connection.shutdown(socket.SHUT_RDWR)
-    with contextlib.suppress(OSError):
-        connection.close()
+        connection.shutdown(socket.SHUT_RD)

@@ -1,0 +1,354 @@
+"""Fault x phase: what the session sees, and that the outputs are off and no wrong stimulus counts as right.
+
+``recovers``: nothing is seen but a line in the log. ``unconfirmed``: the firing is not confirmed, so that the
+trial is offered again. ``refused``: `RigError`. The words after it are what its message must say.
+"""
+
+from __future__ import annotations
+
+import re
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from modaltouch.rig.connection import Patience
+from modaltouch.rig.generator import Generator
+from modaltouch.rig.interface import RigError
+from modaltouch.rig.simulator import Simulator
+from modaltouch.stimulus.burst import Burst
+
+UPLOAD, BLOCK_BACK, COPY, ARM, SWITCH_ON, TRIGGER, STOP = (
+    "DATA EMEM,",
+    r"DATA:DATA\?",
+    "COPY USER",
+    "VOLT 6VPP",
+    "OUTP1 ON",
+    "SOUR TIM",
+    r"OUTP1\?;:OUTP2\?;:OUTP1 OFF",
+)
+
+MATRIX: list[tuple[str, str, Any, str, str, str]] = [
+    # fault, message that meets it, value, phase, what is seen, words
+    ("lost_reply", "IDN", 0, "connect", "refused", "no generator answers at .* no output was switched on"),
+    ("delayed_reply", "IDN", 9, "connect", "refused", "no generator answers"),
+    ("garbled_reply", "IDN", 0, "connect", "refused", "no generator answers"),
+    ("dropped_connection", "IDN", 0, "connect", "refused", "no generator answers"),
+    ("wrong_reply", "IDN", "ACME,GEN1,0,1", "connect", "refused", "says it is 'ACME,GEN1,0,1'.*AFG3022B"),
+    ("wrong_reply", "IDN", "nonsense", "connect", "refused", "says it is 'nonsense'"),
+    ("lost_reply", "RST", 0, "connect", "refused", "no generator answers"),
+    ("scpi_error", "RST", -310, "connect", "refused", "does not take its settings.*-310"),
+    ("scpi_error", "LIM:HIGH", -222, "connect", "refused", "does not take its settings"),
+    ("wrong_reply", "LIM:HIGH", '5.0;0,"No error"', "connect", "refused", "SOUR1:VOLT:LIM:HIGH reads 5.0, 10.0V"),
+    ("wrong_reply", "OUTP1:IMP", '50;0,"No error"', "connect", "refused", "OUTP1:IMP reads 50, INF was set"),
+    ("dropped_connection", UPLOAD, 0, "upload", "recovers", ""),
+    ("dropped_reply", UPLOAD, 0, "upload", "recovers", ""),
+    ("ignored_message", UPLOAD, 0, "upload", "recovers", ""),
+    ("truncated_upload", UPLOAD, 0, "upload", "recovers", ""),
+    ("garbled_upload", UPLOAD, 0, "upload", "recovers", ""),
+    ("scpi_error", UPLOAD, -222, "upload", "recovers", ""),
+    ("slow_command", COPY, 0.2, "upload", "recovers", ""),
+    ("slow_command", COPY, 2.5, "upload", "recovers", ""),
+    ("lost_reply", COPY, 0, "upload", "recovers", ""),
+    ("lost_reply", r"\*OPC\?", 0, "upload", "recovers", ""),
+    ("garbled_reply", BLOCK_BACK, 0, "upload", "recovers", ""),
+    ("truncated_reply", BLOCK_BACK, 0, "upload", "recovers", ""),
+    ("dropped_reply", BLOCK_BACK, 0, "upload", "recovers", ""),
+    ("power_cycle", COPY, 0, "upload", "recovers", ""),
+    ("front_panel", "FUNC USER1", "SOUR1:FUNC SIN", "upload", "unconfirmed", "SOUR1:FUNC reads SIN"),
+    ("lost_reply", ARM, 0, "arm", "unconfirmed", "failed"),
+    ("delayed_reply", ARM, 9, "arm", "unconfirmed", "failed"),
+    ("delayed_reply", ARM, 0.05, "arm", "recovers", ""),
+    ("garbled_reply", ARM, 0, "arm", "unconfirmed", "failed"),
+    ("truncated_reply", ARM, 0, "arm", "unconfirmed", ""),
+    ("wrong_reply", ARM, '5.9;4.0;0,"No error"', "arm", "unconfirmed", "SOUR1:VOLT reads 5.9, 6.0VPP was set"),
+    ("dropped_connection", ARM, 0, "arm", "unconfirmed", "failed"),
+    ("dropped_reply", ARM, 0, "arm", "unconfirmed", "failed"),
+    ("scpi_error", ARM, -222, "arm", "unconfirmed", "-222"),
+    ("power_cycle", ARM, 0, "arm", "unconfirmed", "failed"),
+    ("front_panel", ARM, "SOUR2:FREQ 21", "arm", "unconfirmed", "SOUR2:FREQ reads 2.1.*20.0HZ was set"),
+    ("front_panel", ARM, "SOUR1:VOLT:OFFS 1", "arm", "unconfirmed", "SOUR1:VOLT:OFFS reads 1"),
+    ("front_panel", ARM, "OUTP1:IMP 50", "arm", "unconfirmed", "OUTP1:IMP reads 5"),
+    ("front_panel", ARM, "TRIG:TIM 0.2", "arm", "unconfirmed", "TRIG:TIM reads 2.0"),
+    ("ignored_message", SWITCH_ON, 0, "arm", "unconfirmed", "failed"),
+    ("lost_reply", SWITCH_ON, 0, "arm", "unconfirmed", "failed"),
+    ("scpi_error", SWITCH_ON, -310, "arm", "unconfirmed", "-310"),
+    ("wrong_reply", SWITCH_ON, '1;0;0,"No error"', "arm", "unconfirmed", "OUTP2 reads 0, ON was set"),
+    ("lost_reply", TRIGGER, 0, "arm", "unconfirmed", "failed"),
+    ("dropped_reply", TRIGGER, 0, "arm", "unconfirmed", "failed"),
+    ("power_cycle", TRIGGER, 0, "arm", "unconfirmed", "failed"),
+    ("lost_reply", STOP, 0, "stop", "unconfirmed", "output 1 was off"),
+    ("dropped_connection", STOP, 0, "stop", "recovers", ""),
+    ("dropped_reply", STOP, 0, "stop", "unconfirmed", "output 1 was off"),
+    ("ignored_message", STOP, 0, "stop", "recovers", ""),
+    ("garbled_reply", STOP, 0, "stop", "unconfirmed", "output 1 was off"),
+    ("wrong_reply", STOP, '1;1;1;1;0,"No error"', "stop", "unconfirmed", "output 1 was off"),
+    ("power_cycle", STOP, 0, "stop", "unconfirmed", "output 1 was off; output 2 was off; .*SOUR1:VOLT reads"),
+]
+
+
+def cell(row: tuple[str, str, Any, str, str, str]) -> str:
+    """Return a readable name of a cell."""
+    return f"{row[3]}-{row[0]}-{row[1]}-{row[2]}"
+
+
+@pytest.mark.parametrize("row", MATRIX, ids=cell)
+def test_fault_is_met(
+    row: tuple[str, str, Any, str, str, str],
+    simulator: Simulator,
+    open_generator: Callable[..., Generator],
+    burst: Burst,
+) -> None:
+    """Each cell of the matrix, as the module's docstring reads it."""
+    fault, when, value, phase, seen, words = row
+    if phase == "connect":
+        simulator.faults.inject(fault, when=when, value=value)
+        simulator.front_panel("OUTP1 ON")
+        with pytest.raises(RigError, match=words):
+            open_generator()
+        return
+    rig = open_generator()
+    if phase == "upload":
+        simulator.faults.inject(fault, when=when, value=value)
+        rig.load(burst)
+        assert_holds(simulator, burst)
+    else:
+        rig.load(burst)
+        simulator.faults.inject(fault, when=when, value=value)
+    firing = rig.fire(0.1)
+    if firing.confirmed:
+        assert_plays(simulator, burst, firing.commanded_amplitude)
+    else:
+        assert simulator.outputs == (False, False)
+    rig.stop()
+    assert simulator.outputs == (False, False)
+    assert not simulator.faults.any
+    last = rig.firing
+    assert last is not None
+    assert last.confirmed is (seen == "recovers")
+    if not last.confirmed:
+        assert re.search(words, last.reason)
+    again = rig.fire(0.1)
+    assert again.confirmed
+    assert_plays(simulator, burst, again.commanded_amplitude)
+
+
+def assert_holds(simulator: Simulator, burst: Burst) -> None:
+    """Check that the selected memories hold the burst."""
+    for channel, codes in zip(simulator.afg.channels.values(), burst.codes, strict=True):
+        if channel.function.startswith("USER"):
+            assert simulator.afg.user[int(channel.function[4:])] == codes.astype(">u2").tobytes()
+
+
+def assert_plays(simulator: Simulator, burst: Burst, amplitudes: tuple[float, ...]) -> None:
+    """Check that the instrument sends what was commanded: records, levels, rate, trigger."""
+    assert simulator.outputs == (True, True)
+    for number, codes, amplitude in zip((1, 2), burst.codes, amplitudes, strict=True):
+        playback = simulator.afg.playback(number)
+        assert playback is not None
+        assert playback.record == codes.astype(">u2").tobytes()
+        assert playback.amplitude == pytest.approx(amplitude, rel=1e-3)
+        assert playback.offset == 0
+        assert playback.duration == pytest.approx(burst.duration)
+        assert playback.period == pytest.approx(1 / burst.repetition_rate, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("disturb", "confirmed", "words"),
+    [
+        ("SOUR1:VOLT 3VPP", False, r"SOUR1:VOLT reads 3.0000E\+00, 6.0VPP was set when the stimulus ended"),
+        ("OUTP2 OFF", False, "output 2 was off when the stimulus ended"),
+        ("TRIG:SOUR EXT", False, "TRIG:SOUR reads EXT, TIM was set"),
+        ("power cycle", False, "output 1 was off; output 2 was off"),
+        ("cable out and in", True, ""),
+    ],
+)
+def test_disturbance_during_a_trial_takes_the_confirmation_back(
+    loaded: Generator, simulator: Simulator, disturb: str, confirmed: bool, words: str
+) -> None:
+    """What is found at the end of the stimulus decides; a link that broke says nothing of the stimulus."""
+    assert loaded.fire(0.1).confirmed
+    others = {"power cycle": simulator.power_cycle, "cable out and in": simulator.drop_connections}
+    others.get(disturb, lambda: simulator.front_panel(disturb))()
+    loaded.stop()
+    assert simulator.outputs == (False, False)
+    assert loaded.firing is not None
+    assert loaded.firing.confirmed is confirmed
+    assert re.search(words, loaded.firing.reason)
+    assert loaded.fire(0.1).confirmed
+
+
+def test_clipped_amplitude_is_never_confirmed(loaded: Generator, simulator: Simulator) -> None:
+    """An output stage that stays behind 5 Vpp reads back 5 Vpp: not what was commanded, outputs off."""
+    simulator.afg.clip_amplitude = 5.0
+    firing = loaded.fire(0.2)
+    assert not firing.confirmed
+    assert firing.commanded_amplitude == (12.0, 8.0)
+    assert firing.confirmed_amplitude == (5.0, 5.0)
+    assert simulator.outputs == (False, False)
+
+
+def test_tripped_amplifier_is_felt_but_not_seen(loaded: Generator, simulator: Simulator) -> None:
+    """The generator cannot know of its amplifier: confirmed, and nothing moves until it is reset."""
+    simulator.trip_amplifier()
+    assert loaded.fire(0.1).confirmed
+    assert simulator.felt_velocity(["C"]) == 0
+    simulator.reset_amplifier()
+    assert simulator.felt_velocity(["C"]) > 0
+
+
+def test_refused_connection_is_reported(simulator: Simulator, open_generator: Callable[..., Generator]) -> None:
+    """Nobody listens: said at once, with the remedy."""
+    simulator.refuse_connections()
+    with pytest.raises(RigError, match=r"no generator answers at .*ConnectionRefusedError.*`modaltouch rig list`"):
+        open_generator()
+
+
+@pytest.mark.parametrize("phase", ["upload", "arm", "trial"])
+def test_lost_instrument_is_an_error_that_says_what_to_do(
+    phase: str,
+    simulator: Simulator,
+    open_generator: Callable[..., Generator],
+    burst: Burst,
+    guard: Any,
+) -> None:
+    """Gone for good: RigError after the tries stated, the amplifier named, the watchdog left watching."""
+    rig = open_generator(patience=Patience(reply=0.1, copy=0.1, tries=2, pause=0.01))
+    steps: list[Callable[[], object]] = [lambda: rig.load(burst), lambda: rig.fire(0.1), rig.stop]
+    n_before = ("upload", "arm", "trial").index(phase)
+    for step in steps[:n_before]:
+        step()
+    simulator.refuse_connections()
+    simulator.drop_connections()
+    with pytest.raises(RigError, match=r"2 new connections .* could not be confirmed off: SWITCH THE AMPLIFIER OFF"):
+        steps[n_before]()
+    rig.close()
+    assert guard.told[-1] == "left watching"
+
+
+def test_instrument_that_comes_back_is_found(
+    simulator: Simulator, open_generator: Callable[..., Generator], burst: Burst
+) -> None:
+    """A cable pulled and plugged in again costs one trial at most, and no upload."""
+    rig = open_generator(patience=Patience(reply=0.2, copy=0.4, tries=5, pause=0.02))
+    rig.load(burst)
+    rig.fire(0.1)
+    simulator.refuse_connections()
+    simulator.drop_connections()
+    threading.Timer(0.1, simulator.accept_connections).start()
+    rig.stop()
+    assert rig.fire(0.2).confirmed
+    assert_plays(simulator, burst, (12.0, 8.0))
+
+
+def test_another_instrument_at_the_address_is_refused(loaded: Generator, simulator: Simulator) -> None:
+    """After a lost link another serial number answers: its records and state are not ours."""
+    loaded.fire(0.1)
+    simulator.faults.inject("wrong_reply", when="IDN", value="TEKTRONIX,AFG3022B,C999999,SCPI:99.0 FV:3.2.2", times=9)
+    simulator.drop_connections()
+    with pytest.raises(RigError, match="now answers as 'TEKTRONIX,AFG3022B,C999999"):
+        loaded.stop()
+
+
+def test_unreadable_blocks_fall_back_to_spots(
+    simulator: Simulator, open_generator: Callable[..., Generator], burst: Burst, heard: Any
+) -> None:
+    """A device whose block replies never come through is verified by its count and 64 single points."""
+    simulator.faults.inject("garbled_reply", when=BLOCK_BACK, times=99)
+    rig = open_generator()
+    rig.load(burst)
+    assert len(heard.of("record_spot_check")) == 2
+    assert rig.fire(0.1).confirmed
+    assert_plays(simulator, burst, (6.0, 4.0))
+
+
+def test_record_that_stays_wrong_is_refused(
+    simulator: Simulator, open_generator: Callable[..., Generator], burst: Burst
+) -> None:
+    """Two uploads that read back wrong: no third, and nothing is ever fired."""
+    simulator.faults.inject("garbled_upload", when=UPLOAD, times=99)
+    rig = open_generator()
+    with pytest.raises(RigError, match="USER1 does not hold the record that was sent, after two uploads"):
+        rig.load(burst)
+    assert simulator.outputs == (False, False)
+
+
+KINDS = (
+    "delayed_reply",
+    "lost_reply",
+    "garbled_reply",
+    "truncated_reply",
+    "dropped_connection",
+    "dropped_reply",
+    "ignored_message",
+    "truncated_upload",
+    "garbled_upload",
+    "scpi_error",
+    "power_cycle",
+)
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture], derandomize=True)
+@given(kind=st.sampled_from(KINDS), nth=st.integers(0, 60), times=st.integers(1, 2))
+def test_no_fault_at_any_message_leaves_outputs_on_or_confirms_a_wrong_stimulus(
+    kind: str,
+    nth: int,
+    times: int,
+    simulator: Simulator,
+    open_generator: Callable[..., Generator],
+    make: Callable[..., Burst],
+) -> None:
+    """Whatever fails at whatever message: outputs off at the end; a confirmed firing plays what was asked."""
+    burst = make(n_samples=200)
+    simulator.power_cycle()
+    simulator.faults.clear()
+    refused = "outputs"
+    values = {"delayed_reply": 0.3, "scpi_error": -310}
+    with counted(simulator, nth, lambda: simulator.faults.inject(kind, value=values.get(kind, 0), times=times)):
+        try:
+            with open_generator() as rig:
+                rig.load(burst)
+                for level in (0.1, 0.2):
+                    firing = rig.fire(level)
+                    if firing.confirmed:
+                        assert_plays(simulator, burst, burst.amplitude_for(level))
+                    else:
+                        assert simulator.outputs == (False, False)
+                    rig.stop()
+                    assert simulator.outputs == (False, False)
+        except RigError as error:
+            refused = str(error)
+    assert "output" in refused
+    assert simulator.outputs == (False, False)
+
+
+class counted:  # noqa: N801
+    """Does something just before the n-th message that comes over a link."""
+
+    def __init__(self, simulator: Simulator, nth: int, action: Callable[[], None]) -> None:
+        self._instrument = simulator._instrument
+        self._execute = self._instrument.execute
+        self._left = nth
+        self._action = action
+
+    def __enter__(self) -> None:
+        def execute(message: bytes) -> Any:
+            if self._left == 0:
+                self._action()
+            self._left -= 1
+            return self._execute(message)
+
+        self._instrument.execute = execute
+
+    def __exit__(self, *exc: object) -> None:
+        self._instrument.execute = self._execute
+
+
+@pytest.fixture(autouse=True)
+def _faults_end(simulator: Simulator) -> Iterator[None]:
+    """Leave no fault to the closing of the driver."""
+    yield
+    simulator.faults.clear()
