@@ -1,0 +1,287 @@
+"""The whole check: limits at the levels that break them, and the predictions that a lab reads."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from modaltouch.document import InputError
+from modaltouch.preflight import Preflight, examine
+from modaltouch.preflight.figures import estimated_duration
+from modaltouch.rig.settings import Limits, amplitudes, record_peaks
+from modaltouch.schedule import draw_schedule
+from modaltouch.trial import Condition, Trial
+
+Edit = Callable[..., Path]
+FILE = "differentiated_stimulation.yaml"
+BEAM = "apparatus/beam_100x6x2.yaml"
+LEVELS = "[80, 100, 150, 200]"
+
+
+@pytest.fixture(scope="module")
+def preflight() -> Preflight:
+    """The paper's protocol, examined."""
+    return examine(Path(__file__).parents[2] / "protocols" / FILE)
+
+
+def faults(file: Path) -> list[str]:
+    """Return the faults that the whole check finds."""
+    return [str(problem).replace(str(file.parent) + "/", "") for problem in examine(file).problems]
+
+
+def test_the_papers_protocol_passes(preflight: Preflight) -> None:
+    """It is what the project exists for."""
+    assert preflight.problems == ()
+    values = preflight.as_dict()
+    assert values["problems"] == []
+    assert (values["n_trials"], values["n_practice_trials"]) == (24, 3)
+    assert [stimulus["velocity_mm_s"] for stimulus in values["stimuli"]] == [80, 100, 150, 200]
+
+
+def test_the_papers_modes_are_selected(preflight: Preflight) -> None:
+    """Section III of the paper: modes 1, 3, 5, 7, 11 and 13."""
+    assert preflight.as_dict()["stimuli"][0]["selected_modes"] == [1, 3, 5, 7, 11, 13]
+
+
+def test_the_focus_reaches_its_level_and_the_rest_is_as_the_design_notes_say(preflight: Preflight) -> None:
+    """physics.md: 184 V for the triangle, 14 mm wide at 80 %, contrast about 1.8 : 1 for (A, C), equal for (B, D)."""
+    values = preflight.as_dict()
+    top = values["stimuli"][-1]
+    assert top["zone_at_focus_mm_s"]["C"] == pytest.approx(200, rel=1e-4)
+    assert top["zone_peak_mm_s"]["C"] == pytest.approx(200, rel=1e-3)
+    assert top["peak_drive_V"]["1"] == pytest.approx(184, abs=1)
+    assert top["width_80_mm"] == pytest.approx(14, abs=0.2)
+    assert top["n_samples"] == 125_000
+    assert top["sampling_rate_Hz"] == pytest.approx(2.5e6)
+    contrast = {(row["zone_left"], row["zone_right"]): row["contrast"] for row in values["contrasts"]}
+    assert contrast["A", "C"] == pytest.approx(1.8, abs=0.3)
+    assert contrast["A", "C"] == pytest.approx(contrast["C", "E"], rel=1e-6)
+    assert contrast["B", "D"] == pytest.approx(1, rel=1e-6)
+
+
+def test_the_modal_error_is_that_of_the_listed_modes(preflight: Preflight) -> None:
+    """Maximum over modes of |velocity - target| and |w eta|, recomputed from the lists; 1e-4 of the level at most."""
+    for stimulus in preflight.as_dict()["stimuli"]:
+        misses = [abs(stimulus["achieved_mm_s"][k] - stimulus["target_mm_s"][k]) for k in stimulus["target_mm_s"]]
+        misses += [abs(value) for value in stimulus["achieved_displacement_mm_s"].values()]
+        assert stimulus["worst_modal_error_mm_s"] == pytest.approx(max(misses), rel=1e-6)
+        assert stimulus["worst_modal_error_mm_s"] <= 1e-4 * stimulus["velocity_mm_s"]
+
+
+def test_zone_speeds_follow_from_the_modes(preflight: Preflight) -> None:
+    """Sum over modes of velocity x mode shape at the zone's centre, with shapes of the textbook (mpmath)."""
+    import mpmath
+
+    stimulus = preflight.as_dict()["stimuli"][-1]
+
+    def shape(label: int, y: float) -> mpmath.mpf:
+        if label == 1:
+            return mpmath.mpf(1)
+
+        def bare(x: mpmath.mpf) -> mpmath.mpf:
+            return mpmath.cos(root * x) / mpmath.cos(root / 2) + mpmath.cosh(root * x) / mpmath.cosh(root / 2)
+
+        root = mpmath.findroot(lambda x: mpmath.cos(x) - mpmath.sech(x), (2 * label - 3) * mpmath.pi / 2)
+        mean_square = mpmath.quad(lambda x: bare(x) ** 2, mpmath.linspace(-0.5, 0.5, 21))
+        return bare(mpmath.mpf(y)) / mpmath.sqrt(mean_square)
+
+    for zone, centre in {"A": -0.4, "B": -0.2, "C": 0.0}.items():
+        speed = sum(value * shape(int(label), centre) for label, value in stimulus["achieved_mm_s"].items())
+        assert stimulus["zone_at_focus_mm_s"][zone] == pytest.approx(float(speed), abs=1e-8)
+
+
+def test_speeds_at_the_fingers_are_the_zones_peaks(preflight: Preflight) -> None:
+    """In m/s, left and right as the trial's pair has them."""
+    peaks = preflight.as_dict()["stimuli"][0]["zone_peak_mm_s"]
+    trial = Trial(1, 1, Condition("one_hand", "B", "C", 80.0))
+    np.testing.assert_allclose(preflight.speeds(trial), [peaks["B"] * 1e-3, peaks["C"] * 1e-3], rtol=1e-12)
+    for scheduled in draw_schedule(preflight.experiment.protocol, "p01", 1).trials:
+        assert min(preflight.speeds(scheduled)) > 0
+
+
+def test_the_other_law_is_shown_where_asked_and_misses(preflight: Preflight) -> None:
+    """Erratum 3: begun from rest, the paper's mode 1 ends 4.2 % short of its target."""
+    assert "comparison" not in preflight.as_dict()
+    paper = preflight.as_dict(compare=True)["comparison"][-1]
+    assert paper["law"] == "paper"
+    assert paper["achieved_mm_s"]["1"] / paper["target_mm_s"]["1"] == pytest.approx(1 - 0.042, abs=0.005)
+    assert paper["worst_modal_error_mm_s"] > 1
+
+
+def test_the_answer_is_json_without_nan(preflight: Preflight) -> None:
+    """RFC 8259 knows no NaN."""
+    assert json.loads(json.dumps(preflight.as_dict(compare=True), allow_nan=False))
+
+
+def test_a_velocity_beyond_the_amplifier_is_refused_with_what_it_needs(edit: Edit) -> None:
+    """All is linear: 400 mm/s needs twice the 184.5 V of 200 mm/s, and 250 V reach 271 mm/s."""
+    (found,) = faults(edit(FILE, (LEVELS, "[80, 400]")))
+    assert found.startswith(
+        f"{FILE}:25:30: conditions.peak_velocities_mm_s[1]: given 400 mm/s, which needs 369 V at the beam; "
+        "allowed: at most 250 V there (271 mm/s); "
+    )
+
+
+def test_the_velocity_said_to_be_allowed_is_allowed(edit: Edit) -> None:
+    """And the next whole one is not."""
+    assert faults(edit(FILE, (LEVELS, "[80, 271]"))) == []
+
+
+def test_the_velocity_above_the_allowed_is_not(edit: Edit) -> None:
+    """272 mm/s needs 250.9 V."""
+    assert len(faults(edit(FILE, (LEVELS, "[80, 272]")))) == 1
+
+
+@pytest.mark.parametrize("level", [80, 263, 268, 271])
+def test_what_passes_the_check_passes_the_rig(edit: Edit, level: int) -> None:
+    """The rig refuses by itself what exceeds its limits; no session may find that out."""
+    preflight = examine(edit(FILE, (LEVELS, f"[80.5, {level}]")))
+    assert preflight.problems == ()
+    limits = Limits.of(preflight.experiment.apparatus)
+    burst = preflight.stimulus.burst
+    for velocity in (0.0805, level * 1e-3):
+        assert all(value > 0 for value in amplitudes(burst, record_peaks(burst), velocity, limits))
+
+
+def test_a_lower_amplifier_limit_is_kept(edit: Edit) -> None:
+    """The limit is a number of the apparatus file: 100 V reach 108 mm/s."""
+    file = edit(FILE)
+    edit_beam = file.parent / BEAM
+    edit_beam.write_text(edit_beam.read_text().replace("limit_V: 250", "limit_V: 100"))
+    found = faults(file)
+    assert [each.split(": ")[1] for each in found] == [
+        "conditions.peak_velocities_mm_s[2]",
+        "conditions.peak_velocities_mm_s[3]",
+    ]
+    assert all("at most 100 V there (108 mm/s)" in each for each in found)
+
+
+def test_an_amplifier_of_low_gain_is_limited_by_the_generator(edit: Edit) -> None:
+    """20 V peak to peak of the AFG3022B and a gain of 10 make 100 V at the beam."""
+    file = edit(FILE)
+    beam = file.parent / BEAM
+    beam.write_text(beam.read_text().replace("gain_V_per_V: 25", "gain_V_per_V: 10"))
+    found = faults(file)
+    assert len(found) == 2
+    assert "V peak to peak of output 1; allowed: at most 20 V into an open circuit" in found[0]
+
+
+def test_a_level_too_small_for_the_generator_is_refused(edit: Edit) -> None:
+    """20 mV peak to peak is the AFG3022B's smallest amplitude into an open circuit."""
+    found = faults(edit(FILE, (LEVELS, "[0.1, 200]")))
+    assert found
+    assert all("allowed: at least 0.02 V, the generator's smallest amplitude" in each for each in found)
+
+
+def test_a_zone_faster_than_the_safety_limit_is_refused(edit: Edit) -> None:
+    """With focus A the beam's free end, which lies in zone A, is faster than the zone's centre."""
+    file = edit(FILE, ("focus: C", "focus: A"), (LEVELS, "[100, 140]"))
+    beam = file.parent / BEAM
+    beam.write_text(beam.read_text().replace("velocity_limit_mm_s: 500", "velocity_limit_mm_s: 150"))
+    (found,) = faults(file)
+    assert "given 140 mm/s, which moves zone A at 2" in found or "which moves zone A at 1" in found
+    assert "allowed: at most 150 mm/s anywhere in a zone" in found
+
+
+def test_faults_of_form_do_not_hide_those_of_physics(edit: Edit) -> None:
+    """A foreign key in the stimulus, a misspelt one elsewhere, a wrong level, a missing answer; and 400 mm/s."""
+    file = edit(
+        FILE,
+        ("  focus: C", "  colour: red\n  focus: C"),
+        ("hand: right ", "hnad: right "),
+        (LEVELS, "[x, 400]"),
+        ("    left: [left, num_4]\n", ""),
+    )
+    found = faults(file)
+    assert len(found) == 5
+    assert any("given 400 mm/s, which needs 369 V at the beam" in each for each in found)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "fault"),
+    [
+        (
+            "selected_modes: 6",
+            "selected_modes: [2]",
+            f"{FILE}:14:20: stimulus.selected_modes[0]: given 2, which is not",
+        ),
+        ("decomposed_modes: 50", "decomposed_modes: 10", f"{FILE}:13:21: stimulus.decomposed_modes: given a stimulus"),
+        ("focusing_instant_ms: 25", "focusing_instant_ms: 0.004", f"{FILE}:15:24: stimulus.focusing_instant_ms: given"),
+    ],
+)
+def test_what_the_engine_refuses_has_its_place(edit: Edit, old: str, new: str, fault: str) -> None:
+    """Lines and columns counted in the shipped file."""
+    found = faults(edit(FILE, (old, new)))
+    assert [each[: len(fault)] for each in found] == [fault]
+
+
+def test_a_mode_that_nothing_drives_is_named_in_the_apparatus_file(edit: Edit) -> None:
+    """Mode 5, the third of the table, without a gain."""
+    file = edit(FILE)
+    beam = file.parent / BEAM
+    beam.write_text(beam.read_text().replace("{side: 6500}", "{side: 0}"))
+    (found,) = faults(file)
+    assert found.startswith(f"{BEAM}:29:67: modes[2].gain_mm_s2_per_V: given a stimulus that cannot be made, mode 5")
+
+
+def test_modes_of_one_set_leave_the_other_channel_silent(edit: Edit) -> None:
+    """Modes 1 and 3 have their gains on the centre set alone; silence is no amplitude too small."""
+    preflight = examine(edit(FILE, ("selected_modes: 6", "selected_modes: [1, 3]"), (LEVELS, "[20]")))
+    assert preflight.problems == ()
+    assert preflight.as_dict()["stimuli"][0]["peak_drive_V"]["2"] == 0
+
+
+def test_a_faulty_protocol_is_examined_without_an_exception(edit: Edit) -> None:
+    """`check --json` prints its faults; a session cannot be made of it."""
+    preflight = examine(edit(FILE, ("focus: C", "focus: X")))
+    values = preflight.as_dict()
+    assert (values["protocol"], values["stimuli"]) == ("differentiated_stimulation", [])
+    (problem,) = values["problems"]
+    assert {"file", "line", "column", "path", "given", "allowed", "message"} <= set(problem)
+    with pytest.raises(InputError, match="'X', which is not a zone"):
+        _ = preflight.experiment
+    with pytest.raises(InputError, match="'X', which is not a zone"):
+        _ = preflight.stimulus
+
+
+def test_a_missing_protocol_is_a_problem(tmp_path: Path) -> None:
+    """Not an exception either."""
+    (problem,) = examine(tmp_path / "none.yaml").problems
+    assert problem.given == "a file that does not exist"
+
+
+def test_samples_that_are_not_held_alike_are_warned_of(edit: Edit) -> None:
+    """131,072 samples over 50 ms at 250 MHz are held 95 or 96 clocks."""
+    warnings = examine(edit(FILE, ("n_samples: 125000", "n_samples: 131072"))).as_dict()["warnings"]
+    assert any("131072 samples are held 95.37 clocks each" in each for each in warnings)
+
+
+def test_longer_designs_take_longer(preflight: Preflight) -> None:
+    """27 presentations of 0.5 s and 1.0 s of pause alone take 40 s; ten times the trials about ten times as long."""
+    protocol = preflight.experiment.protocol
+    once = estimated_duration(protocol)
+    schedule = protocol.schedule.model_copy(update={"repetitions": 10})
+    tenfold = estimated_duration(protocol.model_copy(update={"schedule": schedule}))
+    assert 40 / 60 < once < 15
+    assert 5 * once < tenfold < 10 * once
+
+
+def test_check_loads_neither_screen_nor_instrument_nor_tables() -> None:
+    """They take seconds, and none of them is needed."""
+    code = (
+        "import sys; from modaltouch.preflight import examine; examine(sys.argv[1]).as_dict(compare=True); "
+        "print([name for name in ('psychopy', 'pyvisa', 'pandas', 'matplotlib', 'scipy', 'statsmodels') "
+        "if name in sys.modules])"
+    )
+    file = str(Path(__file__).parents[2] / "protocols" / FILE)
+    begin = time.perf_counter()
+    done = subprocess.run([sys.executable, "-c", code, file], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+    assert time.perf_counter() - begin < 20

@@ -1,0 +1,166 @@
+"""Schedules: complete, reproducible, counterbalanced, one stream for each purpose."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from modaltouch.protocol import Protocol, read_protocol
+from modaltouch.schedule import draw_schedule, random_generator
+from modaltouch.schedule.rejection import longest_run
+
+SHIPPED = Path(__file__).parents[2] / "protocols"
+PAPER = read_protocol(SHIPPED / "differentiated_stimulation.yaml").protocol
+
+
+def changed(section: str, **values: Any) -> Protocol:
+    """Return the paper's protocol with other values in one section."""
+    part = getattr(PAPER, section).model_copy(update=values)
+    return PAPER.model_copy(update={section: part})
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.text("abcpxyz0123456789", min_size=1, max_size=8), st.integers(0, 2**70), st.integers(1, 9))
+def test_every_condition_comes_as_often_as_the_protocol_says(participant: str, seed: int, session: int) -> None:
+    """3 pairs x 4 velocities x 2 finger conditions, once each, blocks by finger condition, no pair thrice."""
+    schedule = draw_schedule(PAPER, participant, seed, session)
+    conditions = Counter(trial.condition for trial in schedule.trials)
+    assert len(conditions) == 24
+    assert set(conditions.values()) == {1}
+    assert [trial.index for trial in schedule.trials] == list(range(1, 25))
+    for block in schedule.blocks:
+        assert {trial.condition.finger_condition for trial in block.trials} == {block.finger_condition}
+        assert {trial.block for trial in block.trials} == {block.number}
+        assert longest_run([trial.condition.pair for trial in block.trials]) <= 2
+
+
+def test_repetitions_count_in_the_order_of_presentation() -> None:
+    """The first time a condition is presented is its repetition 1."""
+    schedule = draw_schedule(changed("schedule", repetitions=3), "p01", 1)
+    seen: Counter[Any] = Counter()
+    for trial in schedule.trials:
+        seen[trial.condition] += 1
+        assert trial.repetition == seen[trial.condition]
+    assert set(seen.values()) == {3}
+
+
+def test_the_same_arguments_give_the_same_schedule_and_others_another() -> None:
+    """Pure function of protocol, participant, seed and session."""
+    schedule = draw_schedule(PAPER, "p01", 7)
+    assert draw_schedule(PAPER, "p01", 7) == schedule
+    others = [
+        draw_schedule(PAPER, "p03", 7),
+        draw_schedule(PAPER, "p01", 8),
+        draw_schedule(PAPER, "p01", 7, session=2),
+        draw_schedule(changed("schedule", repetitions=2), "p01", 7),
+    ]
+    assert len({each.order_hash for each in (schedule, *others)}) == 5
+
+
+def test_an_order_drawn_by_version_1_is_drawn_for_ever() -> None:
+    """A record must be verifiable years later: this hash may only change with the name of the algorithm."""
+    schedule = draw_schedule(PAPER, "p01", 1)
+    assert "modaltouch order 1" in schedule.seeds["algorithm"]
+    assert schedule.order_hash.startswith("c02a5a29bf0cc4a7")
+
+
+def test_each_purpose_has_a_stream_of_its_own() -> None:
+    """More practice, another order of blocks or another block shifts no draw of the rest."""
+    schedule = draw_schedule(PAPER, "p01", 1)
+    more_practice = draw_schedule(changed("schedule", practice_trials=9), "p01", 1)
+    assert more_practice.trials == schedule.trials
+    one_block = draw_schedule(changed("conditions", finger_conditions=("one_hand",)), "p01", 1)
+    assert one_block.trials == schedule.blocks[0].trials
+    fixed = draw_schedule(changed("schedule", counterbalance_finger_conditions=False), "p02", 1)
+    turned = draw_schedule(PAPER, "p02", 1)
+    orders = [
+        {block.finger_condition: [trial.condition for trial in block.trials] for block in each.blocks}
+        for each in (fixed, turned)
+    ]
+    assert orders[0] == orders[1]
+    assert fixed.blocks[0].finger_condition != turned.blocks[0].finger_condition
+
+
+def test_participants_with_numbers_take_turns() -> None:
+    """p01 as the protocol has it, p02 the other way round; a second session turns it again."""
+    first = [draw_schedule(PAPER, f"p{n:02d}", 1).blocks[0].finger_condition for n in range(1, 5)]
+    assert first == ["one_hand", "two_hands", "one_hand", "two_hands"]
+    again = draw_schedule(PAPER, "p01", 1, session=2)
+    assert again.blocks[0].finger_condition == "two_hands"
+    assert again.finger_conditions_by == "number of the participant"
+
+
+def test_participants_without_numbers_are_divided_by_their_hash() -> None:
+    """200 names: each order has at least 70, which a fair coin misses in 1 of 60,000 studies."""
+    names = [f"{a}{b}" for a in "abcdefghijklmnopqrst" for b in "abcdefghij"]
+    schedules = [draw_schedule(PAPER, name, 1) for name in names]
+    counts = Counter(schedule.blocks[0].finger_condition for schedule in schedules)
+    assert min(counts.values()) >= 70
+    assert {schedule.finger_conditions_by for schedule in schedules} == {"hash of the participant"}
+
+
+def test_the_protocols_order_holds_where_nothing_is_counterbalanced() -> None:
+    """Every participant begins alike, and the record says so."""
+    protocol = changed("schedule", counterbalance_finger_conditions=False)
+    schedule = draw_schedule(protocol, "p02", 1)
+    assert [block.finger_condition for block in schedule.blocks] == ["one_hand", "two_hands"]
+    assert schedule.finger_conditions_by == "protocol"
+
+
+def test_practice_comes_from_the_first_blocks_conditions() -> None:
+    """So that the fingers need not change hands after it; no condition again before all others have come."""
+    schedule = draw_schedule(changed("schedule", practice_trials=14), "p02", 1)
+    assert all(trial.practice and trial.block == 0 for trial in schedule.practice)
+    assert [trial.index for trial in schedule.practice] == list(range(1, 15))
+    assert {trial.condition.finger_condition for trial in schedule.practice} == {"two_hands"}
+    assert len({trial.condition for trial in schedule.practice[:12]}) == 12
+    assert [trial.repetition for trial in schedule.practice[12:]] == [2, 2]
+
+
+def test_the_record_holds_what_an_order_was_drawn_from() -> None:
+    """Seeds, algorithm, hash and the order itself, as plain values."""
+    schedule = draw_schedule(PAPER, "p01", 5)
+    record = schedule.as_dict()
+    assert record["order_hash"] == schedule.order_hash
+    assert record["seeds"]["study_seed"] == 5
+    assert set(record["seeds"]["purposes"]) == {
+        "order of finger conditions",
+        "practice",
+        "order within one_hand",
+        "order within two_hands",
+    }
+    first = schedule.trials[0].condition
+    assert record["order"][0] == [1, "one_hand", *first.pair, first.velocity_mm_s]
+    assert (record["n_trials"], record["n_practice_trials"]) == (24, 3)
+
+
+@pytest.mark.parametrize(
+    ("participant", "seed", "session", "fault"),
+    [
+        ("", 1, 1, "participant is empty"),
+        ("p01", -1, 1, "the seed is -1; it must be 0 or above"),
+        ("p01", 1, 0, "the session is 0; sessions count from 1"),
+    ],
+)
+def test_arguments_out_of_bounds_are_refused(participant: str, seed: int, session: int, fault: str) -> None:
+    """Each message says what was given."""
+    with pytest.raises(ValueError, match=fault):
+        draw_schedule(PAPER, participant, seed, session)
+
+
+def test_a_limit_that_no_order_keeps_is_refused_with_its_reason() -> None:
+    """Four trials of the one pair come four times running."""
+    protocol = changed("conditions", zone_pairs=(("A", "C"),))
+    with pytest.raises(ValueError, match=r"to 2 times running, since one pair has 4 of them; the least .* is 4"):
+        draw_schedule(protocol, "p01", 1)
+
+
+def test_generators_of_two_purposes_differ() -> None:
+    """A simulated observer's numbers are not those of the order."""
+    one, other = (random_generator(1, "p01", 1, purpose).random(4).tolist() for purpose in ("observer", "practice"))
+    assert one != other
