@@ -3,9 +3,9 @@
 from modaltouch.cli.app import app
 
 
-def main() -> None:
-    """Run the command line."""
-    app()
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command line, with the given arguments instead of the process's own."""
+    app(arguments)
 
 
 if __name__ == "__main__":

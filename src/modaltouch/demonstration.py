@@ -79,6 +79,6 @@ def demonstrate(
             window_options=options,
         )
         session = begin(setup)
-    tell(f"{len(session.trials)} answers recorded; now the analysis.")
+    tell(f"{session.n_answered} answers recorded; now the analysis.")
     analysis = analyse(session.path.parent, traces / "analysis", mode="simulated")
     return Outcome(session.path.parent, screenshots, Path(analysis.as_dict()["files"]["report"]))

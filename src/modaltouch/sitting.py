@@ -12,7 +12,7 @@ from modaltouch.preflight import Preflight
 from modaltouch.provenance import commit, versions
 from modaltouch.record.chain import RecordError
 from modaltouch.record.folders import SessionFolder
-from modaltouch.record.log import SCHEMA, Session, SessionLog, read_session
+from modaltouch.record.log import SCHEMA, Session, SessionLog, read_session, refuse_existing
 from modaltouch.record.view import write_dataset, write_view
 from modaltouch.rig.interface import Rig, RigError
 from modaltouch.schedule import Schedule
@@ -104,9 +104,8 @@ def begin(setup: Setup) -> Session:
     RigError, WindowError, SessionStopped, Interrupted
         Whatever ended it early; outputs are off and what was answered is kept.
     """
-    if setup.place.log.exists():
-        SessionLog.create(setup.place.log)  # raises, and says how to go on
-    return _sit(setup, lambda: SessionLog.create(setup.place.log), "start")
+    refuse_existing(setup.place.log)
+    return _sit(setup, lambda facts: SessionLog.create(setup.place.log, "start", **facts), "start")
 
 
 def resume(setup: Setup) -> Session:
@@ -126,10 +125,16 @@ def resume(setup: Setup) -> Session:
             f"{setup.schedule.order_hash[:12]}; resume it with the version that began it "
             f"({read_session(setup.place.log).start['versions']['modaltouch']})"
         )
-    return _sit(setup, lambda: SessionLog.reopen(setup.place.log), "resume")
+
+    def reopen(facts: dict[str, Any]) -> SessionLog:
+        log = SessionLog.reopen(setup.place.log)
+        log.append("resume", **facts)
+        return log
+
+    return _sit(setup, reopen, "resume")
 
 
-def _sit(setup: Setup, open_log: Callable[[], SessionLog], first: str) -> Session:
+def _sit(setup: Setup, open_log: Callable[[dict[str, Any]], SessionLog], first: str) -> Session:
     journal = Journal()
     with Interruption() as interruption, ExitStack() as stack:
         rig = stack.enter_context(setup.open_rig(journal.exchange))
@@ -140,9 +145,8 @@ def _sit(setup: Setup, open_log: Callable[[], SessionLog], first: str) -> Sessio
             rig.heartbeat()
 
         window = stack.enter_context(setup.open_window(tick, journal.event))
-        log = stack.enter_context(open_log())
+        log = stack.enter_context(open_log(_describe(setup, rig, window, first)))
         journal.open(log)
-        log.append(first, **_describe(setup, rig, window, first))
         ending = {"reason": "finished"}
         try:
             write_dataset(setup.place, setup.preflight.experiment.protocol.title)
@@ -167,16 +171,14 @@ def _sitting(
 ) -> Sitting:
     done = Session(log.path, tuple(log.events), ()).answered
     schedule = setup.schedule
-    remaining = [
-        trial for trial in (*schedule.practice, *schedule.trials) if (trial.practice, trial.index) not in done
-    ]
+    remaining = [trial for trial in (*schedule.practice, *schedule.trials) if (trial.practice, trial.index) not in done]
     total = len(schedule.trials)
 
     def save_view() -> None:
         journal.flush()
         session = Session(log.path, tuple(log.events), ())
         write_view(setup.place, session, log.head)
-        setup.on_progress(sum(not practice for practice, _ in session.answered), total)
+        setup.on_progress(session.n_answered, total)
 
     save_view()
     return Sitting(
@@ -242,5 +244,5 @@ def _conclude(setup: Setup, log: SessionLog, journal: Journal, ending: dict[str,
         return  # the log takes nothing more
     journal.flush()
     session = Session(log.path, tuple(log.events), ())
-    log.append("stop", **ending, complete=session.complete, n_answered=len(session.trials))
+    log.append("stop", **ending, complete=session.complete, n_answered=session.n_answered)
     write_view(setup.place, session, log.head)

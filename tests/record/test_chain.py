@@ -17,9 +17,7 @@ def chain_of(*events: dict) -> bytes:
     return data
 
 
-EVENTS = tuple(
-    {"n": n, "event": "trial", "answer": answer} for n, answer in enumerate(("left", "both", "right"), 1)
-)
+EVENTS = tuple({"n": n, "event": "trial", "answer": answer} for n, answer in enumerate(("left", "both", "right"), 1))
 
 
 def test_a_sound_log_gives_back_its_events_and_no_problem():

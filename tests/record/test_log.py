@@ -15,41 +15,42 @@ from modaltouch.record.log import SessionLog, read_session
 TRIAL = {"index": 1, "block": 1, "practice": False}
 
 
-def start_event(n_trials=2):
-    """Return the facts of a start record that `Session` reads."""
-    trials = [{"index": index} for index in range(1, n_trials + 1)]
-    return {
-        "mode": "simulated",
-        "participant": "p01",
-        "protocol": "x",
-        "schedule": {"trials": trials},
-    }
+def begin(path, n_trials=1):
+    """Return a new log whose start record `Session` understands."""
+    schedule = {"n_trials": n_trials}
+    return SessionLog.create(path, "start", mode="simulated", participant="p01", protocol="x", schedule=schedule)
 
 
 def test_an_event_is_in_the_file_when_append_returns(tmp_path):
     """Append writes through: another reader sees the line at once."""
-    with SessionLog.create(tmp_path / "a" / "session.jsonl") as log:
-        log.append("start", **start_event())
-        assert [event["event"] for event in read_chain(log.path).events] == ["start"]
+    with begin(tmp_path / "a" / "session.jsonl") as log:
+        log.append("note")
+        assert [event["event"] for event in read_chain(log.path).events] == ["start", "note"]
 
 
 def test_a_log_is_readable_by_its_owner_alone(tmp_path):
     """Participants' answers are personal data."""
-    with SessionLog.create(tmp_path / "session.jsonl") as log:
+    with begin(tmp_path / "session.jsonl") as log:
         assert stat.S_IMODE(log.path.stat().st_mode) == 0o600
 
 
 def test_an_existing_log_is_never_overwritten(tmp_path):
     """A second session with the same id is refused, and told how to go on."""
-    SessionLog.create(tmp_path / "session.jsonl").close()
+    begin(tmp_path / "session.jsonl").close()
     with pytest.raises(RecordError, match=r"exists already and is never overwritten.*resume"):
-        SessionLog.create(tmp_path / "session.jsonl")
+        begin(tmp_path / "session.jsonl")
+
+
+def test_a_log_appears_only_with_its_first_event(tmp_path):
+    """Whatever cuts the beginning short leaves no session that could neither be resumed nor begun anew."""
+    with pytest.raises(ValueError, match="Out of range"):
+        SessionLog.create(tmp_path / "session.jsonl", "start", seed=float("nan"))
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_two_writers_of_one_log_are_refused(tmp_path):
     """The second process is told that the first is writing."""
-    with SessionLog.create(tmp_path / "session.jsonl") as log:
-        log.append("start", **start_event())
+    with begin(tmp_path / "session.jsonl") as log:
         with pytest.raises(RecordError, match="another process is writing this session"):
             SessionLog.reopen(log.path)
 
@@ -57,8 +58,7 @@ def test_two_writers_of_one_log_are_refused(tmp_path):
 def test_a_reopened_log_continues_the_chain(tmp_path):
     """Lines written after a reopening are checked against those before."""
     path = tmp_path / "session.jsonl"
-    with SessionLog.create(path) as log:
-        log.append("start", **start_event())
+    begin(path).close()
     with SessionLog.reopen(path) as log:
         log.append("resume")
     chain = read_chain(path)
@@ -70,8 +70,7 @@ def test_a_reopened_log_continues_the_chain(tmp_path):
 def test_a_torn_log_is_continued_with_its_remains_kept(tmp_path, cut):
     """Nothing is mended silently: the remains stay, and the next line vouches for them."""
     path = tmp_path / "session.jsonl"
-    with SessionLog.create(path) as log:
-        log.append("start", **start_event())
+    with begin(path) as log:
         log.append("trial", trial=TRIAL)
     whole = path.read_bytes()
     path.write_bytes(whole[:-cut])
@@ -88,8 +87,7 @@ def test_a_torn_log_is_continued_with_its_remains_kept(tmp_path, cut):
 def test_a_damaged_log_is_not_continued(tmp_path):
     """A changed line is damage, not a cut."""
     path = tmp_path / "session.jsonl"
-    with SessionLog.create(path) as log:
-        log.append("start", **start_event())
+    with begin(path) as log:
         log.append("trial", trial=TRIAL)
     path.write_bytes(path.read_bytes().replace(b'"start"', b'"stort"'))
     with pytest.raises(RecordError, match="the chain breaks"):
@@ -98,8 +96,7 @@ def test_a_damaged_log_is_not_continued(tmp_path):
 
 def test_a_full_disk_is_said_and_the_log_takes_nothing_more(tmp_path, monkeypatch):
     """ENOSPC ends the writing with a clear message; earlier lines are sound."""
-    log = SessionLog.create(tmp_path / "session.jsonl")
-    log.append("start", **start_event())
+    log = begin(tmp_path / "session.jsonl")
     real_write = os.write
     monkeypatch.setattr(os, "write", lambda fd, data: real_write(fd, data[:10]))
     with pytest.raises(RecordError, match="the disk is full"):
@@ -112,8 +109,7 @@ def test_a_full_disk_is_said_and_the_log_takes_nothing_more(tmp_path, monkeypatc
 
 
 def _append_for_ever(path):
-    log = SessionLog.create(path)
-    log.append("start", **start_event())
+    log = begin(path)
     number = 0
     while True:
         number += 1
@@ -126,7 +122,9 @@ def test_a_log_killed_while_writing_is_sound(tmp_path, delay):
     path = tmp_path / "session.jsonl"
     writer = multiprocessing.get_context("fork").Process(target=_append_for_ever, args=(path,))
     writer.start()
+    deadline = time.monotonic() + 10
     while not path.exists() or path.stat().st_size < 200:
+        assert time.monotonic() < deadline, "the writer did not begin"
         time.sleep(0.001)
     time.sleep(delay)
     os.kill(writer.pid, signal.SIGKILL)
@@ -138,8 +136,7 @@ def test_a_log_killed_while_writing_is_sound(tmp_path, delay):
 
 def test_a_superseded_trial_does_not_count(tmp_path):
     """A replaced trial is a new record that supersedes; the old one stays in the file."""
-    with SessionLog.create(tmp_path / "session.jsonl") as log:
-        log.append("start", **start_event(1))
+    with begin(tmp_path / "session.jsonl") as log:
         old = log.append("trial", trial=TRIAL, response={"answer": "left"}, supersedes=None)
         log.append("trial", trial=TRIAL, response={"answer": "both"}, supersedes=old["n"])
     session = read_session(log.path)

@@ -49,6 +49,6 @@ def doctor(
             for finding in findings:
                 word, colour = MARKS[finding.state]
                 remedy = f": {finding.remedy}" if finding.remedy else ""
-                print(f"{typer.style(f'{word:8}', fg=colour)} {finding.subject:16} {finding.found}{remedy}")
+                typer.echo(f"{typer.style(f'{word:8}', fg=colour)} {finding.subject:16} {finding.found}{remedy}")
         if any(finding.state == "fault" for finding in findings):
             raise typer.Exit(RIG_FAILED)

@@ -228,6 +228,6 @@ def _ask_participant() -> str:
 def _finish(session: Session, *, json_output: bool) -> None:
     folder = session.path.parent
     if json_output:
-        print_json({"session": str(folder), "complete": session.complete, "n_answered": len(session.trials)})
+        print_json({"session": str(folder), "complete": session.complete, "n_answered": session.n_answered})
     else:
-        print(f"Done: {sum(not t['trial']['practice'] for t in session.trials)} answers in {folder}")
+        print(f"Done: {session.n_answered} answers in {folder}")

@@ -101,9 +101,7 @@ def read_chain(path: Path) -> Chain:
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise RecordError(
-            f"{path}: cannot be read ({error.strerror}); give the session.jsonl of a session"
-        ) from error
+        raise RecordError(f"{path}: cannot be read ({error.strerror}); give the session.jsonl of a session") from error
     return parse_chain(data, str(path))
 
 
@@ -128,13 +126,9 @@ def parse_chain(data: bytes, name: str) -> Chain:
         checks.append(check)
         previous = check
     if b"\n" in pending:
-        problems.append(
-            f"{name}:{pending_line}: the chain breaks: a line was changed, removed, doubled or moved"
-        )
+        problems.append(f"{name}:{pending_line}: the chain breaks: a line was changed, removed, doubled or moved")
     elif pending:
-        problems.append(
-            f"{name}:{pending_line}: the last line was cut while being written ({len(pending)} bytes)"
-        )
+        problems.append(f"{name}:{pending_line}: the last line was cut while being written ({len(pending)} bytes)")
     elif events and not data.endswith(b"\n"):
         problems.append(f"{name}:{len(events)}: the last line lacks its newline; its content is whole")
     return Chain(tuple(events), tuple(checks), tuple(problems), pending, data.endswith(b"\n") or not data)

@@ -116,13 +116,10 @@ def locate(log: Path, mode: str, protocol: str) -> SessionFolder:
     results = dataset.parent if mode == "real" else dataset.parent.parent
     named = re.fullmatch(r"ses-([1-9]\d*)", session), re.fullmatch(r"sub-(\w+)", participant)
     if mode not in ("real", "pilot", "simulated") or not all(named):
-        raise RecordError(
-            f"{log}: does not lie in a folder sub-<id>/ses-<n>/beh; put it back there"
-        )
+        raise RecordError(f"{log}: does not lie in a folder sub-<id>/ses-<n>/beh; put it back there")
     place = SessionFolder(results, mode, protocol, participant[4:], int(session[4:]))  # type: ignore[arg-type]
     if place.log != log.resolve():
         raise RecordError(
-            f"{log}: is a {mode} session of the protocol {protocol} and belongs in {place.folder}; "
-            "put it back there"
+            f"{log}: is a {mode} session of the protocol {protocol} and belongs in {place.folder}; put it back there"
         )
     return place

@@ -33,29 +33,45 @@ class SessionLog:
         self._failure = ""
 
     @classmethod
-    def create(cls, path: Path) -> Self:
-        """Create a log that does not exist yet, readable by its owner alone.
+    def create(cls, path: Path, event: str, **facts: Any) -> Self:
+        """Create a log that does not exist yet, with its first event, readable by its owner alone.
+
+        The file appears under its name only with the first event in it: whatever cuts this short, there is
+        either no session yet or one that can be resumed.
+
+        Parameters
+        ----------
+        path : Path
+            Where the log will be.
+        event : str
+            What happened first.
+        **facts
+            Plain values that say how.
 
         Raises
         ------
         RecordError
             If it exists or the folder cannot be written.
         """
+        draft = path.with_name(f".{path.name}.{os.getpid()}.tmp")
         try:
             path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-            descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o600)
-        except FileExistsError as error:
-            raise RecordError(
-                f"{path}: this session exists already and is never overwritten; "
-                f"continue it with `modaltouch resume {path.parent}` or give another session number"
-            ) from error
+            descriptor = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND, 0o600)
         except OSError as error:
             raise RecordError(
                 f"{path}: cannot be created ({error.strerror}); give a folder you may write to with --results"
             ) from error
         _take(path, descriptor)
+        log = cls(path, descriptor, None)
+        try:
+            log.append(event, **facts)
+            _publish(draft, path)
+        except BaseException:
+            log.close()
+            draft.unlink(missing_ok=True)
+            raise
         sync_folder(path.parent)
-        return cls(path, descriptor, None)
+        return log
 
     @classmethod
     def reopen(cls, path: Path) -> Self:
@@ -75,9 +91,7 @@ class SessionLog:
         damaged = [problem for problem in chain.problems if "chain breaks" in problem or "remains" in problem]
         if damaged or not chain.events:
             os.close(descriptor)
-            raise RecordError(
-                "\n".join(damaged) or f"{path}: holds no whole line: there is nothing to continue"
-            )
+            raise RecordError("\n".join(damaged) or f"{path}: holds no whole line: there is nothing to continue")
         return cls(path, descriptor, chain)
 
     def append(self, event: str, **facts: Any) -> dict[str, Any]:
@@ -185,9 +199,7 @@ class Session:
     def trials(self) -> tuple[dict[str, Any], ...]:
         """The trial events that count: answered, and not superseded by a later one."""
         superseded = {event["supersedes"] for event in self.events if event.get("supersedes")}
-        return tuple(
-            event for event in self.events if event.get("event") == "trial" and event["n"] not in superseded
-        )
+        return tuple(event for event in self.events if event.get("event") == "trial" and event["n"] not in superseded)
 
     @property
     def answered(self) -> frozenset[tuple[bool, int]]:
@@ -195,10 +207,14 @@ class Session:
         return frozenset((event["trial"]["practice"], event["trial"]["index"]) for event in self.trials)
 
     @property
+    def n_answered(self) -> int:
+        """Number of trials answered, practice not counted."""
+        return sum(not practice for practice, _ in self.answered)
+
+    @property
     def complete(self) -> bool:
-        """Whether every scheduled trial is answered (practice not counted)."""
-        done = {index for practice, index in self.answered if not practice}
-        return bool(self.start) and done >= set(range(1, self.start["schedule"]["n_trials"] + 1))
+        """Whether every scheduled trial is answered, practice not counted."""
+        return bool(self.start) and self.n_answered >= self.start["schedule"]["n_trials"]
 
 
 def read_session(path: Path) -> Session:
@@ -227,6 +243,34 @@ def sync_folder(folder: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def refuse_existing(path: Path) -> None:
+    """Raise if a session has been recorded here.
+
+    Raises
+    ------
+    RecordError
+        If the log exists, with the way to go on.
+    """
+    if path.exists():
+        raise RecordError(
+            f"{path}: this session exists already and is never overwritten; "
+            f"continue it with `modaltouch resume {path.parent}`, or give another --session number"
+        )
+
+
+def _publish(draft: Path, path: Path) -> None:
+    """Give a file its name, unless the name is taken."""
+    refuse_existing(path)
+    try:
+        os.link(draft, path)
+    except FileExistsError:
+        refuse_existing(path)
+    except OSError:  # a file system without hard links
+        draft.rename(path)
+    else:
+        draft.unlink()
 
 
 def _take(path: Path, descriptor: int) -> None:

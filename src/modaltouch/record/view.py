@@ -51,9 +51,7 @@ COLUMNS: dict[str, dict[str, Any]] = {
         "Description": "What the response time counts from",
         "Levels": {"first_burst": "the first burst", "question": "the question, the stimulus having ended"},
     },
-    "answered_by": {
-        "Description": "Who gave the answer to the program: participant, experimenter or simulated"
-    },
+    "answered_by": {"Description": "Who gave the answer to the program: participant, experimenter or simulated"},
     "confirmed": {
         "Description": "The instrument confirmed amplitude and state before the trial",
         "Levels": {"0": "no", "1": "yes"},
@@ -132,7 +130,8 @@ def replace_file(path: Path, text: str) -> None:
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        with temporary.open("w", encoding="utf-8", newline="\n") as file:
+        descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+        with open(descriptor, "w", encoding="utf-8", newline="\n") as file:  # noqa: PTH123
             file.write(text)
             file.flush()
             os.fsync(file.fileno())

@@ -1,0 +1,111 @@
+"""Sessions run in processes of their own, so that they can be killed like a lab's."""
+
+import multiprocessing
+import os
+import time
+from pathlib import Path
+
+import pytest
+
+from modaltouch.__main__ import main
+from modaltouch.record.chain import read_chain
+
+REPOSITORY = Path(__file__).parents[2]
+PROTOCOL = REPOSITORY / "protocols" / "differentiated_stimulation.yaml"
+
+
+@pytest.fixture(scope="session")
+def context():
+    """Processes forked from a server that has the imports behind it."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["modaltouch.wiring", "modaltouch.cli.running", "modaltouch.rig.generator"])
+    return context
+
+
+@pytest.fixture
+def start(context):
+    """Start ``modaltouch`` with some words in a process of its own."""
+    started = []
+
+    def begin(*words):
+        process = context.Process(target=main, args=([str(word) for word in words],))
+        process.start()
+        started.append(process)
+        return process
+
+    yield begin
+    for process in started:
+        process.kill()
+        process.join()
+
+
+@pytest.fixture
+def finish(start):
+    """Run ``modaltouch`` with some words to its end and give the exit status."""
+
+    def run(*words, timeout=60):
+        process = start(*words)
+        process.join(timeout)
+        assert process.exitcode is not None, f"{words} did not end within {timeout} s"
+        return process.exitcode
+
+    return run
+
+
+@pytest.fixture
+def wait_for_trials():
+    """Wait until a session log holds a number of answers."""
+    return _wait_for_trials
+
+
+@pytest.fixture
+def answers_of():
+    """Return (practice, index, condition, answer) of every answer in a log, in order."""
+    return _answers_of
+
+
+def _wait_for_trials(log, n_trials, timeout=30.0):
+    end = time.monotonic() + timeout
+    while time.monotonic() < end:
+        if log.exists() and log.read_bytes().count(b'"event":"trial"') >= n_trials:
+            return
+        time.sleep(0.001)
+    pytest.fail(f"{log} did not reach {n_trials} answers within {timeout} s")
+
+
+def _answers_of(log):
+    return [
+        (event["trial"]["practice"], event["trial"]["index"], event["trial"]["condition"], event["response"]["answer"])
+        for event in read_chain(log).events
+        if event["event"] == "trial"
+    ]
+
+
+@pytest.fixture
+def log_of():
+    """Where a simulated session of a participant is recorded."""
+
+    def place(results, participant, session=1):
+        folder = results / "simulated" / "differentiated_stimulation" / f"sub-{participant}" / f"ses-{session}"
+        return folder / "beh" / "session.jsonl"
+
+    return place
+
+
+@pytest.fixture
+def kill():
+    """Send a signal to a process and wait for its end."""
+
+    def send(process, number):
+        os.kill(process.pid, number)
+        process.join(30)
+        assert process.exitcode is not None, f"signal {number} did not end the session within 30 s"
+        return process.exitcode
+
+    return send
+
+
+@pytest.fixture(scope="session")
+def protocol_path():
+    """The paper's experiment."""
+    return PROTOCOL

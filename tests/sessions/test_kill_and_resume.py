@@ -1,0 +1,123 @@
+"""A session that is cut at any moment loses no answer and goes on in the same order (issue: item 6 and tests)."""
+
+import json
+import random
+import signal
+
+import pytest
+
+from modaltouch.record.chain import read_chain
+from modaltouch.record.log import read_session
+
+RUN = ("--answers", "simulated", "--yes")
+KILL_POINTS = [(n, seed) for seed, n in enumerate((0, 1, 3, 4, 8, 12, 15, 16, 21, 26))]
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory, context, protocol_path):
+    """The answers of a session that nobody interrupts."""
+    from modaltouch.__main__ import main
+
+    results = tmp_path_factory.mktemp("whole")
+    process = context.Process(
+        target=main, args=(["run", str(protocol_path), "-p", "p07", *RUN, "--results", str(results)],)
+    )
+    process.start()
+    process.join(60)
+    assert process.exitcode == 0
+    return next(results.rglob("session.jsonl"))
+
+
+@pytest.mark.parametrize(("n_trials", "seed"), KILL_POINTS)
+def test_a_killed_session_goes_on_where_it_stopped(
+    tmp_path, whole, start, finish, kill, protocol_path, log_of, wait_for_trials, answers_of, n_trials, seed
+):
+    """SIGKILL between or inside trials: no answer lost, the rest in the order of the uninterrupted session."""
+    log = log_of(tmp_path, "p07")
+    session = start("run", protocol_path, "-p", "p07", *RUN, "--results", tmp_path)
+    wait_for_trials(log, n_trials)
+    session.join(random.Random(seed).uniform(0, 0.04))
+    kill(session, signal.SIGKILL)
+    before = answers_of(log)
+    assert len(before) >= n_trials
+    assert finish("resume", log.parent) == 0
+    assert answers_of(log)[: len(before)] == before
+    assert answers_of(log) == answers_of(whole)
+    assert finish("verify", log.parent) == 0
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_ends_a_session_in_order(tmp_path, start, kill, protocol_path, log_of, wait_for_trials, number):
+    """Exit status 130, the reason in the record, and a BIDS table with every answer."""
+    log = log_of(tmp_path, "p07")
+    session = start("run", protocol_path, "-p", "p07", *RUN, "--results", tmp_path)
+    wait_for_trials(log, 5)
+    assert kill(session, number) == 130
+    recorded = read_session(log)
+    assert recorded.events[-1]["event"] == "stop"
+    assert recorded.events[-1]["reason"] == signal.Signals(number).name
+    assert recorded.problems == ()
+    table = next(log.parent.glob("*_beh.tsv")).read_text().splitlines()
+    assert len(table) == 1 + len(recorded.trials)
+
+
+def test_an_existing_session_is_refused_and_kept(tmp_path, finish, protocol_path, log_of):
+    """Exit status 4, and not a byte of the first session is touched."""
+    words = ("run", protocol_path, "-p", "p07", *RUN, "--results", tmp_path)
+    assert finish(*words) == 0
+    kept = log_of(tmp_path, "p07").read_bytes()
+    assert finish(*words) == 4
+    assert log_of(tmp_path, "p07").read_bytes() == kept
+
+
+def test_a_complete_session_is_not_resumed(tmp_path, finish, protocol_path, log_of):
+    """Exit status 4: there is nothing left to ask."""
+    assert finish("run", protocol_path, "-p", "p07", *RUN, "--results", tmp_path) == 0
+    assert finish("resume", log_of(tmp_path, "p07").parent) == 4
+
+
+def test_the_same_seed_gives_the_same_trials_and_another_participant_others(
+    tmp_path, finish, protocol_path, log_of, answers_of
+):
+    """The order is a pure function of protocol, participant and seed."""
+    for name in ("one", "two"):
+        assert finish("run", protocol_path, "-p", "p08", *RUN, "--results", tmp_path / name) == 0
+    assert finish("run", protocol_path, "-p", "p09", *RUN, "--results", tmp_path / "one") == 0
+    first, second = (answers_of(log_of(tmp_path / name, "p08")) for name in ("one", "two"))
+    assert first == second
+    assert [each[2] for each in first] != [each[2] for each in answers_of(log_of(tmp_path / "one", "p09"))]
+
+
+def test_a_resumed_session_needs_none_of_its_files(
+    tmp_path, start, finish, kill, protocol_path, log_of, wait_for_trials
+):
+    """The record holds protocol, apparatus and texts, so it is repeatable years later."""
+    import shutil
+
+    copy = tmp_path / "protocols"
+    shutil.copytree(protocol_path.parent, copy)
+    log = log_of(tmp_path, "p07")
+    session = start("run", copy / protocol_path.name, "-p", "p07", *RUN, "--results", tmp_path)
+    wait_for_trials(log, 4)
+    kill(session, signal.SIGKILL)
+    shutil.rmtree(copy)
+    assert finish("resume", log.parent) == 0
+    assert read_session(log).complete
+
+
+def test_the_bids_view_is_valid_after_a_kill(tmp_path, start, kill, protocol_path, log_of, wait_for_trials):
+    """Architecture: the view is valid at every moment; every row of the table is an answer of the log."""
+    log = log_of(tmp_path, "p07")
+    session = start("run", protocol_path, "-p", "p07", *RUN, "--results", tmp_path)
+    wait_for_trials(log, 9)
+    kill(session, signal.SIGKILL)
+    dataset = log.parents[3]
+    assert json.loads((dataset / "dataset_description.json").read_text())["BIDSVersion"] == "1.10.0"
+    assert (dataset / "participants.tsv").read_text() == "participant_id\nsub-p07\n"
+    table = next(log.parent.glob("*_beh.tsv"))
+    header, *rows = [line.split("\t") for line in table.read_text().splitlines()]
+    assert all(len(row) == len(header) for row in rows)
+    described = json.loads(table.with_suffix(".json").read_text())
+    assert set(header) <= set(described)
+    answered = [event for event in read_chain(log).events if event["event"] == "trial"]
+    assert len(answered) - 1 <= len(rows) <= len(answered)
