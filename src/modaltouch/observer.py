@@ -51,8 +51,8 @@ class Participant:
 
     noise: float = 0.22
     criterion: float = 0.33
-    suppression: float = 0.6
-    suppression_across_hands: float = 0.5
+    suppression: float = 0.65
+    suppression_across_hands: float = 0.6
     side_bias: float = 0.0
     lapse_rate: float = 0.005
     detection_speed: float = 0.001

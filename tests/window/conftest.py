@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
-import subprocess
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -19,39 +17,22 @@ from modaltouch.window.events import Event
 from modaltouch.window.marks import Picture
 from modaltouch.window.participant import ParticipantWindow
 from modaltouch.window.theme import DARK
+from modaltouch.window.virtual_display import virtual_display
 
 ROOT = Path(__file__).resolve().parents[2]
-
-
-def start_xvfb(*options: str) -> tuple[subprocess.Popen[bytes], str]:
-    """Start a virtual display and return it with its name, once it is ready."""
-    readable, writable = os.pipe()
-    command = ["Xvfb", "-displayfd", str(writable), "-screen", "0", "3840x2160x24", "-nolisten", "tcp", "-noreset"]
-    server = subprocess.Popen([*command, *options], pass_fds=(writable,), stderr=subprocess.DEVNULL)
-    os.close(writable)
-    with os.fdopen(readable) as pipe:
-        number = pipe.readline().strip()
-    if not number:
-        server.wait()
-        raise RuntimeError("Xvfb did not start; install it (Debian: xvfb libgl1 libgl1-mesa-dri)")
-    return server, f":{number}"
 
 
 @pytest.fixture(scope="session")
 def display() -> Iterator[str]:
     """Give a display of our own, so that no test types into somebody's desktop."""
-    if shutil.which("Xvfb") is None:
-        raise RuntimeError("the window tests need Xvfb (Debian: xvfb libgl1 libgl1-mesa-dri)")
-    server, name = start_xvfb()
-    before = os.environ.get("DISPLAY")
-    os.environ["DISPLAY"] = name
-    yield name
-    if before is None:
-        del os.environ["DISPLAY"]
-    else:
-        os.environ["DISPLAY"] = before
-    server.terminate()
-    server.wait()
+    with virtual_display((3840, 2160)) as name:
+        before = os.environ.get("DISPLAY")
+        os.environ["DISPLAY"] = name
+        yield name
+        if before is None:
+            del os.environ["DISPLAY"]
+        else:
+            os.environ["DISPLAY"] = before
 
 
 @pytest.fixture(scope="session")
@@ -73,12 +54,7 @@ def experiment() -> Experiment:
 @pytest.fixture
 def trial() -> Trial:
     """Give one trial with the right index finger on A and the right middle finger on C."""
-    return make_trial()
-
-
-def make_trial(pair: str = "AC", finger_condition: str = "one_hand", velocity: float = 100.0, **kwargs: Any) -> Trial:
-    """Return a trial on a pair of zones."""
-    return Trial(5, 1, Condition(finger_condition, pair[0], pair[1], velocity), **kwargs)
+    return Trial(5, 1, Condition("one_hand", "A", "C", 100.0))
 
 
 class PaperDisplay:

@@ -112,7 +112,7 @@ def lay_out(
         zones=zone_boxes,
         buttons=buttons,
         headline=Box(0, 0.405, 1.24 * unit, 0.14),
-        body=Box(0, 0.24, 1.18 * unit, 0.21),
+        body=Box(0, 0.24 - 0.06 * (1 - unit), 1.18 * unit, 0.21),
         page=Box(0, 0.06, 1.14 * unit, 0.6),
         go_on=Box(0, -0.432, min(1.2 * unit, 0.9 * type_scale), 0.08),
         label=Box(0, -0.428, 1.2 * unit, 0.036),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 from modaltouch.protocol import AnswersSection, Texts
@@ -9,11 +10,13 @@ from modaltouch.trial import FINGERS, Answer, Trial
 from modaltouch.window.hands import draw_beam, draw_hands
 from modaltouch.window.interface import Progress
 from modaltouch.window.layout import Layout
-from modaltouch.window.marks import Box, Mark, Picture, Words, framed, moved, rounded, triangle
+from modaltouch.window.marks import Box, Mark, Picture, Words, framed, moved, rectangle, rounded, triangle
 from modaltouch.window.reading import END_KEY, PAUSE_KEY
 from modaltouch.window.theme import Theme
 
 _ARROWS = ("left", "right", "up", "down")
+_BOLD_LETTER = 0.62
+"""Mean width of a bold letter of Noto Sans [em]."""
 
 
 @dataclass(frozen=True)
@@ -159,7 +162,7 @@ class Illustrator:
         layout, scale = self.layout, self.layout.type_scale
         return (
             self._headline(title, 0.054),
-            Words("\n\n".join(_paragraphs(text)), layout.body, 0.036 * scale, self.theme.text),
+            Words("\n\n".join(_paragraphs(text)), layout.body, 0.038 * scale, self.theme.text),
             *self._go_on(),
         )
 
@@ -182,7 +185,7 @@ class Illustrator:
         edge = {"left": theme.left, "right": theme.right}.get(answer, theme.button_edge)
         fill, ink = (theme.pressed, theme.pressed_text) if pressed else (theme.button, theme.text)
         word = str(getattr(self.texts, answer))
-        upper = Box(box.x, box.y + 0.18 * box.height, box.width * 0.66, 0.52 * box.height)
+        upper = Box(box.x, box.y + 0.18 * box.height, box.width * 0.68, 0.52 * box.height)
         at = 0.4 * box.width
         arrows = [
             triangle(way, box.x + sign * at, upper.y - 0.004 * unit, 0.018 * unit, ink if pressed else edge)
@@ -191,12 +194,17 @@ class Illustrator:
         ]
         return (
             *framed(box, 0.022 * unit, edge, fill, 0.006 * unit),
-            Words(word, upper, 0.062 * self.layout.type_scale, ink, bold=True),
+            Words(word, upper, self._answer_size(upper.width), ink, bold=True),
             *arrows,
-            *self._key_caps(answer, Box(box.x, box.y - 0.27 * box.height, box.width * 0.9, 0.25 * box.height), ink),
+            *self._key_caps(answer, Box(box.x, box.y - 0.27 * box.height, box.width * 0.9, 0.25 * box.height)),
         )
 
-    def _key_caps(self, answer: Answer, box: Box, ink: str) -> tuple[Mark, ...]:
+    def _answer_size(self, width: float) -> float:
+        """Return one size of type at which the longest answer fits its button [window heights]."""
+        longest = max(len(str(getattr(self.texts, answer))) for answer in self.layout.buttons)
+        return min(0.062 * self.layout.type_scale, width / (_BOLD_LETTER * longest))
+
+    def _key_caps(self, answer: Answer, box: Box) -> tuple[Mark, ...]:
         """Return the keys that give an answer: arrows where there are any, else the first two."""
         if self.answers.given_by == "experimenter":
             return ()
@@ -239,19 +247,15 @@ class Illustrator:
         low = self.layout.bar
         bar = Box(low.x, low.y + lift, low.width, low.height)
         share = min(max((progress.number - 1) / max(progress.total, 1), 0.0), 1.0)
-        track = rounded(bar, bar.height / 2, self.theme.beam)
-        if share == 0.0:
-            return (track,)
-        width = max(bar.width * share, bar.height)
-        return (
-            track,
-            rounded(Box(bar.left + width / 2, bar.y, width, bar.height), bar.height / 2, self.theme.dim),
-        )
+        done = Box(bar.left + bar.width * share / 2, bar.y, bar.width * share, bar.height)
+        return (rectangle(bar, self.theme.beam), *([rectangle(done, self.theme.dim)] if share > 0 else []))
 
 
 def _paragraphs(text: str) -> list[str]:
     """Return the paragraphs of a text, which blank lines part; other line breaks are spaces."""
-    return [" ".join(paragraph.split()) for paragraph in text.split("\n\n") if paragraph.strip()]
+    paragraphs = text.strip().split("\n\n")
+    # Not split(): a space that must not break, as French has before a question mark, stays one.
+    return [re.sub(r"[ \t\n]+", " ", paragraph) for paragraph in paragraphs]
 
 
 def _tag(trial: Trial) -> str:

@@ -158,6 +158,10 @@ class Screen:
         width, height = self._measure(self._stimuli(words)[0])
         return width <= words.box.width and height <= words.box.height
 
+    def shrinks(self, words: Words) -> float:
+        """Return the share of its wished size at which the text is drawn, 1 where it fits as it is."""
+        return float(self._stimuli(words)[0].height) / words.size
+
     def close(self) -> None:
         """Close the window; never raises."""
         try:

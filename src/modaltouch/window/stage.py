@@ -127,6 +127,7 @@ class Stage:
         self._unwritten: list[tuple[str, dict[str, Any]]] = []
         self._picture: Picture | None = None
         self._shown = 0.0
+        self._drawn = 0.0
         self._is_stale = False
         self._last_poll = time.perf_counter()
         self.poll_gap = 0.0
@@ -146,7 +147,7 @@ class Stage:
     def show(self, picture: Picture, moment: Moment | None = None) -> float:
         """Show a picture unless it is on already, and return since when it is on [s]."""
         if picture != self._picture:
-            self._shown = self._display.show(picture, self._screenshot(picture))
+            self._shown = self._drawn = self._display.show(picture, self._screenshot(picture))
             self._picture = picture
             self._is_stale = False
         if moment is not None:
@@ -192,8 +193,9 @@ class Stage:
 
     def _refresh(self) -> None:
         """Draw again what another window has covered."""
-        if self._is_stale and self._picture is not None and time.perf_counter() - self._shown > _REDRAW_INTERVAL:
-            self._display.show(self._picture)
+        due = time.perf_counter() - self._drawn > _REDRAW_INTERVAL
+        if self._is_stale and due and self._picture is not None:
+            self._drawn = self._display.show(self._picture)
             self._is_stale = False
 
     def _screenshot(self, picture: Picture) -> Path | None:

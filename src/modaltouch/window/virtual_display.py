@@ -50,13 +50,15 @@ def some_display(size: tuple[int, int] = (1920, 1080)) -> Iterator[str]:
 
 
 @contextmanager
-def virtual_display(size: tuple[int, int] = (1920, 1080)) -> Iterator[str]:
+def virtual_display(size: tuple[int, int] = (1920, 1080), *options: str) -> Iterator[str]:
     """Run Xvfb on a display number of its own choice and give its name, such as ``:1``.
 
     Parameters
     ----------
     size : (width, height) of int
         Size of the screen [pixels].
+    *options : str
+        Further options of Xvfb.
 
     Raises
     ------
@@ -78,6 +80,7 @@ def virtual_display(size: tuple[int, int] = (1920, 1080)) -> Iterator[str]:
         "-nolisten",
         "tcp",
         "-noreset",
+        *options,
     ]
     server = subprocess.Popen(command, pass_fds=(writing,), stderr=subprocess.DEVNULL)
     os.close(writing)

@@ -1,0 +1,158 @@
+"""The simulated participants, against the paper's results and the normal distribution."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from statistics import NormalDist
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from modaltouch.observer import Observer, Participant
+
+N = 4000
+
+
+def answers(participant: Participant, left: float, right: float, condition: str = "one_hand") -> Counter[str]:
+    """Return how often each answer comes in N trials."""
+    rng = np.random.default_rng(7)
+    return Counter(participant.answer(left, right, condition, rng)[0] for _ in range(N))
+
+
+def population(left: float, right: float, condition: str) -> dict[str, float]:
+    """Return the share of each answer over many participants of the default population."""
+    observer, counted = Observer(), Counter[str]()
+    for seed in range(500):
+        rng = np.random.default_rng(seed)
+        participant = observer.draw(rng)
+        counted.update(participant.answer(left, right, condition, rng)[0] for _ in range(4))
+    return {answer: counted[answer] / counted.total() for answer in ("left", "right", "both")}
+
+
+@pytest.mark.parametrize("condition", ["one_hand", "two_hands"])
+@pytest.mark.parametrize(("left", "right", "stronger"), [(0.123, 0.2, "right"), (0.2, 0.123, "left")])
+def test_nearly_everybody_names_the_focus(left: float, right: float, stronger: str, condition: str) -> None:
+    """Expected: 38 and 39 of 40 in the paper's test 1 (V-C), for the speeds of C against A or E at 200 mm/s."""
+    shares = population(left, right, condition)
+    assert 0.92 < shares[stronger] < 0.995
+    assert shares["both"] > 0.5 * (1 - shares[stronger])
+
+
+@pytest.mark.parametrize("condition", ["one_hand", "two_hands"])
+def test_most_feel_both_where_the_speeds_are_equal(condition: str) -> None:
+    """Expected: a majority of both in (B,D), with some who name a side (V-C)."""
+    shares = population(0.115, 0.115, condition)
+    assert 0.6 < shares["both"] < 0.95
+    assert min(shares["left"], shares["right"]) > 0.01
+
+
+@pytest.mark.parametrize(("left", "right"), [(0.1, 0.1), (0.1, 0.12), (0.15, 0.1)])
+def test_shares_follow_the_normal_distribution(left: float, right: float) -> None:
+    """Expected shares: the normal integral between the criteria, in closed form; tolerance 4 standard errors."""
+    person = Participant(lapse_rate=0.0, side_bias=0.05, detection_speed=0.0)
+    shift = 1.65 * math.log(right / left) + 0.05
+    normal = NormalDist(shift, person.noise)
+    expected = {
+        "left": normal.cdf(-person.criterion),
+        "both": normal.cdf(person.criterion) - normal.cdf(-person.criterion),
+        "right": 1 - normal.cdf(person.criterion),
+    }
+    counted = answers(person, left, right)
+    for answer, share in expected.items():
+        assert counted[answer] / N == pytest.approx(share, abs=4 * math.sqrt(share * (1 - share) / N) + 1e-3)
+
+
+def test_lapses_are_any_answer_at_their_rate() -> None:
+    """Expected shares: a third of the lapses for each answer, where the noiseless answer is right."""
+    counted = answers(Participant(noise=0.0, lapse_rate=0.3), 0.1, 1.0)
+    for answer in ("left", "both"):
+        assert counted[answer] / N == pytest.approx(0.1, abs=0.02)
+
+
+def test_suppression_makes_a_difference_clearer() -> None:
+    """Expected: fewer answers both with more suppression, at the same speeds."""
+    weak, strong = Participant(suppression=0.0, lapse_rate=0.0), Participant(suppression=1.0, lapse_rate=0.0)
+    assert answers(weak, 0.1, 0.12)["both"] > 1.2 * answers(strong, 0.1, 0.12)["both"]
+
+
+def test_nothing_to_feel_is_no_difference() -> None:
+    """Expected: two still fingers, and two below the detection speed, are compared as equal."""
+    person = Participant()
+    assert person.difference(0.0, 0.0, "one_hand") == 0.0
+    assert abs(person.difference(1e-6, 1e-5, "two_hands")) < 0.02
+
+
+def test_hard_decisions_take_longer() -> None:
+    """Expected: the median reaction time is longest at the criterion, and none is shorter than the quickest."""
+    person = Participant(lapse_rate=0.0)
+    rng = np.random.default_rng(3)
+    easy = [person.answer(0.1, 0.5, "one_hand", rng)[1] for _ in range(N)]
+    at_criterion = 0.1 * math.exp(person.criterion / (1 + person.suppression))
+    hard = [person.answer(0.1, at_criterion, "one_hand", rng)[1] for _ in range(N)]
+    assert np.median(hard) > 1.3 * np.median(easy)
+    assert min(*easy, *hard) > person.quickest
+
+
+@given(st.floats(0, 10), st.floats(0, 10), st.integers(0, 2**32))
+def test_the_same_chance_gives_the_same_answer(left: float, right: float, seed: int) -> None:
+    """Expected: an answer depends on speeds, condition and generator alone, and is finite."""
+    person = Observer().draw(np.random.default_rng(1))
+    first = person.answer(left, right, "one_hand", np.random.default_rng(seed))
+    assert first == person.answer(left, right, "one_hand", np.random.default_rng(seed))
+    assert first[0] in ("left", "right", "both")
+    assert math.isfinite(first[1])
+
+
+@given(st.floats(1e-3, 1), st.floats(1e-3, 1))
+def test_left_and_right_are_mirror_images(left: float, right: float) -> None:
+    """Expected: without a side bias, exchanging the fingers changes the sign of the difference."""
+    person = Participant()
+    assert person.difference(left, right, "one_hand") == pytest.approx(-person.difference(right, left, "one_hand"))
+
+
+def test_participants_differ() -> None:
+    """Expected spread: the side bias has the standard deviation the observer names."""
+    observer = Observer()
+    rng = np.random.default_rng(5)
+    biases = [observer.draw(rng).side_bias for _ in range(2000)]
+    assert np.std(biases) == pytest.approx(observer.side_bias_spread, rel=0.06)
+    assert np.mean(biases) == pytest.approx(0, abs=0.012)
+
+
+def test_an_observer_without_spread_is_its_typical_participant() -> None:
+    """Expected: every spread at zero gives the same participant."""
+    still = Observer(Participant(), 0, 0, 0, 0, 0)
+    drawn = still.draw(np.random.default_rng(1))
+    assert drawn.noise == Participant().noise
+    assert drawn.suppression == pytest.approx(Participant().suppression)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"noise": -0.1}, "noise: given -0.1"),
+        ({"lapse_rate": 1.5}, "lapse_rate: given 1.5; allowed: a finite number from 0 to 1"),
+        ({"criterion": math.nan}, "criterion: given nan"),
+        ({"side_bias": math.inf}, "side_bias: given inf"),
+    ],
+)
+def test_a_participant_without_meaning_is_refused(change: dict[str, float], message: str) -> None:
+    """Expected: the message names the quantity, what was given and what is allowed."""
+    with pytest.raises(ValueError, match=message):
+        Participant(**change)
+
+
+def test_a_negative_spread_is_refused() -> None:
+    """Expected: the message names the spread."""
+    with pytest.raises(ValueError, match="noise_spread: given -1"):
+        Observer(noise_spread=-1)
+
+
+@pytest.mark.parametrize("speed", [-0.1, math.nan, math.inf])
+def test_a_speed_without_meaning_is_refused(speed: float) -> None:
+    """Expected: the message names the finger and what was given."""
+    with pytest.raises(ValueError, match="m/s under the right finger"):
+        Participant().answer(0.1, speed, "one_hand", np.random.default_rng(1))

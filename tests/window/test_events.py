@@ -1,0 +1,128 @@
+"""The event tap on a pyglet window of paper: order, time, repeats."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from modaltouch.protocol import KEY_NAMES
+from modaltouch.window.events import EventTap, canonical_key
+
+pytestmark = pytest.mark.window
+
+
+class PaperWindow:
+    """Takes handlers and plays events to them, as pyglet does in dispatch_events."""
+
+    def __init__(self) -> None:
+        self.handlers: dict[str, Callable[..., bool]] = {}
+        self.script: list[tuple[str, tuple[Any, ...]]] = []
+
+    def push_handlers(self, **handlers: Callable[..., bool]) -> None:
+        self.handlers = handlers
+
+    def get_size(self) -> tuple[int, int]:
+        return (1000, 500)
+
+    def dispatch_events(self) -> None:
+        for name, arguments in self.script:
+            assert self.handlers[name](*arguments) is True
+        self.script = []
+
+
+@pytest.fixture
+def tap(display: str, monkeypatch: pytest.MonkeyPatch) -> tuple[EventTap, PaperWindow]:
+    """Give a tap on a paper window; pyglet's key names need a display to be imported."""
+    monkeypatch.setattr("modaltouch.window.events._report_releases_once", lambda window: True)
+    window = PaperWindow()
+    return EventTap(window), window
+
+
+def press(symbol: int) -> tuple[str, tuple[int, int]]:
+    """Return a key press for the paper window."""
+    return ("on_key_press", (symbol, 0))
+
+
+def release(symbol: int) -> tuple[str, tuple[int, int]]:
+    """Return a key release for the paper window."""
+    return ("on_key_release", (symbol, 0))
+
+
+A, B = ord("a"), ord("b")
+
+
+def test_events_come_in_order_with_rising_times(tap: tuple[EventTap, PaperWindow]) -> None:
+    """Expected: the order of dispatch, stamped by the clock that reaction times use."""
+    events, window = tap
+    window.script = [press(A), press(B), release(A), ("on_mouse_press", (750, 375, 1, 0)), ("on_close", ())]
+    before = time.perf_counter()
+    got = events.poll()
+    assert [(event.kind, event.key) for event in got] == [
+        ("key", "a"),
+        ("key", "b"),
+        ("release", "a"),
+        ("click", ""),
+        ("close", ""),
+    ]
+    times = [event.time for event in got]
+    assert before <= times[0]
+    assert times == sorted(times)
+    assert (got[3].x, got[3].y) == (0.5, 0.25)
+
+
+def test_a_held_key_is_one_press(tap: tuple[EventTap, PaperWindow]) -> None:
+    """Expected: presses without a release in between are repeats of the keyboard."""
+    events, window = tap
+    window.script = [press(A), press(A), press(A)]
+    assert [event.kind for event in events.poll()] == ["key"]
+    window.script = [press(A), release(A), ("on_key_press", (A, 0))]
+    time.sleep(0.002)
+    assert [event.kind for event in events.poll()] == []
+
+
+def test_a_release_and_press_in_no_time_is_a_repeat(tap: tuple[EventTap, PaperWindow]) -> None:
+    """Expected: X without detectable repeat reports a held key so; a hand needs more than a millisecond."""
+    events, window = tap
+    window.script = [press(A)]
+    events.poll()
+    window.script = [release(A), press(A)]
+    assert events.poll() == []
+    window.script = [release(A)]
+    assert [event.kind for event in events.poll()] == ["release"]
+    window.script = [press(A)]
+    assert [event.kind for event in events.poll()] == ["key"]
+
+
+def test_a_key_released_in_another_window_can_be_pressed_again(tap: tuple[EventTap, PaperWindow]) -> None:
+    """Expected: what happened while the focus was away is unknown, so nothing counts as held."""
+    events, window = tap
+    window.script = [press(A), ("on_deactivate", ()), ("on_activate", ()), press(A)]
+    assert [event.kind for event in events.poll()] == ["key", "blur", "focus", "key"]
+
+
+def test_only_the_main_button_clicks(tap: tuple[EventTap, PaperWindow]) -> None:
+    """Expected: the right button (4) and the middle one (2) are swallowed."""
+    events, window = tap
+    window.script = [("on_mouse_press", (1, 1, 4, 0)), ("on_mouse_press", (1, 1, 2, 0)), ("on_text", ("a",))]
+    assert events.poll() == []
+
+
+@pytest.mark.parametrize(
+    ("name", "canonical"),
+    [("LEFT", "left"), ("Return", "enter"), ("_1", "1"), ("NUM_LEFT", "num_4"), ("num_page_up", "num_9"), (" a ", "a")],
+)
+def test_a_key_has_one_name(name: str, canonical: str) -> None:
+    """Expected names: pyglet's, in small letters, one for each key whatever NumLock says."""
+    assert canonical_key(name) == canonical
+
+
+def test_every_key_a_protocol_may_name_exists(display: str) -> None:
+    """Expected: pyglet has a symbol for each, which comes back under the same canonical name."""
+    from pyglet.window import key
+
+    for name in KEY_NAMES:
+        symbol = getattr(key, name.upper() if not name.isdigit() else f"_{name}")
+        assert canonical_key(key.symbol_string(symbol)) == canonical_key(name)

@@ -1,0 +1,112 @@
+"""Facts of the layout: what fits, what hits, what overlaps; no window is opened."""
+
+from __future__ import annotations
+
+import itertools
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from modaltouch.window.layout import Layout, lay_out
+from modaltouch.window.marks import Box
+
+SIZES = [(800, 600), (1280, 800), (1920, 1080), (768, 1024), (3840, 2160)]
+ZONES = tuple("ABCDE")
+
+
+def boxes(layout: Layout) -> dict[str, Box]:
+    """Return everything of the question screen that must not overlap."""
+    return {
+        "headline": layout.headline,
+        "beam": layout.beam(),
+        **{f"button {answer}": box for answer, box in layout.buttons.items()},
+        "note": layout.note,
+        "label": layout.label,
+        "bar": layout.bar,
+    }
+
+
+def overlap(first: Box, second: Box) -> bool:
+    """Return whether two boxes share more than an edge."""
+    gap_x = abs(first.x - second.x) - (first.width + second.width) / 2
+    gap_y = abs(first.y - second.y) - (first.height + second.height) / 2
+    return gap_x < -1e-9 and gap_y < -1e-9
+
+
+@given(st.integers(320, 8000), st.integers(320, 8000), st.integers(2, 9))
+def test_everything_lies_inside_any_window(width_px: int, height_px: int, n_zones: int) -> None:
+    """Expected bounds: half the window's width and height in units of its height."""
+    layout = lay_out(width_px, height_px, tuple("ABCDEFGHI"[:n_zones]))
+    half_width = width_px / height_px / 2
+    everything = [*boxes(layout).values(), *layout.zones.values(), layout.body, layout.page, layout.go_on]
+    for box in everything:
+        assert -half_width <= box.left
+        assert box.right <= half_width
+        assert box.bottom >= -0.5
+        assert box.top <= 0.5
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_nothing_on_the_question_screen_overlaps(size: tuple[int, int]) -> None:
+    """Expected: each part of the question has its own place at every size of the design notes."""
+    for (name, first), (other, second) in itertools.combinations(boxes(lay_out(*size, ZONES)).items(), 2):
+        assert not overlap(first, second), (name, other)
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_the_way_on_lies_below_the_answers(size: tuple[int, int]) -> None:
+    """Expected: the screen that explains the answers shows buttons and the way on, apart."""
+    layout = lay_out(*size, ZONES)
+    assert layout.go_on.top < min(box.bottom for box in layout.buttons.values())
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_buttons_are_large(size: tuple[int, int]) -> None:
+    """Expected size: more than twice the 44 pixels that touch guidelines ask for, at every size."""
+    for box in lay_out(*size, ZONES).buttons.values():
+        assert min(box.width, box.height) * size[1] > 88
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_a_click_in_the_middle_of_a_button_gives_its_answer(size: tuple[int, int]) -> None:
+    """Expected: left, both and right stand in this order from the left."""
+    layout = lay_out(*size, ZONES)
+    middles = sorted((box.x, box.y, answer) for answer, box in layout.buttons.items())
+    assert [answer for _, _, answer in middles] == ["left", "both", "right"]
+    assert [layout.answer_at(x, y) for x, y, _ in middles] == ["left", "both", "right"]
+
+
+@given(st.floats(-1, 1), st.floats(-0.5, 0.5))
+def test_a_click_hits_a_button_exactly_where_it_is_drawn(x: float, y: float) -> None:
+    """Expected: the inequalities that define a rectangle, edges included."""
+    layout = lay_out(1280, 800, ZONES)
+    hit = [
+        answer
+        for answer, box in layout.buttons.items()
+        if box.x - box.width / 2 <= x <= box.x + box.width / 2 and box.y - box.height / 2 <= y <= box.y + box.height / 2
+    ]
+    assert layout.answer_at(x, y) == (hit[0] if hit else None)
+
+
+@pytest.mark.parametrize("n_zones", [2, 3, 5, 8])
+def test_zones_stand_in_order_and_touch_each_other(n_zones: int) -> None:
+    """Expected: zones of equal width from the left, centred on the screen, whatever their number."""
+    layout = lay_out(1280, 800, tuple("ABCDEFGH"[:n_zones]))
+    places = list(layout.zones.values())
+    assert layout.beam().x == pytest.approx(0)
+    for left, right in itertools.pairwise(places):
+        assert left.right == pytest.approx(right.left)
+
+
+@pytest.mark.parametrize(("width", "height"), [(0, 600), (800, 0), (-1, -1)])
+def test_a_window_without_area_is_refused(width: int, height: int) -> None:
+    """Expected: the message names what was given."""
+    with pytest.raises(ValueError, match=f"given a window of {width} x {height} pixels"):
+        lay_out(width, height, ZONES)
+
+
+def test_a_beam_without_zones_is_refused() -> None:
+    """Expected: the message names what is allowed."""
+    with pytest.raises(ValueError, match="at least one of each"):
+        lay_out(800, 600, ())

@@ -1,0 +1,367 @@
+"""The window's rules on a display of paper: every screen, every way on and out, in milliseconds."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from modaltouch.observer import Participant
+from modaltouch.trial import Condition, Response, Trial
+from modaltouch.window.events import Event
+from modaltouch.window.interface import Progress, SessionStopped, TrialInterrupted, WindowError
+from modaltouch.window.marks import Picture
+from modaltouch.window.robot import Robot
+from modaltouch.window.simulated import Answerer
+from modaltouch.window.stage import Nobody, Stage
+
+PROGRESS = Progress(5, 12)
+
+
+def send(room: Any, kind: str, key: str = "", x: float = 0.0, y: float = 0.0) -> Callable[[], None]:
+    """Return a step that lets one event happen now."""
+
+    def act() -> None:
+        room.display.events.append(Event(time.perf_counter(), kind, key, x, y))
+
+    return act
+
+
+def ask(room: Any, trial: Trial, onset: float | None = None) -> Response:
+    """Ask one trial whose stimulus begins now."""
+    return room.window.ask(trial, PROGRESS, onset=onset or time.perf_counter(), stop=room.stop)
+
+
+def test_the_question_comes_after_its_delay(paper_room: Callable[..., Any], trial: Trial) -> None:
+    """Expected delay: answers.question_delay_s, counted from the onset of the stimulus."""
+    room = paper_room(answers={"question_delay_s": 0.2})
+    room.script = [("question", 0.05, send(room, "key", "left"))]
+    onset = time.perf_counter()
+    response = ask(room, trial, onset)
+    assert room.names[:2] == ["feel_one_hand_AC", "question_one_hand_AC"]
+    assert response.question_after == pytest.approx(0.2, abs=0.03)
+    assert 0 < response.time_uncertainty < 0.05
+
+
+def test_a_stimulus_that_stops_first_is_stopped_before_the_question(
+    paper_room: Callable[..., Any], trial: Trial
+) -> None:
+    """Expected: stopped after presentation_s; the reaction time counts from the question on the screen."""
+    room = paper_room(answers={"stimulus_until": "question", "presentation_s": 0.3, "question_delay_s": 0.1})
+    room.script = [("question", 0.1, send(room, "key", "up"))]
+    onset = time.perf_counter()
+    response = ask(room, trial, onset)
+    asked = room.shown[1][1]
+    assert onset + 0.3 <= room.stopped[0] <= asked
+    assert room.stopped[0] < onset + 0.35
+    assert response.onset == "question"
+    assert 0.1 <= response.reaction_time < 0.15
+
+
+def test_a_question_may_come_later_than_the_stop(paper_room: Callable[..., Any], trial: Trial) -> None:
+    """Expected: the later of presentation_s and question_delay_s."""
+    room = paper_room(answers={"stimulus_until": "question", "presentation_s": 0.1, "question_delay_s": 0.3})
+    room.script = [("question", 0.02, send(room, "key", "up"))]
+    onset = time.perf_counter()
+    ask(room, trial, onset)
+    assert room.stopped[0] == pytest.approx(onset + 0.1, abs=0.03)
+    assert room.shown[1][1] == pytest.approx(onset + 0.3, abs=0.03)
+
+
+def test_the_second_of_two_answers_in_one_poll_is_the_double(paper_room: Callable[..., Any], trial: Trial) -> None:
+    """Expected: the first counts, also where both arrive in the same millisecond."""
+    room = paper_room()
+
+    def both() -> None:
+        send(room, "key", "right")()
+        send(room, "key", "up")()
+
+    room.script = [("question", 0.05, both)]
+    response = ask(room, trial)
+    assert (response.answer, response.double) == ("right", True)
+    assert room.events("double") == []
+    room.window.confirm(response)
+    assert room.events("double")[0]["second"] == "both"
+
+
+@pytest.mark.parametrize("key", ["left", "num_4"])
+def test_the_same_answer_twice_is_no_double(paper_room: Callable[..., Any], trial: Trial, key: str) -> None:
+    """Expected: a key that bounces, and a second key for the same answer, leave no doubt."""
+    room = paper_room()
+
+    def twice() -> None:
+        send(room, "key", "left")()
+        send(room, "key", key)()
+
+    room.script = [("question", 0.05, twice)]
+    assert not ask(room, trial).double
+
+
+def test_nothing_raises_between_the_answer_and_its_return(paper_room: Callable[..., Any], trial: Trial) -> None:
+    """Expected: an answer given is returned, though a signal comes and the window is closed at that moment."""
+    room = paper_room()
+
+    def answer_and_close() -> None:
+        send(room, "key", "left")()
+        send(room, "close")()
+        room.deadline = 0.0
+
+    room.script = [("question", 0.05, answer_and_close)]
+    assert ask(room, trial).answer == "left"
+    room.deadline = time.perf_counter() + 5
+    with pytest.raises(SessionStopped, match="window closed"):
+        room.window.wait(1.0)
+
+
+def test_the_tick_passes_through_what_it_raises(paper_room: Callable[..., Any], trial: Trial) -> None:
+    """Expected: a signal noted during the question ends it with the signal's own exception."""
+    room = paper_room()
+    room.script = [("question", 0.05, lambda: setattr(room, "deadline", 0.0))]
+    with pytest.raises(TimeoutError, match="the window waits"):
+        ask(room, trial)
+
+
+def test_other_keys_are_ignored_and_logged(paper_room: Callable[..., Any], trial: Trial) -> None:
+    """Expected: x is no answer key of the demonstration; the place of a click outside the buttons is kept."""
+    room = paper_room()
+    room.script = [
+        ("question", 0.05, send(room, "key", "x")),
+        ("question", 0.06, send(room, "click", x=0.1, y=0.3)),
+        ("question", 0.1, send(room, "key", "left")),
+    ]
+    ask(room, trial)
+    assert room.events("ignored") == [{"trial": 5, "key": "x"}, {"trial": 5, "click": [0.1, 0.3]}]
+
+
+@pytest.mark.parametrize(("kind", "reason"), [("key", "escape"), ("blur", "focus lost")])
+@pytest.mark.parametrize("screen", ["feel", "question"])
+def test_a_cut_trial_is_offered_again_with_time_for_the_fingers(
+    paper_room: Callable[..., Any], trial: Trial, kind: str, reason: str, screen: str
+) -> None:
+    """Expected: stop, pause, the go-on key, then the pause between trials (pause_s) before the stimulus returns."""
+    room = paper_room(answers={"pause_s": 0.2})
+    room.script = [
+        (screen, 0.05, send(room, kind, "escape" if kind == "key" else "")),
+        ("pause", 0.3, send(room, "key", "space")),
+    ]
+    with pytest.raises(TrialInterrupted, match=reason):
+        ask(room, trial)
+    now = time.perf_counter()
+    assert len(room.stopped) == 1
+    assert room.names[-2:] == ["pause", "ready_one_hand_AC"]
+    assert now - room.shown[-1][1] == pytest.approx(0.2, abs=0.05)
+
+
+def test_a_focus_lost_while_the_fingers_return_pauses_again(paper_room: Callable[..., Any], trial: Trial) -> None:
+    """Expected: no stimulus ever starts for a window that does not get the keys."""
+    room = paper_room(answers={"pause_s": 0.2})
+    room.script = [
+        ("question", 0.05, send(room, "key", "escape")),
+        ("pause", 0.3, send(room, "key", "space")),
+        ("ready", 0.05, send(room, "blur")),
+        ("pause", 0.3, send(room, "key", "space")),
+    ]
+    with pytest.raises(TrialInterrupted, match="escape"):
+        ask(room, trial)
+    assert [event for event, _ in room.log] == ["pause", "continued", "focus_lost", "continued"]
+
+
+def test_a_click_does_not_end_a_pause(paper_room: Callable[..., Any], trial: Trial) -> None:
+    """Expected: a click only brings the focus back; the person goes on by a key, when the fingers are in place."""
+    room = paper_room(answers={"pause_s": 0.0})
+    room.script = [
+        ("question", 0.05, send(room, "blur")),
+        ("pause", 0.3, send(room, "click")),
+        ("pause", 0.4, send(room, "key", "left")),
+        ("pause", 0.5, send(room, "key", "enter")),
+    ]
+    with pytest.raises(TrialInterrupted, match="focus lost"):
+        ask(room, trial)
+    assert time.perf_counter() - room.shown[2][1] >= 0.5
+
+
+@pytest.mark.parametrize("screen", ["feel", "question", "pause"])
+def test_the_close_button_ends_the_session_everywhere(
+    paper_room: Callable[..., Any], trial: Trial, screen: str
+) -> None:
+    """Expected: stopped exactly once by the window, then SessionStopped."""
+    room = paper_room()
+    if screen == "pause":
+        room.script = [("question", 0.05, send(room, "key", "escape"))]
+    room.script.append((screen, 0.05, send(room, "close")))
+    with pytest.raises(SessionStopped, match="window closed"):
+        ask(room, trial)
+    assert len(room.stopped) == 1
+    assert room.events("stopped") == [{"reason": "window closed"}]
+
+
+def test_instructions_lead_from_screen_to_screen(paper_room: Callable[..., Any], trial: Trial) -> None:
+    """Expected order: welcome, how to answer, announcement, placement, break; by key or click."""
+    room = paper_room()
+    room.script = [
+        ("welcome", 0.3, send(room, "key", "space")),
+        ("answers", 0.3, send(room, "click", x=0.3, y=0.2)),
+        ("practice", 0.3, send(room, "key", "enter")),
+        ("place_fingers", 0.3, send(room, "key", "num_enter")),
+        ("rest", 0.3, send(room, "key", "space")),
+    ]
+    room.window.welcome()
+    room.window.announce("practice")
+    room.window.place_fingers(trial)
+    room.window.rest(PROGRESS)
+    assert room.names == ["welcome", "answers", "practice", "place_fingers_one_hand_AC", "rest"]
+
+
+def test_a_press_meant_for_the_last_screen_does_not_skip_the_next(paper_room: Callable[..., Any]) -> None:
+    """Expected: a second press within a quarter of a second is discarded and logged."""
+    room = paper_room()
+    room.script = [
+        ("rest", 0.02, send(room, "key", "space")),
+        ("rest", 0.3, send(room, "key", "w")),
+        ("rest", 0.35, send(room, "key", "space")),
+    ]
+    room.window.rest(PROGRESS)
+    assert time.perf_counter() - room.shown[0][1] >= 0.35
+    assert [event for event, _ in room.log] == ["discarded", "ignored"]
+
+
+def test_escape_on_a_waiting_screen_asks_and_returns_to_it(paper_room: Callable[..., Any]) -> None:
+    """Expected: Space returns to the screen that was on; Q ends the session."""
+    room = paper_room()
+    room.script = [
+        ("rest", 0.3, send(room, "key", "escape")),
+        ("pause", 0.3, send(room, "key", "space")),
+        ("rest", 0.3, send(room, "key", "escape")),
+        ("pause", 0.3, send(room, "key", "q")),
+    ]
+    with pytest.raises(SessionStopped, match="escape"):
+        room.window.rest(PROGRESS)
+    assert room.names == ["rest", "pause", "rest", "pause"]
+
+
+def test_the_chosen_answer_is_marked_and_then_the_screen_rests(paper_room: Callable[..., Any], trial: Trial) -> None:
+    """Expected: the answer marked at once, the beam alone 0.4 s later, and presses meanwhile discarded."""
+    room = paper_room()
+    room.script = [
+        ("question", 0.05, send(room, "key", "left")),
+        ("answered_left", 0.1, send(room, "key", "right")),
+    ]
+    response = ask(room, trial)
+    room.window.confirm(response)
+    start = time.perf_counter()
+    room.window.wait(0.6)
+    assert time.perf_counter() - start == pytest.approx(0.6, abs=0.05)
+    assert room.names[-2:] == ["answered_left", "ready_one_hand_AC"]
+    assert room.shown[-1][1] - start == pytest.approx(0.4, abs=0.05)
+    assert room.events("discarded")[0]["when"] == "between trials"
+
+
+def test_goodbye_ends_by_itself_or_by_a_key(paper_room: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Expected: eight seconds unless somebody presses a key; shortened here."""
+    monkeypatch.setattr("modaltouch.window.participant._FAREWELL", 0.4)
+    room = paper_room()
+    room.window.goodbye()
+    assert time.perf_counter() - room.shown[0][1] == pytest.approx(0.4, abs=0.05)
+    room = paper_room()
+    room.script = [("goodbye", 0.3, send(room, "key", "x"))]
+    monkeypatch.setattr("modaltouch.window.participant._FAREWELL", 5)
+    room.window.goodbye()
+    assert time.perf_counter() - room.shown[0][1] < 1
+
+
+def test_an_experimenters_answer_is_recorded_as_such(paper_room: Callable[..., Any], trial: Trial) -> None:
+    """Expected: answered_by says who typed (issue, item 5)."""
+    room = paper_room(answers={"given_by": "experimenter"})
+    room.script = [("question", 0.05, send(room, "key", "right"))]
+    assert ask(room, trial).answered_by == "experimenter"
+
+
+def test_keys_are_those_of_the_protocol(paper_room: Callable[..., Any], trial: Trial) -> None:
+    """Expected: a foot switch that types F1 to F3 answers; the arrows then do not."""
+    room = paper_room(answers={"keys": {"left": ("f1",), "both": ("f2",), "right": ("F3",)}})
+    room.script = [("question", 0.05, send(room, "key", "left")), ("question", 0.1, send(room, "key", "f3"))]
+    assert ask(room, trial).answer == "right"
+
+
+def test_a_covered_window_is_drawn_again_at_most_four_times_a_second(paper_room: Callable[..., Any]) -> None:
+    """Expected: expose events a millisecond apart for 0.6 s give two further drawings."""
+    room = paper_room()
+    display, shown = room.display, []
+
+    def show(picture: Picture, screenshot: Path | None = None) -> float:
+        shown.append(time.perf_counter())
+        return shown[-1]
+
+    display.show = show
+    uncover = lambda: display.events.append(Event(time.perf_counter(), "expose"))  # noqa: E731
+    stage = Stage(display, tick=uncover, log=lambda event, **facts: None, screenshots=None, sitter=Nobody())
+    began = stage.show(Picture("any", ()))
+    while time.perf_counter() < began + 0.6:
+        assert stage.poll() == []
+    assert len(shown) == 3
+    assert stage.show(Picture("any", ())) == began
+
+
+def test_screenshots_are_kept_once_for_each_kind(paper_room: Callable[..., Any], trial: Trial, tmp_path: Path) -> None:
+    """Expected: one file for each picture shown, though it is shown twice."""
+    room = paper_room(screenshots=tmp_path / "new")
+    for _ in range(2):
+        room.script = [("question", 0.05, send(room, "key", "left"))]
+        room.window.confirm(ask(room, trial))
+    names = {path.name for path in (tmp_path / "new").iterdir()}
+    assert names == {"feel_one_hand_AC.png", "question_one_hand_AC.png", "answered_left.png"}
+
+
+def test_a_folder_that_cannot_be_made_is_a_window_error(paper_room: Callable[..., Any], tmp_path: Path) -> None:
+    """Expected: the message names the folder."""
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(WindowError, match="file/shots for screenshots cannot be made"):
+        paper_room(screenshots=tmp_path / "file" / "shots")
+
+
+def test_a_trials_pictures_are_ready_before_it_begins(paper_room: Callable[..., Any], trial: Trial) -> None:
+    """Expected: every picture of a trial but its progress is prepared at the placement."""
+    room = paper_room()
+    room.script = [("place_fingers", 0.3, send(room, "key", "space")), ("question", 0.05, send(room, "key", "up"))]
+    room.window.place_fingers(trial)
+    prepared = {mark for picture in room.display.prepared for mark in picture.marks}
+    question = room.window._pictures.question(trial, PROGRESS)
+    assert len([mark for mark in question.marks if mark not in prepared]) <= 2
+
+
+def test_a_robot_goes_through_a_whole_session(paper_room: Callable[..., Any], experiment: Any) -> None:
+    """Expected: the answers of its observer, typed as press and release, at the observer's reaction times."""
+    person = Participant(noise=0.0, lapse_rate=0.0, quickest=0.0, decision_time=0.1)
+    speeds = {"A": 0.1, "B": 0.15, "C": 0.2, "D": 0.15, "E": 0.1}
+    answerer = Answerer(
+        person,
+        lambda trial: (speeds[trial.condition.zone_left], speeds[trial.condition.zone_right]),
+        np.random.default_rng(1),
+    )
+    room = paper_room(robot=Robot(answerer, experiment.protocol.answers, patience=0.3), seconds=20)
+    room.window.welcome()
+    given = []
+    for index, pair in enumerate(["AC", "BD", "CE"], start=1):
+        trial = Trial(index, 1, Condition("one_hand", *pair, 100.0))
+        room.window.place_fingers(trial)
+        response = ask(room, trial)
+        room.window.confirm(response)
+        given.append(response.answer)
+    room.window.goodbye()
+    assert given == ["right", "both", "left"]
+    presses = [key for key, down in room.display.typed if down]
+    assert presses == ["space"] * 2 + ["space", "right", "space", "up", "space", "left"] + ["space"]
+    assert room.log == []
+    assert response.answered_by == "simulated"
+
+
+def test_closing_closes_the_display(paper_room: Callable[..., Any]) -> None:
+    """Expected: leaving the window's context closes it."""
+    room = paper_room()
+    with room.window as window:
+        assert window.describe()["language"] == "English"
+    assert not room.display.is_open

@@ -1,0 +1,194 @@
+"""What each screen says and where the fingers are, read from the pictures as data."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import numpy as np
+import pytest
+
+from modaltouch.protocol import Experiment
+from modaltouch.trial import FINGERS, Condition, Trial
+from modaltouch.window.hands import draw_hands
+from modaltouch.window.interface import Progress
+from modaltouch.window.layout import lay_out
+from modaltouch.window.marks import Mark, Picture, Shape, Words
+from modaltouch.window.pictures import Illustrator
+from modaltouch.window.theme import DARK, Theme
+
+PROGRESS = Progress(5, 12)
+CASES = list(itertools.product(["AC", "BD", "CE", "AB", "DE"], FINGERS))
+
+
+def make_trial(pair: str = "AC", finger_condition: str = "one_hand", velocity: float = 100.0, **kwargs: Any) -> Trial:
+    """Return a trial on a pair of zones."""
+    return Trial(5, 1, Condition(finger_condition, pair[0], pair[1], velocity), **kwargs)
+
+
+def illustrate(experiment: Experiment, hand: str = "right", **changes: Any) -> Illustrator:
+    """Return the pictures of the demonstration in a window of 1280 x 800 pixels."""
+    answers = experiment.protocol.answers.model_copy(update=changes)
+    layout = lay_out(1280, 800, tuple(experiment.apparatus.zones))
+    return Illustrator(layout, DARK, experiment.texts, answers, hand)
+
+
+def find_words(picture: Picture, text: str) -> Words:
+    """Return the one text of a picture that reads so."""
+    (found,) = [mark for mark in picture.marks if isinstance(mark, Words) and mark.text == text]
+    return found
+
+
+def tips(marks: tuple[Mark, ...], theme: Theme) -> dict[str, tuple[float, float]]:
+    """Return the highest point of the finger of each colour, its width below as centre."""
+    ends = {}
+    for side, colour in (("left", theme.left), ("right", theme.right)):
+        (finger,) = [mark for mark in marks if isinstance(mark, Shape) and mark.fill == colour]
+        highest = max(y for _, y in finger.corners)
+        top = [x for x, y in finger.corners if y > highest - 0.012]
+        ends[side] = ((min(top) + max(top)) / 2, highest)
+    return ends
+
+
+@pytest.mark.parametrize(("pair", "condition"), CASES)
+def test_each_finger_lies_on_its_zone(experiment: Experiment, pair: str, condition: tuple[str, str]) -> None:
+    """Expected: the tip of the left colour in the left zone and of the right colour in the right zone."""
+    finger_condition, hand = condition
+    pictures = illustrate(experiment, hand)
+    trial = make_trial(pair, finger_condition)
+    layout = pictures.layout
+    marks = draw_hands(layout, DARK, trial.condition.pair, FINGERS[condition], ("one", "other"))
+    for side, zone in zip(("left", "right"), pair, strict=True):
+        x, y = tips(marks, DARK)[side]
+        assert layout.zones[zone].contains(x, y)
+
+
+@pytest.mark.parametrize("condition", FINGERS)
+def test_the_finger_named_above_a_zone_is_the_one_recorded(experiment: Experiment, condition: tuple[str, str]) -> None:
+    """Expected names: trial.FINGERS, which the record uses, in the words of the English texts."""
+    finger_condition, hand = condition
+    pictures = illustrate(experiment, hand)
+    picture = pictures.question(make_trial("BD", finger_condition), PROGRESS)
+    for finger, zone, colour in zip(FINGERS[condition], "BD", (DARK.left, DARK.right), strict=True):
+        named = find_words(picture, f"{finger} finger")
+        assert named.box.x == pytest.approx(pictures.layout.zones[zone].x)
+        assert named.fill == colour
+
+
+@pytest.mark.parametrize(("finger_condition", "n_hands"), [("one_hand", 1), ("two_hands", 2)])
+def test_as_many_hands_are_drawn_as_touch_the_beam(experiment: Experiment, finger_condition: str, n_hands: int) -> None:
+    """Expected: one palm for one hand; thumb, palm and the fingers that rest are of one colour."""
+    marks = illustrate(experiment).feel(make_trial("AC", finger_condition), PROGRESS).marks
+    n_parts = sum(isinstance(mark, Shape) and mark.fill == DARK.hand for mark in marks)
+    # A palm, a thumb, and the fingers that do not touch: two of them, or three on each of two hands.
+    assert n_parts == {1: 1 + 1 + 2, 2: 2 * (1 + 1 + 3)}[n_hands]
+
+
+@pytest.mark.parametrize(("hand", "side"), [("right", -1), ("left", 1)])
+def test_the_thumb_is_on_the_inner_side(experiment: Experiment, hand: str, side: int) -> None:
+    """Expected: palm down, a right hand has its thumb on the left of the index finger, a left hand on the right."""
+    marks = illustrate(experiment, hand).feel(make_trial("BD"), PROGRESS).marks
+    parts = [mark for mark in marks if isinstance(mark, Shape) and mark.fill == DARK.hand]
+    thumb = max(parts, key=lambda part: side * sum(x for x, _ in part.corners) / len(part.corners))
+    fingers = [mark for mark in marks if isinstance(mark, Shape) and mark.fill in (DARK.left, DARK.right)]
+    lowest = [min(finger.corners, key=lambda corner: corner[1])[0] for finger in fingers]
+    middle = sum(x for x, _ in thumb.corners) / len(thumb.corners)
+    assert all(side * middle > side * x for x in lowest)
+
+
+@pytest.mark.parametrize("screen", ["feel", "question", "placement", "ready"])
+def test_a_picture_does_not_tell_the_level(experiment: Experiment, screen: str) -> None:
+    """Expected: the same picture for 80 and 200 mm/s on the same zones."""
+    pictures = illustrate(experiment)
+    quiet, loud = (make_trial("AC", velocity=velocity) for velocity in (80.0, 200.0))
+    draw = getattr(pictures, screen)
+    if screen == "placement":
+        assert draw(quiet) == draw(loud)
+    else:
+        assert draw(quiet, PROGRESS) == draw(loud, PROGRESS)
+
+
+def test_both_touched_zones_look_the_same(experiment: Experiment) -> None:
+    """Expected: moved onto each other, the marks of the two zones are equal."""
+    pictures = illustrate(experiment)
+    marks = pictures.feel(make_trial("AC"), PROGRESS).marks
+    frames = [mark for mark in marks if isinstance(mark, Shape) and mark.fill == DARK.zone]
+    first, second = sorted(frames, key=lambda frame: frame.corners[0][0])
+    shift = pictures.layout.zones["C"].x - pictures.layout.zones["A"].x
+    np.testing.assert_allclose(first.corners, np.array(second.corners) - (shift, 0), atol=1e-12)
+
+
+def test_the_question_shows_words_keys_and_progress(experiment: Experiment) -> None:
+    """Expected: the texts of english.yaml, and one triangle for each arrow key on a button."""
+    picture = illustrate(experiment).question(make_trial(), PROGRESS)
+    texts = experiment.texts
+    assert {texts.question, texts.left, texts.both, texts.right, "5 of 12"} <= set(picture.texts)
+    triangles = [mark for mark in picture.marks if isinstance(mark, Shape) and len(mark.corners) == 3]
+    # Beside the words: one, two and one; on the keys: left, up, down and right.
+    assert len(triangles) == 8
+
+
+def test_keys_without_an_arrow_are_named(experiment: Experiment) -> None:
+    """Expected: a foot switch that types 1, 2 and 3 shows these keys on the buttons."""
+    pictures = illustrate(experiment, keys={"left": ("1",), "both": ("2",), "right": ("3", "num_3", "c")})
+    assert {"1", "2", "3"} <= set(pictures.question(make_trial(), PROGRESS).texts)
+
+
+def test_an_experimenter_who_answers_is_announced(experiment: Experiment) -> None:
+    """Expected: the participant is told to speak, and sees no keys."""
+    pictures = illustrate(experiment, given_by="experimenter")
+    picture = pictures.question(make_trial(), PROGRESS)
+    assert experiment.texts.experimenter_answers in picture.texts
+    triangles = [mark for mark in picture.marks if isinstance(mark, Shape) and len(mark.corners) == 3]
+    assert len(triangles) == 4
+
+
+def test_practice_is_counted_on_its_own(experiment: Experiment) -> None:
+    """Expected: the practice form of progress."""
+    trial = make_trial(practice=True)
+    assert "Practice 1 of 3" in illustrate(experiment).feel(trial, Progress(1, 3)).texts
+
+
+@pytest.mark.parametrize(("number", "share"), [(1, 0.0), (7, 0.5), (12, 11 / 12)])
+def test_the_bar_shows_what_is_done(experiment: Experiment, number: int, share: float) -> None:
+    """Expected: the trial that is on is not yet done."""
+    pictures = illustrate(experiment)
+    marks = pictures.feel(make_trial(), Progress(number, 12)).marks
+    low = pictures.layout.bar.bottom
+    bars = [mark for mark in marks if isinstance(mark, Shape) and min(y for _, y in mark.corners) == pytest.approx(low)]
+    widths = [max(x for x, _ in bar.corners) - min(x for x, _ in bar.corners) for bar in bars]
+    assert widths == pytest.approx([pictures.layout.bar.width, *([share * pictures.layout.bar.width] if share else [])])
+
+
+def test_the_placement_names_fingers_and_zones(experiment: Experiment) -> None:
+    """Expected: the words of english.yaml, filled in for the paper's test 2."""
+    words = illustrate(experiment).placement(make_trial("CE", "two_hands")).texts[0]
+    assert words == "Rest your left index finger on zone C\nand your right index finger on zone E"
+
+
+def test_the_pause_says_how_to_go_on_and_how_to_end(experiment: Experiment) -> None:
+    """Expected: both keys by the participant's names for them, and the fingers' places."""
+    picture = illustrate(experiment).pause(make_trial())
+    words = " ".join(picture.texts)
+    assert "the space bar" in words
+    assert "Q" in words
+    assert any(isinstance(mark, Shape) and mark.fill == DARK.left for mark in picture.marks)
+
+
+def test_spaces_that_must_not_break_survive(experiment: Experiment) -> None:
+    """Expected: French puts a no-break space before a question mark, and it stays in a page of text."""
+    page = illustrate(experiment).page("rest", "Prêt\u00a0?\nOui.\n\nAllons\n  y")
+    assert page.texts == ("Prêt\u00a0? Oui.", "Allons y", "Press the space bar or click to go on")
+
+
+def test_a_finger_that_never_touches_is_refused(experiment: Experiment) -> None:
+    """Expected: the message names the finger and those that can touch."""
+    with pytest.raises(ValueError, match="given the finger 'left thumb'; allowed: left or right, then index"):
+        draw_hands(lay_out(800, 600, ("A", "B")), DARK, ("A", "B"), ("left thumb", "right index"), ("x", "y"))
+
+
+def test_an_unknown_pair_of_fingers_has_no_picture(experiment: Experiment, trial: Trial) -> None:
+    """Expected: three zones draw as well as five, and the middle pair has the name of its zones."""
+    layout = lay_out(1280, 800, ("X", "Y", "Z"))
+    pictures = Illustrator(layout, DARK, experiment.texts, experiment.protocol.answers, "right")
+    assert pictures.feel(make_trial("XZ"), PROGRESS).name == "feel_one_hand_XZ"

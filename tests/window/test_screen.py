@@ -1,0 +1,190 @@
+"""The PsychoPy window itself: start-up in every kind of trouble, and texts that fit at every size."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from modaltouch.protocol import Experiment, Texts
+from modaltouch.trial import Condition, Trial
+from modaltouch.window.interface import Progress, WindowError
+from modaltouch.window.layout import lay_out
+from modaltouch.window.marks import Box, Picture, Words, rectangle, triangle
+from modaltouch.window.pictures import Illustrator
+from modaltouch.window.theme import DARK, THEMES
+from modaltouch.window.virtual_display import virtual_display
+
+pytestmark = pytest.mark.window
+ROOT = Path(__file__).resolve().parents[2]
+OPEN = """
+from pathlib import Path
+from modaltouch.window.interface import WindowError
+from modaltouch.window.screen import Screen
+from modaltouch.window.marks import Picture, Words, Box
+try:
+    screen = Screen(size=(400, 300))
+    screen.show(Picture("any", (Words("Bonjour", Box(0, 0, 1, 1), 0.1, "#FFFFFF"),)))
+    screen.close()
+except WindowError as error:
+    raise SystemExit(f"WindowError: {error}")
+"""
+
+
+def open_in_a_process(**environment: str) -> subprocess.CompletedProcess[str]:
+    """Open a window in a fresh interpreter and return what it printed and how it ended."""
+    plain = {name: value for name, value in os.environ.items() if name != "DISPLAY"}
+    return subprocess.run(
+        [sys.executable, "-c", OPEN], env=plain | environment, capture_output=True, text=True, timeout=120, check=False
+    )
+
+
+def test_without_a_display_the_error_says_what_to_do() -> None:
+    """Expected: PsychoPy's own message is 'Cannot connect to "None"'."""
+    done = open_in_a_process()
+    assert done.returncode == 1
+    assert "WindowError: the answer window needs a display, but DISPLAY is not set" in done.stderr
+    assert "--answers simulated" in done.stderr
+
+
+def test_a_display_that_is_not_there_is_named() -> None:
+    """Expected: the display's name, and what to check."""
+    done = open_in_a_process(DISPLAY=":987")
+    assert done.returncode == 1
+    assert "WindowError: the answer window cannot reach the display ':987'" in done.stderr
+
+
+def test_a_display_without_opengl_is_named() -> None:
+    """Expected: a virtual display started without GLX, and what it lacks."""
+    with virtual_display((640, 480), "-extension", "GLX") as name:
+        done = open_in_a_process(DISPLAY=name)
+    assert done.returncode == 1
+    assert f"WindowError: the display '{name}' cannot draw with OpenGL" in done.stderr
+
+
+def test_a_home_that_cannot_be_written_does_not_matter_and_nothing_is_printed(display: str) -> None:
+    """Expected: PsychoPy alone raises PermissionError there, and prints a warning about monitors elsewhere."""
+    done = open_in_a_process(DISPLAY=display, HOME="/dev/null")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+def make_experiment_texts(language: str) -> Texts:
+    """Return the shipped texts of a language."""
+    from ruamel.yaml import YAML
+
+    with (ROOT / "protocols" / "texts" / f"{language}.yaml").open(encoding="utf-8") as file:
+        return Texts(**YAML(typ="safe", pure=True).load(file))
+
+
+def every_picture(pictures: Illustrator) -> list[Picture]:
+    """Return one picture of each kind."""
+    one, two = (Trial(5, 1, Condition(fingers, "B", "D", 100.0)) for fingers in ("one_hand", "two_hands"))
+    progress, texts = Progress(5, 24), pictures.texts
+    return [
+        pictures.welcome(one),
+        pictures.answering(one),
+        pictures.placement(one),
+        pictures.placement(two),
+        pictures.feel(one, progress),
+        pictures.question(two, progress),
+        pictures.page("rest", texts.rest, progress),
+        pictures.page("practice", texts.practice),
+        pictures.page("start", texts.start),
+        pictures.pause(one),
+        pictures.page("goodbye", texts.goodbye, waits=False),
+    ]
+
+
+@pytest.mark.parametrize("language", sorted(path.stem for path in (ROOT / "protocols" / "texts").glob("*.yaml")))
+@pytest.mark.parametrize("size", [(800, 600), (768, 1024), (1920, 1080)])
+def test_every_text_fits_its_place(screen: Any, experiment: Experiment, language: str, size: tuple[int, int]) -> None:
+    """Expected: no text of a shipped language leaves its box, nor shrinks below 60 % of its size."""
+    layout = lay_out(*size, tuple(experiment.apparatus.zones))
+    texts = make_experiment_texts(language)
+    pictures = Illustrator(layout, DARK, texts, experiment.protocol.answers, "right")
+    for picture in every_picture(pictures):
+        for mark in picture.marks:
+            if isinstance(mark, Words):
+                assert screen.fits(mark), (picture.name, mark.text)
+                assert screen.shrinks(mark) >= 0.6, (picture.name, mark.text)
+
+
+def test_a_text_too_long_is_made_smaller(screen: Any) -> None:
+    """Expected: shrunk until it fits, or found not to fit."""
+    assert screen.fits(Words("A text that is far too long for its box", Box(0, 0, 0.4, 0.2), 0.08, "#FFFFFF"))
+    assert not screen.fits(Words("A text that is far too long for its box", Box(0, 0, 0.05, 0.03), 0.08, "#FFFFFF"))
+
+
+def test_what_is_drawn_is_where_and_what_the_picture_says(screen: Any, tmp_path: Path) -> None:
+    """Expected colours: those of the marks, at the pixels of 1280 x 800 that the geometry gives."""
+    from PIL import Image
+
+    marks = (
+        rectangle(Box(-0.5, 0.25, 0.2, 0.1), "#56B4E9"),
+        triangle("up", 0.4, -0.2, 0.1, "#E69F00"),
+    )
+    screen.show(Picture("marks", marks), tmp_path / "marks.png")
+    with Image.open(tmp_path / "marks.png") as image:
+        assert image.getpixel((640 - 400, 400 - 200)) == (0x56, 0xB4, 0xE9)
+        assert image.getpixel((640 - 400 - 79, 400 - 200)) == (0x56, 0xB4, 0xE9)
+        assert image.getpixel((640 - 400 - 82, 400 - 200)) == (0x12, 0x17, 0x1C)
+        assert image.getpixel((640 + 320, 400 + 160 - 70)) == (0xE6, 0x9F, 0x00)
+        assert image.getpixel((640 + 320 - 25, 400 + 160 - 70)) == (0x12, 0x17, 0x1C)
+
+
+def test_a_screenshot_that_cannot_be_written_is_a_window_error(screen: Any, tmp_path: Path) -> None:
+    """Expected: the message names the file."""
+    with pytest.raises(WindowError, match="absent/x.png cannot be written"):
+        screen.show(Picture("none", ()), tmp_path / "absent" / "x.png")
+
+
+def test_a_key_without_a_name_cannot_be_typed(screen: Any) -> None:
+    """Expected: the message says which names there are."""
+    with pytest.raises(ValueError, match="given the key 'pedal'; allowed: a key name of pyglet"):
+        screen.type_key("pedal", down=True)
+
+
+def test_the_start_record_says_what_drew(screen: Any) -> None:
+    """Expected: backend, versions, renderer and size."""
+    about = screen.describe()
+    assert about["backend"] == "psychopy"
+    assert about["size_px"] == [1280, 800]
+    assert about["detectable_key_repeat"] is True
+    assert about["renderer"]
+
+
+@pytest.mark.parametrize("theme", THEMES)
+def test_a_session_opens_in_either_theme(display: str, experiment: Experiment, theme: str, tmp_path: Path) -> None:
+    """Expected: the theme's ground in the corner of the first screen, in a window of the asked size."""
+    from PIL import Image
+
+    from modaltouch.window import open_window
+
+    class LeaveError(Exception):
+        """Ends the first screen."""
+
+    def tick() -> None:
+        if (tmp_path / "welcome.png").exists():
+            raise LeaveError
+
+    window = open_window(
+        "window",
+        experiment.protocol,
+        experiment.texts,
+        zones=tuple(experiment.apparatus.zones),
+        tick=tick,
+        log=lambda event, **facts: None,
+        size=(800, 600),
+        theme=theme,
+        screenshots=tmp_path,
+    )
+    with window, pytest.raises(LeaveError):
+        window.welcome()
+    with Image.open(tmp_path / "welcome.png") as image:
+        assert image.size == (800, 600)
+        ground = THEMES[theme].ground
+        assert image.getpixel((3, 3)) == tuple(int(ground[place : place + 2], 16) for place in (1, 3, 5))

@@ -1,0 +1,124 @@
+"""The participant without a window."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+from modaltouch.observer import Observer, Participant
+from modaltouch.trial import Condition, Trial
+from modaltouch.window import open_window
+from modaltouch.window.interface import Progress
+from modaltouch.window.simulated import Answerer, SimulatedParticipant
+
+PROGRESS = Progress(1, 1)
+
+
+def make_answerer(seed: int = 1) -> Answerer:
+    """Return a participant who feels nearly equal speeds, so that chance decides."""
+    participant = Observer().draw(np.random.default_rng(0))
+    return Answerer(participant, lambda trial: (0.1, 0.1 * 1.2), np.random.default_rng(seed))
+
+
+def make_trial(index: int, *, practice: bool = False) -> Trial:
+    """Return a trial by its number."""
+    return Trial(index, 1, Condition("one_hand", "A", "C", 100.0), practice=practice)
+
+
+def test_a_resumed_session_gets_the_same_answers() -> None:
+    """Expected: the answers to trials 11 to 20 alone equal those after trials 1 to 10."""
+    whole = make_answerer()
+    at_once = [whole.answer(make_trial(index)) for index in range(1, 21)]
+    resumed = make_answerer()
+    assert [resumed.answer(make_trial(index)) for index in range(11, 21)] == at_once[10:]
+
+
+def test_a_repeated_trial_gets_the_same_answer() -> None:
+    """Expected: asking twice advances no shared stream."""
+    answerer = make_answerer()
+    assert answerer.answer(make_trial(3)) == answerer.answer(make_trial(3))
+
+
+def test_trials_seeds_and_practice_have_streams_of_their_own() -> None:
+    """Expected: reaction times, which are continuous, differ between all of them."""
+    times = {make_answerer(seed).answer(make_trial(index))[1] for seed in (1, 2) for index in range(1, 6)}
+    times |= {make_answerer().answer(make_trial(index, practice=True))[1] for index in range(1, 6)}
+    assert len(times) == 15
+
+
+def test_answers_come_at_once_with_their_reaction_time() -> None:
+    """Expected: a session of a second's answers passes in no time, and stops its stimulus."""
+    stopped: list[float] = []
+    ticks: list[None] = []
+    with SimulatedParticipant(make_answerer(), tick=lambda: ticks.append(None)) as window:
+        start = time.perf_counter()
+        response = window.ask(make_trial(1), PROGRESS, onset=start, stop=lambda: stopped.append(0.0))
+        window.confirm(response)
+        window.wait(10.0)
+        assert time.perf_counter() - start < 0.5
+    assert response.reaction_time > 0.3
+    assert (response.answered_by, response.device, response.onset) == ("simulated", "model", "first_burst")
+    assert len(stopped) == 1
+    assert len(ticks) >= 2
+
+
+def test_time_passes_where_it_is_told_to() -> None:
+    """Expected: the reaction time really passes, with ticks about every millisecond."""
+    quick = Participant(quickest=0.1, decision_time=0.0)
+    ticks: list[float] = []
+    answerer = Answerer(quick, lambda trial: (0.1, 0.2), np.random.default_rng(1))
+    window = SimulatedParticipant(answerer, tick=lambda: ticks.append(time.perf_counter()), waits=True)
+    start = time.perf_counter()
+    response = window.ask(make_trial(1), PROGRESS, onset=start, stop=lambda: None)
+    assert time.perf_counter() - start >= response.reaction_time
+    assert len(ticks) > 20
+
+
+def test_what_the_tick_raises_passes_through() -> None:
+    """Expected: a signal ends a simulated session as it ends a real one."""
+
+    def tick() -> None:
+        raise KeyboardInterrupt
+
+    window = SimulatedParticipant(make_answerer(), tick=tick)
+    with pytest.raises(KeyboardInterrupt):
+        window.ask(make_trial(1), PROGRESS, onset=0.0, stop=lambda: None)
+
+
+def test_a_generator_without_a_seed_sequence_is_refused() -> None:
+    """Expected: the message says which generators have one."""
+
+    class Dice(np.random.bit_generator.ISeedSequence):
+        """Another source of seeds."""
+
+        def generate_state(self, n_words: int, dtype: type = np.uint32) -> np.ndarray:
+            return np.zeros(n_words, dtype)
+
+    bare = np.random.Generator(np.random.PCG64(Dice()))
+    answerer = Answerer(Participant(), lambda trial: (0.1, 0.1), bare)
+    with pytest.raises(ValueError, match="allowed: one with a SeedSequence"):
+        answerer.answer(make_trial(1))
+
+
+def test_an_observer_is_needed_to_simulate(experiment: object) -> None:
+    """Expected: the message names the missing argument."""
+    protocol, texts = experiment.protocol, experiment.texts  # type: ignore[attr-defined]
+    with pytest.raises(ValueError, match="given answers by 'robot' and no observer; give `answerer`"):
+        open_window("robot", protocol, texts, zones=("A", "B"), tick=lambda: None, log=lambda event, **facts: None)
+
+
+def test_an_unknown_theme_is_refused(experiment: object) -> None:
+    """Expected: the message names the themes there are."""
+    protocol, texts = experiment.protocol, experiment.texts  # type: ignore[attr-defined]
+    with pytest.raises(ValueError, match="given the theme 'pink'; allowed: dark, light"):
+        open_window(
+            "window",
+            protocol,
+            texts,
+            zones=("A", "B"),
+            tick=lambda: None,
+            log=lambda event, **facts: None,
+            theme="pink",
+        )
