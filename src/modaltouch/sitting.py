@@ -111,6 +111,8 @@ def begin(setup: Setup) -> Session:
 def resume(setup: Setup) -> Session:
     """Continue an interrupted session with the trials that are left, in the order they had.
 
+    A session that lacks no answer is only given the BIDS view that the interruption may have kept from it.
+
     Raises
     ------
     RecordError
@@ -118,12 +120,17 @@ def resume(setup: Setup) -> Session:
     RigError, WindowError, SessionStopped, Interrupted
         Whatever ended it early again.
     """
-    recorded = read_session(setup.place.log).start["schedule"]
+    session = read_session(setup.place.log)
+    if session.complete:
+        with SessionLog.reopen(setup.place.log) as log:
+            write_view(setup.place, session, log.head)
+        return session
+    recorded = session.start["schedule"]
     if recorded["order_hash"] != setup.schedule.order_hash:
         raise RecordError(
             f"{setup.place.log}: its order has the hash {recorded['order_hash'][:12]}, this program draws "
             f"{setup.schedule.order_hash[:12]}; resume it with the version that began it "
-            f"({read_session(setup.place.log).start['versions']['modaltouch']})"
+            f"({session.start['versions']['modaltouch']})"
         )
 
     def reopen(facts: dict[str, Any]) -> SessionLog:

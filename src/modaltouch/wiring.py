@@ -140,7 +140,7 @@ def wire_resume(
     Raises
     ------
     RecordError
-        If there is no such session, it is complete or damaged, or a real one would go on simulated.
+        If there is no such session, it is damaged, or a real one would go on simulated.
     """
     log = find_log(path)
     session = read_session(log)
@@ -148,8 +148,6 @@ def wire_resume(
     if not start:
         damage = "".join(f"\n{problem}" for problem in session.problems)
         raise RecordError(f"{log}: has no start record, so there is nothing to continue{damage}")
-    if session.complete:
-        raise RecordError(f"{log}: is complete; analyse it, or run the participant's next session")
     place = locate(log, session.mode, session.protocol)
     rig, answers = rig or start["rig_choice"], answers or start["answers_choice"]
     if _mode(rig, answers, pilot=session.mode == "pilot") != session.mode:

@@ -70,10 +70,12 @@ def test_an_existing_session_is_refused_and_kept(tmp_path, finish, protocol_path
     assert log_of(tmp_path, "p07").read_bytes() == kept
 
 
-def test_a_complete_session_is_not_resumed(tmp_path, finish, protocol_path, log_of):
-    """Exit status 4: there is nothing left to ask."""
+def test_a_complete_session_is_left_as_it_is(tmp_path, finish, protocol_path, log_of):
+    """There is nothing left to ask: resume says so, succeeds, and touches no byte of the log."""
     assert finish("run", protocol_path, "-p", "p07", *RUN, "--results", tmp_path) == 0
-    assert finish("resume", log_of(tmp_path, "p07").parent) == 4
+    kept = log_of(tmp_path, "p07").read_bytes()
+    assert finish("resume", log_of(tmp_path, "p07").parent) == 0
+    assert log_of(tmp_path, "p07").read_bytes() == kept
 
 
 def test_the_same_seed_gives_the_same_trials_and_another_participant_others(
