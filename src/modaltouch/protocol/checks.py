@@ -70,6 +70,7 @@ def _check_stimulus(reading: Reading[Protocol]) -> Iterator[Problem]:
 def _check_doubles(reading: Reading[Protocol]) -> Iterator[Problem]:
     yield from _doubled(reading, ("conditions", "finger_conditions"), "finger condition")
     yield from _doubled(reading, ("conditions", "peak_velocities_mm_s"), "peak velocity")
+    yield from _doubled(reading, ("conditions", "placements"), "placement")
     seen: dict[frozenset[str], int] = {}
     for index, pair in reading.items("conditions", "zone_pairs"):
         path, zones = ("conditions", "zone_pairs", index), frozenset(pair)
@@ -104,6 +105,12 @@ def _check_schedule(reading: Reading[Protocol]) -> Iterator[Problem]:
     if n_trials > TRIAL_LIMIT:
         given = f"{repetitions}, which makes {n_trials} trials"
         yield reading.problem(("schedule", "repetitions"), given, f"at most {TRIAL_LIMIT} trials", "repeat less often")
+    order = reading.sound("schedule", "order")
+    if running is not None and order not in ("shuffled", None):
+        given = f"{running} with the order {order}"
+        path = ("schedule", "max_same_pair_running")
+        yield reading.problem(path, given, "null, or the order shuffled", "remove the limit or shuffle")
+        return
     faulty = any(problem.path.startswith("conditions.zone_pairs") for problem in reading.problems)
     if running is not None and n_pairs == 1 and not faulty and n_levels * repetitions > running:
         given = f"{running} where every trial has the same pair"
