@@ -19,51 +19,13 @@ SHIPPED = Path(__file__).parents[2] / "protocols"
 PROTOCOL, BEAM, TEXTS = "differentiated_stimulation.yaml", "apparatus/beam_100x6x2.yaml", "texts/english.yaml"
 TEXT = {name: (SHIPPED / name).read_text(encoding="utf-8") for name in (PROTOCOL, BEAM, TEXTS)}
 
-WORDS = st.sampled_from(
-    [
-        "-1",
-        "0",
-        "1e400",
-        ".nan",
-        ".inf",
-        "-.inf",
-        "1e308",
-        "1e-308",
-        "true",
-        "~",
-        "[]",
-        "{}",
-        "[1,2]",
-        "''",
-        '"x"',
-        "*a",
-        "&a",
-        "!!int",
-        "|",
-        "5e",
-        "F",
-        "A",
-        "[[A,C]]",
-        "131072",
-        "2",
-        "1e12",
-        "1e-9",
-        "1000",
-        "null",
-        "{a:b}",
-        "99999999999999999999999",
-        "one_hand",
-        "gaussian",
-        "box",
-        "free",
-        "paper",
-        "[5,7]",
-        "[17]",
-        "0.5",
-        "0.001",
-        "50_ohm",
-    ]
-) | st.sampled_from(["80 mm/s", "\t", "\n- x\n", "a: b", ":", "[", "]", "{", "}", "#", "\n", "  "])
+_WORDS = """
+-1 0 1e400 .nan .inf -.inf 1e308 1e-308 true ~ [] {} [1,2] '' "x" *a &a !!int | 5e F A [[A,C]] 131072 2 1e12 1e-9
+1000 null {a:b} 99999999999999999999999 one_hand gaussian box free paper latin_square [5,7] [17] 0.5 0.001 50_ohm
+"""
+WORDS = st.sampled_from(_WORDS.split()) | st.sampled_from(
+    ["80 mm/s", "\t", "\n- x\n", "a: b", ":", "[", "]", "{", "}", "#", "\n", "  "]
+)
 
 
 @st.composite

@@ -119,6 +119,7 @@ def test_an_experiment_is_restored_from_its_record_alone(edit: Edit) -> None:
             "given 0; allowed: a whole number of at least 1 or null",
         ),
         ("repetitions: 1", "repetitions: 1000", "given 1000, which makes 24000 trials; allowed: at most 10000 trials"),
+        ("repetitions: 1", "order: by_pair", "given 2 with the order by_pair; allowed: null, or the order shuffled"),
         ("left: [left, num_4]", "left: [escape]", "given 'escape', which pauses the session"),
         ("left: [left, num_4]", "left: [leeft]", "given 'leeft', which is no key's name"),
         ("left: [left, num_4]", "left: [return]", "given 'return', which is no key's name; allowed: left, right, up"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 
 from modaltouch.protocol import Protocol, read_protocol
 from modaltouch.schedule import draw_schedule, random_generator
+from modaltouch.schedule.designs import latin_square
 from modaltouch.schedule.rejection import longest_run
 
 SHIPPED = Path(__file__).parents[2] / "protocols"
@@ -164,3 +166,41 @@ def test_generators_of_two_purposes_differ() -> None:
     """A simulated observer's numbers are not those of the order."""
     one, other = (random_generator(1, "p01", 1, purpose).random(4).tolist() for purpose in ("observer", "practice"))
     assert one != other
+
+
+def test_blocked_orders_keep_pairs_or_velocities_together() -> None:
+    """Three pairs by four velocities: three runs of four, or four runs of three."""
+    by_pair = draw_schedule(changed("schedule", order="by_pair", max_same_pair_running=None), "p01", 1)
+    pairs = [trial.condition.pair for trial in by_pair.blocks[0].trials]
+    assert [len(list(run)) for _, run in itertools.groupby(pairs)] == [4, 4, 4]
+    by_velocity = draw_schedule(changed("schedule", order="by_velocity", max_same_pair_running=None), "p01", 1)
+    levels = [trial.condition.velocity_mm_s for trial in by_velocity.blocks[0].trials]
+    assert [len(list(run)) for _, run in itertools.groupby(levels)] == [3, 3, 3, 3]
+    for schedule in (by_pair, by_velocity):
+        assert len({trial.condition for trial in schedule.trials}) == 24
+
+
+def test_twelve_participants_balance_the_latin_square() -> None:
+    """Twelve cells: over twelve participants each cell stands once at each place and follows each other once."""
+    protocol = changed("schedule", order="latin_square", max_same_pair_running=None)
+    orders = []
+    for number in range(1, 13):
+        blocks = draw_schedule(protocol, f"p{number:02d}", 1).blocks
+        (one_hand,) = [block for block in blocks if block.finger_condition == "one_hand"]
+        orders.append([trial.condition for trial in one_hand.trials])
+    for place in range(12):
+        assert len({order[place] for order in orders}) == 12
+    assert len({pair for order in orders for pair in itertools.pairwise(order)}) == 12 * 11
+
+
+@pytest.mark.parametrize("n_cells", range(1, 9))
+def test_a_latin_square_is_balanced(n_cells: int) -> None:
+    """Williams 1949: places for any number; successions once for even numbers, twice for odd ones."""
+    rows = latin_square(n_cells)
+    each = 1 if n_cells % 2 == 0 else 2
+    places = Counter((place, cell) for row in rows for place, cell in enumerate(row))
+    assert set(places.values()) == {each}
+    assert len(places) == n_cells**2
+    successions = Counter(pair for row in rows for pair in itertools.pairwise(row))
+    assert set(successions.values()) <= {each}
+    assert len(successions) == n_cells * (n_cells - 1)

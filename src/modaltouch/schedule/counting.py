@@ -76,9 +76,7 @@ def _without(others: tuple[int, ...], count: int, last: int | None) -> tuple[int
     return rest if last is None else tuple(sorted((*rest, last)))
 
 
-def moves(
-    left: Sequence[int], last: int | None, limit: int, table: dict[State, int]
-) -> Iterator[tuple[int, int, int]]:
+def moves(left: Sequence[int], last: int | None, limit: int, table: dict[State, int]) -> Iterator[tuple[int, int, int]]:
     """Yield each next run: its kind, its length and the number of ways to go on after it.
 
     Parameters

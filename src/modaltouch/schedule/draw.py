@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
-import math
 import re
 from collections import Counter
 from collections.abc import Iterable
@@ -13,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from modaltouch.protocol import Protocol
-from modaltouch.schedule.orders import draw_order
+from modaltouch.schedule.designs import order_cells
 from modaltouch.schedule.streams import ALGORITHM, Stream, key_of
 from modaltouch.trial import Condition, Trial
 
@@ -149,15 +148,21 @@ def order_finger_conditions(
     given: tuple[str, ...] = protocol.conditions.finger_conditions
     if not protocol.schedule.counterbalance_finger_conditions or len(given) == 1:
         return given, "protocol"
+    turn, decided_by = turn_of(participant, seed, session)
+    orders = list(itertools.permutations(given))
+    return orders[turn % len(orders)], decided_by
+
+
+def turn_of(participant: str, seed: int, session: int) -> tuple[int, str]:
+    """Return which of several balanced orders is a participant's, to be taken modulo their number, and why.
+
+    Sessions of one participant take turns too, so nothing is drawn anew for them.
+    """
     ending = re.search(r"[0-9]+$", participant)
     if ending is not None:
-        turn, decided_by = int(ending.group()[-18:]) - 1, "number of the participant"
-    else:
-        # Sessions of one participant take turns too, so the draw must not depend on the session.
-        stream = Stream(seed, participant, 1, "order of finger conditions")
-        turn, decided_by = stream.below(math.factorial(len(given))), "hash of the participant"
-    orders = list(itertools.permutations(given))
-    return orders[(turn + session - 1) % len(orders)], decided_by
+        return int(ending.group()[-18:]) - 1 + session - 1, "number of the participant"
+    stream = Stream(seed, participant, 1, "order of finger conditions")
+    return stream.below(2**64) + session - 1, "hash of the participant"
 
 
 def _check_arguments(participant: str, seed: int, session: int) -> None:
@@ -176,13 +181,9 @@ def _purpose_of_order(finger_condition: str) -> str:
 def _draw_block(
     protocol: Protocol, finger_condition: str, participant: str, seed: int, session: int
 ) -> list[Condition]:
-    """Return one block's conditions: the order of pairs first, then each pair's levels over its places."""
     stream = Stream(seed, participant, session, _purpose_of_order(finger_condition))
-    pairs, levels = protocol.conditions.zone_pairs, protocol.conditions.peak_velocities_mm_s
-    per_pair = len(levels) * protocol.schedule.repetitions
-    order = draw_order([per_pair] * len(pairs), protocol.schedule.max_same_pair_running, stream)
-    waiting = [stream.shuffled(levels * protocol.schedule.repetitions) for _ in pairs]
-    return [Condition(finger_condition, *pairs[pair], waiting[pair].pop()) for pair in order]
+    turn = turn_of(participant, seed, session)[0]
+    return [Condition(finger_condition, *pair, level) for pair, level in order_cells(protocol, turn, stream)]
 
 
 def _draw_practice(protocol: Protocol, finger_condition: str, stream: Stream) -> tuple[Trial, ...]:

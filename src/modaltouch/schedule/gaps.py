@@ -69,9 +69,7 @@ def _ways_to_finish(counts: tuple[int, ...]) -> list[list[int]]:
             for n_groups in range(1, count + 1):
                 lowest = max(0, n_groups - n_unlike, n_like + count - n_groups - len(after) + 1)
                 total += comb(count - 1, n_groups - 1) * sum(
-                    comb(n_like, filled)
-                    * comb(n_unlike, n_groups - filled)
-                    * after[n_like - filled + count - n_groups]
+                    comb(n_like, filled) * comb(n_unlike, n_groups - filled) * after[n_like - filled + count - n_groups]
                     for filled in range(lowest, min(n_groups, n_like) + 1)
                 )
             row.append(total)

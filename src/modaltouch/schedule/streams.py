@@ -13,9 +13,7 @@ from typing import TypeVar
 
 import numpy as np
 
-ALGORITHM = (
-    "modaltouch order 1: raw words of numpy PCG64, seeded by SeedSequence(seed, participant, session, purpose)"
-)
+ALGORITHM = "modaltouch order 1: raw words of numpy PCG64, seeded by SeedSequence(seed, participant, session, purpose)"
 """Name and version of what turns a seed into an order, for the record."""
 
 Item = TypeVar("Item")

@@ -1,0 +1,100 @@
+"""Orders of the cells within a block: shuffled, blocked by pair or velocity, or by a balanced Latin square."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from modaltouch.protocol import Protocol
+from modaltouch.schedule.orders import draw_order
+from modaltouch.schedule.streams import Stream
+
+Cell = tuple[tuple[str, str], float]
+"""A pair of zones and a peak velocity [mm/s]."""
+
+
+def order_cells(protocol: Protocol, turn: int, stream: Stream) -> list[Cell]:
+    """Return the pairs and velocities of one block in order, as the protocol's `order` says.
+
+    Parameters
+    ----------
+    protocol : Protocol
+        The design.
+    turn : int
+        Which of several balanced orders is this participant's.
+    stream : Stream
+        Where chance comes from.
+
+    Raises
+    ------
+    ValueError
+        If no order keeps the protocol's limit on runs.
+    """
+    return _ORDERS[protocol.schedule.order](protocol, turn, stream)
+
+
+def latin_square(n_cells: int) -> list[list[int]]:
+    """Return the rows of a balanced Latin square: Williams' design.
+
+    Every cell comes at every place equally often, and follows every other equally often; that takes `n_cells`
+    rows for an even number of cells and twice as many for an odd one.
+
+    Parameters
+    ----------
+    n_cells : int
+        Number of cells.
+
+    References
+    ----------
+    E. J. Williams, Australian Journal of Scientific Research A 2, 149 (1949).
+
+    Examples
+    --------
+    >>> latin_square(4)
+    [[0, 1, 3, 2], [1, 2, 0, 3], [2, 3, 1, 0], [3, 0, 2, 1]]
+    """
+    zigzag = [(place + 1) // 2 if place % 2 else -place // 2 for place in range(n_cells)]
+    rows = [[(cell + shift) % n_cells for cell in zigzag] for shift in range(n_cells)]
+    return rows if n_cells % 2 == 0 else [*rows, *(row[::-1] for row in rows)]
+
+
+def _shuffled(protocol: Protocol, turn: int, stream: Stream) -> list[Cell]:
+    """Draw the order of pairs first, then spread each pair's velocities over its places."""
+    pairs, levels = protocol.conditions.zone_pairs, protocol.conditions.peak_velocities_mm_s
+    repetitions = protocol.schedule.repetitions
+    counts = [len(levels) * repetitions] * len(pairs)
+    order = draw_order(counts, protocol.schedule.max_same_pair_running, stream)
+    waiting = [stream.shuffled(levels * repetitions) for _ in pairs]
+    return [(pairs[pair], waiting[pair].pop()) for pair in order]
+
+
+def _by_pair(protocol: Protocol, turn: int, stream: Stream) -> list[Cell]:
+    """Take the pairs one after the other, in this participant's row of a Latin square."""
+    pairs, levels = protocol.conditions.zone_pairs, protocol.conditions.peak_velocities_mm_s
+    rows = latin_square(len(pairs))
+    row = rows[turn % len(rows)]
+    return [(pairs[pair], level) for pair in row for level in stream.shuffled(levels * protocol.schedule.repetitions)]
+
+
+def _by_velocity(protocol: Protocol, turn: int, stream: Stream) -> list[Cell]:
+    """Take the velocities one after the other, in this participant's row of a Latin square."""
+    pairs, levels = protocol.conditions.zone_pairs, protocol.conditions.peak_velocities_mm_s
+    rows = latin_square(len(levels))
+    row = rows[turn % len(rows)]
+    return [(pair, levels[level]) for level in row for pair in stream.shuffled(pairs * protocol.schedule.repetitions)]
+
+
+def _latin_square(protocol: Protocol, turn: int, stream: Stream) -> list[Cell]:
+    """Take all cells in this participant's row of a Latin square, the next row for each repetition."""
+    conditions = protocol.conditions
+    cells = [(pair, level) for pair in conditions.zone_pairs for level in conditions.peak_velocities_mm_s]
+    rows = latin_square(len(cells))
+    repetitions = protocol.schedule.repetitions
+    return [cells[cell] for n in range(repetitions) for cell in rows[(turn * repetitions + n) % len(rows)]]
+
+
+_ORDERS: dict[str, Callable[[Protocol, int, Stream], list[Cell]]] = {
+    "shuffled": _shuffled,
+    "by_pair": _by_pair,
+    "by_velocity": _by_velocity,
+    "latin_square": _latin_square,
+}
