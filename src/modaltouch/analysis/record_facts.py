@@ -135,7 +135,7 @@ def _settings(sessions: Sequence[Session]) -> dict[str, str]:
         "rig address": [start.get("rig", {}).get("address") for start in starts],
         "protocol": [start.get("protocol") for start in starts],
         "apparatus": [start.get("apparatus") for start in starts],
-        "study seed": [start.get("schedule", {}).get("seed") for start in starts],
+        "study seed": [start.get("seed") for start in starts],
         "burst": [str(start.get("stimulus", {}).get("content_hash", ""))[:16] for start in starts],
         "modaltouch": [start.get("versions", {}).get("modaltouch") for start in starts],
         "commit": [str(start.get("commit", ""))[:13] for start in starts],

@@ -181,8 +181,8 @@ def _refuse_protocols(place: Path, sessions: Sequence[Session]) -> None:
 
 
 def _design(session: Session) -> list[tuple[Any, ...]]:
-    trials = session.start.get("schedule", {}).get("trials", [])
-    return sorted(tuple(sorted(trial["condition"].items())) for trial in trials)
+    # An order is a list of rows [block, finger condition, left zone, right zone, velocity].
+    return sorted(tuple(row[1:]) for row in session.start.get("schedule", {}).get("order", []))
 
 
 def _unfit(item: Found) -> str:
@@ -192,9 +192,8 @@ def _unfit(item: Found) -> str:
     if session.problems:
         return f"damaged: {session.problems[0]}"
     if not session.complete:
-        total = len(session.start.get("schedule", {}).get("trials", []))
-        done = sum(not practice for practice, _ in session.answered)
-        return f"incomplete: {done} of {total} trials answered (go on with `modaltouch resume`)"
+        total = session.start.get("schedule", {}).get("n_trials", 0)
+        return f"incomplete: {session.n_answered} of {total} trials answered (go on with `modaltouch resume`)"
     return ""
 
 
@@ -214,8 +213,8 @@ def _even_out(found: Sequence[Found]) -> list[Found]:
 
 
 def _protocol(session: Session) -> dict[str, Any]:
-    values: dict[str, Any] = session.start.get("protocol", {}).get("values", {})
-    return values
+    design: dict[str, Any] = session.start.get("design", {})
+    return design
 
 
 def _digest(path: Path) -> str:

@@ -1,0 +1,261 @@
+from __future__ import annotations
+
+from fractions import Fraction
+from itertools import combinations, permutations, product
+from math import factorial, log
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import binomtest
+
+from modaltouch.analysis import convolution
+from modaltouch.analysis.exact import (
+    level_scores,
+    multinomial_test,
+    multinomial_tests,
+    sign_flip_test,
+    sign_test,
+    trend_test,
+)
+
+DARWIN = [49, -67, 8, 16, 6, 23, 28, 41, 14, 29, 56, 24, 75, 60, -48]
+"""Differences of height between crossed and self-fertilised maize [1/8 inch] (Darwin 1876, in Fisher 1935)."""
+
+
+def enumerate_multinomial(observed: list[int], null: list[Fraction], ordering: str) -> float:
+    """Return the exact p by listing every outcome in rational arithmetic."""
+    n, k = sum(observed), len(observed)
+
+    def probability(x: tuple[int, ...]) -> Fraction:
+        ways = factorial(n)
+        for count in x:
+            ways //= factorial(count)
+        share = Fraction(ways)
+        for count, p in zip(x, null, strict=True):
+            share *= p**count
+        return share
+
+    def extremeness(x: tuple[int, ...]) -> float:
+        if ordering == "probability":
+            return -log(probability(x))
+        if ordering == "chi_square":
+            return float(sum((c - n * p) ** 2 / (n * p) for c, p in zip(x, null, strict=True)))
+        return 2 * sum(c * log(c / float(n * p)) for c, p in zip(x, null, strict=True) if c)
+
+    bound = extremeness(tuple(observed)) - 1e-9
+    outcomes = (x for x in product(range(n + 1), repeat=k) if sum(x) == n)
+    return float(sum(probability(x) for x in outcomes if extremeness(x) >= bound))
+
+
+def flips(scores: list[int]) -> list[int]:
+    """Return the sum under each of the 2^N sign assignments."""
+    return [
+        sum(s * sign for s, sign in zip(scores, signs, strict=True)) for signs in product((1, -1), repeat=len(scores))
+    ]
+
+
+class TestMultinomial:
+    @pytest.mark.parametrize(
+        ("ordering", "published"), [("probability", 0.0767), ("likelihood_ratio", 0.1421), ("chi_square", 0.0596)]
+    )
+    def test_the_worked_example_of_the_r_package_emt_is_reproduced(self, ordering, published) -> None:
+        """EMT manual, multinomial.test(c(5, 2, 1), c(.25, .5, .25)): p 0.0767 by probability."""
+        test = multinomial_test([5, 2, 1], [0.25, 0.5, 0.25], ordering=ordering)
+        assert test.p == pytest.approx(published, abs=5e-5)
+
+    @pytest.mark.parametrize("ordering", ["probability", "likelihood_ratio", "chi_square"])
+    @pytest.mark.parametrize("observed", [[9, 1, 0], [7, 1, 2], [4, 3, 3], [2, 0, 0], [3, 1, 2, 1]])
+    def test_p_equals_enumeration_in_rational_arithmetic(self, ordering, observed) -> None:
+        """Expected value: every outcome listed, probabilities as fractions."""
+        null = [Fraction(1, len(observed))] * len(observed)
+        assert multinomial_test(observed, ordering=ordering).p == pytest.approx(
+            enumerate_multinomial(observed, null, ordering), rel=1e-12
+        )
+
+    def test_ten_equal_answers_have_the_smallest_p_there_is(self) -> None:
+        """Closed form: three outcomes of probability 3^-10."""
+        test = multinomial_test([0, 0, 10])
+        assert test.p == pytest.approx(3.0**-9, rel=1e-12)
+        assert test.p_min == test.p
+
+    def test_several_tests_at_once_equal_each_alone(self) -> None:
+        """Consistency of the shared enumeration."""
+        rows = [[9, 1, 0], [3, 3, 4], [0, 5, 5]]
+        assert [t.p for t in multinomial_tests(rows)] == pytest.approx([multinomial_test(r).p for r in rows], rel=1e-12)
+
+    def test_no_answers_give_p_one(self) -> None:
+        """Nothing observed is nothing learnt."""
+        assert multinomial_test([0, 0, 0]).p == 1
+
+    @pytest.mark.parametrize(
+        ("counts", "null", "words"),
+        [
+            ([[1, -1]], None, "must not be negative"),
+            ([[1, 1], [2, 1]], None, "same total"),
+            ([[1]], None, "two categories"),
+            ([[1, 1]], [0.5, 0.6], "add up to 1"),
+        ],
+    )
+    def test_faulty_input_is_refused_with_its_values(self, counts, null, words) -> None:
+        """House rule: say what was given and what is allowed."""
+        with pytest.raises(ValueError, match=words):
+            multinomial_tests(counts, null)
+
+    def test_an_unknown_ordering_is_refused(self) -> None:
+        """House rule: name what is allowed."""
+        with pytest.raises(ValueError, match="use likelihood_ratio, probability or chi_square"):
+            multinomial_test([1, 2], ordering="size")  # type: ignore[arg-type]
+
+
+class TestSignFlip:
+    def test_fishers_analysis_of_darwins_maize_is_reproduced(self) -> None:
+        """Fisher, The Design of Experiments (1935), section 21: 1726 of 32768 sums are as extreme as 314."""
+        test = sign_flip_test(DARWIN)
+        assert test.statistic == 314
+        assert test.p == pytest.approx(1726 / 32768, rel=1e-12)
+
+    @given(st.lists(st.integers(-12, 12), min_size=1, max_size=10))
+    @settings(max_examples=60, deadline=None)
+    def test_p_equals_full_enumeration(self, scores) -> None:
+        """Expected value: all 2^N sign assignments counted."""
+        sums = flips(scores)
+        test = sign_flip_test(scores)
+        assert test.p == pytest.approx(sum(abs(s) >= abs(sum(scores)) for s in sums) / len(sums), rel=1e-12)
+
+    @given(st.lists(st.integers(-5, 5), min_size=1, max_size=8))
+    @settings(max_examples=40, deadline=None)
+    def test_p_min_is_the_least_p_over_all_signs(self, scores) -> None:
+        """Expected value: the test run on every sign assignment of the same sizes."""
+        sizes = [abs(s) for s in scores]
+        least = min(
+            sign_flip_test([s * sign for s, sign in zip(sizes, signs, strict=True)]).p
+            for signs in product((1, -1), repeat=len(sizes))
+        )
+        assert sign_flip_test(scores).p_min == pytest.approx(least, rel=1e-12)
+
+    @pytest.mark.parametrize("sizes", [[1, 1, 1, 1, 1, 1], [4, 4, 3, 2, 1, 1, 4], [1, 2, 4, 8, 16]])
+    @pytest.mark.parametrize("alpha", [0.01, 0.05, 0.1, 0.5])
+    def test_the_level_is_kept_exactly_under_the_null(self, sizes, alpha) -> None:
+        """Type I error by enumeration: at most alpha of all sign assignments are rejected."""
+        p = [
+            sign_flip_test([s * e for s, e in zip(sizes, signs, strict=False)]).p
+            for signs in product((1, -1), repeat=len(sizes))
+        ]
+        assert np.mean(np.array(p) <= alpha + 1e-12) <= alpha
+
+    def test_zero_scores_hold_no_information(self) -> None:
+        """All answers "both": p and the smallest p are 1, not an error."""
+        test = sign_flip_test([0, 0, 0])
+        assert (test.p, test.p_min, test.n_informative) == (1, 1, 0)
+
+    def test_seven_participants_cannot_pass_holm_over_six_but_eight_can(self) -> None:
+        """Design floor of the plan: 2/2^N x 6."""
+        assert sign_flip_test([4] * 7).p * 6 > 0.05 > sign_flip_test([4] * 8).p * 6
+
+    def test_a_thousand_participants_need_no_enumeration(self) -> None:
+        """All lean one way: p is 2^(1-1000), as far as a float reaches."""
+        assert sign_flip_test([3] * 1000).p == pytest.approx(2.0**-999, rel=1e-9)
+
+    def test_more_participants_than_a_float_can_express_give_a_positive_p(self) -> None:
+        """No outcome is impossible, so p is never zero."""
+        assert 0 < sign_flip_test([1] * 3000).p < 1e-300
+
+    def test_fractions_are_refused(self) -> None:
+        """Scores are integers so that ties are exact."""
+        with pytest.raises(ValueError, match="whole numbers"):
+            sign_flip_test([0.5, 1.0])
+
+    @given(st.integers(0, 12), st.integers(0, 12))
+    @settings(max_examples=30, deadline=None)
+    def test_the_sign_test_is_the_binomial_test(self, positive, negative) -> None:
+        """Reference: scipy.stats.binomtest on the participants who lean at all."""
+        test = sign_test([3] * positive + [-1] * negative + [0])
+        expected = binomtest(positive, positive + negative).pvalue if positive + negative else 1.0
+        assert test.p == pytest.approx(expected, rel=1e-9)
+
+
+class TestTrend:
+    @given(st.lists(st.tuples(*[st.integers(0, 1)] * 4), min_size=1, max_size=3))
+    @settings(max_examples=40, deadline=None)
+    def test_p_equals_all_shuffles_of_the_levels(self, rows) -> None:
+        """Expected value: every rearrangement of every participant's answers, one answer a level."""
+        scores = [0, 2, 7, 12]
+        test = trend_test(rows, [80, 100, 150, 200])
+        centre = sum(sum(row) * sum(scores) / 4 for row in rows)
+
+        def total(arranged) -> float:
+            return sum(s * x for row in arranged for s, x in zip(scores, row, strict=True)) - centre
+
+        space = list(product(*[list(permutations(row)) for row in rows]))
+        reached = abs(total(rows)) - 1e-9
+        assert test.p == pytest.approx(np.mean([abs(total(a)) >= reached for a in space]), rel=1e-12)
+
+    def test_repetitions_are_shuffled_one_by_one(self) -> None:
+        """Expected value: every choice of k of the presentations, for two participants."""
+        scores, repetitions = [0, 1, 3], 2
+        counts = [[0, 1, 2], [1, 0, 2]]
+        slots = [s for s in scores for _ in range(repetitions)]
+        sums = [[sum(c) for c in combinations(slots, sum(row))] for row in counts]
+        centre = sum(sum(row) for row in counts) * sum(scores) / 3
+        reached = abs(sum(s * k for row in counts for s, k in zip(scores, row, strict=False)) - centre) - 1e-9
+        expected = np.mean([abs(a + b - centre) >= reached for a in sums[0] for b in sums[1]])
+        assert trend_test(counts, [10, 20, 40], repetitions).p == pytest.approx(expected, rel=1e-12)
+
+    def test_participants_without_variation_drop_out(self) -> None:
+        """They give the same total under every shuffle."""
+        moving = [[0, 0, 1, 1], [0, 1, 1, 1]]
+        assert trend_test(moving, [1, 2, 3, 4]).p == trend_test([*moving, [1] * 4, [0] * 4], [1, 2, 3, 4]).p
+
+    @pytest.mark.parametrize("rows", [[[1, 1, 1, 1]] * 10, [[0, 0, 0, 0]] * 3])
+    def test_constant_answers_hold_no_information(self, rows) -> None:
+        """P and the smallest p are 1, not an error."""
+        test = trend_test(rows, [80, 100, 150, 200])
+        assert (test.p, test.p_min, test.n_informative) == (1, 1, 0)
+
+    def test_one_level_holds_no_information(self) -> None:
+        """A trend needs two levels."""
+        assert trend_test([[1], [0]], [80]).p_min == 1
+
+    def test_p_min_is_the_least_p_over_all_shuffles(self) -> None:
+        """Expected value: the test run on every rearrangement."""
+        rows = [(1, 0, 0, 1), (1, 1, 1, 0)]
+        arranged = product(*[set(permutations(row)) for row in rows])
+        least = min(trend_test(list(a), [80, 100, 150, 200]).p for a in arranged)
+        assert trend_test(rows, [80, 100, 150, 200]).p_min == pytest.approx(least, rel=1e-12)
+
+    @pytest.mark.parametrize("rates", [[0.5, 0.5, 0.5, 0.5], [0.2, 0.4, 0.6, 0.9], [0.05, 0.2, 0.8, 0.95]])
+    def test_transforms_agree_with_shifted_copies_down_to_the_smallest_p(self, rates, monkeypatch) -> None:
+        """Two independent ways to the same number; the last p lies far below 1e-16."""
+        rows = np.random.default_rng(5).binomial(1, rates, (60, 4))
+        direct = trend_test(rows, [80, 100, 150, 200])
+        monkeypatch.setattr(convolution, "DIRECT_COST", 0)
+        transformed = trend_test(rows, [80, 100, 150, 200])
+        assert transformed.p == pytest.approx(direct.p, rel=1e-8)
+        assert transformed.p_min == pytest.approx(direct.p_min, rel=1e-8)
+
+    def test_the_level_is_kept_under_the_null(self) -> None:
+        """Type I error on guesses of 10 participants within its Monte Carlo interval (2000 experiments, 3 sd)."""
+        rng = np.random.default_rng(8)
+        p = [trend_test(rng.integers(0, 2, (10, 4)), [80, 100, 150, 200]).p for _ in range(2000)]
+        assert np.mean(np.array(p) <= 0.05) <= 0.05 + 3 * np.sqrt(0.05 * 0.95 / 2000)
+
+    def test_counts_beyond_the_repetitions_are_refused(self) -> None:
+        """House rule: what was given, what is allowed."""
+        with pytest.raises(ValueError, match="runs from 0 to 3, allowed are 0 to 2"):
+            trend_test([[0, 3]], [1, 2], 2)
+
+    def test_counts_that_do_not_fit_the_levels_are_refused(self) -> None:
+        """House rule: shapes of both."""
+        with pytest.raises(ValueError, match=r"shape \(1, 2\), but there are 3 levels"):
+            trend_test([[0, 1]], [1, 2, 3])
+
+
+@pytest.mark.parametrize(
+    ("levels", "scores"),
+    [([80, 100, 150, 200], [0, 2, 7, 12]), ([92.5, 100], [0, 1]), ([5], [0]), ([1, 2.001, 4000], [0, 0, 1000])],
+)
+def test_levels_become_the_smallest_whole_scores(levels, scores) -> None:
+    """Closed form: distances over their greatest common divisor, at most a thousand steps."""
+    assert level_scores(levels).tolist() == scores

@@ -1,0 +1,50 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from statsmodels.stats.multitest import multipletests
+
+from modaltouch.analysis.exact import ExactTest
+from modaltouch.analysis.findings import COLUMNS, Finding, correct, finding_of, holm, to_frame
+from modaltouch.analysis.intervals import Interval
+
+
+def finding(p: float, p_min: float = 0.001, family: str = "a") -> Finding:
+    """Return a test with the given p values."""
+    return finding_of("a", "test", "scope", ExactTest(1, p, p_min, 10), "x", Interval(0, -1, 1, 10), 10, family=family)
+
+
+@given(st.lists(st.floats(0.0001, 1.0), min_size=1, max_size=24))
+@settings(max_examples=50, deadline=None)
+def test_holm_agrees_with_statsmodels(p_values) -> None:
+    """Reference: multipletests(method="holm")."""
+    assert holm(p_values) == pytest.approx(multipletests(p_values, method="holm")[1].tolist(), rel=1e-12)
+
+
+def test_families_are_corrected_apart() -> None:
+    """Holm within families only; a test outside families has no corrected p."""
+    rows = correct([finding(0.01), finding(0.04), finding(0.03, family="b"), finding(0.02, family="")])
+    assert [r.p_holm for r in rows[:3]] == pytest.approx([0.02, 0.04, 0.03])
+    assert math.isnan(rows[3].p_holm)
+
+
+def test_a_test_out_of_the_reach_of_its_family_says_so() -> None:
+    """Smallest p 0.02 times three tests is above 0.05."""
+    rows = correct([finding(0.02, 0.02), finding(0.5), finding(0.5)])
+    assert "cannot pass Holm's correction" in rows[0].note
+    assert rows[1].note == ""
+
+
+def test_no_information_is_said_where_no_p_could_be_small() -> None:
+    """Smallest p above 0.05."""
+    assert finding(0.25, 0.25).note.startswith("no information")
+
+
+def test_the_table_holds_every_column_and_row() -> None:
+    """Contract of run_tests."""
+    frame = to_frame([finding(0.01), finding(0.02)])
+    assert tuple(frame.columns) == COLUMNS
+    assert frame["p"].tolist() == [0.01, 0.02]

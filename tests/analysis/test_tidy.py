@@ -1,0 +1,259 @@
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from modaltouch.analysis.responses import read_responses
+from modaltouch.analysis.tables import count_answers
+from modaltouch.document import InputError
+
+HEADER = "participant,finger_condition,zone_left,zone_right,velocity_mm_s,response"
+
+
+def counted(path):
+    """Return the counts of a file, for comparison."""
+    return count_answers(read_responses(path).frame).counts
+
+
+def fails(path) -> list[str]:
+    """Return the problems of a file as lines of text."""
+    with pytest.raises(InputError) as caught:
+        read_responses(path)
+    return str(caught.value).splitlines()
+
+
+class TestForms:
+    """One table in many dresses gives the same counts."""
+
+    @pytest.mark.parametrize(
+        "dress",
+        [
+            lambda text: text.replace("\n", "\r\n"),
+            lambda text: text.replace("\n", "\r"),
+            lambda text: "\ufeff" + text,
+            lambda text: text + "\n\n  \n",
+            lambda text: "\n" + text,
+            lambda text: text.replace(",", ";"),
+            lambda text: text.replace(",", "\t"),
+            lambda text: text.replace(",", ", "),
+            lambda text: text.replace(",", ";").replace(";80;", ";80,0;"),
+            lambda text: text.replace("A,C", '"A","C"'),
+            lambda text: text.replace("\n", ",,\n"),
+            lambda text: "\n".join([text.split("\n")[0], *sorted(text.split("\n")[1:])]),
+        ],
+        ids=["crlf", "cr", "bom", "blank-end", "blank-start", "semicolon", "tab", "spaces", "decimal-comma", "quotes",
+             "empty-columns", "any-order"],
+    )  # fmt: skip
+    def test_a_table_is_read_in_any_usual_form(self, write_csv, paper_rows, dress) -> None:
+        """Expected value: the plain comma-separated form of the same synthetic answers."""
+        plain = write_csv(paper_rows)
+        other = plain.with_name("other.csv")
+        other.write_bytes(dress(plain.read_text(encoding="utf-8")).encode("utf-8"))
+        assert (counted(other) == counted(plain)).all()
+
+    def test_counts_of_equal_answers_are_the_same_as_single_ones(self, write_csv, build) -> None:
+        """Column n: two participants' 2 answers a cell as counts and as rows."""
+        rows = build["random"](3, 1, repetitions=2)
+        keys = list({tuple(v for k, v in row.items() if k != "repetition"): None for row in rows})
+        plain = [tuple(v for k, v in row.items() if k != "repetition") for row in rows]
+        names = HEADER.split(",")
+        with_counts = [{**dict(zip(names, key, strict=True)), "n": plain.count(key)} for key in keys]
+        assert (counted(write_csv(with_counts, "n.csv")) == counted(write_csv(rows))).all()
+
+    def test_repetitions_need_no_number_where_all_cells_have_as_many(self, write_csv, build) -> None:
+        """The same synthetic answers with and without the column repetition."""
+        rows = build["random"](3, 1, repetitions=2)
+        bare = [{k: v for k, v in row.items() if k != "repetition"} for row in rows]
+        assert (counted(write_csv(bare, "bare.csv")) == counted(write_csv(rows))).all()
+
+    def test_other_columns_are_kept(self, write_csv, paper_rows) -> None:
+        """Extra columns travel along."""
+        frame = read_responses(write_csv([{**row, "mood": "fine"} for row in paper_rows])).frame
+        assert set(frame["mood"]) == {"fine"}
+
+    def test_practice_trials_stay_out_and_are_named(self, write_csv, paper_rows) -> None:
+        """Column practice of the record's own table: never analysed, never silently dropped."""
+        rows = [{**row, "practice": 0} for row in paper_rows] + [{**paper_rows[0], "practice": 1}] * 3
+        responses = read_responses(write_csv(rows))
+        assert len(responses.frame) == 240
+        assert [(item.reason, "3 rows" in item.source) for item in responses.left_out] == [("practice trials", True)]
+
+    @pytest.mark.parametrize(
+        "keep",
+        [
+            lambda row: row["participant"] == "p01",
+            lambda row: row["velocity_mm_s"] == 80,
+            lambda row: row["finger_condition"] == "two_hands",
+            lambda row: row["zone_left"] == "B",
+        ],
+        ids=["one-participant", "one-level", "one-condition", "one-pair"],
+    )
+    def test_a_small_design_is_still_a_design(self, write_csv, paper_rows, keep) -> None:
+        """One participant, level, finger condition or pair can be counted."""
+        rows = [row for row in paper_rows if keep(row)]
+        assert counted(write_csv(rows)).sum() == len(rows)
+
+    def test_other_zones_levels_and_conditions_than_the_papers_are_read(self, write_csv, paper_rows) -> None:
+        """Nothing hangs on the paper's names."""
+        rows = [
+            {**row, "zone_left": f"zone {row['zone_left']}", "velocity_mm_s": row["velocity_mm_s"] / 7,
+             "finger_condition": {"one_hand": "gloved", "two_hands": "bare"}[row["finger_condition"]]}
+            for row in paper_rows
+        ]  # fmt: skip
+        answers = count_answers(read_responses(write_csv(rows)).frame)
+        assert answers.finger_conditions == ("gloved", "bare")
+        assert answers.levels == pytest.approx([80 / 7, 100 / 7, 150 / 7, 200 / 7])
+
+
+class TestFaults:
+    """Each fault has its place, what was given, what is allowed and what to do; all are told at once."""
+
+    def change(self, write_csv, rows, line: int, old: str, new: str):
+        """Return the path of a table with one text changed in one line."""
+        path = write_csv(rows)
+        lines = path.read_text(encoding="utf-8").split("\n")
+        assert old in lines[line - 1]
+        lines[line - 1] = lines[line - 1].replace(old, new)
+        path.write_text("\n".join(lines), encoding="utf-8")
+        return path
+
+    @pytest.mark.parametrize(
+        ("old", "new", "words"),
+        [
+            (",both", ",middle", r":5:21: response: given 'middle'; allowed: left, right, both"),
+            (",both", ",Both", r":5:21: response: given 'Both'; .*; write both"),
+            (",both", ",", r":5:21: response: given nothing"),
+            (",80,", ",fast,", r":5:18: velocity_mm_s: given 'fast'; allowed: a peak velocity in mm/s, above 0"),
+            (",80,", ",-80,", r"given '-80'"),
+            (",80,", ",nan,", r"given 'nan'"),
+            (",80,", ",inf,", r"given 'inf'"),
+            (",80,", ',"80,5",', r"given '80,5'.*write a decimal point"),
+            (",80,", ",80,5,", r":5:1: given 7 fields; allowed: 6 fields.*decimal comma"),
+            ("p01,", ",", r":5:1: participant: given nothing"),
+            ("B,D", "D,D", r"zone_right: given zone 'D' under both fingers"),
+            ("one_hand", "one hand", r":5:5: finger_condition: given 'one hand'.*write one_hand"),
+        ],
+    )
+    def test_a_faulty_field_is_told_with_its_place(self, write_csv, paper_rows, old, new, words) -> None:
+        """The fifth line is p01's first answer to (B, D) after sorting by pair."""
+        rows = sorted(paper_rows, key=lambda row: (row["participant"], row["finger_condition"], row["velocity_mm_s"]))
+        rows = [rows[0], rows[2], {**rows[0], "velocity_mm_s": 999}, {**rows[1], "response": "both"}, *rows]
+        problems = fails(self.change(write_csv, rows, 5, old, new))
+        assert any(re.search(words, problem) for problem in problems), problems
+
+    def test_every_fault_is_told_at_once(self, write_csv, paper_rows) -> None:
+        """Three faults in three rows are three problems."""
+        rows = [dict(row) for row in paper_rows]
+        rows[0]["response"], rows[1]["velocity_mm_s"], rows[2]["participant"] = "up", "x", ""
+        assert len(fails(write_csv(rows))) == 3
+
+    def test_a_word_that_is_wrong_everywhere_is_told_once_with_its_number(self, write_csv, build) -> None:
+        """240 rows with the same unknown word."""
+        problems = fails(write_csv(build["constant"](response="none")))
+        assert len(problems) == 1
+        assert "given 'none' (in 240 rows)" in problems[0]
+
+    def test_a_missing_column_is_named_with_what_was_found(self, write_csv, paper_rows) -> None:
+        """The likely other name is suggested."""
+        rows = [{("velocity" if k == "velocity_mm_s" else k): v for k, v in row.items()} for row in paper_rows]
+        (problem,) = fails(write_csv(rows))
+        assert "velocity_mm_s: given columns participant" in problem
+        assert "rename 'velocity'" in problem
+
+    def test_a_table_without_a_header_shows_its_first_line(self, write_csv, paper_rows) -> None:
+        """The first line of data is no header."""
+        path = write_csv(paper_rows)
+        path.write_text(path.read_text(encoding="utf-8").split("\n", 1)[1], encoding="utf-8")
+        (problem,) = fails(path)
+        assert "given a first line 'p01,one_hand" in problem
+
+    def test_a_column_given_twice_is_refused(self, write_csv, paper_rows) -> None:
+        """Which one counts would be a guess."""
+        path = write_csv([{**row, "note": 1} for row in paper_rows])
+        path.write_text(path.read_text(encoding="utf-8").replace(",note", ",response", 1), encoding="utf-8")
+        assert "2 columns named 'response'" in fails(path)[0]
+
+    @pytest.mark.parametrize(
+        ("content", "words"),
+        [
+            (b"", ":1:1: given an empty file"),
+            (b"\n\n", ":1:1: given an empty file"),
+            (HEADER.encode() + b"\n", "a header without any row"),
+            (HEADER.encode() + b"\np\xe9,", ":2:2: given the byte 0xe9, which is not UTF-8"),
+            ("\ufeff".encode("utf-16-le") + HEADER.encode("utf-16-le"), "text in UTF-16"),
+            (b"PK\x03\x04\x00\x00", "a file that is not text"),
+            (HEADER.encode() + b'\np1,"one_hand\n', "a line that is not CSV"),
+        ],
+    )
+    def test_a_file_that_is_no_table_is_told_what_it_is(self, tmp_path, content, words) -> None:
+        """Exit status 2 material, never a traceback."""
+        path = tmp_path / "answers.csv"
+        path.write_bytes(content)
+        (problem,) = fails(path)
+        assert words in problem
+
+    def test_a_file_that_does_not_exist_is_told(self, tmp_path) -> None:
+        """House rule: what to do."""
+        (problem,) = fails(tmp_path / "no.csv")
+        assert "no such file or folder" in problem
+
+    def test_a_mode_makes_no_sense_for_a_table(self, write_csv, paper_rows) -> None:
+        """A CSV does not say whether it is simulated."""
+        with pytest.raises(InputError, match="a mode only with recorded sessions"):
+            read_responses(write_csv(paper_rows), mode="real")
+
+
+class TestBalance:
+    def test_a_missing_cell_is_named_with_participant_and_cell(self, write_csv, paper_rows) -> None:
+        """One row removed."""
+        rows = [
+            row
+            for row in paper_rows
+            if (row["participant"], row["finger_condition"], row["zone_left"], row["velocity_mm_s"])
+            != ("p03", "one_hand", "A", 80)
+        ]
+        (problem,) = fails(write_csv(rows))
+        assert "given no answer of participant p03 in one_hand A-C 80 mm/s" in problem
+        assert "add the missing rows" in problem
+
+    def test_a_cell_that_nobody_answered_is_missing_too(self, write_csv, paper_rows) -> None:
+        """The design is every finger condition with every pair at every level."""
+        rows = [row for row in paper_rows if (row["zone_left"], row["velocity_mm_s"]) != ("C", 200)]
+        problems = fails(write_csv(rows))
+        assert len(problems) == 10
+        assert "one_hand C-E 200 mm/s, two_hands C-E 200 mm/s" in problems[0]
+
+    def test_a_doubled_row_is_told_with_both_lines(self, write_csv, paper_rows) -> None:
+        """The first row again at the end, line 242."""
+        (problem,) = fails(write_csv([*paper_rows, paper_rows[0]]))
+        assert ":242:" in problem
+        assert "2 answers of participant p01 in one_hand A-C 80 mm/s (lines 2, 242)" in problem
+
+    def test_a_doubled_repetition_is_told(self, write_csv, build) -> None:
+        """The same participant, cell and repetition twice."""
+        rows = build["random"](2, 1, repetitions=2)
+        problems = fails(write_csv([*rows, rows[0]]))
+        assert any("again (first on line 2)" in problem for problem in problems)
+
+    def test_a_doubled_count_is_told(self, write_csv, paper_rows) -> None:
+        """The same participant, cell and response counted twice."""
+        rows = [{**row, "n": 1} for row in paper_rows]
+        problems = fails(write_csv([*rows, rows[0]]))
+        assert any("again (first on line 2)" in problem for problem in problems)
+
+    @pytest.mark.parametrize("n", ["1.5", "-1", "x", ""])
+    def test_a_count_is_a_whole_number(self, write_csv, paper_rows, n) -> None:
+        """Counts from 0."""
+        rows = [{**row, "n": 1} for row in paper_rows]
+        rows[4]["n"] = n
+        assert any("allowed: a whole number, 0 or above" in problem for problem in fails(write_csv(rows)))
+
+    def test_many_faulty_participants_do_not_flood_the_screen(self, write_csv, build) -> None:
+        """Forty participants without their last cell: twenty are listed, the rest counted."""
+        rows = [
+            row for row in build["paper"](80) if not (int(row["participant"][1:]) > 40 and row["velocity_mm_s"] == 80)
+        ]
+        problems = fails(write_csv(rows))
+        assert len(problems) == 21
+        assert any("20 more participants" in problem for problem in problems)
