@@ -185,9 +185,7 @@ def test_mode_without_a_gain_is_refused_only_where_it_is_asked_for(model, design
     gain[4] = 0.0
     assert design(replace(model, modal_gain=gain)).worst_modal_error(0.2) < 1e-4 * 0.2
     gain[2] = 0.0
-    with pytest.raises(
-        ValueError, match=r"mode 5 is asked for, but its gain is 0 m/s\^2 per V on every channel"
-    ):
+    with pytest.raises(ValueError, match=r"mode 5 is asked for, but its gain is 0 m/s\^2 per V on every"):
         design(replace(model, modal_gain=gain))
 
 

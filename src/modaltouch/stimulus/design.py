@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +16,7 @@ from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem, modal_system
 from modaltouch.stimulus.field import Projection, Wish
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.quantise import full_scale, quantise, signed_codes
+from modaltouch.stimulus.settling import settle
 from modaltouch.stimulus.timing import Timing
 from modaltouch.stimulus.vibration import peak_velocity, states_by_channel
 
@@ -22,6 +24,7 @@ __all__ = ["Amplifier", "Burst", "ModalModel", "Stimulus", "Timing", "Wish", "de
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+Rounding = Literal["settled", "plain"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +50,8 @@ class Stimulus:
     load_factor : float
         Share of the generator's open-circuit voltage that reaches the amplifier's input: 1 into high impedance,
         0.5 into 50 ohm [1].
+    rounding : str
+        ``settled`` (single codes changed so that rounding costs next to nothing at the focus) or ``plain``.
     """
 
     model: ModalModel
@@ -57,6 +62,7 @@ class Stimulus:
     release: Release
     levels: tuple[float, ...]
     load_factor: float
+    rounding: Rounding = "settled"
     _peaks: dict[tuple[float, ...], FloatArray] = field(default_factory=dict, repr=False)
 
     @cached_property
@@ -127,13 +133,24 @@ class Stimulus:
         shares = tuple(v / self.wish.velocity for v in self.levels)
         amplitude = tuple(full_scale(2 * float(v) / to_beam, shares) for v in self.peak_voltage)
         volts_per_code = np.asarray(amplitude) * to_beam / 2 / MID_CODE
+        codes = quantise(self.voltage, volts_per_code)
+        if self.rounding == "settled":
+            error = self._rounding_error(codes, volts_per_code)
+            largest = float(np.abs(self.target).max())
+            codes = settle(codes, volts_per_code, self.system, self.timing, error, largest)
         return Burst(
-            codes=quantise(self.voltage, volts_per_code),
+            codes=codes,
             duration=self.timing.duration,
             repetition_rate=self.timing.repetition_rate,
             velocity=self.wish.velocity,
             amplitude=amplitude,
         )
+
+    def _rounding_error(self, codes: NDArray[np.uint16], volts_per_code: FloatArray) -> FloatArray:
+        """Return what the codes fall short of the voltages at the focusing instant, (2 n_modes,) array [m/s]."""
+        lost = self.voltage - signed_codes(codes) * volts_per_code[:, None]
+        states = states_by_channel(self.system, lost, self.timing, self.timing.focusing_instant).sum(axis=0)
+        return np.concatenate(self._read(states))
 
     @cached_property
     def _played(self) -> FloatArray:
@@ -216,9 +233,7 @@ class Stimulus:
         left = self.volts_per_code(velocity) @ after
         period = 1 / timing.repetition_rate
         carried = np.exp(exponent * (period - end)) / -np.expm1(exponent * period)
-        return self._read(
-            self.states_at_focus(velocity) + left * carried * np.exp(exponent * timing.focusing_instant)
-        )
+        return self._read(self.states_at_focus(velocity) + left * carried * np.exp(exponent * timing.focusing_instant))
 
     def worst_modal_error(self, velocity: float) -> float:
         """Return the largest of |velocity - target| and |w eta| over the modes, as `achieved` [m/s].
@@ -276,6 +291,7 @@ def design_stimulus(
     release: Release = "braked",
     levels: tuple[float, ...] | None = None,
     load_factor: float = 1.0,
+    rounding: Rounding = "settled",
 ) -> Stimulus:
     """Return the stimulus that makes a wished field at the focusing instant.
 
@@ -297,6 +313,8 @@ def design_stimulus(
         Every level that will be played [m/s]; the wish's own if not given.
     load_factor : float
         Share of the generator's open-circuit voltage that reaches the amplifier's input [1].
+    rounding : str
+        ``settled`` (single codes changed so that rounding costs next to nothing at the focus) or ``plain``.
 
     Raises
     ------
@@ -308,6 +326,8 @@ def design_stimulus(
         raise ValueError(f"the drive law {law!r} is unknown; allowed: exact, paper")
     if release not in ("braked", "free"):
         raise ValueError(f"the release {release!r} is unknown; allowed: braked, free")
+    if rounding not in ("settled", "plain"):
+        raise ValueError(f"the rounding {rounding!r} is unknown; allowed: settled, plain")
     played = (wish.velocity,) if levels is None else tuple(levels)
     if not played:
         raise ValueError("no velocity level is given; give at least one")
@@ -319,6 +339,6 @@ def design_stimulus(
                 f"which the codes fill the generator's range: design for the highest level"
             )
     require_positive("the load factor", load_factor, "", "1 into high impedance, 0.5 into 50 ohm")
-    stimulus = Stimulus(model, wish, timing, amplifier, law, release, played, load_factor)
+    stimulus = Stimulus(model, wish, timing, amplifier, law, release, played, load_factor, rounding)
     check_drivable(model, stimulus.target, timing)
     return stimulus

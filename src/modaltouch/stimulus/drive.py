@@ -85,9 +85,7 @@ def check_drivable(model: ModalModel, target: FloatArray, timing: Timing) -> Non
     ValueError
         If a mode with a target has no gain, or a mode lies at or above half the sampling rate.
     """
-    for k, wished, gain, frequency in zip(
-        model.label, target, model.modal_gain, model.natural_frequency, strict=True
-    ):
+    for k, wished, gain, frequency in zip(model.label, target, model.modal_gain, model.natural_frequency, strict=True):
         if wished != 0 and not gain.any():
             raise ValueError(
                 f"mode {k} is asked for, but its gain is 0 m/s^2 per V on every channel; it must be driven by "

@@ -51,9 +51,7 @@ class Amplifier:
         if self.bandwidth is not None:
             require_positive("the bandwidth of the amplifier", self.bandwidth, "Hz", "give none if unknown")
         if not (math.isfinite(self.delay) and self.delay >= 0):
-            raise ValueError(
-                f"the delay of the amplifier is {self.delay} s; it must be 0 s or above: measure it"
-            )
+            raise ValueError(f"the delay of the amplifier is {self.delay} s; it must be 0 s or above: measure it")
 
 
 @dataclass(frozen=True, eq=False)

@@ -64,16 +64,12 @@ class Wish:
     def __post_init__(self) -> None:
         """Refuse a wish that no beam can be asked."""
         if self.shape not in get_args(Shape):
-            raise ValueError(
-                f"the field shape {self.shape!r} is unknown; allowed: {', '.join(get_args(Shape))}"
-            )
+            raise ValueError(f"the field shape {self.shape!r} is unknown; allowed: {', '.join(get_args(Shape))}")
         require_positive("the base of the field", self.base, "m", "the shipped field has 56 mm")
         require_finite("the centre of the field", self.centre, "m", "give a point of the beam")
         require_positive("the velocity level", self.velocity, "m/s", "the paper has 0.08 to 0.2 m/s")
         if self.n_decomposed < 1:
-            raise ValueError(
-                f"the field is decomposed on {self.n_decomposed} modes; at least 1 is needed: give 50"
-            )
+            raise ValueError(f"the field is decomposed on {self.n_decomposed} modes; at least 1 is needed: give 50")
         if isinstance(self.selection, tuple):
             if not self.selection or len(set(self.selection)) < len(self.selection):
                 raise ValueError(f"the selected modes are {self.selection}; give at least one label, each once")
@@ -274,9 +270,7 @@ class Projection:
             If the fraction lies outside.
         """
         if not 0 < fraction < 1:
-            raise ValueError(
-                f"a width is asked at {fraction} of the centre; give a fraction above 0 and below 1"
-            )
+            raise ValueError(f"a width is asked at {fraction} of the centre; give a fraction above 0 and below 1")
         half = self.model.length / 2
         level = fraction * self.wish.velocity
         ends = []

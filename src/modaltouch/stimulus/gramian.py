@@ -81,8 +81,7 @@ class Taper:
         flat = np.exp(rate * self.fall) * _geometric(rate, flat_until - self.fall)
         turn = np.exp(rising * (self.rise - 1))
         at_rise = 0.5 * _geometric(rate, self.rise) - 0.25 * (
-            turn * _geometric(rate - rising, self.rise)
-            + turn.conjugate() * _geometric(rate + rising, self.rise)
+            turn * _geometric(rate - rising, self.rise) + turn.conjugate() * _geometric(rate + rising, self.rise)
         )
         return np.asarray(at_fall + flat + np.exp(rate * flat_until) * at_rise)
 
@@ -95,11 +94,7 @@ def raised_cosine(n: int) -> FloatArray:
     n : int
         Samples of the rise; sample n would be 1.
     """
-    ramp = np.empty((1, n))
-    synthesise(np.array([[-0.5 + 0j]]), np.array([1j * np.pi / n]), 1.0, ramp[:, ::-1])
-    ramp += 0.5
-    ramp[0, 0] = 0.0
-    return np.asarray(ramp[0])
+    return np.asarray(np.sin(np.arange(n) * (np.pi / (2 * n))) ** 2)
 
 
 def _geometric(rate: ComplexArray, n: int) -> ComplexArray:
@@ -211,6 +206,4 @@ class GramianSolver:
         """
         lost = self.eigenvalue <= self.eigenvalue.size * np.finfo(float).eps * self.eigenvalue[-1]
         inverse = np.where(lost, 0.0, 1 / np.where(lost, 1.0, self.eigenvalue))
-        return np.asarray(
-            self.scale * (self.eigenvector @ (inverse * (self.eigenvector.T @ (self.scale * value))))
-        )
+        return np.asarray(self.scale * (self.eigenvector @ (inverse * (self.eigenvector.T @ (self.scale * value)))))

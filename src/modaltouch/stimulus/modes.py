@@ -235,9 +235,7 @@ class ModalModel:
 
 def _check_mode(label: int, frequency: float, ratio: float, gain: FloatArray) -> None:
     """Refuse parameters that no vibration mode has."""
-    require_positive(
-        f"the natural frequency of mode {label}", frequency, "Hz", "identify the mode, or leave it out"
-    )
+    require_positive(f"the natural frequency of mode {label}", frequency, "Hz", "identify the mode, or leave it out")
     if not (math.isfinite(ratio) and 0 < ratio < 1):
         raise ValueError(
             f"the damping ratio of mode {label} is {ratio}; it must lie above 0 and below 1: "

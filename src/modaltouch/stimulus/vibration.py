@@ -8,23 +8,26 @@ by a second level of blocks. Work is done chunk by chunk, so that memory does no
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import islice
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from modaltouch.stimulus.blocks import SHORT, BlockKernel
 from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem, modal_system
 from modaltouch.stimulus.modes import ModalModel
-from modaltouch.stimulus.synthesis import BLOCK, decay
+from modaltouch.stimulus.synthesis import BLOCK, decay, ladders
 from modaltouch.stimulus.timing import Timing
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-
-_SHORT = 32
-"""Samples per block of the forward response: a 32 x 32 product stays in the first-level cache."""
+Chunk = tuple[int, FloatArray, ComplexArray, ComplexArray]
 
 _CHUNK = 32_768
 """Samples per chunk: bounds the memory, and keeps a chunk of voltages in the second-level cache."""
+
+_CHUNKS_AT_ONCE = 5
+"""Chunks whose bounds are compared before any is computed: the longest record of the generator."""
 
 _LATENESS_TERMS = 6
 """A clock late by up to one period of 250 MHz turns a 90 kHz mode by 2e-3: six terms leave 1e-18."""
@@ -48,23 +51,20 @@ def moments(voltage: FloatArray, exponent: ComplexArray, hold: float) -> Complex
         The sums [V].
     """
     n_blocks, head = divmod(voltage.shape[1], BLOCK)
-    fine = decay(exponent, hold, np.arange(BLOCK - 1, -1, -1))
-    coarse = decay(exponent, hold, BLOCK * np.arange(n_blocks, -1, -1))
-    fine_real = np.concatenate([fine.real, fine.imag]).T.copy()
+    fine, coarse = ladders(exponent, hold, n_blocks)
     n_states = exponent.size
+    fine_real = np.concatenate([fine.real, fine.imag]).T
     sums = np.empty((voltage.shape[0], n_states), dtype=complex)
     for channel, row in enumerate(voltage):
         blocks = np.empty((n_blocks + 1, 2 * n_states))
         blocks[0] = row[:head] @ fine_real[BLOCK - head :]
         np.matmul(row[head:].reshape(n_blocks, BLOCK), fine_real, out=blocks[1:])
         per_block = blocks[:, :n_states] + 1j * blocks[:, n_states:]
-        sums[channel] = np.einsum("je,ej->e", per_block, coarse)
+        sums[channel] = np.einsum("je,je->e", per_block, coarse)
     return sums
 
 
-def states_by_channel(
-    system: DiagonalSystem, voltage: FloatArray, timing: Timing, instant: float
-) -> ComplexArray:
+def states_by_channel(system: DiagonalSystem, voltage: FloatArray, timing: Timing, instant: float) -> ComplexArray:
     """Return the states that each channel alone leaves at an instant, from rest, on the generator's clock.
 
     Parameters
@@ -96,9 +96,7 @@ def states_by_channel(
     return np.asarray(states)
 
 
-def _late_states(
-    system: DiagonalSystem, voltage: FloatArray, timing: Timing, n_whole: int
-) -> ComplexArray | float:
+def _late_states(system: DiagonalSystem, voltage: FloatArray, timing: Timing, n_whole: int) -> ComplexArray | float:
     """Return what a clock adds that begins some samples late: steps of voltage arrive late by `lateness`."""
     if timing.lateness is None or n_whole == 0:
         return 0.0
@@ -144,10 +142,7 @@ def velocity_history(
     """
     system = modal_system(model, amplifier)
     output = model.shapes(positions).T @ system.velocity
-    history = np.empty((output.shape[0], voltage.shape[1]))
-    for start, part in _responses(system, output, _checked(voltage, model), timing.hold):
-        history[:, start : start + part.shape[1]] = part
-    return history
+    return _history(system, output, _checked(voltage, model), timing.hold)
 
 
 def modal_history(
@@ -172,10 +167,7 @@ def modal_history(
         Modal velocities at the start of each sample as it arrives [m/s].
     """
     system = modal_system(model, amplifier)
-    history = np.empty((model.n_modes, voltage.shape[1]))
-    for start, part in _responses(system, system.velocity, _checked(voltage, model), timing.hold):
-        history[:, start : start + part.shape[1]] = part
-    return history
+    return _history(system, system.velocity, _checked(voltage, model), timing.hold)
 
 
 def peak_velocity(
@@ -208,13 +200,25 @@ def peak_velocity(
     system = modal_system(model, amplifier)
     output = model.shapes(positions).T @ system.velocity
     checked = _checked(voltage, model)
-    peak = np.zeros(output.shape[0])
-    for _, part in _responses(system, output, checked, timing.hold):
-        np.maximum(peak, part.max(axis=1), out=peak)
-        np.maximum(peak, -part.min(axis=1), out=peak)
-    left = (moments(checked, system.exponent, timing.hold) * system.held_gain(timing.hold).T).sum(axis=0)
-    silence = int((1 / timing.repetition_rate - timing.duration) * timing.sampling_rate)
+    kernel = BlockKernel.of(system, output, timing.hold)
+    peak, left, end = np.zeros(output.shape[0]), np.zeros(system.exponent.size, dtype=complex), 0
+    for some in _batches(_chunks(kernel, checked, system.exponent.size)):
+        bounds = [kernel.bounds(blocks, begin) for _, blocks, begin, _ in some]
+        for place in range(peak.size):
+            # The likeliest chunk first: what it reaches spares most of the others.
+            for i in sorted(range(len(some)), key=lambda i: -bounds[i][place].max()):
+                _, blocks, begin, _ = some[i]
+                peak[place] = kernel.peak(place, blocks, begin, bounds[i][place], float(peak[place]))
+        start, blocks, _, left = some[-1]
+        end = start + blocks[0].size
+    silence = max(0, int(timing.sampling_rate / timing.repetition_rate) - end)
     return _peak_of_decay(output * left, system.exponent, timing.hold, silence, peak)
+
+
+def _batches(items: Iterator[Chunk]) -> Iterator[list[Chunk]]:
+    """Yield lists of _CHUNKS_AT_ONCE items."""
+    while some := list(islice(items, _CHUNKS_AT_ONCE)):
+        yield some
 
 
 def _peak_of_decay(
@@ -243,68 +247,29 @@ def _checked(voltage: FloatArray, model: ModalModel) -> FloatArray:
     return values
 
 
-def _responses(
-    system: DiagonalSystem, output: ComplexArray, voltage: FloatArray, hold: float
-) -> Iterator[tuple[int, FloatArray]]:
-    """Yield chunks (first sample, (n_outputs, n) velocities) of the response from rest."""
-    held = system.held_gain(hold)
-    steps = np.arange(_SHORT)
-    powers = decay(system.exponent, hold, steps)
-    # What a volt i samples ago does to each output: n_outputs x n_channels x _SHORT.
-    kernel = np.einsum("pe,ec,ei->pci", output, held, powers, optimize=True).real
-    after = np.subtract.outer(steps, steps) - 1
-    toeplitz = np.where(after.T >= 0, kernel[:, :, np.maximum(after.T, 0)], 0.0)
-    from_state = output[:, :, None] * powers
-    free = np.concatenate([from_state.real, -from_state.imag], axis=1)
-    into_state = held.T[:, :, None] * powers[:, ::-1]
-    forced = np.concatenate([into_state.real, into_state.imag], axis=1).transpose(0, 2, 1)
-    state = np.zeros(system.exponent.size, dtype=complex)
-    n_samples = voltage.shape[1]
-    for start in range(0, n_samples, _CHUNK):
-        piece = voltage[:, start : start + _CHUNK]
-        n_piece = piece.shape[1]
-        n_blocks = -(-n_piece // _SHORT)
-        blocks = np.zeros((voltage.shape[0], n_blocks * _SHORT))
-        blocks[:, :n_piece] = piece
-        blocks = blocks.reshape(-1, n_blocks, _SHORT)
-        pushed = np.matmul(blocks, forced).sum(axis=0)
-        n_states = system.exponent.size
-        begin, state = _scan(
-            system.exponent, hold * _SHORT, pushed[:, :n_states] + 1j * pushed[:, n_states:], state
-        )
-        begin_real = np.concatenate([begin.real, begin.imag], axis=1)
-        part = np.empty((output.shape[0], n_blocks, _SHORT))
-        for p in range(output.shape[0]):
-            used = np.flatnonzero(output[p])
-            columns = np.concatenate([used, used + n_states])
-            np.matmul(begin_real[:, columns], free[p, columns], out=part[p])
-            for channel in np.flatnonzero(kernel[p].any(axis=1)):
-                part[p] += blocks[channel] @ toeplitz[p, channel]
-        yield start, part.reshape(output.shape[0], -1)[:, :n_piece]
+def _history(system: DiagonalSystem, output: ComplexArray, voltage: FloatArray, hold: float) -> FloatArray:
+    """Return the outputs at the starts of the samples, (n_outputs, n_samples) array [m/s]."""
+    kernel = BlockKernel.of(system, output, hold)
+    history = np.empty((output.shape[0], voltage.shape[1]))
+    for start, blocks, begin, _ in _chunks(kernel, voltage, system.exponent.size):
+        kernel.respond(blocks, begin, history[:, start : start + blocks[0].size])
+    return history
 
 
-def _scan(
-    exponent: ComplexArray, step: float, pushed: ComplexArray, state: ComplexArray
-) -> tuple[ComplexArray, ComplexArray]:
-    """Return the states before each block and after all: x[j + 1] = exp(exponent step) x[j] + pushed[j]."""
-    n_blocks, n_states = pushed.shape
-    if n_blocks <= _SHORT:
-        ratio = decay(exponent, step, np.array([1]))[:, 0]
-        begin = np.empty((n_blocks, n_states), dtype=complex)
-        for j in range(n_blocks):
-            begin[j] = state
-            state = ratio * state + pushed[j]
-        return begin, state
-    n_groups, rest = divmod(n_blocks, _SHORT)
-    powers = decay(exponent, step, np.arange(_SHORT + 1))
-    after = np.subtract.outer(np.arange(_SHORT), np.arange(_SHORT)) - 1
-    triangle = np.where(after >= 0, powers[:, np.maximum(after, 0)], 0.0)
-    groups = pushed[: n_groups * _SHORT].reshape(n_groups, _SHORT, n_states).transpose(2, 1, 0)
-    within = triangle @ groups
-    total = (powers[:, _SHORT - 1 :: -1][:, None, :] @ groups)[:, 0].T
-    starts, state = _scan(exponent, step * _SHORT, total, state)
-    begin = (within + powers[:, :_SHORT, None] * starts.T[:, None, :]).transpose(2, 1, 0).reshape(-1, n_states)
-    if rest:
-        tail, state = _scan(exponent, step, pushed[n_groups * _SHORT :], state)
-        begin = np.concatenate([begin, tail])
-    return begin, state
+def _chunks(kernel: BlockKernel, voltage: FloatArray, n_states: int) -> Iterator[Chunk]:
+    """Yield chunks (first sample, blocks, states at their starts, state after them) of the response from rest.
+
+    Samples beyond the last whole block come as a block of their own, filled up with zeros.
+    """
+    state = np.zeros(n_states, dtype=complex)
+    n_channels, n_samples = voltage.shape
+    whole = n_samples - n_samples % SHORT
+    for start in [*range(0, whole, _CHUNK), *([whole] if whole < n_samples else [])]:
+        if start < whole:
+            piece = voltage[:, start : min(start + _CHUNK, whole)]
+        else:
+            piece = np.zeros((n_channels, SHORT))
+            piece[:, : n_samples - whole] = voltage[:, whole:]
+        blocks = piece.reshape(n_channels, -1, SHORT)
+        begin, state = kernel.states(blocks, state)
+        yield start, blocks, begin, state

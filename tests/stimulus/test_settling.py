@@ -1,0 +1,83 @@
+"""Rounding to 14 bits, plain and settled."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from modaltouch.stimulus.design import Amplifier, Timing, Wish
+
+
+@pytest.fixture(scope="module")
+def plain(design):
+    """Return the shipped stimulus with every sample rounded to its nearest code."""
+    return design(rounding="plain")
+
+
+def test_plain_rounding_costs_what_its_noise_predicts(plain):
+    """Uniform error of a code in every sample: variance unit^2 / 12 times the squared response, summed."""
+    system, timing = plain.system, plain.timing
+    unit = plain.volts_per_code(0.2)
+    read = np.concatenate([system.velocity, system.displacement])
+    ago = np.arange(plain.drive.n_before)[::-1]
+    variance = np.zeros(18)
+    for channel in range(2):
+        effect = system.held_gain(timing.hold)[:, channel] * unit[channel]
+        response = (read @ (effect[:, None] * np.exp(system.exponent[:, None] * timing.hold * ago))).real
+        variance += (response**2).sum(axis=1) / 12
+    reached, displacement = plain.achieved(0.2)
+    error = np.concatenate([reached - plain.target, displacement])
+    assert np.abs(error / np.sqrt(variance)).max() < 3
+    assert np.abs(error).max() > 1e-6 * 0.2
+
+
+def test_settled_codes_differ_by_one_at_most(plain, shipped):
+    """Issue 3: single-code changes."""
+    change = shipped.burst.codes.astype(int) - plain.burst.codes.astype(int)
+    assert set(np.unique(change)) == {-1, 0, 1}
+    assert np.count_nonzero(change) < 2000
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"release": "free"},
+        {"timing": Timing(n_samples=131_072)},
+        {"timing": Timing(n_samples=16_384)},
+        {"timing": Timing(focusing_instant=0.0123456)},
+        {"amplifier": Amplifier(gain=25.0, limit=250.0, bandwidth=30e3, delay=7e-6)},
+        {"wish": Wish(centre=0.02)},
+        {"wish": Wish(shape="box", base=0.027)},
+    ],
+    ids=str,
+)
+def test_settled_rounding_costs_a_millionth_of_the_peak_at_most(design, options):
+    """Issue 3: corrected rounding <= 1e-6 of the peak, codes in range."""
+    stimulus = design(**options)
+    assert stimulus.worst_modal_error(0.2) <= 1e-6 * 0.2
+    assert stimulus.burst.codes.max() <= 16382
+
+
+def test_settled_rounding_holds_at_all_levels(shipped):
+    """Amplitudes of all four levels lie on the grid: what holds at the highest holds at each."""
+    for level in shipped.levels:
+        assert shipped.worst_modal_error(level) <= 1e-6 * level
+
+
+def test_settled_rounding_holds_with_every_mode_on_both_channels(design, crossed_model):
+    """The lattice couples the channels."""
+    assert design(crossed_model).worst_modal_error(0.2) <= 1e-6 * 0.2
+
+
+def test_settled_paper_law_misses_by_its_own_error_alone(design):
+    """Settling returns the law's unrounded states: the paper's miss stays as it is."""
+    stimulus = design(law="paper")
+    assert stimulus.worst_modal_error(0.2) == pytest.approx(stimulus.drive.residual, abs=1e-6 * 0.2)
+
+
+def test_unknown_rounding_is_refused(design, shipped):
+    """Two kinds are on offer."""
+    with pytest.raises(ValueError, match=r"rounding 'up' is unknown; allowed: settled, plain"):
+        design(rounding="up")
+    assert replace(shipped, rounding="plain").burst.amplitude == shipped.burst.amplitude
