@@ -70,6 +70,7 @@ def _check_stimulus(reading: Reading[Protocol]) -> Iterator[Problem]:
 def _check_doubles(reading: Reading[Protocol]) -> Iterator[Problem]:
     yield from _doubled(reading, ("conditions", "finger_conditions"), "finger condition")
     yield from _doubled(reading, ("conditions", "peak_velocities_mm_s"), "peak velocity")
+    yield from _doubled(reading, ("conditions", "placements"), "placement")
     seen: dict[frozenset[str], int] = {}
     for index, pair in reading.items("conditions", "zone_pairs"):
         path, zones = ("conditions", "zone_pairs", index), frozenset(pair)

@@ -19,6 +19,8 @@ from modaltouch.document.section import (
 )
 
 FingerCondition = Literal["one_hand", "two_hands"]
+AnswerWay = Literal["free_hand", "lifting", "foot_switch", "experimenter"]
+Placement = Literal["normal", "mirrored", "swapped", "mirrored_swapped"]
 ZoneName = Annotated[Word, Field(json_schema_extra={"x-allowed": "the name of a zone of the beam"})]
 ZonePair = tuple[ZoneName, ZoneName]
 SampleCount = Annotated[int, Field(strict=True, ge=2, le=131_072, multiple_of=2)]
@@ -84,6 +86,14 @@ class ConditionsSection(Section):
         json_schema_extra=_UNIQUE,
     )
     hand: Literal["right", "left"] = described("The hand used in one_hand.", default="right")
+    placements: tuple[Placement, ...] = described(
+        "Placements that participants take turns in, so that zone, side and finger can be told apart: normal; "
+        "mirrored, the beam turned end to end; swapped, the other hand in one_hand and crossed hands in two_hands; "
+        "or both.",
+        default=("normal",),
+        min_length=1,
+        json_schema_extra=_UNIQUE,
+    )
     zone_pairs: tuple[ZonePair, ...] = described(
         "Zones under the two fingers, left and right as the participant sees the beam.",
         min_length=1,
@@ -116,7 +126,24 @@ class ScheduleSection(Section):
     practice_trials: Annotated[int, Field(strict=True, ge=0, le=1000)] = described(
         "Trials before the ones that count.", default=0
     )
+    practice_feedback: bool = Field(
+        strict=True,
+        default=False,
+        description="Whether a practice trial is followed by where the vibration was stronger.",
+    )
+    practice_criterion: Annotated[float, Field(strict=True, gt=0, le=1)] | None = described(
+        "Share of the practice trials to be answered as predicted; null where practice cannot fail.", default=None
+    )
+    practice_rounds: Annotated[Count, Field(le=10)] = described(
+        "Most rounds of practice, where the criterion is not met at once.", default=1
+    )
+    after_failed_practice: Literal["continue", "stop"] = described(
+        "What follows when no round met the criterion.", default="continue"
+    )
     break_after_trials: Count | None = described("Trials between two breaks; null for no breaks.", default=None)
+    break_after_min: Positive | None = described(
+        "Minutes between two breaks, at the next trial; null for no breaks by time.", default=None
+    )
 
 
 class AnswersSection(Section):
@@ -124,6 +151,16 @@ class AnswersSection(Section):
 
     given_by: Literal["participant", "experimenter"] = described(
         "Who types the answer: the participant, or the experimenter for them.", default="participant"
+    )
+    ways: dict[FingerCondition, AnswerWay] = described(
+        "How the participant gives the answer: with a free hand, by lifting a finger off the beam, or by a foot "
+        "switch that types keys. Without an entry: a free hand in one_hand, lifting in two_hands.",
+        default={},
+    )
+    change_until_confirmed: bool = Field(
+        strict=True,
+        default=False,
+        description="Whether an answer may be changed until it is chosen a second time.",
     )
     stimulus_until: Literal["answer", "question"] = described(
         "Whether the stimulus plays until the answer, or stops before the question.", default="answer"
@@ -137,6 +174,14 @@ class AnswersSection(Section):
     continue_keys: tuple[KeyName, ...] = described(
         "Keys that go on from a screen that waits.", default=("space", "enter", "num_enter"), min_length=1
     )
+
+    def way(self, finger_condition: str) -> AnswerWay:
+        """Return how answers are given in a finger condition."""
+        if self.given_by == "experimenter":
+            return "experimenter"
+        if finger_condition == "two_hands":
+            return self.ways.get("two_hands", "lifting")
+        return self.ways.get("one_hand", "free_hand")
 
 
 class Protocol(Section):
