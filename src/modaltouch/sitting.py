@@ -220,6 +220,7 @@ def _describe(setup: Setup, rig: Rig, window: AnswerWindow, first: str) -> dict[
         "protocol": experiment.protocol.protocol,
         "apparatus": experiment.apparatus.apparatus,
         "language": experiment.texts.language,
+        "design": experiment.protocol.model_dump(mode="json"),
         "sources": experiment.sources.as_dict(),
         "schedule": schedule.as_dict(),
         "stimulus": {
