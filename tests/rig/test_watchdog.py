@@ -17,10 +17,10 @@ import pytest
 import pyvisa
 
 from modaltouch.apparatus import Apparatus
-from modaltouch.rig.afg import Behaviour
 from modaltouch.rig.guard import Watchdog
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.simulator import Simulator
+from modaltouch.rig.simulator.afg import Behaviour
 from modaltouch.rig.watchdog import ARM, BEAT, CLEAN, DISARM, LIMIT, insist, watch
 
 APPARATUS = Path(__file__).parents[2] / "protocols" / "apparatus" / "beam_100x6x2.yaml"

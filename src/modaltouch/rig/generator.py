@@ -13,7 +13,7 @@ import socket
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Any, Literal, Self, cast
+from typing import Any, Self, cast
 
 from modaltouch.apparatus import Apparatus
 from modaltouch.rig.connection import Connection, Found, Patience
@@ -21,19 +21,7 @@ from modaltouch.rig.controls import CHANNELS, Unconfirmed
 from modaltouch.rig.guard import Guard, Watchdog
 from modaltouch.rig.interface import Firing, RigError
 from modaltouch.rig.link import LinkError, Log, Resource
-from modaltouch.rig.settings import (
-    ARMED,
-    STOPPED,
-    Setting,
-    amplitudes,
-    burst_settings,
-    continuous_codes,
-    continuous_settings,
-    guarded_settings,
-    level_setting,
-    record_peaks,
-    timer_setting,
-)
+from modaltouch.rig.player import Player, Repetition, numbers
 from modaltouch.stimulus.burst import Burst
 
 CHUNK = 1 << 20
@@ -79,15 +67,10 @@ class Generator:
         log: Log = _ignore,
         patience: Patience | None = None,
         visa_library: str = "@py",
-        repetition: Literal["burst", "continuous"] = "burst",
+        repetition: Repetition = "burst",
         start_guard: Callable[[str, str], Guard] = Watchdog,
     ) -> None:
         self._log = log
-        self._repetition = repetition
-        self._burst: Burst | None = None
-        self._peaks: tuple[float, ...] = ()
-        self._settings: tuple[Setting, ...] = ()
-        self._levels: tuple[Setting, ...] = ()
         self._firing: Firing | None = None
         self._on = False
         self._closed = False
@@ -100,6 +83,7 @@ class Generator:
             log=log,
             patience=patience or Patience(),
         )
+        self._player = Player(self._connection.controls, self._connection.limits, repetition)
         try:
             self._connection.open()
         except BaseException:
@@ -122,6 +106,21 @@ class Generator:
         """The latest firing; unconfirmed if `stop` found settings or outputs no longer as set."""
         return self._firing
 
+    def set_levels(self, amplitudes: tuple[float, ...]) -> tuple[str, ...]:
+        """Set both amplitudes, read them and the error queue back: all that a change of level is.
+
+        Parameters
+        ----------
+        amplitudes : tuple of float
+            Of each channel, open circuit [V peak to peak].
+
+        Returns
+        -------
+        tuple of str
+            What was read back.
+        """
+        return self._player.set_levels(amplitudes)
+
     def load(self, burst: Burst) -> None:
         """Have both channels' records in the instrument, verified, and set everything but the level.
 
@@ -142,11 +141,11 @@ class Generator:
             )
         self.stop()
         with self._off_after_a_failure("loading the stimulus"):
-            self._burst, self._peaks = burst, record_peaks(burst)
+            self._player.take(burst)
             try:
-                self._replay()
+                self._player.replay()
             except LinkError:
-                self._connection.restore("loading the stimulus", (), self._replay)
+                self._connection.restore("loading the stimulus", (), self._player.replay)
 
     def fire(self, velocity: float) -> Firing:
         """Set the level, switch the outputs on and repeat the burst until `stop`.
@@ -167,23 +166,21 @@ class Generator:
         RigError
             If nothing is loaded, the level is beyond a limit, or the instrument is lost; the outputs are off.
         """
-        if self._burst is None:
-            raise RigError("fire was called before load; the outputs are off; load a burst first")
-        commanded = amplitudes(self._burst, self._peaks, velocity, self._connection.limits)
+        commanded = self._player.amplitudes(velocity)
         if self._on:
             self.stop()
         with self._off_after_a_failure("starting the stimulus"):
             self._connection.guard.arm()
             self._on = True
             try:
-                firing = self._start(commanded, 1 / self._burst.repetition_rate)
+                firing = self._player.start(commanded)
             except (Unconfirmed, LinkError) as error:
                 firing = _unconfirmed(commanded, error)
                 self._log("unconfirmed", reason=firing.reason)
                 self._switch_off("starting the stimulus")
                 if isinstance(error, Unconfirmed):
                     # Whoever changed a setting is to find it as it was for the next try.
-                    self._connection.restore("starting the stimulus", (), self._replay)
+                    self._connection.restore("starting the stimulus", (), self._player.replay)
         self._firing = firing
         return firing
 
@@ -202,7 +199,7 @@ class Generator:
             self._firing = replace(self._firing, confirmed=False, reason=reason)
             self._log("unconfirmed", reason=reason)
         if was_on and found.differences:
-            self._connection.restore("making the settings again", (), self._replay)
+            self._connection.restore("making the settings again", (), self._player.replay)
 
     def heartbeat(self) -> None:
         """Tell the watchdog that the session is alive; costs well under a microsecond between two beats.
@@ -244,11 +241,12 @@ class Generator:
     def _switch_off(self, doing: str) -> Found:
         """Switch the outputs off and stop the trigger; return how they were found."""
         was_on, self._on = self._on, False
-        expected = [*self._settings, *self._levels, *self._trigger(ARMED)] if was_on else []
-        found = self._connection.switch_off(doing, expected, self._replay)
+        expected = self._player.expected if was_on else ()
+        found = self._connection.switch_off(doing, expected, self._player.replay)
         if was_on:
+            # With the outputs off a trigger moves nothing, and the next start sees whether it is stopped.
             with contextlib.suppress(LinkError, Unconfirmed):
-                self._connection.controls.apply_each(self._trigger(STOPPED))
+                self._player.stop_trigger()
         return found
 
     @contextlib.contextmanager
@@ -267,72 +265,10 @@ class Generator:
             self._switch_off(doing)
             raise
 
-    def _replay(self) -> None:
-        """Have the records in the instrument and make every setting but the level."""
-        self._settings = self._levels = ()
-        if self._burst is None:
-            return
-        controls, continuous = self._connection.controls, self._repetition == "continuous"
-        codes = continuous_codes(self._burst) if continuous else self._burst.codes
-        make = continuous_settings if continuous else burst_settings
-        slots: list[int] = []
-        settings: list[Setting] = []
-        for channel, record in zip(CHANNELS, codes, strict=True):
-            slots.append(controls.store(record, channel, slots))
-            settings += make(channel, slots[-1], self._burst)
-        settings += [] if continuous else [timer_setting(self._burst)]
-        controls.apply_each(settings)
-        self._settings = (*guarded_settings(self._connection.limits), *settings)
-
-    def _start(self, commanded: tuple[float, ...], period: float) -> Firing:
-        """Set both levels with the trigger stopped, switch on, let the trigger go."""
-        controls = self._connection.controls
-        self._levels = tuple(level_setting(n, amplitude) for n, amplitude in zip(CHANNELS, commanded, strict=True))
-        read_back = self.set_levels(commanded)
-        changed = controls.differences([*self._settings, *self._trigger(STOPPED)])
-        if changed:
-            raise Unconfirmed("; ".join(changed), read_back)
-        if self._repetition == "continuous":
-            controls.command("SOUR1:PHAS:INIT")
-        started = time.perf_counter()
-        controls.outputs_on()
-        if self._repetition == "burst":
-            started = time.perf_counter()
-            controls.apply([ARMED])
-        took = time.perf_counter() - started
-        return Firing(commanded, _numbers(read_back), True, started, took + period)
-
-    def set_levels(self, amplitudes: tuple[float, ...]) -> tuple[str, ...]:
-        """Set both amplitudes in one message, read them and the error queue back: all that a level change is.
-
-        Parameters
-        ----------
-        amplitudes : tuple of float
-            Of each channel, open circuit [V peak to peak].
-
-        Returns
-        -------
-        tuple of str
-            What was read back.
-        """
-        levels = [level_setting(n, amplitude) for n, amplitude in zip(CHANNELS, amplitudes, strict=True)]
-        return self._connection.controls.apply(levels)
-
-    def _trigger(self, setting: Setting) -> tuple[Setting, ...]:
-        return (setting,) if self._repetition == "burst" else ()
-
 
 def _unconfirmed(commanded: tuple[float, ...], error: Exception) -> Firing:
-    read_back = _numbers(error.read_back) if isinstance(error, Unconfirmed) else ()
+    read_back = numbers(error.read_back) if isinstance(error, Unconfirmed) else ()
     return Firing(commanded, read_back, False, time.perf_counter(), 0.0, str(error))
-
-
-def _numbers(replies: tuple[str, ...]) -> tuple[float, ...]:
-    """Return what was read back as numbers; empty if it was not numbers."""
-    try:
-        return tuple(float(reply) for reply in replies)
-    except ValueError:
-        return ()
 
 
 def open_resource(address: str, visa_library: str) -> Resource:

@@ -7,7 +7,6 @@ the port in their address, ``TCPIP::127.0.0.1,<port>::inst0::INSTR``.
 from __future__ import annotations
 
 import contextlib
-import io
 import itertools
 import socket
 import struct
@@ -16,7 +15,16 @@ import time
 import typing
 from dataclasses import dataclass, field
 
-from modaltouch.rig.scpi import ScpiError
+from modaltouch.rig.simulator.rpc import (
+    PROGRAM_UNAVAILABLE,
+    HangUp,
+    accept,
+    as_record,
+    opaque,
+    read_call,
+    read_record,
+)
+from modaltouch.rig.simulator.scpi import ScpiError
 
 CORE_PROGRAM = 0x0607AF
 LARGEST_MESSAGE = 1 << 20
@@ -76,10 +84,6 @@ class _Link:
     arriving: bytearray = field(default_factory=bytearray)
     leaving: bytes = b""
     ready_at: float = 0.0
-
-
-class HangUp(Exception):  # noqa: N818
-    """The connection is to be reset."""
 
 
 class Vxi11Server:
@@ -165,9 +169,9 @@ class Vxi11Server:
         try:
             with connection, connection.makefile("rb") as stream:
                 while True:
-                    call = _read_record(stream)
+                    call = read_record(stream, 4 * LARGEST_MESSAGE)
                     body = self._answer(call, own)
-                    connection.sendall(struct.pack(">I", 0x80000000 | len(body)) + body)
+                    connection.sendall(as_record(body))
         except (HangUp, struct.error, OSError, EOFError, ValueError):
             return
         finally:
@@ -183,20 +187,14 @@ class Vxi11Server:
 
     def _answer(self, call: bytes, own: set[int]) -> bytes:
         """Return the RPC reply to an RPC call."""
-        transaction, _, _, program, _, procedure = struct.unpack_from(">6I", call)
-        at = 24
-        for _ in range(2):  # credentials and verifier
-            (length,) = struct.unpack_from(">I", call, at + 4)
-            at += 8 + _padded(length)
-        accepted = struct.pack(">5I", transaction, 1, 0, 0, 0)
+        transaction, program, procedure, parameters = read_call(call)
         if program != CORE_PROGRAM:
-            return accepted + struct.pack(">I", 1)
+            return accept(transaction, PROGRAM_UNAVAILABLE)
         if procedure == 0:
-            return accepted + struct.pack(">I", 0)
+            return accept(transaction)
         handler = self._procedures().get(procedure)
-        if handler is None:
-            return accepted + struct.pack(">Ii", 0, _NOT_SUPPORTED)
-        return accepted + struct.pack(">I", 0) + handler(call[at:], own)
+        result = handler(parameters, own) if handler else struct.pack(">i", _NOT_SUPPORTED)
+        return accept(transaction) + result
 
     def _procedures(self) -> dict[int, typing.Callable[[bytes, set[int]], bytes]]:
         return {
@@ -269,7 +267,7 @@ class Vxi11Server:
         link.leaving = link.leaving[len(data) :]
         if not link.leaving:
             reason |= _REASON_END
-        return struct.pack(">iiI", _NO_ERROR, reason, len(data)) + data + bytes(_padded(len(data)) - len(data))
+        return struct.pack(">ii", _NO_ERROR, reason) + opaque(data)
 
     def _read_status(self, parameters: bytes, own: set[int]) -> bytes:
         link = self._links.get(struct.unpack_from(">i", parameters)[0])
@@ -320,29 +318,6 @@ class Vxi11Server:
                 return _LOCKED
             self._closing.wait(0.01)
         return _NO_ERROR
-
-
-def _read_record(stream: io.BufferedIOBase) -> bytes:
-    """Return one RPC record, its fragments joined (RFC 5531, section 11)."""
-    record = b""
-    while True:
-        header = stream.read(4)
-        if len(header) < 4:
-            raise EOFError
-        (word,) = struct.unpack(">I", header)
-        length = word & 0x7FFFFFFF
-        if len(record) + length > 4 * LARGEST_MESSAGE:
-            raise HangUp
-        fragment = stream.read(length)
-        if len(fragment) < length:
-            raise EOFError
-        record += fragment
-        if word & 0x80000000:
-            return record
-
-
-def _padded(length: int) -> int:
-    return (length + 3) // 4 * 4
 
 
 def _reset(connection: socket.socket) -> None:

@@ -6,11 +6,11 @@ import math
 import threading
 import time
 
-from modaltouch.rig.afg import Afg
-from modaltouch.rig.commands import command_table
-from modaltouch.rig.faults import Fault, Faults, Kind
-from modaltouch.rig.scpi import ScpiError
-from modaltouch.rig.vxi11 import Reply
+from modaltouch.rig.simulator.afg import Afg
+from modaltouch.rig.simulator.commands import afg_commands
+from modaltouch.rig.simulator.faults import Fault, Faults, Kind
+from modaltouch.rig.simulator.scpi import ScpiError
+from modaltouch.rig.simulator.vxi11 import Reply
 
 
 class Instrument:
@@ -27,7 +27,7 @@ class Instrument:
     def __init__(self, afg: Afg, faults: Faults) -> None:
         self.afg = afg
         self.faults = faults
-        self._table = command_table(afg)
+        self._table = afg_commands(afg)
         self._busy = threading.RLock()
 
     @property

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import argparse
 import signal
 import sys
 import threading
@@ -15,13 +14,12 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.apparatus import Apparatus, read_apparatus
-from modaltouch.document import InputError
-from modaltouch.rig.afg import Afg, Behaviour
-from modaltouch.rig.faults import Faults
-from modaltouch.rig.instrument import Instrument
-from modaltouch.rig.twin import Twin
-from modaltouch.rig.vxi11 import Vxi11Server
+from modaltouch.apparatus import Apparatus
+from modaltouch.rig.simulator.afg import Afg, Behaviour
+from modaltouch.rig.simulator.faults import Faults
+from modaltouch.rig.simulator.instrument import Instrument
+from modaltouch.rig.simulator.twin import Twin
+from modaltouch.rig.simulator.vxi11 import Vxi11Server
 
 
 class Simulator:
@@ -152,23 +150,3 @@ def serve(apparatus: Apparatus, *, port: int = 0, seed: int | None = None) -> No
         sys.stdout.write(simulator.address + "\n")
         sys.stdout.flush()
         ended.wait()
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run ``python -m modaltouch.rig.simulator``."""
-    parser = argparse.ArgumentParser(prog="python -m modaltouch.rig.simulator", description=__doc__)
-    parser.add_argument("apparatus", help="apparatus file (YAML)")
-    parser.add_argument("--port", type=int, default=0, help="TCP port on 127.0.0.1; 0 takes a free one")
-    parser.add_argument("--seed", type=int, default=None, help="instead of the seed in the file")
-    options = parser.parse_args(arguments)
-    try:
-        apparatus = read_apparatus(options.apparatus)
-    except InputError as error:
-        sys.stderr.write(f"{error}\n")
-        return 2
-    serve(apparatus, port=options.port, seed=options.seed)
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -7,22 +7,22 @@ from collections import ChainMap
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-
-from modaltouch.rig.afg import OPEN, SOURCE_IMPEDANCE, Afg, Channel
-from modaltouch.rig.scpi import (
-    Argument,
-    Command,
-    CommandTable,
-    ScpiError,
+from modaltouch.rig.simulator.afg import MEMORIES, OPEN, SOURCE_IMPEDANCE, Afg, Channel
+from modaltouch.rig.simulator.arguments import (
+    Arguments,
+    asked,
+    exactly,
+    flag,
     is_word,
+    one,
+    quantity,
     read_boolean,
     read_choice,
-    read_number,
-    short_form,
+    whole,
 )
-
-Arguments = tuple[Argument, ...]
+from modaltouch.rig.simulator.command_table import Command, CommandTable
+from modaltouch.rig.simulator.memory_commands import memory_commands
+from modaltouch.rig.simulator.scpi import ScpiError
 
 VOLTS = {"V": 1.0, "VPP": 1.0}
 SHAPES = (
@@ -38,13 +38,12 @@ SHAPES = (
     "ERISe",
     "EDECay",
 )
-MEMORIES = tuple(f"USER{number}" for number in (1, 2, 3, 4))
 HIGHEST_BURST_FREQUENCY = 6.25e6
 
 
-def command_table(afg: Afg) -> CommandTable:
+def afg_commands(afg: Afg) -> CommandTable:
     """Return what the simulated instrument understands."""
-    groups = (_common, _memories, _waveform, _levels, _burst, _trigger, _system)
+    groups = (_common, memory_commands, _waveform, _levels, _burst, _trigger, _system)
     return CommandTable(dict(ChainMap(*(group(afg) for group in groups))), afg.n_channels)
 
 
@@ -73,92 +72,21 @@ def _common(afg: Afg) -> dict[str, Command]:
         "*SRE": _register(afg, "service_enable"),
         "*STB": Command(get=lambda c, a: str(afg.status_byte)),
         "*TRG": Command(set=lambda c, a: afg.trigger()),
-        "*SAV": Command(set=lambda c, a: afg.save(_whole(a, 0, 4))),
-        "*RCL": Command(set=lambda c, a: afg.recall(_whole(a, 0, 4))),
+        "*SAV": Command(set=lambda c, a: afg.save(whole(a, 0, 4))),
+        "*RCL": Command(set=lambda c, a: afg.recall(whole(a, 0, 4))),
     }
 
 
 def _register(afg: Afg, name: str) -> Command:
     return Command(
-        set=lambda c, a: setattr(afg, name, _whole(a, 0, 255)),
+        set=lambda c, a: setattr(afg, name, whole(a, 0, 255)),
         get=lambda c, a: str(getattr(afg, name)),
     )
 
 
-def _memories(afg: Afg) -> dict[str, Command]:
-    def write(channel: int, arguments: Arguments) -> None:
-        name, block = _exactly(arguments, 2)
-        _edit_memory(name)
-        if not isinstance(block, bytes):
-            raise ScpiError(-104, "a definite block is needed")
-        afg.write_edit(block)
-
-    def read(channel: int, arguments: Arguments) -> bytes:
-        _edit_memory(_one(arguments))
-        length = str(len(afg.edit))
-        return f"#{len(length)}{length}".encode() + afg.edit + afg.behaviour.block_end.strip(b"\n")
-
-    def define(channel: int, arguments: Arguments) -> None:
-        name, size = _exactly(arguments, 2)
-        _edit_memory(name)
-        if isinstance(size, str) and size.upper().startswith("USER"):
-            afg.copy_from_user(_user(size))
-        else:
-            afg.define_edit(_whole((size,), afg.min_points, afg.max_points))
-
-    def points(channel: int, arguments: Arguments) -> str:
-        if arguments:
-            _edit_memory(arguments[0])
-        return str(len(afg.edit) // 2)
-
-    def copy(channel: int, arguments: Arguments) -> None:
-        target, source = arguments if len(arguments) == 2 else (_one(arguments), "EMEM")
-        if isinstance(target, str) and target.upper().startswith("USER"):
-            _edit_memory(source)
-            afg.copy_to_user(_user(target))
-        else:
-            _edit_memory(target)
-            afg.copy_from_user(_user(source))
-
-    def set_value(channel: int, arguments: Arguments) -> None:
-        name, place, code = _exactly(arguments, 3)
-        _edit_memory(name)
-        codes = np.frombuffer(afg.edit, ">u2").copy()
-        codes[_whole((place,), 1, codes.size) - 1] = _whole((code,), 0, 16382)
-        afg.write_edit(codes.tobytes())
-
-    def value(channel: int, arguments: Arguments) -> str:
-        name, place = _exactly(arguments, 2)
-        _edit_memory(name)
-        at = 2 * (_whole((place,), 1, len(afg.edit) // 2) - 1)
-        return str(int.from_bytes(afg.edit[at : at + 2], "big"))
-
-    def catalogue(channel: int, arguments: Arguments) -> str:
-        filled = [f'"USER{number}"' for number, record in afg.user.items() if record is not None]
-        return ",".join([*filled, '"EMEM"'])
-
-    def lock(channel: int, arguments: Arguments) -> None:
-        name, state = _exactly(arguments, 2)
-        afg.locked[_user(name)] = read_boolean(state)
-
-    root = "TRACe|DATA"
-    return {
-        f"{root}[:DATA]": Command(set=write, get=read),
-        f"{root}[:DATA]:VALue": Command(set=set_value, get=value),
-        f"{root}:DEFine": Command(set=define),
-        f"{root}:POINts": Command(
-            set=lambda c, a: afg.define_edit(_whole(a[1:], afg.min_points, afg.max_points)), get=points
-        ),
-        f"{root}:COPY": Command(set=copy),
-        f"{root}:CATalog": Command(get=catalogue),
-        f"{root}:LOCK[:STATe]": Command(set=lock, get=lambda c, a: _flag(afg.locked[_user(_one(a))])),
-        f"{root}:DELete[:NAME]": Command(set=lambda c, a: afg.erase(_user(_one(a)))),
-    }
-
-
 def _waveform(afg: Afg) -> dict[str, Command]:
     def shape(number: int, arguments: Arguments) -> None:
-        name = _one(arguments)
+        name = one(arguments)
         chosen = read_choice("USER1" if str(name).upper() == "USER" else name, (*SHAPES, *MEMORIES, "EMEMory"))
         afg.select(number, chosen)
 
@@ -167,7 +95,7 @@ def _waveform(afg: Afg) -> dict[str, Command]:
         highest = HIGHEST_BURST_FREQUENCY if channel.burst else 12.5e6
         if channel.function == "SIN":
             highest = 25e6
-        value = _number(arguments, {"HZ": 1.0}, 1e-3, highest, 1e6)
+        value = quantity(arguments, {"HZ": 1.0}, 1e-3, highest, 1e6)
         for target in afg.channels.values() if afg.frequency_concurrent else (channel,):
             target.frequency = float(f"{value:.11e}")
 
@@ -181,7 +109,7 @@ def _waveform(afg: Afg) -> dict[str, Command]:
             set=lambda n, a: setattr(
                 afg.channels[n],
                 "phase",
-                _number(a, {"RAD": 1.0, "DEG": math.pi / 180}, -math.pi, math.pi, 0.0),
+                quantity(a, {"RAD": 1.0, "DEG": math.pi / 180}, -math.pi, math.pi, 0.0),
             ),
             get=_get_number(afg, "phase", -math.pi, math.pi, "{:.4E}"),
         ),
@@ -195,27 +123,27 @@ def _levels(afg: Afg) -> dict[str, Command]:
         factor = channel.load_factor
         if channel.unit != "VPP" and not _has_volts(arguments):
             raise ScpiError(-221, f"unit is {channel.unit}: give the amplitude in VPP")
-        value = _number(arguments, VOLTS, 20e-3 * factor, 20 * factor, 2 * factor)
+        value = quantity(arguments, VOLTS, 20e-3 * factor, 20 * factor, 2 * factor)
         value = float(f"{value:.3e}") if value >= 1 else round(value, 4)
         for each in afg.channels if afg.level_concurrent else (number,):
             afg.set_levels(each, amplitude=value / factor)
 
     def offset(number: int, arguments: Arguments) -> None:
         factor = afg.channels[number].load_factor
-        afg.set_levels(number, offset=_number(arguments, {"V": 1.0}, -10 * factor, 10 * factor, 0.0) / factor)
+        afg.set_levels(number, offset=quantity(arguments, {"V": 1.0}, -10 * factor, 10 * factor, 0.0) / factor)
 
     def limit(side: str) -> Command:
         def set_limit(number: int, arguments: Arguments) -> None:
             factor = afg.channels[number].load_factor
-            value = _number(arguments, {"V": 1.0}, -10 * factor, 10 * factor, None) / factor
+            value = quantity(arguments, {"V": 1.0}, -10 * factor, 10 * factor, None) / factor
             afg.set_limit(number, **{side.removeprefix("limit_"): value})
 
         return Command(set=set_limit, get=_get_level(afg, side, -10, 10))
 
     def load(number: int, arguments: Arguments) -> None:
-        text = _one(arguments)
+        text = one(arguments)
         infinite = isinstance(text, str) and is_word(text.upper(), "INFinity")
-        afg.channels[number].load = OPEN if infinite else _number(arguments, {"OHM": 1.0}, 1, 10e3, SOURCE_IMPEDANCE)
+        afg.channels[number].load = OPEN if infinite else quantity(arguments, {"OHM": 1.0}, 1, 10e3, SOURCE_IMPEDANCE)
 
     level = "[SOURce#]:VOLTage[:LEVel][:IMMediate]"
     return {
@@ -230,34 +158,34 @@ def _levels(afg: Afg) -> dict[str, Command]:
         ),
         "OUTPut#:POLarity": _keyword(afg, "polarity", ("NORMal", "INVerted")),
         "OUTPut#[:STATe]": Command(
-            set=lambda n, a: setattr(afg.channels[n], "output", read_boolean(_one(a))),
-            get=_get(afg, lambda c: _flag(c.output)),
+            set=lambda n, a: setattr(afg.channels[n], "output", read_boolean(one(a))),
+            get=_get(afg, lambda c: flag(c.output)),
         ),
     }
 
 
 def _burst(afg: Afg) -> dict[str, Command]:
     def state(number: int, arguments: Arguments) -> None:
-        on = read_boolean(_one(arguments))
+        on = read_boolean(one(arguments))
         channel = afg.channels[number]
         if on and channel.frequency > HIGHEST_BURST_FREQUENCY and channel.function != "SIN":
             raise ScpiError(-221, f"{channel.frequency:g} Hz is too fast for a burst")
         channel.burst = on
 
     def cycles(number: int, arguments: Arguments) -> None:
-        value = _number(arguments, {}, 1, 9.9e37, 5.0)
+        value = quantity(arguments, {}, 1, 9.9e37, 5.0)
         if 1e6 < value < 9.9e37:
             raise ScpiError(-222, f"{value:g} cycles")
         afg.channels[number].n_cycles = float(round(value)) if value <= 1e6 else math.inf
 
     return {
-        "[SOURce#]:BURSt[:STATe]": Command(set=state, get=_get(afg, lambda c: _flag(c.burst))),
+        "[SOURce#]:BURSt[:STATe]": Command(set=state, get=_get(afg, lambda c: flag(c.burst))),
         "[SOURce#]:BURSt:MODE": _keyword(afg, "burst_mode", ("TRIGgered", "GATed")),
         "[SOURce#]:BURSt:NCYCles": Command(
             set=cycles, get=_get(afg, lambda c: f"{9.9e37 if math.isinf(c.n_cycles) else c.n_cycles:.4E}")
         ),
         "[SOURce#]:BURSt:TDELay": Command(
-            set=lambda n, a: setattr(afg.channels[n], "delay", _number(a, {"S": 1.0}, 0, 85, 0.0)),
+            set=lambda n, a: setattr(afg.channels[n], "delay", quantity(a, {"S": 1.0}, 0, 85, 0.0)),
             get=_get_number(afg, "delay", 0, 85, "{:.4E}"),
         ),
     }
@@ -265,21 +193,21 @@ def _burst(afg: Afg) -> dict[str, Command]:
 
 def _trigger(afg: Afg) -> dict[str, Command]:
     def timer(channel: int, arguments: Arguments) -> None:
-        value = _number(arguments, {"S": 1.0}, 1e-6, 500, 1e-3)
+        value = quantity(arguments, {"S": 1.0}, 1e-6, 500, 1e-3)
         afg.timer = float(f"{value:.{afg.behaviour.timer_digits - 1}e}")
 
     return {
         "TRIGger[:SEQuence]:SOURce": Command(
-            set=lambda c, a: afg.set_trigger_source(read_choice(_one(a), ("TIMer", "EXTernal"))),
+            set=lambda c, a: afg.set_trigger_source(read_choice(one(a), ("TIMer", "EXTernal"))),
             get=lambda c, a: afg.trigger_source,
         ),
         "TRIGger[:SEQuence]:TIMer": Command(
-            set=timer, get=lambda c, a: f"{_asked(a, afg.timer, 1e-6, 500):.{afg.behaviour.timer_digits - 1}E}"
+            set=timer, get=lambda c, a: f"{asked(a, afg.timer, 1e-6, 500):.{afg.behaviour.timer_digits - 1}E}"
         ),
         "TRIGger[:SEQuence][:IMMediate]": Command(set=lambda c, a: afg.trigger()),
         "ABORt": Command(set=lambda c, a: afg.abort()),
         "OUTPut:TRIGger:MODE": Command(
-            set=lambda c, a: setattr(afg, "trigger_output", read_choice(_one(a), ("TRIGger", "SYNC"))),
+            set=lambda c, a: setattr(afg, "trigger_output", read_choice(one(a), ("TRIGger", "SYNC"))),
             get=lambda c, a: afg.trigger_output,
         ),
     }
@@ -298,63 +226,20 @@ def _system(afg: Afg) -> dict[str, Command]:
     }
 
 
-# what the commands above are made of
-
-
-def _exactly(arguments: Arguments, n: int) -> Arguments:
-    if len(arguments) < n:
-        raise ScpiError(-109)
-    if len(arguments) > n:
-        raise ScpiError(-108)
-    return arguments
-
-
-def _one(arguments: Arguments) -> Argument:
-    return _exactly(arguments, 1)[0]
-
-
-def _whole(arguments: Arguments, low: int, high: int) -> int:
-    return round(read_number(_one(arguments), units={}, minimum=low, maximum=high))
-
-
-def _number(arguments: Arguments, units: dict[str, float], low: float, high: float, default: float | None) -> float:
-    return read_number(_one(arguments), units=units, minimum=low, maximum=high, default=default)
-
-
-def _asked(arguments: Arguments, value: float, low: float, high: float) -> float:
-    """Return the value of a query, or the limit that ``MIN`` or ``MAX`` asks for."""
-    if not arguments:
-        return value
-    return low if read_choice(arguments[0], ("MINimum", "MAXimum")) == short_form("MINimum") else high
-
-
 def _has_volts(arguments: Arguments) -> bool:
     return isinstance(arguments[0], str) and arguments[0].upper().endswith("VPP")
 
 
-def _edit_memory(name: Argument) -> None:
-    if not isinstance(name, str) or not (is_word(name.upper(), "EMEMory") or is_word(name.upper(), "EMEMory1")):
-        raise ScpiError(-224, str(name)[:40])
-
-
-def _user(name: Argument) -> int:
-    return int(read_choice("USER1" if str(name).upper() == "USER" else name, MEMORIES)[4:])
-
-
-def _flag(state: bool) -> str:  # noqa: FBT001
-    return "1" if state else "0"
-
-
 def _get(afg: Afg, read: Callable[[Channel], str]) -> Callable[[int, Arguments], str]:
     def get(number: int, arguments: Arguments) -> str:
-        _exactly(arguments, 0)
+        exactly(arguments, 0)
         return read(afg.channels[number])
 
     return get
 
 
 def _get_number(afg: Afg, name: str, low: float, high: float, form: str) -> Callable[[int, Arguments], str]:
-    return lambda number, arguments: form.format(_asked(arguments, getattr(afg.channels[number], name), low, high))
+    return lambda number, arguments: form.format(asked(arguments, getattr(afg.channels[number], name), low, high))
 
 
 def _get_level(afg: Afg, name: str, low: float, high: float) -> Callable[[int, Arguments], str]:
@@ -362,23 +247,23 @@ def _get_level(afg: Afg, name: str, low: float, high: float) -> Callable[[int, A
 
     def get(number: int, arguments: Arguments) -> str:
         channel = afg.channels[number]
-        return f"{_asked(arguments, getattr(channel, name), low, high) * channel.load_factor:.4E}"
+        return f"{asked(arguments, getattr(channel, name), low, high) * channel.load_factor:.4E}"
 
     return get
 
 
 def _keyword(afg: Afg, name: str, choices: tuple[str, ...]) -> Command:
     return Command(
-        set=lambda n, a: setattr(afg.channels[n], name, read_choice(_one(a), choices)),
+        set=lambda n, a: setattr(afg.channels[n], name, read_choice(one(a), choices)),
         get=_get(afg, lambda channel: str(getattr(channel, name))),
     )
 
 
 def _switch(afg: Afg, name: str) -> Command:
     def set_switch(channel: int, arguments: Arguments) -> None:
-        setattr(afg, name, read_boolean(_one(arguments)))
+        setattr(afg, name, read_boolean(one(arguments)))
 
     def get_switch(channel: int, arguments: Arguments) -> Any:
-        return _flag(getattr(afg, name))
+        return flag(getattr(afg, name))
 
     return Command(set=set_switch, get=get_switch)

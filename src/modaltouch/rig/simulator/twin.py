@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.apparatus import Apparatus
-from modaltouch.rig.afg import MID_CODE, Playback
+from modaltouch.rig.simulator.afg import MID_CODE, Playback
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.timing import Timing
 from modaltouch.stimulus.vibration import peak_velocity

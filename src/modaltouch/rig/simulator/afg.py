@@ -16,13 +16,16 @@ from typing import Literal
 
 import numpy as np
 
-from modaltouch.rig.scpi import ScpiError
+from modaltouch.rig.simulator.scpi import ScpiError
 
 MAX_CODE = 16382
 """Highest code of a point."""
 
 MID_CODE = 8191
 """Code of zero volts."""
+
+MEMORIES = ("USER1", "USER2", "USER3", "USER4")
+"""Non-volatile memories, common to both channels."""
 
 OPEN = math.inf
 """Load impedance of an open circuit [ohm]."""
@@ -140,8 +143,8 @@ class Afg:
     lock: threading.RLock = field(default_factory=threading.RLock, repr=False)
 
     def __post_init__(self) -> None:
-        self.user: dict[int, bytes | None] = dict.fromkeys((1, 2, 3, 4))
-        self.locked: dict[int, bool] = dict.fromkeys((1, 2, 3, 4), False)
+        self.user: dict[int, bytes | None] = dict.fromkeys(range(1, len(MEMORIES) + 1))
+        self.locked: dict[int, bool] = dict.fromkeys(self.user, False)
         self.saved: dict[int, tuple[dict[int, Channel], str, float]] = {}
         self.errors: deque[str] = deque()
         self.power_on()

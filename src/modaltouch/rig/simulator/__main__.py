@@ -1,0 +1,31 @@
+"""Runs ``python -m modaltouch.rig.simulator --port 0 APPARATUS.yaml``."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+
+from modaltouch.apparatus import read_apparatus
+from modaltouch.document import InputError
+from modaltouch.rig.simulator import serve
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run ``python -m modaltouch.rig.simulator``."""
+    parser = argparse.ArgumentParser(prog="python -m modaltouch.rig.simulator", description="Run a simulated rig.")
+    parser.add_argument("apparatus", help="apparatus file (YAML)")
+    parser.add_argument("--port", type=int, default=0, help="TCP port on 127.0.0.1; 0 takes a free one")
+    parser.add_argument("--seed", type=int, default=None, help="instead of the seed in the file")
+    options = parser.parse_args(arguments)
+    try:
+        apparatus = read_apparatus(options.apparatus)
+    except InputError as error:
+        sys.stderr.write(f"{error}\n")
+        return 2
+    serve(apparatus, port=options.port, seed=options.seed)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,92 @@
+"""The SCPI commands of the AFG3000 series that move records between edit memory and USER memories."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from modaltouch.rig.simulator.afg import MEMORIES, Afg
+from modaltouch.rig.simulator.arguments import Arguments, exactly, flag, is_word, one, read_boolean, read_choice, whole
+from modaltouch.rig.simulator.command_table import Command
+from modaltouch.rig.simulator.scpi import Argument, ScpiError
+
+
+def memory_commands(afg: Afg) -> dict[str, Command]:
+    """Return the commands of the edit memory and the USER memories."""
+
+    def write(channel: int, arguments: Arguments) -> None:
+        name, block = exactly(arguments, 2)
+        _edit_memory(name)
+        if not isinstance(block, bytes):
+            raise ScpiError(-104, "a definite block is needed")
+        afg.write_edit(block)
+
+    def read(channel: int, arguments: Arguments) -> bytes:
+        _edit_memory(one(arguments))
+        length = str(len(afg.edit))
+        return f"#{len(length)}{length}".encode() + afg.edit + afg.behaviour.block_end.strip(b"\n")
+
+    def define(channel: int, arguments: Arguments) -> None:
+        name, size = exactly(arguments, 2)
+        _edit_memory(name)
+        if isinstance(size, str) and size.upper().startswith("USER"):
+            afg.copy_from_user(_user(size))
+        else:
+            afg.define_edit(whole((size,), afg.min_points, afg.max_points))
+
+    def points(channel: int, arguments: Arguments) -> str:
+        if arguments:
+            _edit_memory(arguments[0])
+        return str(len(afg.edit) // 2)
+
+    def copy(channel: int, arguments: Arguments) -> None:
+        target, source = arguments if len(arguments) == 2 else (one(arguments), "EMEM")
+        if isinstance(target, str) and target.upper().startswith("USER"):
+            _edit_memory(source)
+            afg.copy_to_user(_user(target))
+        else:
+            _edit_memory(target)
+            afg.copy_from_user(_user(source))
+
+    def set_value(channel: int, arguments: Arguments) -> None:
+        name, place, code = exactly(arguments, 3)
+        _edit_memory(name)
+        codes = np.frombuffer(afg.edit, ">u2").copy()
+        codes[whole((place,), 1, codes.size) - 1] = whole((code,), 0, 16382)
+        afg.write_edit(codes.tobytes())
+
+    def value(channel: int, arguments: Arguments) -> str:
+        name, place = exactly(arguments, 2)
+        _edit_memory(name)
+        at = 2 * (whole((place,), 1, len(afg.edit) // 2) - 1)
+        return str(int.from_bytes(afg.edit[at : at + 2], "big"))
+
+    def catalogue(channel: int, arguments: Arguments) -> str:
+        filled = [f'"USER{number}"' for number, record in afg.user.items() if record is not None]
+        return ",".join([*filled, '"EMEM"'])
+
+    def lock(channel: int, arguments: Arguments) -> None:
+        name, state = exactly(arguments, 2)
+        afg.locked[_user(name)] = read_boolean(state)
+
+    root = "TRACe|DATA"
+    return {
+        f"{root}[:DATA]": Command(set=write, get=read),
+        f"{root}[:DATA]:VALue": Command(set=set_value, get=value),
+        f"{root}:DEFine": Command(set=define),
+        f"{root}:POINts": Command(
+            set=lambda c, a: afg.define_edit(whole(a[1:], afg.min_points, afg.max_points)), get=points
+        ),
+        f"{root}:COPY": Command(set=copy),
+        f"{root}:CATalog": Command(get=catalogue),
+        f"{root}:LOCK[:STATe]": Command(set=lock, get=lambda c, a: flag(afg.locked[_user(one(a))])),
+        f"{root}:DELete[:NAME]": Command(set=lambda c, a: afg.erase(_user(one(a)))),
+    }
+
+
+def _edit_memory(name: Argument) -> None:
+    if not isinstance(name, str) or not (is_word(name.upper(), "EMEMory") or is_word(name.upper(), "EMEMory1")):
+        raise ScpiError(-224, str(name)[:40])
+
+
+def _user(name: Argument) -> int:
+    return int(read_choice("USER1" if str(name).upper() == "USER" else name, MEMORIES)[4:])

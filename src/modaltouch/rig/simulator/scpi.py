@@ -1,0 +1,129 @@
+"""IEEE 488.2 program messages, and the errors of SCPI-99: from the bytes on the wire to units."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+Argument = str | bytes
+"""A text argument as it was sent, or the content of a definite block."""
+
+TEXTS = {
+    -100: "Command error",
+    -101: "Invalid character",
+    -102: "Syntax error",
+    -104: "Data type error",
+    -108: "Parameter not allowed",
+    -109: "Missing parameter",
+    -113: "Undefined header",
+    -114: "Header suffix out of range",
+    -120: "Numeric data error",
+    -131: "Invalid suffix",
+    -151: "Invalid string data",
+    -161: "Invalid block data",
+    -200: "Execution error",
+    -211: "Trigger ignored",
+    -220: "Parameter error",
+    -221: "Settings conflict",
+    -222: "Data out of range",
+    -223: "Too much data",
+    -224: "Illegal parameter value",
+    -241: "Hardware missing",
+    -310: "System error",
+    -350: "Queue overflow",
+    -410: "Query INTERRUPTED",
+    -420: "Query UNTERMINATED",
+}
+"""Standard texts of SCPI-99, volume 2, chapter 21.8."""
+
+_HEADER = re.compile(rb"[ \t\r]*([*:]?[A-Za-z][A-Za-z0-9_]*(?::[A-Za-z][A-Za-z0-9_]*)*)(\??)")
+_PLAIN = re.compile(rb"[^;,\n\"'#]*")
+_BLANKS = b" \t\r"
+
+
+class ScpiError(Exception):
+    """What an instrument puts in its error queue: a number of SCPI-99 and its text."""
+
+    def __init__(self, code: int, detail: str = "") -> None:
+        self.code = code
+        self.text = f"{TEXTS.get(code, 'Device error')}; {detail}" if detail else TEXTS.get(code, "Device error")
+        super().__init__(f'{code},"{self.text}"')
+
+
+@dataclass(frozen=True)
+class MessageUnit:
+    """One command or query of a message: header without question mark, arguments as sent."""
+
+    header: str
+    query: bool
+    arguments: tuple[Argument, ...]
+
+
+def read_message(message: bytes) -> Iterator[MessageUnit]:
+    """Yield the units of a complete message, semicolons, strings and definite blocks understood.
+
+    Raises
+    ------
+    ScpiError
+        At the first unit that is not IEEE 488.2; the units before it have been yielded.
+    """
+    at = 0
+    while at < len(message):
+        if message[at] in b" \t\r\n;":
+            at += 1
+            continue
+        found = _HEADER.match(message, at)
+        if found is None:
+            raise ScpiError(-101 if message[at] > 0x7E else -102, _show(message[at : at + 20]))
+        header, query = found[1].decode("ascii"), bool(found[2])
+        arguments, at = _read_arguments(message, found.end())
+        yield MessageUnit(header, query, arguments)
+
+
+def _read_arguments(message: bytes, at: int) -> tuple[tuple[Argument, ...], int]:
+    """Return the arguments that start at a place, and the place after their unit's end."""
+    arguments: list[Argument] = []
+    if at < len(message) and message[at] not in b" \t\r\n;":
+        raise ScpiError(-102, _show(message[at : at + 20]))
+    while True:
+        while at < len(message) and message[at] in _BLANKS:
+            at += 1
+        if at >= len(message) or message[at] in b";\n":
+            if arguments:
+                raise ScpiError(-109, "nothing after the comma")
+            return (), at + 1
+        argument, at = _read_argument(message, at)
+        arguments.append(argument)
+        while at < len(message) and message[at] in _BLANKS:
+            at += 1
+        if at >= len(message) or message[at] in b";\n":
+            return tuple(arguments), at + 1
+        if message[at] != ord(","):
+            raise ScpiError(-102, _show(message[at : at + 20]))
+        at += 1
+
+
+def _read_argument(message: bytes, at: int) -> tuple[Argument, int]:
+    first = message[at : at + 1]
+    if first == b"#" and message[at + 1 : at + 2] in (b"1", b"2", b"3", b"4", b"5", b"6", b"7", b"8", b"9"):
+        start = at + 2 + int(message[at + 1 : at + 2])
+        announced = message[at + 2 : start]
+        if not announced.isdigit() or start + int(announced) > len(message):
+            raise ScpiError(-161, f"announced {_show(announced)} bytes, {max(len(message) - start, 0)} came")
+        end = start + int(announced)
+        return message[start:end], end
+    if first in (b'"', b"'"):
+        end = message.find(first, at + 1)
+        if end < 0:
+            raise ScpiError(-151, "no closing quote")
+        return message[at + 1 : end].decode("latin1"), end + 1
+    found = _PLAIN.match(message, at)
+    text = found[0] if found else b""
+    if not text:
+        raise ScpiError(-102, _show(message[at : at + 20]))
+    return text.decode("latin1").strip(), at + len(text)
+
+
+def _show(text: bytes) -> str:
+    return text.decode("latin1").encode("ascii", "backslashreplace").decode()
