@@ -30,17 +30,41 @@ class Condition:
         Zones under the two fingers, left and right as the participant sees the beam.
     velocity_mm_s : float
         Peak velocity at the centre of the focus zone at the focusing instant [mm/s].
+    placement : str
+        ``normal``; ``mirrored`` (the beam turned end to end, so that its last zone lies on the left);
+        ``swapped`` (the other hand in ``one_hand``, crossed hands in ``two_hands``); ``mirrored_swapped``.
     """
 
     finger_condition: str
     zone_left: str
     zone_right: str
     velocity_mm_s: float
+    placement: str = "normal"
 
     @property
     def pair(self) -> tuple[str, str]:
         """Zones under the left and the right finger."""
         return (self.zone_left, self.zone_right)
+
+    @property
+    def is_mirrored(self) -> bool:
+        """Whether the beam is turned end to end."""
+        return self.placement.startswith("mirrored")
+
+    def fingers(self, hand: str) -> tuple[str, str]:
+        """Return the fingers on the left and on the right zone, such as ``left index``.
+
+        Parameters
+        ----------
+        hand : str
+            The hand that the protocol uses in ``one_hand``.
+        """
+        if not self.placement.endswith("swapped"):
+            return FINGERS[self.finger_condition, hand]
+        if self.finger_condition == "two_hands":
+            left, right = FINGERS["two_hands", hand]
+            return right, left
+        return FINGERS[self.finger_condition, "left" if hand == "right" else "right"]
 
 
 @dataclass(frozen=True)
@@ -91,6 +115,9 @@ class Response:
         ``first_burst`` or ``question`` (where the stimulus stops before the question).
     answered_by : str
         ``participant``, ``experimenter`` (typed for the participant) or ``simulated``.
+    way : str
+        ``free_hand``, ``lifting`` (a finger off the beam), ``foot_switch`` or ``experimenter``, as the protocol
+        has it; empty without a window.
     device : str
         ``key``, ``mouse`` or ``model`` (an observer without a window).
     key : str
@@ -107,6 +134,7 @@ class Response:
     reaction_time: float
     onset: str = "first_burst"
     answered_by: str = "participant"
+    way: str = ""
     device: str = "key"
     key: str = ""
     double: bool = False

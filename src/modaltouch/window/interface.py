@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Self
 
-from modaltouch.trial import Response, Trial
+from modaltouch.trial import Answer, Response, Trial
 
 
 class WindowError(Exception):
@@ -20,7 +20,7 @@ class SessionStopped(Exception):  # noqa: N818
     Attributes
     ----------
     reason : str
-        One of ``escape``, ``window closed``.
+        One of ``escape``, ``window closed``, ``practice not passed``.
     """
 
     def __init__(self, reason: str) -> None:
@@ -70,7 +70,7 @@ class AnswerWindow(typing.Protocol):
         """Show which finger goes on which zone until it is confirmed."""
 
     def announce(self, text: str) -> None:
-        """Show one text of the protocol (``practice``, ``start``) until the participant goes on."""
+        """Show one text of the protocol (``practice``, ``practice_again``, ``start``) until the participant goes on."""
 
     def ask(self, trial: Trial, progress: Progress, *, onset: float, stop: Callable[[], None]) -> Response:
         """Show the trial and return the answer, as soon as it is known and without confirming it on screen.
@@ -92,6 +92,9 @@ class AnswerWindow(typing.Protocol):
 
     def confirm(self, response: Response) -> None:
         """Show which answer was taken; it is on the disk."""
+
+    def give_feedback(self, response: Response, expected: Answer) -> None:
+        """Show for a moment where the vibration was stronger, after a practice trial."""
 
     def wait(self, seconds: float) -> None:
         """Let the pause between two trials pass, events polled; a simulated participant does not wait."""

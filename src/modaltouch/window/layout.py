@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from modaltouch.trial import Answer
 from modaltouch.window.marks import Box
@@ -61,8 +61,12 @@ class Layout:
     def beam(self) -> Box:
         """Return the whole bar of zones."""
         boxes = tuple(self.zones.values())
-        left, right = boxes[0].left, boxes[-1].right
+        left, right = min(box.left for box in boxes), max(box.right for box in boxes)
         return Box((left + right) / 2, boxes[0].y, right - left, boxes[0].height)
+
+    def turned(self) -> Layout:
+        """Return the layout for the beam turned end to end, its last zone on the left."""
+        return replace(self, zones=dict(zip(reversed(self.zones), self.zones.values(), strict=True)))
 
 
 def lay_out(

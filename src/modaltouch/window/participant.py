@@ -10,8 +10,10 @@ from typing import Any, NoReturn, Self
 from modaltouch.protocol import Protocol, Texts
 from modaltouch.trial import Answer, Condition, Response, Trial
 from modaltouch.window.events import Event
-from modaltouch.window.interface import Log, Progress, SessionStopped, TrialInterrupted
+from modaltouch.window.interface import Log, Progress, TrialInterrupted
 from modaltouch.window.layout import lay_out
+from modaltouch.window.marks import Picture
+from modaltouch.window.pausing import SETTLE, Pauser
 from modaltouch.window.pictures import Illustrator
 from modaltouch.window.reading import Reader, describe_press, is_press
 from modaltouch.window.stage import Display, Moment, Nobody, Sitter, Stage
@@ -19,10 +21,10 @@ from modaltouch.window.theme import Theme
 
 DOUBLE_WINDOW = 0.05
 """A different answer this soon after the first flags the trial as double [s]."""
-_SETTLE = 0.25
-"""A press this soon after a screen appeared was meant for the one before [s]."""
 _CONFIRMATION = 0.4
 """How long the chosen answer stays marked, at most [s]."""
+_FEEDBACK = 1.5
+"""How long practice feedback stays [s]."""
 _FAREWELL = 8.0
 """How long the last screen stays if nobody presses a key [s]."""
 
@@ -67,13 +69,14 @@ class ParticipantWindow:
     ) -> None:
         self._display = display
         self._answers = protocol.answers
-        self._n_practice = protocol.schedule.practice_trials
+        self._n_practice, self._n_trials = protocol.schedule.practice_trials, protocol.n_trials
         self._texts = texts
         layout = lay_out(*display.size, zones)
         self._pictures = Illustrator(layout, theme, texts, protocol.answers, protocol.conditions.hand)
         self._stage = Stage(display, tick=tick, log=log, screenshots=screenshots, sitter=robot or Nobody())
-        self._answered_by = "simulated" if robot else protocol.answers.given_by
+        self._answered_by = "simulated" if robot else ""
         self._reader = Reader.of(protocol.answers, layout)
+        self._pauser = Pauser(self._stage, self._pictures, self._reader, protocol.answers.pause_s)
         self._current: tuple[Trial, Progress] | None = None
         conditions = protocol.conditions
         first = Condition(conditions.finger_conditions[0], *conditions.zone_pairs[0], 0.0)
@@ -90,12 +93,17 @@ class ParticipantWindow:
         self._go_on(lambda: self._pictures.answering(self._example))
 
     def place_fingers(self, trial: Trial) -> None:
-        """Show which finger goes on which zone until it is confirmed."""
+        """Show which finger goes on which zone until it is confirmed, and wait for a lifted finger to return."""
         self._make_ready(trial)
         self._go_on(lambda: self._pictures.placement(trial), trial)
+        if self._answers.way(trial.condition.finger_condition) == "lifting":
+            ready = self._pictures.ready(trial, self._count(trial, Progress(trial.index, self._n_trials)))
+            event = self._pauser.let_fingers_return(ready)
+            if event is not None:
+                self._pauser.pause(trial, event, ready)
 
     def announce(self, text: str) -> None:
-        """Show one text of the protocol, ``practice`` or ``start``, until the participant goes on."""
+        """Show one text of the protocol, such as ``practice`` or ``start``, until the participant goes on."""
         words = str(getattr(self._texts, text))
         self._go_on(lambda: self._pictures.page(text, words))
 
@@ -112,9 +120,9 @@ class ParticipantWindow:
         answers = self._answers
         stops_first = answers.stimulus_until == "question"
         due = onset + max(answers.question_delay_s, answers.presentation_s if stops_first else 0.0)
-        if trial.practice:
-            progress = Progress(progress.number, max(self._n_practice, progress.number))
+        progress = self._count(trial, progress)
         self._current = (trial, progress)
+        self._stage.attend(Moment("feel", trial, onset))
         self._feel(trial, progress, stop, until=onset + answers.presentation_s if stops_first else due)
         if stops_first:
             stop()
@@ -125,12 +133,15 @@ class ParticipantWindow:
             self._before_question(event, trial, stop)
         answer, event = self._await_answer(trial, stop)
         gap = self._stage.poll_gap
+        if answers.change_until_confirmed:
+            answer, event = self._await_confirmation(trial, progress, answer, event, stop)
         stop()
         return Response(
             answer=answer,
             reaction_time=event.time - (asked if stops_first else onset),
             onset="question" if stops_first else "first_burst",
-            answered_by=self._answered_by,
+            answered_by=self._answered_by or self._who(trial),
+            way=answers.way(trial.condition.finger_condition),
             device="key" if event.kind == "key" else "mouse",
             key=event.key or answer,
             double=self._watch_double(answer, event),
@@ -144,17 +155,19 @@ class ParticipantWindow:
             self._stage.show(self._pictures.question(*self._current, chosen=response.answer), Moment())
         self._stage.write_notes()
 
+    def give_feedback(self, response: Response, expected: Answer) -> None:
+        """Show for a moment where the vibration was stronger, after a practice trial."""
+        if self._current is not None:
+            picture = self._pictures.feedback(*self._current, response.answer, expected)
+            self._rest_on(picture, _FEEDBACK)
+
     def wait(self, seconds: float) -> None:
         """Let the pause between two trials pass."""
         start = time.perf_counter()
-        while time.perf_counter() < start + seconds:
-            if self._current is not None and time.perf_counter() > start + _CONFIRMATION:
-                self._stage.show(self._pictures.ready(*self._current), Moment())
-            for event in self._stage.poll():
-                if self._reader.interrupts(event):
-                    self._pause(None, event)
-                    return
-                self._discard(event, "between trials")
+        self._rest_on(None, min(seconds, _CONFIRMATION))
+        left = start + seconds - time.perf_counter()
+        if left > 0 and self._current is not None:
+            self._rest_on(self._pictures.ready(*self._current), left)
 
     def rest(self, progress: Progress) -> None:
         """Show the break until the participant goes on."""
@@ -166,7 +179,7 @@ class ParticipantWindow:
         shown = self._stage.show(picture, Moment("go_on"))
         while time.perf_counter() < shown + _FAREWELL:
             for event in self._stage.poll():
-                if event.kind == "close" or (is_press(event) and event.time > shown + _SETTLE):
+                if event.kind == "close" or (is_press(event) and event.time > shown + SETTLE):
                     return
 
     def close(self) -> None:
@@ -181,34 +194,57 @@ class ParticipantWindow:
 
     def _make_ready(self, trial: Trial) -> None:
         """Draw the trial's pictures out of sight, so that none of them is late."""
-        progress = Progress(1, 1)
-        for picture in (
-            self._pictures.placement(trial),
-            self._pictures.feel(trial, progress),
-            self._pictures.question(trial, progress),
-            *(self._pictures.question(trial, progress, chosen=answer) for answer in self._pictures.layout.buttons),
-        ):
+        progress, draw = Progress(1, 1), self._pictures
+        for picture in (draw.placement(trial), draw.feel(trial, progress), draw.question(trial, progress)):
             self._stage.prepare(picture)
+        for answer in draw.layout.buttons:
+            self._stage.prepare(draw.question(trial, progress, chosen=answer))
 
-    def _go_on(self, draw: Callable[[], Any], trial: Trial | None = None) -> None:
+    def _count(self, trial: Trial, progress: Progress) -> Progress:
+        """Return the progress as the participant sees it: practice trials count on their own."""
+        if not trial.practice:
+            return progress
+        n_trials = max(self._n_practice, 1)
+        return Progress((trial.index - 1) % n_trials + 1, n_trials)
+
+    def _who(self, trial: Trial) -> str:
+        way = self._answers.way(trial.condition.finger_condition)
+        return "experimenter" if way == "experimenter" else "participant"
+
+    def _go_on(self, draw: Callable[[], Picture], trial: Trial | None = None) -> None:
         """Show a picture until a key to go on or a click."""
         shown = self._stage.show(draw(), Moment("go_on", trial))
         while True:
             for event in self._stage.poll():
                 if self._reader.pauses(event):
-                    self._hold(trial, event)
+                    self._pauser.hold(trial, event)
                     shown = self._stage.show(draw(), Moment("go_on", trial))
-                elif event.time < shown + _SETTLE:
-                    self._discard(event, "as the screen appeared")
+                elif event.time < shown + SETTLE:
+                    self._pauser.discard(event, "as the screen appeared")
                 elif event.kind == "click" or self._reader.goes_on(event):
                     return
                 elif event.kind == "key":
                     self._stage.note("ignored", key=event.key)
 
+    def _rest_on(self, picture: Picture | None, seconds: float) -> None:
+        """Show a picture, or leave the one that is on, for some time; presses do not count."""
+        if picture is not None:
+            self._stage.show(picture, Moment())
+        end = time.perf_counter() + seconds
+        while time.perf_counter() < end:
+            for event in self._stage.poll():
+                if self._reader.interrupts(event):
+                    self._pauser.pause(None, event, self._ready_picture())
+                    return
+                self._pauser.discard(event, "between trials")
+
+    def _ready_picture(self) -> Picture | None:
+        return self._pictures.ready(*self._current) if self._current is not None else None
+
     def _feel(self, trial: Trial, progress: Progress, stop: Callable[[], None], until: float) -> None:
         """Show the beam until a time; presses do not count yet."""
         if time.perf_counter() < until:
-            self._stage.show(self._pictures.feel(trial, progress), Moment("nothing", trial))
+            self._stage.show(self._pictures.feel(trial, progress))
         while time.perf_counter() < until:
             for event in self._stage.poll():
                 self._before_question(event, trial, stop)
@@ -216,7 +252,7 @@ class ParticipantWindow:
     def _before_question(self, event: Event, trial: Trial, stop: Callable[[], None]) -> None:
         if self._reader.interrupts(event):
             self._interrupt(trial, event, stop)
-        self._discard(event, "before the question", trial)
+        self._pauser.discard(event, "before the question", trial)
 
     def _await_answer(self, trial: Trial, stop: Callable[[], None]) -> tuple[Answer, Event]:
         """Return the first answer and its event; what came after it is left to be read."""
@@ -232,6 +268,19 @@ class ParticipantWindow:
                 if is_press(event):
                     self._stage.note("ignored", trial=trial.index, **describe_press(event))
 
+    def _await_confirmation(
+        self, trial: Trial, progress: Progress, answer: Answer, event: Event, stop: Callable[[], None]
+    ) -> tuple[Answer, Event]:
+        """Return the answer that is chosen a second time, with the event that chose it first."""
+        while True:
+            picture = self._pictures.question(trial, progress, chosen=answer, confirmed=False)
+            self._stage.show(picture, Moment("confirm", trial))
+            again, press = self._await_answer(trial, stop)
+            if again == answer:
+                return answer, event
+            self._stage.note("changed", trial=trial.index, first=answer, to=again, after_s=press.time - event.time)
+            answer, event = again, press
+
     def _watch_double(self, answer: Answer, event: Event) -> bool:
         """Return whether a different answer comes within `DOUBLE_WINDOW`; nothing here may raise."""
         is_double = False
@@ -243,62 +292,15 @@ class ParticipantWindow:
                     rest.append(other)
                 elif second != answer and other.time <= event.time + DOUBLE_WINDOW:
                     is_double = True
-                    self._stage.note_later("double", first=answer, second=second, after_s=other.time - event.time)
+                    after = other.time - event.time
+                    self._stage.note_later("double", first=answer, second=second, after_s=after)
             if time.perf_counter() > event.time + DOUBLE_WINDOW:
                 self._stage.put_back(rest)
                 return is_double
             time.sleep(0.002)
 
-    def _interrupt(self, trial: Trial, event: Event, stop: Callable[[], None]) -> None:
+    def _interrupt(self, trial: Trial, event: Event, stop: Callable[[], None]) -> NoReturn:
         """Stop the stimulus, pause, and have the trial offered again."""
         stop()
-        reason = "focus lost" if event.kind == "blur" else "escape"
-        self._pause(trial, event)
-        raise TrialInterrupted(reason)
-
-    def _pause(self, trial: Trial | None, event: Event) -> None:
-        """Pause, then give the fingers as much time to return as between two trials."""
-        cut: Event | None = event
-        while cut is not None:
-            self._hold(trial, cut)
-            cut = self._settle()
-
-    def _hold(self, trial: Trial | None, event: Event) -> None:
-        """Show the pause screen until the session goes on or ends."""
-        if event.kind == "close":
-            self._end("window closed")
-        self._stage.note("focus_lost" if event.kind == "blur" else "pause", trial=trial.index if trial else None)
-        began = time.perf_counter()
-        shown = self._stage.show(self._pictures.pause(trial), Moment("go_on", trial))
-        while True:
-            for press in self._stage.poll():
-                if press.kind == "close":
-                    self._end("window closed")
-                if press.time < shown + _SETTLE:
-                    self._discard(press, "as the screen appeared", trial)
-                elif self._reader.ends(press):
-                    self._end("escape")
-                elif self._reader.goes_on(press):
-                    self._stage.note("continued", paused_s=round(press.time - began, 3))
-                    return
-
-    def _settle(self) -> Event | None:
-        """Show the beam for the length of a pause between trials; return what cuts it short, or None."""
-        if self._current is None:
-            return None
-        self._stage.show(self._pictures.ready(*self._current), Moment())
-        end = time.perf_counter() + self._answers.pause_s
-        while time.perf_counter() < end:
-            for event in self._stage.poll():
-                if self._reader.interrupts(event):
-                    return event
-                self._discard(event, "between trials")
-        return None
-
-    def _end(self, reason: str) -> NoReturn:
-        self._stage.note("stopped", reason=reason)
-        raise SessionStopped(reason)
-
-    def _discard(self, event: Event, when: str, trial: Trial | None = None) -> None:
-        if is_press(event):
-            self._stage.note("discarded", when=when, trial=trial.index if trial else None, **describe_press(event))
+        self._pauser.pause(trial, event, self._ready_picture())
+        raise TrialInterrupted("focus lost" if event.kind == "blur" else "escape")

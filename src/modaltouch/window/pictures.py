@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 
 from modaltouch.protocol import AnswersSection, Texts
-from modaltouch.trial import FINGERS, Answer, Trial
+from modaltouch.trial import Answer, Trial
 from modaltouch.window.hands import draw_beam, draw_hands
 from modaltouch.window.interface import Progress
 from modaltouch.window.layout import Layout
@@ -57,7 +57,15 @@ class Illustrator:
         layout = self.layout
         below = Box(0, 0.07, layout.body.width, 0.4)
         words = Words("\n\n".join(rest), below, 0.042 * layout.type_scale, self.theme.text)
-        return Picture("answers", (self._headline(title, 0.054), words, *self._buttons(None), *self._go_on()))
+        return Picture(
+            "answers",
+            (
+                self._headline(title, 0.054),
+                words,
+                *self._buttons(None, with_keys=self.answers.given_by == "participant"),
+                *self._go_on(),
+            ),
+        )
 
     def placement(self, trial: Trial) -> Picture:
         """Return which finger goes on which zone."""
@@ -74,7 +82,10 @@ class Illustrator:
 
     def ready(self, trial: Trial, progress: Progress) -> Picture:
         """Return the beam alone, between two trials."""
-        return Picture(f"ready_{_tag(trial)}", (*self._beam(trial), *self._progress(trial, progress)))
+        marks: tuple[Mark, ...] = (*self._beam(trial), *self._progress(trial, progress))
+        if self.answers.way(trial.condition.finger_condition) == "lifting":
+            marks = (self._headline(self.texts.fingers_back, 0.056), *marks)
+        return Picture(f"ready_{_tag(trial)}", marks)
 
     def feel(self, trial: Trial, progress: Progress) -> Picture:
         """Return the screen while the stimulus runs and the question is not yet asked."""
@@ -87,23 +98,43 @@ class Illustrator:
             ),
         )
 
-    def question(self, trial: Trial, progress: Progress, chosen: str | None = None) -> Picture:
-        """Return the question with its answers; `chosen` is shown as taken."""
-        name = f"answered_{chosen}" if chosen else f"question_{_tag(trial)}"
-        note: tuple[Mark, ...] = ()
-        if self.answers.given_by == "experimenter":
-            words, layout = self.texts.experimenter_answers, self.layout
-            note = (Words(words, layout.note, 0.03 * layout.type_scale, self.theme.dim),)
+    def question(
+        self, trial: Trial, progress: Progress, chosen: str | None = None, *, confirmed: bool = True
+    ) -> Picture:
+        """Return the question with its answers; `chosen` is shown as taken, or as still to be confirmed."""
+        layout, way = self.layout, self.answers.way(trial.condition.finger_condition)
+        if chosen and not confirmed:
+            name, words = f"chosen_{chosen}", self.texts.confirm_answer
+        else:
+            name = f"answered_{chosen}" if chosen else f"question_{_tag(trial)}"
+            words = {
+                "experimenter": self.texts.experimenter_answers,
+                "lifting": self.texts.lift_to_answer,
+                "foot_switch": self.texts.foot_switch_answers,
+            }.get(way, "")
+        note = (Words(words, layout.note, 0.03 * layout.type_scale, self.theme.dim),) if words else ()
         return Picture(
             name,
             (
                 self._headline(self.texts.question, 0.056),
                 *self._beam(trial),
-                *self._buttons(chosen),
+                *self._buttons(chosen, with_keys=way != "experimenter"),
                 *note,
                 *self._progress(trial, progress),
             ),
         )
+
+    def feedback(self, trial: Trial, progress: Progress, answer: str, expected: str) -> Picture:
+        """Return where the vibration was stronger, after a practice trial."""
+        texts = self.texts
+        said = {
+            "left": texts.practice_was_left,
+            "both": texts.practice_was_both,
+            "right": texts.practice_was_right,
+        }
+        words = texts.practice_agreed if answer == expected else said[expected]
+        name = "feedback_agreed" if answer == expected else f"feedback_{expected}"
+        return Picture(name, (self._headline(words, 0.05), *self._beam(trial), *self._progress(trial, progress)))
 
     def page(self, name: str, text: str, progress: Progress | None = None, *, waits: bool = True) -> Picture:
         """Return a screen of words: its first paragraph large, the rest under it."""
@@ -141,7 +172,7 @@ class Illustrator:
 
     def finger_names(self, trial: Trial) -> tuple[str, str]:
         """Return what the participant calls the fingers on the left and on the right zone."""
-        left, right = FINGERS[trial.condition.finger_condition, self.hand]
+        left, right = trial.condition.fingers(self.hand)
         named = {
             "left index": self.texts.left_index,
             "left middle": self.texts.left_middle,
@@ -168,23 +199,26 @@ class Illustrator:
 
     def _beam(self, trial: Trial) -> tuple[Mark, ...]:
         condition = trial.condition
-        fingers = FINGERS[condition.finger_condition, self.hand]
+        layout = self.layout.turned() if condition.is_mirrored else self.layout
+        fingers = condition.fingers(self.hand)
         return (
-            *draw_beam(self.layout, self.theme, condition.pair),
-            *draw_hands(self.layout, self.theme, condition.pair, fingers, self.finger_names(trial)),
+            *draw_beam(layout, self.theme, condition.pair),
+            *draw_hands(layout, self.theme, condition.pair, fingers, self.finger_names(trial)),
         )
 
-    def _buttons(self, chosen: str | None) -> tuple[Mark, ...]:
+    def _buttons(self, chosen: str | None, *, with_keys: bool) -> tuple[Mark, ...]:
         marks: list[Mark] = []
-        for answer in self.layout.buttons:
+        for answer, box in self.layout.buttons.items():
             marks += self._button(answer, pressed=answer == chosen)
+            if with_keys:
+                below = Box(box.x, box.y - 0.27 * box.height, box.width * 0.9, 0.25 * box.height)
+                marks += self._key_caps(answer, below)
         return tuple(marks)
 
     def _button(self, answer: Answer, *, pressed: bool) -> tuple[Mark, ...]:
         theme, box, unit = self.theme, self.layout.buttons[answer], self.layout.unit
         edge = {"left": theme.left, "right": theme.right}.get(answer, theme.button_edge)
         fill, ink = (theme.pressed, theme.pressed_text) if pressed else (theme.button, theme.text)
-        word = str(getattr(self.texts, answer))
         upper = Box(box.x, box.y + 0.18 * box.height, box.width * 0.68, 0.52 * box.height)
         at = 0.4 * box.width
         arrows = [
@@ -194,9 +228,8 @@ class Illustrator:
         ]
         return (
             *framed(box, 0.022 * unit, edge, fill, 0.006 * unit),
-            Words(word, upper, self._answer_size(upper.width), ink, bold=True),
+            Words(str(getattr(self.texts, answer)), upper, self._answer_size(upper.width), ink, bold=True),
             *arrows,
-            *self._key_caps(answer, Box(box.x, box.y - 0.27 * box.height, box.width * 0.9, 0.25 * box.height)),
         )
 
     def _answer_size(self, width: float) -> float:
@@ -206,8 +239,6 @@ class Illustrator:
 
     def _key_caps(self, answer: Answer, box: Box) -> tuple[Mark, ...]:
         """Return the keys that give an answer: arrows where there are any, else the first two."""
-        if self.answers.given_by == "experimenter":
-            return ()
         keys = self.answers.keys[answer]
         shown = [key for key in keys if key in _ARROWS] or list(keys[:2])
         marks: list[Mark] = []

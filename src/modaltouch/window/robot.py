@@ -10,6 +10,7 @@ from collections import deque
 from collections.abc import Callable
 
 from modaltouch.protocol import AnswersSection
+from modaltouch.trial import Answer
 from modaltouch.window.events import canonical_key
 from modaltouch.window.simulated import Answerer
 from modaltouch.window.stage import Moment
@@ -39,6 +40,7 @@ class Robot:
         self._continue_key = canonical_key(answers.continue_keys[0])
         self._counts_from_question = answers.stimulus_until == "question"
         self._patience = patience
+        self._felt: tuple[Answer, float] = ("both", 0.0)
         self._plan: deque[tuple[float, str, bool]] = deque()
 
     def see(self, moment: Moment, shown: float) -> None:
@@ -47,10 +49,14 @@ class Robot:
         self._plan = deque([self._plan[0]] if is_down else [])
         if moment.wants == "go_on":
             self._type(self._continue_key, shown + self._patience)
-        elif moment.wants == "answer" and moment.trial is not None:
-            answer, reaction_time = self._answerer.answer(moment.trial)
+        elif moment.wants == "feel" and moment.trial is not None:
+            # Felt now: by the time of the question the stimulus may have stopped.
+            self._felt = self._answerer.answer(moment.trial)
+        elif moment.wants in ("answer", "confirm"):
+            answer, reaction_time = self._felt
             start = shown if self._counts_from_question else moment.onset
-            self._type(self._keys[answer], max(start + reaction_time, shown + _GLANCE))
+            due = start + reaction_time if moment.wants == "answer" else shown
+            self._type(self._keys[answer], max(due, shown + _GLANCE))
 
     def act(self, now: float, type_key: Callable[..., None]) -> None:
         """Press or release the key that is due."""

@@ -114,6 +114,9 @@ class SimulatedParticipant:
     def confirm(self, response: Response) -> None:
         """Look at nothing."""
 
+    def give_feedback(self, response: Response, expected: Answer) -> None:
+        """Learn nothing."""
+
     def wait(self, seconds: float) -> None:
         """Go on at once, unless time passes."""
         self._pass(seconds)

@@ -54,14 +54,14 @@ class Moment:
     Attributes
     ----------
     wants : str
-        ``go_on``, ``answer`` or ``nothing``.
+        ``go_on``, ``feel`` (a stimulus plays), ``answer``, ``confirm`` (the answer once more) or ``nothing``.
     trial : Trial or None
         The trial that is on.
     onset : float
         When its stimulus began, by `time.perf_counter` [s].
     """
 
-    wants: typing.Literal["go_on", "answer", "nothing"] = "nothing"
+    wants: typing.Literal["go_on", "feel", "answer", "confirm", "nothing"] = "nothing"
     trial: Trial | None = None
     onset: float = 0.0
 
@@ -153,6 +153,10 @@ class Stage:
         if moment is not None:
             self._sitter.see(moment, self._shown)
         return self._shown
+
+    def attend(self, moment: Moment) -> None:
+        """Tell a robot what happens apart from the screen."""
+        self._sitter.see(moment, time.perf_counter())
 
     def poll(self) -> list[Event]:
         """Tick, and return what happened since the last poll; rests a millisecond if that is nothing."""
