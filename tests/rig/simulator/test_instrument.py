@@ -1,0 +1,282 @@
+"""The simulated AFG3022B command by command, against the list in the project's notes on the instrument."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from modaltouch.rig.simulator.afg import Afg, Behaviour
+from modaltouch.rig.simulator.faults import Faults
+from modaltouch.rig.simulator.instrument import Instrument
+
+NO_ERROR = '0,"No error"'
+
+
+class Bench:
+    """An instrument without transport."""
+
+    def __init__(self, behaviour: Behaviour | None = None) -> None:
+        self.time = 100.0
+        self.afg = Afg(behaviour or Behaviour(), now=lambda: self.time)
+        self.instrument = Instrument(self.afg, Faults())
+
+    def ask(self, message: str | bytes) -> str:
+        """Return the replies to a message."""
+        data = message if isinstance(message, bytes) else message.encode()
+        return self.instrument.execute(data).data.decode("latin1").rstrip("\n")
+
+    def error(self, message: str | bytes) -> int:
+        """Return the number of the error that a message makes, 0 for none."""
+        self.ask(message)
+        return int(self.ask("SYST:ERR?").partition(",")[0])
+
+    def upload(self, codes: list[int], user: int = 1) -> None:
+        """Store a record."""
+        self.instrument.perform(block(codes))
+        self.ask(f"DATA:COPY USER{user},EMEM")
+
+
+def block(codes: list[int]) -> bytes:
+    """Return the command that sends a record."""
+    data = b"".join(code.to_bytes(2, "big") for code in codes)
+    length = str(len(data))
+    return f"DATA EMEM,#{len(length)}{length}".encode() + data
+
+
+@pytest.fixture
+def bench() -> Bench:
+    """Return an instrument as switched on."""
+    return Bench()
+
+
+TRANSCRIPT = [
+    ("*IDN?", "TEKTRONIX,AFG3022B,C000000,SCPI:99.0 FV:3.2.2"),
+    ("*OPC?", "1"),
+    ("*TST?", "0"),
+    ("*OPT?", "0"),
+    ("*ESE 36;*ESE?", "36"),
+    ("*SRE 255;*SRE?", "255"),
+    ("*CLS;*ESR?", "0"),
+    ("*OPC;*ESR?", "1"),
+    ("*WAI;*STB?", "0"),
+    ("SYST:ERR?", NO_ERROR),
+    ("SYSTem:ERRor:NEXT?", NO_ERROR),
+    ("SYST:VERS?", "1999.0"),
+    ("DATA:DEF EMEM,1000;:DATA:POIN? EMEM", "1000"),
+    ("TRACE:POINTS?", "1000"),
+    ("DATA:DATA:VAL? EMEM,1", "8191"),
+    ("DATA:DATA:VAL EMEM,7,16382;:DATA:VAL? EMEMory,7", "16382"),
+    ("DATA:CAT?", '"EMEM"'),
+    ("DATA:COPY USER3,EMEM;:DATA:CAT?", '"USER3","EMEM"'),
+    ("DATA:LOCK:STAT USER3,ON;:DATA:LOCK:STAT? USER3", "1"),
+    ("DATA:LOCK USER3,0;LOCK? USER3", "0"),
+    ("DATA:DEL:NAME USER3;:DATA:CAT?", '"EMEM"'),
+    ("DATA:COPY USER;:SOUR1:FUNC USER;FUNC?", "USER1"),
+    ("SOUR2:FUNC:SHAP USER1;SHAP?", "USER1"),
+    ("FUNC SQU;FUNC?", "SQU"),
+    ("SOUR1:FREQ 20;FREQ?", "2.00000000000E+01"),
+    ("SOUR1:FREQ:FIX 2kHz;FIX?", "2.00000000000E+03"),
+    ("FREQ:CW? MIN", "1.00000000000E-03"),
+    ("SOUR1:FREQ:CONC ON;CONC?", "1"),
+    ("SOUR1:FREQ:CONC OFF;CONC?", "0"),
+    ("OUTP1:IMP?", "5.0000E+01"),
+    ("OUTP1:IMP INF;IMP?", "9.9000E+37"),
+    ("OUTP2:IMP 1KOHM;IMP?", "1.0000E+03"),
+    ("SOUR1:VOLT?", "2.0000E+00"),
+    ("SOUR1:VOLT 1.5VPP;VOLT?", "1.5000E+00"),
+    ("SOUR1:VOLT:LEV:IMM:AMPL 150MVPP;AMPL?", "1.5000E-01"),
+    ("VOLT? MAX", "2.0000E+01"),
+    ("VOLT? MIN", "2.0000E-02"),
+    ("SOUR1:VOLT:OFFS -0.5V;OFFS?", "-5.0000E-01"),
+    ("SOUR1:VOLT:OFFS 0;:SOUR1:VOLT:LIM:HIGH? MAX", "1.0000E+01"),
+    ("SOUR1:VOLT:LIM:HIGH 4;HIGH?", "4.0000E+00"),
+    ("SOUR1:VOLT:LIM:LOW -4;LOW?", "-4.0000E+00"),
+    ("SOUR1:VOLT:UNIT?", "VPP"),
+    ("SOUR1:VOLT:UNIT VRMS;UNIT?", "VRMS"),
+    ("SOUR1:VOLT:UNIT VPP;UNIT?", "VPP"),
+    ("SOUR1:VOLT:CONC:STAT 0;STAT?", "0"),
+    ("SOUR1:PHAS 90DEG;PHAS?", "1.5708E+00"),
+    ("SOUR1:PHAS:INIT;:SYST:ERR?", NO_ERROR),
+    ("OUTP1:POL INV;POL?", "INV"),
+    ("OUTP1:POL NORMAL;POL?", "NORM"),
+    ("OUTP1 ON;:OUTP1?;:OUTP2:STAT?", "1;0"),
+    ("OUTP:TRIG:MODE SYNC;MODE?", "SYNC"),
+    ("SOUR1:FREQ 20;:SOUR1:BURS:STAT ON;STAT?", "1"),
+    ("SOUR1:BURS:MODE GAT;MODE?", "GAT"),
+    ("SOUR1:BURS:MODE TRIG;MODE?", "TRIG"),
+    ("SOUR1:BURS:NCYC 1;NCYC?", "1.0000E+00"),
+    ("SOUR1:BURS:NCYC INF;NCYC?", "9.9000E+37"),
+    ("SOUR1:BURS:TDEL 5MS;TDEL?", "5.0000E-03"),
+    ("TRIG:SOUR EXT;SOUR?", "EXT"),
+    ("TRIG:SEQ:SOUR TIMER;SOUR?", "TIM"),
+    ("TRIG:TIM 142.857143MS;TIM?", "1.42857143E-01"),
+    ("TRIG:TIM? MAX", "5.00000000E+02"),
+    ("*TRG;:TRIG:SEQ:IMM;:TRIG;:ABOR;:SYST:ERR?", NO_ERROR),
+    ("*SAV 1;:SOUR1:FREQ 33;*RCL 1;:SOUR1:FREQ?;:OUTP1?", "2.00000000000E+01;0"),
+    ("*RST;:OUTP1:IMP?;:TRIG:SOUR?;:SOUR1:BURS:STAT?", "5.0000E+01;TIM;0"),
+    ("DATA:CAT?", '"USER1","EMEM"'),
+    ("SYST:SEC:IMM;:DATA:CAT?", '"EMEM"'),
+]
+
+
+def test_transcript_of_the_command_list(bench: Bench) -> None:
+    """One session through every command of the notes, in order, without an error."""
+    for message, reply in TRANSCRIPT:
+        assert (message, bench.ask(message)) == (message, reply)
+        assert bench.ask("SYST:ERR?") == NO_ERROR
+
+
+@pytest.mark.parametrize(
+    ("message", "code"),
+    [
+        ("NONSENSE", -113),
+        ("SOUR3:FREQ 1", -114),
+        ("SOUR1:FREQ", -109),
+        ("SOUR1:FREQ 1,2", -108),
+        ("SOUR1:FREQ 30MHZ", -222),
+        ("SOUR1:FREQ 1V", -131),
+        ("SOUR1:FREQ fast", -104),
+        ("SOUR1:VOLT 10.1VPP", -222),
+        ("SOUR1:VOLT 9MVPP", -222),
+        ("SOUR1:FUNC USER4", -224),
+        ("SOUR1:FUNC USER5", -224),
+        ("SOUR1:FUNC TRAPEZE", -224),
+        ("TRIG:SOUR BUS", -224),
+        ("TRIG:TIM 501", -222),
+        ("*TRG", -211),
+        ("DATA:COPY USER5,EMEM", -224),
+        ("DATA:COPY EMEM,USER2", -224),
+        ("DATA:POIN? USER1", -224),
+        ("DATA EMEM,12", -104),
+        (block([16383, 8191]), -222),
+        (block([8191]), -161),
+        (b"DATA EMEM,#13abc", -161),
+        (b"DATA USER1,#14abcd", -224),
+        ("*RCL 4", -224),
+        ("*ESE 256", -222),
+        ("OUTP1 MAYBE", -104),
+        ("SOUR1:BURS:NCYC 2000000", -222),
+    ],
+)
+def test_mistake_has_its_standard_error(bench: Bench, message: str | bytes, code: int) -> None:
+    """Numbers of SCPI-99, volume 2, 21.8; ranges of the notes (NI's tables for the AFG3022B)."""
+    assert bench.error(message) == code
+
+
+def test_longest_record_has_131072_points(bench: Bench) -> None:
+    """NI: 131072 points on the AFG3022B."""
+    assert bench.error(block([8191] * 131_072)) == 0
+    assert bench.error(block([8191] * 131_073)) == -223
+
+
+def test_event_status_has_the_bit_of_each_class(bench: Bench) -> None:
+    """IEEE 488.2, 11.5.1: command error 32, execution error 16, power on 128; reading clears."""
+    assert bench.ask("*ESR?") == "128"
+    bench.ask("NONSENSE")
+    assert bench.ask("*ESR?") == "32"
+    bench.ask("SOUR1:VOLT 99VPP")
+    assert bench.ask("*ESR?") == "16"
+    assert bench.ask("*ESR?") == "0"
+
+
+def test_error_queue_is_first_in_first_out_and_overflows() -> None:
+    """SCPI-99, 21.8.1: the last place of a full queue says -350."""
+    bench = Bench(Behaviour(queue_depth=3))
+    for message in ("NONSENSE", "SOUR1:VOLT 99VPP", "NONSENSE", "NONSENSE"):
+        bench.ask(message)
+    replies = [bench.ask("SYST:ERR?")[:4] for _ in range(4)]
+    assert replies == ["-113", "-222", "-350", '0,"N']
+
+
+def test_memories_outlive_reset_and_power_cut(bench: Bench) -> None:
+    """USER memories are non-volatile; everything else is not (notes: power-cut question)."""
+    bench.upload([8191, 9000, 8191, 8191], user=4)
+    bench.ask("OUTP1 ON;:SOUR1:FREQ 20")
+    bench.ask("*RST")
+    bench.afg.power_on()
+    assert bench.ask("DATA:CAT?;:OUTP1?") == '"USER4","EMEM";0'
+    assert bench.ask("DATA:COPY EMEM,USER4;:DATA:POIN? EMEM;:DATA:VAL? EMEM,2") == "4;9000"
+
+
+def test_impedance_rescales_the_numbers_only(bench: Bench) -> None:
+    """The output is always 50 ohm: 1 Vpp set for 50 ohm reads 2 Vpp once the load is called open."""
+    bench.ask("SOUR1:VOLT 1VPP")
+    assert bench.ask("OUTP1:IMP INF;:SOUR1:VOLT?") == "2.0000E+00"
+    assert bench.ask("OUTP1:IMP 50;:SOUR1:VOLT?") == "1.0000E+00"
+
+
+@pytest.mark.parametrize(("violation", "code", "level"), [("error", -222, "2.0000E+00"), ("clip", 0, "4.0000E+00")])
+def test_limit_refuses_or_clips(violation: str, code: int, level: str) -> None:
+    """Both answers to an open question of the notes: amplitude / 2 + offset beyond VOLTage:LIMit."""
+    bench = Bench(Behaviour(limit_violation=violation))  # type: ignore[arg-type]
+    bench.ask("OUTP1:IMP INF;:SOUR1:VOLT 2VPP;:SOUR1:VOLT:LIM:HIGH 2;LOW -2")
+    assert bench.error("SOUR1:VOLT 6VPP") == code
+    assert bench.ask("SOUR1:VOLT?") == level
+
+
+def test_amplitude_keeps_four_digits_and_a_tenth_of_a_millivolt(bench: Bench) -> None:
+    """Amplitude step 0.1 mVpp or 4 digits (notes)."""
+    bench.ask("OUTP1:IMP INF")
+    assert bench.ask("SOUR1:VOLT 1.23456VPP;VOLT?") == "1.2350E+00"
+    assert bench.ask("SOUR1:VOLT 0.123456VPP;VOLT?") == "1.2350E-01"
+    assert bench.ask("SOUR1:VOLT 0.0234567VPP;VOLT?") == "2.3500E-02"
+
+
+def test_range_relay_counts(bench: Bench) -> None:
+    """Crossing a border of the amplitude ranges switches a relay; levels within one do not."""
+    bench.ask("OUTP1:IMP INF;:SOUR1:VOLT 1VPP")
+    before = bench.afg.channels[1].range_switches
+    bench.ask("SOUR1:VOLT 1.5VPP")
+    assert bench.afg.channels[1].range_switches == before
+    bench.ask("SOUR1:VOLT 3VPP")
+    assert bench.afg.channels[1].range_switches == before + 1
+
+
+def test_output_plays_only_when_everything_is_set(bench: Bench) -> None:
+    """On, with a record, burst on the timer: one period after the other; off or without record nothing."""
+    bench.upload([8191, 9000, 8000, 8191])
+    bench.ask("SOUR1:FUNC USER1;FREQ 20;:SOUR1:BURS:STAT ON;NCYC 1;:TRIG:TIM 0.142857;:OUTP1:IMP INF;:SOUR1:VOLT 3VPP")
+    assert bench.afg.playback(1) is None
+    bench.ask("OUTP1 ON")
+    playback = bench.afg.playback(1)
+    assert playback is not None
+    assert (playback.amplitude, playback.offset, playback.duration, playback.period) == (3, 0, 0.05, 0.142857)
+    assert bench.afg.playback(2) is None
+    bench.ask("SOUR1:BURS:STAT OFF")
+    assert bench.afg.playback(1).period == 0.05  # type: ignore[union-attr]
+    bench.ask("SOUR1:FUNC SIN")
+    assert bench.afg.playback(1) is None
+
+
+def test_external_trigger_plays_once(bench: Bench) -> None:
+    """With EXT and nothing wired *TRG is the only trigger; it plays both channels for one burst of 50 ms."""
+    bench.upload([8191, 9000, 8000, 8191])
+    for n in (1, 2):
+        bench.ask(f"SOUR{n}:FUNC USER1;FREQ 20;:SOUR{n}:BURS:STAT ON;NCYC 1;:OUTP{n} ON")
+    bench.ask("TRIG:SOUR EXT")
+    assert bench.afg.playback(1) is None
+    bench.ask("*TRG")
+    for n in (1, 2):
+        playback = bench.afg.playback(n)
+        assert playback is not None
+        assert math.isinf(playback.period)
+    bench.time += 0.051
+    assert bench.afg.playback(1) is None
+
+
+@pytest.mark.parametrize(("level", "code"), [("first", 8000), ("last", 8500), ("offset", 8191)])
+def test_output_rests_where_it_is_told_to(level: str, code: int) -> None:
+    """The three possible idle levels of the notes' first open question."""
+    bench = Bench(Behaviour(idle_level=level))  # type: ignore[arg-type]
+    bench.upload([8000, 9000, 8500])
+    bench.ask("SOUR1:FUNC USER1;:OUTP1 ON")
+    assert bench.afg.playback(1).idle_code == code  # type: ignore[union-attr]
+
+
+def test_locked_memory_is_not_overwritten(bench: Bench) -> None:
+    """DATA:LOCK protects a memory from copies and from being deleted."""
+    bench.upload([8191, 9000])
+    bench.ask("DATA:LOCK USER1,ON")
+    assert bench.error("DATA:COPY USER1,EMEM") == -221
+    assert bench.error("DATA:DEL USER1") == -221

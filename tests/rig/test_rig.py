@@ -1,0 +1,69 @@
+"""The room's front door."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+from modaltouch.apparatus import Apparatus
+from modaltouch.rig import open_rig, start_simulator
+from modaltouch.stimulus.burst import Burst
+
+APPARATUS = Path(__file__).parents[2] / "protocols" / "apparatus" / "beam_100x6x2.yaml"
+
+
+def test_front_door_leads_to_driver_and_simulator(apparatus: Apparatus, burst: Burst, heard: Any, guard: Any) -> None:
+    """A session wires the two by the simulator's address alone."""
+    with (
+        start_simulator(apparatus) as simulator,
+        open_rig(simulator.address, apparatus, log=heard, start_guard=lambda *_: guard) as rig,
+    ):
+        rig.load(burst)
+        assert rig.fire(0.1).confirmed
+        assert rig.address == simulator.address
+        assert rig.identity.startswith("TEKTRONIX,AFG3022B,")
+        assert simulator.felt_velocity(["C"]) > 0
+
+
+def loaded_modules(code: str) -> set[str]:
+    """Return the top-level modules that a fresh interpreter has after running code."""
+    code += "; import sys; print(*{name.partition('.')[0] for name in sys.modules})"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return set(result.stdout.split())
+
+
+def test_front_door_is_light() -> None:
+    """`modaltouch --help` pays for neither PyVISA nor numbers; the watchdog starts without them too."""
+    heavy = {"pyvisa", "pyvisa_py", "pandas", "scipy", "numpy", "pydantic"}
+    assert not loaded_modules("import modaltouch.rig, modaltouch.rig.watchdog") & heavy
+
+
+def test_interface_does_not_load_pyvisa() -> None:
+    """The session imports the interface; the instrument's library comes with the instrument."""
+    assert "pyvisa" not in loaded_modules("import modaltouch.rig.interface")
+
+
+def test_simulator_runs_in_a_process_of_its_own(burst: Burst, apparatus: Apparatus, heard: Any, guard: Any) -> None:
+    """Its first line is its address; SIGTERM ends it with status 0."""
+    command = [sys.executable, "-m", "modaltouch.rig.simulator", "--port", "0", str(APPARATUS)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        address = process.stdout.readline().strip()
+        with open_rig(address, apparatus, log=heard, start_guard=lambda *_: guard) as rig:
+            rig.load(burst)
+            assert rig.fire(0.1).confirmed
+        process.terminate()
+        assert process.wait(10) == 0
+
+
+def test_simulator_reports_a_faulty_apparatus(tmp_path: Path) -> None:
+    """Status 2 and the place of the fault, no traceback."""
+    faulty = tmp_path / "faulty.yaml"
+    faulty.write_text("apparatus: x\nbeem: 1\n")
+    command = [sys.executable, "-m", "modaltouch.rig.simulator", str(faulty)]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert result.returncode == 2
+    assert "beem" in result.stderr
+    assert "Traceback" not in result.stderr
