@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from modaltouch.protocol import Protocol
+from modaltouch.practice import expected_answer, judge_round
+from modaltouch.protocol import Protocol, ScheduleSection
 from modaltouch.record.log import SessionLog
 from modaltouch.rig.interface import Firing, Rig, RigError
-from modaltouch.trial import FINGERS, Response, Trial
-from modaltouch.window.interface import AnswerWindow, Progress, TrialInterrupted
+from modaltouch.trial import Response, Trial
+from modaltouch.window.interface import AnswerWindow, Progress, SessionStopped, TrialInterrupted
 
 ATTEMPTS = 3
 """How often a trial whose amplitude the instrument does not confirm is set up again before the session ends."""
@@ -61,18 +63,81 @@ def conduct(sitting: Sitting) -> None:
         Whatever ended the session early; what was answered is kept.
     """
     sitting.window.welcome()
-    previous: Trial | None = None
+    previous = practise(sitting)
+    rested = time.perf_counter()
     for trial in sitting.trials:
-        sitting.tick()
-        _prepare(sitting, trial, previous)
-        response, firing, fault = present(sitting, trial)
-        write_down(sitting, trial, response, firing)
-        if fault:
-            raise fault
-        sitting.window.confirm(response)
-        sitting.window.wait(sitting.protocol.answers.pause_s)
+        if trial.practice:
+            continue
+        if previous is None or previous.practice:
+            sitting.window.announce("start")
+        elif _rest_is_due(sitting.protocol.schedule, trial, rested):
+            sitting.window.rest(Progress(trial.index, sitting.total))
+            rested = time.perf_counter()
+        run(sitting, trial, previous)
         previous = trial
     sitting.window.goodbye()
+
+
+def practise(sitting: Sitting) -> Trial | None:
+    """Run rounds of practice until one is passed, and return the last practice trial.
+
+    Raises
+    ------
+    SessionStopped
+        If no round was passed and the protocol then ends the session.
+    """
+    schedule, previous = sitting.protocol.schedule, None
+    for trial in sitting.trials:
+        if not trial.practice or _has_passed_practice(sitting):
+            break
+        is_first = (trial.index - 1) % schedule.practice_trials == 0
+        if previous is None or is_first:
+            sitting.window.announce("practice" if previous is None else "practice_again")
+        response = run(sitting, trial, previous)
+        expected = expected_answer(*sitting.speeds(trial))
+        if schedule.practice_feedback and expected is not None:
+            sitting.window.give_feedback(response, expected)
+        previous = trial
+        if schedule.practice_criterion is not None and trial.index % schedule.practice_trials == 0:
+            _close_round(sitting, trial.index // schedule.practice_trials)
+    failed = schedule.practice_criterion is not None and not _has_passed_practice(sitting)
+    if failed and schedule.practice_trials and schedule.after_failed_practice == "stop":
+        sitting.window.goodbye()
+        raise SessionStopped("practice not passed")
+    return previous
+
+
+def _has_passed_practice(sitting: Sitting) -> bool:
+    return any(event.get("event") == "practice_round" and event["passed"] for event in sitting.log.events)
+
+
+def _close_round(sitting: Sitting, number: int) -> None:
+    """Write down how a round of practice went."""
+    schedule = sitting.protocol.schedule
+    done = judge_round(sitting.log.events, number, schedule.practice_trials)
+    sitting.log.append(
+        "practice_round",
+        round=number,
+        n_judged=done.n_judged,
+        n_agreed=done.n_agreed,
+        criterion=schedule.practice_criterion,
+        passed=done.passes(schedule.practice_criterion),
+    )
+
+
+def run(sitting: Sitting, trial: Trial, previous: Trial | None) -> Response:
+    """Present one trial, write its answer down, confirm it and pause; return the answer."""
+    sitting.tick()
+    if previous is None or _placement(trial) != _placement(previous):
+        sitting.window.place_fingers(trial)
+        sitting.log.append("placement", **_describe_placement(sitting.protocol, trial))
+    response, firing, fault = present(sitting, trial)
+    write_down(sitting, trial, response, firing)
+    if fault:
+        raise fault
+    sitting.window.confirm(response)
+    sitting.window.wait(sitting.protocol.answers.pause_s)
+    return response
 
 
 def present(sitting: Sitting, trial: Trial) -> tuple[Response, Firing, RigError | None]:
@@ -101,9 +166,7 @@ def present(sitting: Sitting, trial: Trial) -> tuple[Response, Firing, RigError 
         try:
             response = sitting.window.ask(trial, progress, onset=firing.onset, stop=stop)
         except TrialInterrupted as cut:
-            sitting.log.append(
-                "trial_cut", trial=trial.as_dict(), reason=cut.reason, confirmed=firing.as_dict()
-            )
+            sitting.log.append("trial_cut", trial=trial.as_dict(), reason=cut.reason, confirmed=firing.as_dict())
         else:
             return response, firing, faults[0] if faults else None
         finally:
@@ -156,24 +219,18 @@ def write_down(sitting: Sitting, trial: Trial, response: Response, firing: Firin
 
 def fingers(protocol: Protocol, trial: Trial) -> tuple[str, str]:
     """Return the fingers on the left and on the right zone."""
-    return FINGERS[trial.condition.finger_condition, protocol.conditions.hand]
+    return trial.condition.fingers(protocol.conditions.hand)
 
 
-def _prepare(sitting: Sitting, trial: Trial, previous: Trial | None) -> None:
-    window, every = sitting.window, sitting.protocol.schedule.break_after_trials
-    if trial.practice and previous is None:
-        window.announce("practice")
-    if not trial.practice and (previous is None or previous.practice):
-        window.announce("start")
-    elif not trial.practice and every and (trial.index - 1) % every == 0:
-        window.rest(Progress(trial.index, sitting.total))
-    if previous is None or _placement(trial) != _placement(previous):
-        window.place_fingers(trial)
-        sitting.log.append("placement", **_describe_placement(sitting.protocol, trial))
+def _rest_is_due(schedule: ScheduleSection, trial: Trial, rested: float) -> bool:
+    """Return whether a break comes before a trial, by count or by the time since `rested` [s]."""
+    by_count = schedule.break_after_trials is not None and (trial.index - 1) % schedule.break_after_trials == 0
+    minutes = (time.perf_counter() - rested) / 60
+    return by_count or (schedule.break_after_min is not None and minutes >= schedule.break_after_min)
 
 
 def _placement(trial: Trial) -> tuple[Any, ...]:
-    return (trial.condition.finger_condition, *trial.condition.pair)
+    return (trial.condition.finger_condition, *trial.condition.pair, trial.condition.placement)
 
 
 def _describe_placement(protocol: Protocol, trial: Trial) -> dict[str, Any]:
@@ -181,6 +238,8 @@ def _describe_placement(protocol: Protocol, trial: Trial) -> dict[str, Any]:
     condition = trial.condition
     return {
         "finger_condition": condition.finger_condition,
+        "placement": condition.placement,
+        "way": protocol.answers.way(condition.finger_condition),
         "zone_left": condition.zone_left,
         "zone_right": condition.zone_right,
         "finger_left": left,

@@ -97,11 +97,13 @@ class ConditionsSection(Section):
     zone_pairs: tuple[ZonePair, ...] = described(
         "Zones under the two fingers, left and right as the participant sees the beam.",
         min_length=1,
+        max_length=100,
         json_schema_extra=_UNIQUE,
     )
     peak_velocities_mm_s: tuple[Positive, ...] = described(
         "Peak velocities at the centre of the focus zone at the focusing instant [mm/s].",
         min_length=1,
+        max_length=100,
         json_schema_extra=_UNIQUE,
     )
 
@@ -144,6 +146,11 @@ class ScheduleSection(Section):
     break_after_min: Positive | None = described(
         "Minutes between two breaks, at the next trial; null for no breaks by time.", default=None
     )
+
+    @property
+    def all_practice_trials(self) -> int:
+        """Number of practice trials in all the rounds there may be."""
+        return self.practice_trials * (self.practice_rounds if self.practice_criterion is not None else 1)
 
 
 class AnswersSection(Section):

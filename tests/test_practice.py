@@ -1,0 +1,90 @@
+"""Practice: what counts as right, and when a round is passed."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from modaltouch.practice import Round, expected_answer, judge_round
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "answer"),
+    [
+        (0.123, 0.2, "right"),
+        (0.2, 0.123, "left"),
+        (0.115, 0.115, "both"),
+        (0.1, 0.11, "both"),
+        (0.1, 0.12, None),
+        (0.0, 0.0, "both"),
+        (0.0, 0.1, "right"),
+    ],
+)
+def test_the_stronger_finger_is_expected_where_it_is_clear(left: float, right: float, answer: str | None) -> None:
+    """Expected: the side from a ratio of 1.25 on, both up to 1.1, and no verdict between (Craig 1972: 0.1 to 0.2)."""
+    assert expected_answer(left, right) == answer
+
+
+@given(st.floats(0, 10), st.floats(0, 10), st.floats(0.1, 1000))
+def test_the_expectation_depends_on_the_ratio_alone_and_mirrors(left: float, right: float, unit: float) -> None:
+    """Expected: the same in any unit but at the borders, and left for right when the fingers change places."""
+    mirror = {"left": "right", "right": "left", "both": "both", None: None}
+    assert expected_answer(right, left) == mirror[expected_answer(left, right)]
+    low, high = sorted((left, right))
+    at_border = low > 0 and min(abs(high / low - border) for border in (1.1, 1.25)) < 1e-9
+    if not at_border and min(low, low * unit) > 1e-300:
+        assert expected_answer(left * unit, right * unit) == expected_answer(left, right)
+
+
+@pytest.mark.parametrize("speed", [-1.0, math.nan, math.inf])
+def test_a_speed_without_meaning_is_refused(speed: float) -> None:
+    """Expected: the message shows both speeds."""
+    with pytest.raises(ValueError, match="allowed: finite speeds, 0 or more"):
+        expected_answer(0.1, speed)
+
+
+def event(index: int, answer: str, left: float, right: float, *, practice: bool = True) -> dict[str, Any]:
+    """Return a trial as the session log has it."""
+    return {
+        "event": "trial",
+        "trial": {"practice": practice, "index": index},
+        "planned": {"speed_left_mm_s": left, "speed_right_mm_s": right},
+        "response": {"answer": answer},
+    }
+
+
+def test_a_round_counts_its_own_trials_and_those_that_can_be_judged() -> None:
+    """Expected: round 2 of three trials is trials 4 to 6; of these one has no verdict and one is right."""
+    events = [
+        {"event": "start"},
+        event(1, "left", 200, 100),
+        event(4, "left", 200, 100),
+        event(5, "left", 100, 200),
+        event(6, "left", 100, 118),
+        event(4, "left", 200, 100, practice=False),
+    ]
+    assert judge_round(events, 2, 3) == Round(2, n_judged=2, n_agreed=1)
+
+
+def test_a_trial_answered_again_counts_by_its_last_answer() -> None:
+    """Expected: a trial that was offered again supersedes the first."""
+    events = [event(1, "left", 100, 200), event(1, "right", 100, 200)]
+    assert judge_round(events, 1, 1) == Round(1, 1, 1)
+
+
+@pytest.mark.parametrize(
+    ("agreed", "criterion", "passed"),
+    [(2, 2 / 3, True), (1, 2 / 3, False), (3, 1.0, True), (2, 1.0, False), (0, None, True)],
+)
+def test_a_round_is_passed_from_its_criterion_on(agreed: int, criterion: float | None, passed: bool) -> None:  # noqa: FBT001
+    """Expected: at least the criterion's share of three judged trials; without a criterion always."""
+    assert Round(1, 3, agreed).passes(criterion) is passed
+
+
+def test_a_round_without_a_verdict_is_passed() -> None:
+    """Expected: where no trial can be judged, nobody can fail."""
+    assert Round(1, 0, 0).passes(1.0)
