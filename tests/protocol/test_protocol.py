@@ -70,7 +70,7 @@ def test_an_experiment_is_restored_from_its_record_alone(edit: Edit) -> None:
         (PAIRS, "[[C, C]]", "conditions.zone_pairs[0]: given [C, C], the same zone for both fingers"),
         (PAIRS, "[[A, B, C]]", "given a list of 3; allowed: a list of exactly 2, each the name of a zone of the beam"),
         (PAIRS, "[A, C]", "conditions.zone_pairs[1]: given 'C'; allowed: a list of exactly 2"),
-        (PAIRS, "[]", "conditions.zone_pairs: given an empty list; allowed: a list of at least 1"),
+        (PAIRS, "[]", "conditions.zone_pairs: given an empty list; allowed: a list of at least 1 and at most 100"),
         (LEVELS, "[]", f"{FILE}:25:25: conditions.peak_velocities_mm_s: given an empty list; allowed: a list of at"),
         (LEVELS, "[80, 80.0]", "conditions.peak_velocities_mm_s[1]: given 80, the peak velocity of peak_velocities"),
         (
@@ -82,7 +82,12 @@ def test_an_experiment_is_restored_from_its_record_alone(edit: Edit) -> None:
         (LEVELS, "[80 mm/s]", "write the number alone: 80"),
         (LEVELS, "[true]", "conditions.peak_velocities_mm_s[0]: given true; allowed: a number [mm/s] above 0"),
         (LEVELS, "[501]", "given 501 mm/s, beyond the safety limit of the apparatus; allowed: at most 500 mm/s"),
-        (LEVELS, "80", "conditions.peak_velocities_mm_s: given 80; allowed: a list of at least 1, each a number"),
+        (LEVELS, str(list(range(10, 111))), "given a list of 101; allowed: a list of at least 1 and at most 100"),
+        (
+            LEVELS,
+            "80",
+            "conditions.peak_velocities_mm_s: given 80; allowed: a list of at least 1 and at most 100, each",
+        ),
         (
             "[one_hand, two_hands]",
             "[one_hand, one_hand]",

@@ -125,7 +125,9 @@ class Apparatus(Section):
     apparatus: FileName = described("Name of the apparatus.")
     description: Text = described("What it is, in a sentence.", default="")
     beam: Beam = described("The bare beam.")
-    zones: dict[Word, Zone] = described("Stretches of the beam that fingers touch, by name.", min_length=1)
+    zones: dict[Word, Zone] = described(
+        "Stretches of the beam that fingers touch, by name.", min_length=1, max_length=100
+    )
     actuator_sets: dict[Word, ActuatorSet] = described(
         "Actuator sets, by name, each on an output of its own.", min_length=1
     )

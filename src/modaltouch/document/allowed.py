@@ -103,6 +103,8 @@ def _list_in_words(root: dict[str, Any], schema: dict[str, Any]) -> str:
         each = dict.fromkeys(_in_words(root, item) for item in prefix)
         return f"a list of exactly {len(prefix)}, each {', '.join(each)}"
     least = "a list" if not schema.get("minItems") else f"a list of at least {schema['minItems']}"
+    if "maxItems" in schema:
+        least += f" and at most {schema['maxItems']}"
     return f"{least}, each {_in_words(root, schema.get('items', {}))}"
 
 

@@ -264,9 +264,7 @@ def _default(model: type[BaseModel], path: tuple[Step, ...], depth: int) -> Any:
     if not (isinstance(parent, type) and issubclass(parent, BaseModel)) or step not in parent.model_fields:
         return None
     info = parent.model_fields[str(step)]
-    return (
-        None if info.is_required() else _descend(info.get_default(call_default_factory=True), path[depth + 1 :])
-    )
+    return None if info.is_required() else _descend(info.get_default(call_default_factory=True), path[depth + 1 :])
 
 
 @lru_cache(maxsize=1024)

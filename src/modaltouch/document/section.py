@@ -30,9 +30,7 @@ def _plain_file_name(name: str) -> str:
         raise fault(f"{name!r}, which is no plain file name", allowed, "it names a folder of the results")
     if name.casefold() in RESERVED_NAMES:
         kept = ", ".join(sorted(RESERVED_NAMES))
-        raise fault(
-            f"{name!r}, which the results tree keeps for itself", f"any name but {kept}", "choose another"
-        )
+        raise fault(f"{name!r}, which the results tree keeps for itself", f"any name but {kept}", "choose another")
     return name
 
 

@@ -60,9 +60,7 @@ def load_source(path: Path) -> Source:
             content = file.read(SIZE_LIMIT + 1)
     except (OSError, ValueError) as error:  # ValueError: a null character in the name
         reason = getattr(error, "strerror", None) or str(error)
-        raise InputError(
-            [Problem(str(path), 1, 1, "", f"a file that cannot be read ({reason})", "", "")]
-        ) from None
+        raise InputError([Problem(str(path), 1, 1, "", f"a file that cannot be read ({reason})", "", "")]) from None
     if len(content) > SIZE_LIMIT:
         allowed = f"at most {SIZE_LIMIT // 1024} KiB of YAML"
         raise InputError([Problem(str(path), 1, 1, "", f"more than {SIZE_LIMIT // 1024} KiB", allowed, "")])

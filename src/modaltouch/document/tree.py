@@ -163,9 +163,7 @@ class _Builder:
         self._n_documents = 0
         self._size = 0
 
-    def report(
-        self, line: int, column: int, given: str, allowed: str, remedy: str = "", path: str = ""
-    ) -> None:
+    def report(self, line: int, column: int, given: str, allowed: str, remedy: str = "", path: str = "") -> None:
         self.problems.append(Problem(self.file, line, column, path, given, allowed, remedy))
 
     def take(self, event: Any) -> None:
@@ -174,9 +172,7 @@ class _Builder:
             self._n_documents += 1
             if self._n_documents > 1:
                 line, column = _place(event)
-                self.report(
-                    line, column, "a second document after `---`", "one document in a file", "remove it"
-                )
+                self.report(line, column, "a second document after `---`", "one document in a file", "remove it")
                 raise _Stop
         elif kind in ("MappingStartEvent", "SequenceStartEvent"):
             self._begin(event, {} if kind == "MappingStartEvent" else [])
@@ -229,9 +225,7 @@ class _Builder:
         self._size += node.size
         if self._size > VALUE_LIMIT:
             line, column = _place(event)
-            self.report(
-                line, column, f"more than {VALUE_LIMIT} values", f"at most {VALUE_LIMIT}, aliases counted out"
-            )
+            self.report(line, column, f"more than {VALUE_LIMIT} values", f"at most {VALUE_LIMIT}, aliases counted out")
             raise _Stop
 
     def _add(self, node: Node) -> None:
