@@ -79,7 +79,7 @@ def design_limits(analysis: Analysis) -> list[str]:
     pairs = {(pair.left, pair.right) for pair in answers.pairs}
     limits = []
     for pair in answers.pairs:
-        if not pair.focused and (pair.right, pair.left) not in pairs:
+        if not pair.focused and (pair.right, pair.left) not in pairs and not answers.mirrored:
             limits.append(
                 f"In ({pair.left}, {pair.right}) zone, side and finger go together: {pair.left} lies on the left "
                 f"under one and the same finger, so a preference for {pair.left} cannot be told from a preference for "

@@ -15,6 +15,8 @@ from typing import Any
 
 import pandas as pd
 
+from modaltouch.analysis.balance import answers_per_cell, describe_cell
+from modaltouch.analysis.mirroring import unmirror
 from modaltouch.analysis.responses import LeftOut, Responses, Source
 from modaltouch.document import InputError, Problem
 from modaltouch.record.chain import RecordError
@@ -77,10 +79,11 @@ def read_tree(place: Path, mode: str | None = None) -> Responses:
         listed = "; ".join(f"{n} {reason}" for reason, n in counted.most_common(5))
         remedy = "finish one with `modaltouch resume`, or choose another mode or folder"
         _refuse(place, f"no session that can be analysed ({listed})", "at least one complete session", remedy)
-    frame = pd.concat([session_frame(session) for session in sessions], ignore_index=True)
+    frame = unmirror(pd.concat([session_frame(session) for session in sessions], ignore_index=True))
+    _refuse_designs(place, frame)
     frame["response"] = pd.Categorical(frame["response"], categories=list(ANSWERS))
     digest = hashlib.sha256("".join(_digest(session.path) for session in sessions).encode()).hexdigest()
-    focus = str(_protocol(sessions[0]).get("stimulus", {}).get("focus", ""))
+    focus = str(sessions[0].start.get("design", {}).get("stimulus", {}).get("focus", ""))
     return Responses(frame, sessions, left_out, Source(str(place), "results", digest, chosen), focus)
 
 
@@ -116,6 +119,7 @@ def _row(session: Session, event: dict[str, Any]) -> dict[str, Any]:
         "zone_left": condition["zone_left"],
         "zone_right": condition["zone_right"],
         "velocity_mm_s": float(condition["velocity_mm_s"]),
+        "placement": condition.get("placement", "normal"),
         "response": response["answer"],
         "n": 1,
         "repetition": trial["repetition"],
@@ -168,21 +172,20 @@ def _refuse_protocols(place: Path, sessions: Sequence[Session]) -> None:
     if len(names) > 1:
         listed = ", ".join(f"{n} of {name!r}" for name, n in names.most_common())
         _refuse(place, f"sessions of several protocols ({listed})", "one protocol", "give the folder of one of them")
-    designs = Counter(repr(_design(session)) for session in sessions)
-    if len(designs) > 1:
-        listed = ", ".join(str(n) for _, n in designs.most_common())
-        given = f"sessions of {len(designs)} versions of the protocol, with other conditions ({listed} sessions)"
-        _refuse(
-            place,
-            given,
-            "sessions with the same conditions",
-            "move the sessions of one version to another folder",
-        )
 
 
-def _design(session: Session) -> list[tuple[Any, ...]]:
-    # An order is a list of rows [block, finger condition, left zone, right zone, velocity].
-    return sorted(tuple(row[1:]) for row in session.start.get("schedule", {}).get("order", []))
+def _refuse_designs(place: Path, frame: pd.DataFrame) -> None:
+    """Refuse participants who met different conditions, as under two versions of a protocol."""
+    answers = answers_per_cell(frame)
+    usual = int(answers.to_numpy().max())
+    odd = answers.index[(answers != usual).any(axis=1)]
+    if not len(odd):
+        return
+    cells = answers.columns[(answers.loc[odd[0]] != usual).to_numpy()]
+    shown = f"{odd[0]} has {answers.loc[odd[0], cells[0]]} in {describe_cell(cells[0])}, others up to {usual}"
+    given = f"participants who answered different conditions ({len(odd)} of {len(answers)}; {shown})"
+    remedy = "give a folder with the sessions of one version of the protocol; adaptive runs have no table of counts"
+    _refuse(place, given, "the same conditions, equally often, for every participant", remedy)
 
 
 def _unfit(item: Found) -> str:
@@ -210,11 +213,6 @@ def _even_out(found: Sequence[Found]) -> list[Found]:
                 item = _mark(item, f"session beyond the first {fewest}: not every participant has as many")
         evened.append(item)
     return evened
-
-
-def _protocol(session: Session) -> dict[str, Any]:
-    design: dict[str, Any] = session.start.get("design", {})
-    return design
 
 
 def _digest(path: Path) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from itertools import combinations
+from itertools import combinations, product
 from statistics import NormalDist
 
 import numpy as np
@@ -16,6 +16,8 @@ from modaltouch.analysis.findings import Finding, finding_of
 from modaltouch.analysis.intervals import CONFIDENCE, Interval, paired_mean
 from modaltouch.analysis.probit import fit_ordered_probit
 from modaltouch.analysis.tables import LEFT, RIGHT, AnswerCounts
+
+IntArray = NDArray[np.int64]
 
 ANTICIPATION = 0.15
 """Answers earlier than this cannot be answers to the stimulus [s]; they are left out of reaction times."""
@@ -49,6 +51,7 @@ def has_values(frame: pd.DataFrame, column: str) -> bool:
 
 def side_findings(answers: AnswerCounts) -> Iterator[Finding]:
     """Yield whether the focus is chosen more often when it lies on the right than on the left."""
+    yield from _aliased_side_findings(answers)
     right = [q for q, pair in enumerate(answers.pairs) if pair.focused and pair.dominant_index == RIGHT]
     left = [q for q, pair in enumerate(answers.pairs) if pair.focused and pair.dominant_index == LEFT]
     if not (right and left):
@@ -57,15 +60,42 @@ def side_findings(answers: AnswerCounts) -> Iterator[Finding]:
     n = answers.n_participants
     for f, condition in enumerate(answers.finger_conditions):
         on_right, on_left = dominant[:, f, right].sum(axis=1), dominant[:, f, left].sum(axis=1)
-        score = on_right * len(left) - on_left * len(right)
+        score = (on_right * len(left) - on_left * len(right)) * answers.facing
         interval = paired_mean(score, answers.n_answers * len(left) * len(right))
         labels = [", ".join(answers.pairs[q].label for q in group) for group in (right, left)]
-        sensitivity, criterion = detection(answers.counts[:, f, right], answers.counts[:, f, left])
+        sensitivity, criterion = detection(*_seen(answers, f, right, left))
         notes = [f"d' {sensitivity:.2f}, criterion c {criterion:.2f} with the log-linear correction, all answers"]
         name = "exact sign-flip test of side bias"
         yield finding_of(
             "side", name, f"{condition} {labels[0]} - {labels[1]}", sign_flip_test(score),
             "P(focus) on the right less on the left", interval, n, notes=notes,
+        )  # fmt: skip
+
+
+def _seen(answers: AnswerCounts, f: int, right: list[int], left: list[int]) -> tuple[IntArray, IntArray]:
+    """Return the counts with the focus on the right and on the left, both as the participants saw the beam."""
+    turned = answers.facing < 0
+    own, exchanged = answers.counts[:, f], answers.counts[:, f][..., ::-1]
+    on_right = np.concatenate([own[~turned][:, right].reshape(-1, 3), exchanged[turned][:, left].reshape(-1, 3)])
+    on_left = np.concatenate([own[~turned][:, left].reshape(-1, 3), exchanged[turned][:, right].reshape(-1, 3)])
+    return on_right, on_left
+
+
+def _aliased_side_findings(answers: AnswerCounts) -> Iterator[Finding]:
+    """Yield the side preference in pairs without the focus, which mirrored placement alone can show."""
+    if not answers.mirrored or len(answers.mirrored) == answers.n_participants:
+        return
+    for f, q in product(range(len(answers.finger_conditions)), range(len(answers.pairs))):
+        pair = answers.pairs[q]
+        if pair.focused:
+            continue
+        own = answers.counts[:, f, q].sum(axis=1)
+        score = (own[:, RIGHT] - own[:, LEFT]) * answers.facing
+        yield finding_of(
+            "side", "exact sign-flip test of side preference", f"{answers.finger_conditions[f]} {pair.label}",
+            sign_flip_test(score), "P(right) - P(left), as the participant sees the beam",
+            paired_mean(score, answers.n_answers), answers.n_participants,
+            notes=[f"{len(answers.mirrored)} of {answers.n_participants} participants with the beam turned end to end"],
         )  # fmt: skip
 
 

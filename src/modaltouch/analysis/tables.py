@@ -82,6 +82,8 @@ class AnswerCounts:
         Answers of each participant in each cell.
     focus : str
         Zone of the focus; empty if unknown.
+    mirrored : frozenset of str
+        Participants who sat at the beam turned end to end: what is left here was on their right.
     """
 
     participants: tuple[str, ...]
@@ -91,11 +93,17 @@ class AnswerCounts:
     counts: NDArray[np.int64]
     n_repetitions: int
     focus: str = ""
+    mirrored: frozenset[str] = frozenset()
 
     @property
     def n_participants(self) -> int:
         """Number of participants."""
         return len(self.participants)
+
+    @property
+    def facing(self) -> NDArray[np.int64]:
+        """One for each participant: 1 where left was left, -1 where the beam was turned."""
+        return np.array([-1 if name in self.mirrored else 1 for name in self.participants], dtype=np.int64)
 
     @property
     def n_answers(self) -> int:
@@ -165,6 +173,7 @@ def count_answers(frame: pd.DataFrame, focus: str = "") -> AnswerCounts:
         counts,
         int(counts[0, 0, 0, 0].sum()),
         focus,
+        _mirrored(frame),
     )
 
 
@@ -292,6 +301,13 @@ def _reordered(values: list[T], codes: NDArray[np.int64], order: list[T]) -> tup
     """Return values in another order, and the codes that still name the same ones."""
     places = {value: place for place, value in enumerate(order)}
     return order, np.array([places[value] for value in values], dtype=np.int64)[codes]
+
+
+def _mirrored(frame: pd.DataFrame) -> frozenset[str]:
+    if "placement" not in frame.columns:
+        return frozenset()
+    turned = frame["placement"].astype(str).str.startswith("mirrored")
+    return frozenset(frame.loc[turned, "participant"].astype(str))
 
 
 def _refuse_imbalance(

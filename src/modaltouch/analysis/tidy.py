@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from modaltouch.analysis.balance import check_balance
 from modaltouch.analysis.csv_table import MOST_LISTED, Column, Table, read_table
+from modaltouch.analysis.mirroring import unmirror
 from modaltouch.analysis.responses import REQUIRED, LeftOut, Responses, Source
 from modaltouch.document import InputError, Problem, suggest
 from modaltouch.trial import ANSWERS
@@ -58,6 +59,7 @@ def read_csv(path: Path) -> Responses:
     if problems:
         raise InputError(problems)
     frame, practice = _without_practice(table, frame, problems)
+    frame = unmirror(frame)
     if not problems:
         problems += check_balance(table, frame)
     if problems:
