@@ -89,3 +89,9 @@ def shipped(design: Callable[..., Stimulus]) -> Stimulus:
 def shipped_paper(design: Callable[..., Stimulus]) -> Stimulus:
     """Return the shipped stimulus by the paper's law."""
     return design(law="paper")
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """Return a generator of a fixed seed."""
+    return np.random.default_rng(20_190_709)

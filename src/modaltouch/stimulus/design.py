@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
 
@@ -63,7 +63,6 @@ class Stimulus:
     levels: tuple[float, ...]
     load_factor: float
     rounding: Rounding = "settled"
-    _peaks: dict[tuple[float, ...], FloatArray] = field(default_factory=dict, repr=False)
 
     @cached_property
     def projection(self) -> Projection:
@@ -259,6 +258,11 @@ class Stimulus:
         """
         reached, _ = self.achieved(velocity)
         return np.asarray(reached @ self.model.shapes(positions))
+
+    @cached_property
+    def _peaks(self) -> dict[tuple[float, ...], FloatArray]:
+        """Peak speeds already computed, by the channels' ratio and the positions."""
+        return {}
 
     def peak_velocity(self, positions: ArrayLike, velocity: float) -> FloatArray:
         """Return the highest speed at points of the beam until the next burst, (n_positions,) array [m/s].

@@ -1,0 +1,203 @@
+"""The beam forward, against 80-bit steps and the invariants of a linear system."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from modaltouch.stimulus.design import Amplifier, ModalModel, Timing
+from modaltouch.stimulus.dynamics import modal_system
+from modaltouch.stimulus.vibration import modal_history, peak_velocity, states_by_channel, velocity_history
+
+PI = np.longdouble("3.14159265358979323846264338327950288")
+
+
+def stepped(model, voltage, hold):
+    """Return modal velocities at the start of each sample, stepped in 80-bit complex numbers."""
+    w = 2 * PI * model.natural_frequency.astype(np.longdouble)
+    xi = model.damping_ratio.astype(np.longdouble)
+    s = (-xi * w + 1j * w * np.sqrt((1 - xi) * (1 + xi))).astype(np.clongdouble)
+    ratio = np.exp(s * np.longdouble(hold))
+    held = (ratio - 1) / s
+    force = model.modal_gain.astype(np.longdouble) @ voltage.astype(np.longdouble)
+    state, states = np.zeros(s.size, dtype=np.clongdouble), np.empty(force.shape, dtype=np.clongdouble)
+    for n, push in enumerate(force.T):
+        states[:, n] = state
+        state = ratio * state + held * push
+    velocity = states.real + (s.real / s.imag)[:, None] * states.imag
+    return velocity.astype(float)
+
+
+@pytest.mark.parametrize("n_samples", [1, 31, 32, 33, 1056, 65_536])
+def test_every_mode_is_right_to_its_own_peak(model, rng, n_samples):
+    """Issue 3: error of each mode relative to its own peak <= 1e-12 for Table I, on arbitrary samples."""
+    length = max(2, n_samples) * 7.6e-7
+    timing = Timing(n_samples=max(2, n_samples), duration=length, focusing_instant=length)
+    voltage = rng.normal(size=(2, n_samples))
+    expected = stepped(model, voltage, timing.hold)
+    error = np.abs(modal_history(model, voltage, timing) - expected).max(axis=1)
+    assert (error <= 1e-12 * np.maximum(np.abs(expected).max(axis=1), 1e-300)).all()
+
+
+def test_light_damping_keeps_its_phase(model, rng):
+    """Issue 3: <= 1e-11 of each mode's own peak at damping 1e-6."""
+    light = replace(model, damping_ratio=np.full(9, 1e-6))
+    timing = Timing(n_samples=65_536)
+    voltage = rng.normal(size=(2, 65_536))
+    expected = stepped(light, voltage, timing.hold)
+    error = np.abs(modal_history(light, voltage, timing) - expected).max(axis=1)
+    assert (error <= 1e-11 * np.abs(expected).max(axis=1)).all()
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    frequency=st.floats(1.0, 90e3),
+    ratio=st.floats(1e-6, 0.99),
+    n_samples=st.integers(2, 3000),
+    seed=st.integers(0, 10_000),
+)
+def test_any_mode_is_right(frequency, ratio, n_samples, seed):
+    """Damping ratio from 1e-6 to 0.99 (physics.md section 6), against 80-bit steps."""
+    model = ModalModel((1,), [frequency], [ratio], [[1.0]], 0.1)
+    timing = Timing(n_samples=n_samples, duration=n_samples * 4e-7, focusing_instant=4e-7)
+    voltage = np.random.default_rng(seed).normal(size=(1, n_samples))
+    expected = stepped(model, voltage, timing.hold)
+    assert modal_history(model, voltage, timing) == pytest.approx(
+        expected, abs=1e-11 * max(np.abs(expected).max(), 1e-30)
+    )
+
+
+def test_velocity_is_the_sum_of_the_modes(crossed_model, rng):
+    """Equation (3): w' = sum of phi_k eta'_k."""
+    timing = Timing(n_samples=5000, duration=0.002, focusing_instant=0.001)
+    voltage = rng.normal(size=(2, 5000))
+    places = [-0.04, 0.013, 0.05]
+    summed = crossed_model.shapes(places).T @ modal_history(crossed_model, voltage, timing)
+    assert velocity_history(crossed_model, voltage, timing, places) == pytest.approx(
+        summed, abs=1e-13 * np.abs(summed).max()
+    )
+
+
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 10_000), shift=st.integers(1, 500))
+def test_superposition_and_delay_hold(seed, shift, crossed_model):
+    """A linear system that does not age: sums respond in sums, and later voltages later."""
+    rng = np.random.default_rng(seed)
+    timing = Timing(n_samples=1500, duration=0.0006, focusing_instant=0.0003)
+    one, two = rng.normal(size=(2, 2, 1500))
+    together = modal_history(crossed_model, one + two, timing)
+    apart = modal_history(crossed_model, one, timing) + modal_history(crossed_model, two, timing)
+    scale = np.abs(together).max(axis=1, keepdims=True)
+    assert np.abs((together - apart) / scale).max() < 1e-12
+    later = np.zeros_like(one)
+    later[:, shift:] = one[:, :-shift]
+    delayed = modal_history(crossed_model, later, timing)[:, shift:]
+    assert np.abs((delayed - modal_history(crossed_model, one, timing)[:, :-shift]) / scale).max() < 1e-12
+
+
+def test_time_reversal_swaps_drive_and_reading(crossed_model, rng):
+    """The velocity at the end is the impulse response against the drive reversed in time."""
+    timing = Timing(n_samples=2048, duration=0.001, focusing_instant=0.0005)
+    one = rng.normal(size=2048)
+    voltage = np.zeros((2, 2048))
+    voltage[0] = one
+    impulse = np.zeros((2, 2048))
+    impulse[0, 0] = 1.0
+    response = modal_history(crossed_model, impulse, timing)
+    last = modal_history(crossed_model, voltage, timing)[:, -1]
+    assert response[:, 1:] @ one[:-1][::-1] == pytest.approx(last, rel=1e-10, abs=1e-12 * np.abs(last).max())
+
+
+def test_free_decay_follows_its_exponent():
+    """After the drive stops a mode decays as e^-at, whatever drove it."""
+    model = ModalModel((1,), [1000.0], [0.01], [[1.0]], 0.1)
+    timing = Timing(n_samples=50_000, duration=0.05, focusing_instant=0.025)
+    voltage = np.zeros((1, 50_000))
+    voltage[0, :500] = 1.0
+    velocity = modal_history(model, voltage, timing)[0]
+    b = 2 * np.pi * 1000 * np.sqrt(1 - 0.01**2)
+    period = 2 * np.pi / b
+    ratio = np.interp(0.02 + 5 * period, np.arange(50_000) * 1e-6, velocity) / velocity[20_000]
+    assert ratio == pytest.approx(np.exp(-5 * period * 0.01 * 2 * np.pi * 1000), rel=1e-3)
+
+
+def test_resonance_gain_is_the_corrected_one():
+    """Erratum 1 (section III-B): at resonance |eta'| = G |v| / (2 xi w), not / (2 xi w^2)."""
+    model = ModalModel((1,), [1000.0], [0.01], [[5.0]], 0.1)
+    timing = Timing(n_samples=125_000, duration=0.14, focusing_instant=0.1)
+    time = np.arange(125_000) * timing.hold
+    velocity = modal_history(model, np.sin(2 * np.pi * 1000 * time)[None], timing)[0]
+    expected = 5.0 / (2 * 0.01 * 2 * np.pi * 1000)
+    assert np.abs(velocity[100_000:]).max() == pytest.approx(expected, rel=1e-3)
+
+
+@pytest.mark.parametrize("amplifier", [None, Amplifier(gain=1.0, limit=1.0, bandwidth=20e3)])
+def test_peak_is_the_largest_of_the_whole_history(crossed_model, rng, amplifier):
+    """Skipping blocks that cannot hold the peak changes nothing."""
+    timing = Timing(n_samples=70_001, duration=0.05)
+    fade = np.hanning(70_001)
+    for voltage in (rng.normal(size=(2, 70_001)), rng.normal(size=(2, 70_001)).cumsum(axis=1)):
+        voltage *= fade
+        places = [-0.04, 0.0, 0.02, 0.049]
+        history = velocity_history(crossed_model, voltage, timing, places, amplifier)
+        peak = peak_velocity(crossed_model, voltage, timing, places, amplifier)
+        assert peak == pytest.approx(np.abs(history).max(axis=1), rel=1e-12)
+
+
+def test_peak_of_the_shipped_burst_is_exact(shipped, zones):
+    """The decay after a braked burst adds nothing: the peak is that of the history."""
+    voltage = shipped.voltage_played(0.2)
+    history = velocity_history(shipped.model, voltage, shipped.timing, zones)
+    assert shipped.peak_velocity(zones, 0.2) == pytest.approx(np.abs(history).max(axis=1), rel=1e-12)
+
+
+def test_peak_reaches_into_the_silence_after_the_burst():
+    """A burst that ends with a kick peaks after its last sample."""
+    model = ModalModel((1,), [100.0], [0.001], [[1.0]], 0.1)
+    timing = Timing(n_samples=1000, duration=0.001, focusing_instant=0.0005)
+    voltage = np.zeros((1, 1000))
+    voltage[0, -1] = 1.0
+    peak = peak_velocity(model, voltage, timing, [0.0])[0]
+    assert peak == pytest.approx(1e-6, rel=1e-3)
+    assert np.abs(velocity_history(model, voltage, timing, [0.0])).max() == 0
+
+
+def test_state_between_samples_agrees_with_finer_samples(crossed_model, rng):
+    """An instant within a hold: the same voltages on a clock ten times finer, where it lies on the grid."""
+    timing = Timing(n_samples=1000, duration=0.0004, focusing_instant=0.0002)
+    fine = Timing(n_samples=10_000, duration=0.0004, focusing_instant=0.0002)
+    voltage = rng.normal(size=(2, 1000))
+    instant = 0.0004 * 0.5003
+    system = modal_system(crossed_model)
+    assert states_by_channel(system, voltage, timing, instant) == pytest.approx(
+        states_by_channel(system, np.repeat(voltage, 10, axis=1), fine, instant), abs=1e-15
+    )
+
+
+def test_uneven_clock_is_played_as_it_is(crossed_model, rng):
+    """131,072 points over 50 ms are held 95 or 96 clocks: a sum over the real edges."""
+    timing = Timing(n_samples=131_072)
+    voltage = rng.normal(size=(2, 131_072))
+    clocks = np.ceil(np.arange(131_073) * 12_500_000 / 131_072 - 1e-6)
+    assert set(np.unique(np.diff(clocks))) == {95.0, 96.0}
+    edge = np.minimum(clocks / 250e6, 0.025)
+    system = modal_system(crossed_model)
+    expected = np.zeros((2, 9), dtype=complex)
+    for k, s in enumerate(system.exponent):
+        powers = np.exp(s * (0.025 - edge))
+        expected[:, k] = voltage @ ((powers[:-1] - powers[1:]) / s) * system.input_gain[k]
+    found = states_by_channel(system, voltage, timing, 0.025)
+    assert found == pytest.approx(expected, abs=1e-11 * np.abs(expected).max())
+    even = states_by_channel(system, voltage, replace(timing, clock_rate=131_072 * 20 * 16), 0.025)
+    assert np.abs(even - expected).max() > 1e-4 * np.abs(expected).max()
+
+
+def test_voltages_that_do_not_fit_are_refused(model):
+    """One row to each channel, and finite."""
+    timing = Timing(n_samples=4, duration=1e-6, focusing_instant=5e-7)
+    with pytest.raises(ValueError, match=r"voltages of shape \(3, 4\) do not fit a beam with 2 channels"):
+        velocity_history(model, np.zeros((3, 4)), timing, [0.0])
+    with pytest.raises(ValueError, match=r"a voltage is not a finite number"):
+        velocity_history(model, np.full((2, 4), np.nan), timing, [0.0])
