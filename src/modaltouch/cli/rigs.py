@@ -31,3 +31,48 @@ def list_addresses(
             print(
                 "none found; a generator on the network is not listed but answers at TCPIP::<its address>::INSTR"
             )
+
+
+@app.command("check")
+def check(
+    address: Annotated[str, typer.Argument(help="VISA address, or `simulated`.", show_default=False)],
+    apparatus: APPARATUS = Path("protocols/apparatus/beam_100x6x2.yaml"),
+    json_output: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
+) -> None:
+    """Find out what a generator really does where its manual is silent, and whether it is fit for a session.
+
+    Nothing is played: the outputs stay off, except where a question says otherwise.
+    """
+    from contextlib import ExitStack
+
+    from modaltouch.apparatus import read_apparatus
+    from modaltouch.rig import start_simulator
+    from modaltouch.rig.checklist import check_rig
+
+    with reporting(json_output=json_output), ExitStack() as stack:
+        parts = read_apparatus(apparatus)
+        if address == "simulated":
+            address = stack.enter_context(start_simulator(parts)).address
+        rows = check_rig(address, parts)
+        if json_output:
+            print_json({"address": address, "rows": [row.as_dict() for row in rows]})
+        else:
+            for row in rows:
+                print(row)
+
+
+@app.command("simulate")
+def simulate(
+    apparatus: APPARATUS = Path("protocols/apparatus/beam_100x6x2.yaml"),
+    port: Annotated[int, typer.Option(min=0, max=65535, help="TCP port on this machine; 0 takes a free one.")] = 0,
+    seed: Annotated[int | None, typer.Option(min=0, help="Instead of the seed in the apparatus file.")] = None,
+) -> None:
+    """Run a simulated rig for other programs, on this machine alone, until it is interrupted.
+
+    The first line on standard output is its VISA address.
+    """
+    from modaltouch.apparatus import read_apparatus
+    from modaltouch.rig.simulator import serve
+
+    with reporting():
+        serve(read_apparatus(apparatus), port=port, seed=seed)

@@ -1,0 +1,184 @@
+"""The command line as a user meets it: words, exit statuses, one JSON object, never a traceback."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).parents[2]
+PROTOCOL = REPOSITORY / "protocols" / "differentiated_stimulation.yaml"
+
+
+def run(*words, cwd=REPOSITORY):
+    """Run ``python -m modaltouch`` in a process of its own."""
+    command = [sys.executable, "-m", "modaltouch", *map(str, words)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, cwd=cwd)
+
+
+def loaded_modules(*words):
+    """Return the modules that a command leaves loaded."""
+    program = (
+        "import sys, json\n"
+        "from modaltouch.__main__ import main\n"
+        "try:\n    main(sys.argv[1:])\n"
+        "except SystemExit:\n    pass\n"
+        "sys.stderr.write('MODULES ' + json.dumps(sorted(sys.modules)))\n"
+    )
+    command = [sys.executable, "-c", program, *map(str, words)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, cwd=REPOSITORY)
+    return set(json.loads(done.stderr.split("MODULES ")[1]))
+
+
+@pytest.fixture(scope="module")
+def checked():
+    """What ``check --json`` says of the paper's protocol."""
+    done = run("check", PROTOCOL, "--json")
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+def test_help_names_every_command_and_loads_nothing_heavy():
+    """Issue: ``--help`` never imports psychopy; it needs neither numpy nor pandas either."""
+    done = run("--help")
+    assert done.returncode == 0
+    for command in ("demo", "check", "run", "resume", "simulate", "analyse", "verify", "doctor", "rig"):
+        assert command in done.stdout
+    assert not loaded_modules("--help") & {"psychopy", "numpy", "pandas", "pyvisa", "pydantic", "matplotlib"}
+
+
+@pytest.mark.parametrize("command", ["demo", "check", "run", "resume", "simulate", "analyse", "verify", "doctor"])
+def test_every_command_teaches_itself(command):
+    """A sentence on what it does, and every option with its own."""
+    done = run(command, "--help")
+    assert done.returncode == 0
+    assert "Usage: modaltouch" in done.stdout.replace("python -m ", "")
+
+
+def test_check_loads_neither_window_nor_instrument():
+    """Issue: ``check`` never imports psychopy (3.7 s), nor pandas, PyVISA or matplotlib."""
+    loaded = loaded_modules("check", PROTOCOL, "--json")
+    assert not loaded & {"psychopy", "pandas", "pyvisa", "matplotlib", "scipy.signal", "statsmodels"}
+
+
+def test_analyse_loads_neither_window_nor_instrument(tmp_path):
+    """Contract: the analysis runs without an instrument or a screen."""
+    rows = ["participant,finger_condition,zone_left,zone_right,velocity_mm_s,response"]
+    rows += [f"p{n},one_hand,A,C,80,right" for n in range(3)]
+    (tmp_path / "answers.csv").write_text("\n".join(rows) + "\n")
+    loaded = loaded_modules("analyse", tmp_path / "answers.csv", "--out", tmp_path / "out", "--json")
+    assert "pandas" in loaded
+    assert not loaded & {"psychopy", "pyvisa", "pyglet"}
+    assert (tmp_path / "out" / "report.html").exists()
+
+
+def test_check_json_carries_what_the_issue_asks(checked):
+    """Issue, item 8: the keys of ``check --json``."""
+    assert checked["n_trials"] == 24
+    assert checked["estimated_duration_min"] > 0
+    assert checked["problems"] == []
+    assert [stimulus["velocity_mm_s"] for stimulus in checked["stimuli"]] == [80, 100, 150, 200]
+    for stimulus in checked["stimuli"]:
+        assert stimulus["focus"] == "C"
+        assert stimulus["law"] == "exact"
+        assert stimulus["selected_modes"] == [1, 3, 5, 7, 11, 13]
+        assert set(stimulus["peak_drive_V"]) == {"1", "2"}
+        assert stimulus["n_samples"] == 125_000
+        assert stimulus["sampling_rate_Hz"] == 2.5e6
+        labels = {"1", "3", "5", "7", "9", "11", "13", "15", "17"}
+        assert set(stimulus["target_mm_s"]) == set(stimulus["achieved_mm_s"]) == labels
+        assert set(stimulus["zone_at_focus_mm_s"]) == set(stimulus["zone_peak_mm_s"]) == set("ABCDE")
+        assert stimulus["zone_at_focus_mm_s"]["C"] == pytest.approx(stimulus["velocity_mm_s"], rel=1e-3)
+
+
+def test_the_modal_error_covers_every_difference_between_target_and_achieved(checked):
+    """Issue: worst modal error = max over modes of |velocity - target| and |w eta|."""
+    for stimulus in checked["stimuli"]:
+        differences = [abs(stimulus["target_mm_s"][k] - stimulus["achieved_mm_s"][k]) for k in stimulus["target_mm_s"]]
+        assert max(differences) <= stimulus["worst_modal_error_mm_s"] * (1 + 1e-9)
+
+
+def test_all_faults_are_reported_at_once_with_their_place(tmp_path):
+    """Exit status 2, one line a fault with file, line and column, and no traceback."""
+    text = PROTOCOL.read_text()
+    for name in ("apparatus", "texts"):
+        text = text.replace(f"{name}: {name}/", f"{name}: {PROTOCOL.parent / name}/")
+    text = (
+        text.replace("[C, E]]", "[C, F], [A, C]]")
+        .replace("150, 200]", "150, 900]")
+        .replace("hand: right", "hnad: right")
+    )
+    broken = tmp_path / "broken.yaml"
+    broken.write_text(text)
+    done = run("check", broken)
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
+    lines = [line for line in done.stderr.splitlines() if line.startswith(f"{broken}:")]
+    assert len(lines) >= 4
+    for words in ("'F'", "900", "hnad"):
+        assert any(words in line for line in lines), f"{words} is not reported in {lines}"
+    done = run("check", broken, "--json")
+    assert done.returncode == 2
+    problems = json.loads(done.stdout)["problems"]
+    assert len(problems) == len(lines)
+    assert {"file", "line", "column", "path", "given", "allowed", "message"} <= set(problems[0])
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "message"),
+    [
+        (("check", "nowhere.yaml"), 2, "nowhere.yaml"),
+        (("run", "protocols/demo.yaml", "-p", "../x", "--answers", "simulated"), 4, "letters and digits"),
+        (("run", "protocols/demo.yaml", "--answers", "simulated"), 2, "participant id"),
+        (("run", "protocols/demo.yaml", "-p", "p01", "--size", "big"), 2, "WIDTHxHEIGHT"),
+        (
+            (
+                "run",
+                "protocols/demo.yaml",
+                "-p",
+                "p01",
+                "--answers",
+                "simulated",
+                "--rig",
+                "TCPIP::127.0.0.1,9::inst0::INSTR",
+            ),
+            3,
+            "127.0.0.1",
+        ),
+        (("resume", "nowhere"), 4, "no such file"),
+        (("verify", "nowhere"), 4, "no such file"),
+        (("analyse", "nowhere"), 2, "nowhere"),
+    ],
+)
+def test_a_mistake_gets_a_message_and_its_exit_status(tmp_path, words, status, message):
+    """Exit statuses of architecture.md: 2 bad input, 3 rig failed, 4 record at risk; never a traceback."""
+    done = run(*words, *(("--results", tmp_path) if words[0] == "run" else ()))
+    assert done.returncode == status, done.stderr
+    assert message in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_window_without_a_display_says_what_to_do(tmp_path, monkeypatch):
+    """Exit status 3 before anything is recorded: the session can be begun again."""
+    monkeypatch.delenv("DISPLAY", raising=False)
+    done = run("run", "protocols/demo.yaml", "-p", "p01", "--results", tmp_path)
+    assert done.returncode == 3
+    assert "display" in done.stderr
+    assert list(tmp_path.rglob("session.jsonl")) == []
+
+
+def test_doctor_reports_as_json():
+    """One object; every finding has a subject, a state and what was found."""
+    done = run("doctor", "--json")
+    findings = json.loads(done.stdout)["findings"]
+    assert {"python", "packages", "OpenGL", "disk"} <= {finding["subject"] for finding in findings}
+    assert all(finding["state"] in ("ok", "warning", "fault") for finding in findings)
+
+
+def test_a_results_folder_that_cannot_be_written_is_said(tmp_path):
+    """A file stands where the results folder should be."""
+    (tmp_path / "results").write_text("")
+    done = run("run", PROTOCOL, "-p", "p01", "--answers", "simulated", "--results", tmp_path / "results")
+    assert done.returncode == 4
+    assert "cannot be created" in done.stderr
