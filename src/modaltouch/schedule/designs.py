@@ -57,6 +57,15 @@ def latin_square(n_cells: int) -> list[list[int]]:
     return rows if n_cells % 2 == 0 else [*rows, *(row[::-1] for row in rows)]
 
 
+def _row_of_turn(turn: int, n_rows: int) -> int:
+    """Return the row of a square for a turn.
+
+    Each dozen of participants (for a dozen rows) begins a row later than the last, so that rows and orders of
+    finger conditions, which take turns too, meet in every combination.
+    """
+    return (turn + turn // n_rows) % n_rows
+
+
 def _shuffled(protocol: Protocol, turn: int, stream: Stream) -> list[Cell]:
     """Draw the order of pairs first, then spread each pair's velocities over its places."""
     pairs, levels = protocol.conditions.zone_pairs, protocol.conditions.peak_velocities_mm_s
@@ -71,7 +80,7 @@ def _by_pair(protocol: Protocol, turn: int, stream: Stream) -> list[Cell]:
     """Take the pairs one after the other, in this participant's row of a Latin square."""
     pairs, levels = protocol.conditions.zone_pairs, protocol.conditions.peak_velocities_mm_s
     rows = latin_square(len(pairs))
-    row = rows[turn % len(rows)]
+    row = rows[_row_of_turn(turn, len(rows))]
     return [(pairs[pair], level) for pair in row for level in stream.shuffled(levels * protocol.schedule.repetitions)]
 
 
@@ -79,7 +88,7 @@ def _by_velocity(protocol: Protocol, turn: int, stream: Stream) -> list[Cell]:
     """Take the velocities one after the other, in this participant's row of a Latin square."""
     pairs, levels = protocol.conditions.zone_pairs, protocol.conditions.peak_velocities_mm_s
     rows = latin_square(len(levels))
-    row = rows[turn % len(rows)]
+    row = rows[_row_of_turn(turn, len(rows))]
     return [(pair, levels[level]) for level in row for pair in stream.shuffled(pairs * protocol.schedule.repetitions)]
 
 
@@ -89,7 +98,8 @@ def _latin_square(protocol: Protocol, turn: int, stream: Stream) -> list[Cell]:
     cells = [(pair, level) for pair in conditions.zone_pairs for level in conditions.peak_velocities_mm_s]
     rows = latin_square(len(cells))
     repetitions = protocol.schedule.repetitions
-    return [cells[cell] for n in range(repetitions) for cell in rows[(turn * repetitions + n) % len(rows)]]
+    turns = range(turn * repetitions, (turn + 1) * repetitions)
+    return [cells[cell] for each in turns for cell in rows[_row_of_turn(each, len(rows))]]
 
 
 _ORDERS: dict[str, Callable[[Protocol, int, Stream], list[Cell]]] = {

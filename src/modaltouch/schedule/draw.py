@@ -11,8 +11,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from modaltouch.protocol import Protocol
-from modaltouch.schedule.designs import order_cells
+from modaltouch.protocol import Placement, Protocol
+from modaltouch.schedule.designs import Cell, order_cells
 from modaltouch.schedule.streams import ALGORITHM, Stream, key_of
 from modaltouch.trial import Condition, Trial
 
@@ -72,8 +72,10 @@ class Schedule:
     @property
     def order_hash(self) -> str:
         """SHA-256 of all trials in order, practice first."""
-        values = [trial.as_dict() for trial in (*self.practice, *self.trials)]
-        return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
+        values = [
+            [trial.practice, trial.index, trial.repetition, *_brief(trial)] for trial in (*self.practice, *self.trials)
+        ]
+        return hashlib.sha256(json.dumps(values).encode()).hexdigest()
 
     @property
     def seeds(self) -> dict[str, Any]:
@@ -125,32 +127,40 @@ def draw_schedule(protocol: Protocol, participant: str, seed: int, session: int 
         If an argument is out of bounds or no order keeps the protocol's limit on runs.
     """
     _check_arguments(participant, seed, session)
-    finger_conditions, decided_by = order_finger_conditions(protocol, participant, seed, session)
+    turn, decided_by = turn_of(participant, seed, session)
+    orders = _orders_of_finger_conditions(protocol)
+    placements = protocol.conditions.placements
+    # Orders change with every participant, placements each time all orders have been had.
+    finger_conditions = orders[turn % len(orders)]
+    placement = placements[turn // len(orders) % len(placements)]
     blocks: list[Block] = []
     for number, finger_condition in enumerate(finger_conditions, start=1):
-        conditions = _draw_block(protocol, finger_condition, participant, seed, session)
+        stream = Stream(seed, participant, session, _purpose_of_order(finger_condition))
+        cells = order_cells(protocol, turn, stream)
+        conditions = [_place(finger_condition, cell, placement) for cell in cells]
         first = sum(len(block.trials) for block in blocks) + 1
-        trials = _number(conditions, block=number, first=first, practice=False)
-        blocks.append(Block(number, finger_condition, trials))
+        blocks.append(Block(number, finger_condition, _number(conditions, block=number, first=first)))
     stream = Stream(seed, participant, session, "practice")
-    practice = _draw_practice(protocol, finger_conditions[0], stream)
-    return Schedule(participant, session, seed, practice, tuple(blocks), decided_by)
+    practised = [_place(finger_conditions[0], cell, placement) for cell in _draw_practice(protocol, stream)]
+    return Schedule(
+        participant=participant,
+        session=session,
+        seed=seed,
+        practice=_number(practised, block=0, first=1),
+        blocks=tuple(blocks),
+        finger_conditions_by=decided_by if len(orders) > 1 else "protocol",
+    )
 
 
-def order_finger_conditions(
-    protocol: Protocol, participant: str, seed: int, session: int
-) -> tuple[tuple[str, ...], str]:
-    """Return a participant's order of the finger conditions, and what decided it.
+def _orders_of_finger_conditions(protocol: Protocol) -> list[tuple[str, ...]]:
+    given = protocol.conditions.finger_conditions
+    return list(itertools.permutations(given)) if protocol.schedule.counterbalance_finger_conditions else [given]
 
-    Where the identifier ends in a number, participants take turns: p01 has the protocol's order, p02 the next.
-    Other identifiers draw an order. A further session has the next order.
-    """
-    given: tuple[str, ...] = protocol.conditions.finger_conditions
-    if not protocol.schedule.counterbalance_finger_conditions or len(given) == 1:
-        return given, "protocol"
-    turn, decided_by = turn_of(participant, seed, session)
-    orders = list(itertools.permutations(given))
-    return orders[turn % len(orders)], decided_by
+
+def _place(finger_condition: str, cell: Cell, placement: Placement) -> Condition:
+    """Return a cell under a participant's fingers; on a beam turned end to end, left and right change places."""
+    left, right = reversed(cell[0]) if placement.startswith("mirrored") else cell[0]
+    return Condition(finger_condition, left, right, cell[1], placement)
 
 
 def turn_of(participant: str, seed: int, session: int) -> tuple[int, str]:
@@ -178,38 +188,26 @@ def _purpose_of_order(finger_condition: str) -> str:
     return f"order within {finger_condition}"
 
 
-def _draw_block(
-    protocol: Protocol, finger_condition: str, participant: str, seed: int, session: int
-) -> list[Condition]:
-    stream = Stream(seed, participant, session, _purpose_of_order(finger_condition))
-    turn = turn_of(participant, seed, session)[0]
-    return [Condition(finger_condition, *pair, level) for pair, level in order_cells(protocol, turn, stream)]
-
-
-def _draw_practice(protocol: Protocol, finger_condition: str, stream: Stream) -> tuple[Trial, ...]:
-    """Return the practice trials: conditions of the first block, none again before all others have come."""
-    conditions, n_trials = protocol.conditions, protocol.schedule.practice_trials
-    cells = [
-        Condition(finger_condition, *pair, level)
-        for pair in conditions.zone_pairs
-        for level in conditions.peak_velocities_mm_s
-    ]
-    drawn: list[Condition] = []
+def _draw_practice(protocol: Protocol, stream: Stream) -> list[Cell]:
+    """Return the cells to practise, none again before all others have come."""
+    conditions, n_trials = protocol.conditions, protocol.schedule.all_practice_trials
+    cells = [(pair, level) for pair in conditions.zone_pairs for level in conditions.peak_velocities_mm_s]
+    drawn: list[Cell] = []
     while len(drawn) < n_trials:
         drawn += stream.shuffled(cells)
-    return _number(drawn[:n_trials], block=0, first=1, practice=True)
+    return drawn[:n_trials]
 
 
-def _number(conditions: Iterable[Condition], *, block: int, first: int, practice: bool) -> tuple[Trial, ...]:
-    """Return the conditions as trials; repetitions count in the order of presentation."""
+def _number(conditions: Iterable[Condition], *, block: int, first: int) -> tuple[Trial, ...]:
+    """Return the conditions as trials, those of block 0 for practice; repetitions count as they are presented."""
     seen: Counter[Condition] = Counter()
     trials = []
     for index, condition in enumerate(conditions, start=first):
         seen[condition] += 1
-        trials.append(Trial(index, block, condition, seen[condition], practice))
+        trials.append(Trial(index, block, condition, seen[condition], practice=block == 0))
     return tuple(trials)
 
 
 def _brief(trial: Trial) -> list[Any]:
     condition = trial.condition
-    return [trial.block, condition.finger_condition, *condition.pair, condition.velocity_mm_s]
+    return [trial.block, condition.finger_condition, *condition.pair, condition.velocity_mm_s, condition.placement]
