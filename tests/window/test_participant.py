@@ -287,6 +287,87 @@ def test_keys_are_those_of_the_protocol(paper_room: Callable[..., Any], trial: T
     assert ask(room, trial).answer == "right"
 
 
+def test_an_answer_may_be_changed_until_it_is_chosen_again(paper_room: Callable[..., Any], trial: Trial) -> None:
+    """Expected: the answer chosen twice, timed by its first choice; the change is logged; no early stop."""
+    room = paper_room(answers={"change_until_confirmed": True})
+    room.script = [
+        ("question", 0.1, send(room, "key", "left")),
+        ("chosen_left", 0.1, send(room, "key", "right")),
+        ("chosen_right", 0.2, send(room, "key", "right")),
+    ]
+    onset = time.perf_counter()
+    response = ask(room, trial, onset)
+    assert response.answer == "right"
+    chosen = next(when for name, when in room.shown if name == "chosen_right")
+    assert response.reaction_time == pytest.approx(chosen - onset, abs=0.02)
+    assert room.stopped[0] >= chosen + 0.2
+    assert [(facts["first"], facts["to"]) for facts in room.events("changed")] == [("left", "right")]
+
+
+def test_an_answer_stands_at_once_where_the_protocol_says_nothing(paper_room: Callable[..., Any], trial: Trial) -> None:
+    """Expected: the shipped protocols take the first answer."""
+    room = paper_room()
+    room.script = [("question", 0.1, send(room, "key", "left"))]
+    ask(room, trial)
+    assert not any(name.startswith("chosen") for name in room.names)
+
+
+@pytest.mark.parametrize(
+    ("changes", "finger_condition", "way", "who"),
+    [
+        ({}, "one_hand", "free_hand", "participant"),
+        ({}, "two_hands", "lifting", "participant"),
+        ({"ways": {"two_hands": "foot_switch"}}, "two_hands", "foot_switch", "participant"),
+        ({"ways": {"two_hands": "experimenter"}}, "two_hands", "experimenter", "experimenter"),
+        ({"given_by": "experimenter"}, "one_hand", "experimenter", "experimenter"),
+    ],
+)
+def test_the_way_of_answering_is_recorded(
+    paper_room: Callable[..., Any], changes: dict[str, Any], finger_condition: str, way: str, who: str
+) -> None:
+    """Expected: the protocol's way for the finger condition; with both index fingers busy, lifting unless said."""
+    room = paper_room(answers=changes)
+    room.script = [("question", 0.05, send(room, "key", "left"))]
+    response = ask(room, Trial(1, 1, Condition(finger_condition, "A", "C", 100.0)))
+    assert (response.way, response.answered_by) == (way, who)
+
+
+def test_lifted_fingers_get_time_to_return_before_the_stimulus(paper_room: Callable[..., Any]) -> None:
+    """Expected: after the key of the placement the beam is shown for pause_s; nothing fires meanwhile."""
+    trial = Trial(1, 1, Condition("two_hands", "A", "C", 100.0))
+    room = paper_room(answers={"pause_s": 0.3})
+    room.script = [("place_fingers", 0.3, send(room, "key", "space"))]
+    room.window.place_fingers(trial)
+    assert room.names == ["place_fingers_two_hands_AC", "ready_two_hands_AC"]
+    assert time.perf_counter() - room.shown[-1][1] >= 0.3
+
+
+def test_feedback_is_shown_for_a_moment(
+    paper_room: Callable[..., Any], trial: Trial, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Expected: agreed, or where it was; then the session goes on by itself."""
+    monkeypatch.setattr("modaltouch.window.participant._FEEDBACK", 0.1)
+    room = paper_room()
+    room.script = [("question", 0.05, send(room, "key", "left"))]
+    response = ask(room, trial)
+    room.window.give_feedback(response, "left")
+    room.window.give_feedback(response, "right")
+    assert room.names[-2:] == ["feedback_agreed", "feedback_right"]
+
+
+def test_practice_rounds_count_from_one_again(paper_room: Callable[..., Any], experiment: Any) -> None:
+    """Expected: the second round of one practice trial is again practice 1 of 1 (demo.yaml has one)."""
+    room = paper_room()
+    room.script = [("question", 0.05, send(room, "key", "left"))]
+    room.window.ask(
+        Trial(2, 0, Condition("one_hand", "A", "C", 100.0), practice=True),
+        Progress(2, 12),
+        onset=time.perf_counter(),
+        stop=room.stop,
+    )
+    assert room.window._current[1] == Progress(1, experiment.protocol.schedule.practice_trials)
+
+
 def test_a_covered_window_is_drawn_again_at_most_four_times_a_second(paper_room: Callable[..., Any]) -> None:
     """Expected: expose events a millisecond apart for 0.6 s give two further drawings."""
     room = paper_room()

@@ -181,6 +181,69 @@ def test_spaces_that_must_not_break_survive(experiment: Experiment) -> None:
     assert page.texts == ("Prêt\u00a0? Oui.", "Allons y", "Press the space bar or click to go on")
 
 
+@pytest.mark.parametrize(
+    ("placement", "finger_condition", "hand", "fingers"),
+    [
+        ("normal", "one_hand", "right", ("right index", "right middle")),
+        ("mirrored", "one_hand", "right", ("right index", "right middle")),
+        ("swapped", "one_hand", "right", ("left middle", "left index")),
+        ("swapped", "one_hand", "left", ("right index", "right middle")),
+        ("swapped", "two_hands", "right", ("right index", "left index")),
+        ("mirrored_swapped", "two_hands", "right", ("right index", "left index")),
+    ],
+)
+def test_placements_are_drawn_as_they_are(
+    experiment: Experiment, placement: str, finger_condition: str, hand: str, fingers: tuple[str, str]
+) -> None:
+    """Expected: a mirrored beam has E on the left; swapped is the other hand, or the hands crossed."""
+    pair = "CA" if placement.startswith("mirrored") else "AC"
+    trial = Trial(1, 1, Condition(finger_condition, pair[0], pair[1], 100.0, placement))
+    assert trial.condition.fingers(hand) == fingers
+    pictures = illustrate(experiment, hand)
+    picture = pictures.feel(trial, PROGRESS)
+    places = {zone: find_words(picture, zone).box.x for zone in "ABCDE"}
+    in_order = sorted(places, key=places.__getitem__)
+    assert in_order == (list("EDCBA") if pair == "CA" else list("ABCDE"))
+    for side, zone, finger in zip(("left", "right"), pair, fingers, strict=True):
+        assert tips(picture.marks, DARK)[side][0] == pytest.approx(places[zone], abs=0.02)
+        named = find_words(picture, f"{finger} finger")
+        assert named.box.x == pytest.approx(places[zone])
+
+
+def test_pictures_of_mirrored_and_normal_placements_have_names_of_their_own(experiment: Experiment) -> None:
+    """Expected: screenshots of both are kept."""
+    pictures = illustrate(experiment)
+    turned = Trial(1, 1, Condition("one_hand", "C", "A", 100.0, "mirrored"))
+    assert pictures.feel(turned, PROGRESS).name != pictures.feel(make_trial("AC"), PROGRESS).name
+
+
+@pytest.mark.parametrize(
+    ("ways", "words"),
+    [({}, "lift_to_answer"), ({"two_hands": "foot_switch"}, "foot_switch_answers")],
+)
+def test_busy_hands_are_told_how_to_answer(experiment: Experiment, ways: dict[str, str], words: str) -> None:
+    """Expected: the way of the protocol in words under the buttons, with both index fingers on the beam."""
+    picture = illustrate(experiment, ways=ways).question(make_trial("AC", "two_hands"), PROGRESS)
+    assert getattr(experiment.texts, words) in picture.texts
+    assert getattr(experiment.texts, words) not in illustrate(experiment).question(make_trial(), PROGRESS).texts
+
+
+def test_lifted_fingers_are_asked_back(experiment: Experiment) -> None:
+    """Expected: between trials, where fingers are lifted to answer, and only there."""
+    pictures, words = illustrate(experiment), experiment.texts.fingers_back
+    assert words in pictures.ready(make_trial("AC", "two_hands"), PROGRESS).texts
+    assert words not in pictures.ready(make_trial("AC", "one_hand"), PROGRESS).texts
+
+
+@pytest.mark.parametrize("expected", ["left", "both", "right"])
+def test_feedback_says_where_it_was_stronger(experiment: Experiment, expected: str) -> None:
+    """Expected: agreement, or the text for the side that was predicted."""
+    pictures, texts = illustrate(experiment), experiment.texts
+    for answer in ("left", "both", "right"):
+        words = pictures.feedback(make_trial(practice=True), Progress(1, 3), answer, expected).texts[0]
+        assert words == (texts.practice_agreed if answer == expected else getattr(texts, f"practice_was_{expected}"))
+
+
 def test_a_finger_that_never_touches_is_refused(experiment: Experiment) -> None:
     """Expected: the message names the finger and those that can touch."""
     with pytest.raises(ValueError, match="given the finger 'left thumb'; allowed: left or right, then index"):
