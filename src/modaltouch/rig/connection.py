@@ -100,8 +100,8 @@ class Connection:
         self._expected_model = apparatus.generator.model
         self._log = log
         self._patience = patience
-        self._link = Link(open_resource, abandon, log=log, timeout=patience.reply)
-        self.controls = Controls(self._link, revive=self._revive, log=log, copy_timeout=patience.copy)
+        self.link = Link(open_resource, abandon, log=log, timeout=patience.reply)
+        self.controls = Controls(self.link, revive=self._revive, log=log, copy_timeout=patience.copy)
 
     @property
     def guard(self) -> Guard:
@@ -125,7 +125,7 @@ class Connection:
             If no such instrument answers, or it does not take its settings.
         """
         try:
-            self._link.open()
+            self.link.open()
             self.identity = self.controls.identify()
             self._refuse_stranger()
             self.controls.outputs_off()
@@ -145,7 +145,7 @@ class Connection:
 
     def close(self, *, clean: bool) -> None:
         """End the session; unless the outputs are off, the watchdog stays and switches them off."""
-        self._link.close()
+        self.link.close()
         if self._guard is not None:
             self._guard.release(clean=clean)
 
@@ -211,7 +211,7 @@ class Connection:
         """Return what the error queue says over a new connection: a refused query stays silent."""
         errors = []
         with contextlib.suppress(LinkError):
-            self._link.open()
+            self.link.open()
             errors = self.controls.pending_errors()
         return f" (it reports {', '.join(errors)})" if errors else ""
 
@@ -228,7 +228,7 @@ class Connection:
 
     def _revive(self) -> tuple[bool, ...]:
         """Open the connection anew, to the same instrument, outputs off, and return which were on."""
-        self._link.open()
+        self.link.open()
         identity = self.controls.identify()
         if identity != self.identity:
             raise RigError(

@@ -34,6 +34,9 @@ class Resource(typing.Protocol):
     def read(self) -> str:
         """Receive text."""
 
+    def read_raw(self) -> bytes:
+        """Receive bytes."""
+
     def query_binary_values(self, message: str, **options: Any) -> Any:
         """Ask for a block."""
 
@@ -134,6 +137,20 @@ class Link:
         length = str(len(block))
         with self._exchange(f"{command},{describe_block(block)}", timeout) as (resource, _):
             resource.write_raw(f"{command},#{len(length)}{length}".encode() + block + b"\n")
+
+    def ask_raw(self, query: str, *, timeout: float) -> bytes:
+        """Ask for a reply and return it as it comes, terminator and all.
+
+        Raises
+        ------
+        LinkError
+            If no reply comes in time.
+        """
+        with self._exchange(query, timeout) as (resource, facts):
+            resource.write(query)
+            reply = resource.read_raw()
+            facts["reply"] = describe_block(reply)
+        return reply
 
     def read_codes(self, query: str, *, timeout: float) -> NDArray[np.uint16]:
         """Ask for a block of codes of two bytes, big-endian, and return them.

@@ -1,0 +1,85 @@
+"""The checklist against instruments that differ in what no manual says."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from modaltouch.apparatus import Apparatus
+from modaltouch.rig.checklist import Row, check_rig
+from modaltouch.rig.connection import Patience
+from modaltouch.rig.interface import RigError
+from modaltouch.rig.simulator import Simulator
+from modaltouch.rig.simulator.afg import Behaviour
+
+PATIENCE = Patience(reply=0.3, copy=3.0, tries=2, pause=0.02)
+
+
+@pytest.fixture(scope="module")
+def usual(apparatus: Apparatus) -> list[Row]:
+    """Return the rows for an instrument as it is assumed to be."""
+    with Simulator(apparatus) as simulator:
+        rows = check_rig(simulator.address, apparatus, patience=PATIENCE)
+        assert simulator.outputs == (False, False)
+        assert simulator.front_panel("DATA:CAT?") == '"EMEM"'
+        return rows
+
+
+@pytest.fixture(scope="module")
+def odd(apparatus: Apparatus) -> list[Row]:
+    """Return the rows for an instrument that differs wherever it can."""
+    behaviour = Behaviour(
+        timer_digits=4, copy_time=0.2, limit_violation="clip", block_end=b"xx\n", max_sessions=1, queue_depth=5
+    )
+    with Simulator(apparatus, behaviour=behaviour) as simulator:
+        simulator.front_panel("DATA:COPY USER4,EMEM")
+        rows = check_rig(simulator.address, apparatus, patience=PATIENCE)
+        assert simulator.outputs == (False, False)
+        assert simulator.front_panel("DATA:COPY EMEM,USER4;:DATA:POIN? EMEM") == "1000"
+        return rows
+
+
+def test_every_question_is_met(usual: list[Row]) -> None:
+    """Question 0 and the twelve of the notes' section 6, each with something a person can do."""
+    assert [row.number for row in usual] == list(range(13))
+    assert all(row.question and row.answer and row.advice for row in usual)
+    assert [row.number for row in usual if row.state == "person"] == [1, 6, 10]
+    json.dumps([row.as_dict() for row in usual])
+
+
+@pytest.mark.parametrize(
+    ("number", "usually", "oddly"),
+    [
+        (0, "TEKTRONIX,AFG3022B", "TEKTRONIX,AFG3022B"),
+        (2, "142.857143 ms kept", r"142.9 ms kept"),
+        (3, "0.0.. s for 125000 points", r"0.[23].. s for 1000 points"),
+        (4, "no: -224", "no: -224"),
+        (7, "refused with -222.*reads 0.02 Vpp", "cut without an error; the level reads 2 Vpp"),
+        (8, "first -113.*at least 40 entries", r"last -350.*; 5 entries"),
+        (9, r"b'\\n' after a block of 2006 bytes", r"b'xx\\n' after"),
+        (11, "yes", "no: .*error creating link: 9"),
+        (12, "still on", "still on"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # pyvisa-py leaks refused sockets
+def test_answer_follows_the_instrument(usual: list[Row], odd: list[Row], number: int, usually: str, oddly: str) -> None:
+    """Each question that software can answer tells two instruments apart."""
+    import re
+
+    assert re.search(usually, usual[number].answer)
+    assert re.search(oddly, odd[number].answer)
+
+
+def test_fault_in_a_question_leaves_the_others(apparatus: Apparatus) -> None:
+    """A question that breaks the link is unanswered; the next ones are asked over a new one."""
+    with Simulator(apparatus) as simulator:
+        simulator.faults.inject("lost_reply", when=r"TRIG:TIM\?")
+        rows = check_rig(simulator.address, apparatus, patience=PATIENCE)
+    assert [row.number for row in rows if row.state == "unanswered"] == [2, 5]
+
+
+def test_absent_instrument_is_an_error(apparatus: Apparatus) -> None:
+    """Nobody there: said as everywhere else."""
+    with pytest.raises(RigError, match="no generator answers"):
+        check_rig("TCPIP::127.0.0.1,1::inst0::INSTR", apparatus, patience=PATIENCE)
