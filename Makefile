@@ -63,6 +63,22 @@ format: install
 	$(PYTHON) -m ruff format src tests
 	$(PYTHON) -m ruff check --fix src tests
 
+## results: the reference pictures in results/reference, from a simulated cohort and the demonstration
+.PHONY: results
+results: install
+	rm -rf build/results build/analysis
+	$(PYTHON) -m modaltouch simulate protocols/differentiated_stimulation.yaml -n 10 --results build/results
+	$(PYTHON) -m modaltouch analyse build/results --out build/analysis
+	$(PYTHON) -m modaltouch demo --results build/results
+	mkdir -p results/reference
+	cp build/analysis/fig_10.csv build/analysis/fig_10.png build/analysis/fig_11.csv build/analysis/fig_11.png results/reference/
+	cp build/results/simulated/demo/derivatives/sub-demo_ses-1/screenshots/question_one_hand_AC.png results/reference/answer_window.png
+
+## bench: run time against error, beside the peers, into results/benchmarks
+.PHONY: bench
+bench: install
+	for script in tests/benchmarks/bench_*.py; do $(PYTHON) $$script || exit 1; done
+
 ## lock: resolve the dependencies again into requirements.lock
 .PHONY: lock
 lock: | $(filter .uv/bin/uv,$(UV))

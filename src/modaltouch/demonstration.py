@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +43,12 @@ def shipped_protocols() -> Path:
 
 
 def demonstrate(
-    results: Path, *, seed: int, window_options: dict[str, Any], tell: Callable[[str], None]
+    results: Path,
+    *,
+    seed: int,
+    window_options: dict[str, Any],
+    tell: Callable[[str], None],
+    on_progress: Callable[[int, int], None],
 ) -> Outcome:
     """Run the demonstration and return where its traces are.
 
@@ -57,6 +62,8 @@ def demonstrate(
         Further arguments of `modaltouch.window.open_window`.
     tell : callable
         Takes a sentence on what happens next.
+    on_progress : callable
+        Called with (answered, total) after each trial.
     """
     preflight = examine(shipped_protocols() / "demo.yaml").require()
     protocol = preflight.experiment.protocol
@@ -78,7 +85,7 @@ def demonstrate(
             results=results,
             window_options=options,
         )
-        session = begin(setup)
+        session = begin(replace(setup, on_progress=on_progress))
     tell(f"{session.n_answered} answers recorded; now the analysis.")
     analysis = analyse(session.path.parent, traces / "analysis", mode="simulated")
-    return Outcome(session.path.parent, screenshots, Path(analysis.as_dict()["files"]["report"]))
+    return Outcome(session.path.parent, screenshots, analysis.files["report.html"])

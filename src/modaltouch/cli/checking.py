@@ -18,9 +18,7 @@ PROTOCOL = Annotated[Path, typer.Argument(help="Protocol, a YAML file.", show_de
 def check(
     protocol: PROTOCOL,
     json_output: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
-    compare: Annotated[
-        bool, typer.Option("--compare", help="Also show the other drive law on the same rig.")
-    ] = False,
+    compare: Annotated[bool, typer.Option("--compare", help="Also show the other drive law on the same rig.")] = False,
 ) -> None:
     """Validate a protocol, synthesise its stimuli and predict the speeds at the zones.
 

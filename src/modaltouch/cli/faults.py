@@ -31,9 +31,7 @@ def reporting(*, json_output: bool = False) -> Iterator[None]:
     except (typer.Exit, typer.Abort):
         raise
     except KeyboardInterrupt:
-        leave(
-            INTERRUPTED, "interrupted; outputs are off and everything answered is kept", json_output=json_output
-        )
+        leave(INTERRUPTED, "interrupted; outputs are off and everything answered is kept", json_output=json_output)
     except BaseException as error:
         status, problems = explain(error)
         if status is None:

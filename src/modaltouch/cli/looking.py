@@ -13,9 +13,7 @@ MARKS = {"ok": ("ok", "green"), "warning": ("warning", "yellow"), "fault": ("FAU
 
 
 def verify(
-    session: Annotated[
-        Path, typer.Argument(help="A session's folder or its session.jsonl.", show_default=False)
-    ],
+    session: Annotated[Path, typer.Argument(help="A session's folder or its session.jsonl.", show_default=False)],
     json_output: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
 ) -> None:
     """Check a session's record: its chain of lines, its order, its drive and its BIDS view, all recomputed."""

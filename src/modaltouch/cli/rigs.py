@@ -28,9 +28,7 @@ def list_addresses(
         elif addresses:
             print("\n".join(addresses))
         else:
-            print(
-                "none found; a generator on the network is not listed but answers at TCPIP::<its address>::INSTR"
-            )
+            print("none found; a generator on the network is not listed but answers at TCPIP::<its address>::INSTR")
 
 
 @app.command("check")

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -43,9 +46,7 @@ ANSWERS = Annotated[
 ]
 SEED = Annotated[int, typer.Option(min=0, help="Seed of the study; the same for all its participants.")]
 RESULTS = Annotated[Path, typer.Option(help="Folder where sessions are recorded.")]
-FULLSCREEN = Annotated[
-    bool, typer.Option("--fullscreen/--windowed", help="Answer window over the whole screen.")
-]
+FULLSCREEN = Annotated[bool, typer.Option("--fullscreen/--windowed", help="Answer window over the whole screen.")]
 SIZE = Annotated[str, typer.Option(help="Size of the answer window in pixels, where it is not full screen.")]
 THEME = Annotated[Theme, typer.Option(help="Colours of the answer window.")]
 SCREEN = Annotated[int, typer.Option(min=0, help="Which screen shows the answer window.")]
@@ -105,17 +106,15 @@ def run(
         )
         from modaltouch.sitting import begin
 
-        _finish(begin(setup), json_output=json_output)
+        with _progress() as on_progress:
+            recorded = begin(replace(setup, on_progress=on_progress))
+        _finish(recorded, json_output=json_output)
 
 
 def resume(
-    session: Annotated[
-        Path, typer.Argument(help="A session's folder or its session.jsonl.", show_default=False)
-    ],
+    session: Annotated[Path, typer.Argument(help="A session's folder or its session.jsonl.", show_default=False)],
     rig: Annotated[str | None, typer.Option(help="Another VISA address than the recorded one.")] = None,
-    answers: Annotated[
-        Answers | None, typer.Option(help="Another way of answering than the recorded one.")
-    ] = None,
+    answers: Annotated[Answers | None, typer.Option(help="Another way of answering than the recorded one.")] = None,
     fullscreen: FULLSCREEN = False,
     size: SIZE = "1280x800",
     theme: THEME = Theme.dark,
@@ -137,7 +136,9 @@ def resume(
             answers=answers.value if answers else None,
             window_options=_window_options(fullscreen, size, theme, screen, screenshots),
         )
-        _finish(go_on(setup), json_output=json_output)
+        with _progress() as on_progress:
+            recorded = go_on(replace(setup, on_progress=on_progress))
+        _finish(recorded, json_output=json_output)
 
 
 def simulate(
@@ -172,9 +173,7 @@ def simulate(
                 progress.advance(task)
         dataset = sessions[0].path.parents[3]
         if json_output:
-            print_json(
-                {"sessions": [str(session.path.parent) for session in sessions], "dataset": str(dataset)}
-            )
+            print_json({"sessions": [str(session.path.parent) for session in sessions], "dataset": str(dataset)})
         else:
             print(f"{len(sessions)} sessions in {dataset}")
             print(f"Next: modaltouch analyse {dataset}")
@@ -193,11 +192,26 @@ def demo(
     from modaltouch.demonstration import demonstrate
 
     with reporting():
-        width_height = _window_options(False, size, theme, 0, None)
-        outcome = demonstrate(results, seed=seed, window_options=width_height, tell=typer.echo)
+        window_options = _window_options(False, size, theme, 0, None)
+        with _progress() as on_progress:
+            outcome = demonstrate(
+                results, seed=seed, window_options=window_options, tell=typer.echo, on_progress=on_progress
+            )
         print(f"Session      {outcome.session}")
         print(f"Screenshots  {outcome.screenshots}")
         print(f"Report       {outcome.report}")
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[int, int], None]]:
+    """Show on standard error how many trials are answered."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True)) as progress:
+        task = progress.add_task("trials answered", total=None)
+        yield lambda answered, total: progress.update(task, completed=answered, total=total)
 
 
 def _window_options(
