@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from fractions import Fraction
-from itertools import combinations, permutations, product
+from itertools import product
 from math import factorial, log
 
 import numpy as np
@@ -10,14 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import binomtest
 
-from modaltouch.analysis import convolution
 from modaltouch.analysis.exact import (
-    level_scores,
     multinomial_test,
     multinomial_tests,
     sign_flip_test,
     sign_test,
-    trend_test,
 )
 
 DARWIN = [49, -67, 8, 16, 6, 23, 28, 41, 14, 29, 56, 24, 75, 60, -48]
@@ -174,88 +171,3 @@ class TestSignFlip:
         test = sign_test([3] * positive + [-1] * negative + [0])
         expected = binomtest(positive, positive + negative).pvalue if positive + negative else 1.0
         assert test.p == pytest.approx(expected, rel=1e-9)
-
-
-class TestTrend:
-    @given(st.lists(st.tuples(*[st.integers(0, 1)] * 4), min_size=1, max_size=3))
-    @settings(max_examples=40, deadline=None)
-    def test_p_equals_all_shuffles_of_the_levels(self, rows) -> None:
-        """Expected value: every rearrangement of every participant's answers, one answer a level."""
-        scores = [0, 2, 7, 12]
-        test = trend_test(rows, [80, 100, 150, 200])
-        centre = sum(sum(row) * sum(scores) / 4 for row in rows)
-
-        def total(arranged) -> float:
-            return sum(s * x for row in arranged for s, x in zip(scores, row, strict=True)) - centre
-
-        space = list(product(*[list(permutations(row)) for row in rows]))
-        reached = abs(total(rows)) - 1e-9
-        assert test.p == pytest.approx(np.mean([abs(total(a)) >= reached for a in space]), rel=1e-12)
-
-    def test_repetitions_are_shuffled_one_by_one(self) -> None:
-        """Expected value: every choice of k of the presentations, for two participants."""
-        scores, repetitions = [0, 1, 3], 2
-        counts = [[0, 1, 2], [1, 0, 2]]
-        slots = [s for s in scores for _ in range(repetitions)]
-        sums = [[sum(c) for c in combinations(slots, sum(row))] for row in counts]
-        centre = sum(sum(row) for row in counts) * sum(scores) / 3
-        reached = abs(sum(s * k for row in counts for s, k in zip(scores, row, strict=False)) - centre) - 1e-9
-        expected = np.mean([abs(a + b - centre) >= reached for a in sums[0] for b in sums[1]])
-        assert trend_test(counts, [10, 20, 40], repetitions).p == pytest.approx(expected, rel=1e-12)
-
-    def test_participants_without_variation_drop_out(self) -> None:
-        """They give the same total under every shuffle."""
-        moving = [[0, 0, 1, 1], [0, 1, 1, 1]]
-        assert trend_test(moving, [1, 2, 3, 4]).p == trend_test([*moving, [1] * 4, [0] * 4], [1, 2, 3, 4]).p
-
-    @pytest.mark.parametrize("rows", [[[1, 1, 1, 1]] * 10, [[0, 0, 0, 0]] * 3])
-    def test_constant_answers_hold_no_information(self, rows) -> None:
-        """P and the smallest p are 1, not an error."""
-        test = trend_test(rows, [80, 100, 150, 200])
-        assert (test.p, test.p_min, test.n_informative) == (1, 1, 0)
-
-    def test_one_level_holds_no_information(self) -> None:
-        """A trend needs two levels."""
-        assert trend_test([[1], [0]], [80]).p_min == 1
-
-    def test_p_min_is_the_least_p_over_all_shuffles(self) -> None:
-        """Expected value: the test run on every rearrangement."""
-        rows = [(1, 0, 0, 1), (1, 1, 1, 0)]
-        arranged = product(*[set(permutations(row)) for row in rows])
-        least = min(trend_test(list(a), [80, 100, 150, 200]).p for a in arranged)
-        assert trend_test(rows, [80, 100, 150, 200]).p_min == pytest.approx(least, rel=1e-12)
-
-    @pytest.mark.parametrize("rates", [[0.5, 0.5, 0.5, 0.5], [0.2, 0.4, 0.6, 0.9], [0.05, 0.2, 0.8, 0.95]])
-    def test_transforms_agree_with_shifted_copies_down_to_the_smallest_p(self, rates, monkeypatch) -> None:
-        """Two independent ways to the same number; the last p lies far below 1e-16."""
-        rows = np.random.default_rng(5).binomial(1, rates, (60, 4))
-        direct = trend_test(rows, [80, 100, 150, 200])
-        monkeypatch.setattr(convolution, "DIRECT_COST", 0)
-        transformed = trend_test(rows, [80, 100, 150, 200])
-        assert transformed.p == pytest.approx(direct.p, rel=1e-8)
-        assert transformed.p_min == pytest.approx(direct.p_min, rel=1e-8)
-
-    def test_the_level_is_kept_under_the_null(self) -> None:
-        """Type I error on guesses of 10 participants within its Monte Carlo interval (2000 experiments, 3 sd)."""
-        rng = np.random.default_rng(8)
-        p = [trend_test(rng.integers(0, 2, (10, 4)), [80, 100, 150, 200]).p for _ in range(2000)]
-        assert np.mean(np.array(p) <= 0.05) <= 0.05 + 3 * np.sqrt(0.05 * 0.95 / 2000)
-
-    def test_counts_beyond_the_repetitions_are_refused(self) -> None:
-        """House rule: what was given, what is allowed."""
-        with pytest.raises(ValueError, match="runs from 0 to 3, allowed are 0 to 2"):
-            trend_test([[0, 3]], [1, 2], 2)
-
-    def test_counts_that_do_not_fit_the_levels_are_refused(self) -> None:
-        """House rule: shapes of both."""
-        with pytest.raises(ValueError, match=r"shape \(1, 2\), but there are 3 levels"):
-            trend_test([[0, 1]], [1, 2, 3])
-
-
-@pytest.mark.parametrize(
-    ("levels", "scores"),
-    [([80, 100, 150, 200], [0, 2, 7, 12]), ([92.5, 100], [0, 1]), ([5], [0]), ([1, 2.001, 4000], [0, 0, 1000])],
-)
-def test_levels_become_the_smallest_whole_scores(levels, scores) -> None:
-    """Closed form: distances over their greatest common divisor, at most a thousand steps."""
-    assert level_scores(levels).tolist() == scores

@@ -4,8 +4,8 @@ import re
 
 import pytest
 
+from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.responses import read_responses
-from modaltouch.analysis.tables import count_answers
 from modaltouch.document import InputError
 
 HEADER = "participant,finger_condition,zone_left,zone_right,velocity_mm_s,response"

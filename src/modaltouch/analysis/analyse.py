@@ -12,12 +12,13 @@ from typing import Any
 import pandas as pd
 
 from modaltouch import __version__
+from modaltouch.analysis.counts import AnswerCounts, count_answers
 from modaltouch.analysis.findings import Finding, to_frame
 from modaltouch.analysis.output import write_files
 from modaltouch.analysis.responses import Responses, read_responses
 from modaltouch.analysis.statistics import find
 from modaltouch.analysis.style import level_label
-from modaltouch.analysis.tables import AnswerCounts, count_answers, figure_names, tabulate, zone_table
+from modaltouch.analysis.tables import figure_names, tabulate, zone_table
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.analysis.agreement import ac1_interval, pairwise_agreement, prevalence
+from modaltouch.analysis.counts import RIGHT, AnswerCounts
 from modaltouch.analysis.exact import sign_flip_test
 from modaltouch.analysis.findings import ALPHA, Finding, finding_of
 from modaltouch.analysis.intervals import (
@@ -20,7 +21,6 @@ from modaltouch.analysis.intervals import (
     tango,
 )
 from modaltouch.analysis.shuffles import level_association, pair_association, participant_heterogeneity
-from modaltouch.analysis.tables import RIGHT, AnswerCounts
 
 IntArray = NDArray[np.int64]
 

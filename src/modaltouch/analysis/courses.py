@@ -7,6 +7,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from modaltouch.analysis.counts import LEFT, RIGHT, AnswerCounts
 from modaltouch.analysis.intervals import korn_graubard
 from modaltouch.analysis.secondary import ANTICIPATION, has_values, ranked_answers
 from modaltouch.analysis.style import (
@@ -19,10 +20,6 @@ from modaltouch.analysis.style import (
     pair_colours,
     quiet_grid,
 )
-from modaltouch.analysis.tables import LEFT, RIGHT, AnswerCounts
-
-BURST_PERIOD = 1 / 7
-"""Time between bursts at the paper's 7 Hz, marked on the axis of reaction times [s]."""
 
 MOST_TRIALS = 40
 """Orders beyond this many are averaged in groups, so that the points stay apart."""
@@ -52,7 +49,8 @@ def draw_side(answers: AnswerCounts) -> Figure | None:
         axes.plot([0, 1], [0, 1], color=FAINT, linewidth=0.8)
         rng = np.random.default_rng(1)
         for f, condition in enumerate(answers.finger_conditions):
-            on_left, on_right = dominant[:, f, left].mean(axis=1), dominant[:, f, right].mean(axis=1)
+            shares = [dominant[:, f, group].mean(axis=1) for group in (left, right)]
+            on_left, on_right = (np.where(answers.facing > 0, *pair) for pair in (shares, shares[::-1]))
             shake = rng.uniform(-0.018, 0.018, (2, answers.n_participants))
             axes.scatter(
                 on_left + shake[0], on_right + shake[1], s=22, marker="os^D"[f % 4], alpha=0.75, edgecolor="white",
@@ -149,8 +147,7 @@ def draw_times(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
         axes.set_ylabel("reaction time [s]")
         quiet_grid(axes)
         figure.suptitle(
-            f"Reaction times: median, quartiles, 5th to 95th percentile, n = {len(kept)}; "
-            f"bursts at 7 Hz quantise them in steps of {BURST_PERIOD * 1000:.0f} ms", fontsize=8,
+            f"Reaction times: median, quartiles, 5th to 95th percentile (n = {len(kept)} answers)", fontsize=9,
         )  # fmt: skip
     return figure
 
@@ -182,7 +179,7 @@ def draw_speeds(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
             axes.set_title(condition)
             axes.set_xlabel("predicted peak speed, right / left finger")
         panels[0].set_ylabel("share of answers")
-        panels[0].legend(frameon=False, loc="center left")
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
         figure.suptitle(f"Answers by predicted speed ratio (95 % intervals, N = {answers.n_participants})", fontsize=9)
     return figure
 
@@ -191,16 +188,22 @@ def _draw_ratios(axes: Axes, frame: pd.DataFrame) -> None:
     colours = {"left": ANSWER_COLOURS["other"], "both": FAINT, "right": ANSWER_COLOURS["dominant"]}
     for answer, marker in zip(colours, "<o>", strict=True):
         points = []
+        shift = {"left": 0.97, "both": 1.0, "right": 1.03}[answer]
         for ratio, own in frame.groupby("ratio"):
             hits = (own["response"].astype(str) == answer).groupby(own["participant"].astype(str)).agg(["sum", "size"])
             share = korn_graubard(hits["sum"].to_numpy(), int(hits["size"].iloc[0]))
-            points.append((float(str(ratio)), share.estimate, share.estimate - share.low, share.high - share.estimate))
+            points.append(
+                (float(str(ratio)) * shift, share.estimate, share.estimate - share.low, share.high - share.estimate)
+            )
         x, y, below, above = np.array(points).T
         axes.errorbar(
             x, y, yerr=np.maximum([below, above], 0), marker=marker, color=colours[answer], label=answer, capsize=2,
             markersize=5, linewidth=0.9, elinewidth=0.7,
         )  # fmt: skip
     axes.set_xscale("log", base=2)
-    axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    ratios = sorted(frame["ratio"].unique())
+    spaced = [r for i, r in enumerate(ratios) if i == 0 or r > 1.08 * ratios[i - 1]]
+    axes.set_xticks(spaced, [f"{ratio:.2g}" for ratio in spaced])
+    axes.minorticks_off()
     axes.set_ylim(-0.03, 1.03)
     quiet_grid(axes)

@@ -14,6 +14,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from modaltouch.analysis.counts import BOTH, RIGHT, AnswerCounts
 from modaltouch.analysis.intervals import clopper_pearson, korn_graubard
 from modaltouch.analysis.style import (
     ANSWER_COLOURS,
@@ -26,7 +27,6 @@ from modaltouch.analysis.style import (
     pair_colours,
     quiet_grid,
 )
-from modaltouch.analysis.tables import BOTH, RIGHT, AnswerCounts
 
 FINGERS = {
     "one_hand": "index and middle finger of one hand",

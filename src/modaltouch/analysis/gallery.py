@@ -6,11 +6,16 @@ from dataclasses import dataclass
 
 from matplotlib.figure import Figure
 
+from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.courses import draw_order, draw_side, draw_speeds, draw_times
 from modaltouch.analysis.figures import draw_counts, draw_overview, draw_participants
 from modaltouch.analysis.responses import Responses
-from modaltouch.analysis.tables import AnswerCounts, figure_names, tabulate, zone_table
+from modaltouch.analysis.tables import figure_names, tabulate, zone_table
 
+FIELDS = (
+    "Left: the velocity field wished along the beam, and the field predicted at the focusing instant from the codes "
+    "that were played, on the identified modes. Right: predicted peak speed over time at the centre of each zone."
+)
 INTERVALS = "Error bars: exact 95 % intervals (Clopper-Pearson) over participants."
 
 
@@ -69,8 +74,8 @@ def draw_all(answers: AnswerCounts, responses: Responses) -> tuple[Picture, ...]
         (
             "reaction_times",
             draw_times(answers, frame),
-            "The stimulus repeats at a fixed rate and an answer may wait for the next burst, so reaction times are "
-            "quantised and small differences mean little. Answers too early to be answers are left out.",
+            f"{_rhythm(responses)} An answer may wait for the next burst, so reaction times are quantised and small "
+            "differences mean little. Answers too early to be answers are left out.",
         ),
         (
             "speed_ratio",
@@ -78,8 +83,20 @@ def draw_all(answers: AnswerCounts, responses: Responses) -> tuple[Picture, ...]
             "Predicted peak speeds come from the identified modes of the beam, not from a measurement.",
         ),
     )
+    if responses.sessions:
+        from modaltouch.analysis.fields import draw_fields
+
+        fields = draw_fields(responses.start)
+        pictures += [Picture("fields", "stimulus", fields, FIELDS)] if fields is not None else []
     pictures += [Picture(name, "further", figure, caption) for name, figure, caption in further if figure is not None]
     return tuple(pictures)
+
+
+def _rhythm(responses: Responses) -> str:
+    rate = responses.start.get("design", {}).get("stimulus", {}).get("repetition_rate_Hz")
+    if not rate:
+        return "The stimulus repeats at a fixed rate."
+    return f"Bursts repeat at {rate:g} Hz, one every {1000 / rate:.0f} ms."
 
 
 def _bars(answers: AnswerCounts) -> list[Picture]:

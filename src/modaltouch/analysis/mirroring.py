@@ -5,6 +5,7 @@ from __future__ import annotations
 import pandas as pd
 
 _EXCHANGED = {"left": "right", "right": "left", "both": "both"}
+_SIDES = (("zone_left", "zone_right"), ("speed_left_mm_s", "speed_right_mm_s"))
 
 
 def unmirror(frame: pd.DataFrame) -> pd.DataFrame:
@@ -23,10 +24,10 @@ def unmirror(frame: pd.DataFrame) -> pd.DataFrame:
     turned = frame["placement"].astype(str).str.startswith("mirrored").to_numpy()
     if not turned.any():
         return frame
-    zones = {name: frame[name].astype(str) for name in ("zone_left", "zone_right")}
     words = frame["response"].astype(str)
-    return frame.assign(
-        zone_left=zones["zone_left"].where(~turned, zones["zone_right"]),
-        zone_right=zones["zone_right"].where(~turned, zones["zone_left"]),
-        response=words.where(~turned, words.map(_EXCHANGED)),
-    )
+    changed = {"response": words.where(~turned, words.map(_EXCHANGED))}
+    for left, right in _SIDES:
+        if left in frame.columns and right in frame.columns:
+            changed[left] = frame[left].where(~turned, frame[right])
+            changed[right] = frame[right].where(~turned, frame[left])
+    return frame.assign(**changed)

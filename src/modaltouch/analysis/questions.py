@@ -8,10 +8,11 @@ from itertools import combinations, product
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.analysis.exact import ExactTest, multinomial_tests, sign_flip_test, sign_test, trend_test
+from modaltouch.analysis.counts import BOTH, AnswerCounts, Pair
+from modaltouch.analysis.exact import ExactTest, multinomial_tests, sign_flip_test, sign_test
 from modaltouch.analysis.findings import Finding, finding_of
 from modaltouch.analysis.intervals import Interval, clopper_pearson, clustered_difference, paired_mean
-from modaltouch.analysis.tables import BOTH, AnswerCounts, Pair
+from modaltouch.analysis.trend import trend_test
 
 IntArray = NDArray[np.int64]
 
@@ -52,12 +53,17 @@ def dominance_findings(answers: AnswerCounts) -> Iterator[Finding]:
         score = first - second
         index = clustered_difference(first, second, answers.n_answers)
         leaning = clopper_pearson(int((score > 0).sum()), n)
-        shared = f"{int((score > 0).sum())} of {n} participants lean to {pair.dominant}"
+        total = n * answers.n_answers
+        both = total - int(first.sum()) - int(second.sum())
+        shared = [
+            f"{int(first.sum())} {pair.dominant}, {int(second.sum())} {pair.other}, {both} both of {total} answers",
+            f"{int((score > 0).sum())} of {n} participants lean to {pair.dominant}",
+        ]
         scope = _scope(answers, f, pair)
         quantity = f"P({pair.dominant}) - P({pair.other})"
         yield finding_of(
             "a2", "exact sign-flip test of net dominance", scope, sign_flip_test(score), quantity, index, n,
-            family="a2", notes=[shared],
+            family="a2", notes=shared,
         )  # fmt: skip
         yield finding_of(
             "a2", "exact sign test of leaning participants", scope, sign_test(score),

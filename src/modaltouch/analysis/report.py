@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from modaltouch import __version__
+from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.findings import ALPHA, Finding
 from modaltouch.analysis.gallery import Picture
 from modaltouch.analysis.style import level_label
-from modaltouch.analysis.tables import AnswerCounts, tabulate, zone_table
+from modaltouch.analysis.tables import tabulate, zone_table
 from modaltouch.analysis.words import HEADINGS, say_number, write_paragraphs
 
 if TYPE_CHECKING:

@@ -11,11 +11,11 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from modaltouch.analysis.counts import LEFT, RIGHT, AnswerCounts
 from modaltouch.analysis.exact import sign_flip_test
 from modaltouch.analysis.findings import Finding, finding_of
 from modaltouch.analysis.intervals import CONFIDENCE, Interval, paired_mean
 from modaltouch.analysis.probit import fit_ordered_probit
-from modaltouch.analysis.tables import LEFT, RIGHT, AnswerCounts
 
 IntArray = NDArray[np.int64]
 

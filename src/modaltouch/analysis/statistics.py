@@ -9,6 +9,7 @@ from __future__ import annotations
 import pandas as pd
 
 from modaltouch.analysis.consistency import association_findings, consistency_findings, effect_findings
+from modaltouch.analysis.counts import AnswerCounts, count_answers
 from modaltouch.analysis.findings import Finding, correct, to_frame
 from modaltouch.analysis.questions import (
     chance_findings,
@@ -18,7 +19,6 @@ from modaltouch.analysis.questions import (
     pair_findings,
 )
 from modaltouch.analysis.secondary import secondary_findings
-from modaltouch.analysis.tables import AnswerCounts, count_answers
 
 
 def run_tests(frame: pd.DataFrame, focus: str = "") -> pd.DataFrame:

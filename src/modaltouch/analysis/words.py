@@ -7,8 +7,8 @@ import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.findings import ALPHA, Finding
-from modaltouch.analysis.tables import AnswerCounts
 
 HEADINGS = {
     "a1": "Do the answers of a cell differ from guessing?",
@@ -116,10 +116,9 @@ def _chance(own: Sequence[Finding], answers: AnswerCounts) -> str:
 def _dominance(own: Sequence[Finding], answers: AnswerCounts) -> str:
     sentences = []
     for finding in (f for f in own if f.family):
-        zones = finding.quantity.replace("P(", "").replace(")", "").split(" - ")
+        counts, leaning = finding.note.split("; ")[-2:]
         sentences.append(
-            f"{finding.scope}: {zones[0]} over {zones[1]} by {say_interval(finding)} in share of answers; "
-            f"{finding.note.split('; ')[-1]}; {_verdict(finding)}."
+            f"{finding.scope}: {counts}, {leaning}; net dominance {say_interval(finding)}, {_verdict(finding)}."
         )
     return (
         "Net dominance over all levels (dominant less other answers, “both” counting zero), exact sign flips over "
@@ -194,9 +193,10 @@ def _plain(question: str, own: Sequence[Finding]) -> str:
 
 def _verdict(finding: Finding) -> str:
     if finding.p_min > ALPHA:
-        return f"no information (the smallest p these data could have given is {say_number(finding.p_min)})"
+        return f"no information (whatever the answers, p could not fall below {say_number(finding.p_min)})"
     corrected = "" if math.isnan(finding.p_holm) else f", Holm p {say_p(finding.p_holm)}"
-    return f"p {say_p(finding.p)}{corrected} (smallest possible {say_number(finding.p_min)})"
+    least = "the smallest possible" if finding.p <= finding.p_min else f"smallest possible {say_number(finding.p_min)}"
+    return f"p {say_p(finding.p)}{corrected} ({least})"
 
 
 def _family(own: Iterable[Finding]) -> int:

@@ -1,0 +1,259 @@
+"""Tidy answers as one array: how often each participant gave each answer in each cell."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from modaltouch.trial import ANSWERS
+
+T = TypeVar("T")
+
+LEFT, BOTH, RIGHT = 0, 1, 2
+"""Places of the answers in the last axis of `AnswerCounts.counts`."""
+
+PAPER_CONDITIONS = ("one_hand", "two_hands")
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two zones under the fingers.
+
+    Attributes
+    ----------
+    left, right : str
+        Zones under the left and the right finger.
+    dominant : str
+        Zone whose choice counts as the effect: the focus where it is touched, else the left one.
+    focused : bool
+        Whether the focus is one of the two.
+    """
+
+    left: str
+    right: str
+    dominant: str
+    focused: bool
+
+    @property
+    def label(self) -> str:
+        """Both zones, as in ``A-C``."""
+        return f"{self.left}-{self.right}"
+
+    @property
+    def other(self) -> str:
+        """The zone that is not the dominant one."""
+        return self.right if self.dominant == self.left else self.left
+
+    @property
+    def dominant_index(self) -> int:
+        """Place of the dominant answer in the last axis of the counts."""
+        return LEFT if self.dominant == self.left else RIGHT
+
+    @property
+    def answers(self) -> tuple[tuple[str, int], ...]:
+        """Labels of the three answers in the paper's order, and their places in the counts."""
+        first = self.dominant_index
+        both = f"{self.right} & {self.left}" if self.focused and first == RIGHT else f"{self.left} & {self.right}"
+        return ((self.dominant, first), (self.other, RIGHT - first), (both, BOTH))
+
+
+@dataclass(frozen=True, eq=False)
+class AnswerCounts:
+    """How often each participant gave each answer in each cell.
+
+    Attributes
+    ----------
+    participants, finger_conditions : tuple of str
+        Names along the first two axes.
+    pairs : tuple of Pair
+        Zone pairs along the third axis.
+    levels : tuple of float
+        Peak velocities along the fourth axis [mm/s].
+    counts : (n_participants, n_finger_conditions, n_pairs, n_levels, 3) array of int
+        Counts of left, both and right.
+    n_repetitions : int
+        Answers of each participant in each cell.
+    focus : str
+        Zone of the focus; empty if unknown.
+    mirrored : frozenset of str
+        Participants who sat at the beam turned end to end: what is left here was on their right.
+    """
+
+    participants: tuple[str, ...]
+    finger_conditions: tuple[str, ...]
+    pairs: tuple[Pair, ...]
+    levels: tuple[float, ...]
+    counts: NDArray[np.int64]
+    n_repetitions: int
+    focus: str = ""
+    mirrored: frozenset[str] = frozenset()
+
+    @property
+    def n_participants(self) -> int:
+        """Number of participants."""
+        return len(self.participants)
+
+    @property
+    def facing(self) -> NDArray[np.int64]:
+        """One for each participant: 1 where left was left, -1 where the beam was turned."""
+        return np.array([-1 if name in self.mirrored else 1 for name in self.participants], dtype=np.int64)
+
+    @property
+    def n_answers(self) -> int:
+        """Answers of each participant to one pair under one finger condition."""
+        return self.n_repetitions * len(self.levels)
+
+    def dominant(self) -> NDArray[np.int64]:
+        """Return the counts of the dominant zone, without the last axis."""
+        return np.stack([self.counts[:, :, i, :, pair.dominant_index] for i, pair in enumerate(self.pairs)], axis=2)
+
+    def other(self) -> NDArray[np.int64]:
+        """Return the counts of the other zone, without the last axis."""
+        return np.stack(
+            [self.counts[:, :, i, :, RIGHT - pair.dominant_index] for i, pair in enumerate(self.pairs)], axis=2
+        )
+
+    def modal(self) -> NDArray[np.int64]:
+        """Return each participant's most frequent answer per cell; -1 where two answers tie."""
+        top = self.counts.max(axis=-1, keepdims=True)
+        tied = (self.counts == top).sum(axis=-1) > 1
+        return np.where(tied, -1, self.counts.argmax(axis=-1))
+
+
+def count_answers(frame: pd.DataFrame, focus: str = "") -> AnswerCounts:
+    """Return the answers of a tidy table as one array.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Tidy answers; a column ``n`` counts equal ones.
+    focus : str
+        Zone of the focus; guessed by `find_focus` if empty.
+
+    Returns
+    -------
+    AnswerCounts
+
+    Raises
+    ------
+    ValueError
+        If a participant lacks a cell, or has more answers in one cell than in another.
+    """
+    (who, participants), (fingers, conditions) = (_coded(frame[name]) for name in ("participant", "finger_condition"))
+    (left, left_zones), (right, right_zones) = (_coded(frame[name]) for name in ("zone_left", "zone_right"))
+    joint, pairing = np.unique(left * len(right_zones) + right, return_inverse=True)
+    zones = [(left_zones[code // len(right_zones)], right_zones[code % len(right_zones)]) for code in joint.tolist()]
+    levels, level = np.unique(frame["velocity_mm_s"].to_numpy(dtype=float), return_inverse=True)
+    focus = focus or find_focus(zones)
+    given, words = _coded(frame["response"])
+    unknown = sorted(set(words) - set(ANSWERS))
+    if unknown:
+        raise ValueError(f"response {unknown[0]!r} is not an answer: allowed are {', '.join(ANSWERS)}")
+    answer = np.array([("left", "both", "right").index(word) for word in words], dtype=np.int64)[given]
+    participants, who = _reordered(participants, who, sorted(participants, key=_natural))
+    conditions, fingers = _reordered(conditions, fingers, _ordered_conditions(conditions))
+    zones, pairing = _reordered(zones, pairing, sorted(zones))
+    pairs = tuple(orient(*pair, focus) for pair in zones)
+    counts = np.zeros((len(participants), len(conditions), len(zones), len(levels), len(ANSWERS)), dtype=np.int64)
+    weights = frame["n"].to_numpy() if "n" in frame.columns else np.ones(len(frame), dtype=np.int64)
+    np.add.at(counts, (who, fingers, pairing, level, answer), weights)
+    _refuse_imbalance(counts.sum(axis=-1), participants, conditions, pairs, levels.tolist())
+    return AnswerCounts(
+        tuple(participants),
+        tuple(conditions),
+        pairs,
+        tuple(levels.tolist()),
+        counts,
+        int(counts[0, 0, 0, 0].sum()),
+        focus,
+        _mirrored(frame),
+    )
+
+
+def find_focus(zones: Sequence[tuple[str, str]]) -> str:
+    """Return the zone that most pairs share; where no one zone leads, C if it is touched, else none.
+
+    Parameters
+    ----------
+    zones : sequence of (str, str)
+        Zone pairs.
+
+    Examples
+    --------
+    >>> find_focus([("A", "C"), ("B", "D"), ("C", "E")])
+    'C'
+    """
+    touched = Counter(zone for pair in zones for zone in pair).most_common()
+    if touched[0][1] > 1 and (len(touched) == 1 or touched[1][1] < touched[0][1]):
+        return touched[0][0]
+    return "C" if any(zone == "C" for zone, _ in touched) else ""
+
+
+def orient(left: str, right: str, focus: str) -> Pair:
+    """Return a pair with its dominant zone: the focus where it is touched, else the left one.
+
+    Parameters
+    ----------
+    left, right : str
+        Zones under the left and the right finger.
+    focus : str
+        Zone of the focus; may be empty.
+    """
+    return Pair(left, right, focus if focus in (left, right) else left, focus in (left, right))
+
+
+def _ordered_conditions(names: list[str]) -> list[str]:
+    return [name for name in PAPER_CONDITIONS if name in names] + [n for n in names if n not in PAPER_CONDITIONS]
+
+
+def _natural(name: str) -> tuple[tuple[int, int, str], ...]:
+    """Return a key that sorts p2 before p10."""
+    parts: list[str] = []
+    for character in name:
+        if parts and parts[-1][-1].isdecimal() == character.isdecimal():
+            parts[-1] += character
+        else:
+            parts.append(character)
+    return tuple((0, int(part), "") if part.isdecimal() else (1, 0, part) for part in parts)
+
+
+def _coded(column: pd.Series) -> tuple[NDArray[np.int64], list[str]]:
+    """Return the code of every row and the words that occur, in order of appearance or of the categories."""
+    codes, words = pd.factorize(column, use_na_sentinel=False)
+    return np.asarray(codes, dtype=np.int64), [str(word) for word in words]
+
+
+def _reordered(values: list[T], codes: NDArray[np.int64], order: list[T]) -> tuple[list[T], NDArray[np.int64]]:
+    """Return values in another order, and the codes that still name the same ones."""
+    places = {value: place for place, value in enumerate(order)}
+    return order, np.array([places[value] for value in values], dtype=np.int64)[codes]
+
+
+def _mirrored(frame: pd.DataFrame) -> frozenset[str]:
+    if "placement" not in frame.columns:
+        return frozenset()
+    turned = frame["placement"].astype(str).str.startswith("mirrored")
+    return frozenset(frame.loc[turned, "participant"].astype(str))
+
+
+def _refuse_imbalance(
+    totals: NDArray[np.int64],
+    participants: Sequence[str],
+    conditions: Sequence[str],
+    pairs: Sequence[Pair],
+    levels: Sequence[float],
+) -> None:
+    if totals.min() == totals.max() > 0:
+        return
+    p, f, q, v = (int(i) for i in np.unravel_index(int(totals.argmin()), totals.shape))
+    cell = f"{conditions[f]} {pairs[q].label} {levels[v]:g} mm/s"
+    raise ValueError(
+        f"participant {participants[p]} has {totals[p, f, q, v]} answers in {cell}, others {totals.max()}: "
+        "every participant must have answered every cell equally often; read the file with read_responses"
+    )

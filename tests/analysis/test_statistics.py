@@ -1,0 +1,141 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from modaltouch.analysis.findings import holm
+from modaltouch.analysis.statistics import run_tests
+
+
+def rows(tests, question: str, name: str = "", scope: str = ""):
+    """Return the rows of a question whose name and scope hold the given words."""
+    found = tests[tests["question"] == question]
+    return found[found["name"].str.contains(name, regex=False) & found["scope"].str.contains(scope, regex=False)]
+
+
+@pytest.fixture(scope="module")
+def tests():
+    """Statistics of the synthetic set shaped on the paper's text."""
+    from importlib import util
+    from pathlib import Path
+
+    spec = util.spec_from_file_location("synthetic", Path(__file__).with_name("conftest.py"))
+    module = util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return run_tests(module.tidy(module.answers_like_the_paper()))
+
+
+class TestPaperLikeAnswers:
+    def test_families_have_the_planned_sizes(self, tests) -> None:
+        """Plan, section 3 (g): 24, 6, 6, 3 and 6 tests."""
+        sizes = tests[tests["family"] != ""].groupby("family").size()
+        assert {name: int(sizes[name]) for name in ("a1", "a2", "b", "c", "d")} == {
+            "a1": 24, "a2": 6, "b": 6, "c": 3, "d": 6,
+        }  # fmt: skip
+
+    def test_holm_is_applied_within_families(self, tests) -> None:
+        """Recomputed from the p column."""
+        for _, family in tests[tests["family"] != ""].groupby("family"):
+            assert family["p_holm"].tolist() == pytest.approx(holm(family["p"].tolist()))
+
+    def test_unanimous_dominance_reaches_the_floor(self, tests) -> None:
+        """Ten of ten lean to C: p = 2/2^10, Holm over six 0.0117."""
+        row = rows(tests, "a2", "sign-flip", "one_hand A-C").iloc[0]
+        assert (row["p"], row["p_min"]) == (2 / 1024, 2 / 1024)
+        assert row["p_holm"] == pytest.approx(6 * 2 / 1024)
+        assert row["estimate"] == pytest.approx(39 / 40)
+
+    def test_few_who_lean_are_called_no_information(self, tests) -> None:
+        """(B, D), two hands: two participants lean, so p cannot fall below 0.5."""
+        row = rows(tests, "a2", "sign-flip", "two_hands B-D").iloc[0]
+        assert row["p_min"] == 0.5
+        assert "no information" in row["note"]
+
+    def test_every_p_stands_at_or_above_its_smallest(self, tests) -> None:
+        """Definition of p_min."""
+        tested = tests.dropna(subset=["p"])
+        assert (tested["p"] >= tested["p_min"] - 1e-12).all()
+        assert tested["p"].between(0, 1).all()
+        assert (tested["p"] > 0).all()
+
+    def test_every_interval_holds_its_estimate(self, tests) -> None:
+        """Low, estimate, high in order wherever all three are."""
+        bounded = tests.dropna(subset=["estimate", "low", "high"])
+        assert (bounded["low"] <= bounded["estimate"] + 1e-12).all()
+        assert (bounded["estimate"] <= bounded["high"] + 1e-12).all()
+
+    def test_an_unchanged_answer_keeps_an_interval(self, tests) -> None:
+        """(C, E) with two hands, 40 of 40: the pooled share is worth ten answers, Clopper-Pearson from 0.6915."""
+        row = rows(tests, "f", "Korn", "two_hands C-E").iloc[0]
+        assert (row["estimate"], row["high"]) == (1, 1)
+        assert row["low"] == pytest.approx(0.025**0.1)
+
+    def test_the_cells_agree_with_the_counts(self, tests) -> None:
+        """One hand, (A, C), 150 mm/s: 9 of 10 chose C."""
+        row = rows(tests, "a1", scope="one_hand A-C 150 mm/s").iloc[0]
+        assert row["estimate"] == 0.9
+        assert "left 0, both 1, right 9" in row["note"]
+
+    def test_single_cells_without_discordance_have_tangos_half_width(self, tests) -> None:
+        """Plan: z^2 / (N + z^2) = 0.278 at N = 10."""
+        row = rows(tests, "f", "Tango", "A-C 100 mm/s").iloc[0]
+        assert (row["low"], row["high"]) == pytest.approx((-0.2775, 0.2775), abs=5e-5)
+
+
+@pytest.mark.parametrize("response", ["left", "both", "right"])
+@pytest.mark.parametrize("n", [1, 2, 10])
+def test_nothing_breaks_when_every_answer_is_the_same(build, response, n) -> None:
+    """Question by question p stays a probability; no warning (an error here), no false certainty."""
+    tests = run_tests(build["tidy"](build["constant"](n, response)))
+    tested = tests.dropna(subset=["p"])
+    assert tested["p"].between(0, 1, inclusive="right").all()
+    assert rows(tests, "b")["p"].eq(1).all()
+    assert rows(tests, "c")["p"].eq(1).all()
+    intervals = rows(tests, "f", "Korn")
+    assert (intervals["high"] - intervals["low"]).min() > 0.2
+
+
+@pytest.mark.parametrize("keep", ["participant", "velocity_mm_s", "finger_condition", "zone_left"])
+def test_a_design_of_one_of_anything_can_be_analysed(build, keep) -> None:
+    """One participant, level, finger condition or pair: every question that is left is answered."""
+    frame = build["tidy"](build["paper"]())
+    tests = run_tests(frame[frame[keep] == frame[keep].iloc[0]])
+    assert {"a1", "a2", "b", "e", "f"} <= set(tests["question"])
+
+
+def test_repetitions_enter_as_one_participant(build) -> None:
+    """Twenty-four answers of two people are not forty-eight people: the floor of the sign flips stays 2/2^2."""
+    tests = run_tests(build["tidy"](build["random"](2, 3, repetitions=2)))
+    assert rows(tests, "a2", "sign-flip")["p_min"].min() >= 0.5
+    assert (rows(tests, "a1")["n"] <= 2).all()
+
+
+def test_order_times_and_speeds_are_used_where_they_are_there(build) -> None:
+    """Columns trial, response_time, speed_left_mm_s and speed_right_mm_s bring their questions."""
+    frame = build["tidy"](build["random"](8, 5)).drop(columns="repetition")
+    rng = np.random.default_rng(0)
+    frame = frame.assign(
+        trial=frame.groupby("participant").cumcount() + 1.0,
+        response_time=rng.gamma(5, 0.2, len(frame)),
+        speed_left_mm_s=frame["zone_left"].map({"A": 50.0, "B": 60.0, "C": 100.0}),
+        speed_right_mm_s=frame["zone_right"].map({"C": 100.0, "D": 60.0, "E": 50.0}),
+    )
+    tests = run_tests(frame)
+    assert {"order", "time", "speed", "side"} <= set(tests["question"])
+    assert rows(tests, "speed")["p"].isna().all()
+
+
+def test_guesses_are_seldom_called_dominance(build) -> None:
+    """Type I error: 40 synthetic experiments of guesses, at least one Holm p <= 0.05 in a2 at most in 6 (3 sd)."""
+    rejected = 0
+    for seed in range(40):
+        frame = build["tidy"](build["random"](10, seed)).drop(columns="repetition")
+        from modaltouch.analysis.counts import count_answers
+        from modaltouch.analysis.findings import correct
+        from modaltouch.analysis.questions import dominance_findings
+
+        found = correct(dominance_findings(count_answers(frame)))
+        rejected += any(row.p_holm <= 0.05 for row in found if not math.isnan(row.p_holm))
+    assert rejected <= 6
