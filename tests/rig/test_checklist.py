@@ -63,7 +63,6 @@ def test_every_question_is_met(usual: list[Row]) -> None:
         (12, "still on", "still on"),
     ],
 )
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # pyvisa-py leaks refused sockets
 def test_answer_follows_the_instrument(usual: list[Row], odd: list[Row], number: int, usually: str, oddly: str) -> None:
     """Each question that software can answer tells two instruments apart."""
     assert re.search(usually, usual[number].answer)

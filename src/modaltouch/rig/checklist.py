@@ -15,9 +15,10 @@ from typing import Any, Literal
 from modaltouch.apparatus import Apparatus
 from modaltouch.rig.connection import Connection, Patience
 from modaltouch.rig.controls import CHANNELS, Unconfirmed
-from modaltouch.rig.generator import abandon, open_resource
+from modaltouch.rig.generator import open_resource
 from modaltouch.rig.guard import Watchdog
 from modaltouch.rig.link import Link, LinkError, Log, split_reply
+from modaltouch.rig.quirks import abandon
 from modaltouch.rig.settings import LOWEST_AMPLITUDE, STOPPED, Setting, level_setting, quiet_settings
 
 REPETITION_PERIOD = 1 / 7

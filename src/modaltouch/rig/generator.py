@@ -9,7 +9,6 @@ switched off and every setting made again.
 from __future__ import annotations
 
 import contextlib
-import socket
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -22,6 +21,7 @@ from modaltouch.rig.guard import Guard, Watchdog
 from modaltouch.rig.interface import Firing, RigError
 from modaltouch.rig.link import LinkError, Log, Resource
 from modaltouch.rig.player import Player, Repetition, numbers
+from modaltouch.rig.quirks import abandon, close_leftovers, knock
 from modaltouch.stimulus.burst import Burst
 
 CHUNK = 1 << 20
@@ -283,30 +283,17 @@ def open_resource(address: str, visa_library: str) -> Resource:
     """
     import pyvisa
 
-    _knock(address)
-    resource = pyvisa.ResourceManager(visa_library).open_resource(address)
+    knock(address)
+    try:
+        resource = pyvisa.ResourceManager(visa_library).open_resource(address)
+    except Exception as error:
+        close_leftovers(error)
+        raise
     message_based = cast("pyvisa.resources.MessageBasedResource", resource)
     message_based.chunk_size = CHUNK
     if address.upper().endswith("SOCKET"):
         message_based.read_termination = message_based.write_termination = "\n"
     return cast("Resource", message_based)
-
-
-def _knock(address: str) -> None:
-    """See whether anybody listens, where the address names a port: pyvisa-py leaks a refused socket."""
-    host, _, port = (address.split("::") + [""])[1].partition(",")
-    if address.upper().startswith("TCPIP") and port.isdigit():
-        socket.create_connection((host, int(port)), timeout=5).close()
-
-
-def abandon(resource: Resource) -> None:
-    """Cut a session of pyvisa-py over TCP, so that closing it fails at once.
-
-    Closing says goodbye, and pyvisa-py waits five busy seconds for the reply of a peer that has gone politely.
-    Other backends are left to close as they do.
-    """
-    session = cast("Any", resource).visalib.sessions[cast("Any", resource).session]
-    session.interface.sock.shutdown(socket.SHUT_RDWR)
 
 
 def find_instruments(visa_library: str = "@py") -> tuple[str, ...]:

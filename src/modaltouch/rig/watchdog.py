@@ -18,6 +18,8 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+from modaltouch.rig.quirks import close_leftovers, knock
+
 ARM, BEAT, DISARM, CLEAN = b"A", b".", b"D", b"C"
 
 READY, READY_LATE, TRIPPED, FAILED = "ready", "ready late", "tripped", "failed"
@@ -57,11 +59,13 @@ class OffSwitch:
         import pyvisa
 
         try:
+            knock(self._address)
             manager = pyvisa.ResourceManager(self._visa_library)
             self._resource = manager.open_resource(self._address)
             self._resource.timeout = REPLY_TIMEOUT * 1e3
         # Backends raise VisaIOError, OSError, ValueError and plain Exception here.
-        except Exception:
+        except Exception as error:
+            close_leftovers(error)
             self._resource = None
         return self._resource is not None
 
