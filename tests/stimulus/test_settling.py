@@ -70,10 +70,10 @@ def test_settled_rounding_holds_with_every_mode_on_both_channels(design, crossed
     assert design(crossed_model).worst_modal_error(0.2) <= 1e-6 * 0.2
 
 
-def test_settled_paper_law_misses_by_its_own_error_alone(design):
-    """Settling returns the law's unrounded states: the paper's miss stays as it is."""
+def test_paper_law_misses_by_its_own_error_alone(design):
+    """The paper's law is rounded plainly: next to its miss, rounding is nothing."""
     stimulus = design(law="paper")
-    assert stimulus.worst_modal_error(0.2) == pytest.approx(stimulus.drive.residual, abs=1e-6 * 0.2)
+    assert stimulus.worst_modal_error(0.2) == pytest.approx(stimulus.drive.residual, abs=1e-4 * 0.2)
 
 
 def test_unknown_rounding_is_refused(design, shipped):

@@ -275,13 +275,13 @@ class Projection:
         level = fraction * self.wish.velocity
         ends = []
         for end in (-half, half):
-            position = np.linspace(self.wish.centre, end, 2001)
-            above = self.field(position) - level
-            below = np.flatnonzero(above < 0)
+            position = np.linspace(self.wish.centre, end, 301)
+            below = np.flatnonzero(self.field(position) < level)
             if below.size == 0 or below[0] == 0:
                 ends.append(end if below.size == 0 else self.wish.centre)
                 continue
             i = int(below[0])
-            share = above[i - 1] / (above[i - 1] - above[i])
-            ends.append(float(position[i - 1] + share * (position[i] - position[i - 1])))
+            between = np.linspace(position[i - 1], position[i], 31)
+            above = self.field(between) - level
+            ends.append(float(np.interp(0.0, -above, between)))
         return ends[1] - ends[0]

@@ -68,16 +68,18 @@ def quantise(voltage: FloatArray, volts_per_code: FloatArray) -> NDArray[np.uint
         If a voltage passes the full scale.
     """
     codes = np.full(voltage.shape, MID_CODE, dtype=np.uint16)
+    steps = np.empty(voltage.shape[1])
     for channel, (row, unit) in enumerate(zip(voltage, volts_per_code, strict=True)):
         if unit <= 0:
             continue
-        steps = np.rint(row / unit)
-        if np.abs(steps).max() > MID_CODE:
+        np.rint(np.divide(row, unit, out=steps), out=steps)
+        if max(steps.max(), -steps.min()) > MID_CODE:
             raise ValueError(
                 f"channel {channel + 1} peaks at {np.abs(row).max():g} V, beyond its full scale of "
                 f"{unit * MID_CODE:g} V: raise the full scale"
             )
-        codes[channel] = (steps + MID_CODE).astype(np.uint16)
+        steps += MID_CODE
+        codes[channel] = steps
     codes[:, 0] = codes[:, -1] = MID_CODE
     return codes
 
