@@ -34,12 +34,16 @@ def verify(
 
 def doctor(
     results: Annotated[Path, typer.Option(help="Folder where sessions would be recorded.")] = Path("results"),
+    timing: Annotated[bool, typer.Option(help="Open the window and measure frames and keys, some seconds.")] = False,
     json_output: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
 ) -> None:
     """Look at what this machine has of what a session needs, and say what to do about the rest."""
     from modaltouch.doctor import examine_machine
 
     with reporting(json_output=json_output):
+        if timing:
+            _measure(json_output=json_output)
+            return
         findings = examine_machine(results)
         if json_output:
             print_json({"findings": [finding.as_dict() for finding in findings]})
@@ -50,3 +54,20 @@ def doctor(
                 typer.echo(f"{typer.style(f'{word:8}', fg=colour)} {finding.subject:16} {finding.found}{remedy}")
         if any(finding.state == "fault" for finding in findings):
             raise typer.Exit(RIG_FAILED)
+
+
+def _measure(*, json_output: bool) -> None:
+    from modaltouch.window.screen import Screen
+    from modaltouch.window.timing import measure_timing
+    from modaltouch.window.virtual_display import some_display
+
+    with some_display() as where:
+        screen = Screen(title="modaltouch doctor")
+        try:
+            measured = measure_timing(screen)
+        finally:
+            screen.close()
+    if json_output:
+        print_json({"display": where, **measured.as_dict(), "verdict": measured.verdict})
+        return
+    print(f"On {where}: {measured.verdict}")

@@ -119,7 +119,7 @@ def lay_out(
         body=Box(0, 0.24 - 0.06 * (1 - unit), 1.18 * unit, 0.21),
         page=Box(0, 0.06, 1.14 * unit, 0.6),
         go_on=Box(0, -0.432, min(1.2 * unit, 0.9 * type_scale), 0.08),
-        label=Box(0, -0.428, 1.2 * unit, 0.036),
-        bar=Box(0, -0.462, across, 0.01),
-        note=Box(0, -0.385, 1.2 * unit, 0.036),
+        label=Box(0, -0.437, 1.2 * unit, 0.034),
+        bar=Box(0, -0.47, across, 0.01),
+        note=Box(0, -0.391, 1.2 * unit, 0.046),
     )

@@ -112,7 +112,7 @@ class Illustrator:
                 "lifting": self.texts.lift_to_answer,
                 "foot_switch": self.texts.foot_switch_answers,
             }.get(way, "")
-        note = (Words(words, layout.note, 0.03 * layout.type_scale, self.theme.dim),) if words else ()
+        note = (Words(words, layout.note, 0.034 * layout.type_scale, self.theme.text),) if words else ()
         return Picture(
             name,
             (

@@ -1,0 +1,196 @@
+"""Measures how exactly this machine shows pictures and sees keys."""
+
+from __future__ import annotations
+
+import ctypes
+import ctypes.util
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from modaltouch.window.marks import Box, Picture, rectangle
+from modaltouch.window.screen import Screen
+from modaltouch.window.stage import POLL_INTERVAL
+
+_LATE_FRAME = 1.5
+"""A frame counts as dropped when it takes this many times the usual [1]."""
+_TIMEOUT = 0.5
+"""A key that is not seen within this time is lost [s]."""
+_F12 = 0xFFC9
+"""X's number for the key F12, which no program minds."""
+_NO_RETRACE = 4e-3
+"""Frames shorter than this do not wait for a monitor: none refreshes so fast [s]."""
+
+
+@dataclass(frozen=True)
+class WindowTiming:
+    """What was measured of a window.
+
+    Attributes
+    ----------
+    n_frames, n_dropped : int
+        Frames shown, and those that took 1.5 times the usual time or more.
+    frame_median, frame_p95 : float
+        Time from one frame to the next [s].
+    waits_for_monitor : bool
+        Whether frames follow a monitor's refresh.
+    n_keys, n_lost : int
+        Keys injected, and those never seen.
+    key_path : str
+        ``display server`` (as from a keyboard) or ``event queue`` (of the window, where nothing else is at hand).
+    key_delay_median, key_delay_p95, key_delay_max : float or None
+        From the injection of a key to its time stamp [s]; None if no key was seen.
+    """
+
+    n_frames: int
+    n_dropped: int
+    frame_median: float
+    frame_p95: float
+    waits_for_monitor: bool
+    n_keys: int
+    n_lost: int
+    key_path: str
+    key_delay_median: float | None
+    key_delay_p95: float | None
+    key_delay_max: float | None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the figures as plain values, times in milliseconds."""
+        values = asdict(self)
+        for name in ("frame_median", "frame_p95", "key_delay_median", "key_delay_p95", "key_delay_max"):
+            seconds = values.pop(name)
+            values[f"{name}_ms"] = None if seconds is None else round(seconds * 1e3, 3)
+        return values
+
+    @property
+    def verdict(self) -> str:
+        """What the figures mean for an experiment, and what to do."""
+        lines = []
+        if self.n_lost:
+            lines.append(
+                f"{self.n_lost} of {self.n_keys} keys were lost: let the window have the keyboard, and do not run "
+                "participants here before none is."
+            )
+        if self.key_delay_p95 is None:
+            return " ".join(lines)
+        if self.key_delay_p95 > 5e-3:
+            lines.append(
+                f"Keys are stamped up to {self.key_delay_p95 * 1e3:.0f} ms late (95 %): close other programs, and "
+                "state this with every reaction time."
+            )
+        else:
+            lines.append(f"Keys are stamped within {self.key_delay_p95 * 1e3:.1f} ms (95 %): good.")
+        if not self.waits_for_monitor:
+            lines.append("Frames do not wait for a monitor (a virtual display, or vertical retrace switched off).")
+        elif self.n_dropped > 0.01 * self.n_frames:
+            lines.append(
+                f"{self.n_dropped} of {self.n_frames} frames came late: run full screen, without a compositor, and "
+                "close other programs."
+            )
+        else:
+            lines.append(f"Frames follow the monitor at {1 / self.frame_median:.0f} Hz: good.")
+        return " ".join(lines)
+
+
+def measure_timing(screen: Screen, *, n_frames: int = 120, n_keys: int = 60) -> WindowTiming:
+    """Return how exactly a window shows pictures and sees keys; takes some seconds.
+
+    Parameters
+    ----------
+    screen : Screen
+        An open window that has the keyboard.
+    n_frames, n_keys : int
+        How many frames to show, and keys to inject.
+
+    Raises
+    ------
+    ValueError
+        If fewer than 10 of either are asked for.
+    """
+    if min(n_frames, n_keys) < 10:
+        raise ValueError(f"given {n_frames} frames and {n_keys} keys; allowed: 10 or more of each")
+    frames = _measure_frames(screen, n_frames)
+    with _injector(screen) as (press, path):
+        delays = [_measure_key(screen, press, number) for number in range(n_keys)]
+    seen = [delay for delay in delays if delay is not None]
+    usual = float(np.median(frames))
+    return WindowTiming(
+        n_frames=n_frames,
+        n_dropped=int(np.sum(frames > _LATE_FRAME * usual)),
+        frame_median=usual,
+        frame_p95=float(np.quantile(frames, 0.95)),
+        waits_for_monitor=usual > _NO_RETRACE and float(np.quantile(frames, 0.1)) > 0.8 * usual,
+        n_keys=n_keys,
+        n_lost=sum(delay is None for delay in delays),
+        key_path=path,
+        key_delay_median=float(np.median(seen)) if seen else None,
+        key_delay_p95=float(np.quantile(seen, 0.95)) if seen else None,
+        key_delay_max=max(seen, default=None),
+    )
+
+
+def _measure_frames(screen: Screen, n_frames: int) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Return the times between frames [s], two pictures in turn."""
+    boxes = (Box(-0.2, 0, 0.1, 0.1), Box(0.2, 0, 0.1, 0.1))
+    pictures = [Picture(f"timing_{side}", (rectangle(boxes[side], "#808080"),)) for side in (0, 1)]
+    for picture in pictures:
+        screen.show(picture)
+    shown = [screen.show(pictures[number % 2]) for number in range(n_frames + 1)]
+    return np.diff(shown)
+
+
+def _measure_key(screen: Screen, press: Callable[[], float], number: int) -> float | None:
+    """Return the time from a key's injection to its stamp [s], or None if it is lost; polls as a session does."""
+    screen.poll()
+    # Presses fall at any phase of the poll.
+    until = time.perf_counter() + 0.02 + (number * 0.618 % 1) * POLL_INTERVAL
+    while time.perf_counter() < until:
+        time.sleep(1e-4)
+    injected = press()
+    while time.perf_counter() < injected + _TIMEOUT:
+        for event in screen.poll():
+            if event.kind == "key":
+                return event.time - injected
+        time.sleep(POLL_INTERVAL)
+    return None
+
+
+@contextmanager
+def _injector(screen: Screen) -> Iterator[tuple[Callable[[], float], str]]:
+    """Give what presses and releases F12 and says when, and by which path."""
+    names = [ctypes.util.find_library(name) for name in ("X11", "Xtst")] if sys.platform.startswith("linux") else []
+    if not names or None in names:
+
+        def type_key() -> float:
+            now = time.perf_counter()
+            screen.type_key("f12", down=True)
+            screen.type_key("f12", down=False)
+            return now
+
+        yield type_key, "event queue"
+        return
+    x11, xtst = (ctypes.CDLL(name) for name in names)
+    x11.XOpenDisplay.restype = ctypes.c_void_p
+    x11.XKeysymToKeycode.argtypes = [ctypes.c_void_p, ctypes.c_ulong]
+    x11.XSync.argtypes = [ctypes.c_void_p, ctypes.c_int]
+    x11.XCloseDisplay.argtypes = [ctypes.c_void_p]
+    xtst.XTestFakeKeyEvent.argtypes = [ctypes.c_void_p, ctypes.c_uint, ctypes.c_int, ctypes.c_ulong]
+    display = x11.XOpenDisplay(None)
+    code = x11.XKeysymToKeycode(display, _F12)
+
+    def press() -> float:
+        now = time.perf_counter()
+        for is_down in (1, 0):
+            xtst.XTestFakeKeyEvent(display, code, is_down, 0)
+            x11.XSync(display, 0)
+        return now
+
+    try:
+        yield press, "display server"
+    finally:
+        x11.XCloseDisplay(display)
