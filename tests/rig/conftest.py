@@ -49,6 +49,9 @@ class QuietGuard:
     def __init__(self) -> None:
         self.told: list[str] = []
 
+    def attach(self) -> None:
+        self.told.append("attach")
+
     def arm(self) -> None:
         self.told.append("arm")
 

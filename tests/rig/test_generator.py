@@ -245,7 +245,7 @@ def test_another_model_is_refused(simulator: Simulator, apparatus: Apparatus, gu
     simulator.front_panel("OUTP1 ON")
     with pytest.raises(RigError, match=r"says it is 'TEKTRONIX,AFG3022B.*names AFG31022; no output was switched on"):
         Generator(simulator.address, other, start_guard=lambda *_: guard)
-    assert guard.told == []
+    assert guard.told == ["clean"]
     assert simulator.outputs == (True, False)
 
 

@@ -194,6 +194,7 @@ def test_watchdog_that_is_gone_stops_the_session(apparatus: Apparatus, simulator
 def test_heartbeat_costs_microseconds_and_writes_ten_times_a_second(address: str) -> None:
     """Called every millisecond it must cost next to nothing: under 5 us a call, at most 11 letters a second."""
     dog = Watchdog(address, "@py")
+    dog.attach()
     dog.arm()
     sent: list[bytes] = []
     send = dog._send

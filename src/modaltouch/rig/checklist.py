@@ -101,7 +101,7 @@ def check_rig(
         apparatus,
         lambda: open_resource(address, visa_library),
         abandon,
-        start_guard=lambda: Watchdog(address, visa_library),
+        guard=Watchdog(address, visa_library),
         log=log,
         patience=patience,
     )

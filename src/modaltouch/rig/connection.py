@@ -72,9 +72,8 @@ class Connection:
         Opens the VISA resource.
     abandon : callable
         Cuts one whose other end may be gone.
-    start_guard : callable
-        Starts the watchdog, once the instrument is reached: were it first, an instrument that admits one
-        session would be taken.
+    guard : Guard
+        The watchdog.
     log : callable
         Takes every exchange and event.
     patience : Patience
@@ -88,33 +87,19 @@ class Connection:
         open_resource: Callable[[], Resource],
         abandon: Callable[[Resource], None],
         *,
-        start_guard: Callable[[], Guard],
+        guard: Guard,
         log: Log,
         patience: Patience,
     ) -> None:
         self.address = address
         self.identity = ""
         self.limits = Limits.of(apparatus)
-        self._guard: Guard | None = None
-        self._start_guard = start_guard
+        self.guard = guard
         self._expected_model = apparatus.generator.model
         self._log = log
         self._patience = patience
         self.link = Link(open_resource, abandon, log=log, timeout=patience.reply)
         self.controls = Controls(self.link, revive=self._revive, log=log, copy_timeout=patience.copy)
-
-    @property
-    def guard(self) -> Guard:
-        """The watchdog.
-
-        Raises
-        ------
-        RigError
-            Before `open`.
-        """
-        if self._guard is None:
-            raise RigError(f"the generator at {self.address} is not open, so nothing watches it: open it first")
-        return self._guard
 
     def open(self) -> None:
         """Reach the instrument, see that it is the right one, and bring it to a known state, outputs off.
@@ -131,7 +116,7 @@ class Connection:
             self.controls.outputs_off()
             self.controls.clear_errors()
             self._prepare()
-            self._guard = self._start_guard()
+            self.guard.attach()
         except LinkError as error:
             raise RigError(
                 f"no generator answers at {self.address}: {error}{self._reported()}; no output was "
@@ -146,8 +131,7 @@ class Connection:
     def close(self, *, clean: bool) -> None:
         """End the session; unless the outputs are off, the watchdog stays and switches them off."""
         self.link.close()
-        if self._guard is not None:
-            self._guard.release(clean=clean)
+        self.guard.release(clean=clean)
 
     def switch_off(self, doing: str, expected: Sequence[Setting], replay: Callable[[], None]) -> Found:
         """Switch the outputs off, over a new connection if need be.

@@ -79,7 +79,7 @@ class Generator:
             apparatus,
             lambda: open_resource(address, visa_library),
             abandon,
-            start_guard=lambda: start_guard(address, visa_library),
+            guard=start_guard(address, visa_library),
             log=log,
             patience=patience or Patience(),
         )

@@ -11,7 +11,7 @@ import time
 import typing
 
 from modaltouch.rig.interface import RigError
-from modaltouch.rig.watchdog import ARM, BEAT, CLEAN, DISARM, LIMIT
+from modaltouch.rig.watchdog import ARM, BEAT, CLEAN, DISARM, LIMIT, OPEN
 
 BEAT_PERIOD = LIMIT / 10
 """Time between two signs of life [s]."""
@@ -19,6 +19,9 @@ BEAT_PERIOD = LIMIT / 10
 
 class Guard(typing.Protocol):
     """What the driver asks of a watchdog."""
+
+    def attach(self) -> None:
+        """The instrument is reached, and may be opened a second time."""
 
     def arm(self) -> None:
         """Outputs may go on from now."""
@@ -66,6 +69,16 @@ class Watchdog:
     def said(self) -> tuple[str, ...]:
         """What the watchdog has reported."""
         return tuple(self._said)
+
+    def attach(self) -> None:
+        """Let it open the instrument: were it first, an instrument that admits one session would be taken.
+
+        Raises
+        ------
+        RigError
+            If it is gone.
+        """
+        self._send(OPEN)
 
     def arm(self, patience: float = 20.0) -> None:
         """Make sure that it watches, then tell it that outputs may go on.

@@ -1,14 +1,15 @@
 """Switches the outputs off when the session cannot: a process of its own, a VISA session of its own.
 
-``python -m modaltouch.rig.watchdog ADDRESS`` reads single letters from standard input: ``A`` outputs may go
-on, ``.`` the session is alive, ``D`` outputs are off, ``C`` the session ends cleanly. While armed it expects a
-letter at least every `LIMIT` seconds. If none comes, or the pipe ends without ``C`` (the session was killed, or
-its display server took it along), it switches the outputs off.
+``python -m modaltouch.rig.watchdog ADDRESS`` reads single letters from standard input: ``O`` open the instrument,
+which the session has reached, ``A`` outputs may go on, ``.`` the session is alive, ``D`` outputs are off, ``C``
+the session ends cleanly. While armed it expects a letter at least every `LIMIT` seconds. If none comes, or the
+pipe ends without ``C`` (the session was killed, or its display server took it along), it switches the outputs off.
 """
 
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 import queue
 import signal
@@ -20,7 +21,7 @@ from typing import Any
 
 from modaltouch.rig.quirks import close_leftovers, knock
 
-ARM, BEAT, DISARM, CLEAN = b"A", b".", b"D", b"C"
+OPEN, ARM, BEAT, DISARM, CLEAN = b"O", b"A", b".", b"D", b"C"
 
 READY, READY_LATE, TRIPPED, FAILED = "ready", "ready late", "tripped", "failed"
 """What it says on standard output: ``ready late`` if the instrument admits no second session."""
@@ -156,6 +157,16 @@ def _read_letters(letters: queue.Queue[bytes]) -> None:
             letters.put(bytes([letter]))
 
 
+def _import_visa() -> None:
+    """Import PyVISA without what only arrays and discovery need: half of its time."""
+    for name in ("numpy", "psutil"):
+        sys.modules.setdefault(name, None)  # type: ignore[arg-type]
+    import pyvisa
+    import pyvisa_py  # noqa: F401
+
+    logging.getLogger(pyvisa.__name__).disabled = True
+
+
 def _say(word: str) -> None:
     with contextlib.suppress(OSError):
         os.write(1, word.encode() + b"\n")
@@ -167,6 +178,11 @@ def main(address: str, visa_library: str = "@py") -> int:
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
     session = os.getppid()
+    letters: queue.Queue[bytes] = queue.Queue()
+    threading.Thread(target=_read_letters, args=(letters,), daemon=True).start()
+    _import_visa()
+    if letters.get() != OPEN:
+        return 0  # the session has never had the instrument
     switch = OffSwitch(address, visa_library)
     _say(READY if switch.open() else READY_LATE)
     shared = switch.is_open
@@ -182,8 +198,6 @@ def main(address: str, visa_library: str = "@py") -> int:
         _say(TRIPPED if done else FAILED)
         return done
 
-    letters: queue.Queue[bytes] = queue.Queue()
-    threading.Thread(target=_read_letters, args=(letters,), daemon=True).start()
     watch(letters, off)
     return 0
 
