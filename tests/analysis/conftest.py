@@ -65,6 +65,15 @@ def paper_rows() -> list[Row]:
     return answers_like_the_paper()
 
 
+@pytest.fixture(scope="session")
+def paper_csv(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The synthetic answers shaped on the paper's text, as a CSV file."""
+    path = tmp_path_factory.mktemp("data") / "answers.csv"
+    rows = [",".join(map(str, row.values())) for row in answers_like_the_paper()]
+    path.write_text("\n".join([",".join(COLUMNS), *rows]) + "\n", encoding="utf-8")
+    return path
+
+
 @pytest.fixture
 def paper_frame() -> pd.DataFrame:
     """The same as a tidy table."""

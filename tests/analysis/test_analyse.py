@@ -1,0 +1,142 @@
+from __future__ import annotations
+
+import base64
+import csv
+import html
+import json
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+
+import pytest
+
+from modaltouch.analysis.analyse import analyse, default_folder
+
+
+class Page(HTMLParser):
+    """Collects what a browser would load and show."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.addresses: list[str] = []
+        self.open: list[str] = []
+        self.shown = ""
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs) -> None:
+        self.addresses += [value for name, value in attrs if name in ("src", "href", "action", "data") and value]
+        if tag not in ("meta", "img", "br", "link"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data) -> None:
+        self.shown += data
+
+
+@pytest.fixture(scope="module")
+def analysis(paper_csv, tmp_path_factory):
+    """The analysis of the synthetic set shaped on the paper's text."""
+    return analyse(paper_csv, tmp_path_factory.mktemp("analysis") / "out")
+
+
+def test_every_promised_file_is_written(analysis) -> None:
+    """Tables, bars as SVG and PNG, statistics, report."""
+    promised = {
+        "counts.csv", "fig_10.csv", "fig_11.csv", "fig_10.svg", "fig_10.png", "fig_11.svg", "fig_11.png", "tests.csv",
+        "tests.json", "report.html",
+    }  # fmt: skip
+    assert promised <= set(analysis.files)
+    assert all(path.stat().st_size > 0 for path in analysis.files.values())
+
+
+def test_the_json_is_plain_and_without_nan(analysis) -> None:
+    """Keys of the issue; what is not a number is null."""
+    values = json.loads(json.dumps(analysis.as_dict(), allow_nan=False))
+    assert {"counts", "tests", "files", "n_participants", "n_responses", "left_out"} <= set(values)
+    assert (values["n_participants"], values["n_responses"]) == (10, 240)
+    assert set(values["counts"][0]) == {
+        "finger_condition", "pair", "zone_left", "zone_right", "velocity_mm_s", "left", "both", "right", "n",
+    }  # fmt: skip
+    keys = ("question", "name", "scope", "statistic", "p", "p_min", "p_holm", "estimate", "low", "high", "n")
+    assert all(key in row for row in values["tests"] for key in keys)
+
+
+def test_the_table_of_fig_10_holds_the_counts(analysis) -> None:
+    """The synthetic set has C 10, 10, 9, 10 times for (A, C)."""
+    with analysis.files["fig_10.csv"].open(encoding="utf-8", newline="") as file:
+        rows = list(csv.reader(file))
+    assert rows[0] == ["pair", "answer", "80", "100", "150", "200"]
+    assert rows[1] == ["A-C", "C", "10", "10", "9", "10"]
+
+
+def test_the_same_data_give_the_same_bytes_over_an_older_analysis(
+    analysis, paper_csv, write_csv, paper_rows, tmp_path
+) -> None:
+    """No date, no random identifier in any file; what an earlier run left in the folder is replaced."""
+    analyse(write_csv(paper_rows[:1]), tmp_path / "out")
+    again = analyse(paper_csv, tmp_path / "out")
+    for name, path in analysis.files.items():
+        assert path.read_bytes() == again.files[name].read_bytes(), name
+
+
+def test_the_report_needs_no_network_and_holds_every_figure(analysis) -> None:
+    """Every address is a data URI or a place in the page; each SVG of the folder is inside."""
+    text = analysis.files["report.html"].read_text(encoding="utf-8")
+    page = Page(text)
+    assert page.open == []
+    assert all(address.startswith(("data:image/svg+xml;base64,", "#")) for address in page.addresses)
+    inside = [base64.b64decode(a.split(",", 1)[1]) for a in page.addresses if a.startswith("data:")]
+    assert {path.read_bytes() for name, path in analysis.files.items() if name.endswith(".svg")} == set(inside)
+    assert not re.search(r"https?://|@import|url\(|<script", text)
+
+
+def test_the_report_says_the_numbers(analysis) -> None:
+    """Counts and p of dominance in (A, C), no information in (B, D), aliasing among the limits."""
+    page = Page(analysis.files["report.html"].read_text(encoding="utf-8"))
+    shown = re.sub(r"\s+", " ", page.shown)
+    assert "39 C, 0 A, 1 both of 40 answers, 10 of 10 participants lean to C" in shown
+    assert "p = 0.002, Holm p = 0.012" in shown
+    assert "no information" in shown
+    assert "In (B, D) zone, side and finger go together" in shown
+
+
+def test_names_from_the_table_are_text_in_the_report(write_csv, paper_rows, tmp_path) -> None:
+    """Autoescape: a finger condition named like a script stays a name."""
+    name = "<script>alert(1)</script>"
+    rows = [{**row, "finger_condition": name} for row in paper_rows if row["finger_condition"] == "one_hand"]
+    report = analyse(write_csv(rows), tmp_path / "out").files["report.html"].read_text(encoding="utf-8")
+    assert "<script" not in report
+    assert html.escape(name) in report
+
+
+def test_equal_answers_give_a_whole_report(build, write_csv, tmp_path) -> None:
+    """Nothing breaks when everyone always says the same; warnings are errors here."""
+    analysis = analyse(write_csv(build["constant"](3)), tmp_path / "out")
+    assert Page(analysis.files["report.html"].read_text(encoding="utf-8")).open == []
+
+
+def test_one_answer_is_the_smallest_analysis(write_csv, paper_rows, tmp_path) -> None:
+    """One participant, condition, pair and level."""
+    analysis = analyse(write_csv(paper_rows[:1]), tmp_path / "out")
+    assert analysis.as_dict()["n_responses"] == 1
+    assert "One participant alone" in analysis.files["report.html"].read_text(encoding="utf-8")
+
+
+def test_results_land_beside_the_data_unless_told_otherwise(tmp_path) -> None:
+    """A CSV gets a folder of its name, a tree its own analysis folder."""
+    assert default_folder(tmp_path / "a.csv") == tmp_path / "a_analysis"
+    assert default_folder(tmp_path) == tmp_path / "analysis"
+
+
+def test_the_analysis_loads_neither_instrument_nor_screen() -> None:
+    """A fresh interpreter analyses without PyVISA, PsychoPy, pyglet or pyplot, and without statsmodels."""
+    code = (
+        "import sys, modaltouch.analysis.analyse, modaltouch.analysis.gallery, modaltouch.analysis.report\n"
+        "import modaltouch.analysis.fields\n"
+        "print([m for m in ('pyvisa', 'psychopy', 'pyglet', 'matplotlib.pyplot', 'statsmodels') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,139 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_hex, to_rgb
+
+from modaltouch.analysis.counts import count_answers
+from modaltouch.analysis.courses import draw_order, draw_side, draw_speeds, draw_times
+from modaltouch.analysis.figures import draw_counts, draw_overview, draw_participants
+from modaltouch.analysis.style import PAIR_COLOURS, render
+from modaltouch.analysis.tables import count_responses, zone_table
+
+
+def bars(figure):
+    """Return the heights and colours of the bars of a figure, from left to right."""
+    found = [patch for axes in figure.axes for patch in axes.patches]
+    return [patch.get_height() for patch in found], [to_hex(patch.get_facecolor()) for patch in found]
+
+
+def luminance(colour: str) -> float:
+    """Return the relative luminance of a colour (Rec. 709 weights on linear values)."""
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in to_rgb(colour)]
+    return float(np.dot(linear, [0.2126, 0.7152, 0.0722]))
+
+
+@pytest.fixture
+def table(paper_frame):
+    """Fig. 10's table of the synthetic set."""
+    return zone_table(count_responses(paper_frame), "one_hand")
+
+
+def test_every_bar_is_as_high_as_its_count(table) -> None:
+    """Nine answers times four levels, in the table's order."""
+    heights, _ = bars(draw_counts(table, "one_hand"))
+    assert heights == table.to_numpy().ravel().tolist()
+
+
+def test_pairs_have_the_papers_colours(table) -> None:
+    """Section V: dark blue (A, C), light blue (B, D), yellow (C, E)."""
+    _, colours = bars(draw_counts(table, "one_hand"))
+    assert [colours[0], colours[12], colours[24]] == list(PAIR_COLOURS[:3])
+
+
+def test_the_three_colours_differ_in_greyscale() -> None:
+    """A print without colour still parts them: luminance contrast of at least 1.3 between neighbours."""
+    dark, light, yellow = sorted(luminance(colour) for colour in PAIR_COLOURS[:3])
+    assert (light + 0.05) / (dark + 0.05) > 3
+    assert (yellow + 0.05) / (light + 0.05) > 1.3
+
+
+def test_error_bars_are_clopper_pearson(table) -> None:
+    """10 of 10: from 6.9150 (10 x 0.025^(1/10)) to 10."""
+    axes = draw_counts(table, "one_hand").axes[0]
+    low, high = axes.collections[0].get_segments()[0][:, 1]
+    assert (low, high) == pytest.approx((10 * 0.025**0.1, 10))
+
+
+def test_repetitions_do_not_narrow_the_bars(build) -> None:
+    """Two answers of each of five participants: as wide as five answers, scaled to ten."""
+    frame = build["tidy"]([{**row, "repetition": r} for row in build["constant"](5, "left") for r in (1, 2)])
+    table = zone_table(count_responses(frame), "one_hand")
+    axes = draw_counts(table, "one_hand", 5).axes[0]
+    segments = [segment[:, 1] for collection in axes.collections for segment in collection.get_segments()]
+    full = next(segment for segment in segments if segment[1] == pytest.approx(10))
+    assert full[0] == pytest.approx(10 * 0.025 ** (1 / 5))
+
+
+def test_the_axis_runs_from_none_to_all(table) -> None:
+    """Y from 0 to N, its label names N."""
+    axes = draw_counts(table, "one_hand").axes[0]
+    assert axes.get_ylim()[0] == 0
+    assert 10 <= axes.get_ylim()[1] <= 10.5
+    assert "out of 10" in axes.get_ylabel()
+
+
+def test_every_answer_and_level_is_written_out(table) -> None:
+    """Labels, not colour alone: three pairs, nine answers, four levels under each."""
+    words = [text.get_text() for text in draw_counts(table, "one_hand").axes[0].texts]
+    assert [word for word in words if "&" in word] == ["C & A", "B & D", "C & E"]
+    assert words.count("150") == 9
+    assert "(B, D)" in words
+
+
+def test_five_pairs_of_seven_levels_fit_in_two_rows(build) -> None:
+    """Other designs than the paper's: more pairs and levels."""
+    rows = [
+        {"participant": f"p{i}", "finger_condition": "one_hand", "zone_left": left, "zone_right": right,
+         "velocity_mm_s": level, "response": "left"}
+        for i in range(3) for left, right in ("AC", "BD", "CE", "AE", "BE") for level in range(50, 400, 50)
+    ]  # fmt: skip
+    figure = draw_counts(zone_table(count_responses(build["tidy"](rows)), "one_hand"), "one_hand")
+    assert len(figure.axes) == 2
+    assert len(bars(figure)[0]) == 5 * 3 * 7
+
+
+def test_strips_show_every_answer_as_letter(paper_frame) -> None:
+    """240 cells, each with its zone or &."""
+    figure = draw_participants(count_answers(paper_frame))
+    letters = [
+        t.get_text() for axes in figure.axes for t in axes.texts if t.get_text() in ("A", "B", "C", "D", "E", "&")
+    ]
+    assert len(letters) == 240
+    assert letters.count("D") == 1
+
+
+@pytest.mark.parametrize("kind", ["svg", "png"])
+def test_a_figure_is_the_same_bytes_every_time(paper_frame, kind) -> None:
+    """No date and no random identifier."""
+    answers = count_answers(paper_frame)
+    assert render(draw_overview(answers), kind) == render(draw_overview(answers), kind)
+
+
+def test_further_figures_need_their_columns(paper_frame) -> None:
+    """Without order, times and speeds there is nothing to draw."""
+    answers = count_answers(paper_frame)
+    assert draw_order(answers, paper_frame) is None
+    assert draw_times(answers, paper_frame) is None
+    assert draw_speeds(answers, paper_frame) is None
+
+
+def test_a_side_bias_needs_the_focus_on_both_sides(paper_frame) -> None:
+    """(A, C) alone has it on the right only."""
+    assert draw_side(count_answers(paper_frame[paper_frame["zone_left"] == "A"])) is None
+
+
+def test_further_figures_draw_what_they_are_given(paper_frame) -> None:
+    """Synthetic order, times and speeds; every axis names its quantity and unit."""
+    frame = paper_frame.assign(
+        trial=paper_frame.groupby("participant").cumcount() + 1.0,
+        response_time=1.0 + np.arange(len(paper_frame)) % 7 / 10,
+        speed_left_mm_s=paper_frame["zone_left"].map({"A": 50.0, "B": 60.0, "C": 100.0}),
+        speed_right_mm_s=paper_frame["zone_right"].map({"C": 100.0, "D": 60.0, "E": 50.0}),
+    )
+    answers = count_answers(frame)
+    figures = [draw_side(answers), draw_order(answers, frame), draw_times(answers, frame), draw_speeds(answers, frame)]
+    labels = " ".join(axes.get_ylabel() + axes.get_xlabel() for figure in figures if figure for axes in figure.axes)
+    for words in ("on the right", "trial of the session", "reaction time [s]", "right / left finger"):
+        assert words in labels
+    assert all(render(figure, "svg").startswith(b"<?xml") for figure in figures if figure)

@@ -1,0 +1,95 @@
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from modaltouch.analysis.output import MANIFEST, write_files
+from modaltouch.record.chain import RecordError
+
+
+def test_files_are_written_with_a_manifest_of_their_hashes(tmp_path) -> None:
+    """SHA-256 of "abc" as in FIPS 180-2, appendix B.1."""
+    write_files(tmp_path / "out", {"a.txt": b"abc"}, {"version": "1"})
+    manifest = json.loads((tmp_path / "out" / MANIFEST).read_text(encoding="utf-8"))
+    assert manifest["files"]["a.txt"] == ["ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"]
+
+
+def test_own_files_are_replaced_and_stale_ones_removed(tmp_path) -> None:
+    """A second analysis leaves no file of the first behind."""
+    write_files(tmp_path / "out", {"a.txt": b"1", "b.txt": b"1"}, {})
+    write_files(tmp_path / "out", {"a.txt": b"2"}, {})
+    assert (tmp_path / "out" / "a.txt").read_bytes() == b"2"
+    assert not (tmp_path / "out" / "b.txt").exists()
+
+
+def test_a_strangers_file_is_never_overwritten(tmp_path) -> None:
+    """A file of that name that no manifest knows."""
+    (tmp_path / "report.html").write_text("mine")
+    with pytest.raises(RecordError, match="report.html: is there already and not from modaltouch"):
+        write_files(tmp_path, {"other.txt": b"", "report.html": b"new"}, {})
+    assert (tmp_path / "report.html").read_text() == "mine"
+    assert not (tmp_path / "other.txt").exists()
+
+
+def test_a_file_changed_by_hand_is_not_overwritten(tmp_path) -> None:
+    """Notes somebody added to the table stay."""
+    write_files(tmp_path / "out", {"tests.csv": b"1"}, {})
+    (tmp_path / "out" / "tests.csv").write_text("1, my note")
+    with pytest.raises(RecordError, match="was changed since it was written"):
+        write_files(tmp_path / "out", {"tests.csv": b"2"}, {})
+
+
+def test_other_files_in_the_folder_are_left_alone(tmp_path) -> None:
+    """Somebody keeps notes there."""
+    (tmp_path / "notes.txt").write_text("mine")
+    write_files(tmp_path, {"a.txt": b"1"}, {})
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+
+
+def test_a_manifest_of_another_program_is_not_overwritten(tmp_path) -> None:
+    """The name is a common one."""
+    (tmp_path / MANIFEST).write_text('{"name": "web app"}')
+    with pytest.raises(RecordError, match=r"manifest\.json: is there already"):
+        write_files(tmp_path, {"a.txt": b"1"}, {})
+
+
+def test_a_manifest_cannot_name_files_elsewhere(tmp_path) -> None:
+    """A manifest with path tricks deletes nothing."""
+    (tmp_path / "precious.txt").write_text("mine")
+    folder = tmp_path / "out"
+    write_files(folder, {"a.txt": b"1"}, {})
+    manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+    manifest["files"]["../precious.txt"] = ["0"]
+    (folder / MANIFEST).write_text(json.dumps(manifest))
+    write_files(folder, {"a.txt": b"2"}, {})
+    assert (tmp_path / "precious.txt").exists()
+
+
+def test_an_interruption_between_two_files_leaves_a_folder_that_can_be_written_again(tmp_path, monkeypatch) -> None:
+    """A kill after the first file was replaced: the manifest owns old and new alike."""
+    from pathlib import Path
+
+    folder = tmp_path / "out"
+    write_files(folder, {"a.txt": b"1", "b.txt": b"1"}, {})
+    replace = Path.replace
+
+    def die(self, target):
+        if Path(target).name == "b.txt":
+            raise KeyboardInterrupt
+        return replace(self, target)
+
+    monkeypatch.setattr(Path, "replace", die)
+    with pytest.raises(KeyboardInterrupt):
+        write_files(folder, {"a.txt": b"2", "b.txt": b"2"}, {})
+    monkeypatch.setattr(Path, "replace", replace)
+    write_files(folder, {"a.txt": b"3", "b.txt": b"3"}, {})
+    assert ((folder / "a.txt").read_bytes(), (folder / "b.txt").read_bytes()) == (b"3", b"3")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out"]
+
+
+def test_a_file_where_the_folder_should_be_is_refused(tmp_path) -> None:
+    """House rule: what to do."""
+    (tmp_path / "out").write_text("mine")
+    with pytest.raises(RecordError, match="is a file, but a folder is needed"):
+        write_files(tmp_path / "out", {"a.txt": b"1"}, {})

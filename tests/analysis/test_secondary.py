@@ -1,0 +1,76 @@
+from __future__ import annotations
+
+from statistics import NormalDist
+
+import numpy as np
+import pytest
+
+from modaltouch.analysis.counts import count_answers
+from modaltouch.analysis.exact import sign_flip_test
+from modaltouch.analysis.secondary import detection, order_findings, side_findings, student_interval, time_findings
+
+
+def test_a_side_bias_is_the_difference_between_focus_right_and_left(build) -> None:
+    """Synthetic: everyone answers "right" always, so C wins all of (A, C) and none of (C, E)."""
+    answers = count_answers(build["tidy"](build["constant"](10, "right")))
+    finding = next(iter(side_findings(answers)))
+    assert finding.estimate == 1
+    assert finding.p == 2 / 2**10
+
+
+def test_detection_uses_the_log_linear_correction() -> None:
+    """Hautus (1995): rates (k + 0.5) / (n + 1); 40 of 40 hits and 0 of 38 false alarms."""
+    z = NormalDist().inv_cdf
+    hit, false_alarm = 40.5 / 41, 0.5 / 39
+    sensitivity, criterion = detection(np.array([[0, 0, 40]]), np.array([[38, 2, 0]]))
+    assert sensitivity == pytest.approx(z(hit) - z(false_alarm))
+    assert criterion == pytest.approx(-(z(hit) + z(false_alarm)) / 2)
+
+
+def test_a_drift_over_the_session_is_found(build) -> None:
+    """Synthetic: "both" in the first half of each pair's trials, the dominant zone in the second, for all ten."""
+    frame = build["tidy"](build["constant"](10, "both"))
+    frame = frame.assign(trial=frame.groupby("participant").cumcount() + 1.0)
+    keys = ["participant", "finger_condition", "zone_left"]
+    late = frame.groupby(keys)["trial"].rank() > 2
+    dominant = frame["zone_left"].map({"A": "right", "B": "left", "C": "left"})
+    frame["response"] = frame["response"].where(~late, dominant)
+    finding = next(iter(order_findings(count_answers(frame), frame)))
+    assert finding.estimate == pytest.approx(1)
+    assert finding.p == 2 / 2**10
+
+
+def test_reaction_times_are_compared_by_medians_of_participants(build) -> None:
+    """Synthetic: (B, D) takes 0.2 s longer for everybody; answers below 0.15 s are left out and counted."""
+    frame = build["tidy"](build["paper"]())
+    slow = (frame["zone_left"] == "B").to_numpy() * 0.2
+    frame = frame.assign(response_time=0.8 + slow + np.tile([0.0, 0.01], 120))
+    frame.loc[0, "response_time"] = 0.05
+    found = {f.scope: f for f in time_findings(count_answers(frame), frame)}
+    finding = found["one_hand A-C - B-D"]
+    assert finding.estimate == pytest.approx(-0.2, abs=0.01)
+    assert finding.p == 2 / 2**10
+    assert "1 of 240 answers below 0.15 s" in finding.note
+
+
+def test_the_first_finger_condition_is_told_from_the_second(build) -> None:
+    """Synthetic: half began with each; the note counts them, the score is first less second."""
+    frame = build["tidy"](build["constant"](4, "both"))
+    second = frame["finger_condition"] == frame["participant"].map(
+        {"p01": "one_hand", "p02": "one_hand", "p03": "two_hands", "p04": "two_hands"}
+    )
+    frame = frame.assign(trial=np.where(second, 100, 0) + np.arange(len(frame)))
+    frame["response"] = frame["response"].where(
+        second, frame["zone_left"].map({"A": "right", "B": "left", "C": "left"})
+    )
+    finding = list(order_findings(count_answers(frame), frame))[1]
+    assert finding.p == sign_flip_test([12] * 4).p
+    assert finding.estimate == 1
+    assert "2 began with one_hand, 2 began with two_hands" in finding.note
+
+
+def test_equal_values_have_no_t_interval() -> None:
+    """A width of zero would be false certainty."""
+    interval = student_interval(np.array([0.2, 0.2, 0.2]))
+    assert interval.estimate == pytest.approx(0.2)
+    assert np.isnan(interval.low)

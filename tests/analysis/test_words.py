@@ -1,0 +1,60 @@
+from __future__ import annotations
+
+import pytest
+
+from modaltouch.analysis.counts import count_answers
+from modaltouch.analysis.statistics import find
+from modaltouch.analysis.words import say_number, say_p, write_paragraphs
+
+
+def paragraphs(frame) -> dict[str, str]:
+    """Return the text of each question."""
+    answers = count_answers(frame)
+    return {paragraph.question: paragraph.text for paragraph in write_paragraphs(find(answers, frame), answers)}
+
+
+def test_each_question_has_its_paragraph(paper_frame) -> None:
+    """Questions a to f of the plan, and the side bias the design allows."""
+    assert list(paragraphs(paper_frame)) == ["a1", "a2", "b", "c", "d", "e", "f", "side"]
+
+
+def test_numbers_are_filled_in(paper_frame) -> None:
+    """Counts, net dominance, p and Holm's p of (C, E) with one hand."""
+    text = paragraphs(paper_frame)["a2"]
+    assert "one_hand C-E: 38 C, 0 E, 2 both of 40 answers, 10 of 10 participants lean to C; net dominance 0.95" in text
+    assert "p = 0.002, Holm p = 0.012" in text
+
+
+def test_absence_of_evidence_is_not_called_evidence(paper_frame) -> None:
+    """Levels and finger conditions: no information is said, equivalence only within its margin."""
+    told = paragraphs(paper_frame)
+    assert "This is not evidence that the level does not matter" in told["b"]
+    assert "does not show that the conditions are alike" in told["c"]
+
+
+def test_too_few_participants_for_the_cells_are_told(build) -> None:
+    """Three participants: even unanimous cells have p = 3^-2, Holm over 24 is out of reach."""
+    assert "Even a unanimous cell could not pass" in paragraphs(build["tidy"](build["paper"](3)))["a1"]
+
+
+def test_one_level_and_one_participant_are_said_plainly(build) -> None:
+    """No trend with one level, no agreement with one participant."""
+    frame = build["tidy"](build["paper"](1))
+    told = paragraphs(frame[frame["velocity_mm_s"] == 80])
+    assert told["b"].startswith("Only one level")
+    assert told["e"].startswith("One participant alone")
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.1234, "0.123"), (-0.5, "−0.5"), (0.0, "0"), (float("inf"), "∞"), (float("nan"), "–"), (3e-308, "< 1e-300")],
+)
+def test_numbers_are_said_in_three_digits(value, text) -> None:
+    """Rule of the tables in the report."""
+    assert say_number(value) == text
+
+
+@pytest.mark.parametrize(("p", "text"), [(0.0499, "= 0.05"), (0.0000001, "< 0.001"), (1.0, "= 1")])
+def test_p_values_are_said_as_in_a_paper(p, text) -> None:
+    """Two digits; below 0.001 a bound."""
+    assert say_p(p) == text

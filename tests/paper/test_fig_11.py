@@ -1,0 +1,43 @@
+"""Fig. 11 (test 2, both hands): the text gives its form and claim, no number."""
+
+from __future__ import annotations
+
+import pandas as pd
+import pytest
+
+from modaltouch.analysis.figures import draw_counts
+from modaltouch.analysis.intervals import tango
+from modaltouch.analysis.style import PAIR_COLOURS
+from modaltouch.analysis.tables import figure_names, zone_table
+
+
+@pytest.fixture
+def empty_counts() -> pd.DataFrame:
+    """Counts of the paper's design, ten answers a cell; their heights are in no text, so all are "both" here."""
+    pairs, levels = (("A", "C"), ("B", "D"), ("C", "E")), (80.0, 100.0, 150.0, 200.0)
+    rows = [("two_hands", f"{a}-{b}", a, b, level, 0, 10, 0, 10) for a, b in pairs for level in levels]
+    names = ["finger_condition", "pair", "zone_left", "zone_right", "velocity_mm_s", "left", "both", "right", "n"]
+    return pd.DataFrame(rows, columns=names)
+
+
+def test_it_has_the_form_of_fig_10(empty_counts) -> None:
+    """Caption: dark blue (A, C), light blue (B, D), yellow (C, E), three answers each, four velocities."""
+    table = zone_table(empty_counts, "two_hands")
+    assert list(table.index) == [
+        ("A-C", "C"), ("A-C", "A"), ("A-C", "C & A"), ("B-D", "B"), ("B-D", "D"), ("B-D", "B & D"),
+        ("C-E", "C"), ("C-E", "E"), ("C-E", "C & E"),
+    ]  # fmt: skip
+    assert table.columns.tolist() == [80, 100, 150, 200]
+    assert len(draw_counts(table, "two_hands").axes[0].patches) == 36
+    assert PAIR_COLOURS[:3] == ("#0b3c8c", "#5bb8e8", "#f4c518")
+
+
+def test_it_is_the_figure_of_both_hands() -> None:
+    """Section V-B: test 2 is the index fingers of both hands."""
+    assert figure_names(["one_hand", "two_hands"])["two_hands"] == "fig_11"
+
+
+@pytest.mark.parametrize(("n", "margin"), [(10, 0.278), (35, 0.099)])
+def test_the_results_are_repeated_is_a_claim_ten_people_cannot_support_closely(n, margin) -> None:
+    """Equivalence ("the results are repeated") is supported at best within Tango's z^2 / (N + z^2) in a cell."""
+    assert tango(0, 0, n).high == pytest.approx(margin, abs=5e-4)
