@@ -12,7 +12,7 @@ from modaltouch.rig.checklist import Row, check_rig
 from modaltouch.rig.connection import Patience
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.simulator import Simulator
-from modaltouch.rig.simulator.afg import Behaviour
+from modaltouch.rig.simulator.behaviour import Behaviour
 
 PATIENCE = Patience(reply=0.3, copy=3.0, tries=2, pause=0.02)
 
@@ -56,7 +56,7 @@ def test_every_question_is_met(usual: list[Row]) -> None:
         (2, "142.857143 ms kept", r"142.9 ms kept"),
         (3, r"\d+\.\d ms for 125000 points", r"2\d\d\.\d ms for 1000 points"),
         (4, "no: it does not answer to EMEM2", "no: it does not answer"),
-        (7, "refused with -222.*reads 0.02 Vpp", "cut without an error; the level reads 2 Vpp"),
+        (7, "refused with -222.*reads 0.1 Vpp", "cut without an error; the level reads 2 Vpp"),
         (8, "first -113.*last -350.*; 32 entries", r"last -350.*; 5 entries"),
         (9, r"b'\\n' after a block of 2006 bytes", r"b'xx\\n' after"),
         (11, "yes", "no: .*error creating link: 9"),

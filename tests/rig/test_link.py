@@ -115,7 +115,7 @@ def test_codes_come_as_an_array(link: Callable[..., Any], heard: Any) -> None:
     codes = opened.read_codes("DATA?", timeout=1)
     assert codes.dtype == np.uint16
     assert codes.tolist() == [1, 2, 16382]
-    assert heard.of("scpi")[-1]["reply"].startswith("<6 bytes, sha256 ")
+    assert heard.of("scpi")[-1]["reply"].startswith("<6 bytes, blake2b ")
 
 
 def test_failure_to_open_is_told(heard: Any) -> None:
@@ -143,5 +143,5 @@ def test_compound_reply_is_divided_outside_quotes(reply: str, parts: list[str]) 
 
 
 def test_block_is_named_by_length_and_hash() -> None:
-    """SHA-256 of the empty string begins e3b0c44298fc1c14 (FIPS 180-4)."""
-    assert describe_block(b"") == "<0 bytes, sha256 e3b0c44298fc1c14>"
+    """BLAKE2b of eight bytes of the empty string is e4a6a0577479b2b4 (RFC 7693's algorithm, b2sum -l 64)."""
+    assert describe_block(b"") == "<0 bytes, blake2b e4a6a0577479b2b4>"

@@ -20,7 +20,7 @@ from modaltouch.apparatus import Apparatus
 from modaltouch.rig.guard import Watchdog
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.simulator import Simulator
-from modaltouch.rig.simulator.afg import Behaviour
+from modaltouch.rig.simulator.behaviour import Behaviour
 from modaltouch.rig.watchdog import ARM, BEAT, CLEAN, DISARM, LIMIT, insist, watch
 
 APPARATUS = Path(__file__).parents[2] / "protocols" / "apparatus" / "beam_100x6x2.yaml"

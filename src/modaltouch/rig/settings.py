@@ -16,6 +16,9 @@ LOWEST_AMPLITUDE = 20e-3
 HIGHEST_AMPLITUDE = 20.0
 """Amplitude of an AFG3022B into an open circuit [V peak to peak]."""
 
+QUIET_AMPLITUDE = 0.1
+"""Where the level waits [V peak to peak]: above every minimum that is told of these instruments."""
+
 MAX_POINTS = 131_072
 """Longest record of an AFG3022B [points]."""
 
@@ -166,7 +169,7 @@ def _playable(number: int, amplitude: float, peak: float, velocity: float, limit
     where = f"{velocity * 1e3:g} mm/s needs {amplitude:g} V peak to peak of output {number}"
     remedy = "the outputs stay off; lower the velocity, or correct the apparatus file"
     if peak == 0:
-        return LOWEST_AMPLITUDE
+        return quiet_level(limits)
     beam = amplitude / 2 * peak * limits.gain
     if not beam <= limits.beam * (1 + 1e-9):
         raise RigError(f"{where}, {beam:.1f} V at the beam: allowed at most {limits.beam:g} V; {remedy}")
@@ -177,6 +180,11 @@ def _playable(number: int, amplitude: float, peak: float, velocity: float, limit
     return amplitude
 
 
+def quiet_level(limits: Limits) -> float:
+    """Return the amplitude of a channel that plays nothing [V peak to peak]."""
+    return min(QUIET_AMPLITUDE, 2 * limits.level)
+
+
 def quiet_settings(channel: int, limits: Limits) -> tuple[Setting, ...]:
     """Return what is set once, before anything is loaded: scale of the numbers, lowest level, limits."""
     source = f"SOUR{channel}"
@@ -185,7 +193,7 @@ def quiet_settings(channel: int, limits: Limits) -> tuple[Setting, ...]:
         Setting(f"OUTP{channel}:POL", "NORM"),
         Setting(f"{source}:VOLT:UNIT", "VPP"),
         Setting(f"{source}:VOLT:OFFS", 0.0, "V"),
-        Setting(f"{source}:VOLT", LOWEST_AMPLITUDE, "VPP"),
+        Setting(f"{source}:VOLT", quiet_level(limits), "VPP"),
         Setting(f"{source}:VOLT:LIM:HIGH", limits.level, "V"),
         Setting(f"{source}:VOLT:LIM:LOW", -limits.level, "V"),
     )

@@ -15,7 +15,7 @@ import pyvisa
 
 from modaltouch.apparatus import Apparatus
 from modaltouch.rig.simulator import Simulator
-from modaltouch.rig.simulator.afg import Behaviour
+from modaltouch.rig.simulator.behaviour import Behaviour
 
 NO_ERROR = '0,"No error"'
 

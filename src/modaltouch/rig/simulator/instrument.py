@@ -8,9 +8,9 @@ import time
 
 from modaltouch.rig.simulator.afg import Afg
 from modaltouch.rig.simulator.commands import afg_commands
+from modaltouch.rig.simulator.device import Reply
 from modaltouch.rig.simulator.faults import Fault, Faults, Kind
 from modaltouch.rig.simulator.scpi import ScpiError
-from modaltouch.rig.simulator.vxi11 import Reply
 
 
 class Instrument:

@@ -15,6 +15,7 @@ import time
 import typing
 from dataclasses import dataclass, field
 
+from modaltouch.rig.simulator.device import Device
 from modaltouch.rig.simulator.rpc import (
     PROGRAM_UNAVAILABLE,
     HangUp,
@@ -36,46 +37,6 @@ _NO_ERROR, _INVALID_LINK, _NOT_SUPPORTED, _OUT_OF_RESOURCES, _LOCKED, _NO_LOCK =
 _TIMEOUT = 15
 _FLAG_WAIT, _FLAG_END, _FLAG_TERMINATOR = 1, 8, 128
 _REASON_COUNT, _REASON_TERMINATOR, _REASON_END = 1, 2, 4
-
-
-@dataclass(frozen=True)
-class Reply:
-    """What an instrument makes of a message.
-
-    Attributes
-    ----------
-    data : bytes
-        Response message; empty if nothing was asked.
-    delay : float
-        Time until it can be read [s]; infinite for a reply that never comes.
-    hang_up : bool
-        Whether the connection is reset at once.
-    """
-
-    data: bytes = b""
-    delay: float = 0.0
-    hang_up: bool = False
-
-
-class Device(typing.Protocol):
-    """What the server needs of an instrument."""
-
-    @property
-    def max_sessions(self) -> int:
-        """Links accepted at the same time."""
-
-    @property
-    def status_byte(self) -> int:
-        """Status byte without the message-available bit."""
-
-    def execute(self, message: bytes) -> Reply:
-        """Carry out one message."""
-
-    def fail(self, error: ScpiError) -> None:
-        """Put an error in the instrument's queue."""
-
-    def trigger(self) -> None:
-        """Take a group execute trigger."""
 
 
 @dataclass
