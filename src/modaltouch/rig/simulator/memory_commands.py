@@ -9,10 +9,15 @@ from modaltouch.rig.simulator.arguments import Arguments, exactly, flag, is_word
 from modaltouch.rig.simulator.command_table import Command
 from modaltouch.rig.simulator.scpi import Argument, ScpiError
 
+ROOT = "TRACe|DATA"
+
 
 def memory_commands(afg: Afg) -> dict[str, Command]:
     """Return the commands of the edit memory and the USER memories."""
+    return _record_commands(afg) | _point_commands(afg) | _user_commands(afg)
 
+
+def _record_commands(afg: Afg) -> dict[str, Command]:
     def write(channel: int, arguments: Arguments) -> None:
         name, block = exactly(arguments, 2)
         _edit_memory(name)
@@ -25,6 +30,10 @@ def memory_commands(afg: Afg) -> dict[str, Command]:
         length = str(len(afg.edit))
         return f"#{len(length)}{length}".encode() + afg.edit + afg.behaviour.block_end.strip(b"\n")
 
+    return {f"{ROOT}[:DATA]": Command(set=write, get=read)}
+
+
+def _point_commands(afg: Afg) -> dict[str, Command]:
     def define(channel: int, arguments: Arguments) -> None:
         name, size = exactly(arguments, 2)
         _edit_memory(name)
@@ -37,15 +46,6 @@ def memory_commands(afg: Afg) -> dict[str, Command]:
         if arguments:
             _edit_memory(arguments[0])
         return str(len(afg.edit) // 2)
-
-    def copy(channel: int, arguments: Arguments) -> None:
-        target, source = arguments if len(arguments) == 2 else (one(arguments), "EMEM")
-        if isinstance(target, str) and target.upper().startswith("USER"):
-            _edit_memory(source)
-            afg.copy_to_user(_user(target))
-        else:
-            _edit_memory(target)
-            afg.copy_from_user(_user(source))
 
     def set_value(channel: int, arguments: Arguments) -> None:
         name, place, code = exactly(arguments, 3)
@@ -60,6 +60,25 @@ def memory_commands(afg: Afg) -> dict[str, Command]:
         at = 2 * (whole((place,), 1, len(afg.edit) // 2) - 1)
         return str(int.from_bytes(afg.edit[at : at + 2], "big"))
 
+    return {
+        f"{ROOT}[:DATA]:VALue": Command(set=set_value, get=value),
+        f"{ROOT}:DEFine": Command(set=define),
+        f"{ROOT}:POINts": Command(
+            set=lambda c, a: afg.define_edit(whole(a[1:], afg.min_points, afg.max_points)), get=points
+        ),
+    }
+
+
+def _user_commands(afg: Afg) -> dict[str, Command]:
+    def copy(channel: int, arguments: Arguments) -> None:
+        target, source = arguments if len(arguments) == 2 else (one(arguments), "EMEM")
+        if isinstance(target, str) and target.upper().startswith("USER"):
+            _edit_memory(source)
+            afg.copy_to_user(_user(target))
+        else:
+            _edit_memory(target)
+            afg.copy_from_user(_user(source))
+
     def catalogue(channel: int, arguments: Arguments) -> str:
         filled = [f'"USER{number}"' for number, record in afg.user.items() if record is not None]
         return ",".join([*filled, '"EMEM"'])
@@ -68,18 +87,11 @@ def memory_commands(afg: Afg) -> dict[str, Command]:
         name, state = exactly(arguments, 2)
         afg.locked[_user(name)] = read_boolean(state)
 
-    root = "TRACe|DATA"
     return {
-        f"{root}[:DATA]": Command(set=write, get=read),
-        f"{root}[:DATA]:VALue": Command(set=set_value, get=value),
-        f"{root}:DEFine": Command(set=define),
-        f"{root}:POINts": Command(
-            set=lambda c, a: afg.define_edit(whole(a[1:], afg.min_points, afg.max_points)), get=points
-        ),
-        f"{root}:COPY": Command(set=copy),
-        f"{root}:CATalog": Command(get=catalogue),
-        f"{root}:LOCK[:STATe]": Command(set=lock, get=lambda c, a: flag(afg.locked[_user(one(a))])),
-        f"{root}:DELete[:NAME]": Command(set=lambda c, a: afg.erase(_user(one(a)))),
+        f"{ROOT}:COPY": Command(set=copy),
+        f"{ROOT}:CATalog": Command(get=catalogue),
+        f"{ROOT}:LOCK[:STATe]": Command(set=lock, get=lambda c, a: flag(afg.locked[_user(one(a))])),
+        f"{ROOT}:DELete[:NAME]": Command(set=lambda c, a: afg.erase(_user(one(a)))),
     }
 
 
