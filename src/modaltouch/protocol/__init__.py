@@ -2,6 +2,7 @@
 
 ``sections``    the protocol file's keys
 ``texts``       the words the participant reads
+``observers``   the keys of an observer file
 ``keys``        names of the keys that can answer
 ``checks``      faults between the keys of a protocol
 ``fit``         faults between a protocol and its apparatus

@@ -8,15 +8,16 @@ from typing import Any
 
 from modaltouch.apparatus import Apparatus
 from modaltouch.document.allowed import schema_of
+from modaltouch.protocol.observers import ObserverFile
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.texts import Texts
 
-SCHEMAS = {"protocol": Protocol, "apparatus": Apparatus, "texts": Texts}
+SCHEMAS = {"protocol": Protocol, "apparatus": Apparatus, "texts": Texts, "observer": ObserverFile}
 """Model of each kind of file."""
 
 
 def schema(name: str) -> dict[str, Any]:
-    """Return the JSON Schema of ``protocol``, ``apparatus`` or ``texts``."""
+    """Return the JSON Schema of ``protocol``, ``apparatus``, ``texts`` or ``observer``."""
     bare = _without(schema_of(SCHEMAS[name]), "x-allowed")
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **bare}
 

@@ -1,0 +1,119 @@
+"""Observers as YAML files, shipped or one's own."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+from modaltouch.document import InputError, Problem, load_source, read, suggest
+from modaltouch.observer.participant import Participant
+from modaltouch.observer.population import Observer
+from modaltouch.protocol.observers import ObserverFile
+
+
+def read_observer(name: Path | str) -> Observer:
+    """Return an observer from its file.
+
+    Parameters
+    ----------
+    name : path
+        A YAML file, or the name of a shipped observer, such as ``paper``.
+
+    Raises
+    ------
+    InputError
+        With every fault of the file and its place; or with the shipped names, where there is no such file.
+    """
+    shipped = shipped_observers()
+    path = Path(name)
+    if not path.exists() and str(name) in shipped:
+        path = shipped[str(name)]
+    elif not path.exists() and path.suffix not in (".yaml", ".yml"):
+        meant = suggest(str(name), shipped)
+        remedy = f"did you mean '{meant}'?" if meant else "give the name of a file that exists"
+        allowed = f"a YAML file, or one of {', '.join(shipped)}"
+        raise InputError([Problem(str(name), 1, 1, "", "an observer that does not exist", allowed, remedy)])
+    reading = read(load_source(path), ObserverFile)
+    if reading.value is None:
+        raise InputError(reading.problems)
+    return observer_of(reading.value)
+
+
+def shipped_observers() -> dict[str, Path]:
+    """Return the files of the observers that come with the program, by name."""
+    package = Path(__file__).parents[1]
+    installed = package / "protocols"
+    folder = installed if installed.is_dir() else package.parents[1] / "protocols"
+    return {file.stem: file for file in sorted((folder / "observers").glob("*.yaml"))}
+
+
+def observer_of(file: ObserverFile) -> Observer:
+    """Return the observer that the keys of a file describe.
+
+    Parameters
+    ----------
+    file : ObserverFile
+        The file's keys.
+    """
+    typical, spread = file.typical, file.spread
+    return Observer(
+        typical=Participant(
+            noise=math.log1p(typical.weber_fraction),
+            criterion=typical.criterion,
+            suppression=typical.suppression.one_hand,
+            suppression_across_hands=typical.suppression.two_hands,
+            side_bias=typical.side_bias,
+            lapse_rate=typical.lapse_rate,
+            detection_speed=typical.detection_speed_mm_s * 1e-3,
+            quickest=typical.reaction.quickest_s,
+            decision_time=typical.reaction.decision_s,
+            hesitation=typical.reaction.hesitation,
+            decision_spread=typical.reaction.spread,
+            near_miss=typical.near_miss,
+        ),
+        side_bias_spread=spread.side_bias,
+        noise_spread=spread.weber_fraction,
+        criterion_spread=spread.criterion,
+        suppression_spread=spread.suppression,
+        pace_spread=spread.pace,
+        front_end=file.front_end,
+        name=file.observer,
+    )
+
+
+def write_observer(observer: Observer, name: str, description: str) -> str:
+    """Return the text of an observer's file.
+
+    Parameters
+    ----------
+    observer : Observer
+        The observer.
+    name, description : str
+        What the file calls it.
+    """
+    typical = observer.typical
+    return f"""\
+observer: {name}
+description: {json.dumps(description, ensure_ascii=False)}
+front_end: {observer.front_end}
+typical:
+  weber_fraction: {math.expm1(typical.noise):.4g}
+  near_miss: {typical.near_miss:.4g}
+  criterion: {typical.criterion:.4g}
+  suppression: {{one_hand: {typical.suppression:.4g}, two_hands: {typical.suppression_across_hands:.4g}}}
+  side_bias: {typical.side_bias:.4g}
+  lapse_rate: {typical.lapse_rate:.4g}
+  detection_speed_mm_s: {typical.detection_speed * 1e3:.4g}
+  reaction:
+    quickest_s: {typical.quickest:.4g}
+    decision_s: {typical.decision_time:.4g}
+    hesitation: {typical.hesitation:.4g}
+    spread: {typical.decision_spread:.4g}
+spread:
+  weber_fraction: {observer.noise_spread:.4g}
+  criterion: {observer.criterion_spread:.4g}
+  suppression: {observer.suppression_spread:.4g}
+  side_bias: {observer.side_bias_spread:.4g}
+  pace: {observer.pace_spread:.4g}
+"""

@@ -1,0 +1,79 @@
+"""The keys of an observer file: who is simulated."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from modaltouch.document.section import FileName, NotNegative, Section, Text, described
+
+Share = Annotated[float, Field(strict=True, ge=0, le=1)]
+Small = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-10, le=10)]
+Spread = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=3)]
+Gain = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=100)]
+
+
+class SuppressionSection(Section):
+    """How much the stronger finger pushes the weaker one down."""
+
+    one_hand: Gain = described("Between two fingers of one hand [1].", default=0.65)
+    two_hands: Gain = described("Between fingers of different hands [1].", default=0.6)
+
+
+class ReactionSection(Section):
+    """How long answers take."""
+
+    quickest_s: NotNegative = described("Shortest reaction time [s].", default=0.35)
+    decision_s: NotNegative = described("Median time of an easy decision, on top of the quickest [s].", default=0.5)
+    hesitation: Gain = described("How much longer the hardest decision takes, relative to the easy one.", default=1.0)
+    spread: Spread = described("Standard deviation of the logarithm of the decision time.", default=0.35)
+
+
+class TypicalSection(Section):
+    """The participant in the middle of the population."""
+
+    weber_fraction: Gain = described(
+        "Relative difference of speeds worth one standard deviation of noise, before suppression sharpens it.",
+        default=0.246,
+    )
+    near_miss: Small = described(
+        "Exponent by which the noise falls with speed above 100 mm/s; 0 where Weber's law holds.", default=0.0
+    )
+    criterion: Gain = described(
+        "Least difference, a logarithm of a ratio after suppression, for which one side is named rather than both.",
+        default=0.33,
+    )
+    suppression: SuppressionSection = described(
+        "How much the stronger finger pushes the weaker one down.", default=SuppressionSection()
+    )
+    side_bias: Small = described("Preference for the right side, as a difference; negative for the left.", default=0.0)
+    lapse_rate: Share = described("Share of trials answered at random.", default=0.005)
+    detection_speed_mm_s: NotNegative = described(
+        "Speed that is just felt, in the terms of the front end [mm/s].", default=1.0
+    )
+    reaction: ReactionSection = described("How long answers take.", default=ReactionSection())
+
+
+class SpreadSection(Section):
+    """How much participants differ: standard deviations; of logarithms, but for the side bias."""
+
+    weber_fraction: Spread = described("Of the noise's logarithm.", default=0.2)
+    criterion: Spread = described("Of the criterion's logarithm.", default=0.2)
+    suppression: Spread = described("Of the logarithm of one plus the suppression.", default=0.08)
+    side_bias: Spread = described("Of the side bias itself.", default=0.12)
+    pace: Spread = described("Of the decision time's logarithm.", default=0.2)
+
+
+class ObserverFile(Section):
+    """A population of simulated participants."""
+
+    observer: FileName = described("Name of the observer.")
+    description: Text = described("What it stands for.", default="")
+    front_end: Literal["peak_at_focus", "peak", "rms", "below_1_khz", "envelope"] = described(
+        "What a finger makes of the velocity under it: speed at the focusing instant, highest speed, root mean square "
+        "over a repetition, highest speed of what lies below 1 kHz, or highest of the rectified and smoothed velocity.",
+        default="peak",
+    )
+    typical: TypicalSection = described("The participant in the middle of the population.", default=TypicalSection())
+    spread: SpreadSection = described("How much participants differ.", default=SpreadSection())
