@@ -7,6 +7,7 @@ block's voltages and the states at its start; those follow from the blocks' push
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -232,20 +233,25 @@ class BlockKernel:
         begin : (n_states, n_blocks) complex array
             From `states`.
         """
-        size = np.abs(begin)
+        free, steady, worst = self._bound_weights
         mean = blocks @ np.full(SHORT, 1 / SHORT)
         energy = np.einsum("cji,cji->cj", blocks, blocks)
         swing = np.sqrt(np.maximum(energy * (1 + 1e-12) - SHORT * mean**2, 0.0))
-        mean = np.abs(mean)
-        bounds = np.empty((len(self.used), blocks.shape[1]))
-        for (channels, states), table, bound in zip(self.used, self.table, bounds, strict=True):
+        return np.asarray(free @ np.abs(begin) + steady @ np.abs(mean) + worst @ swing)
+
+    @cached_property
+    def _bound_weights(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """What a state, a steady volt and a block of unit energy can do to each output at most."""
+        n_channels, n_states = self.into_state.shape[0], self.into_state.shape[1] // 2
+        free = np.zeros((len(self.used), n_states))
+        steady, worst = np.zeros((2, len(self.used), n_channels))
+        for place, ((channels, states), table) in enumerate(zip(self.used, self.table, strict=True)):
             width = SHORT * len(channels)
             impulse = table[:width].reshape(len(channels), SHORT, SHORT)
-            bound[:] = np.hypot(table[width : -len(states), 0], table[-len(states) :, 0]) @ size[states, :]
-            for channel, hears in zip(channels, impulse, strict=True):
-                bound += np.abs(hears.sum(axis=0)).max() * mean[channel]
-                bound += np.sqrt((hears**2).sum(axis=0).max()) * swing[channel]
-        return bounds
+            free[place, states] = np.hypot(table[width : -len(states), 0], table[-len(states) :, 0])
+            steady[place, channels] = np.abs(impulse.sum(axis=1)).max(axis=1)
+            worst[place, channels] = np.sqrt((impulse**2).sum(axis=1).max(axis=1))
+        return free, steady, worst
 
     def peak(self, place: int, blocks: FloatArray, begin: ComplexArray, bound: FloatArray, least: float) -> float:
         """Return the largest magnitude of one output within the blocks, or `least` where that is higher.

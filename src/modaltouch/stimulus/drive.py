@@ -44,6 +44,8 @@ FALL = 0.4e-3
 """Length of the taper before the focus, which keeps the speed after it from passing the speed at it [s]."""
 
 _REFINEMENTS = 8
+_ROUNDING = 16 * float(np.finfo(float).eps)
+"""A residual this small, as a fraction of the largest target, is rounding: no refinement lessens it [1]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +170,7 @@ def _steer(
         if residual >= 0.5 * best:
             break
         best, kept = residual, weight
-        if residual <= 4 * np.finfo(float).eps * float(np.abs(wished).max()):
+        if residual <= _ROUNDING * float(np.abs(wished).max()):
             break
     if kept is not weight:
         reach.write(reach.amplitudes(kept), voltage)
@@ -187,7 +189,7 @@ def brake(model: ModalModel, system: DiagonalSystem, timing: Timing, voltage: Fl
     timing : Timing
         Clock of the samples.
     voltage : (n_channels, n_samples) array
-        Voltages of the burst [V]; overwritten from `start` on.
+        Voltages of the burst, zero from `start` on, which is overwritten [V].
     start : int
         First sample that brakes.
 
@@ -199,7 +201,6 @@ def brake(model: ModalModel, system: DiagonalSystem, timing: Timing, voltage: Fl
     driven = np.flatnonzero(model.modal_gain.any(axis=1))
     n_left = timing.n_samples - start
     _check_enough(model.modal_gain[driven], n_left, timing, "after the focusing instant, or release it `free`")
-    voltage[:, start:] = 0.0
     # What is read at rest are the modes' own states: the amplifier's die out by themselves within the silence.
     read = np.zeros((2 * driven.size, system.exponent.size), dtype=complex)
     read[np.arange(driven.size), driven] = 1.0
@@ -211,8 +212,9 @@ def brake(model: ModalModel, system: DiagonalSystem, timing: Timing, voltage: Fl
         hold=timing.hold,
         taper=Taper.fitting(n_left, RISE * timing.sampling_rate, RISE * timing.sampling_rate),
     )
-    end = timing.duration + system.delay
-    state = states_by_channel(system, voltage, timing, end).sum(axis=0)
+    begin = start * timing.hold
+    state = states_by_channel(system, voltage, timing, begin + system.delay).sum(axis=0)
+    state = state * np.exp(system.exponent * (timing.duration - begin))
     weight = GramianSolver.of(reach.gramian()).solve(-(read @ state).real)
     reach.write(reach.amplitudes(weight), voltage[:, start:])
 

@@ -200,9 +200,12 @@ class Projection:
     @cached_property
     def coefficient(self) -> FloatArray:
         """Coefficients of the wish at unit velocity on the modelled modes, (n_modes,) array [1]."""
-        position, weight = self._nodes
+        phase_rate = (max(self.model.label) + 1) * 2 * np.pi / self.model.length
+        position, weight = quadrature(self.wish.edges(self.model.length), phase_rate)
         profile = self.wish.profile(position)
-        return np.asarray(self.model.shapes(position) @ (weight * profile) / self.model.length)
+        alive = profile > 0
+        shapes = self.model.shapes(position[alive])
+        return np.asarray(shapes @ (weight * profile)[alive] / self.model.length)
 
     @cached_property
     def selected(self) -> tuple[int, ...]:

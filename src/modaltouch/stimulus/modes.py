@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Literal
 
 import numpy as np
@@ -18,6 +18,7 @@ _ASIN_ITERATIONS = 12
 """The fixed point contracts by sech(4.73) = 0.018 at worst: twelve steps leave nothing in double precision."""
 
 
+@cache
 def characteristic_root(bending: int) -> float:
     r"""Return the root of :math:`\cos\lambda\,\cosh\lambda = 1` of a bending mode [1].
 
