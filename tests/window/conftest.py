@@ -73,9 +73,12 @@ class PaperDisplay:
     def prepare(self, picture: Picture) -> None:
         self.prepared.append(picture)
 
-    def show(self, picture: Picture, screenshot: Path | None = None) -> float:
+    def draw(self, picture: Picture) -> None:
+        self.drawn = picture
+
+    def flip(self, screenshot: Path | None = None) -> float:
         if screenshot is not None:
-            screenshot.write_text(picture.name)
+            screenshot.write_text(self.drawn.name)
         return time.perf_counter()
 
     def poll(self) -> list[Event]:
@@ -133,13 +136,20 @@ class Watched:
 
     def __init__(self, display: Any, room: Room) -> None:
         self._display, self._room = display, room
+        self._drawn: Picture | None = None
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._display, name)
 
-    def show(self, picture: Picture, screenshot: Path | None = None) -> float:
-        shown = self._display.show(picture, screenshot)
-        self._room.shown.append((picture.name, shown))
+    def draw(self, picture: Picture) -> None:
+        self._display.draw(picture)
+        self._drawn = picture
+
+    def flip(self, screenshot: Path | None = None) -> float:
+        assert self._drawn is not None, "nothing was drawn since the last flip"
+        shown = self._display.flip(screenshot)
+        self._room.shown.append((self._drawn.name, shown))
+        self._drawn = None
         return shown
 
 

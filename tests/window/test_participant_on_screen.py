@@ -29,7 +29,7 @@ def ask(room: Any, trial: Trial) -> Any:
 
 @pytest.mark.parametrize(
     ("key", "answer"),
-    [("Left", "left"), ("Right", "right"), ("Up", "both"), ("Down", "both"), ("space", "both"), ("KP_4", "left")],
+    [("Left", "left"), ("Right", "right"), ("Up", "both"), ("Down", "both"), ("KP_4", "left"), ("KP_8", "both")],
 )
 def test_a_key_of_the_protocol_gives_its_answer(
     room: Callable[..., Any], hands: Any, trial: Trial, key: str, answer: str

@@ -28,7 +28,8 @@ from modaltouch.window.screen import Screen
 from modaltouch.window.marks import Picture, Words, Box
 try:
     screen = Screen(size=(400, 300))
-    screen.show(Picture("any", (Words("Bonjour", Box(0, 0, 1, 1), 0.1, "#FFFFFF"),)))
+    screen.draw(Picture("any", (Words("Bonjour", Box(0, 0, 1, 1), 0.1, "#FFFFFF"),)))
+    screen.flip()
     screen.close()
 except WindowError as error:
     raise SystemExit(f"WindowError: {error}")
@@ -131,7 +132,8 @@ def test_what_is_drawn_is_where_and_what_the_picture_says(screen: Any, tmp_path:
         rectangle(Box(-0.5, 0.25, 0.2, 0.1), "#56B4E9"),
         triangle("up", 0.4, -0.2, 0.1, "#E69F00"),
     )
-    screen.show(Picture("marks", marks), tmp_path / "marks.png")
+    screen.draw(Picture("marks", marks))
+    screen.flip(tmp_path / "marks.png")
     with Image.open(tmp_path / "marks.png") as image:
         assert image.getpixel((640 - 400, 400 - 200)) == (0x56, 0xB4, 0xE9)
         assert image.getpixel((640 - 400 - 79, 400 - 200)) == (0x56, 0xB4, 0xE9)
@@ -143,7 +145,7 @@ def test_what_is_drawn_is_where_and_what_the_picture_says(screen: Any, tmp_path:
 def test_a_screenshot_that_cannot_be_written_is_a_window_error(screen: Any, tmp_path: Path) -> None:
     """Expected: the message names the file."""
     with pytest.raises(WindowError, match="absent/x.png cannot be written"):
-        screen.show(Picture("none", ()), tmp_path / "absent" / "x.png")
+        screen.flip(tmp_path / "absent" / "x.png")
 
 
 def test_a_key_without_a_name_cannot_be_typed(screen: Any) -> None:

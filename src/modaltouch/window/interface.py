@@ -97,7 +97,7 @@ class AnswerWindow(typing.Protocol):
         """Show for a moment where the vibration was stronger, after a practice trial."""
 
     def wait(self, seconds: float) -> None:
-        """Let the pause between two trials pass, events polled; a simulated participant does not wait."""
+        """Let the pause between two trials pass, counted from the answer; a simulated participant does not wait."""
 
     def rest(self, progress: Progress) -> None:
         """Show the break until the participant goes on."""

@@ -78,6 +78,7 @@ class ParticipantWindow:
         self._reader = Reader.of(protocol.answers, layout)
         self._pauser = Pauser(self._stage, self._pictures, self._reader, protocol.answers.pause_s)
         self._current: tuple[Trial, Progress] | None = None
+        self._answered = 0.0
         conditions = protocol.conditions
         first = Condition(conditions.finger_conditions[0], *conditions.zone_pairs[0], 0.0)
         self._example = Trial(index=1, block=0, condition=first, practice=True)
@@ -123,11 +124,12 @@ class ParticipantWindow:
         progress = self._count(trial, progress)
         self._current = (trial, progress)
         self._stage.attend(Moment("feel", trial, onset))
-        self._feel(trial, progress, stop, until=onset + answers.presentation_s if stops_first else due)
+        question = self._pictures.question(trial, progress)
+        self._feel(trial, question, stop, until=onset + answers.presentation_s if stops_first else due)
         if stops_first:
             stop()
-            self._feel(trial, progress, stop, until=due)
-        asked = self._stage.show(self._pictures.question(trial, progress), Moment("answer", trial, onset))
+            self._feel(trial, question, stop, until=due)
+        asked = self._stage.show(question, Moment("answer", trial, onset))
         # What is read now was pressed while the question was being drawn: it cannot answer it.
         for event in self._stage.poll_quietly():
             self._before_question(event, trial, stop)
@@ -136,6 +138,7 @@ class ParticipantWindow:
         if answers.change_until_confirmed:
             answer, event = self._await_confirmation(trial, progress, answer, event, stop)
         stop()
+        self._answered = time.perf_counter() if answers.change_until_confirmed else event.time
         return Response(
             answer=answer,
             reaction_time=event.time - (asked if stops_first else onset),
@@ -159,15 +162,14 @@ class ParticipantWindow:
         """Show for a moment where the vibration was stronger, after a practice trial."""
         if self._current is not None:
             picture = self._pictures.feedback(*self._current, response.answer, expected)
-            self._rest_on(picture, _FEEDBACK)
+            self._rest_on(picture, time.perf_counter() + _FEEDBACK)
 
     def wait(self, seconds: float) -> None:
-        """Let the pause between two trials pass."""
-        start = time.perf_counter()
-        self._rest_on(None, min(seconds, _CONFIRMATION))
-        left = start + seconds - time.perf_counter()
-        if left > 0 and self._current is not None:
-            self._rest_on(self._pictures.ready(*self._current), left)
+        """Let the pause between two trials pass, counted from the answer."""
+        until = self._answered + seconds
+        self._rest_on(None, min(until, self._answered + _CONFIRMATION))
+        if time.perf_counter() < until:
+            self._rest_on(self._ready_picture(), until)
 
     def rest(self, progress: Progress) -> None:
         """Show the break until the participant goes on."""
@@ -226,12 +228,11 @@ class ParticipantWindow:
                 elif event.kind == "key":
                     self._stage.note("ignored", key=event.key)
 
-    def _rest_on(self, picture: Picture | None, seconds: float) -> None:
-        """Show a picture, or leave the one that is on, for some time; presses do not count."""
+    def _rest_on(self, picture: Picture | None, until: float) -> None:
+        """Show a picture, or leave the one that is on, until a time; presses do not count."""
         if picture is not None:
             self._stage.show(picture, Moment())
-        end = time.perf_counter() + seconds
-        while time.perf_counter() < end:
+        while time.perf_counter() < until:
             for event in self._stage.poll():
                 if self._reader.interrupts(event):
                     self._pauser.pause(None, event, self._ready_picture())
@@ -241,10 +242,11 @@ class ParticipantWindow:
     def _ready_picture(self) -> Picture | None:
         return self._pictures.ready(*self._current) if self._current is not None else None
 
-    def _feel(self, trial: Trial, progress: Progress, stop: Callable[[], None], until: float) -> None:
-        """Show the beam until a time; presses do not count yet."""
-        if time.perf_counter() < until:
-            self._stage.show(self._pictures.feel(trial, progress))
+    def _feel(self, trial: Trial, question: Picture, stop: Callable[[], None], until: float) -> None:
+        """Show the beam until a time, the question drawn meanwhile; presses do not count yet."""
+        if self._current is not None and time.perf_counter() < until:
+            self._stage.show(self._pictures.feel(*self._current))
+        self._stage.draw_ahead(question)
         while time.perf_counter() < until:
             for event in self._stage.poll():
                 self._before_question(event, trial, stop)

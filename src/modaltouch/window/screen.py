@@ -99,28 +99,34 @@ class Screen:
         }
 
     def prepare(self, picture: Picture) -> None:
-        """Make the picture's marks ready, so that showing it later takes no longer than a frame."""
+        """Make the picture's marks ready, so that drawing it later takes no longer than a frame."""
         for mark in picture.marks:
             self._stimuli(mark)
 
-    def show(self, picture: Picture, screenshot: Path | None = None) -> float:
-        """Draw the picture, and return when it came onto the screen, by `time.perf_counter` [s].
+    def draw(self, picture: Picture) -> None:
+        """Draw the picture where nobody sees it, until `flip` brings it onto the screen."""
+        from pyglet.gl import glFinish
+
+        self._window.clearBuffer()
+        for mark in picture.marks:
+            for stimulus in self._stimuli(mark):
+                stimulus.draw()
+        # Else OpenGL would do the work within the flip.
+        glFinish()
+
+    def flip(self, screenshot: Path | None = None) -> float:
+        """Bring what is drawn onto the screen, and return when it was there, by `time.perf_counter` [s].
 
         Parameters
         ----------
-        picture : Picture
-            What to draw.
         screenshot : Path, optional
-            PNG file to write the drawn picture to.
+            PNG file to write it to.
 
         Raises
         ------
         WindowError
             If the screenshot cannot be written.
         """
-        for mark in picture.marks:
-            for stimulus in self._stimuli(mark):
-                stimulus.draw()
         image = self._window._getFrame(buffer="back") if screenshot is not None else None
         self._window.flip()
         shown = time.perf_counter()

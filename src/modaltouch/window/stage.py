@@ -34,8 +34,11 @@ class Display(typing.Protocol):
     def prepare(self, picture: Picture) -> None:
         """Make a picture ready to be shown quickly."""
 
-    def show(self, picture: Picture, screenshot: Path | None = None) -> float:
-        """Show a picture and return when it came onto the screen [s]."""
+    def draw(self, picture: Picture) -> None:
+        """Draw a picture out of sight."""
+
+    def flip(self, screenshot: Path | None = None) -> float:
+        """Bring what is drawn onto the screen and return when it was there [s]."""
 
     def poll(self) -> list[Event]:
         """Return what happened since the last poll."""
@@ -126,6 +129,7 @@ class Stage:
         self._unread: deque[Event] = deque()
         self._unwritten: list[tuple[str, dict[str, Any]]] = []
         self._picture: Picture | None = None
+        self._ahead: Picture | None = None
         self._shown = 0.0
         self._drawn = 0.0
         self._is_stale = False
@@ -147,12 +151,19 @@ class Stage:
     def show(self, picture: Picture, moment: Moment | None = None) -> float:
         """Show a picture unless it is on already, and return since when it is on [s]."""
         if picture != self._picture:
-            self._shown = self._drawn = self._display.show(picture, self._screenshot(picture))
-            self._picture = picture
+            self.draw_ahead(picture)
+            self._shown = self._drawn = self._display.flip(self._screenshot(picture))
+            self._picture, self._ahead = picture, None
             self._is_stale = False
         if moment is not None:
             self._sitter.see(moment, self._shown)
         return self._shown
+
+    def draw_ahead(self, picture: Picture) -> None:
+        """Draw the picture that comes next out of sight, so that `show` takes no longer than a frame."""
+        if picture != self._ahead:
+            self._display.draw(picture)
+            self._ahead = picture
 
     def attend(self, moment: Moment) -> None:
         """Tell a robot what happens apart from the screen."""
@@ -199,8 +210,9 @@ class Stage:
         """Draw again what another window has covered."""
         due = time.perf_counter() - self._drawn > _REDRAW_INTERVAL
         if self._is_stale and due and self._picture is not None:
-            self._drawn = self._display.show(self._picture)
-            self._is_stale = False
+            self._display.draw(self._picture)
+            self._drawn = self._display.flip()
+            self._is_stale, self._ahead = False, None
 
     def _screenshot(self, picture: Picture) -> Path | None:
         """Return the file for the first screenshot of this kind of picture."""

@@ -138,10 +138,12 @@ def _measure_frames(screen: Screen, n_frames: int) -> np.ndarray[Any, np.dtype[n
     """Return the times between frames [s], two pictures in turn."""
     boxes = (Box(-0.2, 0, 0.1, 0.1), Box(0.2, 0, 0.1, 0.1))
     pictures = [Picture(f"timing_{side}", (rectangle(boxes[side], "#808080"),)) for side in (0, 1)]
-    for picture in pictures:
-        screen.show(picture)
-    shown = [screen.show(pictures[number % 2]) for number in range(n_frames + 1)]
-    return np.diff(shown)
+    shown = []
+    for number in range(n_frames + 3):
+        screen.draw(pictures[number % 2])
+        shown.append(screen.flip())
+    # The first two make their marks ready.
+    return np.diff(shown[2:])
 
 
 def _measure_key(screen: Screen, press: Callable[[], float], number: int) -> float | None:
