@@ -9,17 +9,21 @@ from __future__ import annotations
 import re
 import threading
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+import modaltouch.rig
 from modaltouch.rig.connection import Patience
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.simulator import Simulator
 from modaltouch.stimulus.burst import Burst
+
+README = Path(modaltouch.rig.__file__).parent / "README.md"
 
 UPLOAD, BLOCK_BACK, COPY, ARM, SWITCH_ON, TRIGGER, STOP = (
     "DATA EMEM,",
@@ -88,6 +92,23 @@ MATRIX: list[tuple[str, str, Any, str, str, str]] = [
     ("wrong_reply", STOP, '1;1;1;1;0,"No error"', "stop", "unconfirmed", "output 1 was off"),
     ("power_cycle", STOP, 0, "stop", "unconfirmed", "output 1 was off; output 2 was off; .*SOUR1:VOLT reads"),
 ]
+
+
+def test_readme_says_what_the_matrix_proves() -> None:
+    """The table of the room's README has a cell for each fault and phase of the matrix, and no other."""
+    words = {"refused": "error", "recovers": "goes on", "unconfirmed": "trial again"}
+    proved: dict[tuple[str, str], set[str]] = {}
+    for fault, _, _, phase, seen, _ in MATRIX:
+        proved.setdefault((fault.replace("_", " "), phase), set()).add(words[seen])
+    lines = README.read_text(encoding="utf-8").partition("| fault |")[2].splitlines()
+    phases = [name.strip() for name in lines[0].split("|")[:-1]]
+    told: dict[tuple[str, str], set[str]] = {}
+    for line in lines[2:]:
+        if not line.startswith("|"):
+            break
+        fault, *cells = (cell.strip() for cell in line.strip("|").split("|"))
+        told |= {(fault, phase): set(text.split(" or ")) for phase, text in zip(phases, cells, strict=True) if text}
+    assert told == proved
 
 
 def cell(row: tuple[str, str, Any, str, str, str]) -> str:
