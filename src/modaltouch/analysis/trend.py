@@ -67,7 +67,7 @@ def trend_test(chosen: ArrayLike, levels: Sequence[float], n_repetitions: int = 
     expected = int(totals[moving].sum()) * int(scores.sum())
     if not moving.any() or scores.max() == 0:
         return ExactTest(0.0, 1.0, 1.0, 0)
-    by_total = _draws_without_replacement(scores, n_repetitions)
+    by_total = draws_without_replacement(scores, n_repetitions)
     kernels = [Kernel(by_total[k], count) for k, count in sorted(Counter(totals[moving].tolist()).items())]
     distance = abs(observed - expected)
     lowest, highest = (sum(k.count * edge for k in kernels for edge in (k.ends[i],)) for i in (0, 1))
@@ -108,8 +108,21 @@ def level_scores(levels: Sequence[float]) -> IntArray:
     return np.asarray(scores, dtype=np.int64)
 
 
-def _draws_without_replacement(scores: IntArray, n_repetitions: int) -> list[tuple[IntArray, FloatArray]]:
-    """Return, for every k, the distribution of the sum of k presentations drawn without replacement."""
+def draws_without_replacement(scores: IntArray, n_repetitions: int) -> list[tuple[IntArray, FloatArray]]:
+    """Return, for every k, the distribution of the sum of k presentations drawn without replacement.
+
+    Parameters
+    ----------
+    scores : (n_levels,) array of int
+        Score of each level, from zero.
+    n_repetitions : int
+        Presentations of each level.
+
+    Returns
+    -------
+    list of (sums, probabilities)
+        For k from 0 to all presentations: the sums that occur, increasing, and their probabilities [1].
+    """
     n_answers = n_repetitions * len(scores)
     ways = np.zeros((n_answers + 1, n_repetitions * int(scores.sum()) + 1))
     ways[0, 0] = 1.0

@@ -77,7 +77,7 @@ class Crowd:
         kinds = list(dict.fromkeys(finger_conditions))
         contrast = np.stack([self.contrast(kind) for kind in kinds], axis=-1)
         place = [kinds.index(kind) for kind in finger_conditions]
-        expected = contrast[..., place] * ratio + (self.side_bias * facing)[..., None]
+        expected = contrast[..., place] * ratio + (self.side_bias * np.asarray(facing, dtype=float))[..., None]
         scale = np.maximum(self.noise, _LEAST_NOISE)[..., None]
         if self.typical.near_miss:
             scale = scale * (felt.max(axis=1) / REFERENCE) ** -self.typical.near_miss
