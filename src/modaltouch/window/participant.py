@@ -82,14 +82,15 @@ class ParticipantWindow:
         conditions = protocol.conditions
         first = Condition(conditions.finger_conditions[0], *conditions.zone_pairs[0], 0.0)
         self._example = Trial(index=1, block=0, condition=first, practice=True)
-        self._make_ready(self._example)
 
     def describe(self) -> dict[str, Any]:
         """Return size, backend and versions for the start record."""
         return {**self._display.describe(), "language": self._texts.language, "answered_by": self._answered_by}
 
     def welcome(self) -> None:
-        """Show the instructions until the participant goes on."""
+        """Show the instructions until the participant goes on; the first trial is drawn ahead meanwhile."""
+        self._stage.show(self._pictures.welcome(self._example))
+        self._make_ready(self._example)
         self._go_on(lambda: self._pictures.welcome(self._example))
         self._go_on(lambda: self._pictures.answering(self._example))
 
