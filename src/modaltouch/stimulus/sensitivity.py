@@ -1,0 +1,225 @@
+r"""How well a lab must identify its beam: what an error of each parameter does to the field at the focus.
+
+The voltages stay as they were designed; the beam differs. Open loop is limited by identification, not by the
+codes: whoever quotes their 1e-13 must quote this table beside it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from modaltouch.stimulus.design import Stimulus
+from modaltouch.stimulus.dynamics import modal_system
+from modaltouch.stimulus.vibration import moments, states_by_channel
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivity:
+    """Derivatives of the state at the focus by relative changes of the parameters, at the reference level.
+
+    A mode depends on its own parameters alone. Each array holds velocities first, then displacements times
+    angular frequency.
+
+    Attributes
+    ----------
+    label : tuple of int
+        Label of each mode.
+    natural_frequency : (2, n_modes) array
+        Per relative change of the natural frequency [m/s].
+    damping_ratio : (2, n_modes) array
+        Per relative change of the damping ratio [m/s].
+    modal_gain : (2, n_modes, n_channels) array
+        Per relative change of each channel's gain [m/s].
+    """
+
+    label: tuple[int, ...]
+    natural_frequency: FloatArray
+    damping_ratio: FloatArray
+    modal_gain: FloatArray
+
+    def table(
+        self,
+        shapes: FloatArray,
+        *,
+        natural_frequency: float = 0.001,
+        damping_ratio: float = 0.05,
+        modal_gain: float = 0.05,
+    ) -> list[dict[str, float | int | str]]:
+        """Return what given relative errors do, one row to each parameter of each mode, the worst first.
+
+        Parameters
+        ----------
+        shapes : (n_modes, n_points) array
+            Mode shapes where the field is looked at [1].
+        natural_frequency, damping_ratio, modal_gain : float
+            Relative errors [1]; the gain's is common to all channels.
+
+        Returns
+        -------
+        list of dict
+            ``parameter``, ``mode``, ``error`` [1], ``field`` (largest change of the velocity at the points
+            [m/s]) and ``displacement`` (change of w eta [m/s]).
+        """
+        highest = np.abs(shapes).max(axis=1)
+        effects = {
+            "natural_frequency": (natural_frequency, self.natural_frequency),
+            "damping_ratio": (damping_ratio, self.damping_ratio),
+            "modal_gain": (modal_gain, self.modal_gain.sum(axis=2)),
+        }
+        rows: list[dict[str, float | int | str]] = [
+            {
+                "parameter": name,
+                "mode": label,
+                "error": error,
+                "field": float(abs(effect[0, k]) * error * highest[k]),
+                "displacement": float(abs(effect[1, k]) * error),
+            }
+            for name, (error, effect) in effects.items()
+            for k, label in enumerate(self.label)
+        ]
+        return sorted(rows, key=lambda row: -float(row["field"]))
+
+
+def focus_sensitivity(stimulus: Stimulus) -> Sensitivity:
+    r"""Return the derivatives of the state at the focusing instant, in closed form.
+
+    With :math:`z = \sum_c G_c [\frac{p}{p+s} h(s) m_c(s) - \frac{u_c}{p+s}]`, h the held gain, m the moments of
+    the voltages and u the amplifier's state, the derivatives follow by the chain rule from ds/dw and ds/dxi.
+
+    Parameters
+    ----------
+    stimulus : Stimulus
+        The design, on a clock that holds all samples equally long.
+
+    Raises
+    ------
+    ValueError
+        If the clock holds the samples unequally.
+    """
+    timing, model = stimulus.timing, stimulus.model
+    if timing.lateness is not None:
+        raise ValueError(
+            f"{timing.n_samples} samples are held unequally long by the clock; the derivatives need equal "
+            f"holds: take 125000 samples over 50 ms"
+        )
+    n_before, remainder = timing.samples_until(timing.focusing_instant - stimulus.amplifier.delay)
+    voltage = stimulus.voltage[:, :n_before]
+    hold, s = timing.hold, model.exponent
+    to_focus = remainder + hold * np.arange(n_before - 1, -1, -1)
+    fade = np.exp(s * remainder)
+    moment = moments(voltage, s, hold).T * fade[:, None]
+    moment_slope = moments(voltage * to_focus, s, hold).T * fade[:, None]
+    held = np.expm1(s * hold) / s
+    held_slope = (hold * np.exp(s * hold) - held) / s
+    reached = held[:, None] * moment
+    slope = held_slope[:, None] * moment + held[:, None] * moment_slope
+    if stimulus.amplifier.bandwidth is not None:
+        pole = 2 * np.pi * stimulus.amplifier.bandwidth
+        lag = stimulus.system.exponent[model.n_modes :]
+        behind = stimulus.system.held_gain(hold)[model.n_modes :].diagonal()
+        left = (moments(voltage, lag, hold).diagonal() * behind * np.exp(lag * remainder)).real
+        share = (1 / (pole + s))[:, None]
+        slope = pole * share * slope - pole * share**2 * reached + share**2 * left
+        reached = pole * share * reached - share * left
+    by_channel = model.modal_gain * reached
+    return _derivatives(stimulus, by_channel, (model.modal_gain * slope).sum(axis=1))
+
+
+def _derivatives(stimulus: Stimulus, by_channel: ComplexArray, slope: ComplexArray) -> Sensitivity:
+    """Return the derivatives from the states by channel and their slopes along s."""
+    model = stimulus.model
+    s, ratio = model.exponent, model.damping_ratio
+    damped = np.sqrt((1 - ratio) * (1 + ratio))
+    read = np.stack([1 + 1j * ratio / damped, -1j / damped])
+    read_slope = np.stack([1j / damped**3, -1j * ratio / damped**3])
+    along_ratio = model.angular_frequency * (-1 - 1j * ratio / damped)
+    state = by_channel.sum(axis=1)
+    return Sensitivity(
+        label=model.label,
+        natural_frequency=(read * slope * s).real,
+        damping_ratio=(ratio * (read_slope * state + read * slope * along_ratio)).real,
+        modal_gain=(read[:, :, None] * by_channel).real,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Scatter:
+    """What an uncertain beam makes of a design.
+
+    Attributes
+    ----------
+    field : (n_draws, n_points) array
+        Velocity at the points at the focusing instant [m/s].
+    modal_error : (n_draws,) array
+        Largest of |velocity - target| and |w eta| over the modes [m/s].
+    """
+
+    field: FloatArray
+    modal_error: FloatArray
+
+    @property
+    def deviation(self) -> FloatArray:
+        """Standard deviation of the velocity at each point, (n_points,) array [m/s]."""
+        return np.asarray(self.field.std(axis=0, ddof=1))
+
+
+def scatter(
+    stimulus: Stimulus,
+    positions: ArrayLike,
+    *,
+    natural_frequency: float = 0.001,
+    damping_ratio: float = 0.02,
+    modal_gain: float = 0.02,
+    n_draws: int = 200,
+    seed: int = 0,
+) -> Scatter:
+    """Return what beams drawn around the identified one make of the voltages as designed.
+
+    Parameters
+    ----------
+    stimulus : Stimulus
+        The design.
+    positions : (n_points,) array_like
+        Where the field is looked at, origin at mid-beam [m].
+    natural_frequency, damping_ratio, modal_gain : float
+        Relative standard deviations, log-normal, each mode on its own [1].
+    n_draws : int
+        Beams drawn, at least 2.
+    seed : int
+        Of the random numbers.
+
+    Raises
+    ------
+    ValueError
+        If a deviation is negative, or fewer than two beams are drawn.
+    """
+    if n_draws < 2:
+        raise ValueError(f"{n_draws} beams are drawn; a scatter needs at least 2: draw 200")
+    for name, value in (("frequency", natural_frequency), ("damping", damping_ratio), ("gain", modal_gain)):
+        if not value >= 0:
+            raise ValueError(f"the relative deviation of the {name} is {value}; it must be 0 or above")
+    rng = np.random.default_rng(seed)
+    model, timing = stimulus.model, stimulus.timing
+    shapes = model.shapes(positions)
+    field, worst = np.empty((n_draws, shapes.shape[1])), np.empty(n_draws)
+    for draw in range(n_draws):
+        factor = np.exp(rng.normal(size=(3, model.n_modes)))
+        beam = replace(
+            model,
+            natural_frequency=model.natural_frequency * factor[0] ** natural_frequency,
+            damping_ratio=np.minimum(model.damping_ratio * factor[1] ** damping_ratio, 0.999),
+            modal_gain=model.modal_gain * (factor[2] ** modal_gain)[:, None],
+        )
+        system = modal_system(beam, stimulus.amplifier)
+        state = states_by_channel(system, stimulus.voltage, timing, timing.focusing_instant).sum(axis=0)
+        velocity = (system.velocity @ state).real
+        field[draw] = velocity @ shapes
+        displacement = (system.displacement @ state).real
+        worst[draw] = max(np.abs(velocity - stimulus.target).max(), np.abs(displacement).max())
+    return Scatter(field, worst)
