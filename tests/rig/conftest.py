@@ -44,7 +44,7 @@ class Heard:
 
 
 class QuietGuard:
-    """Stands at the process boundary in tests that are not about the watchdog: keeps what it is told."""
+    """Stands at the process boundary in tests that are not about the watchdog: keeps what it is told but beats."""
 
     def __init__(self) -> None:
         self.told: list[str] = []
@@ -56,7 +56,7 @@ class QuietGuard:
         self.told.append("arm")
 
     def beat(self) -> None:
-        self.told.append("beat")
+        pass
 
     def disarm(self) -> None:
         self.told.append("disarm")

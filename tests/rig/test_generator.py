@@ -329,3 +329,31 @@ def test_continuous_codes_hold_the_burst_and_then_rest(burst: Burst) -> None:
         sample = int((n + 0.5) / (7 * n_points) / (0.05 / burst.codes.shape[1]))
         assert codes[0, n] == burst.codes[0, sample]
     assert (codes[:, 45_876:] == 8191).all()
+
+
+def test_interrupt_in_the_midst_of_starting_leaves_outputs_off(loaded: Generator, simulator: Simulator) -> None:
+    """Ctrl-C right after the outputs went on: not swallowed, and they are off before it passes on."""
+    controls = loaded._connection.controls
+    outputs_on = controls.outputs_on
+
+    def on_and_interrupt() -> None:
+        outputs_on()
+        assert simulator.outputs == (True, True)
+        raise KeyboardInterrupt
+
+    controls.outputs_on = on_and_interrupt
+    with pytest.raises(KeyboardInterrupt):
+        loaded.fire(0.1)
+    assert simulator.outputs == (False, False)
+
+
+def test_watchdog_that_cannot_be_armed_leaves_outputs_off(loaded: Generator, simulator: Simulator, guard: Any) -> None:
+    """No output without a watchdog."""
+
+    def refuse() -> None:
+        raise RigError("the watchdog process does not run")
+
+    guard.arm = refuse
+    with pytest.raises(RigError, match="watchdog process does not run"):
+        loaded.fire(0.1)
+    assert simulator.outputs == (False, False)

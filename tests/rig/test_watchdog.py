@@ -13,15 +13,18 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 import pyvisa
 
 from modaltouch.apparatus import Apparatus
+from modaltouch.rig.generator import Generator
 from modaltouch.rig.guard import Watchdog
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.simulator import Simulator
 from modaltouch.rig.simulator.behaviour import Behaviour
 from modaltouch.rig.watchdog import ARM, BEAT, CLEAN, DISARM, LIMIT, insist, watch
+from modaltouch.stimulus.burst import Burst
 
 APPARATUS = Path(__file__).parents[2] / "protocols" / "apparatus" / "beam_100x6x2.yaml"
 
@@ -163,15 +166,32 @@ def test_session_that_holds_the_only_link_is_ended(apparatus: Apparatus) -> None
         assert simulator.outputs == (False, False)
 
 
-def test_watchdog_that_is_gone_stops_the_session(apparatus: Apparatus, simulator: Simulator) -> None:
-    """Without a watchdog no stimulus goes on: the heartbeat raises, and the outputs are off."""
-    import numpy as np
+def test_slow_instrument_is_no_stalled_session(apparatus: Apparatus, simulator: Simulator) -> None:
+    """Every exchange is a sign of life: 0.2 s a reply makes starting take more than the limit, and nothing trips."""
+    with Generator(simulator.address, apparatus) as rig:
+        rig.load(small_burst())
+        rig.fire(0.1)
+        rig.stop()
+        simulator.faults.inject("delayed_reply", value=0.2, times=99)
+        started = time.monotonic()
+        assert rig.fire(0.1).confirmed
+        assert time.monotonic() - started > LIMIT
+        assert simulator.outputs == (True, True)
+        simulator.faults.clear()
+        rig.stop()
+        assert rig.firing is not None
+        assert rig.firing.confirmed
 
-    from modaltouch.rig.generator import Generator
-    from modaltouch.stimulus.burst import Burst
 
+def small_burst() -> Burst:
+    """Return a burst of a hundred points."""
     codes = np.full((2, 100), 8191, dtype=np.uint16)
     codes[:, 50] = 9000
+    return Burst(codes, 0.05, 7.0, 0.2, (10.0, 10.0))
+
+
+def test_watchdog_that_is_gone_stops_the_session(apparatus: Apparatus, simulator: Simulator) -> None:
+    """Without a watchdog no stimulus goes on: the heartbeat raises, and the outputs are off."""
     guards: list[Watchdog] = []
 
     def start(address: str, library: str) -> Watchdog:
@@ -179,7 +199,7 @@ def test_watchdog_that_is_gone_stops_the_session(apparatus: Apparatus, simulator
         return guards[-1]
 
     with Generator(simulator.address, apparatus, start_guard=start) as rig:
-        rig.load(Burst(codes, 0.05, 7.0, 0.2, (10.0, 10.0)))
+        rig.load(small_burst())
         rig.fire(0.1)
         guards[0]._process.kill()
         guards[0]._process.wait()

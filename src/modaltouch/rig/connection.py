@@ -98,7 +98,7 @@ class Connection:
         self._expected_model = apparatus.generator.model
         self._log = log
         self._patience = patience
-        self.link = Link(open_resource, abandon, log=log, timeout=patience.reply)
+        self.link = Link(open_resource, abandon, log=log, timeout=patience.reply, alive=self._beat)
         self.controls = Controls(self.link, revive=self._revive, log=log, copy_timeout=patience.copy)
 
     def open(self) -> None:
@@ -190,6 +190,12 @@ class Connection:
             f"{self._last_resort()}; see that the generator is on and connected, then go on with "
             "`modaltouch resume`"
         ) from last
+
+    def _beat(self) -> None:
+        """Tell the watchdog of an exchange: a slow instrument is no stalled session."""
+        # A watchdog that is gone is the session's next heartbeat's to report, not in the midst of an exchange.
+        with contextlib.suppress(RigError):
+            self.guard.beat()
 
     def _reported(self) -> str:
         """Return what the error queue says over a new connection: a refused query stays silent."""

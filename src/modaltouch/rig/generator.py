@@ -259,10 +259,9 @@ class Generator:
                 f"{doing} failed: {error}; the outputs are off; see `modaltouch rig check`, then go on with "
                 "`modaltouch resume`"
             ) from error
-        except RigError:
-            raise
         except BaseException:
-            self._switch_off(doing)
+            if self._on:
+                self._switch_off(doing)
             raise
 
 

@@ -49,15 +49,21 @@ class Watchdog:
 
     def __init__(self, address: str, visa_library: str) -> None:
         # A session of its own keeps it out of reach of a closed terminal and of Ctrl-C.
-        self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "modaltouch.rig.watchdog", address, visa_library],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            bufsize=0,
-            start_new_session=True,
-            env=_environment(),
-        )
+        try:
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-m", "modaltouch.rig.watchdog", address, visa_library],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                bufsize=0,
+                start_new_session=True,
+                env=_environment(),
+            )
+        except OSError as error:
+            raise RigError(
+                f"the watchdog process cannot be started ({error}), so the generator at {address} was not "
+                f"touched; see whether this machine can start {sys.executable}"
+            ) from error
         self._said: list[str] = []
         self._heard = threading.Event()
         self._reader = threading.Thread(target=self._listen, daemon=True, name="watchdog")

@@ -57,6 +57,8 @@ class Link:
         Takes ``scpi`` events: sent, reply, seconds.
     timeout : float
         Longest wait for a reply [s].
+    alive : callable
+        Called after each exchange that succeeded.
     """
 
     def __init__(
@@ -66,11 +68,13 @@ class Link:
         *,
         log: Log,
         timeout: float,
+        alive: Callable[[], None] = lambda: None,
     ) -> None:
         self._open_resource = open_resource
         self._abandon = abandon
         self._log = log
         self._timeout = timeout
+        self._alive = alive
         self._resource: Resource | None = None
 
     @property
@@ -189,6 +193,7 @@ class Link:
             self.close(broken=True)
             raise
         self._log("scpi", sent=message, **facts, seconds=_since(started))
+        self._alive()
 
 
 def describe_block(block: bytes) -> str:
