@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from modaltouch.analysis.counts import count_answers
-from modaltouch.analysis.responses import read_responses
+from modaltouch.analysis.reading import read_responses
 from modaltouch.document import InputError
 from modaltouch.record.log import SessionLog
 

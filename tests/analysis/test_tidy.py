@@ -5,7 +5,7 @@ import re
 import pytest
 
 from modaltouch.analysis.counts import count_answers
-from modaltouch.analysis.responses import read_responses
+from modaltouch.analysis.reading import read_responses
 from modaltouch.document import InputError
 
 HEADER = "participant,finger_condition,zone_left,zone_right,velocity_mm_s,response"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pandas as pd
 
@@ -13,12 +13,10 @@ from modaltouch import __version__
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.findings import ALPHA, Finding
 from modaltouch.analysis.gallery import Picture
+from modaltouch.analysis.outcome import Analysis
 from modaltouch.analysis.style import level_label
 from modaltouch.analysis.tables import tabulate, zone_table
 from modaltouch.analysis.words import HEADINGS, say_number, write_paragraphs
-
-if TYPE_CHECKING:
-    from modaltouch.analysis.analyse import Analysis
 
 TEMPLATE = "report.html.j2"
 

@@ -91,8 +91,9 @@ def level_association(table: IntArray, seed: int = SEED) -> ShuffleTest:
 
     def shuffle(rng: np.random.Generator, size: int) -> FloatArray:
         dealt = rng.permuted(np.broadcast_to(cards, (size, *cards.shape)), axis=2)
-        dealt = dealt.reshape(size, len(sub), n_levels, per_level)
-        return statistic(np.stack([(dealt == kind).sum(axis=(1, 3)) for kind in range(n_kinds)], axis=2))
+        places = np.arange(size)[:, np.newaxis, np.newaxis] * n_levels + np.repeat(np.arange(n_levels), per_level)
+        sums = np.bincount((places * n_kinds + dealt).ravel(), minlength=size * n_levels * n_kinds)
+        return statistic(sums.reshape(size, n_levels, n_kinds))
 
     return _monte_carlo(statistic(sub.sum(axis=0)), shuffle, cards.size, int(moving.sum()), seed)
 

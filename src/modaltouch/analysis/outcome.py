@@ -1,0 +1,69 @@
+"""What an analysis found, as one value."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from modaltouch.analysis.counts import AnswerCounts
+from modaltouch.analysis.findings import Finding, to_frame
+from modaltouch.analysis.responses import Responses
+from modaltouch.analysis.tables import tabulate
+
+
+@dataclass(frozen=True, eq=False)
+class Analysis:
+    """What an analysis found, and where it wrote it.
+
+    Attributes
+    ----------
+    responses : Responses
+        The answers.
+    answers : AnswerCounts
+        Their counts.
+    findings : tuple of Finding
+        The statistics.
+    files : dict of str to Path
+        Files written, by name.
+    """
+
+    responses: Responses
+    answers: AnswerCounts
+    findings: tuple[Finding, ...]
+    files: dict[str, Path]
+
+    @property
+    def counts(self) -> pd.DataFrame:
+        """Counts of every cell, as `count_responses` returns them."""
+        return tabulate(self.answers)
+
+    @property
+    def tests(self) -> pd.DataFrame:
+        """The statistics, as `run_tests` returns them."""
+        return to_frame(self.findings)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return everything as plain values for ``--json``; what is not a finite number is null."""
+        return {
+            "counts": [plain_row(row) for row in self.counts.to_dict("records")],
+            "tests": [plain_row(row) for row in self.tests.to_dict("records")],
+            "files": {name: str(path) for name, path in self.files.items()},
+            "n_participants": self.answers.n_participants,
+            "n_responses": int(self.answers.counts.sum()),
+            "mode": self.responses.source.mode or None,
+            "source": self.responses.source.path,
+            "left_out": [{"source": item.source, "reason": item.reason} for item in self.responses.left_out],
+        }
+
+
+def plain_row(row: dict[Any, Any]) -> dict[str, Any]:
+    """Return a row of a table as plain values; what is not a finite number becomes None."""
+    values: dict[str, Any] = {}
+    for key, value in row.items():
+        plain = value.item() if hasattr(value, "item") else value
+        values[str(key)] = None if isinstance(plain, float) and not math.isfinite(plain) else plain
+    return values

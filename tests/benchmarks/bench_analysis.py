@@ -1,0 +1,132 @@
+"""How long the analysis takes and how much memory it needs, against the number of trials.
+
+Writes ``results/benchmarks/analysis.json``. Every run is a process of its own, imports included, on synthetic answers
+of a stated seed. The exponent is the slope of log CPU time over log trials, less the time of the smallest table.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from modaltouch.record.chain import GENESIS, encode_line
+
+ROOT = Path(__file__).parents[2]
+SHARES = {("A", "C"): (0.02, 0.06, 0.92), ("B", "D"): (0.25, 0.70, 0.05), ("C", "E"): (0.93, 0.06, 0.01)}
+ANSWERS = ("left", "both", "right")
+LEVELS = (80, 100, 150, 200)
+CONDITIONS = ("one_hand", "two_hands")
+CHILD = """
+import json, resource, sys, time
+from modaltouch.analysis.analyse import analyse
+result = analyse(sys.argv[1], sys.argv[2])
+usage = resource.getrusage(resource.RUSAGE_SELF)
+print(json.dumps({"cpu_s": usage.ru_utime + usage.ru_stime, "peak_MB": usage.ru_maxrss / 1024,
+                  "n_responses": result.as_dict()["n_responses"], "n_left_out": len(result.responses.left_out)}))
+"""
+
+
+def write_table(path: Path, n_participants: int, n_repetitions: int, seed: int = 1) -> int:
+    """Write a synthetic CSV and return its number of answers."""
+    rng = np.random.default_rng(seed)
+    with path.open("w", encoding="utf-8") as file:
+        file.write("participant,finger_condition,zone_left,zone_right,velocity_mm_s,response,repetition\n")
+        for i in range(n_participants):
+            for condition in CONDITIONS:
+                for (left, right), shares in SHARES.items():
+                    words = rng.choice(3, (len(LEVELS), n_repetitions), p=shares)
+                    for level, row in zip(LEVELS, words.tolist(), strict=True):
+                        for r, word in enumerate(row, 1):
+                            file.write(f"p{i:05d},{condition},{left},{right},{level},{ANSWERS[word]},{r}\n")
+    return n_participants * n_repetitions * 24
+
+
+def write_tree(root: Path, n_sessions: int, seed: int = 1) -> None:
+    """Write synthetic session logs, every tenth of them incomplete, damaged, pilot or simulated in turn."""
+    rng = np.random.default_rng(seed)
+    for i in range(n_sessions):
+        kind = ("incomplete", "damaged", "pilot", "simulated")[i // 10 % 4] if i % 10 == 0 else "sound"
+        mode = kind if kind in ("pilot", "simulated") else "real"
+        folder = (root if mode == "real" else root / mode) / "bench" / f"sub-p{i:05d}" / "ses-1" / "beh"
+        folder.mkdir(parents=True)
+        cells = [(c, pair, level) for c in CONDITIONS for pair in SHARES for level in LEVELS]
+        start = {"mode": mode, "participant": f"p{i:05d}", "session": 1, "protocol": "bench",
+                 "schedule": {"n_trials": len(cells)}}  # fmt: skip
+        events: list[dict[str, Any]] = [{"event": "start", **start}]
+        for index, (condition, pair, level) in enumerate(cells[: 20 if kind == "incomplete" else None], 1):
+            where = {"finger_condition": condition, "zone_left": pair[0], "zone_right": pair[1], "velocity_mm_s": level}
+            answer = ANSWERS[rng.choice(3, p=SHARES[pair])]
+            events.append({"event": "trial", "trial": {"index": index, "block": 1, "condition": where, "repetition": 1,
+                           "practice": False}, "planned": {"speed_left_mm_s": 50.0, "speed_right_mm_s": 80.0},
+                           "commanded": {"amplitude_Vpp": [1.0, 2.0]},
+                           "confirmed": {"confirmed": True, "confirmed_amplitude": [1.0, 2.0]},
+                           "response": {"answer": answer, "reaction_time": 0.8}, "supersedes": None})  # fmt: skip
+        data, check = b"", GENESIS
+        for n, event in enumerate(events, 1):
+            line, check = encode_line({"n": n, **event}, check)
+            data += line
+        (folder / "session.jsonl").write_bytes(data.replace(b'"both"', b'"BOTH"') if kind == "damaged" else data)
+
+
+def measure(source: Path, out: Path) -> dict[str, Any]:
+    """Return what one analysis costs in a process of its own."""
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    started = time.perf_counter()
+    done = subprocess.run(
+        [sys.executable, "-c", CHILD, str(source), str(out)],
+        capture_output=True,
+        text=True,
+        check=True,
+        env=environment,
+    )
+    return {"wall_s": round(time.perf_counter() - started, 2), **json.loads(done.stdout)}
+
+
+def main() -> None:
+    """Measure and write the results."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--participants", type=int, nargs="+", default=[10, 125, 250, 500, 1000])
+    parser.add_argument("--repetitions", type=int, default=10)
+    parser.add_argument("--sessions", type=int, default=1000)
+    parser.add_argument("--out", type=Path, default=ROOT / "results" / "benchmarks" / "analysis.json")
+    options = parser.parse_args()
+    rows = []
+    with tempfile.TemporaryDirectory() as scratch:
+        for n in options.participants:
+            table = Path(scratch) / f"{n}.csv"
+            write_table(table, n, options.repetitions)
+            rows.append({"participants": n, **measure(table, Path(scratch) / f"out{n}")})
+            print(rows[-1])
+        write_tree(Path(scratch) / "results", options.sessions)
+        tree = {"sessions": options.sessions, **measure(Path(scratch) / "results", Path(scratch) / "tree")}
+        print(tree)
+    base = rows[0]["cpu_s"]
+    large = [row for row in rows[1:] if row["cpu_s"] > base]
+    trials = np.log([row["n_responses"] for row in large])
+    exponent = (
+        float(np.polyfit(trials, np.log([row["cpu_s"] - base for row in large]), 1)[0]) if len(large) > 1 else None
+    )
+    results = {
+        "what": "modaltouch analyse, whole command with imports, figures and report; synthetic answers, seed 1",
+        "machine": {"python": platform.python_version(), "system": platform.platform(), "cores": os.cpu_count()},
+        "tables": rows,
+        "exponent_of_cpu_time_beyond_the_smallest": exponent,
+        "tree": tree,
+    }
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    options.out.write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
+    print(f"exponent {exponent}; written to {options.out}")
+
+
+if __name__ == "__main__":
+    main()
