@@ -87,6 +87,7 @@ def practise(sitting: Sitting) -> Trial | None:
         If no round was passed and the protocol then ends the session.
     """
     schedule, previous = sitting.protocol.schedule, None
+    _close_rounds(sitting)
     for trial in sitting.trials:
         if not trial.practice or _has_passed_practice(sitting):
             break
@@ -98,8 +99,7 @@ def practise(sitting: Sitting) -> Trial | None:
         if schedule.practice_feedback and expected is not None:
             sitting.window.give_feedback(response, expected)
         previous = trial
-        if schedule.practice_criterion is not None and trial.index % schedule.practice_trials == 0:
-            _close_round(sitting, trial.index // schedule.practice_trials)
+        _close_rounds(sitting)
     failed = schedule.practice_criterion is not None and not _has_passed_practice(sitting)
     if failed and schedule.practice_trials and schedule.after_failed_practice == "stop":
         sitting.window.goodbye()
@@ -111,18 +111,25 @@ def _has_passed_practice(sitting: Sitting) -> bool:
     return any(event.get("event") == "practice_round" and event["passed"] for event in sitting.log.events)
 
 
-def _close_round(sitting: Sitting, number: int) -> None:
-    """Write down how a round of practice went."""
-    schedule = sitting.protocol.schedule
-    done = judge_round(sitting.log.events, number, schedule.practice_trials)
-    sitting.log.append(
-        "practice_round",
-        round=number,
-        n_judged=done.n_judged,
-        n_agreed=done.n_agreed,
-        criterion=schedule.practice_criterion,
-        passed=done.passes(schedule.practice_criterion),
-    )
+def _close_rounds(sitting: Sitting) -> None:
+    """Write down how each round of practice went that is over and not yet judged, before a kill or after it."""
+    schedule, events = sitting.protocol.schedule, sitting.log.events
+    if schedule.practice_criterion is None or not schedule.practice_trials:
+        return
+    done = {event["trial"]["index"] for event in events if event.get("event") == "trial" and event["trial"]["practice"]}
+    judged = {event["round"] for event in events if event.get("event") == "practice_round"}
+    for number in range(1, schedule.practice_rounds + 1):
+        last = number * schedule.practice_trials
+        if number not in judged and done.issuperset(range(last - schedule.practice_trials + 1, last + 1)):
+            outcome = judge_round(events, number, schedule.practice_trials)
+            sitting.log.append(
+                "practice_round",
+                round=number,
+                n_judged=outcome.n_judged,
+                n_agreed=outcome.n_agreed,
+                criterion=schedule.practice_criterion,
+                passed=outcome.passes(schedule.practice_criterion),
+            )
 
 
 def run(sitting: Sitting, trial: Trial, previous: Trial | None) -> Response:

@@ -1,0 +1,278 @@
+"""The one loop, with a rig of paper and a participant who says what the test wants."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from modaltouch.protocol import Experiment, Protocol, read_protocol
+from modaltouch.record.log import SessionLog
+from modaltouch.rig.interface import Firing, RigError
+from modaltouch.schedule import draw_schedule
+from modaltouch.session import Sitting, conduct
+from modaltouch.trial import Answer, Response, Trial
+from modaltouch.window.interface import Progress, SessionStopped, TrialInterrupted
+
+SPEEDS = {"A": 0.12, "B": 0.115, "C": 0.2, "D": 0.115, "E": 0.12}
+
+
+@dataclass
+class PaperRig:
+    """Fires nothing, and notes what it was told."""
+
+    told: list[str] = field(default_factory=list)
+    unconfirmed: int = 0
+
+    def fire(self, velocity: float) -> Firing:
+        self.told.append(f"fire {velocity:g}")
+        confirmed = self.unconfirmed == 0
+        self.unconfirmed = max(self.unconfirmed - 1, 0)
+        return Firing((1.0, 1.0), (1.0, 1.0), confirmed, time.perf_counter(), 0.14)
+
+    def stop(self) -> None:
+        self.told.append("stop")
+
+
+@dataclass
+class Person:
+    """Answers by a rule, and notes every screen."""
+
+    rule: Callable[[Trial], Answer]
+    seen: list[str] = field(default_factory=list)
+    cut: list[str] = field(default_factory=list)
+
+    def welcome(self) -> None:
+        self.seen.append("welcome")
+
+    def announce(self, text: str) -> None:
+        self.seen.append(text)
+
+    def place_fingers(self, trial: Trial) -> None:
+        self.seen.append("place " + "".join(trial.condition.pair))
+
+    def ask(self, trial: Trial, progress: Progress, *, onset: float, stop: Callable[[], None]) -> Response:
+        self.seen.append(f"{'practice' if trial.practice else 'trial'} {trial.index}")
+        stop()
+        if self.cut:
+            raise TrialInterrupted(self.cut.pop())
+        return Response(self.rule(trial), 1.0, way="free_hand")
+
+    def confirm(self, response: Response) -> None:
+        self.seen.append(response.answer)
+
+    def give_feedback(self, response: Response, expected: Answer) -> None:
+        self.seen.append(f"feedback {response.answer} {expected}")
+
+    def wait(self, seconds: float) -> None:
+        pass
+
+    def rest(self, progress: Progress) -> None:
+        self.seen.append("rest")
+
+    def goodbye(self) -> None:
+        self.seen.append("goodbye")
+
+
+def right_answer(trial: Trial) -> Answer:
+    """Say what somebody says who feels the speeds of SPEEDS without noise."""
+    left, right = (SPEEDS[zone] for zone in trial.condition.pair)
+    return "both" if left == right else ("left" if left > right else "right")
+
+
+def wrong_answer(trial: Trial) -> Answer:
+    """Say anything else."""
+    return "left" if right_answer(trial) == "both" else "both"
+
+
+@pytest.fixture(scope="module")
+def experiment() -> Experiment:
+    """Give the shipped demonstration."""
+    return read_protocol(Path(__file__).resolve().parents[1] / "protocols" / "demo.yaml")
+
+
+@pytest.fixture
+def sit(experiment: Experiment, tmp_path: Path) -> Iterator[Callable[..., Sitting]]:
+    """Give sittings whose logs are closed in the end."""
+    logs: list[SessionLog] = []
+
+    def make(rule: Callable[[Trial], Answer] = right_answer, **schedule: Any) -> Sitting:
+        protocol = change(experiment.protocol, **schedule)
+        drawn = draw_schedule(protocol, "p01", 1)
+        log = SessionLog.create(tmp_path / f"session{len(logs)}.jsonl", "start")
+        logs.append(log)
+        return Sitting(
+            protocol=protocol,
+            trials=(*drawn.practice, *drawn.trials),
+            total=len(drawn.trials),
+            speeds=lambda trial: (SPEEDS[trial.condition.zone_left], SPEEDS[trial.condition.zone_right]),
+            rig=PaperRig(),  # type: ignore[arg-type]
+            window=Person(rule),  # type: ignore[arg-type]
+            log=log,
+            save_view=lambda: None,
+            tick=lambda: None,
+        )
+
+    yield make
+    for log in logs:
+        log.close()
+
+
+def change(protocol: Protocol, **schedule: Any) -> Protocol:
+    """Return the protocol with another schedule."""
+    return protocol.model_copy(update={"schedule": protocol.schedule.model_copy(update=schedule)})
+
+
+def events(sitting: Sitting, name: str) -> list[dict[str, Any]]:
+    """Return the events of one kind in the log."""
+    return [event for event in sitting.log.events if event["event"] == name]
+
+
+def seen(sitting: Sitting) -> list[str]:
+    """Return what the person saw."""
+    return sitting.window.seen  # type: ignore[attr-defined,no-any-return]
+
+
+def test_every_trial_is_answered_once_in_order(sit: Callable[..., Sitting]) -> None:
+    """Expected: one practice trial and twelve that count, each fired, stopped and written down."""
+    sitting = sit()
+    conduct(sitting)
+    done = [(event["trial"]["practice"], event["trial"]["index"]) for event in events(sitting, "trial")]
+    assert done == [(True, 1), *((False, index) for index in range(1, 13))]
+    told = sitting.rig.told  # type: ignore[attr-defined]
+    fired = [place for place, command in enumerate(told) if command.startswith("fire")]
+    assert len(fired) == 13
+    assert all(told[place + 1] == "stop" for place in fired)
+    assert seen(sitting)[:2] == ["welcome", "practice"]
+    assert seen(sitting)[-1] == "goodbye"
+
+
+def test_fingers_are_placed_anew_only_where_they_change(sit: Callable[..., Sitting]) -> None:
+    """Expected: a placement before a trial exactly where pair or finger condition differ from the trial before."""
+    sitting = sit()
+    conduct(sitting)
+    trials = [event["trial"]["condition"] for event in events(sitting, "trial")]
+    places = [(c["finger_condition"], c["zone_left"], c["zone_right"]) for c in trials]
+    changes = 1 + sum(one != other for one, other in zip(places, places[1:], strict=False))
+    assert len(events(sitting, "placement")) == changes
+    first = events(sitting, "placement")[0]
+    assert {"finger_left", "finger_right", "zone_left", "zone_right", "placement", "way"} <= set(first)
+
+
+def test_an_answer_is_confirmed_only_once_it_is_written(sit: Callable[..., Sitting]) -> None:
+    """Expected: when the window confirms, the log's last line is that trial."""
+    sitting = sit()
+    confirm = sitting.window.confirm
+    last: list[str] = []
+
+    def note(response: Response) -> None:
+        last.append(sitting.log.events[-1]["event"])
+        confirm(response)
+
+    sitting.window.confirm = note  # type: ignore[method-assign]
+    conduct(sitting)
+    assert set(last) == {"trial"}
+
+
+def test_a_cut_trial_is_offered_again(sit: Callable[..., Sitting]) -> None:
+    """Expected: the same trial fired twice, the cut in the log, one answer."""
+    sitting = sit()
+    sitting.window.cut.append("escape")  # type: ignore[attr-defined]
+    conduct(sitting)
+    assert [name for name in seen(sitting) if name == "practice 1"] == ["practice 1"] * 2
+    assert [event["reason"] for event in events(sitting, "trial_cut")] == ["escape"]
+    assert len(events(sitting, "trial")) == 13
+
+
+def test_an_unconfirmed_firing_is_stopped_and_tried_again(sit: Callable[..., Sitting]) -> None:
+    """Expected: no question before the instrument confirms; three attempts, then RigError."""
+    sitting = sit()
+    sitting.rig.unconfirmed = 1  # type: ignore[attr-defined]
+    conduct(sitting)
+    assert len(events(sitting, "unconfirmed")) == 1
+    sitting = sit()
+    sitting.rig.unconfirmed = 3  # type: ignore[attr-defined]
+    with pytest.raises(RigError, match="did not confirm .* in 3 attempts"):
+        conduct(sitting)
+    assert "practice 1" not in seen(sitting)
+
+
+@pytest.mark.parametrize(("rule", "passed"), [(right_answer, True), (wrong_answer, False)])
+def test_practice_is_judged_by_its_criterion(
+    sit: Callable[..., Sitting],
+    rule: Callable[[Trial], Answer],
+    passed: bool,  # noqa: FBT001
+) -> None:
+    """Expected: one round where it is passed, all rounds where it is not, and then the session goes on."""
+    sitting = sit(rule, practice_trials=3, practice_criterion=0.6, practice_rounds=2)
+    conduct(sitting)
+    rounds = events(sitting, "practice_round")
+    assert [event["passed"] for event in rounds] == ([True] if passed else [False, False])
+    assert seen(sitting).count("practice_again") == (0 if passed else 1)
+    n_practised = sum(event["trial"]["practice"] for event in events(sitting, "trial"))
+    assert n_practised == (3 if passed else 6)
+    assert sum(not event["trial"]["practice"] for event in events(sitting, "trial")) == 12
+
+
+def test_failed_practice_ends_the_session_where_the_protocol_says_so(sit: Callable[..., Sitting]) -> None:
+    """Expected: thanks, then SessionStopped; no trial that counts, and the same again on resumption."""
+    sitting = sit(wrong_answer, practice_trials=2, practice_criterion=1.0, after_failed_practice="stop")
+    with pytest.raises(SessionStopped, match="practice not passed"):
+        conduct(sitting)
+    assert seen(sitting)[-1] == "goodbye"
+    assert not any(not event["trial"]["practice"] for event in events(sitting, "trial"))
+    resumed = replace(sitting, trials=tuple(trial for trial in sitting.trials if not trial.practice))
+    with pytest.raises(SessionStopped, match="practice not passed"):
+        conduct(resumed)
+
+
+def test_a_round_answered_before_a_kill_is_judged_after_it(sit: Callable[..., Sitting]) -> None:
+    """Expected: killed between the last practice answer and its verdict, the session gives the verdict first."""
+    sitting = sit(practice_trials=2, practice_criterion=1.0, practice_rounds=3)
+    conduct(sitting)
+    trials = [event for event in events(sitting, "trial") if event["trial"]["practice"]]
+    killed = sit(practice_trials=2, practice_criterion=1.0, practice_rounds=3)
+    for event in trials:
+        killed.log.append("trial", **{name: event[name] for name in ("trial", "planned", "response")})
+    conduct(replace(killed, trials=tuple(t for t in killed.trials if not t.practice or t.index > 2)))
+    assert [event["passed"] for event in events(killed, "practice_round")] == [True]
+    assert not any(name.startswith("practice") for name in seen(killed))
+
+
+def test_feedback_follows_practice_trials_alone(sit: Callable[..., Sitting]) -> None:
+    """Expected: after each of three practice trials what was predicted, and never after a trial that counts."""
+    sitting = sit(wrong_answer, practice_trials=3, practice_feedback=True)
+    conduct(sitting)
+    given = [name for name in seen(sitting) if name.startswith("feedback")]
+    assert len(given) == 3
+    assert all(name.split()[1] != name.split()[2] for name in given)
+    assert seen(sitting).index("start") > max(seen(sitting).index(name) for name in given)
+
+
+def test_breaks_come_by_count(sit: Callable[..., Sitting]) -> None:
+    """Expected: after every four of twelve trials, none before the first nor after the last."""
+    sitting = sit(break_after_trials=4)
+    conduct(sitting)
+    names = [name for name in seen(sitting) if name == "rest" or name.startswith("trial")]
+    assert [place for place, name in enumerate(names) if name == "rest"] == [4, 9]
+
+
+def test_breaks_come_by_time(sit: Callable[..., Sitting], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Expected: at the first trial after five minutes, on a clock that runs 70 s a look: every five trials."""
+    now = iter(range(0, 10**6, 70))
+    monkeypatch.setattr("modaltouch.session.time.perf_counter", lambda: float(next(now)))
+    sitting = sit(break_after_trials=None, break_after_min=5.0, practice_trials=0)
+    sitting.rig.fire = lambda velocity: Firing((1.0,), (1.0,), True, 0.0, 0.1)  # type: ignore[method-assign]
+    conduct(sitting)
+    assert seen(sitting).count("rest") >= 2
+
+
+def test_no_breaks_where_none_are_asked_for(sit: Callable[..., Sitting]) -> None:
+    """Expected: null for both kinds of break means none."""
+    sitting = sit(break_after_trials=None, break_after_min=None)
+    conduct(sitting)
+    assert "rest" not in seen(sitting)
