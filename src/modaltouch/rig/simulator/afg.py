@@ -124,6 +124,8 @@ class Afg:
             self.last_trigger = -math.inf
             self.level_concurrent = self.frequency_concurrent = False
             self.trigger_output = "TRIG"
+            self.clock_source = "INT"
+            self.recall_automatically = False
 
     # errors and status
 
@@ -240,6 +242,10 @@ class Afg:
     def abort(self) -> None:
         """Reset the trigger system."""
         self.last_trigger = -math.inf
+
+    def copy_channel(self, target: int, source: int) -> None:
+        """Give a channel the settings of the other; its output stays as it is."""
+        self.channels[target] = replace(self.channels[source], output=self.channels[target].output)
 
     # save and recall
 

@@ -218,7 +218,17 @@ def _system(afg: Afg) -> dict[str, Command]:
         afg.user = dict.fromkeys(afg.user)
         afg.reset()
 
+    def copy_channel(channel: int, arguments: Arguments) -> None:
+        target, source = (int(read_choice(name, ("CH1", "CH2"))[2:]) for name in exactly(arguments, 2))
+        afg.copy_channel(target, source)
+
+    def clock(channel: int, arguments: Arguments) -> None:
+        afg.clock_source = read_choice(one(arguments), ("INTernal", "EXTernal"))
+
     return {
+        "AFGControl:CSCopy": Command(set=copy_channel),
+        "SOURce:ROSCillator:SOURce": Command(set=clock, get=lambda c, a: afg.clock_source),
+        "MEMory:STATe:RECall:AUTo": _switch(afg, "recall_automatically"),
         "SYSTem:ERRor[:NEXT]": Command(get=lambda c, a: afg.next_error()),
         "SYSTem:VERSion": Command(get=lambda c, a: "1999.0"),
         "SYSTem:BEEPer[:IMMediate]": Command(set=lambda c, a: None),

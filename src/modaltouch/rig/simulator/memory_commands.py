@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from modaltouch.rig.simulator.afg import MEMORIES, Afg
+from modaltouch.rig.simulator.afg import MAX_CODE, MEMORIES, Afg
 from modaltouch.rig.simulator.arguments import Arguments, exactly, flag, is_word, one, read_boolean, read_choice, whole
 from modaltouch.rig.simulator.command_table import Command
 from modaltouch.rig.simulator.scpi import Argument, ScpiError
@@ -51,7 +51,7 @@ def _point_commands(afg: Afg) -> dict[str, Command]:
         name, place, code = exactly(arguments, 3)
         _edit_memory(name)
         codes = np.frombuffer(afg.edit, ">u2").copy()
-        codes[whole((place,), 1, codes.size) - 1] = whole((code,), 0, 16382)
+        codes[whole((place,), 1, codes.size) - 1] = whole((code,), 0, MAX_CODE)
         afg.write_edit(codes.tobytes())
 
     def value(channel: int, arguments: Arguments) -> str:
@@ -60,7 +60,17 @@ def _point_commands(afg: Afg) -> dict[str, Command]:
         at = 2 * (whole((place,), 1, len(afg.edit) // 2) - 1)
         return str(int.from_bytes(afg.edit[at : at + 2], "big"))
 
+    def line(channel: int, arguments: Arguments) -> None:
+        name, *numbers = exactly(arguments, 5)
+        _edit_memory(name)
+        codes = np.frombuffer(afg.edit, ">u2").copy()
+        start, end = (whole((place,), 1, codes.size) for place in numbers[::2])
+        first, last = (whole((code,), 0, MAX_CODE) for code in numbers[1::2])
+        codes[start - 1 : end] = np.round(np.linspace(first, last, max(end - start + 1, 0)))
+        afg.write_edit(codes.tobytes())
+
     return {
+        f"{ROOT}[:DATA]:LINE": Command(set=line),
         f"{ROOT}[:DATA]:VALue": Command(set=set_value, get=value),
         f"{ROOT}:DEFine": Command(set=define),
         f"{ROOT}:POINts": Command(
