@@ -11,10 +11,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from modaltouch.stimulus.bounds import require_positive
 from modaltouch.stimulus.burst import MID_CODE, Burst
-from modaltouch.stimulus.drive import Drive, Law, Release, check_drivable, exact_drive, paper_drive
+from modaltouch.stimulus.drive import Drive, Law, Release, check_drivable, exact_drive
 from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem, modal_system
 from modaltouch.stimulus.field import Projection, Wish
 from modaltouch.stimulus.modes import ModalModel
+from modaltouch.stimulus.paper_law import paper_drive
 from modaltouch.stimulus.quantise import full_scale, quantise, signed_codes
 from modaltouch.stimulus.settling import settle
 from modaltouch.stimulus.timing import Timing

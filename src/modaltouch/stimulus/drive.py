@@ -1,19 +1,8 @@
-r"""The two drive laws: modal velocities in, voltages at the beam out.
+r"""The exact drive law: every modelled mode from rest to its target, as the generator plays it.
 
-`exact` is this project's: the least weighted energy that takes every modelled mode from rest to its target, at
-zero displacement, as the generator plays it. `paper` is equations (6) and (7) of the paper with these errata
-corrected:
-
-1. the gain of section III-B is printed with :math:`\omega^2`; at resonance
-   :math:`|\dot\eta| = G|v|/(2\xi\omega)`;
-2. equation (7) is printed with the factor :math:`4a^2/b`; inserting (6) in (5) gives
-   :math:`\psi = 4a\,\dot\eta`;
-4. equation (6) has :math:`e^{ct}`, equation (7) :math:`e^{a(t-t_F)}` with the same amplitude; the latter is
-   meant;
-
-and one kept, since its miss is the reason for the exact law:
-
-3. the orbit (6) does not start at rest; begun from rest, mode 1 ends 4 % short.
+The voltages are those of least weighted energy that bring all modes at the focusing instant to (velocity = target,
+displacement = 0), through the hold of the samples, the amplifier's pole and its delay, every channel driving every
+mode. After it they brake the modes to rest, or are silent.
 """
 
 from __future__ import annotations
@@ -28,7 +17,6 @@ from numpy.typing import NDArray
 from modaltouch.stimulus.dynamics import DiagonalSystem
 from modaltouch.stimulus.gramian import GramianSolver, Reach, Taper
 from modaltouch.stimulus.modes import ModalModel
-from modaltouch.stimulus.synthesis import synthesise
 from modaltouch.stimulus.timing import Timing
 from modaltouch.stimulus.vibration import states_by_channel
 
@@ -124,6 +112,48 @@ def exact_drive(
     ValueError
         If a mode cannot be driven, or there are fewer samples than conditions.
     """
+    reach, read, wished, braked_from = steering(model, system, timing, target)
+    n_before = reach.taper.n_samples
+    voltage = np.zeros((model.n_channels, timing.n_samples))
+    condition, residual = _steer(system, timing, reach, (read, wished), voltage[:, :n_before])
+    if release == "braked":
+        brake(model, system, timing, voltage, braked_from)
+    return Drive(voltage, condition, residual, n_before)
+
+
+def steering(
+    model: ModalModel, system: DiagonalSystem, timing: Timing, target: FloatArray
+) -> tuple[Reach, ComplexArray, FloatArray, int]:
+    """Return how the samples before the focusing instant reach the states there, and which states are wished.
+
+    Parameters
+    ----------
+    model : ModalModel
+        The modelled modes; those without any gain rest by themselves and are left out.
+    system : DiagonalSystem
+        Their equations behind the amplifier.
+    timing : Timing
+        Clock of the samples.
+    target : (n_modes,) array
+        Modal velocities at the focusing instant [m/s].
+
+    Returns
+    -------
+    reach : Reach
+        From the samples to the conditions.
+    read : (n_conditions, n_states) complex array
+        The conditions are the real part of ``read @ state``: velocities, then displacements times angular
+        frequency.
+    wished : (n_conditions,) array
+        Their values at the focusing instant [m/s].
+    free_from : int
+        First sample that does not act before the focusing instant.
+
+    Raises
+    ------
+    ValueError
+        If a mode cannot be driven, or there are fewer samples than conditions.
+    """
     check_drivable(model, target, timing)
     n_before, remainder = timing.samples_until(timing.focusing_instant - system.delay)
     driven = model.modal_gain.any(axis=1)
@@ -137,11 +167,7 @@ def exact_drive(
         taper=Taper.fitting(n_before, RISE * timing.sampling_rate, FALL * timing.sampling_rate),
     )
     wished = np.concatenate([target[driven], np.zeros(int(driven.sum()))])
-    voltage = np.zeros((model.n_channels, timing.n_samples))
-    condition, residual = _steer(system, timing, reach, (read, wished), voltage[:, :n_before])
-    if release == "braked":
-        brake(model, system, timing, voltage, n_before + (remainder > 0))
-    return Drive(voltage, condition, residual, n_before)
+    return reach, read, wished, n_before + (remainder > 0)
 
 
 def _steer(
@@ -232,58 +258,3 @@ def _check_enough(gain: FloatArray, n_samples: int, timing: Timing, where: str) 
             f"least {least} must lie {where}: take more than {timing.n_samples} samples, or another focusing "
             f"instant"
         )
-
-
-def assigned_channel(model: ModalModel) -> NDArray[np.intp]:
-    """Return the channel that drives each mode best, (n_modes,) array of indices: the paper's assignment.
-
-    Parameters
-    ----------
-    model : ModalModel
-        The modelled modes.
-    """
-    return np.asarray(np.argmax(np.abs(model.modal_gain), axis=1))
-
-
-def paper_drive(
-    model: ModalModel, system: DiagonalSystem, timing: Timing, target: FloatArray, release: Release
-) -> Drive:
-    r"""Return the voltages of the paper, :math:`v = \sum_k 4 a_k \dot\eta_k(t) / G_k` until the focus.
-
-    With :math:`\dot\eta_k = \dot\eta_k(t_F) e^{a_k (t - t_F)} \cos b_k (t - t_F)`, each mode on the channel
-    that drives it best, sampled at the middle of each hold. Sample 0 is set to 0 V, where the generator idles.
-
-    Parameters
-    ----------
-    model : ModalModel
-        The modelled modes; those with target 0 are left alone.
-    system : DiagonalSystem
-        Their equations behind the amplifier, of which the paper takes no account.
-    timing : Timing
-        Clock of the samples.
-    target : (n_modes,) array
-        Modal velocities at the focusing instant [m/s].
-    release : str
-        ``braked`` (steered to rest at the end of the burst) or ``free`` (zero volts after the focus).
-
-    References
-    ----------
-    Section II-C, equations (6) and (7), errata in the docstring of this module.
-    """
-    check_drivable(model, target, timing)
-    asked = np.flatnonzero(target)
-    channel = assigned_channel(model)[asked]
-    exponent = model.exponent[asked]
-    n_before = min(int(timing.focusing_instant * timing.sampling_rate + 0.5), timing.n_samples - 1)
-    to_focus = timing.focusing_instant - (n_before - 0.5) * timing.hold
-    amplitude = np.zeros((model.n_channels, asked.size), dtype=complex)
-    force = -4 * exponent.real * target[asked] * np.exp(exponent * to_focus)
-    amplitude[channel, np.arange(asked.size)] = force / model.modal_gain[asked, channel]
-    voltage = np.zeros((model.n_channels, timing.n_samples))
-    synthesise(amplitude, exponent, timing.hold, voltage[:, :n_before])
-    voltage[:, 0] = 0.0
-    if release == "braked":
-        brake(model, system, timing, voltage, n_before)
-    state = states_by_channel(system, voltage, timing, timing.focusing_instant).sum(axis=0)
-    miss = np.concatenate([(system.velocity @ state).real - target, (system.displacement @ state).real])
-    return Drive(voltage, 1.0, float(np.abs(miss).max()), n_before)
