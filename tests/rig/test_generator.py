@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 import time
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+import pyvisa
 
 from modaltouch.apparatus import Apparatus
-from modaltouch.rig.generator import Generator
+from modaltouch.rig.generator import Generator, find_instruments
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.settings import continuous_codes
 from modaltouch.rig.simulator import Simulator
@@ -357,3 +359,43 @@ def test_watchdog_that_cannot_be_armed_leaves_outputs_off(loaded: Generator, sim
     with pytest.raises(RigError, match="watchdog process does not run"):
         loaded.fire(0.1)
     assert simulator.outputs == (False, False)
+
+
+def test_found_instruments_are_no_serial_ports(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The AFG3022B has USB, LAN and GPIB; what a backend warns of while it searches is kept from the user."""
+
+    class Manager:
+        def __init__(self, library: str) -> None:
+            pass
+
+        def list_resources(self, query: str) -> tuple[str, ...]:
+            warnings.warn("discovery needs another package", stacklevel=1)
+            return ("ASRL/dev/ttyS0::INSTR", "USB0::0x0699::0x0347::C012345::INSTR", "TCPIP::10.0.0.7::INSTR")
+
+    monkeypatch.setattr(pyvisa, "ResourceManager", Manager)
+    assert find_instruments() == ("USB0::0x0699::0x0347::C012345::INSTR", "TCPIP::10.0.0.7::INSTR")
+
+
+def test_backend_that_is_not_there_is_reported() -> None:
+    """A VISA library that does not exist: said with what else to use."""
+    with pytest.raises(RigError, match="VISA backend '/nowhere/libvisa.so' cannot list instruments .* use '@py'"):
+        find_instruments("/nowhere/libvisa.so")
+
+
+def test_close_with_a_log_that_fails_switches_off_and_leaves_the_watchdog(
+    open_generator: Callable[..., Generator], simulator: Simulator, burst: Burst, guard: Any
+) -> None:
+    """A full disk under the log: close raises nothing, the outputs are off, and the watchdog makes sure."""
+    full = False
+
+    def log(event: str, **facts: Any) -> None:
+        if full:
+            raise OSError(28, "No space left on device")
+
+    rig = open_generator(log=log)
+    rig.load(burst)
+    rig.fire(0.1)
+    full = True
+    rig.close()
+    assert simulator.outputs == (False, False)
+    assert guard.told[-1] == "left watching"

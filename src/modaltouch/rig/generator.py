@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any, Self, cast
@@ -227,8 +228,10 @@ class Generator:
         try:
             self.stop()
             off = True
-        except RigError as error:
-            self._log("close_failed", reason=str(error))
+        # Whatever fails, a full disk under the log included: the watchdog is left to do it.
+        except Exception as error:
+            with contextlib.suppress(Exception):
+                self._log("close_failed", reason=str(error))
         finally:
             self._connection.close(clean=off)
 
@@ -311,10 +314,15 @@ def find_instruments(visa_library: str = "@py") -> tuple[str, ...]:
     import pyvisa
 
     try:
-        return tuple(pyvisa.ResourceManager(visa_library).list_resources("?*::INSTR"))
+        # What cannot be searched (USB, HiSLIP without their packages) is warned about, and no fault of the user's.
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            found = pyvisa.ResourceManager(visa_library).list_resources("?*::INSTR")
     # Backends raise OSError, ValueError and errors of their own.
     except Exception as error:
         raise RigError(
             f"the VISA backend '{visa_library}' cannot list instruments ({error}); use '@py', or install the "
             "vendor's VISA library"
         ) from error
+    # The series has USB, LAN and GPIB; a serial port is something else's.
+    return tuple(address for address in found if not address.upper().startswith("ASRL"))
