@@ -18,6 +18,9 @@ from numpy.typing import ArrayLike
 
 from modaltouch.analysis.intervals import CONFIDENCE, Interval
 
+FEW = 30
+"""Participants below which clustered standard errors are known to be too small."""
+
 LARGEST = 10.0
 """A coefficient or standard error beyond this is taken as a sign of separation (probit units)."""
 
@@ -72,6 +75,7 @@ def fit_ordered_probit(predictor: ArrayLike, answers: ArrayLike, participants: A
     half = NormalDist().inv_cdf(1 - (1 - CONFIDENCE) / 2) * error
     n = int(groups.max()) + 1
     note = f"secondary model; standard error {error:.2g} clustered over {n} participants"
+    note += f", which is too small for fewer than {FEW} of them" if n < FEW else ""
     return ProbitFit(Interval(slope, slope - half, slope + half, n), False, note)
 
 

@@ -116,8 +116,9 @@ def design_limits(analysis: Analysis) -> list[str]:
 
 
 def _title(analysis: Analysis) -> str:
-    name = str(analysis.responses.start.get("protocol", "")) if analysis.responses.sessions else ""
-    return f"Analysis of {name}" if name else "Analysis of answers"
+    start = analysis.responses.start
+    name = str(start.get("design", {}).get("title") or start.get("protocol", ""))
+    return f"Analysis: {name}" if name else "Analysis of answers"
 
 
 def _embed(picture: Picture, svg: bytes) -> dict[str, Any]:
@@ -140,11 +141,16 @@ def _zone_rows(answers: AnswerCounts, condition: str) -> list[dict[str, Any]]:
 
 
 def _test_tables(findings: Sequence[Finding]) -> list[dict[str, Any]]:
+    """Return the statistics question by question, each test or estimate a table of its own."""
     tables = []
     for question, heading in HEADINGS.items():
-        rows = [_test_row(finding) for finding in findings if finding.question == question]
-        if rows:
-            tables.append({"question": question, "heading": heading, "rows": rows})
+        groups: dict[str, list[dict[str, Any]]] = {}
+        for finding in (finding for finding in findings if finding.question == question):
+            groups.setdefault(finding.name, []).append(_test_row(finding))
+        if groups:
+            parts = [{"name": name, "lines": lines, "tested": any(row["p"] != "–" for row in lines)}
+                     for name, lines in groups.items()]  # fmt: skip
+            tables.append({"question": question, "heading": heading, "parts": parts})
     return tables
 
 
@@ -154,7 +160,6 @@ def _test_row(finding: Finding) -> dict[str, Any]:
     significant = not math.isnan(finding.p_holm) and finding.p_holm <= ALPHA
     return {
         **row,
-        "name": finding.name,
         "scope": finding.scope,
         "quantity": finding.quantity,
         "n": finding.n,

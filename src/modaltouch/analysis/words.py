@@ -146,29 +146,27 @@ def _level(own: Sequence[Finding], answers: AnswerCounts) -> str:
 
 def _conditions(own: Sequence[Finding], answers: AnswerCounts) -> str:
     text = f"Whole-participant swaps of the finger conditions (exact sign flips), Holm over {_family(own)}. "
-    text += " ".join(
-        f"{f.scope}, {f.quantity}: {say_interval(f)}, {_verdict(f)}; {f.note.split('; ')[-1]}." for f in own
-    )
+    text += _sum_up(own, quantity=True)
+    widest = max(max(abs(f.low), abs(f.high)) for f in own)
     return text + (
-        " A difference that is not significant does not show that the conditions are alike; what the data support "
-        "is equivalence within the margin named."
+        f" The data show the conditions to be alike only within the bounds of these intervals, {widest:.2f} at the "
+        "widest. A difference that is not significant does not show that the conditions are alike."
     )
 
 
 def _pairs(own: Sequence[Finding], answers: AnswerCounts) -> str:
     text = f"Share of “both”, compared between pairs within participants (exact sign flips), Holm over {_family(own)}. "
-    return text + " ".join(f"{f.scope}: {say_interval(f)}, {_verdict(f)}." for f in own if f.family)
+    return text + _sum_up([f for f in own if f.family])
 
 
 def _agreement(own: Sequence[Finding], answers: AnswerCounts) -> str:
     if answers.n_participants < 2:
         return "One participant alone: agreement between participants has no meaning."
-    text = "Gwet's AC1 (1 where all agree; kappa is undefined there and is not used). "
-    return text + " ".join(
-        f"{f.scope}: {say_interval(f)}; participants differ from each other: {_verdict(f)}."
-        for f in own
-        if f.quantity == "Gwet AC1"
+    text = (
+        "Gwet's AC1 (1 where all agree; kappa is undefined there and is not used), and whether participants differ "
+        "from each other (answers shuffled over participants, Monte Carlo). "
     )
+    return text + _sum_up([f for f in own if f.quantity == "Gwet AC1"])
 
 
 def _plain(question: str, own: Sequence[Finding]) -> str:
@@ -179,16 +177,31 @@ def _plain(question: str, own: Sequence[Finding]) -> str:
             + "; ".join(f"{f.scope} {f.quantity} {say_interval(f)}" for f in shares)
             + ". Paired differences of single cells (Tango) and matched odds ratios are in tests.csv."
         )
-    sentences = []
-    for f in own:
-        verdict = f", {_verdict(f)}" if not math.isnan(f.p) else ""
-        note = "" if math.isnan(f.p) is False and f.p_min > ALPHA else f" ({f.note})" if f.note else ""
-        sentences.append(f"{f.scope}: {f.quantity} {say_interval(f)}{verdict}{note}.")
+    estimates = [f for f in own if math.isnan(f.p)]
+    text = _sum_up([f for f in own if f not in estimates], quantity=True)
+    text += " ".join(f"{f.scope}: {f.quantity} {say_interval(f)} ({f.note})." for f in estimates)
     caution = {
         "time": " Bursts repeat at a fixed rate, so reaction times come in steps of one burst period.",
         "order": " In the paper the order of the two finger conditions is not told.",
     }
-    return " ".join(sentences) + caution.get(question, "")
+    return text + caution.get(question, "")
+
+
+def _sum_up(findings: Sequence[Finding], *, quantity: bool = False) -> str:
+    """Return the tests that could have shown something one by one, then those that could not in one sentence."""
+
+    def estimate(finding: Finding) -> str:
+        return f"{finding.scope}{', ' + finding.quantity if quantity else ''}: {say_interval(finding)}"
+
+    told = [f"{estimate(f)}, {_verdict(f)}." for f in findings if f.p_min <= ALPHA]
+    silent = [estimate(f) for f in findings if f.p_min > ALPHA]
+    if silent:
+        told.append(
+            f"No information, as no outcome could have given p ≤ {ALPHA:g}, on these, whose estimates stand alone: "
+            + "; ".join(silent)
+            + "."
+        )
+    return " ".join(told)
 
 
 def _verdict(finding: Finding) -> str:
