@@ -14,7 +14,7 @@ from modaltouch.rig.interface import RigError
 from modaltouch.rig.simulator import Simulator
 from modaltouch.rig.simulator.behaviour import Behaviour
 
-PATIENCE = Patience(reply=0.3, copy=3.0, tries=2, pause=0.02)
+PATIENCE = Patience(reply=0.3, copy=1.0, tries=2, pause=0.02)
 
 
 @pytest.fixture(scope="module")

@@ -312,7 +312,7 @@ KINDS = (
 )
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture], derandomize=True)
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture], derandomize=True)
 @given(kind=st.sampled_from(KINDS), nth=st.integers(0, 60), times=st.integers(1, 2))
 def test_no_fault_at_any_message_leaves_outputs_on_or_confirms_a_wrong_stimulus(
     kind: str,
