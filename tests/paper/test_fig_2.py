@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from modaltouch.stimulus.field import Projection, Wish
+from modaltouch.stimulus.field import Projection
+from modaltouch.stimulus.wish import Wish
 
 
 def test_triangle_projects_as_its_closed_form(model):

@@ -13,13 +13,14 @@ from modaltouch.stimulus.bounds import require_positive
 from modaltouch.stimulus.burst import MID_CODE, Burst
 from modaltouch.stimulus.drive import Drive, Law, Release, check_drivable, exact_drive
 from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem, modal_system
-from modaltouch.stimulus.field import Projection, Wish
+from modaltouch.stimulus.field import Projection
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.paper_law import paper_drive
 from modaltouch.stimulus.quantise import full_scale, quantise, signed_codes
 from modaltouch.stimulus.settling import settle
 from modaltouch.stimulus.timing import Timing
 from modaltouch.stimulus.vibration import peak_velocity, states_by_channel
+from modaltouch.stimulus.wish import Wish
 
 __all__ = ["Amplifier", "Burst", "ModalModel", "Stimulus", "Timing", "Wish", "design_stimulus"]
 

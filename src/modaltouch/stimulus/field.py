@@ -1,107 +1,24 @@
-"""The wished velocity field, its projection on the modes, and the modes that are selected for it."""
+"""A wished field as the modes see it: projection, selection, and what stays out of reach."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from modaltouch.stimulus.bounds import require_finite, require_positive
 from modaltouch.stimulus.modes import ModalModel, mode_shapes
+from modaltouch.stimulus.wish import Wish
 
 FloatArray = NDArray[np.float64]
-Shape = Literal["triangle", "box", "half_cosine", "raised_cosine", "gaussian"]
-
-_PROFILES: dict[Shape, Callable[[FloatArray], FloatArray]] = {
-    "triangle": lambda u: 1 - u,
-    "box": np.ones_like,
-    "half_cosine": lambda u: np.cos(np.pi * u / 2),
-    "raised_cosine": lambda u: 0.5 + 0.5 * np.cos(np.pi * u),
-}
-"""Fields of bounded width against the distance from their centre, 1 at their edge [1]."""
-
 _NODES = 16
 _PHASE_PER_PANEL = 10.0
 """A 16-node Gauss rule integrates 10 rad of a sinusoid to 1e-22 of its own amplitude."""
 
 _NOTHING = 1e-9
 """A projection below this fraction of the wish is rounding, not vibration."""
-
-
-@dataclass(frozen=True)
-class Wish:
-    """The velocity field wished at the focusing instant.
-
-    Attributes
-    ----------
-    shape : str
-        ``triangle``, ``box``, ``half_cosine``, ``raised_cosine`` or ``gaussian``.
-    base : float
-        Width of the field where it leaves zero [m]; a Gaussian is as wide at half height as a triangle of this
-        base.
-    centre : float
-        Where the field peaks, origin at mid-beam [m].
-    velocity : float
-        Velocity at the centre at the focusing instant, for the highest level [m/s].
-    n_decomposed : int
-        The wish is decomposed on modes 1 to this label.
-    selection : int or tuple of int
-        Number of strongest modelled modes to excite, or their labels.
-    """
-
-    shape: Shape = "triangle"
-    base: float = 0.056
-    centre: float = 0.0
-    velocity: float = 0.2
-    n_decomposed: int = 50
-    selection: int | tuple[int, ...] = 6
-
-    def __post_init__(self) -> None:
-        """Refuse a wish that no beam can be asked."""
-        if self.shape not in get_args(Shape):
-            raise ValueError(f"the field shape {self.shape!r} is unknown; allowed: {', '.join(get_args(Shape))}")
-        require_positive("the base of the field", self.base, "m", "the shipped field has 56 mm")
-        require_finite("the centre of the field", self.centre, "m", "give a point of the beam")
-        require_positive("the velocity level", self.velocity, "m/s", "the paper has 0.08 to 0.2 m/s")
-        if self.n_decomposed < 1:
-            raise ValueError(f"the field is decomposed on {self.n_decomposed} modes; at least 1 is needed: give 50")
-        if isinstance(self.selection, tuple):
-            if not self.selection or len(set(self.selection)) < len(self.selection):
-                raise ValueError(f"the selected modes are {self.selection}; give at least one label, each once")
-        elif self.selection < 1:
-            raise ValueError(f"{self.selection} modes are to be selected; at least 1 is needed: give 6")
-
-    def profile(self, position: ArrayLike) -> FloatArray:
-        """Return the wished field at unit velocity, (n_points,) array [1].
-
-        Parameters
-        ----------
-        position : (n_points,) array_like
-            Coordinate along the beam, origin at its middle [m].
-        """
-        offset = np.abs(np.atleast_1d(np.asarray(position, dtype=float)) - self.centre) / (self.base / 2)
-        if self.shape == "gaussian":
-            return np.asarray(np.exp(-math.log(2) * (2 * offset) ** 2))
-        inside = offset <= 1
-        values = _PROFILES[self.shape](np.minimum(offset, 1.0))
-        return np.where(inside, values, 0.0)
-
-    def edges(self, length: float) -> list[float]:
-        """Return the points where the field or its slope jumps, with the ends of the beam, increasing [m].
-
-        Parameters
-        ----------
-        length : float
-            Length of the beam [m].
-        """
-        half = length / 2
-        inner = [self.centre - self.base / 2, self.centre, self.centre + self.base / 2]
-        return [-half, *(x for x in inner if -half < x < half), half]
 
 
 @lru_cache(maxsize=1)
@@ -157,9 +74,10 @@ class Projection:
     def __post_init__(self) -> None:
         """Refuse a wish that the modelled modes cannot follow."""
         half = self.model.length / 2
-        if abs(self.wish.centre) > half:
+        off = [centre for centre in self.wish.centres if abs(centre) > half]
+        if off:
             raise ValueError(
-                f"the field is centred at {self.wish.centre * 1e3:g} mm, off the beam, which spans "
+                f"the field is centred at {off[0] * 1e3:g} mm, off the beam, which spans "
                 f"-{half * 1e3:g} to {half * 1e3:g} mm: centre it on a zone"
             )
         selection = self.wish.selection
@@ -192,7 +110,7 @@ class Projection:
         """Coefficients of the wish at unit velocity on modes 1 to `n_decomposed`, (n_decomposed,) array [1]."""
         position, weight = self._nodes
         profile = self.wish.profile(position)
-        alive = profile > 0
+        alive = profile != 0
         labels = np.arange(1, self.wish.n_decomposed + 1)
         shapes = mode_shapes(labels, position[alive], self.model.length)
         return np.asarray(shapes @ (weight * profile)[alive] / self.model.length)
@@ -203,7 +121,7 @@ class Projection:
         phase_rate = (max(self.model.label) + 1) * 2 * np.pi / self.model.length
         position, weight = quadrature(self.wish.edges(self.model.length), phase_rate)
         profile = self.wish.profile(position)
-        alive = profile > 0
+        alive = profile != 0
         shapes = self.model.shapes(position[alive])
         return np.asarray(shapes @ (weight * profile)[alive] / self.model.length)
 
@@ -251,6 +169,29 @@ class Projection:
             Coordinate along the beam, origin at its middle [m].
         """
         return self.wish.velocity * self.wish.profile(position) - self.field(position)
+
+    @cached_property
+    def missing(self) -> tuple[int, ...]:
+        """Labels that the wish needs and the field lacks, strongest first: over a tenth of the strongest."""
+        strength = np.abs(self.decomposition)
+        order = np.argsort(-strength, kind="stable") + 1
+        least = 0.1 * strength.max()
+        return tuple(int(k) for k in order if strength[k - 1] > least and k not in self.selected)
+
+    def unreached(self) -> str:
+        """Return in words what of the wish the selected modes do not reach, and for lack of which modes.
+
+        Symmetric wiring, for one, mirrors every field at mid-beam: what it adds there and lacks here is said,
+        never silently taken for the wish.
+        """
+        position = np.linspace(-self.model.length / 2, self.model.length / 2, 501)
+        residual = self.residual(position)
+        worst = int(np.abs(residual).argmax())
+        lack = f", for lack of modes {', '.join(map(str, self.missing))}" if self.missing else ""
+        return (
+            f"the field misses the wish by {self.reconstruction_error:.0%} of its root mean square and by up "
+            f"to {abs(residual[worst]) * 1e3:.0f} mm/s at {position[worst] * 1e3:.0f} mm{lack}"
+        )
 
     @cached_property
     def reconstruction_error(self) -> float:

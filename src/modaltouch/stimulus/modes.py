@@ -51,7 +51,7 @@ def characteristic_root(bending: int) -> float:
     return middle + deviation
 
 
-def mode_shapes(label: ArrayLike, position: ArrayLike, length: float) -> FloatArray:
+def mode_shapes(label: ArrayLike, position: ArrayLike, length: float, derivative: int = 0) -> FloatArray:
     r"""Return the mode shapes of a uniform free-free Euler-Bernoulli beam [1].
 
     Label 1 is the rigid translation, 2 the rigid rotation, k >= 3 the bending mode n = k - 2. Each has unit
@@ -71,27 +71,31 @@ def mode_shapes(label: ArrayLike, position: ArrayLike, length: float) -> FloatAr
         Coordinate along the beam, origin at its middle [m].
     length : float
         Length of the beam [m].
+    derivative : int
+        0 for the shapes, 1 for their slopes, 2 for their curvatures, and so on.
 
     Returns
     -------
     (n_modes, n_points) array
-        Mode shapes [1].
+        Mode shapes [1], or their derivatives along the beam [1/m to that order].
 
     Raises
     ------
     ValueError
-        If a label is below 1, or a position lies off the beam.
+        If a label is below 1, a position lies off the beam, or the derivative is negative.
 
     References
     ----------
     Goncalves, Brennan, Peplow, Tang (2018); Khasawneh and Segalman (2019), arXiv 1811.03222.
     """
+    if derivative < 0:
+        raise ValueError(f"the derivative {derivative} of a mode shape is asked; give 0 or above")
     labels = np.atleast_1d(np.asarray(label))
     y = scaled_position(position, length)
     shapes = np.empty((labels.size, y.size))
     for row, k in zip(shapes, labels.tolist(), strict=True):
-        row[:] = _shape(int(k), y)
-    return shapes
+        row[:] = _shape(int(k), y, derivative)
+    return shapes / length**derivative
 
 
 def scaled_position(position: ArrayLike, length: float) -> FloatArray:
@@ -120,21 +124,23 @@ def scaled_position(position: ArrayLike, length: float) -> FloatArray:
     return np.asarray(np.clip(y, -0.5, 0.5))
 
 
-def _shape(label: int, y: FloatArray) -> FloatArray:
-    """Return one mode shape at y = x/L [1]."""
+def _shape(label: int, y: FloatArray, derivative: int) -> FloatArray:
+    """Return one mode shape at y = x/L, or its derivative along y [1]."""
     if label < 1:
         raise ValueError(f"mode label {label} does not exist; labels count from 1 (the rigid translation)")
-    if label == 1:
-        return np.ones_like(y)
-    if label == 2:
-        return math.sqrt(12.0) * y
+    if label <= 2:
+        rigid = np.polynomial.Polynomial([1.0] if label == 1 else [0.0, math.sqrt(12.0)])
+        return np.asarray(rigid.deriv(derivative)(y) if derivative else rigid(y)) * np.ones_like(y)
     root = characteristic_root(label - 2)
-    near = np.exp(-root * (0.5 - np.abs(y)))
-    far = np.exp(-root * (0.5 + np.abs(y)))
+    side = np.where(y < 0, -1.0, 1.0)
+    near = np.exp(-root * (0.5 - np.abs(y))) * side**derivative
+    far = np.exp(-root * (0.5 + np.abs(y))) * (-side) ** derivative
+    cosine, sine = np.cos(root * y), np.sin(root * y)
     if label % 2:
-        return np.cos(root * y) / math.cos(root / 2) + (near + far) / (1 + math.exp(-root))
-    odd = np.sign(y) * (near - far) / (1 - math.exp(-root))
-    return np.asarray(np.sin(root * y) / math.sin(root / 2) + odd)
+        wave = (cosine, -sine, -cosine, sine)[derivative % 4] / math.cos(root / 2)
+        return np.asarray(root**derivative * (wave + (near + far) / (1 + math.exp(-root))))
+    wave = (sine, cosine, -sine, -cosine)[derivative % 4] / math.sin(root / 2)
+    return np.asarray(root**derivative * (wave + side * (near - far) / (1 - math.exp(-root))))
 
 
 @dataclass(frozen=True, eq=False)

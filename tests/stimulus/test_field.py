@@ -1,0 +1,117 @@
+"""Wishes of every kind, their projection, and what stays out of reach."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from modaltouch.stimulus.design import Amplifier, ModalModel, Timing, Wish, design_stimulus
+from modaltouch.stimulus.field import Projection
+from modaltouch.stimulus.modes import mode_shapes
+
+SHAPES = ("triangle", "box", "half_cosine", "raised_cosine", "gaussian")
+
+
+@pytest.fixture(scope="module")
+def full_model():
+    """Return a beam of which the first forty modes are modelled, even ones too."""
+    n = 40
+    return ModalModel(tuple(range(1, n + 1)), np.linspace(200.0, 90e3, n), np.full(n, 0.02), np.ones((n, 2)), 0.1)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@settings(max_examples=6, deadline=None)
+@given(base=st.floats(0.008, 0.09), centre=st.floats(-0.045, 0.045))
+def test_coefficients_match_a_fine_sum(shape, base, centre, full_model):
+    """Mean of field times shape by the midpoint rule on 20,001 points, for any width and place."""
+    wish = Wish(shape=shape, base=base, centre=centre, selection=40)
+    place = (np.arange(20_001) + 0.5) / 20_001 * 0.1 - 0.05
+    labels = [1, 2, 3, 6, 17, 40]
+    summed = mode_shapes(labels, place, 0.1) @ wish.profile(place) / place.size
+    found = Projection(full_model, wish).coefficient[[k - 1 for k in labels]]
+    assert found == pytest.approx(summed, abs=2e-4)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_many_modes_recover_the_wish(full_model, shape):
+    """The modes are complete: with forty of them the field follows the wish, box edges apart."""
+    projection = Projection(full_model, Wish(shape=shape, centre=0.01, selection=40))
+    assert projection.reconstruction_error < (0.2 if shape == "box" else 0.03)
+    assert projection.field([0.01])[0] == pytest.approx(0.2, rel=1e-12)
+
+
+def test_widths_at_half_height_agree_among_the_shapes():
+    """A triangle, a raised cosine and the Gaussian are as wide as half their base at half height."""
+    for shape in ("triangle", "raised_cosine", "gaussian"):
+        assert Wish(shape=shape, base=0.04).profile([0.01, -0.01]) == pytest.approx(0.5, abs=1e-12)
+
+
+def test_symmetric_wiring_mirrors_the_field_and_says_so(model):
+    """With odd labels alone a focus at 20 mm appears at -20 mm too; the even modes it lacks are named."""
+    projection = Projection(model, Wish(centre=0.02))
+    left, right = projection.field([-0.02, 0.02])
+    assert left == pytest.approx(right, rel=1e-12)
+    assert right == pytest.approx(0.2)
+    assert 2 in projection.missing
+    assert 4 in projection.missing
+    assert projection.residual([-0.02])[0] == pytest.approx(-0.2, rel=1e-6)
+    assert "for lack of modes" in projection.unreached()
+    assert "at -20 mm" in projection.unreached()
+
+
+def test_two_zones_at_once_are_reached_by_symmetric_wiring(model):
+    """B and D together are a symmetric field: both reach the level, and every state is met."""
+    wish = Wish(base=0.03, centre=-0.02, further_centres=(0.02,), selection=7)
+    stimulus = design_stimulus(model, wish, Timing(n_samples=25_000), Amplifier(gain=25.0, limit=1e3))
+    assert stimulus.velocity_at_focus([-0.02, 0.02], 0.2) == pytest.approx(0.2, rel=1e-4)
+    assert stimulus.worst_modal_error(0.2) < 1e-6
+    assert not [k for k in stimulus.projection.missing if k % 2 == 0]
+
+
+def test_overlapping_shapes_do_not_add_up():
+    """Where two wished shapes overlap the higher counts."""
+    wish = Wish(base=0.06, centre=-0.01, further_centres=(0.01,))
+    assert wish.profile([-0.01, 0.0, 0.01]) == pytest.approx([1, 2 / 3, 1])
+
+
+def test_sampled_wish_comes_from_a_file(tmp_path, model):
+    """A triangle written as three points is the triangle."""
+    file = tmp_path / "wish.csv"
+    file.write_text("position_mm,velocity\n-28,0\n0,350\n28,0\n", encoding="utf-8")
+    sampled = Wish.from_csv(file, velocity=0.2)
+    assert sampled.centre == 0.0
+    expected = Projection(model, Wish())
+    assert Projection(model, sampled).target == pytest.approx(expected.target, abs=1e-15)
+    assert Projection(model, sampled).selected == (1, 3, 5, 7, 11, 13)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("x,v\n0,1\n", r"wish\.csv:1: the columns are \['x', 'v'\]; needed are position_mm, velocity"),
+        ("position_mm,velocity\n0,1\n5,nan\n", r"wish\.csv:3: velocity is 'nan'; it must be a finite number"),
+        ("position_mm,velocity\n0,1\nfar,1\n", r"wish\.csv:3: position_mm is 'far'"),
+        ("position_mm,velocity\n0,1\n5\n", r"wish\.csv:3: velocity is None"),
+        ("position_mm,velocity\n0,1\n", r"1 points; a field needs at least 2"),
+        ("position_mm,velocity\n0,1\n0,2\n", r"from 0 m to 0 m; positions must increase"),
+        ("position_mm,velocity\n0,-1\n5,-2\n", r"relative velocity -1 at its centre of 0 mm"),
+        ("", r"the columns are None"),
+    ],
+)
+def test_files_that_hold_no_field_are_refused_with_their_line(tmp_path, text, message):
+    """NaN, text, short lines, doubles and wrong columns (physics.md section 6: a clear error with its place)."""
+    file = tmp_path / "wish.csv"
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(ValueError, match=message):
+        Wish.from_csv(file, velocity=0.2)
+
+
+def test_width_is_asked_between_nothing_and_the_peak(model):
+    """A width at 0 or 100 % means nothing."""
+    with pytest.raises(ValueError, match=r"a width is asked at 1\.0 of the centre"):
+        Projection(model, Wish()).width(1.0)
+
+
+def test_field_wider_than_the_beam_is_as_wide_as_the_beam(model):
+    """Rigid translation alone nowhere falls to half: the width ends at the beam's ends."""
+    assert Projection(model, Wish(selection=(1,))).width(0.5) == pytest.approx(0.1)

@@ -1,0 +1,67 @@
+"""Slopes, curvatures and the gains of patches."""
+
+import numpy as np
+import pytest
+
+from modaltouch.stimulus.modes import characteristic_root, mode_shapes
+from modaltouch.stimulus.patches import patch_gains
+
+LABELS = [1, 2, 3, 4, 5, 12, 17]
+
+
+@pytest.mark.parametrize("derivative", [1, 2, 3])
+def test_derivatives_match_finite_differences(derivative):
+    """Central differences of the derivative below, step 1e-6 of the length."""
+    place, step = np.linspace(-0.0499, 0.0499, 23), 1e-7
+    low, high = (mode_shapes(LABELS, place + by, 0.1, derivative - 1) for by in (-step, step))
+    numeric = (high - low) / (2 * step)
+    exact = mode_shapes(LABELS, place, 0.1, derivative)
+    assert exact == pytest.approx(numeric, abs=1e-6 * np.abs(exact).max())
+
+
+def test_bending_modes_solve_the_beam_equation():
+    """Euler-Bernoulli: the fourth derivative is (root / L)^4 times the shape."""
+    place = np.linspace(-0.05, 0.05, 11)
+    for label in (3, 8, 17):
+        factor = (characteristic_root(label - 2) / 0.1) ** 4
+        fourth = mode_shapes([label], place, 0.1, 4)
+        assert fourth == pytest.approx(factor * mode_shapes([label], place, 0.1), rel=1e-9, abs=1e-9 * factor)
+
+
+@pytest.mark.parametrize("derivative", [2, 3])
+def test_free_ends_carry_neither_moment_nor_force(derivative):
+    """Boundary conditions of a free end."""
+    at_ends = mode_shapes([3, 4, 9, 50], [-0.05, 0.05], 0.1, derivative)
+    inside = np.abs(mode_shapes([3, 4, 9, 50], np.linspace(-0.05, 0.05, 99), 0.1, derivative)).max(axis=1)
+    assert np.abs(at_ends / inside[:, None]).max() < 1e-12
+
+
+def test_slope_difference_is_the_integral_of_the_curvature():
+    """Fundamental theorem, by Gauss-Legendre over the patch."""
+    node, weight = np.polynomial.legendre.leggauss(40)
+    left, right = -0.008, 0.011
+    place = (left + right) / 2 + (right - left) / 2 * node
+    integral = mode_shapes(LABELS, place, 0.1, 2) @ weight * (right - left) / 2
+    assert patch_gains(LABELS, [(left, right)], 0.1) == pytest.approx(integral, rel=1e-10, abs=1e-9)
+
+
+def test_symmetric_pairs_drive_symmetric_modes_alone():
+    """Two patches wired together, mirrored at mid-beam: even labels feel nothing, nor do rigid modes."""
+    gain = patch_gains(range(1, 18), [(-0.03, -0.02), (0.02, 0.03)], 0.1)
+    assert np.abs(gain[1::2]).max() < 1e-9 * np.abs(gain).max()
+    assert gain[0] == 0
+    assert (np.abs(gain[2::2]) > 0).all()
+
+
+def test_impossible_patches_are_refused():
+    """A patch has a length and lies on the beam."""
+    with pytest.raises(ValueError, match=r"a patch runs from 3 to -2 mm"):
+        patch_gains([3], [(0.003, -0.002)], 0.1)
+    with pytest.raises(ValueError, match=r"position 60 mm is not on the beam"):
+        patch_gains([3], [(0.04, 0.06)], 0.1)
+    with pytest.raises(ValueError, match=r"no patch is given"):
+        patch_gains([3], [], 0.1)
+    with pytest.raises(ValueError, match=r"strength of the patches is nan"):
+        patch_gains([3], [(0.0, 0.01)], 0.1, float("nan"))
+    with pytest.raises(ValueError, match=r"derivative -1 of a mode shape"):
+        mode_shapes([3], [0.0], 0.1, -1)
