@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from modaltouch import __version__
-from modaltouch.cli import analysing, checking, looking, rigs, running
+from modaltouch.cli import analysing, checking, looking, planning, rigs, running
 
 app = typer.Typer(
     name="modaltouch",
@@ -41,6 +41,7 @@ app.command("run")(running.run)
 app.command("resume")(running.resume)
 app.command("simulate")(running.simulate)
 app.command("analyse")(analysing.analyse)
+app.command("power")(planning.power)
 app.command("verify")(looking.verify)
 app.command("doctor")(looking.doctor)
 app.add_typer(rigs.app, name="rig")

@@ -1,0 +1,259 @@
+"""``modaltouch power`` and ``fit``: how many participants, before the first one comes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from modaltouch.cli.checking import PROTOCOL
+from modaltouch.cli.faults import INTERRUPTED, print_json, reporting
+
+if TYPE_CHECKING:
+    from modaltouch.planning.power import Power
+
+_MOST_PARTICIPANTS, _MOST_ANSWERS = 1000, 10_000
+_MOST_LINES = 12
+
+OBSERVER = Annotated[
+    str, typer.Option(help="Who is simulated: a YAML file, or a shipped observer such as `paper` or `near_miss`.")
+]
+
+
+def power(
+    protocol: PROTOCOL,
+    participants: Annotated[
+        str, typer.Option("--participants", "-n", help="Sizes of the cohort: 6:40, 6:40:2 or 8,12,16.")
+    ] = "6:40:2",
+    reps: Annotated[
+        str | None,
+        typer.Option(help="Repetitions of each condition, such as 1,2,4.", show_default="the protocol's own"),
+    ] = None,
+    observer: OBSERVER = "paper",
+    experiments: Annotated[int, typer.Option(min=1, max=1_000_000, help="Experiments simulated of each size.")] = 1000,
+    questions: Annotated[str, typer.Option(help="Which questions of the analysis.")] = "a1,a2,b,c,d",
+    seed: Annotated[int, typer.Option(min=0, help="Seed; the same seed gives the same figures.")] = 1,
+    null: Annotated[
+        bool, typer.Option("--null", help="Simulate that there is nothing to be found, to check the false alarms.")
+    ] = False,
+    target: Annotated[float, typer.Option(min=0.01, max=0.999, help="Power that is wanted.")] = 0.8,
+    jobs: Annotated[int, typer.Option("--jobs", "-j", min=1, max=256, help="Processes that share the work.")] = 1,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for tables and the contour plot.", show_default="nothing is written")
+    ] = None,
+    json_output: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
+) -> None:
+    """Say how likely an experiment of each size is to answer its questions, by simulating the very protocol.
+
+    Simulated participants answer every condition of the protocol, and the exact tests of the analysis, with Holm's
+    correction, are done on their answers. Ctrl-C keeps what is done.
+    """
+    sizes_n = parse_sizes(participants, "--participants", _MOST_PARTICIPANTS)
+    sizes_r = parse_sizes(reps, "--reps", _MOST_ANSWERS) if reps is not None else None
+    from modaltouch.interruption import Interruption
+    from modaltouch.observer.file import read_observer
+    from modaltouch.planning.experiments import Study
+    from modaltouch.planning.power import plan
+    from modaltouch.planning.presented import design_for
+    from modaltouch.planning.writing import refuse_other, write_power
+    from modaltouch.preflight import examine
+
+    with reporting(json_output=json_output):
+        model = read_observer(observer)
+        preflight = examine(protocol).require()
+        repetitions = sizes_r or (preflight.experiment.protocol.schedule.repetitions,)
+        design = design_for(preflight, model)
+        _refuse_too_large(max(sizes_n) * max(repetitions) * len(design.levels))
+        study = Study(design, model, _families(questions, design.scopes), null, seed)
+        if out is not None:
+            refuse_other(out)
+        with Interruption() as interruption, _progress() as on_progress:
+            found = plan(
+                study,
+                [(n, r) for r in repetitions for n in sizes_n],
+                experiments,
+                n_processes=jobs,
+                on_progress=on_progress,
+                told_to_stop=lambda: bool(interruption.pending),
+            )
+        files = write_power(out, found, target) if out is not None and found.tallies else {}
+        if json_output:
+            print_json({**found.as_dict(target), "files": {name: str(path) for name, path in files.items()}})
+        else:
+            tell(found, target)
+            for name, path in files.items():
+                print(f"{name:16} {path}")
+        if not found.complete:
+            typer.secho(f"interrupted; kept: {_done(found)}", err=True)
+            raise typer.Exit(INTERRUPTED)
+
+
+def parse_sizes(words: str, option: str, most: int) -> tuple[int, ...]:
+    """Return the whole numbers that a range or a list names, increasing and each once.
+
+    Parameters
+    ----------
+    words : str
+        ``6:40`` (both ends included), ``6:40:2``, or ``8,12,16``; also several of them, separated by commas.
+    option : str
+        Name of the option, for the message.
+    most : int
+        Largest number that is allowed.
+
+    Raises
+    ------
+    typer.BadParameter
+        If it names no numbers, or some out of bounds.
+
+    Examples
+    --------
+    >>> parse_sizes("6:10:2,20", "--participants", 1000)
+    (6, 8, 10, 20)
+    """
+    found: set[int] = set()
+    for part in words.split(","):
+        ends = part.strip().split(":")
+        if not (1 <= len(ends) <= 3 and all(end.strip().isascii() and end.strip().isdecimal() for end in ends)):
+            _refuse(option, words, most)
+        first, last, step = (int(value) for value in (*ends, *(ends[:1] if len(ends) == 1 else []), "1")[:3])
+        if not (1 <= first <= last <= most and step >= 1):
+            _refuse(option, words, most)
+        found.update(range(first, last + 1, step))
+    return tuple(sorted(found))
+
+
+def _refuse(option: str, words: str, most: int) -> None:
+    raise typer.BadParameter(
+        f"given {option} {words!r}; allowed: whole numbers from 1 to {most}, as a range 6:40, a range with a step "
+        "6:40:2, or a list 8,12,16"
+    )
+
+
+def _refuse_too_large(n_answers: int) -> None:
+    if n_answers > _MOST_ANSWERS:
+        raise typer.BadParameter(
+            f"given {n_answers} answers to each pair (participants x repetitions x levels); allowed: at most "
+            f"{_MOST_ANSWERS}; lower --participants or --reps"
+        )
+
+
+def _families(questions: str, scopes: Callable[[str], tuple[str, ...]]) -> tuple[str, ...]:
+    """Return the families of the questions that the protocol has tests for."""
+    from modaltouch.planning.questions import FAMILIES
+
+    known = tuple(dict.fromkeys(family.split()[0] for family in FAMILIES))
+    asked = [word.strip() for word in questions.split(",")]
+    for word in asked:
+        if word not in known:
+            raise typer.BadParameter(f"given --questions {word!r}; allowed: {', '.join(known)}, separated by commas")
+    found = tuple(family for family in FAMILIES if family.split()[0] in asked and scopes(family))
+    if not found:
+        raise typer.BadParameter(
+            f"given --questions {questions!r}, for which this protocol has no test: c needs two finger conditions, d "
+            "two pairs of zones"
+        )
+    return found
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[int, int], None]]:
+    """Show on standard error how much is done, and how long the rest will take."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True)) as progress:
+        task = progress.add_task("experiments", total=None)
+        yield lambda done, total: progress.update(task, completed=done, total=total)
+
+
+def _done(found: Power) -> str:
+    if not found.tallies:
+        return "nothing, as no experiment was finished"
+    if found.complete:
+        return f"{found.n_experiments} experiments of each size"
+    counts = [tally.n_experiments for tallies in found.tallies.values() for tally in tallies.values()]
+    return (
+        f"{min(counts)} to {max(counts)} of {found.n_experiments} experiments for {len(found.tallies)} of "
+        f"{len(found.sizes)} sizes"
+    )
+
+
+def tell(found: Power, target: float) -> None:
+    """Print a plan: power of each family at each size, the numbers needed, and the floors.
+
+    Parameters
+    ----------
+    found : Power
+        The plan.
+    target : float
+        Power that is wanted [1].
+    """
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console()
+    study = found.study
+    what = "False alarms, nothing being there to be found" if study.null else "Power"
+    console.print(
+        f"[bold]{what}[/] of {study.design.protocol} with observer {study.observer.name}: share of {_done(found)} in "
+        f"which at least one test of a family is significant at {study.alpha:g} after Holm's correction, and its 95 % "
+        "interval"
+    )
+    for repetitions in sorted({row["n_repetitions"] for row in found.families}):
+        rows = [row for row in found.families if row["n_repetitions"] == repetitions]
+        table = Table(
+            title=f"n participants, {repetitions} repetition{'s' if repetitions > 1 else ''}", title_justify="left"
+        )
+        for heading in ("n", *study.families):
+            table.add_column(heading, justify="right", no_wrap=True)
+        numbers = sorted({row["n_participants"] for row in rows})
+        for n in _thinned(numbers):
+            table.add_row(str(n), *(_cell(row) for row in rows if row["n_participants"] == n))
+        console.print(table)
+    if not study.null:
+        _tell_needed(console, Table, found.needed(target), target)
+    _tell_floors(console, [vars(floor) for floor in found.floors])
+
+
+def _thinned(numbers: list[int]) -> list[int]:
+    """Return a dozen of many numbers, first and last among them."""
+    if len(numbers) <= _MOST_LINES:
+        return numbers
+    return [numbers[round(i * (len(numbers) - 1) / (_MOST_LINES - 1))] for i in range(_MOST_LINES)]
+
+
+def _cell(row: dict[str, Any]) -> str:
+    if not row["reachable"]:
+        return "out of reach"
+    return f"{row['power']:.2f} ({row['low']:.2f}-{row['high']:.2f})"
+
+
+def _tell_needed(console: Any, table_kind: Any, rows: list[dict[str, Any]], target: float) -> None:
+    repetitions = sorted({row["n_repetitions"] for row in rows})
+    table = table_kind(title=f"Participants for a power of {target:g}", title_justify="left")
+    for heading in ("question", "test", *(f"{r} rep." for r in repetitions)):
+        table.add_column(heading)
+    by_test: dict[tuple[str, str], dict[int, Any]] = {}
+    for row in rows:
+        by_test.setdefault((row["family"], row["scope"]), {})[row["n_repetitions"]] = row["n_participants"]
+    for (family, scope), numbers in by_test.items():
+        if family != "a1" or scope == "any test":
+            table.add_row(family, scope, *(str(numbers.get(r) or "more") for r in repetitions))
+    console.print(table)
+
+
+def _tell_floors(console: Any, floors: list[dict[str, Any]]) -> None:
+    for family in dict.fromkeys(floor["family"] for floor in floors):
+        own = [floor for floor in floors if floor["family"] == family]
+        least = [floor["least_participants"] for floor in own]
+        where = f"{family} ({own[0]['n_tests']} tests)"
+        if least == [None] * len(least):
+            console.print(f"[dim]{where}: no number of participants can make it significant[/]")
+            continue
+        numbers = ", ".join(dict.fromkeys(str(n) for n in least))
+        per = f" ({', '.join(str(floor['n_repetitions']) for floor in own)} repetitions)" if "," in numbers else ""
+        console.print(f"[dim]{where}: fewer than {numbers} participants{per} can never be significant[/]")

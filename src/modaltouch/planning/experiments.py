@@ -1,0 +1,236 @@
+"""Experiments simulated by the thousand: participants drawn, answers drawn, tests counted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modaltouch.analysis.findings import ALPHA
+from modaltouch.observer import Observer, Participant
+from modaltouch.planning.design import Design
+from modaltouch.planning.questions import Answers, half_widths, p_values
+from modaltouch.planning.significance import holm_p
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+BATCH = 250
+"""Most experiments of one job. It belongs to the seeds: another number gives other random answers."""
+
+BATCH_CELLS = 3_000_000
+"""Most answers of one job with one repetition, which bounds its memory; of the seeds too."""
+
+_TIES = 1 + 1e-9
+"""A p that equals the level but for rounding counts as significant."""
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """What is simulated.
+
+    Attributes
+    ----------
+    design : Design
+        The cells, and what fingers feel in them.
+    observer : Observer
+        The population that participants are drawn from.
+    families : tuple of str
+        Which families of tests are done.
+    null : bool
+        Whether nothing is there to be found, so that significant tests are false alarms.
+    seed : int
+        Seed of all jobs.
+    alpha : float
+        Level of significance [1].
+    """
+
+    design: Design
+    observer: Observer
+    families: tuple[str, ...]
+    null: bool
+    seed: int
+    alpha: float = ALPHA
+
+    @cached_property
+    def null_design(self) -> Design:
+        """The design with nothing to be found."""
+        return self.design.without_differences()
+
+    def seed_of(self, job: Job) -> np.random.SeedSequence:
+        """Return the seed of a job: spawned from the study's, the same whichever other jobs there are.
+
+        Parameters
+        ----------
+        job : Job
+            The job.
+        """
+        key = (job.n_participants, job.n_repetitions, job.batch)
+        return np.random.SeedSequence(self.seed, spawn_key=key)
+
+
+@dataclass(frozen=True, order=True)
+class Job:
+    """Some experiments of one size.
+
+    Attributes
+    ----------
+    n_participants, n_repetitions : int
+        Size of the experiments.
+    batch : int
+        Which job of this size, from 0.
+    n_experiments : int
+        How many experiments.
+    """
+
+    n_participants: int
+    n_repetitions: int
+    batch: int
+    n_experiments: int
+
+
+@dataclass(frozen=True, eq=False)
+class Tally:
+    """What came out of some experiments of one size, for one family of tests.
+
+    Attributes
+    ----------
+    n_experiments : int
+        How many experiments.
+    single : (n_tests,) array of int
+        In how many each test was significant by itself.
+    corrected : (n_tests,) array of int
+        In how many it was after Holm's correction.
+    any_test, every_test : int
+        In how many at least one test, and all tests, were significant after the correction.
+    width : (n_tests,) array
+        Sum over the experiments of half the width of each interval.
+    """
+
+    n_experiments: int
+    single: IntArray
+    corrected: IntArray
+    any_test: int
+    every_test: int
+    width: FloatArray
+
+    def __add__(self, other: Tally) -> Tally:
+        return Tally(
+            self.n_experiments + other.n_experiments,
+            self.single + other.single,
+            self.corrected + other.corrected,
+            self.any_test + other.any_test,
+            self.every_test + other.every_test,
+            self.width + other.width,
+        )
+
+
+def divide(design: Design, sizes: Iterable[tuple[int, int]], n_experiments: int) -> list[Job]:
+    """Return the jobs of a study, such that the first ones already cover every size.
+
+    Parameters
+    ----------
+    design : Design
+        The cells.
+    sizes : iterable of (int, int)
+        Participants and repetitions of each size of experiment.
+    n_experiments : int
+        Experiments of each size.
+    """
+    jobs = []
+    for n_participants, n_repetitions in sizes:
+        most = min(BATCH, max(1, BATCH_CELLS // (n_participants * len(design.cells))))
+        for batch, start in enumerate(range(0, n_experiments, most)):
+            jobs.append(Job(n_participants, n_repetitions, batch, min(most, n_experiments - start)))
+    return sorted(jobs, key=lambda job: (job.batch, job.n_repetitions, job.n_participants))
+
+
+def run_job(study: Study, job: Job) -> dict[str, Tally]:
+    """Return what comes out of the experiments of a job, family by family.
+
+    Parameters
+    ----------
+    study : Study
+        What is simulated.
+    job : Job
+        How many experiments of which size.
+    """
+    observed, guessed = (np.random.default_rng(seed) for seed in study.seed_of(job).spawn(2))
+    design = study.null_design if study.null else study.design
+    observer = unbiased(study.observer) if study.null else study.observer
+    answers = simulate(design, observer, job, observed)
+    tallies = {}
+    for family in study.families:
+        # What a1 asks is whether answers differ from guessing: nothing is there to be found where people guess.
+        guesses = study.null and family == "a1"
+        asked = simulate(design, Observer(Participant(lapse_rate=1.0)), job, guessed) if guesses else answers
+        tallies[family] = count_significant(asked, family, study.alpha)
+    return tallies
+
+
+def unbiased(observer: Observer) -> Observer:
+    """Return the observer without a side that the population prefers; its participants differ as before.
+
+    Parameters
+    ----------
+    observer : Observer
+        The population.
+    """
+    return replace(observer, typical=replace(observer.typical, side_bias=0.0))
+
+
+def simulate(design: Design, observer: Observer, job: Job, rng: np.random.Generator) -> Answers:
+    """Return the answers of simulated experiments.
+
+    Each participant is drawn once from the population and answers every cell by the chances that
+    `modaltouch.observer.Participant` has there.
+
+    Parameters
+    ----------
+    design : Design
+        The cells.
+    observer : Observer
+        The population.
+    job : Job
+        Number and size of the experiments.
+    rng : numpy.random.Generator
+        Source of chance.
+    """
+    crowd = observer.draw_crowd(rng, (job.n_experiments, job.n_participants))
+    share_left, share_right = crowd.shares(
+        design.speeds.reshape(-1, 2), design.cells, design.facing(job.n_participants)
+    )
+    left, right = np.zeros(share_left.shape, dtype=np.int64), np.zeros(share_left.shape, dtype=np.int64)
+    for _ in range(job.n_repetitions):
+        chance = rng.random(share_left.shape)
+        left += chance < share_left
+        right += chance >= 1 - share_right
+    shape = (job.n_experiments, job.n_participants, *design.shape)
+    return Answers(left.reshape(shape), right.reshape(shape), job.n_repetitions, design)
+
+
+def count_significant(answers: Answers, family: str, alpha: float = ALPHA) -> Tally:
+    """Return how many experiments find something in a family of tests.
+
+    Parameters
+    ----------
+    answers : Answers
+        Simulated experiments.
+    family : str
+        One of `modaltouch.planning.questions.FAMILIES`.
+    alpha : float
+        Level of significance [1].
+    """
+    p = p_values(answers, family)
+    single, corrected = p <= alpha * _TIES, holm_p(p) <= alpha * _TIES
+    return Tally(
+        len(p),
+        single.sum(axis=0),
+        corrected.sum(axis=0),
+        int(corrected.any(axis=1).sum()),
+        int(corrected.all(axis=1).sum()),
+        half_widths(answers, family).sum(axis=0),
+    )

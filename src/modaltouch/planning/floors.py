@@ -1,0 +1,88 @@
+"""The smallest p that an experiment of a size can give, whatever its answers: below it nothing is significant."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from modaltouch.analysis.exact import multinomial_test
+from modaltouch.analysis.findings import ALPHA
+from modaltouch.planning.design import Design
+from modaltouch.planning.significance import trend_p
+
+_MOST = 200
+
+
+@dataclass(frozen=True)
+class Floor:
+    """What a family of tests can reach.
+
+    Attributes
+    ----------
+    family : str
+        The family.
+    n_tests : int
+        Tests that Holm's method corrects together.
+    n_repetitions : int
+        Answers of each participant in each cell.
+    least_participants : int or None
+        Fewest participants with whom a test of the family can be significant after the correction; None where
+        no number suffices.
+    """
+
+    family: str
+    n_tests: int
+    n_repetitions: int
+    least_participants: int | None
+
+
+def smallest_p(design: Design, family: str, n_participants: int, n_repetitions: int) -> float:
+    """Return the smallest p that a test of a family can give, however the answers fall.
+
+    Parameters
+    ----------
+    design : Design
+        The cells.
+    family : str
+        One of `modaltouch.planning.questions.FAMILIES`.
+    n_participants, n_repetitions : int
+        Size of the experiment.
+
+    Returns
+    -------
+    float
+        p of the most extreme answers, all participants alike [1].
+    """
+    if family == "a1":
+        return multinomial_test([n_participants, 0, 0]).p
+    if family != "b":
+        return 2.0 ** (1 - n_participants)
+    n_levels = len(design.levels)
+    places = np.arange(n_levels * n_repetitions).reshape(n_levels, n_repetitions)
+    # Every number of choices, all at the highest levels or all at the lowest.
+    extremes = [np.sum(order < k, axis=1) for k in range(1, places.size) for order in (places, places[::-1])]
+    if not extremes:
+        return 1.0
+    chosen = np.repeat(np.array(extremes)[:, None, :], n_participants, axis=1)
+    return float(trend_p(chosen, design.levels, n_repetitions).min())
+
+
+def find_floor(design: Design, family: str, n_repetitions: int, alpha: float = ALPHA) -> Floor:
+    """Return how few participants can make a family's tests significant.
+
+    Parameters
+    ----------
+    design : Design
+        The cells.
+    family : str
+        One of `modaltouch.planning.questions.FAMILIES`.
+    n_repetitions : int
+        Answers of each participant in each cell.
+    alpha : float
+        Level of significance [1].
+    """
+    n_tests = len(design.scopes(family))
+    reach = (n for n in range(1, _MOST) if smallest_p(design, family, n, n_repetitions) * n_tests <= alpha)
+    least = next(reach, None) if len(design.levels) > 1 or family != "b" else None
+    return Floor(family, n_tests, n_repetitions, least)

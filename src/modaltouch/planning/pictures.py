@@ -1,0 +1,107 @@
+"""Power over participants and repetitions: contours, or curves where there is one number of repetitions."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from modaltouch.analysis.style import FAINT, INK, PAIR_COLOURS, house_style, new_figure, quiet_grid
+from modaltouch.planning.power import Power
+from modaltouch.planning.questions import FAMILIES
+
+_LINES = (0.5, 0.8, 0.9, 0.95)
+_COLUMNS = 3
+_LINE_STYLES = ("-", "--", ":", "-.")
+
+
+def draw_power(power: Power, target: float = 0.8) -> Figure:
+    """Return the picture of a plan, one panel for each family of tests.
+
+    Participants run along the abscissa. With several numbers of repetitions, contours of equal power show how
+    participants and repetitions stand in for each other; with one, curves with their Monte Carlo intervals.
+
+    Parameters
+    ----------
+    power : Power
+        The plan; at least one size was simulated.
+    target : float
+        Power that is wanted, marked [1].
+    """
+    families = power.study.families
+    n_rows = -(-len(families) // _COLUMNS)
+    with house_style():
+        figure = new_figure(3.2 * min(len(families), _COLUMNS) + 0.8, 2.7 * n_rows + 0.5)
+        axes = figure.subplots(n_rows, min(len(families), _COLUMNS), squeeze=False, sharex=True)
+        for place, panel in zip(axes.flat, (*families, *[None] * (axes.size - len(families))), strict=True):
+            if panel is None:
+                place.set_axis_off()
+                continue
+            rows = [row for row in power.families if row["family"] == panel]
+            if _is_grid(rows):
+                _draw_contours(place, rows)
+            else:
+                _draw_curves(place, rows, power.study.alpha if power.study.null else target)
+            place.set_title(_wrapped(f"{panel}: {FAMILIES[panel]}?"), fontsize=8.5)
+            place.set_xlabel("participants")
+        figure.suptitle(_headline(power), fontsize=9, color=INK)
+    return figure
+
+
+def _is_grid(rows: list[dict[str, Any]]) -> bool:
+    """Return whether every number of participants was simulated with each of two or more repetitions."""
+    n, r = ({row[key] for row in rows} for key in ("n_participants", "n_repetitions"))
+    return len(n) > 1 and len(r) > 1 and len(n) * len(r) == len(rows)
+
+
+def _draw_contours(place: Axes, rows: list[dict[str, Any]]) -> None:
+    n, r = (sorted({row[key] for row in rows}) for key in ("n_participants", "n_repetitions"))
+    found = {(row["n_participants"], row["n_repetitions"]): row["power"] for row in rows}
+    height = np.array([[found[x, y] for x in n] for y in r])
+    place.contourf(n, r, height, levels=np.linspace(0, 1, 11), cmap="Blues", vmin=0, vmax=1.15)
+    within = [line for line in _LINES if height.min() < line < height.max()]
+    if within:
+        lines = place.contour(n, r, height, levels=within, colors=INK, linewidths=0.9)
+        place.clabel(lines, fmt="%g", fontsize=7)
+    else:
+        middle = f"{height.min():.2g}" if np.ptp(height) < 0.005 else f"{height.min():.2g} to {height.max():.2g}"
+        place.text(0.5, 0.5, middle, ha="center", va="center", transform=place.transAxes, fontsize=8)
+    place.set_yticks(r)
+    place.set_ylabel("repetitions")
+
+
+def _draw_curves(place: Axes, rows: list[dict[str, Any]], mark: float) -> None:
+    for i, r in enumerate(sorted({row["n_repetitions"] for row in rows})):
+        own = sorted((row for row in rows if row["n_repetitions"] == r), key=lambda row: int(row["n_participants"]))
+        n = [row["n_participants"] for row in own]
+        colour = PAIR_COLOURS[i % len(PAIR_COLOURS)]
+        place.fill_between(n, [row["low"] for row in own], [row["high"] for row in own], color=colour, alpha=0.25, lw=0)
+        style = _LINE_STYLES[i % len(_LINE_STYLES)]
+        place.plot(
+            n, [row["power"] for row in own], color=colour, ls=style, marker="o", ms=2.5, label=f"{r} repetitions"
+        )
+    place.axhline(mark, color=FAINT, lw=0.8, ls=":")
+    place.set_ylim(-0.02, 1.02)
+    place.set_ylabel("power")
+    quiet_grid(place)
+    if len({row["n_repetitions"] for row in rows}) > 1:
+        place.legend(frameon=False)
+
+
+def _headline(power: Power) -> str:
+    study = power.study
+    done = min(tally.n_experiments for found in power.tallies.values() for tally in found.values())
+    kind = "false alarms where nothing is to be found" if study.null else "power"
+    return (
+        f"{study.design.protocol}, observer {study.observer.name or 'made in code'}: {kind}, at least one test of the "
+        f"family significant at {study.alpha:g} after Holm\n"
+        f"{done} simulated experiments of each size, seed {study.seed}"
+    )
+
+
+def _wrapped(words: str) -> str:
+    import textwrap
+
+    return "\n".join(textwrap.wrap(words, 38))

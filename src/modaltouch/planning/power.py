@@ -1,0 +1,265 @@
+"""How likely an experiment is to find what an observer would show, by simulating the very protocol."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from modaltouch.analysis.intervals import wilson
+from modaltouch.planning.experiments import Job, Study, Tally, divide, run_job
+from modaltouch.planning.floors import Floor, find_floor, smallest_p
+from modaltouch.planning.processes import begin_worker
+
+Tallies = dict[str, Tally]
+Size = tuple[int, int]
+
+_GLANCE = 0.2
+"""How often is asked whether to stop, while processes work [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Power:
+    """What a planned study would find.
+
+    Attributes
+    ----------
+    study : Study
+        What was simulated.
+    sizes : tuple of (int, int)
+        Participants and repetitions of each size of experiment.
+    n_experiments : int
+        Experiments of each size that were asked for.
+    tallies : dict
+        What came out, by size and family; sizes without any experiment are missing.
+    """
+
+    study: Study
+    sizes: tuple[Size, ...]
+    n_experiments: int
+    tallies: dict[Size, Tallies]
+
+    @property
+    def complete(self) -> bool:
+        """Whether every experiment that was asked for was simulated."""
+        return all(
+            size in self.tallies and all(t.n_experiments == self.n_experiments for t in self.tallies[size].values())
+            for size in self.sizes
+        )
+
+    @cached_property
+    def floors(self) -> tuple[Floor, ...]:
+        """How few participants can make each family's tests significant."""
+        repetitions = sorted({n_repetitions for _, n_repetitions in self.sizes})
+        design, alpha = self.study.design, self.study.alpha
+        return tuple(find_floor(design, family, r, alpha) for family in self.study.families for r in repetitions)
+
+    @cached_property
+    def families(self) -> list[dict[str, Any]]:
+        """One row for each size and family of tests, as plain values.
+
+        `power` is the share of experiments in which at least one test of the family was significant after Holm's
+        correction; under the null that is the rate of false alarms.
+        """
+        return [self._family_row(size, family) for size, family in self._order()]
+
+    @cached_property
+    def tests(self) -> list[dict[str, Any]]:
+        """One row for each size and test, as plain values."""
+        return [row for size, family in self._order() for row in self._test_rows(size, family)]
+
+    def _order(self) -> Iterator[tuple[Size, str]]:
+        by_repetitions = sorted(self.tallies, key=lambda size: (size[1], size[0]))
+        return ((size, family) for size in by_repetitions for family in self.study.families)
+
+    def _family_row(self, size: Size, family: str) -> dict[str, Any]:
+        tally, design = self.tallies[size][family], self.study.design
+        found = wilson(tally.any_test, tally.n_experiments)
+        every = wilson(tally.every_test, tally.n_experiments)
+        n_tests, p_min = len(tally.single), self._p_min[size, family]
+        return {
+            "question": family.split()[0],
+            "family": family,
+            **_size(size, design.shape),
+            "n_experiments": tally.n_experiments,
+            "n_tests": n_tests,
+            "power": found.estimate,
+            "low": found.low,
+            "high": found.high,
+            "power_every_test": every.estimate,
+            "power_every_test_low": every.low,
+            "power_every_test_high": every.high,
+            "p_min": p_min,
+            "p_min_holm": min(1.0, p_min * n_tests),
+            "reachable": p_min * n_tests <= self.study.alpha,
+        }
+
+    def _test_rows(self, size: Size, family: str) -> list[dict[str, Any]]:
+        tally, design = self.tallies[size][family], self.study.design
+        rows = []
+        for place, scope in enumerate(design.scopes(family)):
+            found = wilson(int(tally.corrected[place]), tally.n_experiments)
+            alone = wilson(int(tally.single[place]), tally.n_experiments)
+            width = float(tally.width[place]) / tally.n_experiments
+            rows.append(
+                {
+                    "question": family.split()[0],
+                    "family": family,
+                    "scope": scope,
+                    **_size(size, design.shape),
+                    "n_experiments": tally.n_experiments,
+                    "power": found.estimate,
+                    "low": found.low,
+                    "high": found.high,
+                    "power_uncorrected": alone.estimate,
+                    "power_uncorrected_low": alone.low,
+                    "power_uncorrected_high": alone.high,
+                    "half_width": width if width == width else None,
+                    "half_width_of": _quantity(family),
+                    "p_min": self._p_min[size, family],
+                }
+            )
+        return rows
+
+    @cached_property
+    def _p_min(self) -> dict[tuple[Size, str], float]:
+        design = self.study.design
+        return {(size, family): smallest_p(design, family, *size) for size, family in self._order()}
+
+    def needed(self, target: float) -> list[dict[str, Any]]:
+        """Return how many participants reach a power, for each family and each test at each repetition.
+
+        Parameters
+        ----------
+        target : float
+            Power that is wanted [1].
+
+        Returns
+        -------
+        list of dict
+            `n_participants` is the smallest simulated number from which on every simulated number reaches the
+            target; None where none does.
+        """
+        rows = []
+        for row in (*self.families, *self.tests):
+            key = {"question": row["question"], "family": row["family"], "scope": row.get("scope", "any test")}
+            rows.append(({**key, "n_repetitions": row["n_repetitions"]}, row["n_participants"], row["power"]))
+        wanted: dict[tuple[Any, ...], dict[str, Any]] = {}
+        for key, n_participants, power in rows:
+            entry = wanted.setdefault(tuple(key.values()), {**key, "target_power": target, "n_participants": None})
+            if power < target:
+                entry["n_participants"] = None
+            elif entry["n_participants"] is None:
+                entry["n_participants"] = n_participants
+        return list(wanted.values())
+
+    def as_dict(self, target: float = 0.8) -> dict[str, Any]:
+        """Return everything as plain values, as ``modaltouch power --json`` prints it.
+
+        Parameters
+        ----------
+        target : float
+            Power that is wanted [1].
+        """
+        study = self.study
+        return {
+            "protocol": study.design.protocol,
+            "observer": study.observer.as_dict(),
+            "null": study.null,
+            "alpha": study.alpha,
+            "seed": study.seed,
+            "n_experiments": self.n_experiments,
+            "complete": self.complete,
+            "floors": [vars(floor) for floor in self.floors],
+            "power": self.families,
+            "tests": self.tests,
+            "needed": self.needed(target),
+        }
+
+
+def plan(
+    study: Study,
+    sizes: Sequence[Size],
+    n_experiments: int,
+    *,
+    n_processes: int = 1,
+    on_progress: Callable[[int, int], None] | None = None,
+    told_to_stop: Callable[[], bool] | None = None,
+) -> Power:
+    """Return the power of a study at several sizes.
+
+    The result depends on the study and the sizes alone, not on the number of processes: every job has a seed of
+    its own.
+
+    Parameters
+    ----------
+    study : Study
+        What is simulated.
+    sizes : sequence of (int, int)
+        Participants and repetitions of each size of experiment.
+    n_experiments : int
+        Experiments of each size.
+    n_processes : int
+        Processes that share the work.
+    on_progress : callable, optional
+        Called with (jobs done, jobs in all).
+    told_to_stop : callable, optional
+        Asked between jobs; where it answers yes, what is done so far is returned.
+
+    Returns
+    -------
+    Power
+        Not `complete` where it was told to stop.
+    """
+    jobs = divide(study.design, sizes, n_experiments)
+    run = _run_here if n_processes == 1 or len(jobs) == 1 else _run_in_processes
+    done: dict[Job, Tallies] = {}
+    for job, tallies in run(study, jobs, n_processes, told_to_stop or (lambda: False)):
+        done[job] = tallies
+        if on_progress is not None:
+            on_progress(len(done), len(jobs))
+    added: dict[Size, Tallies] = {}
+    # In the order of the jobs, however they came in: sums of floats depend on it.
+    for job in (job for job in jobs if job in done):
+        size = (job.n_participants, job.n_repetitions)
+        before = added.get(size)
+        added[size] = done[job] if before is None else {name: before[name] + done[job][name] for name in before}
+    return Power(study, tuple(sizes), n_experiments, added)
+
+
+def _run_here(
+    study: Study, jobs: Sequence[Job], n_processes: int, told_to_stop: Callable[[], bool]
+) -> Iterator[tuple[Job, Tallies]]:
+    for job in jobs:
+        if told_to_stop():
+            return
+        yield job, run_job(study, job)
+
+
+def _run_in_processes(
+    study: Study, jobs: Sequence[Job], n_processes: int, told_to_stop: Callable[[], bool]
+) -> Iterator[tuple[Job, Tallies]]:
+    # Spawned rather than forked: the same on every system, and safe beside the threads of BLAS.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(n_processes, mp_context=context, initializer=begin_worker) as pool:
+        waiting: dict[Future[Tallies], Job] = {pool.submit(run_job, study, job): job for job in jobs}
+        try:
+            while waiting and not told_to_stop():
+                finished, _ = wait(waiting, timeout=_GLANCE, return_when=FIRST_COMPLETED)
+                for future in finished:
+                    yield waiting.pop(future), future.result()
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _size(size: Size, shape: tuple[int, int, int]) -> dict[str, int]:
+    n_participants, n_repetitions = size
+    n_trials = shape[0] * shape[1] * shape[2] * n_repetitions
+    return {"n_participants": n_participants, "n_repetitions": n_repetitions, "n_trials_each": n_trials}
+
+
+def _quantity(family: str) -> str:
+    return {"a1": "share", "b": "slope per 100 mm/s"}.get(family, "difference of shares")

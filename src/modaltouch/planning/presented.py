@@ -1,0 +1,45 @@
+"""What a protocol presents to an observer."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from modaltouch.analysis.counts import PAPER_CONDITIONS, orient
+from modaltouch.observer import Observer
+from modaltouch.observer.felt import Felt
+from modaltouch.planning.design import Design
+from modaltouch.preflight import Preflight
+from modaltouch.schedule import draw_schedule
+
+
+def design_for(preflight: Preflight, observer: Observer) -> Design:
+    """Return the design of a protocol for an observer.
+
+    Parameters
+    ----------
+    preflight : Preflight
+        The checked protocol.
+    observer : Observer
+        Whose front end says what fingers feel.
+
+    Raises
+    ------
+    InputError
+        If anything is wrong with the protocol.
+    """
+    protocol, apparatus = preflight.experiment.protocol, preflight.experiment.apparatus
+    zones = {name: zone.centre_mm * 1e-3 for name, zone in apparatus.zones.items()}
+    felt = Felt(preflight.stimulus, zones, observer.front_end)
+    conditions = protocol.conditions
+    fingers = tuple(sorted(conditions.finger_conditions, key=PAPER_CONDITIONS.index))
+    pairs = tuple(orient(left, right, protocol.stimulus.focus) for left, right in sorted(conditions.zone_pairs))
+    levels = tuple(sorted(conditions.peak_velocities_mm_s))
+    by_pair = np.array(
+        [[[felt.at(zone, level * 1e-3) for zone in (pair.left, pair.right)] for level in levels] for pair in pairs]
+    )
+    n_turns = len(conditions.placements) * max(1, 2 * len(fingers))
+    placements: tuple[bool, ...] = (False,)
+    if any(name.startswith("mirrored") for name in conditions.placements):
+        drawn = (draw_schedule(protocol, f"p{number}", 0) for number in range(1, n_turns + 1))
+        placements = tuple(schedule.trials[0].condition.is_mirrored for schedule in drawn)
+    return Design(protocol.protocol, fingers, pairs, levels, np.stack([by_pair] * len(fingers)), placements)
