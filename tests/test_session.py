@@ -27,12 +27,14 @@ class PaperRig:
 
     told: list[str] = field(default_factory=list)
     unconfirmed: int = 0
+    firing: Firing | None = None
 
     def fire(self, velocity: float) -> Firing:
         self.told.append(f"fire {velocity:g}")
         confirmed = self.unconfirmed == 0
         self.unconfirmed = max(self.unconfirmed - 1, 0)
-        return Firing((1.0, 1.0), (1.0, 1.0), confirmed, time.perf_counter(), 0.14)
+        self.firing = Firing((1.0, 1.0), (1.0, 1.0), confirmed, time.perf_counter(), 0.14)
+        return self.firing
 
     def stop(self) -> None:
         self.told.append("stop")

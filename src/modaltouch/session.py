@@ -133,18 +133,31 @@ def _close_rounds(sitting: Sitting) -> None:
 
 
 def run(sitting: Sitting, trial: Trial, previous: Trial | None) -> Response:
-    """Present one trial, write its answer down, confirm it and pause; return the answer."""
+    """Present one trial until the instrument confirms what it played, write every answer down; return the last.
+
+    Raises
+    ------
+    RigError
+        If the outputs could not be switched off, or the instrument changed under every presentation.
+    """
     sitting.tick()
     if previous is None or _placement(trial) != _placement(previous):
         sitting.window.place_fingers(trial)
         sitting.log.append("placement", **_describe_placement(sitting.protocol, trial))
-    response, firing, fault = present(sitting, trial)
-    write_down(sitting, trial, response, firing)
-    if fault:
-        raise fault
-    sitting.window.confirm(response)
-    sitting.window.wait(sitting.protocol.answers.pause_s)
-    return response
+    for _ in range(ATTEMPTS):
+        response, firing, fault = present(sitting, trial)
+        write_down(sitting, trial, response, firing)
+        if fault:
+            raise fault
+        sitting.window.confirm(response)
+        sitting.window.wait(sitting.protocol.answers.pause_s)
+        if firing.confirmed:
+            return response
+    raise RigError(
+        f"trial {trial.index}: in {ATTEMPTS} presentations the generator's settings changed while it played "
+        f"({firing.reason}); the outputs are off and the answers are kept as unconfirmed; find out what changes "
+        "the instrument, then `modaltouch resume`"
+    )
 
 
 def present(sitting: Sitting, trial: Trial) -> tuple[Response, Firing, RigError | None]:
@@ -155,7 +168,7 @@ def present(sitting: Sitting, trial: Trial) -> tuple[Response, Firing, RigError 
     response : Response
         What the participant answered.
     firing : Firing
-        What the instrument confirmed beforehand.
+        What the instrument confirmed, before the stimulus and still at its end.
     fault : RigError or None
         A failure to switch off, to be raised once the answer is written down.
     """
@@ -175,7 +188,7 @@ def present(sitting: Sitting, trial: Trial) -> tuple[Response, Firing, RigError 
         except TrialInterrupted as cut:
             sitting.log.append("trial_cut", trial=trial.as_dict(), reason=cut.reason, confirmed=firing.as_dict())
         else:
-            return response, firing, faults[0] if faults else None
+            return response, sitting.rig.firing or firing, faults[0] if faults else None
         finally:
             stop()
         if faults:
@@ -219,9 +232,16 @@ def write_down(sitting: Sitting, trial: Trial, response: Response, firing: Firin
         commanded={"amplitude_Vpp": list(firing.commanded_amplitude)},
         confirmed=firing.as_dict(),
         response=response.as_dict(),
-        supersedes=None,
+        supersedes=_superseded(sitting.log, trial),
     )
     sitting.save_view()
+
+
+def _superseded(log: SessionLog, trial: Trial) -> int | None:
+    """Return the line of the answer that a new one to the same trial replaces, if there is one."""
+    events = (event for event in reversed(log.events) if event["event"] == "trial")
+    same = (event for event in events if event["trial"] == trial.as_dict())
+    return next((event["n"] for event in same), None)
 
 
 def fingers(protocol: Protocol, trial: Trial) -> tuple[str, str]:

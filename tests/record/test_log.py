@@ -137,8 +137,8 @@ def test_a_log_killed_while_writing_is_sound(tmp_path, delay):
 def test_a_superseded_trial_does_not_count(tmp_path):
     """A replaced trial is a new record that supersedes; the old one stays in the file."""
     with begin(tmp_path / "session.jsonl") as log:
-        old = log.append("trial", trial=TRIAL, response={"answer": "left"}, supersedes=None)
-        log.append("trial", trial=TRIAL, response={"answer": "both"}, supersedes=old["n"])
+        old = log.append("trial", trial=TRIAL, response={"answer": "left"}, confirmed={"confirmed": False}, supersedes=None)
+        log.append("trial", trial=TRIAL, response={"answer": "both"}, confirmed={"confirmed": True}, supersedes=old["n"])
     session = read_session(log.path)
     assert [event["response"]["answer"] for event in session.trials] == ["both"]
     assert session.complete

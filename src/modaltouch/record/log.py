@@ -203,8 +203,12 @@ class Session:
 
     @property
     def answered(self) -> frozenset[tuple[bool, int]]:
-        """Which trials are done, as (practice, index)."""
-        return frozenset((event["trial"]["practice"], event["trial"]["index"]) for event in self.trials)
+        """Which trials are done, as (practice, index): answered, and the stimulus confirmed by the instrument."""
+        return frozenset(
+            (event["trial"]["practice"], event["trial"]["index"])
+            for event in self.trials
+            if event["confirmed"]["confirmed"]
+        )
 
     @property
     def n_answered(self) -> int:

@@ -1,0 +1,75 @@
+"""No wrong stimulus is ever recorded as right (issue: fault x phase)."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from modaltouch.observer import Observer
+from modaltouch.preflight import examine
+from modaltouch.record.chain import read_chain
+from modaltouch.record.log import read_session
+from modaltouch.rig import open_rig
+from modaltouch.rig.interface import RigError
+from modaltouch.rig.simulator import Simulator
+from modaltouch.sitting import begin, resume
+from modaltouch.window.simulated import Answerer, SimulatedParticipant
+from modaltouch.wiring import wire_run
+
+PROTOCOL = Path(__file__).parents[2] / "protocols" / "demo.yaml"
+
+
+@pytest.fixture
+def setup(tmp_path):
+    """A session on a simulator at which somebody turns knobs while trials run: ``setup(times)``."""
+    preflight = examine(PROTOCOL).require()
+    simulator = Simulator(preflight.experiment.apparatus)
+
+    def make(times, trial_index=3):
+        left = [times]
+
+        def felt(trial):
+            if not trial.practice and trial.index == trial_index and left[0]:
+                left[0] -= 1
+                simulator.front_panel("SOUR1:VOLT 1.0VPP")
+            return 0.2, 0.1
+
+        answerer = Answerer(Observer().draw(np.random.default_rng(1)), felt, np.random.default_rng(2))
+        return replace(
+            wire_run(preflight, "p01", answers="simulated", results=tmp_path),
+            open_rig=lambda log: open_rig(simulator.address, preflight.experiment.apparatus, log=log),
+            open_window=lambda tick, log: SimulatedParticipant(answerer, tick=tick),
+        )
+
+    yield make
+    simulator.close()
+
+
+def test_a_trial_whose_setting_changed_is_marked_and_offered_again(setup):
+    """A knob turned at the front panel during trial 3: its answer is kept as unconfirmed and superseded."""
+    session = begin(setup(1))
+    assert session.complete
+    third = [
+        e for e in session.events if e["event"] == "trial" and e["trial"]["index"] == 3 and not e["trial"]["practice"]
+    ]
+    assert [event["confirmed"]["confirmed"] for event in third] == [False, True]
+    assert third[1]["supersedes"] == third[0]["n"]
+    assert third[1] in session.trials
+    assert third[0] not in session.trials
+
+
+def test_a_setting_that_changes_every_time_ends_the_session_and_resume_offers_the_trial_again(setup):
+    """After three presentations the session ends; the resumed one takes the trial up and supersedes the last try."""
+    made = setup(3)
+    with pytest.raises(RigError, match=r"trial 3: in 3 presentations the generator's settings changed"):
+        begin(made)
+    log = made.place.log
+    cut = read_session(log)
+    assert (False, 3) not in cut.answered
+    assert cut.events[-1]["reason"] == "rig fault"
+    session = resume(setup(0))
+    assert session.complete
+    assert read_chain(log).problems == ()
+    third = [e for e in session.trials if e["trial"]["index"] == 3 and not e["trial"]["practice"]]
+    assert [event["confirmed"]["confirmed"] for event in third] == [True]
