@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from modaltouch.stimulus.bounds import require_finite
-from modaltouch.stimulus.modes import mode_shapes
+from modaltouch.stimulus.shapes import mode_shapes
 
 FloatArray = NDArray[np.float64]
 
@@ -47,8 +47,7 @@ def patch_gains(
     for left, right in patches:
         if not left < right:
             raise ValueError(
-                f"a patch runs from {left * 1e3:g} to {right * 1e3:g} mm; its left end must lie left of its "
-                f"right end"
+                f"a patch runs from {left * 1e3:g} to {right * 1e3:g} mm; its left end must lie left of its right end"
             )
     ends = np.asarray(patches, dtype=float)
     slopes = mode_shapes(label, ends.ravel(), length, derivative=1).reshape(-1, *ends.shape)

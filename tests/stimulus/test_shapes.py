@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from modaltouch.stimulus.field import quadrature
-from modaltouch.stimulus.modes import characteristic_root, mode_shapes
+from modaltouch.stimulus.shapes import characteristic_root, mode_shapes
 
 
 def textbook_shape(label, y):

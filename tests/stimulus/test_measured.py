@@ -1,0 +1,122 @@
+"""Measured bases: projection by least squares, scaling, and what is no basis."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from modaltouch.stimulus.design import Amplifier, Timing, Wish, design_stimulus
+from modaltouch.stimulus.field import Projection
+from modaltouch.stimulus.measured import MeasuredShapes
+from modaltouch.stimulus.modes import mode_shapes
+
+LABELS = tuple(range(1, 18, 2))
+
+
+def scan(n_points, factor=1.0, noise=0.0):
+    """Return the shipped shapes scanned at some points, in some unit."""
+    place = np.linspace(-0.05, 0.05, n_points)
+    shape = mode_shapes(LABELS, place, 0.1) * factor
+    shape = shape + noise * np.random.default_rng(1).normal(size=shape.shape)
+    return MeasuredShapes(LABELS, place, shape, 0.1)
+
+
+@pytest.mark.parametrize("n_points", [41, 101])
+def test_unit_of_the_scan_drops_out(n_points):
+    """A vibrometer's unit and sign go out: unit mean square over the beam, positive at its right end."""
+    measured = scan(n_points, factor=-3.7e-6)
+    assert measured.shape == pytest.approx(mode_shapes(LABELS, measured.position, 0.1), abs=1e-9)
+
+
+def test_forty_one_points_carry_label_17_between_them():
+    """physics.md section 7: 41 points suffice for the shape of label 17."""
+    place = np.linspace(-0.05, 0.05, 333)
+    assert scan(41).at(place) == pytest.approx(mode_shapes(LABELS, place, 0.1), abs=1e-8)
+
+
+def test_least_squares_projects_what_a_trapezoid_sum_does_not():
+    """physics.md section 1: on 21 points trapezoid inner products err by a fifth; least squares do not."""
+    place = np.linspace(-0.05, 0.05, 21)
+    shape = mode_shapes(LABELS, place, 0.1)
+    gram = np.trapezoid(shape[:, None] * shape, place, axis=2) / 0.1
+    assert np.abs(gram - np.eye(9)).max() > 0.15
+    measured = MeasuredShapes(LABELS, place, shape, 0.1)
+    wanted = np.arange(1.0, 10.0)
+    found = measured.project(wanted @ measured.shape)
+    assert found == pytest.approx(wanted, abs=1e-9)
+
+
+def test_condition_number_is_reported_and_noise_grows_by_it_at_most():
+    """Least squares magnify noise by the condition number at most."""
+    measured = scan(41)
+    assert 1 <= measured.condition_number < 10
+    clean = np.ones(9) @ measured.shape
+    noise = 1e-3 * np.random.default_rng(2).normal(size=41)
+    error = measured.project(clean + noise) - 1
+    assert np.linalg.norm(error) / 3 <= measured.condition_number * np.linalg.norm(noise) / np.linalg.norm(clean)
+
+
+def test_model_with_measured_shapes_designs_as_theory_does(model):
+    """On a fine scan of theoretical shapes the measured basis gives the theoretical stimulus."""
+    measured = replace(model, theory="measured", basis=scan(401))
+    assert Projection(measured, Wish()).selected == (1, 3, 5, 7, 11, 13)
+    stimulus = design_stimulus(measured, Wish(), Timing(n_samples=25_000), Amplifier(gain=25.0, limit=250.0))
+    assert stimulus.target == pytest.approx(Projection(model, Wish()).target, abs=3e-3)
+    assert stimulus.velocity_at_focus([0.0], 0.2)[0] == pytest.approx(0.2, rel=1e-5)
+
+
+def test_dependent_shapes_are_refused_with_the_closest_pair():
+    """Rank deficiency is refused: the same shape under two labels, or fewer points than modes."""
+    place = np.linspace(-0.05, 0.05, 41)
+    shape = mode_shapes([1, 3, 5], place, 0.1)
+    shape[2] = 2 * shape[1]
+    with pytest.raises(ValueError, match=r"linearly dependent .* the closest are modes 3 and 5"):
+        MeasuredShapes((1, 3, 5), place, shape, 0.1)
+    with pytest.raises(ValueError, match=r"9 shapes on 8 points are linearly dependent"):
+        scan(8)
+
+
+def test_scan_comes_from_a_file(tmp_path):
+    """One line to each point, one column to each mode."""
+    place = np.linspace(-50, 50, 41)
+    shape = mode_shapes([1, 3, 5], place * 1e-3, 0.1)
+    lines = ["position_mm,mode_1,mode_3,mode_5"]
+    lines += [f"{x:.6f},{a:.9f},{b:.9f},{c:.9f}" for x, (a, b, c) in zip(place, shape.T, strict=True)]
+    file = tmp_path / "scan.csv"
+    file.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    measured = MeasuredShapes.from_csv(file, 0.1)
+    assert measured.label == (1, 3, 5)
+    assert measured.shape == pytest.approx(shape, abs=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("x,mode_1\n0,1\n", r"scan\.csv:1: the columns are \['x', 'mode_1'\]"),
+        ("position_mm,first\n0,1\n", r"scan\.csv:1: the columns are"),
+        ("position_mm,mode_1\n0,1\n1,inf\n", r"scan\.csv:3: 'inf' is not a finite number"),
+        ("position_mm,mode_1\n0,1\n1\n", r"scan\.csv:3: 1 cells; the header has 2"),
+        ("position_mm,mode_1\n", r"no line below the header"),
+        ("position_mm,mode_1\n5,1\n3,1\n", r"scan grid runs from 5 to 3 mm; it must increase"),
+        ("position_mm,mode_1\n0,1\n70,1\n", r"scan grid runs from 0 to 70 mm; .* on the beam of 100 mm"),
+        ("position_mm,mode_1\n0,0\n1,0\n", r"mode 1 is zero at every point"),
+    ],
+)
+def test_files_that_hold_no_scan_are_refused_with_their_line(tmp_path, text, message):
+    """Each fault is told with its place and remedy."""
+    file = tmp_path / "scan.csv"
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(ValueError, match=message):
+        MeasuredShapes.from_csv(file, 0.1)
+
+
+def test_basis_and_model_must_agree(model):
+    """One measured shape to each mode, in the same order; a field on the scan grid."""
+    with pytest.raises(ValueError, match=r"the shapes are measured, but a measured basis is given: False"):
+        replace(model, theory="measured")
+    with pytest.raises(ValueError, match=r"the measured basis has the modes"):
+        replace(model, theory="measured", basis=MeasuredShapes((1,), [-0.05, 0.0, 0.05], [[1.0, 1.0, 1.0]], 0.1))
+    with pytest.raises(ValueError, match=r"the field has the form \(3,\), but the scan grid 41 points"):
+        scan(41).project([1.0, 2.0, 3.0])
+    with pytest.raises(ValueError, match=r"the shapes have the form \(1, 2\)"):
+        MeasuredShapes((1, 3), [0.0, 0.01], [[1.0, 2.0]], 0.1)
