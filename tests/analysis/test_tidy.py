@@ -3,6 +3,8 @@ from __future__ import annotations
 import re
 
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.reading import read_responses
@@ -257,3 +259,23 @@ class TestBalance:
         problems = fails(write_csv(rows))
         assert len(problems) == 21
         assert any("20 more participants" in problem for problem in problems)
+
+
+@given(st.data())
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_a_spoiled_table_is_refused_or_read_but_never_breaks(tmp_path, paper_csv, data) -> None:
+    """Bytes cut out, put in or changed anywhere: the answers, or an InputError with its places, nothing else."""
+    content = paper_csv.read_bytes()[:2000]
+    for _ in range(data.draw(st.integers(1, 3))):
+        at = data.draw(st.integers(0, len(content)))
+        cut = data.draw(st.integers(0, 40))
+        put = data.draw(
+            st.sampled_from([b"", b'"', b",", b"\n", b";", b"\x00", b"\xff", b"1e999", b"nan", b"\t", b"-"])
+        )
+        content = content[:at] + put + content[at + cut :]
+    path = tmp_path / "spoiled.csv"
+    path.write_bytes(content)
+    try:
+        assert count_answers(read_responses(path).frame).counts.sum() > 0
+    except InputError as error:
+        assert all(str(problem).startswith(f"{path}:") for problem in error.problems)

@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from modaltouch.document import InputError, Problem, suggest
 
 SEPARATORS = {",": "comma", ";": "semicolon", "\t": "tab"}
-CHUNK_ROWS = 20_000
+CHUNK_ROWS = 1_000
+"""Rows held as text at a time; few, as the collector of garbage goes through them again and again."""
 MOST_LISTED = 20
 """How many faults of one kind are listed one by one before the rest is only counted."""
 

@@ -79,7 +79,7 @@ def read_tree(place: Path, mode: str | None = None) -> Responses:
         listed = "; ".join(f"{n} {reason}" for reason, n in counted.most_common(5))
         remedy = "finish one with `modaltouch resume`, or choose another mode or folder"
         _refuse(place, f"no session that can be analysed ({listed})", "at least one complete session", remedy)
-    frame = unmirror(pd.concat([session_frame(session) for session in sessions], ignore_index=True))
+    frame = unmirror(pd.DataFrame([row for session in sessions for row in session_rows(session)]))
     _refuse_designs(place, frame)
     frame["response"] = pd.Categorical(frame["response"], categories=list(ANSWERS))
     digest = hashlib.sha256("".join(_digest(session.path) for session in sessions).encode()).hexdigest()
@@ -98,7 +98,7 @@ def find_logs(place: Path) -> list[Path]:
     return [place] if place.is_file() else sorted(place.rglob(LOG_NAME))
 
 
-def session_frame(session: Session) -> pd.DataFrame:
+def session_rows(session: Session) -> list[dict[str, Any]]:
     """Return the answers of a session that count, practice left out, as tidy rows.
 
     Parameters
@@ -106,8 +106,7 @@ def session_frame(session: Session) -> pd.DataFrame:
     session : Session
         A sound session.
     """
-    rows = [_row(session, event) for event in session.trials if not event["trial"]["practice"]]
-    return pd.DataFrame(rows)
+    return [_row(session, event) for event in session.trials if not event["trial"]["practice"]]
 
 
 def _row(session: Session, event: dict[str, Any]) -> dict[str, Any]:

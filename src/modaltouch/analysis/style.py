@@ -79,7 +79,7 @@ def render(figure: Figure, kind: str) -> bytes:
         if engine is not None:
             # Laid out once for both formats: it costs as much as drawing, and again with every file.
             engine.execute(figure)
-            figure.set_layout_engine("none")
+            figure.set_layout_engine(None)
         if kind == "svg":
             figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": "modaltouch"})
         else:
