@@ -1,0 +1,203 @@
+r"""Bending of a short beam: Timoshenko's theory, with shear and rotary inertia.
+
+In y = x/L from mid-beam and the frequency parameter :math:`b^2 = \rho A L^4 \omega^2 / EI` the deflection is
+made of :math:`\cosh b\alpha y` and :math:`\cos b\beta y`, or their odd companions, with
+
+.. math:: \alpha^2, \beta^2 = \tfrac12 [\mp (r^2 + s^2) + \sqrt{(r^2 - s^2)^2 + 4/b^2}],
+
+:math:`r^2 = I/AL^2` (rotary inertia) and :math:`s^2 = EI/kAGL^2` (shear). Above the cut-off frequency
+:math:`b r s = 1` alpha is imaginary and the hyperbolic branch turns trigonometric; everything is written in
+:math:`\alpha^2`, :math:`\cosh` and :math:`\sinh/\alpha`, which stay real and smooth through it. Symmetric and
+antisymmetric modes are solved apart, so that close roots of the two kinds are never confused.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from modaltouch.stimulus.bounds import require_positive
+from modaltouch.stimulus.shapes import scaled_position
+
+FloatArray = NDArray[np.float64]
+
+_STEP = 0.05
+"""Phase of the trigonometric branch between two looks for a root [rad]."""
+
+_BISECTIONS = 60
+
+
+@dataclass(frozen=True)
+class TimoshenkoBeam:
+    """A uniform free-free beam of rectangular section.
+
+    Attributes
+    ----------
+    length, thickness : float
+        Length, and thickness in the direction of bending [m].
+    youngs_modulus : float
+        Young's modulus [Pa].
+    density : float
+        Density [kg/m^3].
+    poissons_ratio : float
+        Poisson's ratio [1].
+    shear_factor : float
+        Share of the section that carries shear [1]; 5/6 for a rectangle.
+    """
+
+    length: float
+    thickness: float
+    youngs_modulus: float = 70e9
+    density: float = 2700.0
+    poissons_ratio: float = 0.33
+    shear_factor: float = 5 / 6
+
+    def __post_init__(self) -> None:
+        """Refuse what is no beam."""
+        for name, unit in (
+            ("length", "m"),
+            ("thickness", "m"),
+            ("youngs_modulus", "Pa"),
+            ("density", "kg/m^3"),
+            ("shear_factor", ""),
+        ):
+            require_positive(f"the {name.replace('_', ' ')} of the beam", getattr(self, name), unit, "measure it")
+        if not -1 < self.poissons_ratio <= 0.5:
+            raise ValueError(
+                f"Poisson's ratio is {self.poissons_ratio}; it lies above -1 and up to 0.5: metals have 0.3"
+            )
+
+    @cached_property
+    def rotary(self) -> float:
+        """Squared radius of gyration over the squared length, r^2 [1]."""
+        return self.thickness**2 / (12 * self.length**2)
+
+    @cached_property
+    def shear(self) -> float:
+        """Bending over shear stiffness, s^2 [1]."""
+        return self.rotary * 2 * (1 + self.poissons_ratio) / self.shear_factor
+
+    @cached_property
+    def cut_off(self) -> float:
+        """Frequency above which both branches are trigonometric [Hz]."""
+        return self._hertz(1 / math.sqrt(self.rotary * self.shear))
+
+    def _hertz(self, b: float) -> float:
+        wave_speed = math.sqrt(self.youngs_modulus / self.density)
+        return b * math.sqrt(self.rotary) * wave_speed / (2 * math.pi * self.length)
+
+    def natural_frequency(self, bending: int) -> float:
+        """Return the natural frequency of a bending mode [Hz].
+
+        Parameters
+        ----------
+        bending : int
+            Number of the mode, from 1; odd ones are symmetric. Above the cut-off the two kinds need not alternate.
+        """
+        return self._hertz(self._root(bending))
+
+    def shapes(self, bending: ArrayLike, position: ArrayLike) -> FloatArray:
+        """Return deflections of bending modes, of unit mean square and positive at the right end.
+
+        Parameters
+        ----------
+        bending : (n_modes,) array_like of int
+            Numbers of the modes, from 1.
+        position : (n_points,) array_like
+            Coordinate along the beam, origin at its middle [m].
+
+        Returns
+        -------
+        (n_modes, n_points) array
+            Shapes [1]. They are orthogonal together with the rotations of the section, not alone.
+        """
+        y = scaled_position(position, self.length)
+        node, weight = np.polynomial.legendre.leggauss(64 + 4 * int(np.max(bending)))
+        shapes = []
+        for n in np.atleast_1d(np.asarray(bending)).tolist():
+            b = self._root(int(n))
+            mean_square = float(weight @ self._deflection(b, int(n), node / 2) ** 2) / 2
+            end = float(self._deflection(b, int(n), np.array([0.5]))[0])
+            shapes.append(self._deflection(b, int(n), y) / math.copysign(math.sqrt(mean_square), end))
+        return np.asarray(shapes)
+
+    def wave_numbers(self, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return alpha^2 and beta^2 at frequency parameters [1].
+
+        Parameters
+        ----------
+        b : (n,) array
+            Frequency parameters [1].
+        """
+        r2, s2 = self.rotary, self.shear
+        root = np.sqrt((r2 - s2) ** 2 + 4 / b**2)
+        # Not half of a difference: near the cut-off it would cancel.
+        beta2 = ((r2 + s2) + root) / 2
+        return (1 / b**2 - r2 * s2) / beta2, beta2
+
+    def _branches(self, b: FloatArray, alpha2: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return cosh(b alpha y) and sinh(b alpha y) / alpha over e^(b alpha / 2), or cos and sin / |alpha|."""
+        alpha = np.sqrt(np.abs(alpha2))
+        rising = np.where(alpha2 > 0, b * alpha, 0.0)
+        fade = np.exp(rising * (np.abs(y) - 0.5))
+        fall = np.exp(-2 * rising * np.abs(y))
+        phase = b * alpha * y
+        tiny = np.maximum(alpha, 1e-300)
+        even = np.where(alpha2 > 0, fade * (1 + fall) / 2, np.cos(phase))
+        odd = np.where(alpha2 > 0, np.sign(y) * fade * (1 - fall) / 2, np.sin(phase)) / tiny
+        return even, np.where(alpha < 1e-12, b * y, odd)
+
+    def _determinant(self, b: FloatArray, symmetric: bool) -> FloatArray:
+        """Return what vanishes where both free ends carry neither moment nor shear force."""
+        alpha2, beta2 = self.wave_numbers(b)
+        even, odd = self._branches(b, alpha2, np.full_like(b, 0.5))
+        beta = np.sqrt(beta2)
+        cosine, sine = np.cos(b * beta / 2), np.sin(b * beta / 2)
+        if symmetric:
+            return (alpha2 + self.shear) * even * sine / beta + (beta2 - self.shear) * cosine * odd
+        return (alpha2 + self.shear) * alpha2 * odd * cosine / beta - (beta2 - self.shear) * sine * even
+
+    def _deflection(self, b: float, bending: int, y: FloatArray) -> FloatArray:
+        """Return the deflection, free of moment at the ends."""
+        parameter = np.array([b])
+        alpha2, beta2 = self.wave_numbers(parameter)
+        even, odd = self._branches(parameter, alpha2, y)
+        end_even, end_odd = self._branches(parameter, alpha2, np.array([0.5]))
+        phase = b * np.sqrt(beta2)
+        inner, outer = alpha2 + self.shear, beta2 - self.shear
+        if bending % 2:
+            return np.asarray(inner * end_even * np.cos(phase * y) + outer * np.cos(phase / 2) * even)
+        return np.asarray(inner * end_odd * np.sin(phase * y) + outer * np.sin(phase / 2) * odd)
+
+    def _root(self, bending: int) -> float:
+        """Return the frequency parameter of a bending mode, by looking for signs and halving."""
+        if bending < 1:
+            raise ValueError(f"bending mode {bending} does not exist; they count from 1")
+        symmetric, wanted = bool(bending % 2), (bending + 1) // 2
+        # The phase b beta of the n-th mode of a kind is about 2 pi n, less where both branches are trigonometric.
+        phase = np.arange(1.0, (2 * wanted + 3) * math.pi, _STEP)
+        grid = self._parameter(phase)
+        value = self._determinant(grid, symmetric)
+        change = np.flatnonzero(np.sign(value[1:]) != np.sign(value[:-1]))
+        low, high = float(grid[change[wanted - 1]]), float(grid[change[wanted - 1] + 1])
+        below = float(self._determinant(np.array([low]), symmetric)[0])
+        for _ in range(_BISECTIONS):
+            middle = (low + high) / 2
+            here = float(self._determinant(np.array([middle]), symmetric)[0])
+            if (here > 0) == (below > 0):
+                low = middle
+            else:
+                high = middle
+        return (low + high) / 2
+
+    def _parameter(self, phase: FloatArray) -> FloatArray:
+        """Return the frequency parameters at which b beta has given values [1]."""
+        # b^2 beta^2 = q: r^2 s^2 B^2 - (1 + (r^2 + s^2) q) B + q^2 = 0 for B = b^2, the lower branch.
+        q = phase**2
+        r2, s2 = self.rotary, self.shear
+        middle = 1 + (r2 + s2) * q
+        return np.asarray(np.sqrt(2 * q**2 / (middle + np.sqrt(middle**2 - 4 * r2 * s2 * q**2))))

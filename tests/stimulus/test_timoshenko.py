@@ -1,0 +1,92 @@
+"""Timoshenko bending against an independent spectral solution, a published formula and the slender limit."""
+
+import numpy as np
+import pytest
+from numpy.polynomial import chebyshev
+from scipy.linalg import eig
+
+from modaltouch.stimulus.shapes import characteristic_root, mode_shapes
+from modaltouch.stimulus.timoshenko import TimoshenkoBeam
+
+SHIPPED = TimoshenkoBeam(length=0.1, thickness=2e-3)
+THICK = TimoshenkoBeam(length=0.1, thickness=0.02)
+
+
+def spectral_parameters(beam, n):
+    """Return frequency parameters b of a free-free beam by Galerkin in Chebyshev polynomials of W and Psi.
+
+    Potential energy 1/2 int Psi'^2 + (W' - Psi)^2 / s^2, kinetic energy b^2/2 int W^2 + r^2 Psi^2: free ends
+    are the natural boundary conditions, so that nothing is imposed.
+    """
+    node, weight = np.polynomial.legendre.leggauss(2 * n)
+    values = chebyshev.chebvander(node, n - 1)
+    slopes = np.stack([chebyshev.chebval(node, chebyshev.chebder(row)) for row in np.eye(n)], axis=1) * 2
+    weight = weight[:, None] / 2
+    zero = np.zeros((n, n))
+    bend = slopes.T @ (weight * slopes)
+    cross = -slopes.T @ (weight * values) / beam.shear
+    mass = values.T @ (weight * values)
+    stiffness = np.block([[bend / beam.shear, cross], [cross.T, bend + mass / beam.shear]])
+    inertia = np.block([[mass, zero], [zero, beam.rotary * mass]])
+    square = np.sort(eig(stiffness, inertia, right=False).real)
+    return np.sqrt(np.maximum(square, 0.0))[2:]
+
+
+@pytest.mark.parametrize("beam", [SHIPPED, THICK], ids=["2 mm", "20 mm"])
+def test_frequencies_match_a_spectral_solution(beam):
+    """Galerkin in 40 Chebyshev polynomials, free ends as natural boundary conditions; past the cut-off as well."""
+    hertz = np.sqrt(beam.rotary * beam.youngs_modulus / beam.density) / (2 * np.pi * beam.length)
+    expected = spectral_parameters(beam, 40) * hertz
+    found = sorted(beam.natural_frequency(n) for n in range(1, 13))
+    assert found == pytest.approx(expected[:12], rel=1e-7)
+    assert (found[-1] > beam.cut_off) == (beam is THICK)
+
+
+def test_wave_numbers_follow_the_published_hinged_frequencies():
+    """Hinged ends have b beta = n pi; Robert (1996, Samtech 121) prints b^2 in closed form for them."""
+    for beam in (SHIPPED, THICK):
+        j, g = beam.rotary, beam.shear
+        wave = np.pi * np.arange(1, 9)
+        root = np.sqrt((g - j) ** 2 * wave**4 + 2 * (g + j) * wave**2 + 1)
+        b = np.sqrt(((g + j) * wave**2 + 1 - root) / (2 * g * j))
+        _, beta2 = beam.wave_numbers(b)
+        assert b * np.sqrt(beta2) == pytest.approx(wave, rel=1e-9)
+
+
+def test_slender_beam_is_euler_bernoulli():
+    """Without thickness shear and rotary inertia vanish: roots squared, and the same shapes."""
+    slender = TimoshenkoBeam(length=0.1, thickness=1e-6)
+    place = np.linspace(-0.05, 0.05, 21)
+    for n in (1, 2, 5):
+        scale = np.sqrt(slender.rotary * 70e9 / 2700) / (2 * np.pi * 0.1)
+        assert slender.natural_frequency(n) == pytest.approx(characteristic_root(n) ** 2 * scale, rel=1e-6)
+        theory = mode_shapes([n + 2], place, 0.1)
+        assert slender.shapes([n], place) == pytest.approx(theory, abs=1e-5)
+
+
+def test_shear_lowers_the_shipped_beam_as_derived():
+    """physics.md section 1: -2 % at the 5th and -10 % at the 13th bending mode of a bare beam of this size."""
+    scale = np.sqrt(SHIPPED.rotary * 70e9 / 2700) / (2 * np.pi * 0.1)
+    change = {n: SHIPPED.natural_frequency(n) / (characteristic_root(n) ** 2 * scale) - 1 for n in (5, 13)}
+    assert change[5] == pytest.approx(-0.02, abs=0.005)
+    assert change[13] == pytest.approx(-0.10, abs=0.02)
+
+
+def test_shapes_are_even_or_odd_with_unit_mean_square():
+    """Odd numbers are symmetric; the end on the right is positive."""
+    node, weight = np.polynomial.legendre.leggauss(200)
+    shapes = THICK.shapes([1, 2, 3, 8], node * 0.05)
+    assert shapes[[0, 2]] == pytest.approx(shapes[[0, 2], ::-1], abs=1e-9)
+    assert shapes[[1, 3]] == pytest.approx(-shapes[[1, 3], ::-1], abs=1e-9)
+    assert shapes**2 @ weight / 2 == pytest.approx(1, abs=1e-9)
+    assert (THICK.shapes([1, 2, 3, 8], [0.05]) > 0).all()
+
+
+def test_impossible_beams_are_refused():
+    """Values with bounds."""
+    with pytest.raises(ValueError, match=r"thickness of the beam is 0\.0 m"):
+        TimoshenkoBeam(length=0.1, thickness=0.0)
+    with pytest.raises(ValueError, match=r"Poisson's ratio is 0\.7"):
+        TimoshenkoBeam(length=0.1, thickness=0.002, poissons_ratio=0.7)
+    with pytest.raises(ValueError, match=r"bending mode 0 does not exist"):
+        SHIPPED.natural_frequency(0)
