@@ -266,16 +266,14 @@ class TestBalance:
 def test_a_spoiled_table_is_refused_or_read_but_never_breaks(tmp_path, paper_csv, data) -> None:
     """Bytes cut out, put in or changed anywhere: the answers, or an InputError with its places, nothing else."""
     content = paper_csv.read_bytes()[:2000]
+    pieces = [b"", b'"', b",", b"\n", b";", b"\x00", b"\xff", b"1e999", b"nan", b"\t", b"-"]
     for _ in range(data.draw(st.integers(1, 3))):
-        at = data.draw(st.integers(0, len(content)))
-        cut = data.draw(st.integers(0, 40))
-        put = data.draw(
-            st.sampled_from([b"", b'"', b",", b"\n", b";", b"\x00", b"\xff", b"1e999", b"nan", b"\t", b"-"])
-        )
-        content = content[:at] + put + content[at + cut :]
+        at, cut = data.draw(st.integers(0, len(content))), data.draw(st.integers(0, 40))
+        content = content[:at] + data.draw(st.sampled_from(pieces)) + content[at + cut :]
     path = tmp_path / "spoiled.csv"
     path.write_bytes(content)
     try:
-        assert count_answers(read_responses(path).frame).counts.sum() > 0
+        read = count_answers(read_responses(path).frame).counts.sum() > 0
     except InputError as error:
-        assert all(str(problem).startswith(f"{path}:") for problem in error.problems)
+        read = all(str(problem).startswith(f"{path}:") for problem in error.problems)
+    assert read

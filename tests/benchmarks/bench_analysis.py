@@ -117,8 +117,8 @@ def main() -> None:
         float(np.polyfit(trials, np.log([row["cpu_s"] - base for row in large]), 1)[0]) if len(large) > 1 else None
     )
     results = {
-        "what": "modaltouch analyse, whole command with imports, figures and report; synthetic answers, seed 1; wall time "
-        "only means something where the load average is near zero",
+        "what": "modaltouch analyse, whole command with imports, figures and report; synthetic answers, seed 1; wall "
+        "time only means something where the load average is near zero",
         "machine": {
             "python": platform.python_version(),
             "system": platform.platform(),

@@ -15,7 +15,6 @@ FAULTS = {
     "unconfirmed": "amplitudes the instrument did not confirm at once",
     "resume": "sessions interrupted and resumed",
     "stop": "sittings ended early",
-    "fault": "faults of the rig",
     "torn": "lines cut while they were written",
 }
 
@@ -78,14 +77,13 @@ def _name(session: Session) -> str:
 
 
 def _session_row(session: Session) -> dict[str, Any]:
-    counted = Counter(str(event.get("event")) for event in session.events)
     return {
         "participant": session.participant,
         "session": session.start.get("session", 1),
         "day": str(session.start.get("time", ""))[:10],
         "n_answers": sum(not event["trial"]["practice"] for event in session.trials),
         "n_practice": sum(bool(event["trial"]["practice"]) for event in session.trials),
-        "n_events": sum(n for name, n in counted.items() if name in FAULTS),
+        "n_events": sum(_is_fault(event, kind) for event in session.events for kind in FAULTS),
     }
 
 
@@ -115,14 +113,16 @@ def _ranges(amplitudes: Sequence[Sequence[float]]) -> str:
     return ", ".join(texts)
 
 
+def _is_fault(event: dict[str, Any], kind: str) -> bool:
+    if kind == "torn":
+        return bool(event.get("torn"))
+    # Every sitting ends with a stop; only one before the last trial is a deviation.
+    return event.get("event") == kind and not (kind == "stop" and event.get("complete"))
+
+
 def _faults(sessions: Sequence[Session]) -> Iterator[tuple[str, int, str]]:
     for kind, words in FAULTS.items():
-        found = Counter(
-            _name(session)
-            for session in sessions
-            for event in session.events
-            if event.get("event") == kind or (kind == "torn" and event.get("torn"))
-        )
+        found = Counter(_name(session) for session in sessions for event in session.events if _is_fault(event, kind))
         if found:
             where = ", ".join(f"{name}: {n}" if n > 1 else name for name, n in found.most_common(8))
             yield words, sum(found.values()), where + (" and others" if len(found) > 8 else "")

@@ -1,0 +1,57 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+from modaltouch.analysis.record_facts import describe_record
+from modaltouch.analysis.responses import Responses, Source
+from modaltouch.record.log import Session
+
+
+def session(participant: str, *events: dict) -> Session:
+    """Return a session of one trial at 80 mm/s and further events."""
+    start = {"event": "start", "n": 1, "time": "2026-01-02T10:00:00+00:00", "participant": participant, "session": 1,
+             "rig": {"identity": f"AFG of {participant}"}, "protocol": "touch"}  # fmt: skip
+    condition = {"finger_condition": "one_hand", "zone_left": "A", "zone_right": "C", "velocity_mm_s": 80.0}
+    trial = {
+        "event": "trial", "n": 2, "trial": {"index": 1, "practice": False, "condition": condition},
+        "commanded": {"amplitude_Vpp": [1.5, 2.0]},
+        "confirmed": {"confirmed": True, "confirmed_amplitude": [1.5, 2.01]},
+    }  # fmt: skip
+    return Session(Path("session.jsonl"), (start, trial, *events), ())
+
+
+def facts(*sessions: Session):
+    """Return what the report says of these sessions."""
+    return describe_record(Responses(None, sessions, (), Source("results", "results", "")))  # type: ignore[arg-type]
+
+
+def test_a_table_has_no_record_to_tell_of() -> None:
+    """A CSV knows nothing of what was presented."""
+    assert facts() is None
+
+
+def test_planned_and_confirmed_stand_side_by_side() -> None:
+    """Two sessions at one level: sent 1.5 and 2 Vpp, read back 1.5 and 2.01."""
+    (row,) = facts(session("p01"), session("p02")).presented
+    assert (row.velocity_mm_s, row.n_trials, row.n_confirmed) == ("80", 2, 2)
+    assert (row.commanded, row.confirmed) == ("1.5, 2", "1.5, 2.01")
+
+
+def test_what_went_wrong_is_counted_with_its_sessions() -> None:
+    """A cut trial and a resumed sitting of the second participant."""
+    found = facts(session("p01"), session("p02", {"event": "trial_cut", "n": 3}, {"event": "resume", "n": 4}))
+    assert ("trials cut and offered again", 1, "p02 (session 1)") in found.faults
+    assert [row["n_events"] for row in found.sessions] == [0, 2]
+
+
+def test_settings_that_differ_are_listed() -> None:
+    """Two generators, one protocol."""
+    settings = facts(session("p01"), session("p02")).settings
+    assert settings["protocol"] == "touch"
+    assert settings["rig"] == "AFG of p01 (1 sessions); AFG of p02 (1 sessions)"
+
+
+def test_the_end_of_a_complete_sitting_is_no_deviation() -> None:
+    """Every sitting writes a stop; one that came too early counts."""
+    ends = [session(f"p{i}", {"event": "stop", "n": 3, "complete": whole}) for i, whole in enumerate((True, False))]
+    assert facts(*ends).faults == (("sittings ended early", 1, "p1 (session 1)"),)
