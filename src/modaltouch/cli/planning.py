@@ -1,4 +1,4 @@
-"""``modaltouch power`` and ``fit``: how many participants, before the first one comes."""
+"""``modaltouch power``: how many participants, before the first one comes."""
 
 from __future__ import annotations
 

@@ -5,6 +5,7 @@
 ``front_end``    what a finger makes of the velocity under it: one number
 ``felt``         that number at the zones, from a designed stimulus, once for all levels
 ``file``         observers as YAML files, shipped and one's own
+``likelihood``   how likely recorded answers are for an observer
 ``fit``          an observer fitted to recorded answers, and what such a fit cannot know
 """
 

@@ -7,12 +7,15 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from modaltouch.analysis.style import FAINT, INK, PAIR_COLOURS, house_style, new_figure, quiet_grid
 from modaltouch.planning.power import Power
 from modaltouch.planning.questions import FAMILIES
 
-_LINES = (0.5, 0.8, 0.9, 0.95)
+_LINES = {0.5: "dotted", 0.8: "solid", 0.95: "dashed"}
+"""Contours that are drawn, and how."""
+
 _COLUMNS = 3
 _LINE_STYLES = ("-", "--", ":", "-.")
 
@@ -34,7 +37,7 @@ def draw_power(power: Power, target: float = 0.8) -> Figure:
     n_rows = -(-len(families) // _COLUMNS)
     with house_style():
         figure = new_figure(3.2 * min(len(families), _COLUMNS) + 0.8, 2.7 * n_rows + 0.5)
-        axes = figure.subplots(n_rows, min(len(families), _COLUMNS), squeeze=False, sharex=True)
+        axes = figure.subplots(n_rows, min(len(families), _COLUMNS), squeeze=False)
         for place, panel in zip(axes.flat, (*families, *[None] * (axes.size - len(families))), strict=True):
             if panel is None:
                 place.set_axis_off()
@@ -46,6 +49,9 @@ def draw_power(power: Power, target: float = 0.8) -> Figure:
                 _draw_curves(place, rows, power.study.alpha if power.study.null else target)
             place.set_title(_wrapped(f"{panel}: {FAMILIES[panel]}?"), fontsize=8.5)
             place.set_xlabel("participants")
+        if any(_is_grid([row for row in power.families if row["family"] == family]) for family in families):
+            handles = [Line2D([], [], color=INK, ls=style, lw=1.0, label=f"{line:g}") for line, style in _LINES.items()]
+            figure.legend(handles=handles, title="contours", loc="outside right upper", frameon=False)
         figure.suptitle(_headline(power), fontsize=9, color=INK)
     return figure
 
@@ -63,8 +69,8 @@ def _draw_contours(place: Axes, rows: list[dict[str, Any]]) -> None:
     place.contourf(n, r, height, levels=np.linspace(0, 1, 11), cmap="Blues", vmin=0, vmax=1.15)
     within = [line for line in _LINES if height.min() < line < height.max()]
     if within:
-        lines = place.contour(n, r, height, levels=within, colors=INK, linewidths=0.9)
-        place.clabel(lines, fmt="%g", fontsize=7)
+        styles = [_LINES[line] for line in within]
+        place.contour(n, r, height, levels=within, colors=INK, linewidths=1.0, linestyles=styles)
     else:
         middle = f"{height.min():.2g}" if np.ptp(height) < 0.005 else f"{height.min():.2g} to {height.max():.2g}"
         place.text(0.5, 0.5, middle, ha="center", va="center", transform=place.transAxes, fontsize=8)

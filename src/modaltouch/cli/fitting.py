@@ -1,0 +1,69 @@
+"""``modaltouch fit``: an observer for the next study, from the answers of this one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from modaltouch.cli.checking import PROTOCOL
+from modaltouch.cli.faults import print_json, reporting
+from modaltouch.cli.planning import OBSERVER
+
+
+def fit(
+    protocol: PROTOCOL,
+    answers: Annotated[
+        Path, typer.Argument(help="A results folder or a tidy CSV, as for `analyse`.", show_default=False)
+    ],
+    observer: OBSERVER = "paper",
+    out: Annotated[
+        Path | None, typer.Option(help="YAML file for the fitted observer.", show_default="nothing is written")
+    ] = None,
+    mode: Annotated[
+        str | None, typer.Option(help="Which sessions of a results folder: real, pilot or simulated.")
+    ] = None,
+    json_output: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
+) -> None:
+    """Fit a simulated observer to recorded answers, such as a pilot's, to plan the next study with.
+
+    The observer that is given is the centre of the priors, and its front end is kept.
+    """
+    from modaltouch.observer.file import read_observer, write_observer
+    from modaltouch.planning.fitting import NOT_IDENTIFIABLE, fit_answers
+    from modaltouch.preflight import examine
+    from modaltouch.record.chain import RecordError
+
+    with reporting(json_output=json_output):
+        prior = read_observer(observer)
+        if out is not None and out.exists():
+            raise RecordError(f"{out}: is there already and is not overwritten; give another file with --out")
+        fitted = fit_answers(examine(protocol).require(), answers, prior, mode=mode)
+        if out is not None:
+            words = (
+                f"Fitted to {fitted.fit.n_answers} answers of {fitted.n_participants} participants in {answers.name}"
+            )
+            text = write_observer(fitted.fit.observer, "fitted", words)
+            try:
+                out.parent.mkdir(parents=True, exist_ok=True)
+                out.write_text(text, encoding="utf-8")
+            except OSError as error:
+                raise RecordError(
+                    f"{out}: cannot be written ({error.strerror}); give another file with --out"
+                ) from None
+        if json_output:
+            print_json({**fitted.as_dict(), "file": None if out is None else str(out)})
+            return
+        print(f"{fitted.fit.n_answers} answers of {fitted.n_participants} participants")
+        for estimate in (*fitted.fit.identified, *fitted.fit.parameters):
+            tied = ", scale by the prior" if estimate.tied_to_scale else ""
+            print(
+                f"{estimate.name:44} {estimate.value:8.4g}  95 % interval {estimate.low:.4g} to {estimate.high:.4g}, "
+                f"learned {estimate.learned:.0%}{tied}"
+            )
+        print(NOT_IDENTIFIABLE)
+        if not fitted.fit.converged:
+            typer.secho("the search did not end at a maximum; do not plan with this", err=True, fg=typer.colors.YELLOW)
+        if out is not None:
+            print(f"Next: modaltouch power {protocol} --observer {out}")

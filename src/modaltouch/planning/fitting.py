@@ -1,0 +1,108 @@
+"""An observer fitted to the answers of a results tree or a CSV, to plan the next study with."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from modaltouch.analysis.counts import AnswerCounts, count_answers
+from modaltouch.analysis.reading import read_responses
+from modaltouch.analysis.responses import Responses
+from modaltouch.document import InputError, Problem
+from modaltouch.observer import Observer
+from modaltouch.observer.felt import Felt
+from modaltouch.observer.fit import Fit, fit_observer
+from modaltouch.observer.likelihood import Recorded
+from modaltouch.preflight import Preflight
+
+NOT_IDENTIFIABLE = (
+    "Noise, criterion, one plus suppression, side bias and its spread are known only relative to each other; their "
+    "scale is the prior's. The front end, detection speed and near miss are taken from the given observer, not "
+    "fitted; nor are reaction times. Lapses are told from noise only where some ratios of speeds are unmistakable."
+)
+"""What no fit to these answers can know."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """An observer fitted to a file's answers.
+
+    Attributes
+    ----------
+    fit : Fit
+        The fit.
+    responses : Responses
+        The answers.
+    n_participants : int
+        How many participants gave them.
+    """
+
+    fit: Fit
+    responses: Responses
+    n_participants: int
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return everything as plain values, as ``modaltouch fit --json`` prints it."""
+        return {
+            "observer": self.fit.observer.as_dict(),
+            "parameters": [asdict(estimate) for estimate in self.fit.parameters],
+            "identified": [asdict(estimate) for estimate in self.fit.identified],
+            "not_identifiable": NOT_IDENTIFIABLE,
+            "log_likelihood": self.fit.log_likelihood,
+            "converged": self.fit.converged,
+            "n_answers": self.fit.n_answers,
+            "n_participants": self.n_participants,
+            "left_out": [{"source": item.source, "reason": item.reason} for item in self.responses.left_out],
+        }
+
+
+def fit_answers(preflight: Preflight, path: Path, prior: Observer, *, mode: str | None = None) -> Fitted:
+    """Return an observer fitted to recorded answers.
+
+    Parameters
+    ----------
+    preflight : Preflight
+        The checked protocol that the answers were given in; it says what was felt.
+    path : Path
+        A results folder or a tidy CSV.
+    prior : Observer
+        Centre of the priors, and front end.
+    mode : {"real", "pilot", "simulated"}, optional
+        Which sessions of a tree to take.
+
+    Raises
+    ------
+    InputError
+        If the protocol or the answers cannot be used, or the answers name a zone that the beam has not.
+    """
+    experiment = preflight.experiment
+    responses = read_responses(path, mode=mode)
+    answers = count_answers(responses.frame, responses.focus or experiment.protocol.stimulus.focus)
+    zones = {name: zone.centre_mm * 1e-3 for name, zone in experiment.apparatus.zones.items()}
+    for zone in dict.fromkeys(zone for pair in answers.pairs for zone in (pair.left, pair.right)):
+        if zone not in zones:
+            remedy = "give the protocol in which these answers were given"
+            known = ", ".join(zones)
+            raise InputError([Problem(str(path), 1, 1, "", f"answers about the zone {zone!r}", known, remedy)])
+    recorded = _record(answers, Felt(preflight.stimulus, zones, prior.front_end))
+    return Fitted(fit_observer(recorded, prior), responses, answers.n_participants)
+
+
+def _record(answers: AnswerCounts, felt: Felt) -> Recorded:
+    """Return counts as a fit takes them."""
+    speeds = [
+        [felt.at(zone, level * 1e-3) for zone in (pair.left, pair.right)]
+        for _ in answers.finger_conditions
+        for pair in answers.pairs
+        for level in answers.levels
+    ]
+    n_each = len(answers.pairs) * len(answers.levels)
+    return Recorded(
+        counts=answers.counts.reshape(answers.n_participants, -1, 3),
+        speeds=np.array(speeds),
+        finger_conditions=tuple(name for name in answers.finger_conditions for _ in range(n_each)),
+        facing=answers.facing.astype(float),
+    )
