@@ -125,6 +125,10 @@ class Projection:
         phase_rate = (max(self.model.label) + 1) * 2 * np.pi / self.model.length
         position, weight = quadrature(self.wish.edges(self.model.length), phase_rate)
         profile = self.wish.profile(position)
+        if self.model.beam is not None:
+            # Deflections alone are not quite orthogonal where the section's rotation carries inertia.
+            shapes = self.model.shapes(position)
+            return np.asarray(np.linalg.solve((shapes * weight) @ shapes.T, shapes @ (weight * profile)))
         alive = profile != 0
         shapes = self.model.shapes(position[alive])
         return np.asarray(shapes @ (weight * profile)[alive] / self.model.length)

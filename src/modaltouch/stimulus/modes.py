@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from modaltouch.stimulus.bounds import require_positive
 from modaltouch.stimulus.measured import MeasuredShapes
 from modaltouch.stimulus.shapes import mode_shapes
+from modaltouch.stimulus.timoshenko import TimoshenkoBeam
 
 __all__ = ["ModalModel", "mode_shapes"]
 
@@ -36,9 +37,12 @@ class ModalModel:
     length : float
         Length of the beam [m].
     theory : str
-        Where the shapes come from: ``euler_bernoulli``, or ``measured`` (see `basis`).
+        Where the shapes come from: ``euler_bernoulli``, ``timoshenko`` (see `beam`) or ``measured`` (see
+        `basis`).
     basis : MeasuredShapes, optional
         Measured shapes of every mode, in the order of the labels.
+    beam : TimoshenkoBeam, optional
+        The bare beam whose shear and rotary inertia shape the bending modes.
     """
 
     label: tuple[int, ...]
@@ -46,8 +50,9 @@ class ModalModel:
     damping_ratio: FloatArray
     modal_gain: FloatArray
     length: float
-    theory: Literal["euler_bernoulli", "measured"] = "euler_bernoulli"
+    theory: Literal["euler_bernoulli", "timoshenko", "measured"] = "euler_bernoulli"
     basis: MeasuredShapes | None = None
+    beam: TimoshenkoBeam | None = None
 
     def __post_init__(self) -> None:
         """Refuse what is no vibrating beam."""
@@ -89,6 +94,13 @@ class ModalModel:
 
         if (self.theory == "measured") != (self.basis is not None):
             raise ValueError(f"the shapes are {self.theory}, but a measured basis is given: {self.basis is not None}")
+        if (self.theory == "timoshenko") != (self.beam is not None):
+            raise ValueError(f"the shapes are {self.theory}, but a Timoshenko beam is given: {self.beam is not None}")
+        if self.beam is not None and self.beam.length != self.length:
+            raise ValueError(
+                f"the Timoshenko beam is {self.beam.length:g} m long, the model {self.length:g} m: give one "
+                f"length"
+            )
         if self.basis is not None and (self.basis.label, self.basis.length) != (self.label, self.length):
             raise ValueError(
                 f"the measured basis has the modes {self.basis.label} on {self.basis.length:g} m, the model "
@@ -126,6 +138,12 @@ class ModalModel:
         """
         if self.basis is not None:
             return self.basis.at(position)
+        if self.beam is not None:
+            bending = [k for k in self.label if k > 2]
+            shapes = mode_shapes(self.label, position, self.length)
+            if bending:
+                shapes[[k > 2 for k in self.label]] = self.beam.shapes([k - 2 for k in bending], position)
+            return shapes
         return mode_shapes(self.label, position, self.length)
 
 
