@@ -55,3 +55,10 @@ def test_the_end_of_a_complete_sitting_is_no_deviation() -> None:
     """Every sitting writes a stop; one that came too early counts."""
     ends = [session(f"p{i}", {"event": "stop", "n": 3, "complete": whole}) for i, whole in enumerate((True, False))]
     assert facts(*ends).faults == (("sittings ended early", 1, "p1 (session 1)"),)
+
+
+def test_troubles_of_the_rig_are_found_among_its_exchanges() -> None:
+    """Ordinary commands are no deviation, a lost connection is."""
+    lost = {"event": "rig", "n": 3, "exchanges": [{"what": "scpi"}, {"what": "connection_lost"}]}
+    calm = {"event": "rig", "n": 3, "exchanges": [{"what": "scpi"}]}
+    assert [row["n_events"] for row in facts(session("p1", lost), session("p2", calm)).sessions] == [1, 0]

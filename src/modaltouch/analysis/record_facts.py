@@ -15,8 +15,14 @@ FAULTS = {
     "unconfirmed": "amplitudes the instrument did not confirm at once",
     "resume": "sessions interrupted and resumed",
     "stop": "sittings ended early",
+    "rig": "troubles with the instrument, all overcome or followed by an end",
     "torn": "lines cut while they were written",
 }
+
+RIG_TROUBLES = frozenset(
+    {"connection_lost", "reconnect_failed", "instrument_errors", "upload_repeated", "unknown_model", "close_failed"}
+)
+"""What the rig's journal calls the events that a reader of the report should know of."""
 
 
 @dataclass(frozen=True)
@@ -116,6 +122,9 @@ def _ranges(amplitudes: Sequence[Sequence[float]]) -> str:
 def _is_fault(event: dict[str, Any], kind: str) -> bool:
     if kind == "torn":
         return bool(event.get("torn"))
+    if kind == "rig":
+        said = {str(event.get("event")), *(str(exchange.get("what")) for exchange in event.get("exchanges", ()))}
+        return bool(said & RIG_TROUBLES)
     # Every sitting ends with a stop; only one before the last trial is a deviation.
     return event.get("event") == kind and not (kind == "stop" and event.get("complete"))
 
