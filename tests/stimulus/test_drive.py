@@ -232,3 +232,29 @@ def test_unknown_law_and_release_are_refused(model):
         design_stimulus(*arguments, law="best")
     with pytest.raises(ValueError, match=r"release 'slow' is unknown; allowed: braked, free"):
         design_stimulus(*arguments, release="slow")
+
+
+@pytest.mark.parametrize("duration", [0.05, 12.0])
+def test_long_focus_does_not_overflow(duration):
+    """physics.md section 6: t_F up to 10 s, where e^(a t_F) overflows."""
+    model = ModalModel((1, 3), [229.0, 2553.0], [0.0437, 0.0165], [[0.114], [0.654]], 0.1)
+    timing = Timing(n_samples=131_072, duration=duration, focusing_instant=duration * 10 / 12, repetition_rate=0.08)
+    drive = exact_drive(model, modal_system(model), timing, np.array([0.1, 0.1]), "braked")
+    assert np.isfinite(drive.voltage).all()
+    assert drive.residual <= 1e-13 * 0.2
+
+
+def test_sixty_modes_are_met_within_their_condition(rng):
+    """Many modes on two channels: the residual stays within 10 eps of the condition number told."""
+    n = 60
+    frequency = np.geomspace(200.0, 90e3, n)
+    model = ModalModel(tuple(range(1, n + 1)), frequency, np.full(n, 0.01), rng.normal(size=(n, 2)), 0.1)
+    target = rng.normal(size=n) * 0.01
+    drive = exact_drive(model, modal_system(model), Timing(n_samples=25_000), target, "braked")
+    assert drive.residual <= max(1e-13, 10 * EPS * drive.condition_number) * np.abs(target).max()
+
+
+def test_delay_longer_than_the_focus_leaves_no_sample(design):
+    """A delay of 30 ms puts every sample behind a focus at 25 ms."""
+    with pytest.raises(ValueError, match=r"0 samples are fewer than 18 conditions"):
+        _ = design(amplifier=Amplifier(gain=25.0, limit=250.0, delay=0.03)).voltage

@@ -1,0 +1,48 @@
+"""Full scales on the generator's amplitude grid, and codes."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from modaltouch.stimulus.burst import MID_CODE, round_amplitude
+from modaltouch.stimulus.quantise import full_scale, quantise, signed_codes
+
+SHIPPED_SHARES = (0.4, 0.5, 0.75, 1.0)
+
+
+@given(least=st.floats(0.02, 20.0))
+def test_shipped_levels_always_find_a_common_grid(least):
+    """80 : 100 : 150 : 200 of some amplitude within 5 % lie on four digits, to the last one."""
+    amplitude = full_scale(least, SHIPPED_SHARES)
+    assert least * (1 - 1e-12) <= amplitude <= 1.051 * least + 2e-4
+    for share in SHIPPED_SHARES:
+        assert round_amplitude(amplitude * share) == pytest.approx(amplitude * share, rel=1e-9)
+
+
+@given(least=st.floats(0.02, 20.0), share=st.floats(0.05, 1.0))
+def test_any_level_is_met_within_the_grid(least, share):
+    """Whatever the level, the amplitude is off by half a step of four digits or of 0.1 mV at most."""
+    amplitude = full_scale(least, (share, 1.0))
+    miss = abs(round_amplitude(amplitude * share) - amplitude * share)
+    assert miss <= max(5.1e-4 * amplitude * share, 5.1e-5)
+
+
+def test_silent_channel_has_no_amplitude():
+    """Nothing to hold."""
+    assert full_scale(0.0, SHIPPED_SHARES) == 0.0
+
+
+def test_codes_are_the_nearest_and_mid_scale_at_both_ends():
+    """Uniform rounding to signed 14 bits about 8191; a silent channel stays at mid-scale."""
+    voltage = np.array([[0.0, 1.0, -1.0, 0.49 / 8191, 0.51 / 8191, 0.5], [0.0] * 6])
+    codes = quantise(voltage, np.array([1 / 8191, 0.0]))
+    assert codes[0].tolist() == [8191, 16382, 0, 8191, 8192, MID_CODE]
+    assert (codes[1] == MID_CODE).all()
+    assert signed_codes(codes)[0, 1:3].tolist() == [8191.0, -8191.0]
+
+
+def test_voltage_beyond_the_full_scale_is_refused():
+    """Never clipped."""
+    with pytest.raises(ValueError, match=r"channel 1 peaks at 2 V, beyond its full scale of 1 V"):
+        quantise(np.array([[0.0, 2.0, 0.0]]), np.array([1 / 8191]))
