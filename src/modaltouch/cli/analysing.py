@@ -20,7 +20,10 @@ def analyse(
         ),
     ],
     out: Annotated[
-        Path | None, typer.Option(help="Folder for what is written.", show_default="analysis/ beside the data")
+        Path | None,
+        typer.Option(
+            help="Folder for what is written.", show_default="<results>/analysis, or <name>_analysis beside a CSV"
+        ),
     ] = None,
     mode: Annotated[
         str | None, typer.Option(help="Which sessions of a results folder: real, pilot or simulated.")
@@ -43,6 +46,6 @@ def tell(analysis: Any) -> None:
     values = analysis.as_dict()
     print(f"{values['n_responses']} answers of {values['n_participants']} participants")
     for left_out in values["left_out"]:
-        typer.secho(f"left out: {left_out}", err=True, fg=typer.colors.YELLOW)
+        typer.secho(f"left out: {left_out['source']}: {left_out['reason']}", err=True, fg=typer.colors.YELLOW)
     for name, path in values["files"].items():
         print(f"{name:12} {path}")
