@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from modaltouch.observer import Observer
+from modaltouch.observer.felt import Felt
 from modaltouch.preflight import Preflight, examine_findings
 from modaltouch.protocol import Sources, examine_sources
 from modaltouch.record.chain import RecordError
@@ -46,6 +48,8 @@ class Wires:
         ``window``, ``robot`` or ``simulated``.
     window_options : dict
         Further arguments of `open_window`.
+    observer : Observer
+        Population that a simulated participant is drawn from.
     """
 
     def __init__(
@@ -58,12 +62,14 @@ class Wires:
         rig: str,
         answers: AnswersBy,
         window_options: dict[str, Any],
+        observer: Observer,
     ) -> None:
         self._preflight = preflight
         self._person = (seed, participant, session)
         self._rig = rig
         self._answers = answers
         self._window_options = window_options
+        self._observer = observer
         self._simulator: Simulator | None = None
 
     @contextmanager
@@ -92,15 +98,32 @@ class Wires:
         )
 
     def _answerer(self) -> Answerer:
-        person = Observer().draw(random_generator(*self._person, "observer"))
+        person = self._observer.draw(random_generator(*self._person, "observer"))
         return Answerer(person, self._felt, random_generator(*self._person, "answers"))
 
     def _felt(self, trial: Trial) -> tuple[float, float]:
-        """Return the speeds under the two fingers: the twin's where there is one, else the predicted ones."""
-        if self._simulator is None:
-            return self._preflight.speeds(trial)
-        left, right = self._simulator.felt_velocity(trial.condition.pair)
-        return float(left), float(right)
+        """Return what the two fingers feel: on the twin where there is one, else as predicted."""
+        predicted = self._preflight.speeds(trial)
+        peaks = predicted
+        if self._simulator is not None:
+            left, right = self._simulator.felt_velocity(trial.condition.pair)
+            peaks = float(left), float(right)
+        if self._observer.front_end == "peak":
+            return peaks
+        # The twin tells peaks; what else is felt follows the predicted history, at the twin's size.
+        level = trial.condition.velocity_mm_s * 1e-3
+        left, right = (
+            self._sense.at(zone, level) * peak / expected
+            for zone, peak, expected in zip(trial.condition.pair, peaks, predicted, strict=True)
+        )
+        return left, right
+
+    @cached_property
+    def _sense(self) -> Felt:
+        """What the observer's front end makes of the predicted velocities."""
+        zones = self._preflight.experiment.apparatus.zones
+        centres = {name: zone.centre_mm * 1e-3 for name, zone in zones.items()}
+        return Felt(self._preflight.stimulus, centres, self._observer.front_end)
 
 
 def wire_run(
@@ -114,6 +137,7 @@ def wire_run(
     seed: int = 1,
     results: Path = Path("results"),
     window_options: dict[str, Any] | None = None,
+    observer: Observer | None = None,
 ) -> Setup:
     """Return what a new session needs.
 
@@ -125,7 +149,7 @@ def wire_run(
     protocol = preflight.experiment.protocol
     place = SessionFolder(results, _mode(rig, answers, pilot=pilot), protocol.protocol, participant, session)
     schedule = draw_schedule(protocol, participant, seed, session)
-    return _setup(preflight, schedule, place, seed, rig, answers, window_options or {})
+    return _setup(preflight, schedule, place, seed, rig, answers, window_options or {}, observer or Observer())
 
 
 def wire_resume(
@@ -157,7 +181,8 @@ def wire_resume(
         )
     preflight = examine_findings(examine_sources(Sources.from_dict(start["sources"]))).require()
     schedule = draw_schedule(preflight.experiment.protocol, place.participant, start["seed"], place.session)
-    return _setup(preflight, schedule, place, start["seed"], rig, answers, window_options or {})
+    observer = Observer.from_dict(start["observer"]) if "observer" in start else Observer()
+    return _setup(preflight, schedule, place, start["seed"], rig, answers, window_options or {}, observer)
 
 
 def _setup(
@@ -168,6 +193,7 @@ def _setup(
     rig: str,
     answers: AnswersBy,
     window_options: dict[str, Any],
+    observer: Observer,
 ) -> Setup:
     wires = Wires(
         preflight,
@@ -177,8 +203,11 @@ def _setup(
         rig=rig,
         answers=answers,
         window_options=window_options,
+        observer=observer,
     )
-    facts = {"seed": seed, "rig_choice": rig, "answers_choice": answers}
+    facts: dict[str, Any] = {"seed": seed, "rig_choice": rig, "answers_choice": answers}
+    if answers != "window":
+        facts["observer"] = observer.as_dict()
     return Setup(preflight, schedule, place, wires.open_rig, wires.open_window, facts)
 
 

@@ -200,8 +200,8 @@ def tell(found: Power, target: float) -> None:
     what = "False alarms, nothing being there to be found" if study.null else "Power"
     console.print(
         f"[bold]{what}[/] of {study.design.protocol} with observer {study.observer.name}: share of {_done(found)} in "
-        f"which at least one test of a family is significant at {study.alpha:g} after Holm's correction, and its 95 % "
-        "interval"
+        f"which at least one test of a family is significant at {study.alpha:g} after Holm's correction, in per cent "
+        "with a 95 % interval"
     )
     for repetitions in sorted({row["n_repetitions"] for row in found.families}):
         rows = [row for row in found.families if row["n_repetitions"] == repetitions]
@@ -228,8 +228,8 @@ def _thinned(numbers: list[int]) -> list[int]:
 
 def _cell(row: dict[str, Any]) -> str:
     if not row["reachable"]:
-        return "out of reach"
-    return f"{row['power']:.2f} ({row['low']:.2f}-{row['high']:.2f})"
+        return "never"
+    return f"{100 * row['power']:.0f} ({100 * row['low']:.0f}-{100 * row['high']:.0f})"
 
 
 def _tell_needed(console: Any, table_kind: Any, rows: list[dict[str, Any]], target: float) -> None:

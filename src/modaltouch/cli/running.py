@@ -145,6 +145,9 @@ def simulate(
     protocol: PROTOCOL,
     participants: Annotated[int, typer.Option("--participants", "-n", min=1, help="Size of the cohort.")] = 10,
     seed: SEED = 1,
+    observer: Annotated[
+        str, typer.Option(help="Who is simulated: a YAML file, or a shipped observer such as `paper`.")
+    ] = "paper",
     results: RESULTS = Path("results"),
     json_output: JSON = False,
 ) -> None:
@@ -152,11 +155,13 @@ def simulate(
     from rich.console import Console
     from rich.progress import Progress
 
+    from modaltouch.observer.file import read_observer
     from modaltouch.preflight import examine
     from modaltouch.sitting import begin
     from modaltouch.wiring import wire_run
 
     with reporting(json_output=json_output):
+        population = read_observer(observer)
         preflight = examine(protocol).require()
         sessions = []
         with Progress(console=Console(stderr=True)) as progress:
@@ -168,6 +173,7 @@ def simulate(
                     answers="simulated",
                     seed=seed,
                     results=results,
+                    observer=population,
                 )
                 sessions.append(begin(setup))
                 progress.advance(task)
