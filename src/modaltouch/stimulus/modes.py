@@ -98,8 +98,7 @@ class ModalModel:
             raise ValueError(f"the shapes are {self.theory}, but a Timoshenko beam is given: {self.beam is not None}")
         if self.beam is not None and self.beam.length != self.length:
             raise ValueError(
-                f"the Timoshenko beam is {self.beam.length:g} m long, the model {self.length:g} m: give one "
-                f"length"
+                f"the Timoshenko beam is {self.beam.length:g} m long, the model {self.length:g} m: give one length"
             )
         if self.basis is not None and (self.basis.label, self.basis.length) != (self.label, self.length):
             raise ValueError(

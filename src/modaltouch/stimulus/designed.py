@@ -1,0 +1,299 @@
+"""A designed stimulus: it knows its codes, and what they do to the beam."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from modaltouch.stimulus.bounds import require_positive
+from modaltouch.stimulus.burst import MID_CODE, Burst
+from modaltouch.stimulus.drive import Drive, Law, Release, exact_drive
+from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem, modal_system
+from modaltouch.stimulus.field import Projection
+from modaltouch.stimulus.modes import ModalModel
+from modaltouch.stimulus.paper_law import paper_drive
+from modaltouch.stimulus.quantise import full_scale, quantise, signed_codes
+from modaltouch.stimulus.settling import settle
+from modaltouch.stimulus.timing import Timing
+from modaltouch.stimulus.vibration import peak_velocity, states_by_channel
+from modaltouch.stimulus.wish import Wish
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Rounding = Literal["settled", "plain"]
+
+
+@dataclass(frozen=True, eq=False)
+class Stimulus:
+    """A designed stimulus. Everything is computed when first asked for, and only then.
+
+    Attributes
+    ----------
+    model : ModalModel
+        The identified beam.
+    wish : Wish
+        The wished field; its velocity is the reference level.
+    timing : Timing
+        Samples, clock and focusing instant.
+    amplifier : Amplifier
+        Between generator and beam.
+    law : str
+        ``exact`` or ``paper``.
+    release : str
+        ``braked`` or ``free``.
+    levels : tuple of float
+        Levels whose amplitudes shall lie on the generator's grid [m/s].
+    load_factor : float
+        Share of the generator's open-circuit voltage that reaches the amplifier's input: 1 into high impedance,
+        0.5 into 50 ohm [1].
+    rounding : str
+        ``settled`` (single codes changed so that rounding costs next to nothing at the focus; the paper's law,
+        which misses by far more, is left alone) or ``plain``.
+    """
+
+    model: ModalModel
+    wish: Wish
+    timing: Timing
+    amplifier: Amplifier
+    law: Law
+    release: Release
+    levels: tuple[float, ...]
+    load_factor: float
+    rounding: Rounding = "settled"
+
+    @cached_property
+    def projection(self) -> Projection:
+        """The wish as the modelled modes see it."""
+        return Projection(self.model, self.wish)
+
+    @property
+    def selected(self) -> tuple[int, ...]:
+        """Labels of the modes that are excited, increasing."""
+        return self.projection.selected
+
+    @property
+    def target(self) -> FloatArray:
+        """Modal velocities wished at the focusing instant at the reference level, (n_modes,) array [m/s]."""
+        return self.projection.target
+
+    @cached_property
+    def system(self) -> DiagonalSystem:
+        """The modal equations behind the amplifier."""
+        return modal_system(self.model, self.amplifier)
+
+    @cached_property
+    def drive(self) -> Drive:
+        """Voltages before rounding, and how well they were solved for."""
+        law = exact_drive if self.law == "exact" else paper_drive
+        return law(self.model, self.system, self.timing, self.target, self.release)
+
+    @property
+    def voltage(self) -> FloatArray:
+        """Voltages at the beam before rounding, at the reference level, (n_channels, n_samples) array [V]."""
+        return self.drive.voltage
+
+    @cached_property
+    def peak_voltage(self) -> FloatArray:
+        """Highest voltage at the beam at the reference level, either sign, (n_channels,) array [V]."""
+        return np.asarray(np.maximum(self.voltage.max(axis=1), -self.voltage.min(axis=1)))
+
+    @property
+    def highest_velocity(self) -> float:
+        """Level at which the first channel reaches the amplifier's limit [m/s]."""
+        return self.wish.velocity * self.amplifier.limit / float(self.peak_voltage.max())
+
+    @property
+    def condition_number(self) -> float:
+        """Condition number of the scaled Gramian that was solved [1]; 1 for the paper's law: none is."""
+        return self.drive.condition_number
+
+    @property
+    def reconstruction_error(self) -> float:
+        """Root mean square of what the selected modes leave of the wish, over that of the wish [1]."""
+        return self.projection.reconstruction_error
+
+    @property
+    def fwhm(self) -> float:
+        """Width of the reached field at half its centre's velocity [m]."""
+        return self.projection.width(0.5)
+
+    @property
+    def width_80(self) -> float:
+        """Width of the reached field at 80 % of its centre's velocity [m]."""
+        return self.projection.width(0.8)
+
+    @cached_property
+    def burst(self) -> Burst:
+        """The codes, common to all levels, and each channel's amplitude at the reference level."""
+        to_beam = self.amplifier.gain * self.load_factor
+        shares = tuple(v / self.wish.velocity for v in self.levels)
+        amplitude = tuple(full_scale(2 * float(v) / to_beam, shares) for v in self.peak_voltage)
+        volts_per_code = np.asarray(amplitude) * to_beam / 2 / MID_CODE
+        codes = quantise(self.voltage, volts_per_code)
+        if self.law == "exact" and self.rounding == "settled":
+            error = self._rounding_error(codes, volts_per_code)
+            largest = float(np.abs(self.target).max())
+            codes = settle(codes, volts_per_code, self.system, self.timing, error, largest)
+        return Burst(
+            codes=codes,
+            duration=self.timing.duration,
+            repetition_rate=self.timing.repetition_rate,
+            velocity=self.wish.velocity,
+            amplitude=amplitude,
+        )
+
+    def _rounding_error(self, codes: NDArray[np.uint16], volts_per_code: FloatArray) -> FloatArray:
+        """Return what the codes fall short of the targets at the focusing instant, (2 n_modes,) array [m/s]."""
+        instant = self.timing.focusing_instant
+        states = volts_per_code @ states_by_channel(self.system, signed_codes(codes), self.timing, instant)
+        reached, displacement = self._read(states)
+        return np.concatenate([self.target - reached, -displacement])
+
+    @cached_property
+    def _played(self) -> FloatArray:
+        """Signed codes, (n_channels, n_samples) array [1]."""
+        return signed_codes(self.burst.codes)
+
+    @cached_property
+    def _states_per_volt(self) -> ComplexArray:
+        """States at the focusing instant for codes worth a volt each, (n_channels, n_states) array."""
+        return states_by_channel(self.system, self._played, self.timing, self.timing.focusing_instant)
+
+    def volts_per_code(self, velocity: float) -> FloatArray:
+        """Return what a code is worth at the beam at a level as the generator plays, (n_channels,) array [V].
+
+        Parameters
+        ----------
+        velocity : float
+            Level [m/s].
+        """
+        require_positive("the velocity level", velocity, "m/s", "the paper has 0.08 to 0.2 m/s")
+        amplitude = np.asarray(self.burst.amplitude_for(velocity))
+        return amplitude * (self.amplifier.gain * self.load_factor / 2 / MID_CODE)
+
+    def voltage_played(self, velocity: float) -> FloatArray:
+        """Return the voltages at the beam of the codes as played at a level, (n_channels, n_samples) array [V].
+
+        Parameters
+        ----------
+        velocity : float
+            Level [m/s].
+        """
+        return self._played * self.volts_per_code(velocity)[:, None]
+
+    def states_at_focus(self, velocity: float) -> ComplexArray:
+        """Return the states of `system` at the focusing instant of the first burst, (n_states,) complex array.
+
+        Parameters
+        ----------
+        velocity : float
+            Level [m/s].
+        """
+        return np.asarray(self.volts_per_code(velocity) @ self._states_per_volt)
+
+    def achieved(self, velocity: float) -> tuple[FloatArray, FloatArray]:
+        """Return what the rounded codes do to the modes at the focusing instant of the first burst.
+
+        Parameters
+        ----------
+        velocity : float
+            Level [m/s].
+
+        Returns
+        -------
+        velocity : (n_modes,) array
+            Modal velocities [m/s].
+        displacement : (n_modes,) array
+            Modal displacements times angular frequency [m/s].
+        """
+        return self._read(self.states_at_focus(velocity))
+
+    def _read(self, states: ComplexArray) -> tuple[FloatArray, FloatArray]:
+        return (self.system.velocity @ states).real, (self.system.displacement @ states).real
+
+    def achieved_steady(self, velocity: float) -> tuple[FloatArray, FloatArray]:
+        """Return what the codes do at the focusing instant once the burst has been repeated for long.
+
+        Parameters
+        ----------
+        velocity : float
+            Level [m/s].
+
+        Returns
+        -------
+        velocity, displacement : (n_modes,) arrays
+            As `achieved` [m/s].
+        """
+        timing, exponent = self.timing, self.system.exponent
+        end = timing.duration + self.system.delay
+        after = states_by_channel(self.system, self._played, timing, end)
+        left = self.volts_per_code(velocity) @ after
+        period = 1 / timing.repetition_rate
+        carried = np.exp(exponent * (period - end)) / -np.expm1(exponent * period)
+        return self._read(self.states_at_focus(velocity) + left * carried * np.exp(exponent * timing.focusing_instant))
+
+    def worst_modal_error(self, velocity: float) -> float:
+        """Return the largest of |velocity - target| and |w eta| over the modes, as `achieved` [m/s].
+
+        Parameters
+        ----------
+        velocity : float
+            Level [m/s].
+        """
+        reached, displacement = self.achieved(velocity)
+        target = self.target * (velocity / self.wish.velocity)
+        return float(max(np.abs(reached - target).max(), np.abs(displacement).max()))
+
+    def velocity_at_focus(self, positions: ArrayLike, velocity: float) -> FloatArray:
+        """Return the velocity at points of the beam at the focusing instant, (n_positions,) array [m/s].
+
+        Parameters
+        ----------
+        positions : (n_positions,) array_like
+            Where, origin at mid-beam [m].
+        velocity : float
+            Level [m/s].
+        """
+        reached, _ = self.achieved(velocity)
+        return np.asarray(reached @ self._shapes_at(positions))
+
+    def _shapes_at(self, positions: ArrayLike) -> FloatArray:
+        """Return the mode shapes at points asked for before, or again at others, (n_modes, n_positions) array."""
+        place = tuple(np.atleast_1d(np.asarray(positions, dtype=float)).tolist())
+        if place not in self._shapes:
+            self._shapes[place] = self.model.shapes(place)
+        return self._shapes[place]
+
+    @cached_property
+    def _shapes(self) -> dict[tuple[float, ...], FloatArray]:
+        """Mode shapes already computed, by the positions."""
+        return {}
+
+    @cached_property
+    def _peaks(self) -> dict[tuple[float, ...], FloatArray]:
+        """Peak speeds already computed, by the channels' ratio and the positions."""
+        return {}
+
+    def peak_velocity(self, positions: ArrayLike, velocity: float) -> FloatArray:
+        """Return the highest speed at points of the beam until the next burst, (n_positions,) array [m/s].
+
+        Parameters
+        ----------
+        positions : (n_positions,) array_like
+            Where, origin at mid-beam [m].
+        velocity : float
+            Level [m/s].
+        """
+        place = np.atleast_1d(np.asarray(positions, dtype=float))
+        unit = self.volts_per_code(velocity)
+        largest = float(unit.max())
+        # Levels that keep the channels' ratio only scale: one response serves them all.
+        key = (*(round(float(u), 12) for u in unit / largest), *place.tolist())
+        if key not in self._peaks:
+            voltage = self._played * (unit / largest)[:, None]
+            self._peaks[key] = peak_velocity(self.model, voltage, self.timing, place, self.amplifier)
+        return self._peaks[key] * largest
