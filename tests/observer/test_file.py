@@ -1,0 +1,77 @@
+"""Observer files: what the shipped ones stand for, and faults with their place."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from modaltouch.document import InputError
+from modaltouch.observer import Observer, Participant
+from modaltouch.observer.file import read_observer, shipped_observers, write_observer
+
+PEAKS = {"A": 0.123, "B": 0.115, "C": 0.2, "D": 0.115, "E": 0.123}
+"""Peak speeds of the shipped stimulus at 200 mm/s [m/s]."""
+
+
+def test_the_paper_observer_shows_the_papers_pattern() -> None:
+    """Expected: V-C, nearly all C in (A,C) and (C,E), 38 to 40 of 40; a majority of both in (B,D)."""
+    crowd = read_observer("paper").draw_crowd(np.random.default_rng(1), (20_000,))
+    speeds = [[PEAKS[left], PEAKS[right]] for left, right in ("AC", "BD", "CE")]
+    for condition in ("one_hand", "two_hands"):
+        left, right = (share.mean(axis=0) for share in crowd.shares(speeds, [condition] * 3))
+        assert 0.93 < right[0] < 0.99
+        assert 0.93 < left[2] < 0.99
+        assert 0.6 < 1 - left[1] - right[1] < 0.95
+
+
+def test_the_paper_observer_is_the_default_one() -> None:
+    """Expected: sessions simulated without a file answer by the same model, to the file's three digits."""
+    shipped, default = read_observer("paper"), Observer()
+    assert shipped.typical.noise == pytest.approx(default.typical.noise, rel=1e-3)
+    assert shipped.typical.criterion == default.typical.criterion
+    assert shipped.side_bias_spread == default.side_bias_spread
+    assert shipped.front_end == default.front_end
+
+
+def test_guessing_is_a_third_of_each_answer() -> None:
+    """Expected: 1/3, whatever is felt."""
+    left, right = read_observer("guessing").draw_crowd(np.random.default_rng(1), (3,)).shares([[0, 1]], ["one_hand"])
+    assert left == pytest.approx(np.full((3, 1), 1 / 3))
+    assert right == pytest.approx(left)
+
+
+def test_every_shipped_observer_can_be_read_by_its_name() -> None:
+    """Expected: the file's name is the observer's."""
+    names = list(shipped_observers())
+    assert {"paper", "near_miss", "envelope", "below_1_khz", "guessing"} <= set(names)
+    assert [read_observer(name).name for name in names] == names
+
+
+def test_what_is_written_is_read_again(tmp_path: Path) -> None:
+    """Expected: the same numbers to four digits, and a description with any characters."""
+    observer = Observer(Participant(noise=0.31, side_bias=-0.07, near_miss=0.2), front_end="rms", noise_spread=0.33)
+    file = tmp_path / "mine.yaml"
+    file.write_text(write_observer(observer, "mine", "a \"quoted\": 80 % 'word'"), encoding="utf-8")
+    read = read_observer(file)
+    assert read.typical.noise == pytest.approx(0.31, rel=1e-3)
+    assert (read.typical.side_bias, read.typical.near_miss) == (-0.07, 0.2)
+    assert (read.front_end, read.noise_spread, read.name) == ("rms", 0.33, "mine")
+
+
+def test_all_faults_of_a_file_come_at_once_with_their_place(edit: Callable[..., Path]) -> None:
+    """Expected: file, line and column of each, what was given and what is allowed."""
+    file = edit("observers/paper.yaml", ("front_end: peak", "front_end: peek"), ("lapse_rate: 0.005", "lapse_rate: 5"))
+    with pytest.raises(InputError, match="did you mean 'peak'") as caught:
+        read_observer(file)
+    first, second = caught.value.problems
+    assert (first.line, first.path) == (5, "front_end")
+    assert (second.line, second.path, second.given) == (11, "typical.lapse_rate", "5")
+
+
+def test_an_observer_that_does_not_exist_is_refused_with_the_shipped_names() -> None:
+    """Expected: the likely name, and all of them."""
+    with pytest.raises(InputError, match=r"one of below_1_khz, envelope, .*; did you mean 'paper'\?"):
+        read_observer("papr")

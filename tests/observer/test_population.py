@@ -1,0 +1,90 @@
+"""Many participants at once, against one at a time and closed forms."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from modaltouch.observer import Observer, Participant
+from modaltouch.observer.participant import REFERENCE
+
+SPEEDS = np.array([[0.08, 0.13], [0.1, 0.1], [0.2, 0.12]])
+
+
+def test_shares_are_those_of_single_answers() -> None:
+    """Expected: the shares of 6000 answers of the same person, within 4 standard errors."""
+    observer = replace(Observer(), typical=replace(Participant(), lapse_rate=0.06, near_miss=0.4, side_bias=0.1))
+    person = observer.draw(np.random.default_rng(4))
+    crowd = observer.draw_crowd(np.random.default_rng(4), ())
+    left, right = crowd.shares(SPEEDS, ("one_hand", "two_hands", "one_hand"))
+    rng, n = np.random.default_rng(9), 6000
+    for cell, condition in enumerate(("one_hand", "two_hands", "one_hand")):
+        given = [person.answer(*SPEEDS[cell], condition, rng)[0] for _ in range(n)]
+        for share, answer in ((left[cell], "left"), (right[cell], "right")):
+            spread = math.sqrt(share * (1 - share) / n)
+            assert given.count(answer) / n == pytest.approx(share, abs=4 * spread + 1e-3)
+
+
+def test_one_drawn_participant_is_the_crowd_of_one() -> None:
+    """Expected: the same draws give the same person, alone or in a crowd."""
+    observer = Observer()
+    person = observer.draw(np.random.default_rng(2))
+    crowd = observer.draw_crowd(np.random.default_rng(2), (1,))
+    assert person.noise == crowd.noise[0]
+    assert person.side_bias == crowd.side_bias[0]
+    assert person.suppression == pytest.approx(crowd.contrast("one_hand")[0] - 1)
+    assert person.suppression_across_hands == pytest.approx(crowd.contrast("two_hands")[0] - 1)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(st.floats(0, 2), min_size=2, max_size=2), st.floats(0, 1), st.floats(-1, 1))
+def test_shares_are_chances(speeds: list[float], lapse_rate: float, side_bias: float) -> None:
+    """Expected: left, right and both are never negative and add up to one, whatever is felt."""
+    observer = replace(Observer(), typical=replace(Participant(), lapse_rate=lapse_rate, side_bias=side_bias))
+    left, right = observer.draw_crowd(np.random.default_rng(1), (7,)).shares([speeds], ("two_hands",))
+    assert left.shape == (7, 1)
+    assert ((left >= 0) & (right >= 0) & (left + right <= 1 + 1e-12)).all()
+
+
+def test_a_turned_beam_turns_the_side_bias_alone() -> None:
+    """Expected: turned, the bias counts for the other end of the beam; a guess stays a third of each."""
+    observer = Observer(replace(Participant(), side_bias=0.3, lapse_rate=0.0), 0, 0, 0, 0, 0)
+    crowd = observer.draw_crowd(np.random.default_rng(1), (1,))
+    left, right = crowd.shares([[0.1, 0.1]], ("one_hand",))
+    turned_left, turned_right = crowd.shares([[0.1, 0.1]], ("one_hand",), -1.0)
+    assert right[0, 0] > 3 * left[0, 0]
+    assert (turned_left[0, 0], turned_right[0, 0]) == pytest.approx((right[0, 0], left[0, 0]))
+
+
+def test_the_near_miss_multiplies_the_noise() -> None:
+    """Expected: Weber's law at the reference speed, and half the noise at four times it with exponent 1/2."""
+    person = Participant(near_miss=0.5, detection_speed=0.0)
+    assert person.noise_at(REFERENCE, REFERENCE / 2) == pytest.approx(person.noise)
+    assert person.noise_at(REFERENCE, 4 * REFERENCE) == pytest.approx(person.noise / 2)
+    assert Participant().noise_at(0.01, 0.5) == Participant().noise
+
+
+def test_the_weber_fraction_is_one_deviation_of_the_ratio() -> None:
+    """Expected: at the ratio 1 + w the difference is the noise (definition), less for one hand than for two."""
+    person = Participant(detection_speed=0.0)
+    fraction = person.weber_fraction("one_hand")
+    assert person.difference(0.1, 0.1 * (1 + fraction), "one_hand") == pytest.approx(person.noise)
+    assert fraction < person.weber_fraction("two_hands")
+
+
+def test_an_observer_survives_the_record() -> None:
+    """Expected: through JSON and back, the same observer."""
+    observer = replace(Observer(), front_end="envelope", name="x", typical=Participant(noise=0.3))
+    assert Observer.from_dict(json.loads(json.dumps(observer.as_dict()))) == observer
+
+
+def test_an_unknown_front_end_is_refused() -> None:
+    """Expected: the message lists the front ends there are."""
+    with pytest.raises(ValueError, match="given 'nose'; allowed: peak_at_focus, peak, rms, below_1_khz, envelope"):
+        Observer(front_end="nose")  # type: ignore[arg-type]
