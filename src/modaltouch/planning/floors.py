@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from modaltouch.analysis.exact import multinomial_test
 from modaltouch.analysis.findings import ALPHA
+from modaltouch.analysis.trend import draws_without_replacement, level_scores
 from modaltouch.planning.design import Design
 from modaltouch.planning.significance import trend_p
 
+IntArray = NDArray[np.int64]
+
 _MOST = 200
+_RAREST = 4
 
 
 @dataclass(frozen=True)
@@ -52,20 +58,29 @@ def smallest_p(design: Design, family: str, n_participants: int, n_repetitions: 
     Returns
     -------
     float
-        p of the most extreme answers, all participants alike [1].
+        p of the most extreme answers [1].
     """
     if family == "a1":
         return multinomial_test([n_participants, 0, 0]).p
     if family != "b":
         return 2.0 ** (1 - n_participants)
-    n_levels = len(design.levels)
-    places = np.arange(n_levels * n_repetitions).reshape(n_levels, n_repetitions)
-    # Every number of choices, all at the highest levels or all at the lowest.
-    extremes = [np.sum(order < k, axis=1) for k in range(1, places.size) for order in (places, places[::-1])]
+    extremes = _extreme_choices(design.levels, n_repetitions)
     if not extremes:
         return 1.0
-    chosen = np.repeat(np.array(extremes)[:, None, :], n_participants, axis=1)
-    return float(trend_p(chosen, design.levels, n_repetitions).min())
+    # All participants alike reach both tails at once; one who differs may leave the other tail out.
+    chosen = [[most] * (n_participants - 1) + [one] for side in extremes for most in side for one in side]
+    return float(trend_p(np.array(chosen), design.levels, n_repetitions).min())
+
+
+def _extreme_choices(levels: Sequence[float], n_repetitions: int) -> list[list[IntArray]]:
+    """Return the rarest ways to choose only the highest levels, and only the lowest, (n_levels,) arrays of counts."""
+    laws = draws_without_replacement(level_scores(levels), n_repetitions)[1:-1]
+    places = np.arange(len(levels) * n_repetitions).reshape(len(levels), n_repetitions)
+    sides = []
+    for order, end in ((places[::-1], -1), (places, 0)):
+        rarest = np.argsort([weights[end] for _, weights in laws], kind="stable")[:_RAREST]
+        sides.append([(order <= k).sum(axis=1) for k in rarest.tolist()])
+    return sides if laws else []
 
 
 def find_floor(design: Design, family: str, n_repetitions: int, alpha: float = ALPHA) -> Floor:
