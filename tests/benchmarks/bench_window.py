@@ -108,6 +108,7 @@ def main() -> None:
     """Measure, print and write the figures."""
     from modaltouch.window.virtual_display import some_display
 
+    load = os.getloadavg()[0]
     with some_display() as where, tempfile.TemporaryDirectory() as folder:
         starts = measure_start()
         trials = measure_trials(Path(folder))
@@ -115,6 +116,7 @@ def main() -> None:
         "display": where.split(" (")[0],
         "python": platform.python_version(),
         "n_cores": os.cpu_count(),
+        "load_average_before": round(load, 2),
         "start_of_interpreter_to_first_screen": summarise(starts),
         **{name: summarise(values) for name, values in trials.items()},
     }

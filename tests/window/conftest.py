@@ -279,8 +279,20 @@ class Hands:
 
 
 @pytest.fixture
-def hands(display: str) -> Iterator[Hands]:
+def make_hands() -> Iterator[Callable[[str], Hands]]:
+    """Give hands on any display."""
+    pairs: list[Hands] = []
+
+    def make(name: str) -> Hands:
+        pairs.append(Hands(name))
+        return pairs[-1]
+
+    yield make
+    for pair in pairs:
+        pair.close()
+
+
+@pytest.fixture
+def hands(display: str, make_hands: Callable[[str], Hands]) -> Hands:
     """Give hands on the private display."""
-    pair = Hands(display)
-    yield pair
-    pair.close()
+    return make_hands(display)

@@ -148,6 +148,23 @@ def test_a_screenshot_that_cannot_be_written_is_a_window_error(screen: Any, tmp_
         screen.flip(tmp_path / "absent" / "x.png")
 
 
+def test_a_monitor_that_is_not_there_is_refused(screen: Any) -> None:
+    """Expected: PsychoPy alone would silently take another one."""
+    from modaltouch.window.screen import Screen
+
+    with pytest.raises(WindowError, match="given screen 3, but this display has 1; allowed: 0 to 0"):
+        Screen(monitor=3)
+
+
+def test_a_window_larger_than_the_monitor_is_cut_to_it(screen: Any) -> None:
+    """Expected: the virtual monitor's 3840 x 2160 pixels, so that no button lies beyond its edge."""
+    from modaltouch.window.screen import Screen
+
+    large = Screen(size=(5000, 3000))
+    assert large.size == (3840, 2160)
+    large.close()
+
+
 def test_a_key_without_a_name_cannot_be_typed(screen: Any) -> None:
     """Expected: the message says which names there are."""
     with pytest.raises(ValueError, match="given the key 'pedal'; allowed: a key name of pyglet"):

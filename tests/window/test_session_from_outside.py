@@ -8,10 +8,13 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+
+from modaltouch.window.virtual_display import virtual_display
 
 pytestmark = [pytest.mark.window, pytest.mark.timeout(300)]
 ROOT = Path(__file__).resolve().parents[2]
@@ -20,17 +23,34 @@ BUTTONS = {"left": (320, 620), "both": (640, 620), "right": (960, 620)}
 """Middles of the answer buttons in a window of 1280 x 800 pixels, from its top left corner."""
 
 
-def begin(display: str, results: Path) -> subprocess.Popen[str]:
+@pytest.fixture(scope="module")
+def empty_display() -> Iterator[str]:
+    """Give a display with no other window on it, so that every key goes to the session."""
+    with virtual_display((1920, 1080)) as name:
+        yield name
+
+
+@pytest.fixture
+def outside_hands(empty_display: str, make_hands: Callable[[str], Any]) -> Any:
+    """Give hands on that display."""
+    return make_hands(empty_display)
+
+
+@pytest.fixture
+def process(empty_display: str, tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
     """Start a session of the demonstration for a person at the window."""
     command = [sys.executable, "-m", "modaltouch", "run", "protocols/demo.yaml", "-p", "p01", "--yes"]
-    return subprocess.Popen(
-        [*command, "--results", str(results), "--json"],
+    started = subprocess.Popen(
+        [*command, "--results", str(tmp_path), "--json"],
         cwd=ROOT,
-        env={**os.environ, "DISPLAY": display},
+        env={**os.environ, "DISPLAY": empty_display},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
     )
+    with started:
+        yield started
+        started.kill()
 
 
 def events(results: Path) -> list[dict[str, Any]]:
@@ -53,15 +73,15 @@ def wait_for_window(hands: Any, process: subprocess.Popen[str]) -> None:
             time.sleep(0.1)
         else:
             return
-    process.kill()
-    raise TimeoutError(process.communicate())
+    raise TimeoutError(TITLE)
 
 
-def test_keys_and_clicks_lead_through_a_whole_session(display: str, hands: Any, tmp_path: Path) -> None:
+def test_keys_and_clicks_lead_through_a_whole_session(
+    process: subprocess.Popen[str], outside_hands: Any, tmp_path: Path
+) -> None:
     """Expected: twelve answers, those given, by key and by mouse in turn; every step by Enter."""
-    process = begin(display, tmp_path)
-    wait_for_window(hands, process)
-    left, top = hands.origin(TITLE)
+    wait_for_window(outside_hands, process)
+    left, top = outside_hands.origin(TITLE)
     given: list[tuple[str, str]] = []
     end = time.monotonic() + 150
     while process.poll() is None and time.monotonic() < end:
@@ -69,14 +89,14 @@ def test_keys_and_clicks_lead_through_a_whole_session(display: str, hands: Any, 
         n_before = sum(event["event"] == "trial" for event in events(tmp_path))
         if len(given) % 2:
             x, y = BUTTONS[answer]
-            hands.click(left + x, top + y)
+            outside_hands.click(left + x, top + y)
         else:
-            hands.key({"left": "Left", "both": "Up", "right": "Right"}[answer])
+            outside_hands.key({"left": "Left", "both": "Up", "right": "Right"}[answer])
         time.sleep(0.25)
         if sum(event["event"] == "trial" for event in events(tmp_path)) > n_before:
             given.append((answer, "mouse" if len(given) % 2 else "key"))
         else:
-            hands.key("Return")
+            outside_hands.key("Return")
             time.sleep(0.15)
     out, err = process.communicate(timeout=30)
     assert process.returncode == 0, err
@@ -94,17 +114,16 @@ def test_keys_and_clicks_lead_through_a_whole_session(display: str, hands: Any, 
     ("way", "returncode", "reason"), [("close button", 130, "window closed"), ("Ctrl-C", 130, "SIGINT")]
 )
 def test_a_session_that_is_ended_keeps_what_it_has(
-    display: str, hands: Any, tmp_path: Path, way: str, returncode: int, reason: str
+    process: subprocess.Popen[str], outside_hands: Any, tmp_path: Path, way: str, returncode: int, reason: str
 ) -> None:
     """Expected: exit status 130 and the reason in the log, whether the window is closed or Ctrl-C pressed."""
-    process = begin(display, tmp_path)
-    wait_for_window(hands, process)
+    wait_for_window(outside_hands, process)
     while not events(tmp_path):
         time.sleep(0.05)
     if way == "Ctrl-C":
         process.send_signal(signal.SIGINT)
     else:
-        hands.press_close_button(TITLE)
+        outside_hands.press_close_button(TITLE)
     _, err = process.communicate(timeout=60)
     assert process.returncode == returncode, err
     assert "Traceback" not in err

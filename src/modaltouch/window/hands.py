@@ -121,13 +121,13 @@ def _place_knuckles(layout: Layout, outward: int, tips: dict[str, Point]) -> dic
         half = min(0.36 * abs(tips["middle"][0] - tips["index"][0]) / 2 + 0.01 * unit, 0.085 * unit)
         index, spacing = middle - outward * half, 2 * half
     else:
-        index, spacing = tips["index"][0] + outward * 0.012 * unit, 0.058 * unit
+        index, spacing = tips["index"][0] + outward * 0.012 * unit, 0.052 * unit
     beyond = index + outward * spacing
     return {
         "index": index,
         "middle": beyond,
-        "ring": beyond + outward * 0.062 * unit,
-        "little": beyond + outward * 0.118 * unit,
+        "ring": beyond + outward * 0.052 * unit,
+        "little": beyond + outward * 0.1 * unit,
     }
 
 

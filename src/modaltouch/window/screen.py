@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import sys
-import tempfile
 import time
 from collections import OrderedDict
 from pathlib import Path
@@ -12,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from modaltouch.window.environment import explain, fit, prepare_environment
 from modaltouch.window.events import Event, EventTap
 from modaltouch.window.interface import WindowError
 from modaltouch.window.marks import Mark, Picture, Shape, Words
@@ -29,7 +28,7 @@ class Screen:
     Parameters
     ----------
     size : (width, height) of int
-        Size of the window [pixels]; a full screen takes the monitor's.
+        Size of the window [pixels], cut to the monitor's; a full screen takes the monitor's.
     fullscreen : bool
         Whether the window covers the monitor.
     monitor : int
@@ -42,7 +41,7 @@ class Screen:
     Raises
     ------
     WindowError
-        If there is no display, or none that can draw.
+        If there is no display, none that can draw, or no such monitor.
     """
 
     def __init__(
@@ -60,7 +59,7 @@ class Screen:
         self._ready: OrderedDict[Mark, tuple[Any, ...]] = OrderedDict()
         self._window = _open(
             visual,
-            size,
+            fit(size, monitor),
             fullscr=fullscreen,
             allowGUI=not fullscreen,
             screen=monitor,
@@ -241,16 +240,7 @@ def _import_psychopy() -> tuple[Any, Any]:
     WindowError
         If there is no display, or no PsychoPy.
     """
-    if sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
-        raise WindowError(
-            "the answer window needs a display, but DISPLAY is not set; run it on the desktop, "
-            "on a virtual display (`xvfb-run -s '-screen 0 1920x1080x24' modaltouch ...`), or answer without a "
-            "window (`--answers simulated`)"
-        )
-    # Without these, PsychoPy puts its plug-in folders on sys.path and its clock follows the wall clock.
-    os.environ.setdefault("PSYCHOPYNOPACKAGES", "1")
-    os.environ.setdefault("PSYCH_GETSECS_CLOCK", "1")
-    _ensure_writable_home()
+    prepare_environment()
     try:
         from psychopy import logging
 
@@ -262,33 +252,8 @@ def _import_psychopy() -> tuple[Any, Any]:
             "or answer without a window (`--answers simulated`)"
         ) from error
     except Exception as error:
-        raise WindowError(_explain(error)) from error
+        raise WindowError(explain(error)) from error
     return visual, monitors
-
-
-def _ensure_writable_home() -> None:
-    """Give PsychoPy a folder for its settings where the home folder takes none."""
-    name = "APPDATA" if sys.platform == "win32" else "HOME"
-    home = os.environ.get(name)
-    if not home or not os.access(home, os.W_OK | os.X_OK):
-        os.environ[name] = tempfile.mkdtemp(prefix="modaltouch-home-")
-
-
-def _explain(error: Exception) -> str:
-    """Return what a failure to reach the display means, and what to do."""
-    display = os.environ.get("DISPLAY", "")
-    kind = type(error).__name__
-    if "NoSuchDisplay" in kind:
-        return (
-            f"the answer window cannot reach the display {display!r} ({error}); check that the X server runs "
-            "and lets this user in (`xdpyinfo`), then start again"
-        )
-    if "GLX" in str(error) or "GLX" in kind:
-        return (
-            f"the display {display!r} cannot draw with OpenGL ({error}); use one with GLX and 24-bit colour (a "
-            "virtual one: `Xvfb -screen 0 1920x1080x24 +extension GLX`) and install libgl1 and libgl1-mesa-dri"
-        )
-    return f"the answer window cannot be opened on display {display!r}: {kind}: {error}; run `modaltouch doctor`"
 
 
 def _load_fonts() -> None:
@@ -307,4 +272,4 @@ def _open(visual: Any, size: tuple[int, int], **options: Any) -> Any:
     try:
         return visual.Window(size, **options)
     except Exception as error:
-        raise WindowError(_explain(error)) from error
+        raise WindowError(explain(error)) from error

@@ -1,0 +1,73 @@
+"""The surroundings that PsychoPy needs, and what its failures mean."""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+
+from modaltouch.window.interface import WindowError
+
+
+def prepare_environment() -> None:
+    """Set what PsychoPy reads when it is imported.
+
+    Raises
+    ------
+    WindowError
+        If there is no display: PsychoPy could not even be imported, now or later in this process.
+    """
+    if sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
+        raise WindowError(
+            "the answer window needs a display, but DISPLAY is not set; run it on the desktop, "
+            "on a virtual display (`xvfb-run -s '-screen 0 1920x1080x24' modaltouch ...`), or answer without a "
+            "window (`--answers simulated`)"
+        )
+    # Without these, PsychoPy puts its plug-in folders on sys.path and its clock follows the wall clock.
+    os.environ.setdefault("PSYCHOPYNOPACKAGES", "1")
+    os.environ.setdefault("PSYCH_GETSECS_CLOCK", "1")
+    _ensure_writable_home()
+
+
+def _ensure_writable_home() -> None:
+    """Give PsychoPy a folder for its settings where the home folder takes none."""
+    name = "APPDATA" if sys.platform == "win32" else "HOME"
+    home = os.environ.get(name)
+    if not home or not os.access(home, os.W_OK | os.X_OK):
+        os.environ[name] = tempfile.mkdtemp(prefix="modaltouch-home-")
+
+
+def explain(error: Exception) -> str:
+    """Return what a failure to reach the display means, and what to do."""
+    display = os.environ.get("DISPLAY", "")
+    kind = type(error).__name__
+    if "NoSuchDisplay" in kind:
+        return (
+            f"the answer window cannot reach the display {display!r} ({error}); check that the X server runs "
+            "and lets this user in (`xdpyinfo`), then start again"
+        )
+    if "GLX" in str(error) or "GLX" in kind:
+        return (
+            f"the display {display!r} cannot draw with OpenGL ({error}); use one with GLX and 24-bit colour (a "
+            "virtual one: `Xvfb -screen 0 1920x1080x24 +extension GLX`) and install libgl1 and libgl1-mesa-dri"
+        )
+    return f"the answer window cannot be opened on display {display!r}: {kind}: {error}; run `modaltouch doctor`"
+
+
+def fit(size: tuple[int, int], monitor: int) -> tuple[int, int]:
+    """Return the size cut to that of the monitor [pixels].
+
+    Raises
+    ------
+    WindowError
+        If there is no such monitor.
+    """
+    import pyglet.canvas
+
+    monitors = pyglet.canvas.get_display().get_screens()
+    if not 0 <= monitor < len(monitors):
+        raise WindowError(
+            f"given screen {monitor}, but this display has {len(monitors)}; allowed: 0 to {len(monitors) - 1}; "
+            "choose one with --screen"
+        )
+    return min(size[0], monitors[monitor].width), min(size[1], monitors[monitor].height)
