@@ -50,9 +50,9 @@ def test_a_log_appears_only_with_its_first_event(tmp_path):
 
 def test_two_writers_of_one_log_are_refused(tmp_path):
     """The second process is told that the first is writing."""
-    with begin(tmp_path / "session.jsonl") as log:
-        with pytest.raises(RecordError, match="another process is writing this session"):
-            SessionLog.reopen(log.path)
+    log = begin(tmp_path / "session.jsonl")
+    with log, pytest.raises(RecordError, match="another process is writing this session"):
+        SessionLog.reopen(log.path)
 
 
 def test_a_reopened_log_continues_the_chain(tmp_path):
@@ -137,8 +137,12 @@ def test_a_log_killed_while_writing_is_sound(tmp_path, delay):
 def test_a_superseded_trial_does_not_count(tmp_path):
     """A replaced trial is a new record that supersedes; the old one stays in the file."""
     with begin(tmp_path / "session.jsonl") as log:
-        old = log.append("trial", trial=TRIAL, response={"answer": "left"}, confirmed={"confirmed": False}, supersedes=None)
-        log.append("trial", trial=TRIAL, response={"answer": "both"}, confirmed={"confirmed": True}, supersedes=old["n"])
+        old = log.append(
+            "trial", trial=TRIAL, response={"answer": "left"}, confirmed={"confirmed": False}, supersedes=None
+        )
+        log.append(
+            "trial", trial=TRIAL, response={"answer": "both"}, confirmed={"confirmed": True}, supersedes=old["n"]
+        )
     session = read_session(log.path)
     assert [event["response"]["answer"] for event in session.trials] == ["both"]
     assert session.complete

@@ -40,6 +40,15 @@ COLUMNS: dict[str, dict[str, Any]] = {
     "zone_right": {"Description": "Zone under the right finger"},
     "finger_left": {"Description": "Finger on the left zone"},
     "finger_right": {"Description": "Finger on the right zone"},
+    "placement": {
+        "Description": "How the fingers lie on the beam",
+        "Levels": {
+            "normal": "as the protocol has it",
+            "mirrored": "the beam turned end to end",
+            "swapped": "the other hand in one_hand, crossed hands in two_hands",
+            "mirrored_swapped": "both",
+        },
+    },
     "velocity_mm_s": {"Description": "Peak velocity asked at the focus", "Units": "mm/s"},
     "repetition": {"Description": "Which presentation of this condition it is, from 1"},
     "response": {
@@ -52,8 +61,9 @@ COLUMNS: dict[str, dict[str, Any]] = {
         "Levels": {"first_burst": "the first burst", "question": "the question, the stimulus having ended"},
     },
     "answered_by": {"Description": "Who gave the answer to the program: participant, experimenter or simulated"},
+    "way": {"Description": "How the answer was given: free_hand, lifting, foot_switch or experimenter"},
     "confirmed": {
-        "Description": "The instrument confirmed amplitude and state before the trial",
+        "Description": "The instrument confirmed amplitude and state before the trial and still at its end",
         "Levels": {"0": "no", "1": "yes"},
     },
     "log_line": {"Description": f"Number of the line in {LOG_NAME}"},
@@ -154,12 +164,14 @@ def _row(event: dict[str, Any]) -> list[str]:
         "zone_right": condition["zone_right"],
         "finger_left": event["fingers"][0],
         "finger_right": event["fingers"][1],
+        "placement": condition["placement"],
         "velocity_mm_s": f"{condition['velocity_mm_s']:g}",
         "repetition": trial["repetition"],
         "response": response["answer"],
         "response_time": f"{response['reaction_time']:.4f}",
         "response_onset": response["onset"],
         "answered_by": response["answered_by"],
+        "way": response["way"] or "n/a",
         "confirmed": int(event["confirmed"]["confirmed"]),
         "log_line": event["n"],
     }
