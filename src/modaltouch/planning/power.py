@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import islice
 from typing import Any
 
 from modaltouch.analysis.intervals import wilson
@@ -16,6 +17,9 @@ from modaltouch.planning.processes import begin_worker
 
 Tallies = dict[str, Tally]
 Size = tuple[int, int]
+
+_IN_HAND = 3
+"""Jobs that are given to each process at a time."""
 
 _GLANCE = 0.2
 """How often is asked whether to stop, while processes work [s]."""
@@ -242,12 +246,18 @@ def _run_here(
 def _run_in_processes(
     study: Study, jobs: Sequence[Job], n_processes: int, told_to_stop: Callable[[], bool]
 ) -> Iterator[tuple[Job, Tallies]]:
-    # Spawned rather than forked: the same on every system, and safe beside the threads of BLAS.
+    # Spawned rather than forked: the same on every system, and safe beside other threads.
     context = multiprocessing.get_context("spawn")
+    left = iter(jobs)
     with ProcessPoolExecutor(n_processes, mp_context=context, initializer=begin_worker) as pool:
-        waiting: dict[Future[Tallies], Job] = {pool.submit(run_job, study, job): job for job in jobs}
+        waiting: dict[Future[Tallies], Job] = {}
         try:
-            while waiting and not told_to_stop():
+            while not told_to_stop():
+                # A few in hand for each process: thousands would be slow to watch and slow to give up.
+                for job in islice(left, _IN_HAND * n_processes - len(waiting)):
+                    waiting[pool.submit(run_job, study, job)] = job
+                if not waiting:
+                    return
                 finished, _ = wait(waiting, timeout=_GLANCE, return_when=FIRST_COMPLETED)
                 for future in finished:
                     yield waiting.pop(future), future.result()

@@ -1,0 +1,126 @@
+"""``modaltouch power`` and ``fit`` as a user meets them."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from modaltouch.cli.app import app
+from modaltouch.planning import power as planning_power
+from modaltouch.planning.experiments import Job, Study, run_job
+
+ROOT = Path(__file__).parents[2]
+PROTOCOL = ROOT / "protocols" / "differentiated_stimulation.yaml"
+DEMO = ROOT / "protocols" / "demo.yaml"
+
+
+def run(*words: object) -> Result:
+    """Run the command line in this process."""
+    return CliRunner().invoke(app, [str(word) for word in words])
+
+
+def test_power_json_is_one_object_with_everything(tmp_path: Path) -> None:
+    """Issue 7, item 5: power with its interval, widths, floors, contour plot, seed; progress on standard error."""
+    done = run(
+        "power", PROTOCOL, "--participants", "6:10:2", "--reps", "1,2", "--observer", "near_miss",
+        "--experiments", 40, "--seed", 3, "--out", tmp_path / "plan", "--json",
+    )  # fmt: skip
+    assert done.exit_code == 0, done.stderr
+    values = json.loads(done.stdout)
+    assert values["complete"]
+    assert values["seed"] == 3
+    assert {(row["n_participants"], row["n_repetitions"]) for row in values["power"]} == {
+        (n, r) for n in (6, 8, 10) for r in (1, 2)
+    }
+    assert {row["question"] for row in values["power"]} == {"a1", "a2", "b", "c", "d"}
+    floors = {(row["family"], row["n_repetitions"]): row["least_participants"] for row in values["floors"]}
+    assert floors["a2", 1] == 8
+    assert all(row["power"] == 0 for row in values["power"] if row["family"] == "a2" and row["n_participants"] == 6)
+    assert all(Path(file).exists() for file in values["files"].values())
+    assert "power.svg" in values["files"]
+    assert "experiments" in done.stderr
+
+
+def test_power_in_words_names_the_floor_and_the_number_needed() -> None:
+    """Expected: what a reader must know who sees only the terminal."""
+    done = run("power", PROTOCOL, "-n", "6,8", "--experiments", 10, "--questions", "a2,d")
+    assert done.exit_code == 0, done.stderr
+    assert "fewer than 8 participants can never be significant" in done.stdout
+    assert "Participants for a power of 0.8" in done.stdout
+    assert "never" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--participants", "40:6"], "given --participants '40:6'"),
+        (["--participants", "six"], "whole numbers from 1 to 1000"),
+        (["--reps", "0"], "given --reps '0'"),
+        (["--questions", "z"], "a1, a2, b, c, d"),
+        (["--observer", "papr"], "did you mean 'paper'?"),
+        (["--participants", "1000", "--reps", "100"], "400000 answers to each pair"),
+    ],
+)
+def test_bad_options_end_with_status_2_and_no_traceback(words: list[str], said: str) -> None:
+    """Expected: what was given, what is allowed."""
+    done = run("power", PROTOCOL, *words)
+    assert done.exit_code == 2
+    assert "Traceback" not in done.stderr
+    # rich draws a box around a usage error and breaks its lines.
+    flat = " ".join(done.stderr.replace("│", " ").split())
+    assert said in flat
+
+
+def test_ctrl_c_keeps_what_is_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Issue 7, item 5: exit status 130, and the two jobs done until then in JSON and in files."""
+    ran: list[Job] = []
+
+    def interrupted_in_the_second(study: Study, job: Job) -> object:
+        ran.append(job)
+        if len(ran) == 2:
+            signal.raise_signal(signal.SIGINT)
+        return run_job(study, job)
+
+    monkeypatch.setattr(planning_power, "run_job", interrupted_in_the_second)
+    done = run("power", DEMO, "-n", "8:20", "--experiments", 20, "--out", tmp_path / "plan", "--json")
+    assert done.exit_code == 130
+    values = json.loads(done.stdout)
+    assert not values["complete"]
+    assert {row["n_participants"] for row in values["power"]} == {8, 9}
+    assert {row["n_experiments"] for row in values["power"]} == {20}
+    assert json.loads((tmp_path / "plan" / "power.json").read_text())["power"] == values["power"]
+    assert "interrupted; kept: 20 to 20 of 20 experiments for 2 of 13 sizes" in done.stderr
+
+
+def test_planning_loads_neither_window_nor_instrument() -> None:
+    """Contract: no psychopy, no PyVISA; and `--help` loads nothing heavy."""
+    program = (
+        "import sys\nfrom modaltouch.__main__ import main\n"
+        "try:\n    main(sys.argv[1:])\nexcept SystemExit:\n    pass\n"
+        "sys.stderr.write('MODULES ' + ' '.join(sys.modules))\n"
+    )
+    command = [sys.executable, "-c", program, "power", str(PROTOCOL), "-n", "8", "--experiments", "2", "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, cwd=ROOT, check=False)
+    loaded = set(done.stderr.split("MODULES ")[1].split())
+    assert not loaded & {"psychopy", "pyvisa", "pyglet", "statsmodels", "scipy.signal", "scipy.optimize", "matplotlib"}
+
+
+def test_a_pilot_is_fitted_and_planned_with(tmp_path: Path) -> None:
+    """Expected: simulated sessions of one observer, an observer file fitted to them, a plan with that file."""
+    assert run("simulate", DEMO, "-n", 2, "--observer", "envelope", "--results", tmp_path / "r").exit_code == 0
+    log = next((tmp_path / "r").rglob("session.jsonl")).read_text(encoding="utf-8").splitlines()[0]
+    assert json.loads(log)["observer"]["front_end"] == "envelope"
+    fitted = run("fit", DEMO, tmp_path / "r", "--out", tmp_path / "fitted.yaml", "--json")
+    assert fitted.exit_code == 0, fitted.stderr
+    assert json.loads(fitted.stdout)["n_participants"] == 2
+    again = run("fit", DEMO, tmp_path / "r", "--out", tmp_path / "fitted.yaml")
+    assert again.exit_code == 4
+    assert "not overwritten" in again.stderr
+    planned = run("power", DEMO, "--observer", tmp_path / "fitted.yaml", "-n", 8, "--experiments", 5, "--json")
+    assert json.loads(planned.stdout)["observer"]["name"] == "fitted"

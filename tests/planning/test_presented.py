@@ -1,0 +1,35 @@
+"""The design of a protocol file, as an observer feels it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from modaltouch.observer import Observer
+from modaltouch.planning.presented import design_for
+from modaltouch.preflight import examine
+
+
+def test_the_papers_design_is_that_of_the_analysis(shipped: Path) -> None:
+    """Expected: cells in the analysis' order, with the speeds that the preflight predicts for them."""
+    preflight = examine(shipped / "differentiated_stimulation.yaml").require()
+    design = design_for(preflight, Observer())
+    assert design.finger_conditions == ("one_hand", "two_hands")
+    assert [pair.label for pair in design.pairs] == ["A-C", "B-D", "C-E"]
+    assert [pair.dominant for pair in design.pairs] == ["C", "B", "C"]
+    assert design.levels == (80.0, 100.0, 150.0, 200.0)
+    for place, stimulus in enumerate(preflight.stimuli):
+        peaks = stimulus["zone_peak_mm_s"]
+        expected = [[peaks[pair.left] * 1e-3, peaks[pair.right] * 1e-3] for pair in design.pairs]
+        assert design.speeds[0, :, place] == pytest.approx(np.array(expected), rel=1e-3)
+
+
+def test_placements_follow_the_schedule(edit: Callable[..., Path]) -> None:
+    """Expected: placements change once every order of the finger conditions has been had, two participants each."""
+    fingers = "finger_conditions: [one_hand, two_hands]\n"
+    file = edit("demo.yaml", (fingers, fingers + "  placements: [normal, mirrored]\n"))
+    design = design_for(examine(file).require(), Observer())
+    assert design.facing(9).tolist() == [1, 1, -1, -1, 1, 1, -1, -1, 1]

@@ -1,0 +1,42 @@
+"""Files of a plan, and folders they must not touch."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+
+from modaltouch.analysis.output import write_files
+from modaltouch.observer import Observer
+from modaltouch.planning.design import Design
+from modaltouch.planning.experiments import Study
+from modaltouch.planning.power import Power, plan
+from modaltouch.planning.writing import write_power
+from modaltouch.record.chain import RecordError
+
+
+@pytest.fixture
+def power(design: Design) -> Power:
+    """A small plan."""
+    return plan(Study(design, Observer(), ("a2", "b"), null=False, seed=1), [(8, 1), (12, 1)], 20)
+
+
+def test_tables_and_json_hold_the_same_figures(power: Power, tmp_path: Path) -> None:
+    """Expected: the rows of the plan, and the same bytes when written again."""
+    files = write_power(tmp_path / "plan", power)
+    assert {"power.csv", "power_tests.csv", "power_needed.csv", "power.json", "power.svg", "power.png"} == set(files)
+    values = json.loads(files["power.json"].read_text())
+    rows = list(csv.DictReader(files["power.csv"].read_text().splitlines()))
+    assert [float(row["power"]) for row in rows] == [row["power"] for row in values["power"]]
+    before = files["power.svg"].read_bytes()
+    assert write_power(tmp_path / "plan", power)["power.svg"].read_bytes() == before
+
+
+def test_an_analysis_is_never_replaced_by_a_plan(power: Power, tmp_path: Path) -> None:
+    """Expected: refused, and the analysis as it was."""
+    write_files(tmp_path / "analysis", {"tests.csv": b"p\n1\n"}, {"version": "0"})
+    with pytest.raises(RecordError, match="holds an analysis, which a plan would replace; give another folder"):
+        write_power(tmp_path / "analysis", power)
+    assert (tmp_path / "analysis" / "tests.csv").read_bytes() == b"p\n1\n"
