@@ -65,6 +65,12 @@ class QuietGuard:
         self.told.append("clean" if clean else "left watching")
 
 
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """Return random numbers that are the same in every run."""
+    return np.random.default_rng(20240607)
+
+
 @pytest.fixture(scope="session")
 def apparatus() -> Apparatus:
     """Return the shipped apparatus."""

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from modaltouch.apparatus.checks import check_apparatus, zone_edges
 from modaltouch.apparatus.sections import (
+    Acquisition,
     ActuatorSet,
     Amplifier,
     Apparatus,
@@ -13,24 +14,30 @@ from modaltouch.apparatus.sections import (
     Generator,
     Mode,
     Safety,
-    Twin,
     Zone,
 )
+from modaltouch.apparatus.twin import Fingers, Scope, TrueAmplifier, Twin, UnlistedMode, Vibrometer
 from modaltouch.document import InputError, Problem, Reading, Source, load_source, read
 from modaltouch.document.section import Number, Positive, Section
 
 __all__ = [
+    "Acquisition",
     "ActuatorSet",
     "Amplifier",
     "Apparatus",
     "Beam",
+    "Fingers",
     "Generator",
     "Mode",
     "Number",
     "Positive",
     "Safety",
+    "Scope",
     "Section",
+    "TrueAmplifier",
     "Twin",
+    "UnlistedMode",
+    "Vibrometer",
     "Zone",
     "check_apparatus",
     "examine_apparatus",

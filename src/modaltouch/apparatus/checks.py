@@ -11,7 +11,7 @@ from modaltouch.document import Problem, Reading, suggest
 
 def check_apparatus(reading: Reading[Apparatus]) -> list[Problem]:
     """Return the faults between the keys of an apparatus, as far as its sound parts show them."""
-    return [*_check_zones(reading), *_check_actuator_sets(reading), *_check_modes(reading)]
+    return [*_check_zones(reading), *_check_actuator_sets(reading), *_check_modes(reading), *_check_unlisted(reading)]
 
 
 def zone_edges(zone: Zone) -> tuple[float, float]:
@@ -51,9 +51,7 @@ def _check_modes(reading: Reading[Apparatus]) -> Iterator[Problem]:
     node = reading.find(("actuator_sets",))
     sets = list(node.content) if node is not None and isinstance(node.content, dict) else None
     lines: dict[int, int] = {}
-    modes = reading.find(("modes",))
-    n_modes = len(modes.content) if modes is not None and isinstance(modes.content, list) else 0
-    for index in range(n_modes):
+    for index in range(_count(reading, "modes")):
         label = reading.sound("modes", index, "label")
         if label in lines:
             given = f"{label}, the label of modes[{lines[label]}] too"
@@ -70,6 +68,29 @@ def _check_modes(reading: Reading[Apparatus]) -> Iterator[Problem]:
             if name not in named:
                 path = ("modes", index, "assumed", position)
                 yield _unknown_set(reading, path, name, named, at_key=False)
+
+
+def _check_unlisted(reading: Reading[Apparatus]) -> Iterator[Problem]:
+    node = reading.find(("actuator_sets",))
+    sets = list(node.content) if node is not None and isinstance(node.content, dict) else []
+    taken = {("bending", reading.sound("modes", i, "label")): f"modes[{i}]" for i in range(_count(reading, "modes"))}
+    where: tuple[str | int, ...] = ("twin", "unlisted_modes")
+    for index in range(_count(reading, *where)):
+        label = reading.sound(*where, index, "label")
+        family = reading.sound(*where, index, "family")
+        if label is not None and (family, label) in taken:
+            given = f"{label}, the label of {taken[(family, label)]} too"
+            yield reading.problem((*where, index, "label"), given, "each mode once", "remove one of them")
+        taken.setdefault((family, label), f"twin.unlisted_modes[{index}]")
+        gains = reading.find((*where, index, "gain_mm_s2_per_V"))
+        for name in list(gains.content) if gains is not None and isinstance(gains.content, dict) else ():
+            if name not in sets:
+                yield _unknown_set(reading, (*where, index, "gain_mm_s2_per_V", name), name, sets, at_key=True)
+
+
+def _count(reading: Reading[Apparatus], *path: str) -> int:
+    node = reading.find(path)
+    return len(node.content) if node is not None and isinstance(node.content, list) else 0
 
 
 def _unknown_set(

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 from pydantic import Field
 
+from modaltouch.apparatus.twin import Twin
 from modaltouch.document.section import (
     SMALLEST,
     FileName,
@@ -101,21 +102,15 @@ class Generator(Section):
         return 1.0 if self.load == "high_impedance" else 0.5
 
 
-class Twin(Section):
-    """How the simulated beam differs from the identified one."""
+class Acquisition(Section):
+    """What velocity and drive are measured with, as its knobs are set."""
 
-    seed: Annotated[int, Field(strict=True, ge=0)] = described("Seed of the differences.", default=1)
-    natural_frequency_mismatch: Annotated[float, Field(strict=True, ge=0, lt=0.1)] = described(
-        "Relative standard deviation of the natural frequencies [1].", default=0.0
+    sensitivity_mm_s_per_V: Positive = described(  # noqa: N815
+        "What a volt of the vibrometer's output stands for [mm/s per V].", default=50.0
     )
-    damping_ratio_mismatch: Annotated[float, Field(strict=True, ge=0, lt=0.5)] = described(
-        "Relative standard deviation of the damping ratios [1].", default=0.0
-    )
-    gain_mismatch: Annotated[float, Field(strict=True, ge=0, lt=0.5)] = described(
-        "Relative standard deviation of the gains [1].", default=0.0
-    )
-    cross_gain: Annotated[float, Field(strict=True, ge=-1, le=1)] = described(
-        "Gain of a set that does not drive a mode, relative to the one that does [1].", default=0.0
+    range_mm_s: Positive = described("Highest velocity in the vibrometer's range [mm/s, peak].", default=500.0)
+    probe_attenuation: Positive = described(
+        "Volts at the beam per volt at the scope's drive inputs [V/V].", default=100.0
     )
 
 
@@ -135,7 +130,8 @@ class Apparatus(Section):
     amplifier: Amplifier = described("What stands between generator and beam.")
     safety: Safety = described("Limits that no protocol can raise.")
     generator: Generator = described("The arbitrary function generator.", default=Generator())
-    twin: Twin = described("What the simulated rig has and the table has not.", default=Twin())
+    acquisition: Acquisition = described("What velocity and drive are measured with.", default=Acquisition())
+    twin: Twin = described("What the simulated rig has and the tables have not.", default=Twin())
 
     def modal_model(self) -> ModalModel:
         """Return the identified plant in SI units.

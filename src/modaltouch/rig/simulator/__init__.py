@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.apparatus import Apparatus
-from modaltouch.rig.simulator.afg import Afg
+from modaltouch.rig.simulator.afg import Afg, Playback
 from modaltouch.rig.simulator.behaviour import Behaviour
 from modaltouch.rig.simulator.faults import Faults
 from modaltouch.rig.simulator.instrument import Instrument
-from modaltouch.rig.simulator.twin import Twin
+from modaltouch.rig.simulator.twin import TrueState, Twin
 from modaltouch.rig.simulator.vxi11 import Vxi11Server
 
 
@@ -45,6 +45,8 @@ class Simulator:
         Amplifier and true beam.
     faults : Faults
         What goes wrong, switchable at any time.
+    touched : tuple of float
+        Where fingers lie while something is measured [m]; `felt_velocity` lays them where they feel.
     """
 
     def __init__(
@@ -59,6 +61,7 @@ class Simulator:
         self.afg = Afg(behaviour or Behaviour())
         self.faults = Faults()
         self.twin = Twin(apparatus, apparatus.twin.seed if seed is None else seed)
+        self.touched: tuple[float, ...] = ()
         self._instrument = Instrument(self.afg, self.faults)
         self._server = Vxi11Server(self._instrument, port)
 
@@ -90,10 +93,43 @@ class Simulator:
         ValueError
             If there is no such zone.
         """
-        playbacks = [self.afg.playback(number) for number in self.afg.channels]
-        return self.twin.felt(playbacks, [self._position(place) for place in places])
+        return self.twin.felt(self.playbacks, [self.position(place) for place in places])
 
-    def _position(self, place: str | float) -> float:
+    def true_state(self, instant: float, *, first: bool = False) -> TrueState:
+        """Return what the beam really does at an instant of the burst that plays now, to judge measurements by.
+
+        Parameters
+        ----------
+        instant : float
+            From the first sample of a burst at the generator's output [s].
+        first : bool
+            Whether the burst starts from rest; else it is one after many.
+        """
+        return self.twin.true_state(self.playbacks, instant, first=first, touched=self.touched)
+
+    @property
+    def playbacks(self) -> tuple[Playback | None, ...]:
+        """What each output sends now."""
+        return tuple(self.afg.playback(number) for number in self.afg.channels)
+
+    def touch(self, places: Sequence[str | float]) -> None:
+        """Lay fingers on the beam for whatever is measured from now on; nowhere for an empty sequence.
+
+        Parameters
+        ----------
+        places : sequence of str or float
+            Names of zones or positions, origin at mid-beam [m].
+        """
+        self.touched = tuple(self.position(place) for place in places)
+
+    def position(self, place: str | float) -> float:
+        """Return the centre of a zone, or the position that is given [m].
+
+        Raises
+        ------
+        ValueError
+            If there is no such zone.
+        """
         if not isinstance(place, str):
             return float(place)
         zone = self.apparatus.zones.get(place)

@@ -11,51 +11,42 @@ from numpy.typing import NDArray
 
 from modaltouch.apparatus import Apparatus
 from modaltouch.rig.simulator.afg import MID_CODE, Playback
-from modaltouch.stimulus.modes import ModalModel
-from modaltouch.stimulus.timing import Timing
-from modaltouch.stimulus.vibration import peak_velocity
+from modaltouch.rig.simulator.course import Drive, Motion, low_passed
+from modaltouch.rig.simulator.response import Held, peak, state_at
+from modaltouch.rig.simulator.true_beam import generator_gains, true_amplifier, true_beam
+from modaltouch.stimulus.dynamics import DiagonalSystem
 
 FloatArray = NDArray[np.float64]
 Setting = tuple[Playback | None, ...]
 """What each channel sends."""
 
 
-def true_beam(apparatus: Apparatus, seed: int) -> ModalModel:
-    """Return the beam as it is, which its identification does not quite meet.
+@dataclass(frozen=True, eq=False)
+class TrueState:
+    """What the beam really does at an instant: known of a twin alone, to judge measurements by.
 
-    Natural frequencies, damping ratios and gains are those of the table times a log-normal factor of the stated
-    relative spread, and each actuator set also drives the modes that the table leaves to another.
-
-    Parameters
+    Attributes
     ----------
-    apparatus : Apparatus
-        The identified beam, and in its section ``twin`` how far the true one is from it.
-    seed : int
-        Equal seeds give equal beams; changing one mismatch leaves the draws of the others alone.
-
-    Returns
-    -------
-    ModalModel
-        With a gain for every mode and channel.
+    label : tuple of int
+        Labels of the modes of the table.
+    velocity : (n_modes,) array
+        Their modal velocities [m/s].
+    displacement : (n_modes,) array
+        Their modal displacements times natural angular frequency, w eta [m/s].
+    unlisted_velocity, unlisted_displacement : (n_unlisted,) array
+        The same of the modes that the table lacks [m/s].
     """
-    twin, model = apparatus.twin, apparatus.modal_model()
-    streams = np.random.default_rng(seed).spawn(3)
-    frequency_draw, damping_draw = (rng.standard_normal(model.n_modes) for rng in streams[:2])
-    gain_draw = streams[2].standard_normal(model.modal_gain.shape)
-    gain = model.modal_gain.copy()
-    strongest = np.take_along_axis(gain, np.abs(gain).argmax(axis=1)[:, None], axis=1)
-    gain = np.where(gain == 0, twin.cross_gain * strongest, gain)
-    return replace(
-        model,
-        natural_frequency=model.natural_frequency * np.exp(twin.natural_frequency_mismatch * frequency_draw),
-        damping_ratio=np.minimum(model.damping_ratio * np.exp(twin.damping_ratio_mismatch * damping_draw), 0.99),
-        modal_gain=gain * np.exp(twin.gain_mismatch * gain_draw),
-    )
+
+    label: tuple[int, ...]
+    velocity: FloatArray
+    displacement: FloatArray
+    unlisted_velocity: FloatArray
+    unlisted_displacement: FloatArray
 
 
 @dataclass
 class Twin:
-    """Amplifier and true beam behind a generator; computes a speed only when asked for it.
+    """Amplifier and true beam behind a generator; computes only what it is asked for.
 
     Attributes
     ----------
@@ -66,7 +57,7 @@ class Twin:
     tripped : bool
         Whether the amplifier's protection has cut its output.
     n_computed : int
-        Responses computed so far: another level of the same records needs none, as long as nothing saturates.
+        Peaks computed so far: another level of the same records needs none, as long as nothing saturates.
     """
 
     apparatus: Apparatus
@@ -74,10 +65,28 @@ class Twin:
     tripped: bool = False
     n_computed: int = field(default=0, init=False)
     _setting: Setting = field(default=(), init=False, repr=False)
-    _felt: dict[float, float] = field(default_factory=dict, init=False, repr=False)
+    _felt: dict[tuple[float, ...], float] = field(default_factory=dict, init=False, repr=False)
+    _systems: dict[tuple[float, ...], DiagonalSystem] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
         self.beam = true_beam(self.apparatus, self.seed)
+        self.amplifier = true_amplifier(self.apparatus)
+        self._gains = generator_gains(self.apparatus, self.seed) * (
+            self.amplifier.gain * self.apparatus.generator.load_factor
+        )
+
+    def system(self, touched: Sequence[float] = ()) -> DiagonalSystem:
+        """Return the equations of the beam with fingers at some places, behind its amplifier.
+
+        Parameters
+        ----------
+        touched : sequence of float
+            Centres of the contacts, origin at mid-beam [m].
+        """
+        key = tuple(touched) if self.beam.fingers is not None else ()
+        if key not in self._systems:
+            self._systems[key] = self.beam.equations(self.amplifier, key)
+        return self._systems[key]
 
     def felt(self, playbacks: Sequence[Playback | None], positions: Sequence[float]) -> FloatArray:
         """Return the peak speed at points of the beam while the generator sends what it sends.
@@ -87,7 +96,7 @@ class Twin:
         playbacks : sequence of Playback or None
             What each channel sends.
         positions : sequence of float
-            Where, origin at mid-beam [m].
+            Where fingers lie, origin at mid-beam [m].
 
         Returns
         -------
@@ -98,72 +107,144 @@ class Twin:
         if self.tripped or level == 0:
             return np.zeros(len(positions))
         setting, scale = tuple(playbacks), 1.0
-        if not any(self._saturates(playback) for playback in playbacks if playback is not None):
+        if not self._any_saturates(playbacks):
             setting, scale = _at_unit_level(playbacks, level), level
         if setting != self._setting:
             self._setting, self._felt = setting, {}
-        missing = [x for x in dict.fromkeys(positions) if x not in self._felt]
+        # Fingers that weigh change the beam for each other; others feel it as it is.
+        touched = tuple(sorted(positions)) if self.beam.fingers is not None else ()
+        missing = [x for x in dict.fromkeys(positions) if (x, *touched) not in self._felt]
         if missing:
             self.n_computed += 1
-            self._felt.update(zip(missing, self._compute(setting, missing), strict=True))
-        return scale * np.array([self._felt[x] for x in positions])
+            peaks = self._peaks(setting, missing, touched)
+            self._felt.update({(x, *touched): speed for x, speed in zip(missing, peaks, strict=True)})
+        return scale * np.array([self._felt[(x, *touched)] for x in positions])
 
-    def _saturates(self, playback: Playback) -> bool:
-        """Return whether the amplifier reaches its limit."""
-        peak = abs(playback.amplitude) / 2 * record_peak(playback.record) + abs(playback.offset)
-        return peak * self._gain > self.apparatus.amplifier.limit_V
-
-    @property
-    def _gain(self) -> float:
-        """Volts at the beam per open-circuit volt of the generator [1]."""
-        return self.apparatus.amplifier.gain_V_per_V * self.apparatus.generator.load_factor
-
-    def _compute(self, setting: Setting, positions: Sequence[float]) -> list[float]:
-        amplifier = self.apparatus.amplifier_values()
-        total = np.zeros(len(positions))
-        # Bursts of unequal rate slide past each other, so that sooner or later their peaks meet.
-        for clock in dict.fromkeys(_clock(playback) for playback in setting if playback is not None):
-            together = [p if p is not None and _clock(p) == clock else None for p in setting]
-            voltage, timing = self.beam_voltage(together)
-            total += peak_velocity(self.beam, voltage, timing, positions, amplifier)
-        return [float(speed) for speed in total]
-
-    def beam_voltage(self, setting: Sequence[Playback | None]) -> tuple[FloatArray, Timing]:
-        """Return the voltage that the amplifier gives during one burst, as a change from its idle level.
+    def motions(
+        self,
+        playbacks: Sequence[Playback | None],
+        position: float,
+        *,
+        offset: float,
+        bandwidth: float | None,
+        touched: Sequence[float],
+        until: float,
+    ) -> list[Motion]:
+        """Return the velocity of a point behind a low-pass, in parts that add up.
 
         Parameters
         ----------
-        setting : sequence of Playback or None
-            What each channel sends: records of one length, duration and period, at least one.
+        playbacks : sequence of Playback or None
+            What each channel sends.
+        position, offset : float
+            Along the beam and across it, from its middle [m].
+        bandwidth : float or None
+            Corner of the low-pass [Hz].
+        touched : sequence of float
+            Where fingers lie [m].
+        until : float
+            Latest instant that will be asked for, from the start of a burst [s].
 
         Returns
         -------
-        voltage : (n_channels, n_samples) array
-            Held samples at the beam, saturated at the amplifier's limit [V].
-        timing : Timing
-            Clock of the samples.
+        list of Motion
+            One to each clock that drives a channel [m/s].
         """
-        first = next(playback for playback in setting if playback is not None)
-        n_samples = len(first.record) // 2
-        voltage = np.zeros((self.beam.n_channels, n_samples))
-        for row, playback in zip(voltage, setting, strict=False):
-            if playback is not None:
-                row[:] = self._amplify(playback)
-        period = max(min(first.period, 10 * first.duration), first.duration)
-        timing = Timing(
-            n_samples=n_samples,
-            duration=first.duration,
-            focusing_instant=first.duration / 2,
-            repetition_rate=1 / period,
-        )
-        return voltage, timing
+        if self.tripped:
+            return []
+        system = self.system(touched)
+        output = self.beam.shapes(position, offset)[:, 0] @ system.velocity
+        system, output = low_passed(system, output, bandwidth)
+        return [Motion.of(system, output, held, until) for held in self.held_of(playbacks)]
 
-    def _amplify(self, playback: Playback) -> FloatArray:
-        scale, shift = self._gain * playback.amplitude / (2 * MID_CODE), self._gain * playback.offset
-        limit = self.apparatus.amplifier.limit_V
+    def drive(self, playbacks: Sequence[Playback | None], channel: int) -> Drive | None:
+        """Return the voltage at the beam of a channel, counted from 0; None where nothing plays."""
+        alone = [playback if row == channel else None for row, playback in enumerate(playbacks)]
+        held = self.held_of(alone)
+        return None if self.tripped or not held else Drive.of(held[0], channel, self.amplifier.bandwidth)
+
+    def true_state(
+        self,
+        playbacks: Sequence[Playback | None],
+        instant: float,
+        *,
+        first: bool = False,
+        touched: Sequence[float] = (),
+    ) -> TrueState:
+        """Return what the beam really does at an instant, which no instrument of the twin tells.
+
+        Parameters
+        ----------
+        playbacks : sequence of Playback or None
+            What each channel sends.
+        instant : float
+            From the first sample of a burst at the generator's output [s]; what is sent then moves the beam only
+            after the amplifier's delay.
+        first : bool
+            Whether the burst starts from rest; else it is one after many.
+        touched : sequence of float
+            Where fingers lie [m].
+        """
+        system = self.system(touched)
+        state = np.zeros(system.exponent.size, dtype=complex)
+        for held in () if self.tripped else self.held_of(playbacks):
+            state = state + state_at(system, held, instant, first=first)
+        velocity, displacement = (system.velocity @ state).real, (system.displacement @ state).real
+        n_listed = self.beam.table.n_modes
+        return TrueState(
+            label=self.beam.table.label,
+            velocity=velocity[:n_listed],
+            displacement=displacement[:n_listed],
+            unlisted_velocity=velocity[n_listed:],
+            unlisted_displacement=displacement[n_listed:],
+        )
+
+    def held_of(self, playbacks: Sequence[Playback | None]) -> list[Held]:
+        """Return what the amplifier is to give, saturated at its limit: one entry to each clock.
+
+        Parameters
+        ----------
+        playbacks : sequence of Playback or None
+            What each channel sends.
+        """
+        clocks = dict.fromkeys(_clock(playback) for playback in playbacks if playback is not None)
+        return [
+            self._held([p if p is not None and _clock(p) == clock else None for p in playbacks]) for clock in clocks
+        ]
+
+    def _held(self, together: Sequence[Playback | None]) -> Held:
+        first = next(playback for playback in together if playback is not None)
+        n_samples = len(first.record) // 2
+        voltage, rest = np.zeros((self.beam.n_channels, n_samples)), np.zeros(self.beam.n_channels)
+        for channel, playback in enumerate(together[: self.beam.n_channels]):
+            if playback is not None:
+                voltage[channel], rest[channel] = self._amplify(playback, float(self._gains[channel]))
+        # A trigger that comes while a burst plays is lost: the next one counts.
+        triggers = max(1.0, np.ceil(first.duration / first.period - 1e-9))
+        return Held(voltage, rest, first.duration, first.period * triggers)
+
+    def _amplify(self, playback: Playback, gain: float) -> tuple[FloatArray, float]:
+        scale, shift = gain * playback.amplitude / (2 * MID_CODE), gain * playback.offset
+        limit = self.amplifier.limit
         codes = np.frombuffer(playback.record, ">u2").astype(float)
-        rest = np.clip((playback.idle_code - MID_CODE) * scale + shift, -limit, limit)
-        return np.asarray(np.clip((codes - MID_CODE) * scale + shift, -limit, limit) - rest)
+        rest = float(np.clip((playback.idle_code - MID_CODE) * scale + shift, -limit, limit))
+        return np.asarray(np.clip((codes - MID_CODE) * scale + shift, -limit, limit) - rest), rest
+
+    def _any_saturates(self, playbacks: Sequence[Playback | None]) -> bool:
+        """Return whether the amplifier reaches its limit."""
+        return any(
+            (abs(playback.amplitude) / 2 * record_peak(playback.record) + abs(playback.offset)) * gain
+            > self.amplifier.limit
+            for playback, gain in zip(playbacks, self._gains, strict=False)
+            if playback is not None
+        )
+
+    def _peaks(self, setting: Setting, positions: Sequence[float], touched: Sequence[float]) -> list[float]:
+        system = self.system(touched)
+        output = self.beam.shapes(positions).T @ system.velocity
+        # Bursts of unequal rate slide past each other, so that sooner or later their peaks meet.
+        total = sum((peak(system, output, held) for held in self.held_of(setting)), np.zeros(len(positions)))
+        return [float(speed) for speed in total]
 
 
 def _at_unit_level(playbacks: Sequence[Playback | None], level: float) -> Setting:

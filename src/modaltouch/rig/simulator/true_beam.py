@@ -1,0 +1,229 @@
+"""The beam as it is: modes that the table lacks, values that the table misses, fingers that weigh on it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from modaltouch.apparatus import Apparatus, Fingers, UnlistedMode
+from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
+from modaltouch.stimulus.modes import ModalModel, mode_shapes
+
+FloatArray = NDArray[np.float64]
+
+CONTACT_NODES = 12
+"""Points of a contact: exact for the products of shapes that change sign six times within it."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrueBeam:
+    """All modes of a beam, those of the table first.
+
+    Attributes
+    ----------
+    table : ModalModel
+        The modes of the table with their true values.
+    unlisted : tuple of UnlistedMode
+        The modes that follow them.
+    unlisted_gain : (n_unlisted, n_channels) array
+        Their modal accelerations per volt at the beam [m/s^2 per V].
+    width : float
+        Of the beam, across which torsion turns [m].
+    mass : float
+        Moving mass of the beam [kg].
+    fingers : Fingers or None
+        What each finger adds where it touches.
+    """
+
+    table: ModalModel
+    unlisted: tuple[UnlistedMode, ...]
+    unlisted_gain: FloatArray
+    width: float
+    mass: float
+    fingers: Fingers | None
+
+    @property
+    def n_modes(self) -> int:
+        """Number of modes."""
+        return self.table.n_modes + len(self.unlisted)
+
+    @property
+    def n_channels(self) -> int:
+        """Number of generator outputs."""
+        return self.table.n_channels
+
+    @cached_property
+    def natural_frequency(self) -> FloatArray:
+        """Undamped natural frequency of each mode, without fingers, (n_modes,) array [Hz]."""
+        return np.append(self.table.natural_frequency, [mode.natural_frequency_Hz for mode in self.unlisted])
+
+    @cached_property
+    def damping_ratio(self) -> FloatArray:
+        """Damping ratio of each mode, without fingers, (n_modes,) array [1]."""
+        return np.append(self.table.damping_ratio, [mode.damping_ratio for mode in self.unlisted])
+
+    @cached_property
+    def modal_gain(self) -> FloatArray:
+        """Modal acceleration per volt at the beam, (n_modes, n_channels) array [m/s^2 per V]."""
+        return np.concatenate([self.table.modal_gain, self.unlisted_gain])
+
+    def shapes(self, position: ArrayLike, offset: ArrayLike = 0.0) -> FloatArray:
+        """Return the mode shapes at points of the beam, (n_modes, n_points) array [1].
+
+        Parameters
+        ----------
+        position : (n_points,) array_like
+            Coordinate along the beam, origin at its middle [m].
+        offset : float or (n_points,) array_like
+            Coordinate across the beam, origin on its mid-line [m].
+        """
+        x = np.atleast_1d(np.asarray(position, dtype=float))
+        across = np.broadcast_to(np.asarray(offset, dtype=float), x.shape)
+        rows = [self.table.shapes(x)]
+        for mode in self.unlisted:
+            if mode.family == "bending":
+                rows.append(mode_shapes([mode.label], x, self.table.length))
+            else:
+                rows.append(self._torsion(mode.label, x, across)[None])
+        return np.concatenate(rows)
+
+    def _torsion(self, order: int, x: FloatArray, across: FloatArray) -> FloatArray:
+        """Return a torsion shape of a uniform free-free beam, of unit mean square over its area."""
+        along = (-1) ** order * np.cos(order * math.pi * (x / self.table.length + 0.5))
+        return np.asarray(math.sqrt(24.0) * across / self.width * along)
+
+    def equations(self, amplifier: Amplifier, touched: Sequence[float] = ()) -> DiagonalSystem:
+        r"""Return the equations of the beam behind its amplifier, with fingers on it.
+
+        A finger makes one system of all modes: :math:`M \ddot\eta + C \dot\eta + \Omega^2 \eta = G u` with
+        :math:`M = I + (m_f/m) \langle\varphi\varphi^T\rangle` over the contact, and C likewise. Its complex
+        eigenvectors uncouple it.
+
+        Parameters
+        ----------
+        amplifier : Amplifier
+            Its pole and delay count; voltages are those it would give without them.
+        touched : sequence of float
+            Centres of the contacts, origin at mid-beam [m]; empty for a free beam.
+        """
+        omega = 2 * np.pi * self.natural_frequency
+        damping, mass = np.diag(2 * self.damping_ratio * omega), np.eye(self.n_modes)
+        if self.fingers is not None and touched:
+            contact = sum(self._contact(place, self.fingers.contact_width_mm * 1e-3) for place in touched)
+            mass = mass + self.fingers.mass_g * 1e-3 / self.mass * contact
+            damping = damping + self.fingers.damping_N_s_per_m / self.mass * contact
+        # In the state (omega eta, eta') both halves have one unit and one size.
+        lower = np.linalg.solve(mass, np.concatenate([-np.diag(omega), -damping, self.modal_gain], axis=1))
+        n = self.n_modes
+        matrix = np.block([[np.zeros((n, n)), np.diag(omega)], [lower[:, : 2 * n]]])
+        exponent, vectors = np.linalg.eig(matrix)
+        force = np.concatenate([np.zeros((n, self.n_channels)), lower[:, 2 * n :]])
+        pushed = np.linalg.solve(vectors, force.astype(complex))
+        # Of each conjugate pair one is enough, counted twice; a mode that fingers stop from swinging has no pair.
+        kept = exponent.imag >= 0
+        weighted = vectors[:, kept] * np.where(exponent[kept].imag > 0, 2.0, 1.0)
+        return _behind(amplifier, exponent[kept], pushed[kept], weighted[n:], weighted[:n])
+
+    def _contact(self, place: float, width: float) -> FloatArray:
+        """Return the mean of shape times shape over a contact, cut at the beam's ends, (n_modes, n_modes) array."""
+        half = self.table.length / 2
+        left, right = max(place - width / 2, -half), min(place + width / 2, half)
+        nodes, weights = np.polynomial.legendre.leggauss(CONTACT_NODES)
+        along = (left + right) / 2 + (right - left) / 2 * nodes
+        # The two Gauss points across are exact for torsion, which grows in proportion.
+        across = self.width / math.sqrt(12.0) * np.repeat([-1.0, 1.0], nodes.size)
+        shapes = self.shapes(np.tile(along, 2), across)
+        return np.asarray((shapes * np.tile(weights, 2) / 4) @ shapes.T)
+
+
+def _behind(
+    amplifier: Amplifier,
+    exponent: NDArray[np.complex128],
+    gain: NDArray[np.complex128],
+    velocity: NDArray[np.complex128],
+    displacement: NDArray[np.complex128],
+) -> DiagonalSystem:
+    """Put the amplifier's pole before uncoupled equations, which leaves them uncoupled (see `stimulus.dynamics`)."""
+    if amplifier.bandwidth is None:
+        return DiagonalSystem(exponent, gain, velocity, displacement, amplifier.delay)
+    pole, n_channels = 2 * np.pi * amplifier.bandwidth, gain.shape[1]
+    share = gain / (pole + exponent)[:, None]
+    return DiagonalSystem(
+        exponent=np.concatenate([exponent, np.full(n_channels, -pole, dtype=complex)]),
+        input_gain=np.concatenate([pole * share, pole * np.eye(n_channels)]),
+        velocity=np.concatenate([velocity, -velocity @ share], axis=1),
+        displacement=np.concatenate([displacement, -displacement @ share], axis=1),
+        delay=amplifier.delay,
+    )
+
+
+def true_beam(apparatus: Apparatus, seed: int) -> TrueBeam:
+    """Return the beam as it is, which its identification does not quite meet.
+
+    Natural frequencies, damping ratios and gains are those of the table times a log-normal factor of the stated
+    relative spread, each actuator set also drives the modes that the table leaves to another, and the modes that
+    the table lacks are as stated.
+
+    Parameters
+    ----------
+    apparatus : Apparatus
+        The identified beam, and in its section ``twin`` how far the true one is from it.
+    seed : int
+        Equal seeds give equal beams; changing one mismatch leaves the draws of the others alone.
+    """
+    twin, model = apparatus.twin, apparatus.modal_model()
+    streams = np.random.default_rng(seed).spawn(3)
+    frequency_draw, damping_draw = (rng.standard_normal(model.n_modes) for rng in streams[:2])
+    gain_draw = streams[2].standard_normal(model.modal_gain.shape)
+    gain = model.modal_gain.copy()
+    strongest = np.take_along_axis(gain, np.abs(gain).argmax(axis=1)[:, None], axis=1)
+    gain = np.where(gain == 0, twin.cross_gain * strongest, gain)
+    table = replace(
+        model,
+        natural_frequency=model.natural_frequency * np.exp(twin.natural_frequency_mismatch * frequency_draw),
+        damping_ratio=np.minimum(model.damping_ratio * np.exp(twin.damping_ratio_mismatch * damping_draw), 0.99),
+        modal_gain=gain * np.exp(twin.gain_mismatch * gain_draw),
+    )
+    unlisted_gain = np.zeros((len(twin.unlisted_modes), model.n_channels))
+    for row, mode in zip(unlisted_gain, twin.unlisted_modes, strict=True):
+        for name, value in mode.gain_mm_s2_per_V.items():
+            row[apparatus.actuator_sets[name].channel - 1] = value * 1e-3
+    return TrueBeam(
+        table=table,
+        unlisted=twin.unlisted_modes,
+        unlisted_gain=unlisted_gain,
+        width=apparatus.beam.width_mm * 1e-3,
+        mass=twin.beam_mass_g * 1e-3,
+        fingers=twin.fingers,
+    )
+
+
+def generator_gains(apparatus: Apparatus, seed: int) -> FloatArray:
+    """Return the true output voltage per volt set, of each generator output, (n_channels,) array [V/V].
+
+    Parameters
+    ----------
+    apparatus : Apparatus
+        Its section ``twin`` states the spread.
+    seed : int
+        Equal seeds give equal errors.
+    """
+    n_channels = apparatus.modal_model().n_channels
+    draw = np.random.default_rng(seed).spawn(4)[3].standard_normal(n_channels)
+    return np.asarray(np.exp(apparatus.twin.generator_gain_mismatch * draw))
+
+
+def true_amplifier(apparatus: Apparatus) -> Amplifier:
+    """Return the amplifier as it is: what ``twin`` leaves open is as identified; SI units."""
+    known, true = apparatus.amplifier_values(), apparatus.twin.amplifier
+    return Amplifier(
+        gain=known.gain if true.gain_V_per_V is None else true.gain_V_per_V,
+        limit=known.limit if true.limit_V is None else true.limit_V,
+        bandwidth=known.bandwidth if true.bandwidth_kHz is None else true.bandwidth_kHz * 1e3,
+        delay=known.delay if true.delay_us is None else true.delay_us * 1e-6,
+    )
