@@ -58,7 +58,7 @@ def power(
     from modaltouch.planning.experiments import Study
     from modaltouch.planning.power import plan
     from modaltouch.planning.presented import design_for
-    from modaltouch.planning.writing import refuse_other, write_power
+    from modaltouch.planning.writing import refuse_other
     from modaltouch.preflight import examine
 
     with reporting(json_output=json_output):
@@ -79,16 +79,23 @@ def power(
                 on_progress=on_progress,
                 told_to_stop=lambda: bool(interruption.pending),
             )
-        files = write_power(out, found, target) if out is not None and found.tallies else {}
-        if json_output:
-            print_json({**found.as_dict(target), "files": {name: str(path) for name, path in files.items()}})
-        else:
-            tell(found, target)
-            for name, path in files.items():
-                print(f"{name:16} {path}")
-        if not found.complete:
-            typer.secho(f"interrupted; kept: {_done(found)}", err=True)
-            raise typer.Exit(INTERRUPTED)
+        _report(found, target, out, json_output=json_output)
+
+
+def _report(found: Power, target: float, out: Path | None, *, json_output: bool) -> None:
+    """Write and print a plan, also one that was interrupted."""
+    from modaltouch.planning.writing import write_power
+
+    files = write_power(out, found, target) if out is not None and found.tallies else {}
+    if json_output:
+        print_json({**found.as_dict(target), "files": {name: str(path) for name, path in files.items()}})
+    else:
+        tell(found, target)
+        for name, path in files.items():
+            print(f"{name:16} {path}")
+    if not found.complete:
+        typer.secho(f"interrupted; kept: {_done(found)}", err=True)
+        raise typer.Exit(INTERRUPTED)
 
 
 def parse_sizes(words: str, option: str, most: int) -> tuple[int, ...]:
