@@ -1,0 +1,43 @@
+"""What is simulated, a pilot or real is decided in one place, and a session goes on as it began."""
+
+from pathlib import Path
+
+import pytest
+
+from modaltouch.preflight import examine
+from modaltouch.record.chain import RecordError
+from modaltouch.sitting import begin
+from modaltouch.wiring import wire_resume, wire_run
+
+PROTOCOL = Path(__file__).parents[1] / "protocols" / "demo.yaml"
+ADDRESS = "TCPIP::192.0.2.1::INSTR"
+
+
+@pytest.fixture(scope="module")
+def preflight():
+    """The demonstration, checked."""
+    return examine(PROTOCOL).require()
+
+
+@pytest.mark.parametrize(
+    ("rig", "answers", "pilot", "mode"),
+    [
+        (ADDRESS, "window", False, "real"),
+        (ADDRESS, "window", True, "pilot"),
+        ("simulated", "window", False, "simulated"),
+        ("simulated", "window", True, "simulated"),
+        (ADDRESS, "robot", False, "simulated"),
+        (ADDRESS, "simulated", True, "simulated"),
+    ],
+)
+def test_a_session_is_simulated_as_soon_as_anything_in_it_is(preflight, rig, answers, pilot, mode):
+    """Architecture: the mode is unforgeable, and it is the folder."""
+    setup = wire_run(preflight, "p01", rig=rig, answers=answers, pilot=pilot)
+    assert setup.place.mode == mode
+
+
+def test_a_session_does_not_go_on_as_another_kind(preflight, tmp_path):
+    """A simulated session resumed at a real rig by a person would be neither."""
+    session = begin(wire_run(preflight, "p01", answers="simulated", results=tmp_path))
+    with pytest.raises(RecordError, match="would go on as another kind"):
+        wire_resume(session.path, rig=ADDRESS, answers="window")
