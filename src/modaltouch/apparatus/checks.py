@@ -88,7 +88,7 @@ def _check_unlisted(reading: Reading[Apparatus]) -> Iterator[Problem]:
                 yield _unknown_set(reading, (*where, index, "gain_mm_s2_per_V", name), name, sets, at_key=True)
 
 
-def _count(reading: Reading[Apparatus], *path: str) -> int:
+def _count(reading: Reading[Apparatus], *path: str | int) -> int:
     node = reading.find(path)
     return len(node.content) if node is not None and isinstance(node.content, list) else 0
 

@@ -26,7 +26,7 @@ from modaltouch.document.section import (
 )
 
 if TYPE_CHECKING:
-    from modaltouch.stimulus.design import Amplifier as AmplifierValues
+    from modaltouch.stimulus.dynamics import Amplifier as AmplifierValues
     from modaltouch.stimulus.modes import ModalModel
 
 
@@ -160,7 +160,7 @@ class Apparatus(Section):
 
     def amplifier_values(self) -> AmplifierValues:
         """Return the amplifier: gain [V/V], limit [V at the beam], bandwidth [Hz] or None, delay [s]."""
-        from modaltouch.stimulus.design import Amplifier as AmplifierValues
+        from modaltouch.stimulus.dynamics import Amplifier as AmplifierValues
 
         amplifier = self.amplifier
         return AmplifierValues(

@@ -19,6 +19,7 @@ from modaltouch.rig.simulator.afg import Afg, Playback
 from modaltouch.rig.simulator.behaviour import Behaviour
 from modaltouch.rig.simulator.faults import Faults
 from modaltouch.rig.simulator.instrument import Instrument
+from modaltouch.rig.simulator.scope import SimulatedScope
 from modaltouch.rig.simulator.twin import TrueState, Twin
 from modaltouch.rig.simulator.vxi11 import Vxi11Server
 
@@ -106,6 +107,10 @@ class Simulator:
             Whether the burst starts from rest; else it is one after many.
         """
         return self.twin.true_state(self.playbacks, instant, first=first, touched=self.touched)
+
+    def scope(self) -> SimulatedScope:
+        """Return the vibrometer and the scope that stand at this beam; equal seeds give equal noise."""
+        return SimulatedScope(self.twin, lambda: self.playbacks, lambda: self.touched)
 
     @property
     def playbacks(self) -> tuple[Playback | None, ...]:

@@ -52,7 +52,7 @@ class Motion:
     decay: ComplexArray
 
     @classmethod
-    def of(cls, system: DiagonalSystem, output: ComplexArray, held: Held, until: float) -> Self:
+    def of(cls, system: DiagonalSystem, output: ComplexArray, held: Held, span: tuple[float, float]) -> Self:
         """Return an output that is the real part of ``output @ state``, among bursts that have repeated for long.
 
         Parameters
@@ -63,11 +63,13 @@ class Motion:
             What is read off the states.
         held : Held
             What is played.
-        until : float
-            Latest instant of a burst that will be asked for [s].
+        span : (float, float)
+            First and last instant that will be asked for, from the first sample of a burst at the beam [s].
         """
         voltage, hold = refined(system, held)
-        n_needed = min(voltage.shape[1], int(until / hold) + 2)
+        # What lies before a burst, or after its period, is the end of another.
+        within = 0 <= span[0] and span[1] < held.period
+        n_needed = min(voltage.shape[1], int(span[1] / hold) + 2) if within else voltage.shape[1]
         state = start_state(system, held)
         rows = np.stack([output, output * system.exponent])
         kernel = BlockKernel.of(system, rows, hold)

@@ -128,7 +128,7 @@ class Twin:
         offset: float,
         bandwidth: float | None,
         touched: Sequence[float],
-        until: float,
+        span: tuple[float, float],
     ) -> list[Motion]:
         """Return the velocity of a point behind a low-pass, in parts that add up.
 
@@ -142,8 +142,8 @@ class Twin:
             Corner of the low-pass [Hz].
         touched : sequence of float
             Where fingers lie [m].
-        until : float
-            Latest instant that will be asked for, from the start of a burst [s].
+        span : (float, float)
+            First and last instant that will be asked for, from the first sample of a burst at the beam [s].
 
         Returns
         -------
@@ -155,7 +155,7 @@ class Twin:
         system = self.system(touched)
         output = self.beam.shapes(position, offset)[:, 0] @ system.velocity
         system, output = low_passed(system, output, bandwidth)
-        return [Motion.of(system, output, held, until) for held in self.held_of(playbacks)]
+        return [Motion.of(system, output, held, span) for held in self.held_of(playbacks)]
 
     def drive(self, playbacks: Sequence[Playback | None], channel: int) -> Drive | None:
         """Return the voltage at the beam of a channel, counted from 0; None where nothing plays."""

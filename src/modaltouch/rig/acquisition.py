@@ -1,0 +1,223 @@
+"""What a measurement asks and gives: the velocity of a point of the beam and the drive that it belongs to.
+
+The same three verbs stand for the simulated vibrometer and scope and for real ones::
+
+    with simulator.scope() as scope:
+        scope.configure(Acquisition(sampling_rate=500e3, n_samples=131_072, n_records=10, drives=(1,)))
+        for position in np.linspace(-0.05, 0.05, 41):
+            recording = scope.measure(position)
+
+The generator plays meanwhile, by `modaltouch.rig.interface.Rig`; its trigger starts every record. Its held samples
+have images around multiples of their rate: sampled no faster than they are held, the drive folds them onto itself, and
+a transfer function lacks their droop and half a sample of delay. Sample a few times faster than the record is played.
+"""
+
+from __future__ import annotations
+
+import math
+import typing
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modaltouch.rig.interface import RigError
+
+FloatArray = NDArray[np.float64]
+
+INPUT_RANGES = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
+"""Input ranges of a PicoScope 3404 [V, peak]."""
+
+OUTPUTS = (1, 2)
+"""Generator outputs whose drive can be measured."""
+
+
+@dataclass(frozen=True)
+class Acquisition:
+    """What a measurement asks of vibrometer and scope.
+
+    Attributes
+    ----------
+    sampling_rate : float
+        Samples per second [Hz]; the scope takes the nearest that it has, and the recording says which.
+    n_samples : int
+        Samples of a record, those before the trigger included.
+    n_records : int
+        Records, one after the other, each started by the generator's trigger; kept apart, so that a coherence can
+        be told from them.
+    drives : tuple of int
+        Generator outputs whose voltage at the beam is measured beside the velocity.
+    start : float
+        First sample, from the trigger at the start of a burst [s]; negative for what comes before it.
+    velocity_range, drive_range : float, optional
+        Highest velocity [m/s] and voltage at the beam [V] to be expected; the smallest input range that holds it
+        is taken. None for the whole range of the vibrometer, or of the scope's input.
+    """
+
+    sampling_rate: float = 500e3
+    n_samples: int = 131_072
+    n_records: int = 1
+    drives: tuple[int, ...] = (1,)
+    start: float = 0.0
+    velocity_range: float | None = None
+    drive_range: float | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what no scope can do."""
+        for name, value, unit in (
+            ("sampling_rate", self.sampling_rate, "Hz"),
+            ("velocity_range", self.velocity_range, "m/s"),
+            ("drive_range", self.drive_range, "V"),
+        ):
+            if value is not None and not (math.isfinite(value) and value > 0):
+                raise ValueError(f"{name} is {value} {unit}: give a number above 0")
+        for name, number, least in (("n_samples", self.n_samples, 2), ("n_records", self.n_records, 1)):
+            if number < least:
+                raise ValueError(f"{name} is {number}: give at least {least}")
+        if not math.isfinite(self.start):
+            raise ValueError(f"start is {self.start} s: give a finite time from the trigger")
+        if len(set(self.drives)) < len(self.drives) or not set(self.drives) <= set(OUTPUTS):
+            raise ValueError(f"drives are {self.drives}: name each generator output of {OUTPUTS} at most once")
+
+    @property
+    def n_channels(self) -> int:
+        """Scope inputs in use."""
+        return 1 + len(self.drives)
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """What was measured at one position, in SI units.
+
+    Attributes
+    ----------
+    position : float
+        Where, origin at mid-beam [m].
+    time : (n_samples,) array
+        From the trigger, by the scope's clock [s].
+    velocity : (n_records, n_samples) array
+        Of the point [m/s].
+    drive : (n_records, n_drives, n_samples) array
+        Voltage at the beam of each drive that was asked for [V].
+    sampling_rate : float
+        By the scope's clock [Hz].
+    overloaded : tuple of str
+        What reached the end of its range in any record: ``velocity``, ``drive 1``, ``drive 2``.
+    """
+
+    position: float
+    time: FloatArray
+    velocity: FloatArray
+    drive: FloatArray
+    sampling_rate: float
+    overloaded: tuple[str, ...]
+
+    def fitting(self, asked: Acquisition, headroom: float = 1.25) -> Acquisition:
+        """Return a measurement whose ranges fit what was found here, for more resolution at the next.
+
+        Parameters
+        ----------
+        asked : Acquisition
+            What to change the ranges of.
+        headroom : float
+            Range over the highest value found here [1].
+
+        Raises
+        ------
+        RigError
+            If something was overloaded here, so that its height is not known.
+        """
+        if self.overloaded:
+            raise RigError(
+                f"{', '.join(self.overloaded)} was overloaded at {self.position * 1e3:g} mm: its height is not "
+                "known; measure with a wider range or a lower drive first"
+            )
+        highest = float(np.abs(self.velocity).max())
+        drive = float(np.abs(self.drive).max(initial=0.0))
+        return replace(
+            asked,
+            velocity_range=highest * headroom if highest > 0 else asked.velocity_range,
+            drive_range=drive * headroom if drive > 0 else asked.drive_range,
+        )
+
+
+class Scope(typing.Protocol):
+    """A vibrometer with a scope behind it, simulated or real."""
+
+    @property
+    def identity(self) -> str:
+        """Model and serial number."""
+
+    def configure(self, acquisition: Acquisition) -> Acquisition:
+        """Make the settings, and return them as the scope has them.
+
+        Raises
+        ------
+        RigError
+            If the scope cannot do what is asked.
+        """
+
+    def measure(self, position: float) -> Recording:
+        """Return velocity and drive at a position [m from mid-beam].
+
+        Raises
+        ------
+        RigError
+            If no trigger comes, or the scope fails.
+        """
+
+    def close(self) -> None:
+        """Release the scope; never raises."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *exc: object) -> None: ...
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What a volt at a scope's inputs stands for, and how many of them each channel takes.
+
+    Attributes
+    ----------
+    sensitivity : float
+        Of the vibrometer [m/s per V].
+    highest_velocity : float
+        End of the vibrometer's range [m/s].
+    attenuation : float
+        Of the drive's probes [V at the beam per V].
+    """
+
+    sensitivity: float
+    highest_velocity: float
+    attenuation: float
+
+    def ranges(self, acquisition: Acquisition) -> tuple[float, float]:
+        """Return the input ranges for velocity and drive [V, peak at the input].
+
+        Raises
+        ------
+        RigError
+            If no range of the scope or the vibrometer is wide enough.
+        """
+        wanted = acquisition.velocity_range or self.highest_velocity
+        if wanted > self.highest_velocity * (1 + 1e-9):
+            raise RigError(
+                f"a velocity of {wanted * 1e3:g} mm/s is to be measured: the vibrometer's range ends at "
+                f"{self.highest_velocity * 1e3:g} mm/s; choose a wider one there, and say so in the apparatus file"
+            )
+        velocity = self._smallest(wanted / self.sensitivity, f"{wanted * 1e3:g} mm/s")
+        if acquisition.drive_range is None:
+            return velocity, INPUT_RANGES[-1]
+        return velocity, self._smallest(acquisition.drive_range / self.attenuation, f"{acquisition.drive_range:g} V")
+
+    @staticmethod
+    def _smallest(volts: float, what: str) -> float:
+        fitting = [each for each in INPUT_RANGES if each >= volts * (1 - 1e-9)]
+        if not fitting:
+            raise RigError(
+                f"{what} is {volts:g} V at the scope's input: at most {INPUT_RANGES[-1]:g} V; use another "
+                "sensitivity or a probe of more attenuation, and say so in the apparatus file"
+            )
+        return fitting[0]

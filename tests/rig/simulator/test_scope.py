@@ -1,0 +1,281 @@
+"""Simulated vibrometer and scope: chirps and bursts through the real driver, and each imperfection by its figure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from modaltouch.apparatus import Apparatus, Fingers, Scope, TrueAmplifier, Vibrometer
+from modaltouch.rig.acquisition import Acquisition, Recording
+from modaltouch.rig.generator import Generator
+from modaltouch.rig.interface import RigError
+from modaltouch.rig.simulator import Simulator
+from modaltouch.rig.simulator.afg import Playback
+from modaltouch.stimulus.burst import Burst
+
+QUIET_SCOPE = Scope(bits=24, noise_steps=0.0, clock_offset_ppm=0.0, trigger_latency_us=0.0, trigger_jitter_ns=0.0)
+QUIET_VIBROMETER = Vibrometer(bandwidth_kHz=None, delay_us=0.0, noise_um_s_per_sqrt_Hz=0.0, offset_mm=0.0)
+
+
+def lab(apparatus: Apparatus, **values: Any) -> Apparatus:
+    """Return an apparatus whose instruments are ideal but for what is stated."""
+    ideal = {"scope": QUIET_SCOPE, "vibrometer": QUIET_VIBROMETER}
+    return apparatus.model_copy(update={"twin": apparatus.twin.model_copy(update=ideal | values)})
+
+
+def sine(hertz: float = 2000.0, amplitude: float = 4.0, *, n: int = 50_000, cycles: int = 100) -> Playback:
+    """Return a continuous sine."""
+    wave = np.round(8191 + 8191 * np.sin(2 * np.pi * cycles * np.arange(n) / n)).astype(">u2").tobytes()
+    return Playback(wave, amplitude, 0.0, cycles / hertz, cycles / hertz, 8191)
+
+
+@pytest.fixture
+def at(apparatus: Apparatus, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Recording]]:
+    """Return what measures a sine at a position, with an acquisition and differences of the twin."""
+    opened: list[Simulator] = []
+
+    def measure(
+        position: float = 0.02, asked: Acquisition | None = None, playing: tuple[Any, ...] | None = None, **values: Any
+    ) -> Recording:
+        simulator = Simulator(lab(apparatus, **values))
+        opened.append(simulator)
+        sent = (sine(), None) if playing is None else playing
+        monkeypatch.setattr(Simulator, "playbacks", property(lambda self: sent))
+        with simulator.scope() as scope:
+            scope.configure(asked or Acquisition(sampling_rate=1e6, n_samples=5000))
+            return scope.measure(position)
+
+    yield measure
+    for simulator in opened:
+        simulator.close()
+
+
+def chirp_burst(n: int = 131_072, rate: float = 500e3, highest: float = 110e3, volts: float = 0.8) -> Burst:
+    """Return a periodic chirp on output 1; output 2 is silent."""
+    time = np.arange(n) / rate
+    duration = n / rate
+    phase = 2 * np.pi * (50 * time + (highest - 50) * time**2 / 2 / duration)
+    codes = np.full((2, n), 8191, dtype=np.uint16)
+    codes[0] = np.round(8191 + 8191 * np.sin(phase))
+    codes[0, [0, -1]] = 8191
+    return Burst(codes, duration, 1 / duration, 0.1, (volts, 0.02))
+
+
+def test_chirp_through_the_driver_gives_the_true_transfer_function(
+    apparatus: Apparatus, guard: Any, patience: Any
+) -> None:
+    """Output spectrum over drive spectrum at the nine peaks: the modes' closed form, within 1 % in the complex plane.
+
+    The chirp of 131,072 points at 500 kS/s plays continuously from a USER memory; the scope takes five samples to each
+    of its points, so that no image of the held samples folds.
+    """
+    with (
+        Simulator(lab(apparatus, amplifier=TrueAmplifier(bandwidth_kHz=300.0, delay_us=1.0))) as simulator,
+        Generator(
+            simulator.address, apparatus, patience=patience, repetition="continuous", start_guard=lambda *_: guard
+        ) as rig,
+        simulator.scope() as scope,
+    ):
+        rig.load(chirp_burst())
+        assert rig.fire(0.1).confirmed
+        scope.configure(Acquisition(sampling_rate=2.5e6, n_samples=5 * 131_072, drives=(1, 2)))
+        seen = scope.measure(0.05)
+        beam = simulator.twin.beam
+    assert seen.overloaded == ()
+    assert np.abs(seen.drive[0, 1]).max() < 1e-3
+    frequency = np.fft.rfftfreq(seen.time.size, 1 / seen.sampling_rate)
+    measured = np.fft.rfft(seen.velocity[0]) / np.fft.rfft(seen.drive[0, 0])
+    for hertz in beam.table.natural_frequency:
+        nearest = int(np.argmin(np.abs(frequency - hertz)))
+        omega, own = 2 * np.pi * frequency[nearest], 2 * np.pi * beam.natural_frequency
+        dynamic = 1j * omega * beam.modal_gain[:, 0] / (own**2 - omega**2 + 2j * beam.damping_ratio * own * omega)
+        exact = beam.shapes(0.05)[:, 0] @ dynamic
+        assert measured[nearest] == pytest.approx(exact, rel=0.01)
+
+
+def test_scan_of_the_burst_finds_the_field_at_the_focusing_instant(apparatus: Apparatus, burst: Burst) -> None:
+    """At five positions the velocity read at an instant is the true one, shapes times true modal velocities.
+
+    Within half a step of 24 bits, 30 nm/s, and 2e-5 of the peak.
+    """
+    with Simulator(lab(apparatus)) as quiet:
+        for number, codes in enumerate(burst.codes, start=1):
+            quiet.afg.user[number] = codes.astype(">u2").tobytes()
+            quiet.front_panel(f"SOUR{number}:FUNC USER{number};FREQ 20;BURS:STAT ON;:SOUR{number}:VOLT 2")
+            quiet.front_panel(f"SOUR{number}:BURS:NCYC 1;:OUTP{number} ON;:TRIG:TIM 0.142857")
+        with quiet.scope() as scope:
+            scope.configure(Acquisition(sampling_rate=1.25e6, n_samples=62_500))
+            for position in (-0.04, -0.02, 0.0, 0.02, 0.04):
+                seen = scope.measure(position)
+                index = int(np.argmin(np.abs(seen.time - 0.025)))
+                state = quiet.true_state(float(seen.time[index]))
+                shapes = quiet.twin.beam.shapes(position)[:, 0]
+                true = shapes @ np.append(state.velocity, state.unlisted_velocity)
+                assert seen.velocity[0, index] == pytest.approx(true, abs=2e-5 * np.abs(seen.velocity).max() + 3e-8)
+
+
+def test_no_trigger_is_an_error_that_says_why(simulator: Simulator) -> None:
+    """Outputs off: nothing starts a record."""
+    with simulator.scope() as scope, pytest.raises(RigError, match="no trigger came .* neither of its outputs plays"):
+        scope.measure(0.0)
+
+
+def test_position_off_the_beam_is_refused(at: Callable[..., Recording]) -> None:
+    """60 mm from the middle of a beam of 100 mm."""
+    with pytest.raises(ValueError, match="position 60 mm is not on the beam"):
+        at(0.06)
+
+
+def test_tripped_amplifier_leaves_noise_alone(simulator: Simulator, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The drive reads nothing but the converter's noise, and the velocity the vibrometer's."""
+    monkeypatch.setattr(Simulator, "playbacks", property(lambda self: (sine(), None)))
+    simulator.trip_amplifier()
+    with simulator.scope() as scope:
+        scope.configure(Acquisition(n_samples=2000, velocity_range=0.05, drive_range=5.0))
+        seen = scope.measure(0.0)
+    assert np.abs(seen.drive).max() <= 3 * 5.0 / 127
+    assert 0 < np.abs(seen.velocity).max() < 6e-3
+
+
+@pytest.mark.parametrize("bits", [8, 12])
+def test_converter_has_its_bits(at: Callable[..., Recording], bits: int) -> None:
+    """Every voltage is a whole number of steps of range / (2^(bits-1) - 1), and errs by half a step at most."""
+    asked = Acquisition(sampling_rate=1e6, n_samples=5000, drive_range=100.0)
+    coarse = at(asked=asked, scope=QUIET_SCOPE.model_copy(update={"bits": bits}))
+    exact = at(asked=asked)
+    step = 100.0 / (2 ** (bits - 1) - 1)
+    steps = coarse.drive / step
+    np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)
+    assert np.abs(coarse.drive - exact.drive).max() <= step / 2 + 2e-5
+
+
+def test_what_passes_a_range_is_cut_and_said(at: Callable[..., Recording]) -> None:
+    """50 V at a range of 20 V: cut there, and the drive is named; the velocity is not."""
+    seen = at(asked=Acquisition(sampling_rate=1e6, n_samples=5000, drive_range=20.0))
+    assert seen.overloaded == ("drive 1",)
+    assert np.abs(seen.drive).max() == pytest.approx(20.0)
+
+
+def test_vibrometer_has_a_range_of_its_own(apparatus: Apparatus, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A range of 1 mm/s cuts what the scope could still take."""
+    knobs = apparatus.acquisition.model_copy(update={"range_mm_s": 1.0, "sensitivity_mm_s_per_V": 0.7})
+    monkeypatch.setattr(Simulator, "playbacks", property(lambda self: (sine(), None)))
+    with Simulator(lab(apparatus).model_copy(update={"acquisition": knobs})) as simulator, simulator.scope() as scope:
+        scope.configure(Acquisition(sampling_rate=1e6, n_samples=5000))
+        seen = scope.measure(0.0)
+    assert "velocity" in seen.overloaded
+    assert np.abs(seen.velocity).max() == pytest.approx(1e-3, rel=1e-5)
+
+
+@pytest.mark.parametrize("corner", [None, 100.0])
+def test_noise_has_the_stated_density(at: Callable[..., Recording], corner: float | None) -> None:
+    """Mean of the periodogram below a tenth of the corner: density^2, within its own scatter (3 %)."""
+    vibrometer = Vibrometer(bandwidth_kHz=corner, delay_us=0.0, noise_um_s_per_sqrt_Hz=2.0, offset_mm=0.0)
+    asked = Acquisition(sampling_rate=2.5e6, n_samples=2**18, drives=())
+    noise = at(asked=asked, vibrometer=vibrometer).velocity[0] - at(asked=asked).velocity[0]
+    power = np.abs(np.fft.rfft(noise)) ** 2 * 2 / (noise.size * 2.5e6)
+    frequency = np.fft.rfftfreq(noise.size, 1 / 2.5e6)
+    low = power[(frequency > 100) & (frequency < 10e3)]
+    assert np.sqrt(low.mean()) == pytest.approx(2e-6, rel=3 / np.sqrt(low.size) + 0.01)
+    if corner is not None:
+        at_corner = power[(frequency > 95e3) & (frequency < 105e3)]
+        assert np.sqrt(at_corner.mean()) == pytest.approx(2e-6 / np.sqrt(2), rel=0.08)
+
+
+def test_delays_add_up(at: Callable[..., Recording]) -> None:
+    """Velocity late by amplifier and vibrometer, drive by the amplifier, both early by the trigger's latency."""
+    asked = Acquisition(sampling_rate=1e6, n_samples=5000, start=0.3e-6)
+    plain = at(asked=asked, amplifier=TrueAmplifier(delay_us=0.0))
+    late = at(
+        asked=asked,
+        amplifier=TrueAmplifier(delay_us=30.0),
+        vibrometer=QUIET_VIBROMETER.model_copy(update={"delay_us": 20.0}),
+        scope=QUIET_SCOPE.model_copy(update={"trigger_latency_us": 10.0}),
+    )
+    np.testing.assert_allclose(late.velocity[0, 40:], plain.velocity[0, :-40], atol=1e-6)
+    np.testing.assert_allclose(late.drive[0, 0, 20:], plain.drive[0, 0, :-20], atol=1e-3)
+
+
+def test_fast_clock_of_the_scope_stretches_the_record(at: Callable[..., Recording]) -> None:
+    """1000 ppm fast: after 50,000 samples it is where a true clock is 50 samples earlier."""
+    asked = Acquisition(sampling_rate=1e6, n_samples=50_001)
+    fast = at(asked=asked, scope=QUIET_SCOPE.model_copy(update={"clock_offset_ppm": 1000.0}))
+    true = at(asked=asked)
+    assert fast.velocity[0, 50_000] == pytest.approx(
+        np.interp(50_000 / 1.001, np.arange(50_001), true.velocity[0]), rel=1e-3
+    )
+    assert (fast.time == true.time).all()
+
+
+def test_jitter_of_the_trigger_moves_whole_records(at: Callable[..., Recording]) -> None:
+    """Drive and velocity of a record move together, by the stated spread: here 2 us over 60 records of a sine."""
+    asked = Acquisition(sampling_rate=1e6, n_samples=1000, n_records=60)
+    finely = (sine(n=125_000, cycles=10), None)
+    seen = at(asked=asked, playing=finely, scope=QUIET_SCOPE.model_copy(update={"trigger_jitter_ns": 2000.0}))
+    tone = np.exp(-2j * np.pi * 2000.0 * seen.time)
+    moved = [np.unwrap(np.angle(each @ tone)) / (2 * np.pi * 2000.0) for each in (seen.velocity, seen.drive[:, 0])]
+    np.testing.assert_allclose(moved[0] - moved[0][0], moved[1] - moved[1][0], atol=5e-8)
+    assert np.std(moved[0]) == pytest.approx(2e-6, rel=0.3)
+
+
+def test_equal_seeds_give_equal_recordings(apparatus: Apparatus, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two scopes of one seed see the same, another seed does not; two records of one scope differ."""
+    monkeypatch.setattr(Simulator, "playbacks", property(lambda self: (sine(), None)))
+    seen = []
+    for seed in (3, 3, 4):
+        with Simulator(apparatus, seed) as simulator, simulator.scope() as scope:
+            scope.configure(Acquisition(n_samples=500, n_records=2))
+            seen.append(scope.measure(0.01).velocity)
+    assert (seen[0] == seen[1]).all()
+    assert not np.allclose(seen[0], seen[2])
+    assert not np.allclose(seen[0][0], seen[0][1])
+
+
+def test_sampling_rate_is_a_whole_fraction_of_the_clock(at: Callable[..., Recording]) -> None:
+    """900 kHz of a clock of 125 MHz: the nearest is 125/139 MHz, and the recording says so."""
+    seen = at(asked=Acquisition(sampling_rate=900e3, n_samples=100))
+    assert seen.sampling_rate == pytest.approx(125e6 / 139, rel=1e-12)
+    assert seen.time[1] == pytest.approx(139 / 125e6, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        (
+            Acquisition(sampling_rate=2e8),
+            "2e\\+08 samples per second are asked for: the scope takes at most 1.25e\\+08",
+        ),
+        (Acquisition(n_samples=1_500_000, drives=(1, 2)), "1500000 samples of 3 channels .* memory holds 1333333"),
+    ],
+)
+def test_what_the_scope_cannot_do_is_refused(simulator: Simulator, asked: Acquisition, words: str) -> None:
+    """Rate and memory, with what is allowed."""
+    with simulator.scope() as scope, pytest.raises(RigError, match=words):
+        scope.configure(asked)
+
+
+def test_record_before_the_trigger_shows_the_burst_before(at: Callable[..., Recording]) -> None:
+    """Bursts every 60 ms: 10 ms before the trigger is 50 ms after the last, whose first sample was like this one's."""
+    wave = np.round(8191 + 8191 * np.sin(np.pi * np.arange(20_000) / 20_000) ** 2).astype(">u2").tobytes()
+    burst = Playback(wave, 4.0, 0.0, 0.05, 0.06, 8191)
+    before = at(asked=Acquisition(sampling_rate=1e6, n_samples=20_000, start=-0.01), playing=(burst, None))
+    after = at(asked=Acquisition(sampling_rate=1e6, n_samples=70_000), playing=(burst, None))
+    np.testing.assert_allclose(before.velocity[0, :10_000], after.velocity[0, 50_000:60_000], atol=1e-8)
+    np.testing.assert_allclose(before.velocity[0, 10_000:], after.velocity[0, :10_000], atol=1e-8)
+
+
+def test_fingers_on_the_beam_are_measured(apparatus: Apparatus, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Laid on A and C they damp what the vibrometer sees; lifted, it is as before."""
+    monkeypatch.setattr(Simulator, "playbacks", property(lambda self: (sine(229.0, cycles=10), None)))
+    heavy = lab(apparatus, fingers=Fingers(mass_g=0.2, damping_N_s_per_m=1.0))
+    speeds = []
+    with Simulator(heavy) as simulator, simulator.scope() as scope:
+        scope.configure(Acquisition(sampling_rate=1e6, n_samples=40_000))
+        for places in ((), ("A", "C"), ()):
+            simulator.touch(places)
+            speeds.append(np.abs(scope.measure(0.0).velocity).max())
+    assert speeds[1] < 0.9 * speeds[0]
+    assert speeds[2] == speeds[0]

@@ -1,0 +1,95 @@
+"""What a measurement may ask, which input ranges it takes, and how ranges follow from what was found."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from modaltouch.rig.acquisition import Acquisition, Inputs, Recording
+from modaltouch.rig.interface import RigError
+
+INPUTS = Inputs(sensitivity=0.05, highest_velocity=0.5, attenuation=100.0)
+
+
+def recording(velocity: float, drive: float, *overloaded: str) -> Recording:
+    """Return a recording of two samples."""
+    return Recording(
+        position=0.02,
+        time=np.array([0.0, 1e-6]),
+        velocity=np.array([[0.0, -velocity]]),
+        drive=np.array([[[drive, 0.0]]]),
+        sampling_rate=1e6,
+        overloaded=overloaded,
+    )
+
+
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        ({"sampling_rate": 0.0}, "sampling_rate is 0.0 Hz: give a number above 0"),
+        ({"sampling_rate": float("nan")}, "sampling_rate is nan"),
+        ({"velocity_range": -1.0}, "velocity_range is -1.0 m/s"),
+        ({"drive_range": float("inf")}, "drive_range is inf V"),
+        ({"n_samples": 1}, "n_samples is 1: give at least 2"),
+        ({"n_records": 0}, "n_records is 0: give at least 1"),
+        ({"start": float("inf")}, "start is inf s"),
+        ({"drives": (1, 1)}, r"drives are \(1, 1\): name each generator output of \(1, 2\) at most once"),
+        ({"drives": (3,)}, r"drives are \(3,\)"),
+    ],
+)
+def test_what_no_scope_can_do_is_refused(asked: dict[str, Any], words: str) -> None:
+    """Each fault is said with the value given and what is allowed."""
+    with pytest.raises(ValueError, match=words):
+        Acquisition(**asked)
+
+
+@pytest.mark.parametrize(
+    ("velocity", "drive", "ranges"),
+    [
+        (None, None, (10.0, 20.0)),  # 500 mm/s at 50 mm/s per V are 10 V
+        (0.2, 180.0, (5.0, 2.0)),  # 4 V and 1.8 V
+        (0.05, 100.0, (1.0, 1.0)),  # exactly a range each
+        (1e-4, 0.1, (0.05, 0.05)),  # the least there is
+    ],
+)
+def test_smallest_range_that_holds_the_expected_is_taken(
+    velocity: float | None, drive: float | None, ranges: tuple[float, float]
+) -> None:
+    """By hand, with ranges 50 mV to 20 V in steps of 1, 2, 5 (data sheet of the PicoScope 3404)."""
+    assert INPUTS.ranges(Acquisition(velocity_range=velocity, drive_range=drive)) == ranges
+
+
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        (Acquisition(velocity_range=0.6), "600 mm/s is to be measured: the vibrometer's range ends at 500 mm/s"),
+        (Acquisition(drive_range=2500.0), "2500 V is 25 V at the scope's input: at most 20 V"),
+    ],
+)
+def test_what_no_range_holds_is_refused(asked: Acquisition, words: str) -> None:
+    """The message names what was asked, the bound, and the knob to turn."""
+    with pytest.raises(RigError, match=words):
+        INPUTS.ranges(asked)
+
+
+def test_ranges_follow_from_a_first_look() -> None:
+    """The highest of either sign times the headroom; the rest of the measurement stays."""
+    asked = Acquisition(n_records=7, drives=(2,))
+    fitted = recording(0.1, 40.0).fitting(asked, headroom=1.5)
+    assert fitted.velocity_range == pytest.approx(0.15)
+    assert fitted.drive_range == pytest.approx(60.0)
+    assert (fitted.n_records, fitted.drives) == (7, (2,))
+
+
+def test_silence_leaves_ranges_as_they_were() -> None:
+    """Nothing found: nothing to fit to."""
+    asked = Acquisition(velocity_range=0.2, drive_range=100.0)
+    assert recording(0.0, 0.0).fitting(asked) == asked
+
+
+def test_overload_is_no_first_look() -> None:
+    """The height of what was cut is not known."""
+    with pytest.raises(RigError, match="velocity, drive 1 was overloaded at 20 mm"):
+        recording(0.5, 200.0, "velocity", "drive 1").fitting(Acquisition())
