@@ -44,10 +44,10 @@ system:
 demo: install
 	$(PYTHON) -m modaltouch demo
 
-## test: the whole test suite, window tests included
+## test: the whole test suite, window tests included, on two cores
 .PHONY: test
 test: install
-	$(PYTHON) -m pytest
+	$(PYTHON) -m pytest -n 2 --dist loadfile
 
 ## check: formatting, lint, types and the import contracts
 .PHONY: check

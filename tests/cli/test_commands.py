@@ -43,12 +43,14 @@ def test_help_names_every_command_and_loads_nothing_heavy():
     """Issue: ``--help`` never imports psychopy; it needs neither numpy nor pandas either."""
     done = run("--help")
     assert done.returncode == 0
-    for command in ("demo", "check", "run", "resume", "simulate", "analyse", "verify", "doctor", "rig"):
+    for command in ("demo", "check", "run", "resume", "simulate", "analyse", "power", "fit", "verify", "doctor", "rig"):
         assert command in done.stdout
     assert not loaded_modules("--help") & {"psychopy", "numpy", "pandas", "pyvisa", "pydantic", "matplotlib"}
 
 
-@pytest.mark.parametrize("command", ["demo", "check", "run", "resume", "simulate", "analyse", "verify", "doctor"])
+@pytest.mark.parametrize(
+    "command", ["demo", "check", "run", "resume", "simulate", "analyse", "power", "fit", "verify", "doctor"]
+)
 def test_every_command_teaches_itself(command):
     """A sentence on what it does, and every option with its own."""
     done = run(command, "--help")
