@@ -68,7 +68,7 @@ class Motion:
         """
         voltage, hold = refined(system, held)
         # What lies before a burst, or after its period, is the end of another.
-        within = 0 <= span[0] and span[1] < held.period
+        within = span[0] >= 0 and span[1] < held.period
         n_needed = min(voltage.shape[1], int(span[1] / hold) + 2) if within else voltage.shape[1]
         state = start_state(system, held)
         rows = np.stack([output, output * system.exponent])
