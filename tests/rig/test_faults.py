@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -94,12 +95,41 @@ MATRIX: list[tuple[str, str, Any, str, str, str]] = [
 ]
 
 
+DISTURBANCES: list[tuple[str, str, bool, str]] = [
+    # fault, what happens while a stimulus plays, whether the firing stays confirmed, words of its reason
+    ("front panel", "SOUR1:VOLT 3VPP", False, r"SOUR1:VOLT reads 3.0000E\+00, 6.0VPP was set when the stimulus ended"),
+    ("front panel", "OUTP2 OFF", False, "output 2 was off when the stimulus ended"),
+    ("front panel", "TRIG:SOUR EXT", False, "TRIG:SOUR reads EXT, TIM was set"),
+    ("front panel", "SOUR1:FUNC USER2", False, "SOUR1:FUNC reads USER2, USER1 was set"),
+    ("front panel", "SOUR2:FREQ 19", False, "SOUR2:FREQ reads 1.9"),
+    ("front panel", "OUTP1:POL INV", False, "OUTP1:POL reads INV"),
+    ("power cycle", "power cycle", False, "output 1 was off; output 2 was off"),
+    ("dropped connection", "cable out and in", True, ""),
+]
+
+ELSEWHERE: list[tuple[str, str, str, str]] = [
+    # fault, phase, what is seen, the test of this file that proves it
+    ("refused connection", "connect", "refused", "test_refused_connection_is_reported"),
+    ("refused connection", "upload", "refused", "test_lost_instrument_is_an_error_that_says_what_to_do"),
+    ("refused connection", "arm", "refused", "test_lost_instrument_is_an_error_that_says_what_to_do"),
+    ("refused connection", "stop", "refused", "test_lost_instrument_is_an_error_that_says_what_to_do"),
+    ("stuck *OPC?", "upload", "refused", "test_completion_that_never_comes_is_bounded"),
+    ("clipped amplitude", "arm", "unconfirmed", "test_clipped_amplitude_is_never_confirmed"),
+    ("amplifier trip", "trial", "unseen", "test_tripped_amplifier_is_felt_but_not_seen"),
+]
+
+
 def test_readme_says_what_the_matrix_proves() -> None:
-    """The table of the room's README has a cell for each fault and phase of the matrix, and no other."""
-    words = {"refused": "error", "recovers": "goes on", "unconfirmed": "trial again"}
+    """The table of the room's README has a cell for each fault and phase that is proved here, and no other."""
+    words = {"refused": "error", "recovers": "goes on", "unconfirmed": "trial again", "unseen": "not seen"}
     proved: dict[tuple[str, str], set[str]] = {}
     for fault, _, _, phase, seen, _ in MATRIX:
         proved.setdefault((fault.replace("_", " "), phase), set()).add(words[seen])
+    for fault, _, confirmed, _ in DISTURBANCES:
+        proved.setdefault((fault, "trial"), set()).add("goes on" if confirmed else "trial again")
+    for fault, phase, seen, test in ELSEWHERE:
+        assert test in globals(), f"{test} is gone: say what proves {fault} at {phase}"
+        proved.setdefault((fault, phase), set()).add(words[seen])
     lines = README.read_text(encoding="utf-8").partition("| fault |")[2].splitlines()
     phases = [name.strip() for name in lines[0].split("|")[:-1]]
     told: dict[tuple[str, str], set[str]] = {}
@@ -177,18 +207,9 @@ def assert_plays(simulator: Simulator, burst: Burst, amplitudes: tuple[float, ..
         assert playback.period == pytest.approx(1 / burst.repetition_rate, rel=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("disturb", "confirmed", "words"),
-    [
-        ("SOUR1:VOLT 3VPP", False, r"SOUR1:VOLT reads 3.0000E\+00, 6.0VPP was set when the stimulus ended"),
-        ("OUTP2 OFF", False, "output 2 was off when the stimulus ended"),
-        ("TRIG:SOUR EXT", False, "TRIG:SOUR reads EXT, TIM was set"),
-        ("power cycle", False, "output 1 was off; output 2 was off"),
-        ("cable out and in", True, ""),
-    ],
-)
+@pytest.mark.parametrize(("fault", "disturb", "confirmed", "words"), DISTURBANCES)
 def test_disturbance_during_a_trial_takes_the_confirmation_back(
-    loaded: Generator, simulator: Simulator, disturb: str, confirmed: bool, words: str
+    loaded: Generator, simulator: Simulator, fault: str, disturb: str, confirmed: bool, words: str
 ) -> None:
     """What is found at the end of the stimulus decides; a link that broke says nothing of the stimulus."""
     assert loaded.fire(0.1).confirmed
@@ -200,6 +221,19 @@ def test_disturbance_during_a_trial_takes_the_confirmation_back(
     assert loaded.firing.confirmed is confirmed
     assert re.search(words, loaded.firing.reason)
     assert loaded.fire(0.1).confirmed
+
+
+def test_completion_that_never_comes_is_bounded(
+    simulator: Simulator, open_generator: Callable[..., Generator], burst: Burst
+) -> None:
+    """``*OPC?`` stuck for good: an error after the waits and tries stated (2 of 0.1 s, with room), outputs off."""
+    rig = open_generator(patience=Patience(reply=0.1, copy=0.1, tries=2, pause=0.01))
+    simulator.faults.inject("lost_reply", when=r"\*OPC\?", times=10_000)
+    started = time.monotonic()
+    with pytest.raises(RigError, match="loading the stimulus"):
+        rig.load(burst)
+    assert time.monotonic() - started < 5
+    assert simulator.outputs == (False, False)
 
 
 def test_clipped_amplitude_is_never_confirmed(loaded: Generator, simulator: Simulator) -> None:

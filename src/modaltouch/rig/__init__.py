@@ -43,6 +43,11 @@ def open_rig(address: str, apparatus: Apparatus, *, log: Log, **options: Any) ->
     return Generator(address, apparatus, log=log, **options)
 
 
+def is_simulated(identity: str) -> bool:
+    """Return whether a reply to ``*IDN?`` is the simulator's: it bears the word where others have their number."""
+    return "SIMULATED" in identity.split(",")
+
+
 def start_simulator(apparatus: Apparatus, seed: int | None = None, *, port: int = 0) -> Simulator:
     """Return a running simulator of a rig, with its address.
 

@@ -52,7 +52,7 @@ def bench() -> Bench:
 
 
 TRANSCRIPT = [
-    ("*IDN?", "TEKTRONIX,AFG3022B,C000000,SCPI:99.0 FV:3.2.2"),
+    ("*IDN?", "TEKTRONIX,AFG3022B,SIMULATED,SCPI:99.0 FV:3.2.2"),
     ("*OPC?", "1"),
     ("*TST?", "0"),
     ("*OPT?", "0"),

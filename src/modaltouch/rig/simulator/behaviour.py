@@ -32,7 +32,7 @@ class Behaviour:
         Errors kept.
     """
 
-    identity: str = "TEKTRONIX,AFG3022B,C000000,SCPI:99.0 FV:3.2.2"
+    identity: str = "TEKTRONIX,AFG3022B,SIMULATED,SCPI:99.0 FV:3.2.2"
     idle_level: Literal["first", "last", "offset"] = "first"
     timer_digits: int = 9
     copy_time: float = 0.0

@@ -21,10 +21,10 @@ from modaltouch.rig.simulator.arguments import (
     whole,
 )
 from modaltouch.rig.simulator.command_table import Command, CommandTable
+from modaltouch.rig.simulator.levels import HIGHEST, LOWEST, amplitude_in_unit, amplitude_in_vpp
 from modaltouch.rig.simulator.memory_commands import memory_commands
 from modaltouch.rig.simulator.scpi import ScpiError
 
-VOLTS = {"V": 1.0, "VPP": 1.0}
 SHAPES = (
     "SINusoid",
     "SQUare",
@@ -121,9 +121,7 @@ def _levels(afg: Afg) -> dict[str, Command]:
     def amplitude(number: int, arguments: Arguments) -> None:
         channel = afg.channels[number]
         factor = channel.load_factor
-        if channel.unit != "VPP" and not _has_volts(arguments):
-            raise ScpiError(-221, f"unit is {channel.unit}: give the amplitude in VPP")
-        value = quantity(arguments, VOLTS, 20e-3 * factor, 20 * factor, 2 * factor)
+        value = amplitude_in_vpp(one(arguments), channel)
         value = float(f"{value:.3e}") if value >= 1 else round(value, 4)
         for each in afg.channels if afg.level_concurrent else (number,):
             afg.set_levels(each, amplitude=value / factor)
@@ -147,7 +145,7 @@ def _levels(afg: Afg) -> dict[str, Command]:
 
     level = "[SOURce#]:VOLTage[:LEVel][:IMMediate]"
     return {
-        f"{level}[:AMPLitude]": Command(set=amplitude, get=_get_level(afg, "amplitude", 20e-3, 20)),
+        f"{level}[:AMPLitude]": Command(set=amplitude, get=_get_amplitude(afg)),
         f"{level}:OFFSet": Command(set=offset, get=_get_level(afg, "offset", -10, 10)),
         "[SOURce#]:VOLTage:LIMit:HIGH": limit("limit_high"),
         "[SOURce#]:VOLTage:LIMit:LOW": limit("limit_low"),
@@ -236,10 +234,6 @@ def _system(afg: Afg) -> dict[str, Command]:
     }
 
 
-def _has_volts(arguments: Arguments) -> bool:
-    return isinstance(arguments[0], str) and arguments[0].upper().endswith("VPP")
-
-
 def _get(afg: Afg, read: Callable[[Channel], str]) -> Callable[[int, Arguments], str]:
     def get(number: int, arguments: Arguments) -> str:
         exactly(arguments, 0)
@@ -260,6 +254,12 @@ def _get_level(afg: Afg, name: str, low: float, high: float) -> Callable[[int, A
         return f"{asked(arguments, getattr(channel, name), low, high) * channel.load_factor:.4E}"
 
     return get
+
+
+def _get_amplitude(afg: Afg) -> Callable[[int, Arguments], str]:
+    """Answer in the channel's unit, at the configured load."""
+    vpp = _get_level(afg, "amplitude", LOWEST, HIGHEST)
+    return lambda number, arguments: f"{amplitude_in_unit(float(vpp(number, arguments)), afg.channels[number]):.4E}"
 
 
 def _keyword(afg: Afg, name: str, choices: tuple[str, ...]) -> Command:
