@@ -86,3 +86,18 @@ def test_the_side_file_carries_the_head_of_the_log(folder):
     chain = read_chain(folder / "session.jsonl")
     assert head["lines"] == len(chain.events)
     assert head["check"] == chain.last_check
+
+
+def test_a_view_behind_its_log_is_said_to_be_behind(folder):
+    """After a kill between the log and the table: not an error, and not called up to date either."""
+    table = next(folder.glob("*_beh.tsv"))
+    chain = read_chain(folder / "session.jsonl")
+    n_lines = next(event["n"] for event in chain.events if event["event"] == "trial")
+    side = table.with_suffix(".json")
+    described = json.loads(side.read_text())
+    described["SessionLog"] |= {"lines": n_lines, "check": chain.checks[n_lines - 1]}
+    side.write_text(json.dumps(described))
+    table.write_text("\n".join(table.read_text().splitlines()[:2]) + "\n")
+    verdict = verify_session(folder)
+    assert verdict.problems == ()
+    assert any("12 answers behind the log" in line for line in verdict.lines)

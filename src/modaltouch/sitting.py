@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from modaltouch.interruption import Interrupted, Interruption
@@ -13,7 +13,8 @@ from modaltouch.provenance import commit, versions
 from modaltouch.record.chain import RecordError
 from modaltouch.record.folders import SessionFolder
 from modaltouch.record.log import SCHEMA, Session, SessionLog, read_session, refuse_existing
-from modaltouch.record.view import write_dataset, write_view
+from modaltouch.record.view import describe_dataset, list_participants, write_view
+from modaltouch.rig import is_simulated
 from modaltouch.rig.interface import Rig, RigError
 from modaltouch.schedule import Schedule
 from modaltouch.session import Sitting, conduct
@@ -105,7 +106,7 @@ def begin(setup: Setup) -> Session:
         Whatever ended it early; outputs are off and what was answered is kept.
     """
     refuse_existing(setup.place.log)
-    return _sit(setup, lambda facts: SessionLog.create(setup.place.log, "start", **facts), "start")
+    return _sit(setup, lambda place, facts: SessionLog.create(place.log, "start", **facts), "start")
 
 
 def resume(setup: Setup) -> Session:
@@ -133,18 +134,22 @@ def resume(setup: Setup) -> Session:
             f"({session.start['versions']['modaltouch']})"
         )
 
-    def reopen(facts: dict[str, Any]) -> SessionLog:
-        log = SessionLog.reopen(setup.place.log)
+    def reopen(place: SessionFolder, facts: dict[str, Any]) -> SessionLog:
+        log = SessionLog.reopen(place.log)
         log.append("resume", **facts)
         return log
 
     return _sit(setup, reopen, "resume")
 
 
-def _sit(setup: Setup, open_log: Callable[[dict[str, Any]], SessionLog], first: str) -> Session:
+def _sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], SessionLog], first: str) -> Session:
     journal = Journal()
     with Interruption() as interruption, ExitStack() as stack:
         rig = stack.enter_context(setup.open_rig(journal.exchange))
+        if is_simulated(rig.identity) and setup.place.mode != "simulated":
+            # An address may lead to a simulator; its data never land among real ones.
+            setup = replace(setup, place=replace(setup.place, mode="simulated"))
+            refuse_existing(setup.place.log)
         rig.load(setup.preflight.stimulus.burst)
 
         def tick() -> None:
@@ -152,14 +157,16 @@ def _sit(setup: Setup, open_log: Callable[[dict[str, Any]], SessionLog], first: 
             rig.heartbeat()
 
         window = stack.enter_context(setup.open_window(tick, journal.event))
-        log = stack.enter_context(open_log(_describe(setup, rig, window, first)))
+        describe_dataset(setup.place, setup.preflight.experiment.protocol.title)
+        log = stack.enter_context(open_log(setup.place, _describe(setup, rig, window, first)))
         journal.open(log)
         ending = {"reason": "finished"}
         try:
-            write_dataset(setup.place, setup.preflight.experiment.protocol.title)
+            list_participants(setup.place)
             conduct(_sitting(setup, rig, window, log, journal, tick))
         except BaseException as error:
             ending = _ending(error)
+            error.add_note(f"everything answered is kept; go on with `modaltouch resume {setup.place.folder}`")
             raise
         finally:
             # Off first, then written down: nothing on disk is worth a beam that still moves.

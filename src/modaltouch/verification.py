@@ -69,9 +69,9 @@ def verify_session(path: Path) -> Verdict:
     for check in (_check_order, _check_drive):
         holds, line = check(session)
         (lines if holds else problems).append(line)
-    problems += _check_view(session, chain.checks)
-    if not problems:
-        lines.append(f"BIDS view agrees: {len(session.trials)} answers")
+    line, faults = _check_view(session, chain.checks)
+    lines += [line] if line else []
+    problems += faults
     lines.append("complete" if session.complete else "not complete: resume it, or analyse it as incomplete")
     return Verdict(log, tuple(lines), tuple(problems))
 
@@ -96,24 +96,28 @@ def _check_drive(session: Session) -> tuple[bool, str]:
     )
 
 
-def _check_view(session: Session, checks: tuple[str, ...]) -> list[str]:
+def _check_view(session: Session, checks: tuple[str, ...]) -> tuple[str, list[str]]:
+    """Return what holds of the view, in words, and what does not."""
     tables = sorted(session.path.parent.glob("*_beh.tsv"))
     if len(tables) != 1:
-        return [f"{session.path.parent}: holds {len(tables)} BIDS tables (*_beh.tsv), exactly one is needed"]
+        return "", [f"{session.path.parent}: holds {len(tables)} BIDS tables (*_beh.tsv), exactly one is needed"]
     table, side = tables[0], tables[0].with_suffix(".json")
     try:
         head = json.loads(side.read_text(encoding="utf-8"))["SessionLog"]
         text = table.read_text(encoding="utf-8")
     except (OSError, ValueError, KeyError, TypeError) as error:
-        return [f"{table}: the BIDS view cannot be read ({error})"]
+        return "", [f"{table}: the BIDS view cannot be read ({error})"]
     if head["lines"] > len(checks):
-        return [
+        return "", [
             f"{session.path}: the BIDS view was made from {head['lines']} lines, the log has {len(checks)}: "
             "lines were removed from its end"
         ]
     if head["lines"] and checks[head["lines"] - 1] != head["check"]:
-        return [f"{side}: was made from another log"]
+        return "", [f"{side}: was made from another log"]
     made_from = Session(session.path, session.events[: head["lines"]], ())
     if text != table_text(made_from):
-        return [f"{table}: differs from what the log says; the log is the truth"]
-    return []
+        return "", [f"{table}: differs from what the log says; the log is the truth"]
+    behind = len(session.trials) - len(made_from.trials)
+    if behind:
+        return f"BIDS view agrees, {behind} answers behind the log: `modaltouch resume` brings it up", []
+    return f"BIDS view agrees: {len(session.trials)} answers", []

@@ -174,7 +174,8 @@ def wire_resume(
         raise RecordError(f"{log}: has no start record, so there is nothing to continue{damage}")
     place = locate(log, session.mode, session.protocol)
     rig, answers = rig or start["rig_choice"], answers or start["answers_choice"]
-    if _mode(rig, answers, pilot=session.mode == "pilot") != session.mode:
+    as_begun = (rig, answers) == (start["rig_choice"], start["answers_choice"])
+    if not as_begun and _mode(rig, answers, pilot=session.mode == "pilot") != session.mode:
         raise RecordError(
             f"{log}: is a {session.mode} session, and with rig {rig!r} and answers {answers!r} it would go on as "
             "another kind; give --rig and --answers as it began"

@@ -131,7 +131,7 @@ def test_all_faults_are_reported_at_once_with_their_place(tmp_path):
     ("words", "status", "message"),
     [
         (("check", "nowhere.yaml"), 2, "nowhere.yaml"),
-        (("run", "protocols/demo.yaml", "-p", "../x", "--answers", "simulated"), 4, "letters and digits"),
+        (("run", "protocols/demo.yaml", "-p", "../x", "--answers", "simulated"), 2, "letters and digits"),
         (("run", "protocols/demo.yaml", "--answers", "simulated"), 2, "participant id"),
         (("run", "protocols/demo.yaml", "-p", "p01", "--size", "big"), 2, "WIDTHxHEIGHT"),
         (
@@ -148,8 +148,9 @@ def test_all_faults_are_reported_at_once_with_their_place(tmp_path):
             3,
             "127.0.0.1",
         ),
-        (("resume", "nowhere"), 4, "no such file"),
-        (("verify", "nowhere"), 4, "no such file"),
+        (("resume", "nowhere"), 2, "no such file"),
+        (("resume", "protocols/demo.yaml"), 2, "not a session log"),
+        (("verify", "nowhere"), 2, "no such file"),
         (("analyse", "nowhere"), 2, "nowhere"),
     ],
 )
@@ -159,6 +160,24 @@ def test_a_mistake_gets_a_message_and_its_exit_status(tmp_path, words, status, m
     assert done.returncode == status, done.stderr
     assert message in done.stderr
     assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("run", "protocols/demo.yaml", "--json"),
+        ("run", "protocols/demo.yaml", "-p", "p01", "--size", "10x10", "--json"),
+        ("run", "protocols/demo.yaml", "-p", "p01", "--answers", "bogus", "--json"),
+        ("simulate", "protocols/demo.yaml", "-n", "0", "--json"),
+        ("check", "--json"),
+        ("verify", "nowhere", "--json"),
+    ],
+)
+def test_json_is_one_object_on_failure_too(words):
+    """Architecture: with ``--json``, one object on standard output and nothing else there."""
+    done = run(*words)
+    assert done.returncode == 2
+    assert json.loads(done.stdout)["error"]
 
 
 def test_a_window_without_a_display_says_what_to_do(tmp_path, monkeypatch):

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from modaltouch.record.chain import RecordError
+from modaltouch.record.chain import RecordError, RecordInputError
 from modaltouch.record.folders import SessionFolder, check_participant, find_log, locate
 
 
@@ -27,13 +27,13 @@ def test_the_table_has_a_bids_name():
 @pytest.mark.parametrize("name", ["", "../p01", "p 1", "p_1", "Zoë", "p01/..", "a" * 33, "p01\n", "CON."])
 def test_a_participant_id_with_anything_but_letters_and_digits_is_refused(name):
     """No path tricks and no names in file names."""
-    with pytest.raises(RecordError, match="letters and digits"):
+    with pytest.raises(RecordInputError, match="letters and digits"):
         check_participant(name)
 
 
 def test_sessions_count_from_one():
     """Session 0 does not exist."""
-    with pytest.raises(RecordError, match="sessions count from 1"):
+    with pytest.raises(RecordInputError, match="sessions count from 1"):
         SessionFolder(Path("results"), "real", "demo", "p01", 0)
 
 
@@ -56,7 +56,7 @@ def test_two_sessions_under_one_folder_are_not_guessed_between(tmp_path):
     """The message lists them."""
     make_log(tmp_path)
     make_log(tmp_path, participant="p02")
-    with pytest.raises(RecordError, match=r"holds 2 sessions(.|\n)*sub-p01(.|\n)*sub-p02"):
+    with pytest.raises(RecordInputError, match=r"holds 2 sessions(.|\n)*sub-p01(.|\n)*sub-p02"):
         find_log(tmp_path)
 
 

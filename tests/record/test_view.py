@@ -8,7 +8,14 @@ import pytest
 from modaltouch.record.chain import RecordError
 from modaltouch.record.folders import SessionFolder
 from modaltouch.record.log import Session
-from modaltouch.record.view import COLUMNS, replace_file, table_text, write_dataset, write_view
+from modaltouch.record.view import (
+    COLUMNS,
+    describe_dataset,
+    list_participants,
+    replace_file,
+    table_text,
+    write_view,
+)
 
 CONDITION = {
     "finger_condition": "one_hand",
@@ -87,10 +94,22 @@ def test_every_column_is_described_in_the_side_file(place, session):
 def test_the_dataset_is_described_and_lists_its_participants(place):
     """BIDS: dataset_description.json with Name and BIDSVersion; participants.tsv with a row for each sub- folder."""
     (place.dataset / "sub-p02").mkdir()
-    write_dataset(place, "A title")
+    describe_dataset(place, "A title")
+    list_participants(place)
     assert json.loads((place.dataset / "dataset_description.json").read_text())["Name"] == "A title"
     assert (place.dataset / "participants.tsv").read_text() == "participant_id\nsub-p01\nsub-p02\n"
     assert "*.jsonl" in (place.dataset / ".bidsignore").read_text()
+
+
+def test_what_a_lab_wrote_about_its_participants_stays(place):
+    """Columns and rows of others are kept; a new participant gets a row of ``n/a``."""
+    path = place.dataset / "participants.tsv"
+    path.write_text("participant_id\tage\tsex\nsub-p09\t34\tF\n")
+    list_participants(place)
+    assert path.read_text() == "participant_id\tage\tsex\nsub-p09\t34\tF\nsub-p01\tn/a\tn/a\n"
+    before = path.stat().st_mtime_ns
+    list_participants(place)
+    assert path.stat().st_mtime_ns == before
 
 
 def test_a_file_is_replaced_whole_and_for_its_owner_alone(tmp_path):

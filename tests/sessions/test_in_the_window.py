@@ -111,7 +111,7 @@ def n_answers(log):
 @pytest.mark.window
 def test_a_session_whose_display_dies_loses_nothing_and_is_finished_on_another(tmp_path, rig, outputs):
     """The dying X server ends the process past every ``finally``: the watchdog switches off, resume goes on."""
-    log = tmp_path / "demo" / "sub-p01" / "ses-1" / "beh" / "session.jsonl"
+    log = tmp_path / "simulated" / "demo" / "sub-p01" / "ses-1" / "beh" / "session.jsonl"
     with (
         virtual_display((1280, 800)) as name,
         session(name, "run", PROTOCOL, "-p", "p01", "--rig", rig, "--results", tmp_path) as run,
@@ -136,7 +136,7 @@ def test_a_session_whose_display_dies_loses_nothing_and_is_finished_on_another(t
     recorded = read_session(log)
     assert recorded.problems == ()
     assert recorded.complete
-    assert recorded.mode == "real"
+    assert recorded.mode == "simulated", "a simulator's data never land among real ones, whatever its address"
     assert {event["response"]["answer"] for event in recorded.trials} == {"left"}
     assert {event["response"]["answered_by"] for event in recorded.trials} == {"participant"}
     assert {event["response"]["device"] for event in recorded.trials} == {"key"}
@@ -150,7 +150,7 @@ def test_a_session_whose_display_dies_loses_nothing_and_is_finished_on_another(t
 @pytest.mark.parametrize("ending", ["escape", "SIGTERM"])
 def test_a_session_ended_on_purpose_is_off_and_kept(tmp_path, rig, outputs, ending):
     """Escape asks first, then Q ends; SIGTERM ends at once. Exit status 130 and the reason in the record."""
-    log = tmp_path / "demo" / "sub-p01" / "ses-1" / "beh" / "session.jsonl"
+    log = tmp_path / "simulated" / "demo" / "sub-p01" / "ses-1" / "beh" / "session.jsonl"
     with (
         virtual_display((1280, 800)) as name,
         session(name, "run", PROTOCOL, "-p", "p01", "--rig", rig, "--results", tmp_path) as run,

@@ -57,10 +57,15 @@ def analyse(path: Path | str, out: Path | str | None = None, *, mode: str | None
 
 
 def default_folder(path: Path) -> Path:
-    """Return where an analysis goes if nobody says otherwise."""
-    if path.is_dir():
+    """Return where an analysis goes if nobody says otherwise; inside a BIDS dataset, its ``derivatives``."""
+    if path.is_file() and path.suffix != ".jsonl":
+        return path.parent / f"{path.stem}_analysis"
+    folder = (path if path.is_dir() else path.parent).resolve()
+    dataset = next((each for each in (folder, *folder.parents) if (each / "dataset_description.json").exists()), None)
+    if dataset is None:
         return path / "analysis"
-    return path.parent / ("analysis" if path.suffix == ".jsonl" else f"{path.stem}_analysis")
+    names = folder.relative_to(dataset).parts[:2]
+    return dataset / "derivatives" / "_".join(["analysis", *names])
 
 
 def render_files(analysis: Analysis) -> dict[str, bytes]:

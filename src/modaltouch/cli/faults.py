@@ -30,13 +30,18 @@ def reporting(*, json_output: bool = False) -> Iterator[None]:
         yield
     except (typer.Exit, typer.Abort):
         raise
+    except typer.BadParameter as error:
+        if not json_output:
+            raise
+        leave(BAD_INPUT, error.format_message(), json_output=True)
     except KeyboardInterrupt:
         leave(INTERRUPTED, "interrupted; outputs are off and everything answered is kept", json_output=json_output)
     except BaseException as error:
         status, problems = explain(error)
         if status is None:
             raise
-        leave(status, str(error) or type(error).__name__, problems, json_output=json_output)
+        why = f"ended by {error}: the outputs are off" if status == INTERRUPTED else str(error) or type(error).__name__
+        leave(status, "; ".join([why, *getattr(error, "__notes__", [])]), problems, json_output=json_output)
 
 
 def explain(error: BaseException) -> tuple[int | None, list[dict[str, Any]]]:
@@ -49,6 +54,7 @@ def explain(error: BaseException) -> tuple[int | None, list[dict[str, Any]]]:
     statuses = {
         ("modaltouch.rig.interface", "RigError"): RIG_FAILED,
         ("modaltouch.window.interface", "WindowError"): RIG_FAILED,
+        ("modaltouch.record.chain", "RecordInputError"): BAD_INPUT,
         ("modaltouch.record.chain", "RecordError"): RECORD_AT_RISK,
         ("modaltouch.window.interface", "SessionStopped"): INTERRUPTED,
         ("modaltouch.interruption", "Interrupted"): INTERRUPTED,

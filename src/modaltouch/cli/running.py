@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -190,6 +191,7 @@ def demo(
     size: SIZE = "1280x800",
     theme: THEME = Theme.dark,
     seed: SEED = 1,
+    json_output: JSON = False,
 ) -> None:
     """Run a whole short session on the simulated rig, in the real window, and report it.
 
@@ -197,15 +199,22 @@ def demo(
     """
     from modaltouch.demonstration import demonstrate
 
-    with reporting():
+    with reporting(json_output=json_output):
         window_options = _window_options(False, size, theme, 0, None)
         with _progress() as on_progress:
             outcome = demonstrate(
-                results, seed=seed, window_options=window_options, tell=typer.echo, on_progress=on_progress
+                results,
+                seed=seed,
+                window_options=window_options,
+                tell=partial(typer.echo, err=json_output),
+                on_progress=on_progress,
             )
-        print(f"Session      {outcome.session}")
-        print(f"Screenshots  {outcome.screenshots}")
-        print(f"Report       {outcome.report}")
+        places = {"session": outcome.session, "screenshots": outcome.screenshots, "report": outcome.report}
+        if json_output:
+            print_json({name: str(path) for name, path in places.items()})
+        else:
+            for name, path in places.items():
+                print(f"{name.capitalize():12} {path}")
 
 
 @contextmanager

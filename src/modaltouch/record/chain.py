@@ -26,6 +26,10 @@ class RecordError(Exception):
     """A record is damaged, in use, or would be overwritten."""
 
 
+class RecordInputError(RecordError):
+    """What was named is no participant id, or no session; no record is at risk."""
+
+
 @dataclass(frozen=True)
 class Chain:
     """What a file of chained lines holds.

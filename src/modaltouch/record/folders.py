@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from modaltouch.record.chain import RecordError
+from modaltouch.record.chain import RecordError, RecordInputError
 
 Mode = Literal["real", "pilot", "simulated"]
 LOG_NAME = "session.jsonl"
@@ -42,7 +42,7 @@ class SessionFolder:
     def __post_init__(self) -> None:
         check_participant(self.participant)
         if self.session < 1:
-            raise RecordError(f"session number {self.session} is not allowed: sessions count from 1")
+            raise RecordInputError(f"session number {self.session} is not allowed: sessions count from 1")
 
     @property
     def dataset(self) -> Path:
@@ -76,7 +76,7 @@ def check_participant(participant: str) -> str:
         If it is empty, longer than 32 or holds anything but ASCII letters and digits.
     """
     if not _PARTICIPANT.match(participant):
-        raise RecordError(
+        raise RecordInputError(
             f"participant id {participant!r} is not allowed: use 1 to 32 letters and digits (A-Z, a-z, 0-9), "
             "for example p01, and never a person's name"
         )
@@ -88,17 +88,19 @@ def find_log(session: Path) -> Path:
 
     Raises
     ------
-    RecordError
+    RecordInputError
         If there is none, or more than one.
     """
     if session.is_file():
+        if session.suffix != ".jsonl":
+            raise RecordInputError(f"{session}: is not a session log; give a session's folder or its {LOG_NAME}")
         return session
     if not session.exists():
-        raise RecordError(f"{session}: no such file or folder; give a session's folder or its {LOG_NAME}")
+        raise RecordInputError(f"{session}: no such file or folder; give a session's folder or its {LOG_NAME}")
     logs = sorted(session.rglob(LOG_NAME))
     if len(logs) != 1:
         listed = "".join(f"\n  {log.parent}" for log in logs[:10])
-        raise RecordError(f"{session}: holds {len(logs)} sessions, exactly one is needed; name it{listed}")
+        raise RecordInputError(f"{session}: holds {len(logs)} sessions, exactly one is needed; name it{listed}")
     return logs[0]
 
 

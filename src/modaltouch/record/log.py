@@ -87,6 +87,8 @@ class SessionLog:
         except OSError as error:
             raise RecordError(f"{path}: cannot be opened for writing ({error.strerror})") from error
         _take(path, descriptor)
+        for leftover in path.parent.glob(".*.tmp"):  # of a view that a kill cut short; the lock says nobody writes it
+            leftover.unlink()
         chain = read_chain(path)
         damaged = [problem for problem in chain.problems if "chain breaks" in problem or "remains" in problem]
         if damaged or not chain.events:

@@ -104,8 +104,8 @@ def table_text(session: Session) -> str:
     return "\n".join(["\t".join(COLUMNS), *("\t".join(row) for row in rows)]) + "\n"
 
 
-def write_dataset(place: SessionFolder, title: str) -> None:
-    """Write the dataset's description, list of participants and ignore file, as the folders stand.
+def describe_dataset(place: SessionFolder, title: str) -> None:
+    """Write the dataset's description and ignore file where they are missing.
 
     Raises
     ------
@@ -118,7 +118,12 @@ def write_dataset(place: SessionFolder, title: str) -> None:
         "DatasetType": "raw",
         "GeneratedBy": [{"Name": "modaltouch", "Version": __version__}],
     }
-    place.dataset.mkdir(parents=True, exist_ok=True, mode=0o700)
+    try:
+        place.dataset.mkdir(parents=True, exist_ok=True, mode=0o700)
+    except OSError as error:
+        raise RecordError(
+            f"{place.dataset}: cannot be created ({error.strerror}); give a folder you may write to with --results"
+        ) from error
     if not (place.dataset / "dataset_description.json").exists():
         text = json.dumps(description, indent=2, ensure_ascii=False) + "\n"
         replace_file(place.dataset / "dataset_description.json", text)
@@ -126,8 +131,27 @@ def write_dataset(place: SessionFolder, title: str) -> None:
             place.dataset / "README", f"{description['Name']}: sessions recorded by modaltouch {__version__}.\n"
         )
         replace_file(place.dataset / ".bidsignore", "*.jsonl\n*.log\n")
-    folders = sorted(path.name for path in place.dataset.glob("sub-*") if path.is_dir())
-    replace_file(place.dataset / "participants.tsv", "\n".join(["participant_id", *folders]) + "\n")
+
+
+def list_participants(place: SessionFolder) -> None:
+    """Add the participants whose folders are not listed yet; what a lab wrote into the list stays as it is.
+
+    Raises
+    ------
+    RecordError
+        If the list cannot be read or written.
+    """
+    path = place.dataset / "participants.tsv"
+    try:
+        text = path.read_text(encoding="utf-8") if path.exists() else "participant_id\n"
+    except (OSError, UnicodeDecodeError) as error:
+        raise RecordError(f"{path}: cannot be read ({error}); mend it or move it away") from error
+    header, *rows = [line.split("\t") for line in text.splitlines()] or [["participant_id"]]
+    listed = {row[0] for row in rows}
+    folders = sorted(folder.name for folder in place.dataset.glob("sub-*") if folder.is_dir())
+    new = ["\t".join([name, *["n/a"] * (len(header) - 1)]) for name in folders if name not in listed]
+    if new or not path.exists():
+        replace_file(path, "\n".join([text.rstrip("\n"), *new]) + "\n")
 
 
 def replace_file(path: Path, text: str) -> None:
