@@ -94,9 +94,7 @@ def _opengl() -> Finding:
     missing = [name for name in ("GL", "GLU") if ctypes.util.find_library(name) is None]
     if missing:
         names = ", ".join(f"lib{name}" for name in missing)
-        return Finding(
-            "OpenGL", "fault", f"missing: {names}", "install libgl1, libgl1-mesa-dri and libglu1-mesa"
-        )
+        return Finding("OpenGL", "fault", f"missing: {names}", "install libgl1, libgl1-mesa-dri and libglu1-mesa")
     return Finding("OpenGL", "ok", "libGL, libGLU")
 
 
@@ -106,16 +104,12 @@ def _virtual_display() -> Finding:
     path = shutil.which("Xvfb")
     if path:
         return Finding("virtual display", "ok", path)
-    return Finding(
-        "virtual display", "warning", "Xvfb is absent", "install xvfb to run the demo without a screen"
-    )
+    return Finding("virtual display", "warning", "Xvfb is absent", "install xvfb to run the demo without a screen")
 
 
 def _visa() -> Finding:
     try:
-        return Finding(
-            "VISA", "ok", f"PyVISA {version('PyVISA')} with PyVISA-py {version('PyVISA-py')}: LAN (VXI-11)"
-        )
+        return Finding("VISA", "ok", f"PyVISA {version('PyVISA')} with PyVISA-py {version('PyVISA-py')}: LAN (VXI-11)")
     except PackageNotFoundError:
         return Finding("VISA", "fault", "PyVISA or PyVISA-py is absent", "run `make install`")
 
