@@ -156,3 +156,52 @@ def test_faults_of_all_sections_come_at_once(edit: Edit) -> None:
         read_apparatus(file)
     sections = [problem.path.split(".")[0].split("[")[0] for problem in caught.value.problems]
     assert sections == ["beam", "zones", "actuator_sets", "modes", "amplifier"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "fault"),
+    [
+        (
+            "{label: 18, natural_frequency_Hz: 98000",
+            "{label: 17, natural_frequency_Hz: 98000",
+            r"twin.unlisted_modes\[8\].label: given 17, the label of modes\[8\] too; allowed: each mode once",
+        ),
+        (
+            "{label: 18, natural_frequency_Hz: 98000",
+            "{label: 16, natural_frequency_Hz: 98000",
+            r"twin.unlisted_modes\[8\].label: given 16, the label of twin.unlisted_modes\[7\] too",
+        ),
+        ("{side: 150}, label: 1", "{sides: 150}, label: 1", r"twin.unlisted_modes\[10\].*'sides'.*did you mean 'side'"),
+        (
+            "family: torsion, natural_frequency_Hz: 8700",
+            "family: twist, natural_frequency_Hz: 8700",
+            "bending, torsion",
+        ),
+        ("bits: 8", "bits: 8.5", r"twin.scope.bits: given 8.5; allowed: a whole number of at least 4"),
+        ("fingers: null", "fingers: {mass_g: 0.1}", r"twin.fingers.damping_N_s_per_m"),
+        ("probe_attenuation: 100", "probe_attenuation: 0", r"acquisition.probe_attenuation: given 0"),
+        ("trigger_jitter_ns: 2", "trigger_jitter_ns: .nan", r"twin.scope.trigger_jitter_ns: given"),
+    ],
+)
+def test_faults_of_the_twin_are_said_with_their_place(edit: Edit, old: str, new: str, fault: str) -> None:
+    """Each mode once in table and twin together, known sets, and no number that is none."""
+    with pytest.raises(InputError, match=fault):
+        read_apparatus(edit(FILE, (old, new)))
+
+
+def test_torsion_may_bear_the_number_of_a_bending_mode(apparatus: Apparatus) -> None:
+    """Torsion 1 and bending 1 are two modes: the shipped twin has both."""
+    families = {mode.family for mode in apparatus.twin.unlisted_modes if mode.label in (1, 3)}
+    assert families == {"torsion"}
+
+
+def test_an_apparatus_without_a_twin_has_an_ideal_beam(edit: Edit, apparatus: Apparatus) -> None:
+    """Left out, the section adds no mode, no mismatch, no finger, and an amplifier as identified."""
+    file = edit(FILE)
+    text = file.read_text(encoding="utf-8")
+    file.write_text(text[: text.index("twin:  ")], encoding="utf-8")
+    twin = read_apparatus(file).twin
+    assert twin.unlisted_modes == ()
+    assert twin.natural_frequency_mismatch == twin.gain_mismatch == twin.generator_gain_mismatch == 0
+    assert (twin.fingers, twin.amplifier.bandwidth_kHz, twin.amplifier.delay_us) == (None, None, None)
+    assert apparatus.twin.unlisted_modes != ()

@@ -6,6 +6,8 @@ A session opens the driver at an address; the simulator is one more address::
         rig.load(burst)
         rig.fire(velocity)
         speeds = simulator.felt_velocity(["A", "C"])
+
+What measures the beam (`acquisition`) is an instrument of its own: ``simulator.scope()``, or `picoscope`.
 """
 
 from __future__ import annotations

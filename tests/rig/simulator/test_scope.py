@@ -14,6 +14,7 @@ from modaltouch.rig.generator import Generator
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.simulator import Simulator
 from modaltouch.rig.simulator.afg import Playback
+from modaltouch.rig.simulator.scope import _moved
 from modaltouch.stimulus.burst import Burst
 
 QUIET_SCOPE = Scope(bits=24, noise_steps=0.0, clock_offset_ppm=0.0, trigger_latency_us=0.0, trigger_jitter_ns=0.0)
@@ -219,6 +220,21 @@ def test_jitter_of_the_trigger_moves_whole_records(at: Callable[..., Recording])
     moved = [np.unwrap(np.angle(each @ tone)) / (2 * np.pi * 2000.0) for each in (seen.velocity, seen.drive[:, 0])]
     np.testing.assert_allclose(moved[0] - moved[0][0], moved[1] - moved[1][0], atol=5e-8)
     assert np.std(moved[0]) == pytest.approx(2e-6, rel=0.3)
+
+
+def test_many_records_of_a_small_jitter_are_those_of_the_instants(apparatus: Apparatus) -> None:
+    """Moved along the slope against computed one by one: of 108 kHz turning by 7e-3, within 3e-5 of the velocity."""
+    simulator = Simulator(lab(apparatus))
+    with simulator:
+        drive = sine(105e3, cycles=100, n=5000)
+        time, shifts = np.arange(200) * 0.4e-6, np.linspace(-1e-8, 1e-8, 5)
+        motions = simulator.twin.motions(
+            [None, drive], 0.05, offset=0.0, bandwidth=None, touched=(), span=(-1e-8, 8e-5)
+        )
+        together = list(_moved(motions, time, shifts))
+    for moved, shift in zip(together, shifts, strict=True):
+        alone = motions[0].at(time + shift)
+        np.testing.assert_allclose(moved, alone, atol=3e-5 * np.abs(alone).max())
 
 
 def test_equal_seeds_give_equal_recordings(apparatus: Apparatus, monkeypatch: pytest.MonkeyPatch) -> None:

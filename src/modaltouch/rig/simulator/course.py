@@ -95,6 +95,8 @@ class Motion:
             Instants [s].
         """
         since = self.held.within_period(time)
+        if since.min() >= 0 and since.max() < self.held.duration:
+            return self._during(since)
         result = np.zeros(time.size)
         during = (since >= 0) & (since < self.held.duration)
         result[during] = self._during(since[during])

@@ -61,7 +61,9 @@ class Held:
 
     def within_period(self, time: FloatArray) -> FloatArray:
         """Return times since the latest burst began [s]; those before a single burst stay negative."""
-        return time if math.isinf(self.period) else np.mod(time, self.period)
+        if math.isinf(self.period) or (time.min() >= 0 and time.max() < self.period):
+            return time
+        return np.mod(time, self.period)
 
 
 def start_state(system: DiagonalSystem, held: Held) -> ComplexArray:

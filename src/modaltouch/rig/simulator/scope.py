@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Self
 
 import numpy as np
@@ -16,8 +16,11 @@ from modaltouch.rig.simulator.twin import Twin
 
 FloatArray = NDArray[np.float64]
 
-WHITE = 1e-3
-"""Correlation from one sample to the next below which noise counts as white [1]."""
+FORGOTTEN = 1e-9
+"""Correlation below which noise counts as new [1]."""
+
+SMALL_TURN = 0.01
+"""Phase of the fastest mode within the trigger's jitter up to which a record is moved along its slope [rad]."""
 
 
 class SimulatedScope:
@@ -117,24 +120,24 @@ class SimulatedScope:
         elapsed -= self._twin.amplifier.delay
         jitter = true.scope.trigger_jitter_ns * 1e-9 * self._rng.standard_normal(asked.n_records)
         late = true.vibrometer.delay_us * 1e-6
+        reach = late + float(np.abs(jitter).max())
         motions = self._twin.motions(
             playbacks,
             position,
             offset=true.vibrometer.offset_mm * 1e-3,
             bandwidth=None if true.vibrometer.bandwidth_kHz is None else true.vibrometer.bandwidth_kHz * 1e3,
             touched=self._touched(),
-            span=(float(elapsed[0] + jitter.min() - late), float(elapsed[-1] + jitter.max() - late)),
+            span=(float(elapsed[0] - reach), float(elapsed[-1] + reach)),
         )
         drives = [self._twin.drive(playbacks, number - 1) for number in asked.drives]
         velocity = np.empty((asked.n_records, asked.n_samples))
         voltage = np.zeros((asked.n_records, len(drives), asked.n_samples))
         overloaded: dict[str, bool] = {}
-        for record, shift in enumerate(jitter):
-            time = elapsed + shift
-            velocity[record], over = self._velocity(motions, time - late)
+        for record, exact in enumerate(_moved(motions, elapsed - late, jitter)):
+            velocity[record], over = self._velocity(exact)
             overloaded["velocity"] = overloaded.get("velocity", False) or over
             for row, (number, drive) in enumerate(zip(asked.drives, drives, strict=True)):
-                voltage[record, row], over = self._voltage(drive, time)
+                voltage[record, row], over = self._voltage(drive, elapsed + jitter[record])
                 name = f"drive {number}"
                 overloaded[name] = overloaded.get(name, False) or over
         names = tuple(name for name, over in overloaded.items() if over)
@@ -149,13 +152,10 @@ class SimulatedScope:
     def __exit__(self, *exc: object) -> None:
         self.close()
 
-    def _velocity(self, motions: Sequence[Motion], time: FloatArray) -> tuple[FloatArray, bool]:
+    def _velocity(self, exact: FloatArray) -> tuple[FloatArray, bool]:
         """Return the velocity as the scope has it [m/s], and whether its range was passed."""
-        exact = np.zeros(time.size)
-        for motion in motions:
-            exact += motion.at(time)
         limit = self._inputs.highest_velocity
-        seen = exact + self._vibrometer_noise(time.size)
+        seen = exact + self._vibrometer_noise(exact.size)
         volts, over = self._convert(np.clip(seen, -limit, limit) / self._inputs.sensitivity, self._ranges[0])
         return volts * self._inputs.sensitivity, over or bool(np.abs(seen).max() > limit)
 
@@ -172,17 +172,19 @@ class SimulatedScope:
         """
         true = self._twin.apparatus.twin.vibrometer
         density = true.noise_um_s_per_sqrt_Hz * 1e-6
-        white = self._rng.standard_normal(n_samples)
         if true.bandwidth_kHz is None:
-            return np.asarray(density * np.sqrt(self._rate / 2) * white)
+            return np.asarray(density * np.sqrt(self._rate / 2) * self._rng.standard_normal(n_samples))
         corner = true.bandwidth_kHz * 1e3
-        spread = density * np.sqrt(np.pi / 2 * corner)
-        correlation = np.exp(-2 * np.pi * corner / self._rate)
-        if correlation < WHITE:
-            return np.asarray(spread * white)
-        turn = np.exp(-2j * np.pi * np.fft.rfftfreq(n_samples))
-        shape = np.sqrt(1 - correlation**2) / np.abs(1 - correlation * turn)
-        return np.asarray(spread * np.fft.irfft(np.fft.rfft(white) * shape, n_samples))
+        decay = 2 * np.pi * corner / self._rate
+        spread = density * np.sqrt(np.pi / 2 * corner * -np.expm1(-2 * decay))
+        # What is older than the lead is forgotten. Sample + c * sample before + ... is a product of sums of two.
+        lead = int(-np.log(FORGOTTEN) / decay)
+        noise = spread * self._rng.standard_normal(lead + n_samples)
+        step = 1
+        while step <= lead:
+            noise[step:] += np.exp(-decay * step) * noise[:-step]
+            step *= 2
+        return np.asarray(noise[lead:])
 
     def _convert(self, volts: FloatArray, input_range: float) -> tuple[FloatArray, bool]:
         """Return what the converter makes of an input [V], and whether it reached its end."""
@@ -192,3 +194,22 @@ class SimulatedScope:
         noise = scope.noise_steps * self._rng.standard_normal(volts.size) if scope.noise_steps else 0.0
         steps = np.clip(np.round(volts / step + noise), -highest, highest)
         return steps * step, bool(np.abs(steps).max() >= highest)
+
+
+def _moved(motions: Sequence[Motion], time: FloatArray, shifts: FloatArray) -> Iterator[FloatArray]:
+    """Yield the velocity at instants moved by each shift in turn [m/s]."""
+
+    def exact(when: FloatArray) -> FloatArray:
+        return np.asarray(sum((motion.at(when) for motion in motions), np.zeros(when.size)))
+
+    furthest = float(np.abs(shifts).max())
+    fastest = max((float(np.abs(motion.exponent.imag).max()) for motion in motions), default=0.0)
+    if furthest > 0 and (shifts.size <= 3 or fastest * furthest > SMALL_TURN):
+        for shift in shifts:
+            yield exact(time + shift)
+        return
+    # Many records of a small jitter share three computations.
+    middle = exact(time)
+    slope = (exact(time + furthest) - exact(time - furthest)) / (2 * furthest) if furthest > 0 else 0.0
+    for shift in shifts:
+        yield middle + shift * slope
