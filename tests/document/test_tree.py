@@ -92,6 +92,8 @@ def test_an_alias_stands_for_its_anchor() -> None:
         ("a: 1\nb: [1, 2\nc: 3\n", "x.yaml:3:2: given text that is not YAML"),
         ("a: 'x\n", "x.yaml:2:1: given text that is not YAML"),
         ("a: b: c\n", "x.yaml:1:5: given text that is not YAML"),
+        ("a:\n  - b: 1\n    b: 2\n", "x.yaml:3:5: a[0].b: given `b` a second time (first in line 2)"),
+        ("b: 1\na: {x: {y: 1, y: 2}}\n", "x.yaml:2:15: a.x.y: given `y` a second time"),
         ("a: 1\na: 2\n", "x.yaml:2:1: a: given `a` a second time (first in line 1)"),
         ("1: 2\n", 'x.yaml:1:1: given 1 as a key; allowed: a word as a key; write "1" in quotes'),
         ("? [a]\n: 1\n", "x.yaml:1:3: given a list, a mapping or nothing as a key"),

@@ -49,6 +49,11 @@ def test_every_shipped_protocol_is_sound(shipped: Path) -> None:
         assert faults(file) == []
 
 
+def test_the_sample_count_said_to_be_allowed_is_allowed(edit: Edit) -> None:
+    """2.5 samples to a cycle of 87,855 Hz in 50 ms are 10,981.9, and records are even."""
+    assert faults(edit(FILE, ("n_samples: 125000", "n_samples: 10982"))) == []
+
+
 def test_an_experiment_is_restored_from_its_record_alone(edit: Edit) -> None:
     """The files may have changed or gone since."""
     file = edit(FILE)
@@ -106,6 +111,7 @@ def test_an_experiment_is_restored_from_its_record_alone(edit: Edit) -> None:
         ),
         ("n_samples: 125000", "n_samples: 124999", "stimulus.n_samples: given 124999; allowed: a whole number"),
         ("n_samples: 125000", "n_samples: 8000", "too few for the mode of 87855 Hz; allowed: at least 10982"),
+        ("n_samples: 125000", "n_samples: 10980", "given 10980 samples in 50 ms, too few for the mode of 87855 Hz"),
         ("selected_modes: 6", "selected_modes: 10", "given 10, more than the 9 modelled modes; allowed: 1 to 9"),
         ("selected_modes: 6", "selected_modes: [1, 2]", "given 2, which is not a modelled mode; allowed: 1, 3, 5, 7"),
         ("selected_modes: 6", "selected_modes: [1, 1]", "given 1, the mode of selected_modes[0] again"),
@@ -116,6 +122,9 @@ def test_an_experiment_is_restored_from_its_record_alone(edit: Edit) -> None:
             "stimulus.selected_modes: given 'six'; allowed: a whole number of",
         ),
         ("protocol: differentiated_stimulation", "protocol: Simulated", "which the results tree keeps for itself"),
+        ("protocol: differentiated_stimulation", "protocol: analysis", "which the results tree keeps for itself"),
+        ("protocol: differentiated_stimulation", "protocol: Derivatives", "which the results tree keeps for itself"),
+        ("  law: exact", "  law: exact\n  law: exact", f"{FILE}:11:3: stimulus.law: given `law` a second time"),
         ("protocol: differentiated_stimulation", "protocol: a/b", "protocol: given 'a/b', which is no plain file name"),
         ("protocol: differentiated_stimulation", "protocol: 5", "protocol: given 5, which is not text; allowed: text"),
         (

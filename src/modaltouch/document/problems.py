@@ -82,6 +82,18 @@ def fault(given: str, allowed: str, remedy: str = "") -> PydanticCustomError:
     )
 
 
+def format_path(path: Iterable[str | int]) -> str:
+    """Return a path as it is printed.
+
+    >>> format_path(("conditions", "zone_pairs", 1))
+    'conditions.zone_pairs[1]'
+    """
+    text = ""
+    for step in path:
+        text += f"[{step}]" if isinstance(step, int) else f".{step}" if text else step
+    return text
+
+
 def suggest(word: str, known: Iterable[str]) -> str:
     """Return the known word that `word` is probably meant to be, or an empty string.
 

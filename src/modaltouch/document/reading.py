@@ -12,7 +12,7 @@ from typing import Annotated, Any, Generic, TypeVar
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from modaltouch.document.allowed import Step, describe, keys_of, number_meant
-from modaltouch.document.problems import Problem, suggest
+from modaltouch.document.problems import Problem, format_path, suggest
 from modaltouch.document.source import Source
 from modaltouch.document.tree import Node, parse_tree
 
@@ -151,18 +151,6 @@ def read(source: Source, model: type[Model]) -> Reading[Model]:
     except ValidationError as error:
         problems += [_translate(bare, details) for details in error.errors(include_url=False)]
     return Reading(source, model, root, None if problems else value, tuple(problems))
-
-
-def format_path(path: Iterable[Step]) -> str:
-    """Return a path as it is printed.
-
-    >>> format_path(("conditions", "zone_pairs", 1))
-    'conditions.zone_pairs[1]'
-    """
-    text = ""
-    for step in path:
-        text += f"[{step}]" if isinstance(step, int) else f".{step}" if text else step
-    return text
 
 
 def _translate(reading: Reading[Any], details: Any) -> Problem:

@@ -9,7 +9,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 
 from modaltouch.document.problems import fault
 
-RESERVED_NAMES = frozenset({"simulated", "pilot", "reference", "benchmarks"})
+RESERVED_NAMES = frozenset({"simulated", "pilot", "reference", "benchmarks", "analysis", "derivatives"})
 """Folders of a results tree that no protocol may be called after."""
 
 

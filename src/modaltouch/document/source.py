@@ -9,6 +9,9 @@ from pathlib import Path
 
 from modaltouch.document.problems import InputError, Problem
 
+YAML_FILE = "a YAML file that exists and can be read"
+"""What may be named where a file is wanted."""
+
 SIZE_LIMIT = 256 * 1024
 """Longest file that is read [byte]: a hundred times the shipped ones."""
 
@@ -53,14 +56,16 @@ def load_source(path: Path) -> Source:
     """
     try:
         if not path.exists():
-            raise InputError([Problem(str(path), 1, 1, "", "a file that does not exist", "", "check its name")])
+            raise InputError([Problem(str(path), 1, 1, "", "a file that does not exist", YAML_FILE, "check its name")])
         if not path.is_file():
-            raise InputError([Problem(str(path), 1, 1, "", "a folder or device", "a text file", "")])
+            raise InputError([Problem(str(path), 1, 1, "", "a folder or device", YAML_FILE, "")])
         with path.open("rb") as file:
             content = file.read(SIZE_LIMIT + 1)
     except (OSError, ValueError) as error:  # ValueError: a null character in the name
         reason = getattr(error, "strerror", None) or str(error)
-        raise InputError([Problem(str(path), 1, 1, "", f"a file that cannot be read ({reason})", "", "")]) from None
+        raise InputError(
+            [Problem(str(path), 1, 1, "", f"a file that cannot be read ({reason})", YAML_FILE, "")]
+        ) from None
     if len(content) > SIZE_LIMIT:
         allowed = f"at most {SIZE_LIMIT // 1024} KiB of YAML"
         raise InputError([Problem(str(path), 1, 1, "", f"more than {SIZE_LIMIT // 1024} KiB", allowed, "")])

@@ -14,7 +14,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 from ruamel.yaml.reader import ReaderError
 
-from modaltouch.document.problems import Problem
+from modaltouch.document.problems import Problem, format_path
 from modaltouch.document.scalars import Scalar, resolve
 from modaltouch.document.source import Source
 
@@ -256,10 +256,21 @@ class _Builder:
         elif node.content in parent.node.keys:
             first = parent.node.keys[node.content][0]
             given = f"`{node.content}` a second time (first in line {first})"
-            self.report(node.line, node.column, given, "each key once", "remove one of them", path=node.content)
+            self.report(
+                node.line, node.column, given, "each key once", "remove one of them", path=self._path_to(node.content)
+            )
+            # What stands under it is read on and told by this name, but not kept.
+            parent.key = node.content
         else:
             parent.sound_key = True
             parent.key, parent.key_place = node.content, (node.line, node.column)
+
+    def _path_to(self, key: str) -> str:
+        """Return the full path of a key of the mapping that is being read."""
+        steps = [
+            len(each.node.content) if isinstance(each.node.content, list) else each.key for each in self._stack[:-1]
+        ]
+        return format_path([*(step for step in steps if step is not None), key])
 
     def _refuse_tag(self, event: Any) -> None:
         if event.tag is not None:

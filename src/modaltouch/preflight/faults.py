@@ -47,6 +47,10 @@ def locate(error: Exception, findings: Findings) -> Problem:
         key = next(key for word, key in _MODE_KEYS if word in message)
         if index is not None:
             return apparatus.problem(("modes", index, key), given, "", remedy)
+    if re.search(r"samples are fewer", message) and _is_late(findings):
+        return apparatus.problem(
+            ("amplifier", "delay_us"), given, "", "shorten the delay, or move the focusing instant"
+        )
     key = next((key for words, key in _PLACES if re.search(words, message)), "")
     return protocol.problem(("stimulus", key) if key else ("stimulus",), given, "", remedy)
 
@@ -56,6 +60,15 @@ _MODE_KEYS = (
     ("damping", "damping_ratio"),
     ("frequency", "natural_frequency_Hz"),
 )
+
+
+def _is_late(findings: Findings) -> bool:
+    """Return whether the amplifier's delay takes most of the time before the focusing instant."""
+    if findings.protocol is None or findings.apparatus is None:
+        return False
+    delay = findings.apparatus.sound("amplifier", "delay_us")
+    instant = findings.protocol.sound("stimulus", "focusing_instant_ms")
+    return delay is not None and instant is not None and delay > 500 * instant
 
 
 def _labels(findings: Findings) -> list[tuple[int, int]]:

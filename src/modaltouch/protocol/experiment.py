@@ -8,6 +8,7 @@ from typing import Any
 
 from modaltouch.apparatus import Apparatus, examine_apparatus
 from modaltouch.document import InputError, Problem, Reading, Source, load_source, read
+from modaltouch.document.source import YAML_FILE
 from modaltouch.protocol.checks import check_protocol
 from modaltouch.protocol.fit import check_fit
 from modaltouch.protocol.sections import Protocol
@@ -179,7 +180,8 @@ def _load_named(protocol: Reading[Protocol], key: str, problems: list[Problem]) 
         if found.line > 1 or found.column > 1 or "UTF-8" in found.allowed:
             problems.append(found)
         else:
-            allowed = found.allowed or "a YAML file, named as seen from this file"
+            as_named = f"{YAML_FILE}, named as seen from this file"
+            allowed = as_named if found.allowed == YAML_FILE else found.allowed
             given = f"{name!r}, {found.given} ({path})"
             problems.append(protocol.problem((key,), given, allowed, found.remedy))
         return None

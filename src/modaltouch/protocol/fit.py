@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -9,12 +10,16 @@ from modaltouch.apparatus import Apparatus
 from modaltouch.document import Problem, Reading, suggest
 from modaltouch.protocol.sections import Protocol
 
+LEAST_SAMPLES_PER_CYCLE = 2.5
+"""Fewest samples to a cycle of the highest modelled mode: the 2 of the sampling theorem and a quarter to spare [1]."""
+
 
 def check_fit(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> list[Problem]:
     """Return what a protocol asks for that its apparatus has not, as far as the sound parts of both show it."""
     return [
         *_check_zones(protocol, apparatus),
         *_check_modes(protocol, apparatus),
+        *_check_delay(protocol, apparatus),
         *_check_levels(protocol, apparatus),
     ]
 
@@ -70,20 +75,30 @@ def _check_modes(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> 
                 given = f"{label}, which is not a modelled mode"
                 allowed = ", ".join(str(known) for known in labels)
                 yield protocol.problem(("stimulus", "selected_modes", index), given, allowed)
-    yield from _check_nyquist(protocol, apparatus, n_modes)
+    yield from _check_sampling(protocol, apparatus, n_modes)
 
 
-def _check_nyquist(protocol: Reading[Protocol], apparatus: Reading[Apparatus], n_modes: int) -> Iterator[Problem]:
+def _check_sampling(protocol: Reading[Protocol], apparatus: Reading[Apparatus], n_modes: int) -> Iterator[Problem]:
     n_samples, duration = (protocol.sound("stimulus", key) for key in ("n_samples", "duration_ms"))
     known = [apparatus.sound("modes", index, "natural_frequency_Hz") for index in range(n_modes)]
     highest: Any = max((value for value in known if value is not None), default=None)
     if n_samples is None or duration is None or highest is None:
         return
-    least = 2 * (int(2.5 * highest * duration * 1e-3) // 2 + 1)
-    if n_samples < 2 * highest * duration * 1e-3:
+    # Records are even; what rounding adds to an even bound shall not ask for two samples more.
+    least = 2 * math.ceil(LEAST_SAMPLES_PER_CYCLE * highest * duration * 1e-3 / 2 * (1 - 1e-12))
+    if n_samples < least:
         given = f"{n_samples} samples in {duration:g} ms, too few for the mode of {highest:g} Hz"
         remedy = "take more samples, shorten the burst or leave the mode out of the apparatus"
         yield protocol.problem(("stimulus", "n_samples"), given, f"at least {least}", remedy)
+
+
+def _check_delay(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> Iterator[Problem]:
+    delay = apparatus.sound("amplifier", "delay_us")
+    instant = protocol.sound("stimulus", "focusing_instant_ms")
+    if delay is not None and instant is not None and delay >= instant * 1e3:
+        given = f"{delay:g} us, past the focusing instant of {instant:g} ms"
+        allowed = f"below {instant * 1e3:g} us, so that the drive reaches the beam by then"
+        yield apparatus.problem(("amplifier", "delay_us"), given, allowed, "write the delay in microseconds")
 
 
 def _check_levels(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> Iterator[Problem]:

@@ -37,8 +37,8 @@ class Wish:
     shape : str
         ``triangle``, ``box``, ``half_cosine``, ``raised_cosine``, ``gaussian``, or ``sampled`` (see `points`).
     base : float
-        Width of the field where it leaves zero [m]; a Gaussian is as wide at half height as a triangle of this
-        base; without meaning for a sampled field.
+        Width of the field where it leaves zero [m]; for a Gaussian, which never does, its full width at half
+        maximum; without meaning for a sampled field.
     centre : float
         Where the level holds, the peak of a shape, origin at mid-beam [m].
     velocity : float
@@ -153,7 +153,7 @@ class Wish:
         """Return the shape around one centre [1]."""
         offset = np.abs(place - centre) / (self.base / 2)
         if self.shape == "gaussian":
-            return np.asarray(np.exp(-math.log(2) * (2 * offset) ** 2))
+            return np.asarray(np.exp(-math.log(2) * offset**2))
         return np.where(offset <= 1, _PROFILES[self.shape](np.minimum(offset, 1.0)), 0.0)
 
     def _sampled(self, place: FloatArray) -> FloatArray:

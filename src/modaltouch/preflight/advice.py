@@ -1,0 +1,103 @@
+"""What a lab should know before it trusts its files: where the field does not go, what was taken by default."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from modaltouch.document import Reading
+from modaltouch.document.section import Section
+from modaltouch.document.tree import Node
+from modaltouch.preflight.ground import Ground
+from modaltouch.protocol import Protocol
+from modaltouch.stimulus.design import Stimulus
+
+_FASTER = 1 + 2e-3
+"""Times the focus zone's speed from which another zone counts as faster; less is the codes' rounding [1]."""
+
+_UNREACHED = 0.25
+"""Share of the wish, as root mean square, from which it counts as missed: the paper's six modes miss 0.06 [1]."""
+
+
+def field_warnings(ground: Ground, stimulus: Stimulus, figures: list[dict[str, Any]]) -> list[str]:
+    """Return where the field does not do what its focus says.
+
+    Parameters
+    ----------
+    ground : Ground
+        What the stimulus was designed from.
+    stimulus : Stimulus
+        The stimulus of all levels.
+    figures : list of dict
+        As `stimulus_figures` returns them, one to each level.
+    """
+    said = []
+    top = max(figures, key=lambda each: float(each["velocity_mm_s"]), default=None)
+    if top is not None:
+        peaks, focus = top["zone_peak_mm_s"], ground.section.focus
+        at_focus = peaks[focus] or 0.0
+        faster = {name: peak for name, peak in peaks.items() if peak is not None and peak > _FASTER * at_focus}
+        if faster:
+            others = ", ".join(f"zone {name} at up to {peak:.0f} mm/s" for name, peak in faster.items())
+            said.append(
+                f"at {top['velocity_mm_s']:g} mm/s the focus {focus} is not where the beam moves fastest: zone "
+                f"{focus} moves at up to {at_focus:.0f} mm/s, {others}"
+            )
+    if stimulus.reconstruction_error > _UNREACHED:
+        said.append(f"at {stimulus.wish.velocity * 1e3:g} mm/s {stimulus.projection.unreached()}")
+    return said
+
+
+def taken_defaults(reading: Reading[Protocol]) -> list[dict[str, Any]]:
+    """Return the keys that a protocol leaves out, with the values taken for them.
+
+    Parameters
+    ----------
+    reading : Reading
+        The protocol file.
+
+    Returns
+    -------
+    list of dict
+        The key's path as ``key`` and its default as ``value``, in the order of the schema.
+    """
+    return [] if reading.root is None else _absent(reading.model, reading.root, "")
+
+
+def _absent(section: type[Section], node: Node | None, prefix: str) -> list[dict[str, Any]]:
+    taken: list[dict[str, Any]] = []
+    for name, field in section.model_fields.items():
+        child = node.child(name) if node is not None else None
+        if child is None and field.is_required():
+            continue
+        inner = field.annotation
+        if isinstance(inner, type) and issubclass(inner, Section):
+            taken += _absent(inner, child, f"{prefix}{name}.")
+        elif child is None:
+            value = field.get_default(call_default_factory=True)
+            taken.append({"key": f"{prefix}{name}", "value": list(value) if isinstance(value, tuple) else value})
+    return taken
+
+
+def default_warnings(taken: list[dict[str, Any]]) -> list[str]:
+    """Return one line on the defaults that do something; those that leave a feature off are not worth a line.
+
+    Parameters
+    ----------
+    taken : list of dict
+        As `taken_defaults` returns them.
+    """
+    acting = [each for each in taken if not _is_off(each["value"])]
+    told = ", ".join(f"{each['key']} {_in_words(each['value'])}" for each in acting)
+    return [f"taken by default: {told}"] if told else []
+
+
+def _is_off(value: Any) -> bool:
+    return value is None or value is False or value in ("", {}, [])
+
+
+def _in_words(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, list):
+        return "/".join(map(str, value))
+    return f"{value:g}" if isinstance(value, float) else str(value)
