@@ -255,6 +255,80 @@ def test_a_missing_protocol_is_a_problem(tmp_path: Path) -> None:
     """Not an exception either."""
     (problem,) = examine(tmp_path / "none.yaml").problems
     assert problem.given == "a file that does not exist"
+    assert problem.allowed == "a YAML file that exists and can be read"
+
+
+@pytest.mark.parametrize(("focus", "faster"), [("A", "170"), ("D", "163")])
+def test_a_focus_where_the_field_does_not_peak_is_warned_of(edit: Edit, focus: str, faster: str) -> None:
+    """Symmetric wiring mirrors every field at mid-beam, so zone C moves faster: 163 was seen for 150."""
+    values = examine(edit(FILE, ("focus: C", f"focus: {focus}"), (LEVELS, "[80, 150]"))).as_dict()
+    assert values["stimuli"][-1]["zone_peak_mm_s"]["C"] == pytest.approx(float(faster), abs=0.6)
+    told = f"at 150 mm/s the focus {focus} is not where the beam moves fastest: zone {focus} moves at up to 150 mm/s"
+    assert any(each.startswith(told) and f"zone C at up to {faster} mm/s" in each for each in values["warnings"])
+    assert any("the field misses the wish by 106% of its root" in each for each in values["warnings"])
+
+
+def test_the_papers_focus_is_not_warned_of(preflight: Preflight) -> None:
+    """Zone C is the fastest there, and six modes miss the wish by 6 %."""
+    assert not [each for each in preflight.as_dict()["warnings"] if "fastest" in each or "misses the wish" in each]
+
+
+def test_what_is_taken_by_default_is_listed(edit: Edit) -> None:
+    """Values of the schema; the shipped file states law, field and duration."""
+    left_out = (("  law: exact", "  #"), ("  field: {", "  # {"), ("  duration_ms: 50", "  #"))
+    values = examine(edit(FILE, *left_out)).as_dict()
+    taken = {each["key"]: each["value"] for each in values["defaults"]}
+    assert taken["stimulus.law"] == "exact"
+    assert (taken["stimulus.field.shape"], taken["stimulus.field.base_mm"]) == ("triangle", 56)
+    assert taken["stimulus.duration_ms"] == 50
+    assert "stimulus.focus" not in taken
+    assert "stimulus.n_samples" not in taken
+    (line,) = [each for each in values["warnings"] if each.startswith("taken by default: ")]
+    assert "stimulus.law exact, stimulus.field.shape triangle, stimulus.field.base_mm 56, stimulus.duration_ms" in line
+
+
+def test_a_default_that_leaves_a_feature_off_is_listed_without_a_warning(preflight: Preflight) -> None:
+    """No one needs a line saying that there is no feedback in practice."""
+    values = preflight.as_dict()
+    assert {"key": "schedule.practice_feedback", "value": False} in values["defaults"]
+    assert not [each for each in values["warnings"] if "practice_feedback" in each]
+
+
+def test_defaults_of_a_section_that_is_left_out_are_listed_with_the_faults_beside_it(edit: Edit) -> None:
+    """The section schedule is optional; 900 mm/s is beyond the safety limit of 500."""
+    file = edit(FILE, (LEVELS, "[900]"))
+    text = file.read_text()
+    start, end = text.index("\nschedule:"), text.index("\nanswers:")
+    file.write_text(text[:start] + text[end:])
+    values = examine(file).as_dict()
+    assert values["problems"]
+    assert {"key": "schedule.repetitions", "value": 1} in values["defaults"]
+
+
+def test_levels_in_metres_per_second_are_told_once_each_with_what_is_meant(edit: Edit) -> None:
+    """0.08 m/s is 80 mm/s."""
+    found = faults(edit(FILE, (LEVELS, "[0.08, 0.1, 0.15, 0.2]")))
+    assert len(found) == 4
+    for text, meant in zip(found, (80, 100, 150, 200), strict=True):
+        assert text.endswith(f"did you mean {meant} mm/s? Levels are in mm/s, not m/s")
+
+
+def test_a_field_that_no_level_can_play_is_told_at_the_field_once(edit: Edit) -> None:
+    """A base of 100 m is flat over the beam: one set is all but silent, and no level suits both."""
+    (found,) = faults(edit(FILE, ("base_mm: 56", "base_mm: 100000")))
+    assert "stimulus.field.base_mm: given 100000 mm on a beam of 100 mm, a field that no level can play" in found
+    assert "lower the level" not in found
+    assert "raise the level" not in found
+
+
+@pytest.mark.parametrize(("delay", "given"), [(500000, "given 500000 us, past the"), (24999, "given a stimulus that")])
+def test_a_delay_beyond_the_focusing_instant_is_told_at_the_delay(edit: Edit, delay: int, given: str) -> None:
+    """The focusing instant is 25 ms; the delay stands in line 41 of the apparatus."""
+    file = edit(FILE)
+    beam = file.parent / BEAM
+    beam.write_text(beam.read_text().replace("delay_us: 0", f"delay_us: {delay}", 1))
+    (found,) = faults(file)
+    assert found.startswith(f"{BEAM}:41:13: amplifier.delay_us: {given}")
 
 
 def test_samples_that_are_not_held_alike_are_warned_of(edit: Edit) -> None:

@@ -4,6 +4,7 @@
 ``limits``   amplifier, generator and safety limits at every level
 ``faults``   what the stimulus engine refuses, with its place in the files
 ``figures``  what each level does to the beam
+``advice``   where the field does not go, what was taken by default
 ``examine``  the whole check
 """
 

@@ -10,6 +10,7 @@ from typing import Any, Self
 import numpy as np
 
 from modaltouch.document import InputError, Problem
+from modaltouch.preflight.advice import default_warnings, field_warnings, taken_defaults
 from modaltouch.preflight.faults import locate
 from modaltouch.preflight.figures import (
     contrasts,
@@ -139,6 +140,7 @@ class Preflight:
             "estimated_duration_min": None,
             "problems": [problem.as_dict() for problem in self.problems],
             "warnings": [],
+            "defaults": taken_defaults(reading) if reading else [],
             "stimuli": self.stimuli,
             "contrasts": [],
             "unknown_gains": [],
@@ -151,7 +153,11 @@ class Preflight:
         ground, stimulus = self._sound
         protocol, apparatus = self.experiment.protocol, ground.apparatus
         values |= {
-            "warnings": warnings(ground, stimulus, self.stimuli),
+            "warnings": [
+                *field_warnings(ground, stimulus, self.stimuli),
+                *warnings(ground, stimulus, self.stimuli),
+                *default_warnings(values["defaults"]),
+            ],
             "contrasts": contrasts(protocol, self.stimuli[-1]["zone_peak_mm_s"]),
             "unknown_gains": [{"mode": label, "set": name} for label, name in apparatus.unknown_gains()],
             "assumed_gains": [{"mode": label, "set": name} for label, name in apparatus.assumed_gains()],

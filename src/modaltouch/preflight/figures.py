@@ -133,10 +133,6 @@ def warnings(ground: Ground, stimulus: Stimulus, figures: list[dict[str, Any]]) 
             f"{stimulus.timing.n_samples} samples are held {clocks:.2f} clocks each, so their edges jitter; "
             f"125000 samples in 50 ms are held exactly 100"
         )
-    highest = float(stimulus.model.natural_frequency.max())
-    if stimulus.timing.sampling_rate < 2.5 * highest:
-        per_cycle = stimulus.timing.sampling_rate / highest
-        said.append(f"{per_cycle:.2g} samples to a cycle of the {highest:g} Hz mode; at least 2.5 are advised")
     if ground.apparatus.assumed_gains():
         modes = ", ".join(f"{label} ({name})" for label, name in ground.apparatus.assumed_gains())
         said.append(f"the gains of these modes are assumed, not measured: {modes}")

@@ -36,7 +36,9 @@ def check_levels(ground: Ground, stimulus: Stimulus, protocol: Reading[Protocol]
     protocol : Reading
         The protocol file, for the places of its levels.
     """
-    problems: list[Problem] = []
+    problems = _check_range(ground, stimulus, protocol)
+    if problems:
+        return problems
     for index, level in ground.levels.items():
         amplified = list(_check_amplifier(ground, stimulus, protocol, index, level))
         problems += amplified or _check_generator(ground, stimulus, protocol, index, level)
@@ -88,17 +90,57 @@ def _check_generator(
     ground: Ground, stimulus: Stimulus, protocol: Reading[Protocol], index: int, level: float
 ) -> Iterator[Problem]:
     smallest, largest = AMPLITUDE_RANGE[0], _highest_amplitude(ground)
+    path, sounding = (*_LEVELS, index), _sounding(stimulus, level)
+    if not sounding:
+        return
+    strong, weak = max(sounding, key=sounding.__getitem__), min(sounding, key=sounding.__getitem__)
+    if sounding[strong] > largest:
+        given = f"{level:g} mm/s, which needs {sounding[strong]:.4g} V peak to peak of output {strong}"
+        highest = _rounded_down(level * largest / sounding[strong])
+        allowed = f"at most {largest:g} V into an open circuit ({highest} mm/s)"
+        yield protocol.problem(path, given, allowed, "lower the level, or take an amplifier of higher gain")
+    if sounding[weak] < smallest:
+        given = f"{level:g} mm/s, which needs {sounding[weak]:.4g} V peak to peak of output {weak}"
+        least = level * smallest / sounding[weak]
+        allowed = f"at least {smallest:g} V, the generator's smallest amplitude (about {_rounded_up(least)} mm/s)"
+        # A lab that thinks in m/s writes 0.08 for 80 mm/s.
+        meant = level * 1e3 if level < 1 and least <= level * 1e3 <= ground.velocity_limit else None
+        remedy = "raise the level" if meant is None else f"did you mean {meant:g} mm/s? Levels are in mm/s, not m/s"
+        yield protocol.problem(path, given, allowed, remedy)
+
+
+def _sounding(stimulus: Stimulus, level: float) -> dict[int, float]:
+    """Return the amplitude of every output that is not silent, by its number [V peak to peak]."""
     silent = (stimulus.burst.codes == MID_CODE).all(axis=1)
-    for channel, amplitude in enumerate(stimulus.burst.amplitude_for(level * 1e-3)):
-        where = f"{level:g} mm/s, which needs {amplitude:.4g} V peak to peak of output {channel + 1}"
-        path = (*_LEVELS, index)
-        if not silent[channel] and amplitude > largest:
-            highest = _rounded_down(level * largest / amplitude)
-            allowed = f"at most {largest:g} V into an open circuit ({highest} mm/s)"
-            yield protocol.problem(path, where, allowed, "lower the level, or take an amplifier of higher gain")
-        if not silent[channel] and amplitude < smallest:
-            allowed = f"at least {smallest:g} V, the generator's smallest amplitude"
-            yield protocol.problem(path, where, allowed, "raise the level")
+    amplitudes = stimulus.burst.amplitude_for(level * 1e-3)
+    return {number: float(each) for number, each in enumerate(amplitudes, 1) if not silent[number - 1]}
+
+
+def _check_range(ground: Ground, stimulus: Stimulus, protocol: Reading[Protocol]) -> list[Problem]:
+    """Return why no level can be played: one output falls below the generator's range before the beam is in its own."""
+    level, limit = stimulus.wish.velocity * 1e3, ground.apparatus.amplifier.limit_V
+    sounding = _sounding(stimulus, level)
+    if not sounding:
+        return []
+    highest = level * min(
+        limit / float(stimulus.peak_voltage.max()), _highest_amplitude(ground) / max(sounding.values())
+    )
+    weak = min(sounding, key=sounding.__getitem__)
+    least = level * AMPLITUDE_RANGE[0] / sounding[weak]
+    if least <= highest:
+        return []
+    length, base = ground.apparatus.beam.length_mm, ground.section.field.base_mm
+    path: tuple[str, ...] = ("stimulus",)
+    given = "a field that no level can play"
+    if base > length:
+        path = ("stimulus", "field", "base_mm")
+        given = f"{base:g} mm on a beam of {length:g} mm, a field that no level can play"
+    given += (
+        f" (output {weak} needs at least {_rounded_up(least)} mm/s for the generator's smallest amplitude, and "
+        f"amplifier and generator reach at most {_rounded_down(highest)} mm/s)"
+    )
+    allowed = f"up to {length:g} mm" if base > length else ""
+    return [protocol.problem(path, given, allowed, "choose another field, focus or modes; no other level will do")]
 
 
 def _check_safety(
@@ -125,3 +167,8 @@ def _check_safety(
 def _rounded_down(value: float) -> str:
     """Return a level that can be written down without passing the limit [mm/s]."""
     return f"{math.floor(value):d}" if value >= 10 else f"{math.floor(value * 1000) / 1000:g}"
+
+
+def _rounded_up(value: float) -> str:
+    """Return a level above one that is too small [mm/s]."""
+    return f"{math.ceil(value):d}" if value >= 10 else f"{math.ceil(value * 10) / 10:g}"
