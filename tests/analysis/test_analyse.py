@@ -141,3 +141,13 @@ def test_the_analysis_loads_neither_instrument_nor_screen() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_an_analysis_inside_a_dataset_goes_to_its_derivatives(tmp_path) -> None:
+    """BIDS: what is derived lies under ``derivatives``, or the raw dataset becomes invalid."""
+    session = tmp_path / "sub-p01" / "ses-1" / "beh"
+    session.mkdir(parents=True)
+    (tmp_path / "dataset_description.json").write_text("{}")
+    assert default_folder(tmp_path) == tmp_path / "derivatives" / "analysis"
+    assert default_folder(session) == tmp_path / "derivatives" / "analysis_sub-p01_ses-1"
+    assert default_folder(session / "session.jsonl") == tmp_path / "derivatives" / "analysis_sub-p01_ses-1"

@@ -58,12 +58,12 @@ def analyse(path: Path | str, out: Path | str | None = None, *, mode: str | None
 
 def default_folder(path: Path) -> Path:
     """Return where an analysis goes if nobody says otherwise; inside a BIDS dataset, its ``derivatives``."""
-    if path.is_file() and path.suffix != ".jsonl":
+    if path.suffix != ".jsonl" and not path.is_dir():
         return path.parent / f"{path.stem}_analysis"
     folder = (path if path.is_dir() else path.parent).resolve()
     dataset = next((each for each in (folder, *folder.parents) if (each / "dataset_description.json").exists()), None)
     if dataset is None:
-        return path / "analysis"
+        return (path if path.is_dir() else path.parent) / "analysis"
     names = folder.relative_to(dataset).parts[:2]
     return dataset / "derivatives" / "_".join(["analysis", *names])
 
