@@ -100,7 +100,7 @@ def test_exact_law_is_the_least_energy(shipped, rng):
 
 def test_energy_balance_holds(shipped):
     """Work of the modal force = energy stored + dissipated, by (eta'^2 + w^2 eta^2)/2."""
-    model, timing = shipped.model, Timing(n_samples=131_072, duration=0.013, focusing_instant=0.012)
+    model, timing = shipped.model, Timing(n_samples=130_000, duration=0.013, focusing_instant=0.012)
     stimulus = replace(shipped, timing=timing)
     history = modal_history(model, stimulus.voltage, timing)[:, : stimulus.drive.n_before]
     force = model.modal_gain @ stimulus.voltage[:, : stimulus.drive.n_before]

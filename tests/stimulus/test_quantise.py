@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from modaltouch.stimulus.burst import MID_CODE, round_amplitude
-from modaltouch.stimulus.quantise import full_scale, quantise, signed_codes
+from modaltouch.stimulus.quantise import full_scale, round_to_codes, signed_codes, unsigned_codes
 
 SHIPPED_SHARES = (0.4, 0.5, 0.75, 1.0)
 
@@ -36,7 +36,7 @@ def test_silent_channel_has_no_amplitude():
 def test_codes_are_the_nearest_and_mid_scale_at_both_ends():
     """Uniform rounding to signed 14 bits about 8191; a silent channel stays at mid-scale."""
     voltage = np.array([[0.0, 1.0, -1.0, 0.49 / 8191, 0.51 / 8191, 0.5], [0.0] * 6])
-    codes = quantise(voltage, np.array([1 / 8191, 0.0]))
+    codes = unsigned_codes(round_to_codes(voltage, np.array([1 / 8191, 0.0])))
     assert codes[0].tolist() == [8191, 16382, 0, 8191, 8192, MID_CODE]
     assert (codes[1] == MID_CODE).all()
     assert signed_codes(codes)[0, 1:3].tolist() == [8191.0, -8191.0]
@@ -45,4 +45,4 @@ def test_codes_are_the_nearest_and_mid_scale_at_both_ends():
 def test_voltage_beyond_the_full_scale_is_refused():
     """Never clipped."""
     with pytest.raises(ValueError, match=r"channel 1 peaks at 2 V, beyond its full scale of 1 V"):
-        quantise(np.array([[0.0, 2.0, 0.0]]), np.array([1 / 8191]))
+        round_to_codes(np.array([[0.0, 2.0, 0.0]]), np.array([1 / 8191]))

@@ -118,7 +118,7 @@ class Preflight:
             return []
         ground, stimulus = self._sound
         other: Law = "paper" if stimulus.law == "exact" else "exact"
-        compared = design(ground, law=other)
+        compared = stimulus.under_law(other)
         return [stimulus_figures(ground, compared, level) for level in ground.levels.values()]
 
     def as_dict(self, *, compare: bool = False) -> dict[str, Any]:

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from modaltouch.preflight.ground import Ground
-from modaltouch.preflight.limits import peak_drive
 from modaltouch.protocol import Protocol
 from modaltouch.stimulus.design import Stimulus
 
@@ -34,7 +33,7 @@ def stimulus_figures(ground: Ground, stimulus: Stimulus, level: float) -> dict[s
     centres = zone_centres(ground)
     at_focus = stimulus.velocity_at_focus(centres, velocity)
     peaks = stimulus.peak_velocity(centres, velocity)
-    channels = [str(number + 1) for number in range(len(stimulus.burst.amplitude))]
+    channels = [str(number + 1) for number in range(stimulus.model.n_channels)]
     return {
         "velocity_mm_s": level,
         "focus": ground.section.focus,
@@ -45,8 +44,8 @@ def stimulus_figures(ground: Ground, stimulus: Stimulus, level: float) -> dict[s
         "achieved_mm_s": _by(labels, reached * 1e3),
         "achieved_displacement_mm_s": _by(labels, displacement * 1e3),
         "worst_modal_error_mm_s": finite(stimulus.worst_modal_error(velocity) * 1e3),
-        "peak_drive_V": _by(channels, peak_drive(stimulus, velocity)),
-        "amplitude_Vpp": _by(channels, stimulus.burst.amplitude_for(velocity)),
+        "peak_drive_V": _by(channels, stimulus.peak_drive(velocity)),
+        "amplitude_Vpp": _by(channels, stimulus.amplitude_for(velocity)),
         "n_samples": ground.section.n_samples,
         "sampling_rate_Hz": finite(stimulus.timing.sampling_rate),
         "fwhm_mm": finite(stimulus.fwhm * 1e3),

@@ -1,130 +1,109 @@
 """A response block by block: within a block matrix products, from block to block a scan of the states.
 
-Each state is a one-pole, x' = exponent x + input_gain v, of held samples. A block of outputs is one product of the
-block's voltages and the states at its start; those follow from the blocks' pushes by the same method one level up.
+Each state decays over a sample and is then pushed by the sample's inputs. A block of outputs is one product of the
+block's inputs and the states at its start; those follow from the blocks' pushes by the same method one level up.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.stimulus.dynamics import DiagonalSystem
+from modaltouch.stimulus.scan import SHORT, Scan
 from modaltouch.stimulus.synthesis import decay
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-SHORT = 32
-"""Samples per block: the work per sample is least where a block is about as long as a product is efficient."""
+__all__ = ["SHORT", "BlockKernel", "Effort", "filled_blocks"]
 
 LIKELIEST = 64
 """Blocks looked at first where a peak is sought: what they reach spares most of the others."""
 
-LEVELS = 3
-"""Blocks, groups of blocks, groups of groups: a chunk of 32^4 samples would need no more."""
-
 
 @dataclass(frozen=True, eq=False)
-class Scan:
-    """Follows states from block to block, x[j + 1] = ratio x[j] + pushed[j], by groups of SHORT blocks.
+class Effort:
+    """What bounds a response within each block.
 
     Attributes
     ----------
-    power : (n_states, LEVELS, SHORT + 1) complex array
-        Decays over 0 to SHORT blocks, groups of blocks, and so on [1].
-    triangle : (LEVELS, n_states, SHORT, SHORT) complex array
-        What each push of a group (rows) leaves in the states before the later members (columns).
+    size : (n_states, n_blocks) array
+        Magnitudes of the states at the starts.
+    mean : (n_inputs, n_blocks) array
+        Magnitude of the mean input.
+    swing : (n_inputs, n_blocks) array
+        Root of the energy of what remains.
     """
 
-    power: ComplexArray
-    triangle: ComplexArray
+    size: FloatArray
+    mean: FloatArray
+    swing: FloatArray
 
     @classmethod
-    def of(cls, exponent: ComplexArray, hold: float) -> Scan:
-        """Return the scan of blocks of SHORT samples.
+    def of(cls, blocks: FloatArray, begin: ComplexArray) -> Effort:
+        """Return the effort of inputs.
 
         Parameters
         ----------
-        exponent : (n_states,) complex array
-            Exponents [1/s].
-        hold : float
-            Length of a sample [s].
-        """
-        steps = np.outer(SHORT ** np.arange(1, LEVELS + 1), np.arange(SHORT + 1))
-        power = decay(exponent, hold, steps.ravel()).reshape(exponent.size, LEVELS, SHORT + 1)
-        later = np.zeros((LEVELS, exponent.size, 2 * SHORT), dtype=complex)
-        later[:, :, SHORT + 1 :] = power[:, :, : SHORT - 1].transpose(1, 0, 2)
-        return cls(power, np.lib.stride_tricks.sliding_window_view(later, SHORT, axis=2)[:, :, SHORT:0:-1])
-
-    def follow(self, pushed: ComplexArray, state: ComplexArray, level: int = 0) -> tuple[ComplexArray, ComplexArray]:
-        """Return the states before each block and after all.
-
-        Parameters
-        ----------
-        pushed : (n_states, n_blocks) complex array
-            What each block adds.
-        state : (n_states,) complex array
-            Before the first block.
-        level : int
-            0 for blocks, 1 for groups of them, and so on.
-
-        Returns
-        -------
+        blocks : (n_inputs, n_blocks, n) array
+            The inputs, n samples to a block.
         begin : (n_states, n_blocks) complex array
-            Before each block.
-        after : (n_states,) complex array
-            After the last.
+            States at the starts.
         """
-        n_states, n_blocks = pushed.shape
-        n_groups, rest = divmod(n_blocks, SHORT)
-        if n_groups == 0 or level == LEVELS - 1:
-            ratio = self.power[:, level, 1]
-            begin = np.empty((n_blocks, n_states), dtype=complex)
-            for row, push in zip(begin, pushed.T, strict=True):
-                row[:] = state
-                state = ratio * state + push
-            return begin.T, state
-        power = self.power[:, level]
-        groups = pushed[:, : n_groups * SHORT].reshape(n_states, n_groups, SHORT)
-        total = np.matmul(groups, power[:, SHORT - 1 :: -1, None])[:, :, 0]
-        starts, state = self.follow(total, state, level + 1)
-        begin = np.empty((n_states, n_blocks), dtype=complex)
-        within = begin[:, : n_groups * SHORT].reshape(n_states, n_groups, SHORT)
-        np.matmul(groups, self.triangle[level], out=within)
-        within += starts[:, :, None] * power[:, None, :SHORT]
-        if rest:
-            begin[:, n_groups * SHORT :], state = self.follow(pushed[:, n_groups * SHORT :], state, level)
-        return begin, state
+        n = blocks.shape[2]
+        size = np.sqrt(begin.real**2 + begin.imag**2)
+        mean = blocks @ np.full(n, 1 / n)
+        energy = np.einsum("cji,cji->cj", blocks, blocks)
+        return cls(size, np.abs(mean), np.sqrt(np.maximum(energy * (1 + 1e-12) - n * mean**2, 0.0)))
+
+
+def filled_blocks(inputs: FloatArray) -> FloatArray:
+    """Return inputs as blocks, the last filled up with zeros, (n_inputs, n_blocks, SHORT) array.
+
+    Parameters
+    ----------
+    inputs : (n_inputs, n_samples) array
+        Of consecutive samples.
+    """
+    beyond = -inputs.shape[1] % SHORT
+    filled = np.pad(inputs, ((0, 0), (0, beyond))) if beyond else inputs
+    return filled.reshape(len(inputs), -1, SHORT)
 
 
 @dataclass(frozen=True, eq=False)
 class BlockKernel:
-    """What a block of voltages and the states at its start do to the outputs and to the states at its end.
+    """What a block of inputs and the states at its start do to the outputs and to the states at its end.
 
     Attributes
     ----------
     scan : Scan
         How the states go on from block to block.
-    into_state : (n_channels, 2 n_states, SHORT) array
-        What a block's voltages leave in the states, real parts then imaginary parts.
-    used : tuple of (channels, states)
-        For each output the channels and states that it depends on; the others cost nothing.
+    push : (n_states, n_inputs) complex array
+        What a unit of each input leaves in the states at the end of its sample.
+    powers : (n_states, SHORT) complex array
+        Decays over 0 to SHORT - 1 samples [1].
+    into_state : tuple of (states, (n, SHORT) complex array)
+        For each input the states that it pushes, and what the samples of a block leave in them.
+    used : tuple of (inputs, states)
+        For each output the inputs and states that it depends on; the others cost nothing.
     table : tuple of arrays
-        For each output the product's right side: its channels' samples, then its states' parts.
+        For each output the product's right side: its inputs' samples, then its states' parts.
     """
 
     scan: Scan
-    into_state: FloatArray
+    push: ComplexArray
+    powers: ComplexArray
+    into_state: tuple[tuple[NDArray[np.intp], ComplexArray], ...]
     used: tuple[tuple[tuple[int, ...], tuple[int, ...]], ...]
     table: tuple[FloatArray, ...]
 
     @classmethod
     def of(cls, system: DiagonalSystem, output: ComplexArray, hold: float) -> BlockKernel:
-        """Return the kernel of outputs that are the real part of ``output @ state``.
+        """Return the kernel of held voltages, and of outputs that are the real part of ``output @ state``.
 
         Parameters
         ----------
@@ -135,34 +114,64 @@ class BlockKernel:
         hold : float
             Length of a sample [s].
         """
-        held = system.held_gain(hold)
-        powers = decay(system.exponent, hold, np.arange(SHORT))
-        into_state = held.T[:, :, None] * powers[:, ::-1]
-        # Sample i of a block hears what a volt did i - m - 1 samples ago, and no volt that is still to come.
-        heard = np.zeros((output.shape[0], held.shape[1], 2 * SHORT))
-        heard[:, :, SHORT + 1 :] = ((output[:, None, :] * held.T) @ powers[:, :-1]).real
+        return cls.of_pushes(system.exponent, system.held_gain(hold), output, hold)
+
+    @classmethod
+    def of_pushes(cls, exponent: ComplexArray, push: ComplexArray, output: ComplexArray, hold: float) -> BlockKernel:
+        """Return the kernel of inputs of any kind.
+
+        Parameters
+        ----------
+        exponent : (n_states,) complex array
+            Exponents [1/s].
+        push : (n_states, n_inputs) complex array
+            What a unit of each input leaves in the states at the end of its sample.
+        output : (n_outputs, n_states) complex array
+            What is read off the states.
+        hold : float
+            Length of a sample [s].
+        """
+        powers = decay(exponent, hold, np.arange(SHORT))
+        into_state = []
+        for column in push.T:
+            pushed = np.flatnonzero(column)
+            into_state.append((pushed, column[pushed, None] * powers[pushed, ::-1]))
+        kernel = cls(Scan.of(exponent, hold), push, powers, tuple(into_state), (), ())
+        return kernel.reading(output) if len(output) else kernel
+
+    def reading(self, output: ComplexArray) -> BlockKernel:
+        """Return the kernel of the same inputs and states with other outputs.
+
+        Parameters
+        ----------
+        output : (n_outputs, n_states) complex array
+            What is read off the states.
+        """
+        # Sample i of a block hears what an input did i - m - 1 samples ago, and none that is still to come.
+        heard = np.zeros((output.shape[0], self.push.shape[1], 2 * SHORT))
+        heard[:, :, SHORT + 1 :] = ((output[:, None, :] * self.push.T) @ self.powers[:, :-1]).real
         toeplitz = np.lib.stride_tricks.sliding_window_view(heard, SHORT, axis=2)[:, :, SHORT:0:-1]
-        acts = np.abs(output) @ np.abs(held) > 0
+        acts = np.abs(output) @ np.abs(self.push) > 0
         used, table = [], []
         for row, hears, which in zip(output, toeplitz, acts, strict=True):
-            states, channels = np.flatnonzero(row), np.flatnonzero(which)
-            weighted = row[states, None] * powers[states]
-            used.append((tuple(channels.tolist()), tuple(states.tolist())))
-            table.append(np.concatenate([hears[channels].reshape(-1, SHORT), weighted.real, -weighted.imag]))
-        return cls(
-            scan=Scan.of(system.exponent, hold),
-            into_state=np.concatenate([into_state.real, into_state.imag], axis=1),
-            used=tuple(used),
-            table=tuple(table),
-        )
+            states, inputs = np.flatnonzero(row), np.flatnonzero(which)
+            weighted = row[states, None] * self.powers[states]
+            used.append((tuple(inputs.tolist()), tuple(states.tolist())))
+            table.append(np.concatenate([hears[inputs].reshape(-1, SHORT), weighted.real, -weighted.imag]))
+        return replace(self, used=tuple(used), table=tuple(table))
+
+    @property
+    def n_states(self) -> int:
+        """Number of states."""
+        return int(self.scan.power.shape[0])
 
     def states(self, blocks: FloatArray, state: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
         """Return the states at the starts of the blocks, and after the last.
 
         Parameters
         ----------
-        blocks : (n_channels, n_blocks, SHORT) array
-            Their voltages [V].
+        blocks : (n_inputs, n_blocks, SHORT) array
+            Their inputs.
         state : (n_states,) complex array
             At the start of the first.
 
@@ -173,18 +182,30 @@ class BlockKernel:
         after : (n_states,) complex array
             After the last.
         """
-        pushed = np.matmul(self.into_state, blocks.transpose(0, 2, 1)).sum(axis=0)
-        together = np.empty((state.size, blocks.shape[1]), dtype=complex)
-        together.real, together.imag = pushed[: state.size], pushed[state.size :]
-        return self.scan.follow(together, state)
+        return self.scan.follow(self.pushed(blocks), state)
+
+    def pushed(self, blocks: FloatArray) -> ComplexArray:
+        """Return what each block leaves in the states at its end, (n_states, n_blocks) array.
+
+        Parameters
+        ----------
+        blocks : (n_inputs, n_blocks, SHORT) array
+            Their inputs.
+        """
+        together = np.zeros((self.n_states, blocks.shape[1]), dtype=complex)
+        for (states, column), rows in zip(self.into_state, blocks, strict=True):
+            parts = np.concatenate([column.real, column.imag]) @ rows.T
+            together.real[states] += parts[: states.size]
+            together.imag[states] += parts[states.size :]
+        return together
 
     def respond(self, blocks: FloatArray, begin: ComplexArray, out: FloatArray) -> None:
         """Write the outputs at the starts of the samples.
 
         Parameters
         ----------
-        blocks : (n_channels, n_blocks, SHORT) array
-            Their voltages [V].
+        blocks : (n_inputs, n_blocks, SHORT) array
+            Their inputs.
         begin : (n_states, n_blocks) complex array
             From `states`.
         out : (n_outputs, n_samples) array
@@ -192,11 +213,11 @@ class BlockKernel:
         """
         n_whole, rest = divmod(out.shape[1], SHORT)
         sides: dict[tuple[tuple[int, ...], int], FloatArray] = {}
-        for (channels, states), table, row in zip(self.used, self.table, out, strict=True):
-            # Outputs of the same channels share one left side; only its states are written anew.
-            key = (channels, len(states))
+        for (inputs, states), table, row in zip(self.used, self.table, out, strict=True):
+            # Outputs of the same inputs share one left side; only its states are written anew.
+            key = (inputs, len(states))
             if key not in sides:
-                sides[key] = _voltages_beside(blocks, channels, len(states))
+                sides[key] = _inputs_beside(blocks, inputs, len(states))
             side = sides[key]
             _write_states(side, begin, states)
             np.matmul(side[:n_whole], table, out=row[: n_whole * SHORT].reshape(n_whole, SHORT))
@@ -210,47 +231,44 @@ class BlockKernel:
         ----------
         place : int
             Which output.
-        blocks : (n_channels, n_blocks, SHORT) array
-            Their voltages [V].
+        blocks : (n_inputs, n_blocks, SHORT) array
+            Their inputs.
         begin : (n_states, n_blocks) complex array
             The states at their starts.
         """
-        channels, states = self.used[place]
-        side = _voltages_beside(blocks, channels, len(states))
+        inputs, states = self.used[place]
+        side = _inputs_beside(blocks, inputs, len(states))
         _write_states(side, begin, states)
         return np.asarray(side @ self.table[place])
 
     def bounds(self, blocks: FloatArray, begin: ComplexArray) -> FloatArray:
         """Return what each output cannot pass within each block, (n_outputs, n_blocks) array.
 
-        The states bound the free part; the forced part is bounded by the block's mean voltage, of which a fast mode
+        The states bound the free part; the forced part is bounded by the block's mean input, of which a fast mode
         feels little, and by the energy of what remains.
 
         Parameters
         ----------
-        blocks : (n_channels, n_blocks, SHORT) array
-            Their voltages [V].
+        blocks : (n_inputs, n_blocks, SHORT) array
+            Their inputs.
         begin : (n_states, n_blocks) complex array
             From `states`.
         """
         free, steady, worst = self._bound_weights
-        mean = blocks @ np.full(SHORT, 1 / SHORT)
-        energy = np.einsum("cji,cji->cj", blocks, blocks)
-        swing = np.sqrt(np.maximum(energy * (1 + 1e-12) - SHORT * mean**2, 0.0))
-        return np.asarray(free @ np.abs(begin) + steady @ np.abs(mean) + worst @ swing)
+        effort = Effort.of(blocks, begin)
+        return np.asarray(free @ effort.size + steady @ effort.mean + worst @ effort.swing)
 
     @cached_property
     def _bound_weights(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """What a state, a steady volt and a block of unit energy can do to each output at most."""
-        n_channels, n_states = self.into_state.shape[0], self.into_state.shape[1] // 2
-        free = np.zeros((len(self.used), n_states))
-        steady, worst = np.zeros((2, len(self.used), n_channels))
-        for place, ((channels, states), table) in enumerate(zip(self.used, self.table, strict=True)):
-            width = SHORT * len(channels)
-            impulse = table[:width].reshape(len(channels), SHORT, SHORT)
-            free[place, states] = np.hypot(table[width : -len(states), 0], table[-len(states) :, 0])
-            steady[place, channels] = np.abs(impulse.sum(axis=1)).max(axis=1)
-            worst[place, channels] = np.sqrt((impulse**2).sum(axis=1).max(axis=1))
+        """What a state, a steady input and a block of unit energy can do to each output at most."""
+        free = np.zeros((len(self.used), self.n_states))
+        steady, worst = np.zeros((2, len(self.used), len(self.into_state)))
+        for place, ((inputs, states), table) in enumerate(zip(self.used, self.table, strict=True)):
+            width = SHORT * len(inputs)
+            impulse = table[:width].reshape(len(inputs), SHORT, SHORT)
+            free[place, states] = np.hypot(table[width : width + len(states), 0], table[width + len(states) :, 0])
+            steady[place, inputs] = np.abs(impulse.sum(axis=1)).max(axis=1)
+            worst[place, inputs] = np.sqrt((impulse**2).sum(axis=1).max(axis=1))
         return free, steady, worst
 
     def peak(self, place: int, blocks: FloatArray, begin: ComplexArray, bound: FloatArray, least: float) -> float:
@@ -262,8 +280,8 @@ class BlockKernel:
         ----------
         place : int
             Which output.
-        blocks : (n_channels, n_blocks, SHORT) array
-            Their voltages [V].
+        blocks : (n_inputs, n_blocks, SHORT) array
+            Their inputs.
         begin : (n_states, n_blocks) complex array
             From `states`.
         bound : (n_blocks,) array
@@ -282,11 +300,11 @@ class BlockKernel:
         return least
 
 
-def _voltages_beside(blocks: FloatArray, channels: tuple[int, ...], n_states: int) -> FloatArray:
-    """Return the left side of a product: the channels' samples, and room for the states beside them."""
-    side = np.empty((blocks.shape[1], SHORT * len(channels) + 2 * n_states))
-    for place, channel in enumerate(channels):
-        side[:, place * SHORT : (place + 1) * SHORT] = blocks[channel]
+def _inputs_beside(blocks: FloatArray, inputs: tuple[int, ...], n_states: int) -> FloatArray:
+    """Return the left side of a product: the inputs' samples, and room for the states beside them."""
+    side = np.empty((blocks.shape[1], SHORT * len(inputs) + 2 * n_states))
+    for place, which in enumerate(inputs):
+        side[:, place * SHORT : (place + 1) * SHORT] = blocks[which]
     return side
 
 

@@ -52,7 +52,20 @@ class Burst:
         velocity : float
             Peak velocity at the focus [m/s].
         """
-        return tuple(round_amplitude(a * velocity / self.velocity) for a in self.amplitude)
+        return amplitudes_at(self.amplitude, velocity, self.velocity)
+
+
+def amplitudes_at(amplitude: tuple[float, ...], velocity: float, reference: float) -> tuple[float, ...]:
+    """Return amplitudes at a level, on the instrument's grid [V peak to peak].
+
+    Parameters
+    ----------
+    amplitude : tuple of float
+        Of each channel at the reference level [V peak to peak].
+    velocity, reference : float
+        The level, and that for which the amplitudes hold [m/s].
+    """
+    return tuple(round_amplitude(a * velocity / reference) for a in amplitude)
 
 
 def round_amplitude(amplitude: float) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -10,21 +10,25 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from modaltouch.stimulus.bounds import require_positive
-from modaltouch.stimulus.burst import MID_CODE, Burst
+from modaltouch.stimulus.burst import MID_CODE, Burst, amplitudes_at
+from modaltouch.stimulus.course import Course
 from modaltouch.stimulus.drive import Drive, Law, Release, exact_drive
 from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem, modal_system
 from modaltouch.stimulus.field import Projection
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.paper_law import paper_drive
-from modaltouch.stimulus.quantise import full_scale, quantise, signed_codes
+from modaltouch.stimulus.quantise import full_scale, round_to_codes, unsigned_codes
 from modaltouch.stimulus.settling import settle
 from modaltouch.stimulus.timing import Timing
-from modaltouch.stimulus.vibration import peak_velocity, states_by_channel
+from modaltouch.stimulus.vibration import states_by_channel
 from modaltouch.stimulus.wish import Wish
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Rounding = Literal["settled", "plain"]
+
+_LAWLESS = ("projection", "system", "_shapes", "fwhm", "width_80", "reconstruction_error")
+"""What a stimulus computes that does not depend on its drive law."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,17 +115,17 @@ class Stimulus:
         """Condition number of the scaled Gramian that was solved [1]; 1 for the paper's law: none is."""
         return self.drive.condition_number
 
-    @property
+    @cached_property
     def reconstruction_error(self) -> float:
         """Root mean square of what the selected modes leave of the wish, over that of the wish [1]."""
         return self.projection.reconstruction_error
 
-    @property
+    @cached_property
     def fwhm(self) -> float:
         """Width of the reached field at half its centre's velocity [m]."""
         return self.projection.width(0.5)
 
-    @property
+    @cached_property
     def width_80(self) -> float:
         """Width of the reached field at 80 % of its centre's velocity [m]."""
         return self.projection.width(0.8)
@@ -129,34 +133,63 @@ class Stimulus:
     @cached_property
     def burst(self) -> Burst:
         """The codes, common to all levels, and each channel's amplitude at the reference level."""
-        to_beam = self.amplifier.gain * self.load_factor
-        shares = tuple(v / self.wish.velocity for v in self.levels)
-        amplitude = tuple(full_scale(2 * float(v) / to_beam, shares) for v in self.peak_voltage)
-        volts_per_code = np.asarray(amplitude) * to_beam / 2 / MID_CODE
-        codes = quantise(self.voltage, volts_per_code)
-        if self.law == "exact" and self.rounding == "settled":
-            error = self._rounding_error(codes, volts_per_code)
-            largest = float(np.abs(self.target).max())
-            codes = settle(codes, volts_per_code, self.system, self.timing, error, largest)
         return Burst(
-            codes=codes,
+            codes=unsigned_codes(self._played),
             duration=self.timing.duration,
             repetition_rate=self.timing.repetition_rate,
             velocity=self.wish.velocity,
-            amplitude=amplitude,
+            amplitude=self._amplitude,
         )
 
-    def _rounding_error(self, codes: NDArray[np.uint16], volts_per_code: FloatArray) -> FloatArray:
-        """Return what the codes fall short of the targets at the focusing instant, (2 n_modes,) array [m/s]."""
-        instant = self.timing.focusing_instant
-        states = volts_per_code @ states_by_channel(self.system, signed_codes(codes), self.timing, instant)
-        reached, displacement = self._read(states)
-        return np.concatenate([self.target - reached, -displacement])
+    @property
+    def _to_beam(self) -> float:
+        """Volts at the beam for a volt of the open generator [1]."""
+        return self.amplifier.gain * self.load_factor
+
+    @cached_property
+    def _amplitude(self) -> tuple[float, ...]:
+        """Amplitude of each channel at the reference level [V peak to peak, open circuit]."""
+        shares = tuple(v / self.wish.velocity for v in self.levels)
+        return tuple(full_scale(2 * float(v) / self._to_beam, shares) for v in self.peak_voltage)
 
     @cached_property
     def _played(self) -> FloatArray:
         """Signed codes, (n_channels, n_samples) array [1]."""
-        return signed_codes(self.burst.codes)
+        volts_per_code = np.asarray(self._amplitude) * (self._to_beam / 2 / MID_CODE)
+        codes = round_to_codes(self.voltage, volts_per_code)
+        if self.law != "exact" or self.rounding != "settled":
+            return codes
+        states = volts_per_code @ states_by_channel(self.system, codes, self.timing, self.timing.focusing_instant)
+        reached, displacement = self._read(states)
+        error = np.concatenate([self.target - reached, -displacement])
+        return settle(codes, volts_per_code, self.system, self.timing, error, float(np.abs(self.target).max()))
+
+    @cached_property
+    def _highest_code(self) -> FloatArray:
+        """Largest magnitude of each channel's signed codes, (n_channels,) array [1]."""
+        return np.asarray(np.maximum(self._played.max(axis=1), -self._played.min(axis=1)))
+
+    def peak_drive(self, velocity: float) -> FloatArray:
+        """Return the highest magnitude of each channel's voltage as played at a level, (n_channels,) array [V].
+
+        Parameters
+        ----------
+        velocity : float
+            Level [m/s].
+        """
+        return self._highest_code * self.volts_per_code(velocity)
+
+    def under_law(self, law: Law) -> Stimulus:
+        """Return the same stimulus under another drive law; what does not depend on the law is not computed again.
+
+        Parameters
+        ----------
+        law : str
+            ``exact`` or ``paper``.
+        """
+        other = replace(self, law=law)
+        vars(other).update({name: getattr(self, name) for name in _LAWLESS})
+        return other
 
     @cached_property
     def _states_per_volt(self) -> ComplexArray:
@@ -171,9 +204,18 @@ class Stimulus:
         velocity : float
             Level [m/s].
         """
+        return np.asarray(self.amplitude_for(velocity)) * (self._to_beam / 2 / MID_CODE)
+
+    def amplitude_for(self, velocity: float) -> tuple[float, ...]:
+        """Return the amplitude of each channel at a level, as that of `burst` [V peak to peak, open circuit].
+
+        Parameters
+        ----------
+        velocity : float
+            Level [m/s].
+        """
         require_positive("the velocity level", velocity, "m/s", "the paper has 0.08 to 0.2 m/s")
-        amplitude = np.asarray(self.burst.amplitude_for(velocity))
-        return amplitude * (self.amplifier.gain * self.load_factor / 2 / MID_CODE)
+        return amplitudes_at(self._amplitude, velocity, self.wish.velocity)
 
     def voltage_played(self, velocity: float) -> FloatArray:
         """Return the voltages at the beam of the codes as played at a level, (n_channels, n_samples) array [V].
@@ -274,9 +316,45 @@ class Stimulus:
         return {}
 
     @cached_property
-    def _peaks(self) -> dict[tuple[float, ...], FloatArray]:
-        """Peak speeds already computed, by the channels' ratio and the positions."""
+    def _courses(self) -> dict[tuple[float, ...], tuple[Course, dict[float, float]]]:
+        """Courses of the codes already computed, and peaks by position, by the channels' ratio."""
         return {}
+
+    def _course(self, velocity: float) -> tuple[Course, dict[float, float], float]:
+        """Return the course of the codes at a level, known peaks by position, and what both are to be scaled by.
+
+        Levels that keep the channels' ratio only scale: one course serves them all.
+        """
+        unit = self.volts_per_code(velocity)
+        largest = float(unit.max())
+        ratio = tuple(round(float(u), 12) for u in unit / largest)
+        if ratio not in self._courses:
+            # Codes for volts: what a code is worth goes into the gains, and no voltages are written out.
+            gain = self.system.input_gain * (unit / largest)
+            course = Course.of(replace(self.system, input_gain=gain), self._played, self.timing)
+            self._courses[ratio] = course, {}
+        return *self._courses[ratio], largest
+
+    def _reading(self, positions: ArrayLike) -> ComplexArray:
+        """Return what reads the velocity at points off the states, (n_positions, n_states) array."""
+        return np.asarray(self._shapes_at(positions).T @ self.system.velocity)
+
+    def passes(self, positions: ArrayLike, velocity: float, limit: float) -> bool:
+        """Return whether the speed at any of some points of the beam passes a limit.
+
+        No more is computed than it takes to know: far below the limit, the envelope is enough.
+
+        Parameters
+        ----------
+        positions : (n_positions,) array_like
+            Where, origin at mid-beam [m].
+        velocity : float
+            Level [m/s].
+        limit : float
+            Speed [m/s].
+        """
+        course, _, scale = self._course(velocity)
+        return bool((course.peak(self._reading(positions), limit / scale) * scale > limit).any())
 
     def peak_velocity(self, positions: ArrayLike, velocity: float) -> FloatArray:
         """Return the highest speed at points of the beam until the next burst, (n_positions,) array [m/s].
@@ -288,12 +366,8 @@ class Stimulus:
         velocity : float
             Level [m/s].
         """
-        place = np.atleast_1d(np.asarray(positions, dtype=float))
-        unit = self.volts_per_code(velocity)
-        largest = float(unit.max())
-        # Levels that keep the channels' ratio only scale: one response serves them all.
-        key = (*(round(float(u), 12) for u in unit / largest), *place.tolist())
-        if key not in self._peaks:
-            voltage = self._played * (unit / largest)[:, None]
-            self._peaks[key] = peak_velocity(self.model, voltage, self.timing, place, self.amplifier)
-        return self._peaks[key] * largest
+        place = np.atleast_1d(np.asarray(positions, dtype=float)).tolist()
+        course, known, scale = self._course(velocity)
+        if asked := [point for point in dict.fromkeys(place) if point not in known]:
+            known.update(zip(asked, course.peak(self._reading(asked)).tolist(), strict=True))
+        return np.array([known[point] for point in place]) * scale

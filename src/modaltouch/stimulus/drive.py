@@ -115,9 +115,11 @@ def exact_drive(
     reach, read, wished, braked_from = steering(model, system, timing, target)
     n_before = reach.taper.n_samples
     voltage = np.zeros((model.n_channels, timing.n_samples))
-    condition, residual = _steer(system, timing, reach, (read, wished), voltage[:, :n_before])
+    condition, residual, state = _steer(system, timing, reach, (read, wished), voltage[:, :n_before])
     if release == "braked":
-        brake(model, system, timing, voltage, braked_from)
+        # No sample acts between the focusing instant and the arrival of the first that brakes.
+        ahead = braked_from * timing.hold + system.delay - timing.focusing_instant
+        brake(model, system, timing, voltage, braked_from, state * np.exp(system.exponent * ahead))
     return Drive(voltage, condition, residual, n_before)
 
 
@@ -176,8 +178,8 @@ def _steer(
     reach: Reach,
     goal: tuple[ComplexArray, FloatArray],
     voltage: FloatArray,
-) -> tuple[float, float]:
-    """Write the voltages that read the goal at the focusing instant; return condition number and residual.
+) -> tuple[float, float, ComplexArray]:
+    """Write the voltages that read the goal at the focusing instant; return condition number, residual and state.
 
     The residual is measured forward, on the voltages as written and the clock as it is, and solved for again:
     that takes the rounding of the closed-form Gramian and the unevenness of the clock out of the result.
@@ -185,7 +187,7 @@ def _steer(
     read, wished = goal
     solver = GramianSolver.of(reach.gramian())
     weight = np.zeros_like(wished)
-    best, kept = np.inf, weight
+    best, kept, kept_state = np.inf, weight, np.zeros(system.exponent.size, dtype=complex)
     short = wished
     for _ in range(_REFINEMENTS):
         weight = weight + solver.solve(short)
@@ -195,15 +197,22 @@ def _steer(
         residual = float(np.abs(short).max())
         if residual >= 0.5 * best:
             break
-        best, kept = residual, weight
+        best, kept, kept_state = residual, weight, state
         if residual <= _ROUNDING * float(np.abs(wished).max()):
             break
     if kept is not weight:
         reach.write(reach.amplitudes(kept), voltage)
-    return solver.condition_number, best
+    return solver.condition_number, best, kept_state
 
 
-def brake(model: ModalModel, system: DiagonalSystem, timing: Timing, voltage: FloatArray, start: int) -> None:
+def brake(
+    model: ModalModel,
+    system: DiagonalSystem,
+    timing: Timing,
+    voltage: FloatArray,
+    start: int,
+    state: ComplexArray,
+) -> None:
     """Write the cheapest voltages from a sample on that leave every driven mode at rest when the burst ends.
 
     Parameters
@@ -218,6 +227,8 @@ def brake(model: ModalModel, system: DiagonalSystem, timing: Timing, voltage: Fl
         Voltages of the burst, zero from `start` on, which is overwritten [V].
     start : int
         First sample that brakes.
+    state : (n_states,) complex array
+        States when that sample arrives at the beam, after the amplifier's delay.
 
     Raises
     ------
@@ -238,10 +249,8 @@ def brake(model: ModalModel, system: DiagonalSystem, timing: Timing, voltage: Fl
         hold=timing.hold,
         taper=Taper.fitting(n_left, RISE * timing.sampling_rate, RISE * timing.sampling_rate),
     )
-    begin = start * timing.hold
-    state = states_by_channel(system, voltage, timing, begin + system.delay).sum(axis=0)
-    state = state * np.exp(system.exponent * (timing.duration - begin))
-    weight = GramianSolver.of(reach.gramian()).solve(-(read @ state).real)
+    left = state * np.exp(system.exponent * (timing.duration - start * timing.hold))
+    weight = GramianSolver.of(reach.gramian()).solve(-(read @ left).real)
     reach.write(reach.amplitudes(weight), voltage[:, start:])
 
 

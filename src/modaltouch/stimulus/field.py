@@ -223,17 +223,23 @@ class Projection:
         """
         if not 0 < fraction < 1:
             raise ValueError(f"a width is asked at {fraction} of the centre; give a fraction above 0 and below 1")
-        half = self.model.length / 2
         level = fraction * self.wish.velocity
         ends = []
-        for end in (-half, half):
-            position = np.linspace(self.wish.centre, end, 301)
-            below = np.flatnonzero(self.field(position) < level)
+        for position, field in self._flanks:
+            below = np.flatnonzero(field < level)
             if below.size == 0 or below[0] == 0:
-                ends.append(end if below.size == 0 else self.wish.centre)
+                ends.append(float(position[-1 if below.size == 0 else 0]))
                 continue
             i = int(below[0])
             between = np.linspace(position[i - 1], position[i], 31)
             above = self.field(between) - level
             ends.append(float(np.interp(0.0, -above, between)))
         return ends[1] - ends[0]
+
+    @cached_property
+    def _flanks(self) -> list[tuple[FloatArray, FloatArray]]:
+        """Positions from the centre to the left and to the right end [m], and the field there [m/s]."""
+        half = self.model.length / 2
+        # Eight points to a half wave of the highest mode at least.
+        sides = [np.linspace(self.wish.centre, end, 8 * max(self.selected) + 13) for end in (-half, half)]
+        return [(position, self.field(position)) for position in sides]

@@ -73,17 +73,13 @@ class Taper:
         rate : complex array
             Exponents per sample, real parts at most 0 [1].
         """
-        falling, rising = 1j * np.pi / self.fall, 1j * np.pi / self.rise
-        flat_until = self.n_samples - self.rise
-        at_fall = 0.5 * _geometric(rate, self.fall) - 0.25 * (
-            _geometric(rate + falling, self.fall) + _geometric(rate - falling, self.fall)
-        )
-        flat = np.exp(rate * self.fall) * _geometric(rate, flat_until - self.fall)
-        turn = np.exp(rising * (self.rise - 1))
-        at_rise = 0.5 * _geometric(rate, self.rise) - 0.25 * (
-            turn * _geometric(rate - rising, self.rise) + turn.conjugate() * _geometric(rate + rising, self.rise)
-        )
-        return np.asarray(at_fall + flat + np.exp(rate * flat_until) * at_rise)
+        flat_for = self.n_samples - self.rise - self.fall
+        step = np.expm1(rate)
+        over_fall, over_flat, over_rise = (np.expm1(rate * n) for n in (self.fall, flat_for, self.rise))
+        at_fall = 0.5 * _geometric(step, over_fall, self.fall) - 0.25 * _turned(rate, over_fall, self.fall, 0)
+        flat = _geometric(step, over_flat, flat_for)
+        at_rise = 0.5 * _geometric(step, over_rise, self.rise) + 0.25 * _turned(rate, over_rise, self.rise, 1)
+        return np.asarray(at_fall + (1 + over_fall) * (flat + (1 + over_flat) * at_rise))
 
 
 def raised_cosine(n: int) -> FloatArray:
@@ -97,11 +93,25 @@ def raised_cosine(n: int) -> FloatArray:
     return np.asarray(np.sin(np.arange(n) * (np.pi / (2 * n))) ** 2)
 
 
-def _geometric(rate: ComplexArray, n: int) -> ComplexArray:
-    """Return the sum of exp(rate * m) for m from 0 to n - 1."""
-    step = np.expm1(rate)
+def _geometric(step: ComplexArray, over_all: ComplexArray, n: int) -> ComplexArray:
+    """Return the sum of exp(rate * m) for m from 0 to n - 1, from expm1(rate) and expm1(rate * n)."""
     still = step == 0
-    return np.where(still, n, np.expm1(rate * n) / np.where(still, 1, step))
+    return np.where(still, n, over_all / np.where(still, 1, step))
+
+
+def _turned(rate: ComplexArray, over_all: ComplexArray, n: int, shift: int) -> ComplexArray:
+    """Return the sum of exp(rate * m) * 2 cos(pi (m + shift) / n) for m from 0 to n - 1, with expm1(rate * n).
+
+    Over n samples the cosine turns by half a turn, so that exp(n (rate +- i pi / n)) is -exp(rate n).
+    """
+    angle = 1j * np.pi / n
+    ahead, behind = np.expm1(rate + angle), np.expm1(rate - angle)
+    turn = np.exp(angle * shift)
+    whole = -2.0 - over_all
+    return np.asarray(
+        np.where(ahead == 0, n, whole / np.where(ahead == 0, 1, ahead)) * turn
+        + np.where(behind == 0, n, whole / np.where(behind == 0, 1, behind)) * np.conjugate(turn)
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,8 +139,7 @@ class Reach:
     def gramian(self) -> FloatArray:
         """Return W = R D R^T, (n_conditions, n_conditions) array."""
         rate = self.exponent * self.hold
-        together = self.taper.transform(rate[:, None] + rate)
-        against = self.taper.transform(rate[:, None] + rate.conj())
+        together, against = self.taper.transform(np.stack([rate[:, None] + rate, rate[:, None] + rate.conj()]))
         rows = self.row.transpose(1, 0, 2)
         gram = rows @ together @ rows.transpose(0, 2, 1) + rows @ against @ rows.conj().transpose(0, 2, 1)
         return np.asarray(0.5 * gram.real.sum(axis=0))

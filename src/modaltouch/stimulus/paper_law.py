@@ -77,8 +77,11 @@ def paper_drive(
     voltage = np.zeros((model.n_channels, timing.n_samples))
     synthesise(amplitude, exponent, timing.hold, voltage[:, :n_before])
     voltage[:, 0] = 0.0
+    instant, arrival = timing.focusing_instant, n_before * timing.hold + system.delay
+    state = states_by_channel(system, voltage, timing, instant).sum(axis=0)
     if release == "braked":
-        brake(model, system, timing, voltage, n_before)
-    state = states_by_channel(system, voltage, timing, timing.focusing_instant).sum(axis=0)
+        late = abs(arrival - instant) > 1e-9 * timing.hold
+        begin = states_by_channel(system, voltage, timing, arrival).sum(axis=0) if late else state
+        brake(model, system, timing, voltage, n_before, begin)
     miss = np.concatenate([(system.velocity @ state).real - target, (system.displacement @ state).real])
     return Drive(voltage, 1.0, float(np.abs(miss).max()), n_before)

@@ -47,8 +47,8 @@ def full_scale(least: float, shares: tuple[float, ...]) -> float:
     return best
 
 
-def quantise(voltage: FloatArray, volts_per_code: FloatArray) -> NDArray[np.uint16]:
-    """Return the nearest codes; the first and the last are mid-scale, where the generator idles.
+def round_to_codes(voltage: FloatArray, volts_per_code: FloatArray) -> FloatArray:
+    """Return the nearest signed codes; the first and the last are 0, where the generator idles.
 
     Parameters
     ----------
@@ -59,29 +59,39 @@ def quantise(voltage: FloatArray, volts_per_code: FloatArray) -> NDArray[np.uint
 
     Returns
     -------
-    (n_channels, n_samples) array of uint16
-        Codes, 0 to 16382.
+    (n_channels, n_samples) array
+        Whole numbers, -8191 to 8191 [1].
 
     Raises
     ------
     ValueError
         If a voltage passes the full scale.
     """
-    codes = np.full(voltage.shape, MID_CODE, dtype=np.uint16)
-    steps = np.empty(voltage.shape[1])
-    for channel, (row, unit) in enumerate(zip(voltage, volts_per_code, strict=True)):
+    steps = np.empty(voltage.shape)
+    for channel, (row, unit, out) in enumerate(zip(voltage, volts_per_code, steps, strict=True)):
         if unit <= 0:
+            out[:] = 0.0
             continue
-        np.rint(np.divide(row, unit, out=steps), out=steps)
-        if max(steps.max(), -steps.min()) > MID_CODE:
+        np.rint(np.divide(row, unit, out=out), out=out)
+        if max(out.max(), -out.min()) > MID_CODE:
             raise ValueError(
                 f"channel {channel + 1} peaks at {np.abs(row).max():g} V, beyond its full scale of "
                 f"{unit * MID_CODE:g} V: raise the full scale"
             )
-        steps += MID_CODE
-        codes[channel] = steps
-    codes[:, 0] = codes[:, -1] = MID_CODE
-    return codes
+    steps[:, 0] = steps[:, -1] = 0.0
+    return steps
+
+
+def unsigned_codes(signed: FloatArray) -> NDArray[np.uint16]:
+    """Return codes as the generator takes them, 0 to 16382, (n_channels, n_samples) array.
+
+    Parameters
+    ----------
+    signed : (n_channels, n_samples) array
+        Codes counted from mid-scale [1].
+    """
+    codes = np.empty(signed.shape, dtype=np.uint16)
+    return np.add(signed, MID_CODE, out=codes, casting="unsafe")
 
 
 def signed_codes(codes: NDArray[np.uint16]) -> FloatArray:
@@ -92,4 +102,4 @@ def signed_codes(codes: NDArray[np.uint16]) -> FloatArray:
     codes : (n_channels, n_samples) array of uint16
         Codes, 0 to 16382.
     """
-    return codes.astype(float) - MID_CODE
+    return np.subtract(codes, MID_CODE, dtype=float)

@@ -17,32 +17,37 @@ from modaltouch.stimulus.synthesis import decay
 from modaltouch.stimulus.timing import Timing
 
 FloatArray = NDArray[np.float64]
-CodeArray = NDArray[np.uint16]
+ComplexArray = NDArray[np.complex128]
 
 GOAL = 3e-8
 """Error, as a fraction of the largest target, below which a mode is no longer urgent [1]."""
 
-_VISITS = (600, 1000, 2000)
+_VISITS = (300, 600, 1000, 2000)
 """Samples visited on each channel; more only where fewer do not settle it."""
 
 _SETTLED = 3e-7
 """Error, as a fraction of the largest target, at which no more samples are visited [1]."""
 
+_TOGETHER = 64
+"""Moves whose effects on each other are computed at once."""
+
 
 def settle(
-    codes: CodeArray,
+    codes: FloatArray,
     volts_per_code: FloatArray,
     system: DiagonalSystem,
     timing: Timing,
     error: FloatArray,
     largest: float,
-) -> CodeArray:
+) -> FloatArray:
     """Return codes, each changed by one at most, that leave next to no error of rounding at the focusing instant.
+
+    The codes given are changed in place where that is better: they are those returned.
 
     Parameters
     ----------
-    codes : (n_channels, n_samples) array of uint16
-        Rounded codes, 0 to 16382.
+    codes : (n_channels, n_samples) array
+        Rounded codes, -8191 to 8191 [1].
     volts_per_code : (n_channels,) array
         At the beam [V]; 0 for a silent channel.
     system : DiagonalSystem
@@ -57,18 +62,21 @@ def settle(
 
     Returns
     -------
-    (n_channels, n_samples) array of uint16
-        Codes, 0 to 16382.
+    (n_channels, n_samples) array
+        Codes, -8191 to 8191 [1].
     """
-    best, smallest = codes, float(np.abs(error).max())
+    best: _Walk | None = None
+    changes, smallest = np.zeros(0), float(np.abs(error).max())
     for n_visits in _VISITS:
         if smallest <= _SETTLED * largest:
             break
         walk = _Walk(codes, volts_per_code, system, timing, largest * GOAL, n_visits)
-        changed, left = walk.settle(error)
+        tried, left = walk.settle(error)
         if left < smallest:
-            best, smallest = changed, left
-    return best
+            best, changes, smallest = walk, tried, left
+    if best is not None:
+        codes[best.channel, best.sample] += changes
+    return codes
 
 
 class _Walk:
@@ -76,7 +84,7 @@ class _Walk:
 
     def __init__(
         self,
-        codes: CodeArray,
+        codes: FloatArray,
         volts_per_code: FloatArray,
         system: DiagonalSystem,
         timing: Timing,
@@ -91,28 +99,56 @@ class _Walk:
         urgent = step > goal
         span = np.max(np.log(step[urgent] / goal) / rate[urgent], initial=float(n_visits))
         span = max(2, int(min(span, n_before - 2)))
-        ago = np.unique(np.geomspace(1, span, n_visits).astype(np.int64))
+        # Equal neighbours after rounding down are dropped; the first sample keeps its code.
+        ago = np.geomspace(1, span, n_visits).astype(np.int64)
+        ago = ago[np.diff(ago, prepend=0) > 0]
         ago = ago[ago < n_before]
         faded = decay(system.exponent, timing.hold, ago)
         channels = np.flatnonzero(volts_per_code)
-        moves = [(read @ (effect[:, c, None] * faded)).real.T for c in channels]
-        self.codes = codes
-        self.place = [(int(c), n_before - 1 - int(m)) for m in ago for c in channels]
-        self.move = np.stack(moves, axis=1).reshape(len(self.place), read.shape[0])
+        move = np.empty((ago.size, channels.size, read.shape[0]))
+        for place, channel in enumerate(channels.tolist()):
+            move[:, place] = (read @ (_on_clock(effect[:, channel], system, timing, n_before - 1 - ago) * faded)).real.T
         reach = np.maximum(step * np.exp(-rate * ago[:, None]), goal)
-        urgency = np.repeat(np.tile(reach**-2, (1, 2)), channels.size, axis=0)
-        self.pull = self.move * urgency
+        self.codes = codes
+        self.channel = np.tile(channels, ago.size)
+        self.sample = np.repeat(n_before - 1 - ago, channels.size)
+        self.move = move.reshape(-1, read.shape[0])
+        self.pull = (move.reshape(ago.size, channels.size, 2, -1) / (reach**2)[:, None, None]).reshape(self.move.shape)
         self.half = 0.5 * np.einsum("ij,ij->i", self.move, self.pull)
 
-    def settle(self, error: FloatArray) -> tuple[CodeArray, float]:
-        """Return the changed codes, and the largest error that they leave over [m/s]."""
-        codes, left = self.codes.copy(), error.copy()
-        for place, move, pull, half in zip(self.place, self.move, self.pull, self.half.tolist(), strict=True):
-            gain = float(pull @ left)
-            if abs(gain) > half:
-                sign = 1 if gain > 0 else -1
-                changed = int(codes[place]) + sign
-                if 0 <= changed <= 2 * MID_CODE:
-                    codes[place] = changed
-                    left -= sign * move
-        return codes, float(np.abs(left).max())
+    def settle(self, error: FloatArray) -> tuple[FloatArray, float]:
+        """Return the change of each code visited, and the largest error that they leave over [m/s]."""
+        left = error.copy()
+        change = np.zeros(self.half.size)
+        at_limit = np.abs(self.codes[self.channel, self.sample]) >= MID_CODE
+        half = np.where(at_limit, np.inf, self.half)
+        for start in range(0, half.size, _TOGETHER):
+            some = slice(start, start + _TOGETHER)
+            move, pull = self.move[some], self.pull[some]
+            change[some] = _changes(pull @ left, move @ pull.T, half[some].tolist())
+            left -= change[some] @ move
+        return change, float(np.abs(left).max())
+
+
+def _changes(gain: FloatArray, together: FloatArray, half: list[float]) -> list[float]:
+    """Return the changes of codes, -1, 0 or 1, one after the other wherever that lessens the error."""
+    changes = [0.0] * len(half)
+    for i, least in enumerate(half):
+        now = gain.item(i)
+        if now > least:
+            changes[i] = 1.0
+            gain -= together[i]
+        elif now < -least:
+            changes[i] = -1.0
+            gain += together[i]
+    return changes
+
+
+def _on_clock(effect: ComplexArray, system: DiagonalSystem, timing: Timing, sample: NDArray[np.int64]) -> ComplexArray:
+    """Return what a code does that is held as long as the clock holds that sample, (n_states, n or 1) array."""
+    if timing.lateness is None:
+        return effect[:, None]
+    s = system.exponent[:, None]
+    late, next_late = timing.lateness[sample], timing.lateness[sample + 1]
+    grown = np.exp(s * timing.hold)
+    return np.asarray(effect[:, None] * (1 + (grown * np.expm1(-s * late) - np.expm1(-s * next_late)) / (grown - 1)))

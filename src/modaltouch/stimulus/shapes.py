@@ -88,9 +88,16 @@ def mode_shapes(label: ArrayLike, position: ArrayLike, length: float, derivative
         raise ValueError(f"the derivative {derivative} of a mode shape is asked; give 0 or above")
     labels = np.atleast_1d(np.asarray(label))
     y = scaled_position(position, length)
+    if labels.min(initial=1) < 1:
+        raise ValueError(f"mode label {int(labels.min())} does not exist; labels count from 1 (the rigid translation)")
     shapes = np.empty((labels.size, y.size))
-    for row, k in zip(shapes, labels.tolist(), strict=True):
-        row[:] = _shape(int(k), y, derivative)
+    for kind in range(4):
+        # Rigid translation, rigid rotation, symmetric and antisymmetric bending modes.
+        rows = np.flatnonzero(labels == kind + 1 if kind < 2 else (labels > 2) & (labels % 2 == 1 - kind % 2))
+        if kind < 2:
+            shapes[rows] = _rigid(kind, y, derivative)
+        elif rows.size:
+            shapes[rows] = _bending(labels[rows].tolist(), y, derivative)
     return shapes / length**derivative
 
 
@@ -120,20 +127,24 @@ def scaled_position(position: ArrayLike, length: float) -> FloatArray:
     return np.asarray(np.clip(y, -0.5, 0.5))
 
 
-def _shape(label: int, y: FloatArray, derivative: int) -> FloatArray:
-    """Return one mode shape at y = x/L, or its derivative along y [1]."""
-    if label < 1:
-        raise ValueError(f"mode label {label} does not exist; labels count from 1 (the rigid translation)")
-    if label <= 2:
-        rigid = np.polynomial.Polynomial([1.0] if label == 1 else [0.0, math.sqrt(12.0)])
-        return np.asarray(rigid.deriv(derivative)(y) if derivative else rigid(y)) * np.ones_like(y)
-    root = characteristic_root(label - 2)
+def _rigid(order: int, y: FloatArray, derivative: int) -> FloatArray:
+    """Return the translation (order 0) or rotation (order 1) at y = x/L, or its derivative along y [1]."""
+    size = (1.0, math.sqrt(12.0))[order]
+    return size * y if order > derivative else np.full(y.shape, size if order == derivative else 0.0)
+
+
+def _bending(labels: list[int], y: FloatArray, derivative: int) -> FloatArray:
+    """Return bending modes of one symmetry at y = x/L, or their derivatives along y, (n_modes, n_points) array."""
+    symmetric = labels[0] % 2 == 1
+    root = np.array([[characteristic_root(label - 2)] for label in labels])
     side = np.where(y < 0, -1.0, 1.0)
-    near = np.exp(-root * (0.5 - np.abs(y))) * side**derivative
-    far = np.exp(-root * (0.5 + np.abs(y))) * (-side) ** derivative
-    cosine, sine = np.cos(root * y), np.sin(root * y)
-    if label % 2:
-        wave = (cosine, -sine, -cosine, sine)[derivative % 4] / math.cos(root / 2)
-        return np.asarray(root**derivative * (wave + (near + far) / (1 + math.exp(-root))))
-    wave = (sine, cosine, -sine, -cosine)[derivative % 4] / math.sin(root / 2)
-    return np.asarray(root**derivative * (wave + side * (near - far) / (1 - math.exp(-root))))
+    size = np.abs(y)
+    near = np.exp(-root * (0.5 - size)) * side**derivative
+    far = np.exp(-root * (0.5 + size)) * (-side) ** derivative
+    # The derivatives of a cosine are -sine, -cosine, sine; those of a sine begin a quarter turn later.
+    turn = (derivative if symmetric else derivative + 3) % 4
+    wave = (np.cos(root * y) if turn % 2 == 0 else np.sin(root * y)) * (1, -1, -1, 1)[turn]
+    decay = np.exp(-root)
+    if symmetric:
+        return np.asarray(root**derivative * (wave / np.cos(root / 2) + (near + far) / (1 + decay)))
+    return np.asarray(root**derivative * (wave / np.sin(root / 2) + side * (near - far) / (1 - decay)))

@@ -7,33 +7,29 @@ by a second level of blocks. Work is done chunk by chunk, so that memory does no
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from itertools import islice
+import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from modaltouch.stimulus.blocks import SHORT, BlockKernel
+from modaltouch.stimulus.blocks import BlockKernel, filled_blocks
+from modaltouch.stimulus.course import Course
 from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem, modal_system
+from modaltouch.stimulus.lateness import clock_inputs, clock_pushes, late_gains, late_steps
 from modaltouch.stimulus.modes import ModalModel
-from modaltouch.stimulus.synthesis import BLOCK, decay, ladders
+from modaltouch.stimulus.synthesis import BLOCK, ladders
 from modaltouch.stimulus.timing import Timing
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-Chunk = tuple[int, FloatArray, ComplexArray, ComplexArray]
 
 _CHUNK = 32_768
 """Samples per chunk: bounds the memory, and keeps a chunk of voltages in the second-level cache."""
 
-_CHUNKS_AT_ONCE = 5
-"""Chunks whose bounds are compared before any is computed: the longest record of the generator."""
 
-_LATENESS_TERMS = 6
-"""A clock late by up to one period of 250 MHz turns a 90 kHz mode by 2e-3: six terms leave 1e-18."""
-
-
-def moments(voltage: FloatArray, exponent: ComplexArray, hold: float) -> ComplexArray:
+def moments(
+    voltage: FloatArray, exponent: ComplexArray, hold: float, driven: NDArray[np.bool_] | None = None
+) -> ComplexArray:
     """Return the sums of voltage * exp(exponent * time from the end of the sample to the end of the last).
 
     Parameters
@@ -44,23 +40,27 @@ def moments(voltage: FloatArray, exponent: ComplexArray, hold: float) -> Complex
         Exponents [1/s].
     hold : float
         Length of a sample [s].
+    driven : (n_channels, n_states) array of bool, optional
+        Which sums are asked for; all, if not given.
 
     Returns
     -------
     (n_channels, n_states) complex array
-        The sums [V].
+        The sums [V]; 0 where not asked for.
     """
     n_blocks, head = divmod(voltage.shape[1], BLOCK)
     fine, coarse = ladders(exponent, hold, n_blocks)
-    n_states = exponent.size
-    fine_real = np.concatenate([fine.real, fine.imag]).T
-    sums = np.empty((voltage.shape[0], n_states), dtype=complex)
+    sums = np.zeros((voltage.shape[0], exponent.size), dtype=complex)
     for channel, row in enumerate(voltage):
-        blocks = np.empty((n_blocks + 1, 2 * n_states))
+        asked = slice(None) if driven is None else np.flatnonzero(driven[channel])
+        some = fine[asked]
+        n_some = len(some)
+        fine_real = np.concatenate([some.real, some.imag]).T
+        blocks = np.empty((n_blocks + 1, 2 * n_some))
         blocks[0] = row[:head] @ fine_real[BLOCK - head :]
         np.matmul(row[head:].reshape(n_blocks, BLOCK), fine_real, out=blocks[1:])
-        per_block = blocks[:, :n_states] + 1j * blocks[:, n_states:]
-        sums[channel] = np.einsum("je,je->e", per_block, coarse)
+        per_block = blocks[:, :n_some] + 1j * blocks[:, n_some:]
+        sums[channel, asked] = np.einsum("je,je->e", per_block, coarse[:, asked])
     return sums
 
 
@@ -87,30 +87,15 @@ def states_by_channel(system: DiagonalSystem, voltage: FloatArray, timing: Timin
     n_whole = min(n_whole, voltage.shape[1])
     hold = timing.hold
     played = voltage[:, :n_whole]
-    states = moments(played, system.exponent, hold) * system.held_gain(hold).T
-    states = states + _late_states(system, played, timing, n_whole)
+    driven = system.input_gain.T != 0
+    states = moments(played, system.exponent, hold, driven) * system.held_gain(hold).T
+    for gain, late in zip(late_gains(system, timing), late_steps(played, timing, 0, n_whole), strict=False):
+        states += moments(late, system.exponent, hold, driven) * gain.T
     if remainder:
         states = states * np.exp(system.exponent * remainder)
         if n_whole < min(voltage.shape[1], timing.n_samples):
             states = states + voltage[:, n_whole, None] * system.held_gain(remainder).T
     return np.asarray(states)
-
-
-def _late_states(system: DiagonalSystem, voltage: FloatArray, timing: Timing, n_whole: int) -> ComplexArray | float:
-    """Return what a clock adds that begins some samples late: steps of voltage arrive late by `lateness`."""
-    if timing.lateness is None or n_whole == 0:
-        return 0.0
-    # A step late by d reaches the state as exp(-s d) instead of 1: a Taylor series in d, summed by `moments`.
-    steps = np.diff(voltage, axis=1, prepend=0.0)
-    late = timing.lateness[:n_whole]
-    total = np.zeros((voltage.shape[0], system.exponent.size), dtype=complex)
-    factor = np.ones_like(system.exponent)
-    for term in range(1, _LATENESS_TERMS + 1):
-        factor = factor * -system.exponent / term
-        total = total + moments(steps * late**term, system.exponent, timing.hold) * factor
-    # The last sample ends at the ideal end: what follows it begins later, but belongs to the next instant.
-    to_end = np.exp(system.exponent * timing.hold) / system.exponent
-    return np.asarray(total * to_end * system.input_gain.T)
 
 
 def velocity_history(
@@ -142,7 +127,7 @@ def velocity_history(
     """
     system = modal_system(model, amplifier)
     output = model.shapes(positions).T @ system.velocity
-    return _history(system, output, _checked(voltage, model), timing.hold)
+    return _history(system, output, _checked(voltage, model), timing)
 
 
 def modal_history(
@@ -167,7 +152,7 @@ def modal_history(
         Modal velocities at the start of each sample as it arrives [m/s].
     """
     system = modal_system(model, amplifier)
-    return _history(system, system.velocity, _checked(voltage, model), timing.hold)
+    return _history(system, system.velocity, _checked(voltage, model), timing)
 
 
 def peak_velocity(
@@ -198,41 +183,7 @@ def peak_velocity(
         Largest magnitude of the velocity at the starts of the samples, and of the decay after them [m/s].
     """
     system = modal_system(model, amplifier)
-    output = model.shapes(positions).T @ system.velocity
-    checked = _checked(voltage, model)
-    kernel = BlockKernel.of(system, output, timing.hold)
-    peak, left, end = np.zeros(output.shape[0]), np.zeros(system.exponent.size, dtype=complex), 0
-    for some in _batches(_chunks(kernel, checked, system.exponent.size)):
-        bounds = [kernel.bounds(blocks, begin) for _, blocks, begin, _ in some]
-        for place in range(peak.size):
-            # The likeliest chunk first: what it reaches spares most of the others.
-            for i in sorted(range(len(some)), key=lambda i: -bounds[i][place].max()):
-                _, blocks, begin, _ = some[i]
-                peak[place] = kernel.peak(place, blocks, begin, bounds[i][place], float(peak[place]))
-        start, blocks, _, left = some[-1]
-        end = start + blocks[0].size
-    silence = max(0, int(timing.sampling_rate / timing.repetition_rate) - end)
-    return _peak_of_decay(output * left, system.exponent, timing.hold, silence, peak)
-
-
-def _batches(items: Iterator[Chunk]) -> Iterator[list[Chunk]]:
-    """Yield lists of _CHUNKS_AT_ONCE items."""
-    while some := list(islice(items, _CHUNKS_AT_ONCE)):
-        yield some
-
-
-def _peak_of_decay(
-    amplitude: ComplexArray, exponent: ComplexArray, hold: float, n_samples: int, peak: FloatArray
-) -> FloatArray:
-    """Return the higher of `peak` and the decay after it, which is followed only while it could be higher."""
-    for start in range(0, n_samples, BLOCK):
-        now = amplitude * decay(exponent, hold, np.array([start]))[:, 0]
-        if (np.abs(now).sum(axis=1) <= peak).all():
-            break
-        steps = np.arange(min(BLOCK, n_samples - start))
-        speed = np.abs((now @ decay(exponent, hold, steps)).real)
-        peak = np.maximum(peak, speed.max(axis=1))
-    return peak
+    return Course.of(system, _checked(voltage, model), timing).peak(model.shapes(positions).T @ system.velocity)
 
 
 def _checked(voltage: FloatArray, model: ModalModel) -> FloatArray:
@@ -242,34 +193,24 @@ def _checked(voltage: FloatArray, model: ModalModel) -> FloatArray:
             f"voltages of shape {values.shape} do not fit a beam with {model.n_channels} channels: "
             f"give one row of samples to each channel"
         )
-    if not np.isfinite(values).all():
-        raise ValueError("a voltage is not a finite number: every sample must be")
+    # The square of every sample goes into one number: no array as large as the burst is needed to find none bad.
+    if not math.isfinite(np.vdot(values, values)) and not np.isfinite(values).all():
+        channel, sample = np.argwhere(~np.isfinite(values))[0].tolist()
+        raise ValueError(
+            f"sample {sample} of channel {channel + 1} is {values[channel, sample]} V; every sample must be a finite "
+            f"number: mend it where it comes from"
+        )
     return values
 
 
-def _history(system: DiagonalSystem, output: ComplexArray, voltage: FloatArray, hold: float) -> FloatArray:
+def _history(system: DiagonalSystem, output: ComplexArray, voltage: FloatArray, timing: Timing) -> FloatArray:
     """Return the outputs at the starts of the samples, (n_outputs, n_samples) array [m/s]."""
-    kernel = BlockKernel.of(system, output, hold)
+    kernel = BlockKernel.of_pushes(system.exponent, clock_pushes(system, timing), output, timing.hold)
     history = np.empty((output.shape[0], voltage.shape[1]))
-    for start, blocks, begin, _ in _chunks(kernel, voltage, system.exponent.size):
-        kernel.respond(blocks, begin, history[:, start : start + blocks[0].size])
-    return history
-
-
-def _chunks(kernel: BlockKernel, voltage: FloatArray, n_states: int) -> Iterator[Chunk]:
-    """Yield chunks (first sample, blocks, states at their starts, state after them) of the response from rest.
-
-    Samples beyond the last whole block come as a block of their own, filled up with zeros.
-    """
-    state = np.zeros(n_states, dtype=complex)
-    n_channels, n_samples = voltage.shape
-    whole = n_samples - n_samples % SHORT
-    for start in [*range(0, whole, _CHUNK), *([whole] if whole < n_samples else [])]:
-        if start < whole:
-            piece = voltage[:, start : min(start + _CHUNK, whole)]
-        else:
-            piece = np.zeros((n_channels, SHORT))
-            piece[:, : n_samples - whole] = voltage[:, whole:]
-        blocks = piece.reshape(n_channels, -1, SHORT)
+    state = np.zeros(system.exponent.size, dtype=complex)
+    for start in range(0, voltage.shape[1], _CHUNK):
+        stop = min(start + _CHUNK, voltage.shape[1])
+        blocks = filled_blocks(clock_inputs(voltage, timing, start, stop, len(kernel.into_state)))
         begin, state = kernel.states(blocks, state)
-        yield start, blocks, begin, state
+        kernel.respond(blocks, begin, history[:, start:stop])
+    return history

@@ -1,0 +1,169 @@
+"""The course of a whole burst: the states at the starts of its blocks, once for all places where a peak is sought."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import astuple, dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modaltouch.stimulus.blocks import SHORT, BlockKernel, Effort
+from modaltouch.stimulus.dynamics import DiagonalSystem
+from modaltouch.stimulus.lateness import clock_inputs, clock_pushes
+from modaltouch.stimulus.scan import Scan
+from modaltouch.stimulus.synthesis import BLOCK, decay, ladders
+from modaltouch.stimulus.timing import Timing
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """A burst from rest, in long blocks; the short ones within are looked into only where a peak may lie.
+
+    Attributes
+    ----------
+    system : DiagonalSystem
+        The beam behind its amplifier.
+    timing : Timing
+        Clock of the samples.
+    inputs : (n_inputs, n_samples) array
+        Voltages, and what their lateness adds.
+    begin : (n_states, n_blocks + 1) complex array
+        States at the starts of blocks of BLOCK samples, and after the last, which is filled up with zeros.
+    """
+
+    system: DiagonalSystem
+    timing: Timing
+    inputs: FloatArray
+    begin: ComplexArray
+
+    @classmethod
+    def of(cls, system: DiagonalSystem, voltage: FloatArray, timing: Timing) -> Course:
+        """Return the course of voltages.
+
+        Parameters
+        ----------
+        system : DiagonalSystem
+            The beam behind its amplifier.
+        voltage : (n_channels, n_samples) array
+            Held samples at the beam [V].
+        timing : Timing
+            Clock of the samples.
+        """
+        push = clock_pushes(system, timing)
+        inputs = clock_inputs(voltage, timing, 0, voltage.shape[1], push.shape[1])
+        fine, _ = ladders(system.exponent, timing.hold, 1)
+        pushed = np.zeros((system.exponent.size, -(-inputs.shape[1] // BLOCK)), dtype=complex)
+        for row, column in zip(inputs, push.T, strict=True):
+            driven = np.flatnonzero(column)
+            table = column[driven, None] * fine[driven]
+            for place, blocks in _whole_and_rest(row):
+                parts = blocks @ np.concatenate([table.real, table.imag]).T
+                pushed[driven, place] += (parts[:, : driven.size] + 1j * parts[:, driven.size :]).T
+        rest = np.zeros(system.exponent.size, dtype=complex)
+        begin, left = Scan.of(system.exponent, timing.hold, BLOCK).follow(pushed, rest)
+        return cls(system, timing, inputs, np.concatenate([begin, left[:, None]], axis=1))
+
+    @cached_property
+    def effort(self) -> Effort:
+        """What bounds the outputs within the blocks."""
+        parts = []
+        for place, blocks in _whole_and_rest(self.inputs):
+            parts.append(Effort.of(blocks, self.begin[:, :-1][:, place]))
+        return Effort(*(np.concatenate(each, axis=1) for each in zip(*map(astuple, parts), strict=True)))
+
+    @cached_property
+    def kernel(self) -> BlockKernel:
+        """From inputs to states within short blocks, read nowhere yet."""
+        push, hold = clock_pushes(self.system, self.timing), self.timing.hold
+        return BlockKernel.of_pushes(self.system.exponent, push, np.zeros((0, len(push)), dtype=complex), hold)
+
+    def peak(self, output: ComplexArray, floor: float = 0.0) -> FloatArray:
+        """Return the largest magnitude of each output until the next burst would begin, (n_outputs,) array.
+
+        Parameters
+        ----------
+        output : (n_outputs, n_states) complex array
+            The outputs are the real part of ``output @ state``.
+        floor : float
+            Returned for outputs that stay below it; the more it is, the less is looked into.
+        """
+        some, places = self._different(output)
+        kernel, bound, peak = self.kernel.reading(some), self._bounds(some), np.full(len(some), floor)
+        # The likeliest blocks first: what they reach spares nearly all the others.
+        likeliest = np.unique(bound.argmax(axis=1)[bound.max(axis=1) > floor])
+        self._look_into(likeliest, kernel, peak)
+        higher = np.setdiff1d(np.flatnonzero((bound > peak[:, None]).any(axis=0)), likeliest)
+        self._look_into(higher, kernel, peak)
+        period = int(self.timing.sampling_rate / self.timing.repetition_rate)
+        silence = max(0, period - BLOCK * bound.shape[1])
+        return self._peak_of_decay(some * self.begin[:, -1], silence, peak)[places]
+
+    def _bounds(self, output: ComplexArray) -> FloatArray:
+        """Return what each output cannot pass within each block, (n_outputs, n_blocks) array."""
+        fine, _ = ladders(self.system.exponent, self.timing.hold, 1)
+        impulse = ((output[:, None, :] * clock_pushes(self.system, self.timing).T) @ fine).real[:, :, ::-1]
+        steady = np.abs(impulse.cumsum(axis=2)).max(axis=2)
+        worst = np.sqrt((impulse**2).sum(axis=2))
+        effort = self.effort
+        return np.asarray(np.abs(output) @ effort.size + steady @ effort.mean + worst @ effort.swing)
+
+    def _look_into(self, which: NDArray[np.intp], kernel: BlockKernel, peak: FloatArray) -> None:
+        """Raise the peaks, in place, by what the outputs reach within some blocks."""
+        if which.size == 0:
+            return
+        parts = []
+        for span, long in _whole_and_rest(self.inputs):
+            parts.append(long[:, which[(which >= span.start) & (which < span.stop)] - span.start])
+        blocks = np.concatenate(parts, axis=1).reshape(len(self.inputs), -1, SHORT)
+        # All long blocks go side by side through their short ones.
+        n_states, ratio = len(self.begin), kernel.scan.power[:, 0, 1, None]
+        pushed = kernel.pushed(blocks).reshape(n_states, which.size, -1)
+        begin = np.empty_like(pushed)
+        begin[:, :, 0] = self.begin[:, which]
+        for step in range(1, pushed.shape[2]):
+            begin[:, :, step] = ratio * begin[:, :, step - 1] + pushed[:, :, step - 1]
+        short = begin.reshape(n_states, -1)
+        for place, bound in enumerate(kernel.bounds(blocks, short)):
+            peak[place] = kernel.peak(place, blocks, short, bound, float(peak[place]))
+
+    def _different(self, output: ComplexArray) -> tuple[ComplexArray, list[int]]:
+        """Return the outputs that differ in more than their sign, and which of them stands for each output.
+
+        States that nothing drives count for nothing: symmetric zones share one course where only symmetric modes
+        are driven.
+        """
+        driven = output * self.system.input_gain.any(axis=1)
+        first = np.take_along_axis(driven, (driven != 0).argmax(axis=1)[:, None], axis=1)
+        upright = driven * np.where(first.real < 0, -1.0, 1.0) + 0.0
+        seen: dict[bytes, int] = {}
+        places = [seen.setdefault(row.tobytes(), len(seen)) for row in upright]
+        return upright[[places.index(place) for place in range(len(seen))]], places
+
+    def _peak_of_decay(self, amplitude: ComplexArray, n_samples: int, peak: FloatArray) -> FloatArray:
+        """Return the higher of `peak` and the decay after it, which is followed only while it could be higher."""
+        exponent, hold = self.system.exponent, self.timing.hold
+        for start in range(0, n_samples, BLOCK):
+            now = amplitude * decay(exponent, hold, np.array([start]))[:, 0]
+            if (np.abs(now).sum(axis=1) <= peak).all():
+                break
+            steps = np.arange(min(BLOCK, n_samples - start))
+            speed = np.abs((now @ decay(exponent, hold, steps)).real)
+            peak = np.maximum(peak, speed.max(axis=1))
+        return peak
+
+
+def _whole_and_rest(samples: FloatArray) -> Iterator[tuple[slice, FloatArray]]:
+    """Yield places among the blocks and samples as blocks (..., n_blocks, BLOCK), the rest filled up with zeros."""
+    n_whole, rest = divmod(samples.shape[-1], BLOCK)
+    form = (*samples.shape[:-1], -1, BLOCK)
+    if n_whole:
+        yield slice(0, n_whole), samples[..., : n_whole * BLOCK].reshape(form)
+    if rest:
+        filled = np.zeros((*samples.shape[:-1], BLOCK))
+        filled[..., :rest] = samples[..., n_whole * BLOCK :]
+        yield slice(n_whole, n_whole + 1), filled.reshape(form)
