@@ -10,12 +10,19 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from modaltouch.analysis.csv_table import MOST_LISTED, Table
+from modaltouch.analysis.odd_words import KEYS, find_odd
 from modaltouch.analysis.responses import CELL
 from modaltouch.document import Problem
 
+_ANY = "\0any"
+"""Stands for a word that cannot be read and may be any; no text file holds it."""
 
-def check_balance(table: Table, frame: pd.DataFrame) -> list[Problem]:
-    """Return doubled rows, missing cells and unequal numbers of answers.
+_MOST_EXCUSES = 10_000
+"""With more faulty rows that differ, nothing can be said about the balance of the rest."""
+
+
+def check_balance(table: Table, frame: pd.DataFrame, unread: pd.DataFrame | None = None) -> list[Problem]:
+    """Return words that are probably a slip, doubled rows, missing cells and unequal numbers of answers.
 
     The design is every finger condition with every zone pair at every level that occurs. Rows of the same
     participant and cell are repetitions where a column ``repetition`` tells them apart, or where all cells have
@@ -26,19 +33,50 @@ def check_balance(table: Table, frame: pd.DataFrame) -> list[Problem]:
     table : Table
         The file, for the places of the faults.
     frame : DataFrame
-        Its sound rows, indexed by row of the file.
+        Its rows, indexed by row of the file.
+    unread : DataFrame, optional
+        Which words of them are faulty by themselves: truth values by row, a column for each of `KEYS` and one
+        ``other`` for the rest of the row. Such rows are neither counted nor missed.
 
     Returns
     -------
     list of Problem
     """
-    if not len(frame) or frame["n"].sum() == 0:
+    if unread is None:
+        unread = pd.DataFrame(False, index=frame.index, columns=[*KEYS, "other"])
+    if not len(frame) or (frame["n"].sum() == 0 and not unread.to_numpy().any()):
         return [Problem(table.file, 1, 1, "", "no answers", "at least one answer that is not practice", "")]
-    problems = _doubled(table, frame)
-    answers = answers_per_cell(frame)
+    problems: list[Problem] = []
+    keyed = frame.loc[~_any_of(unread[list(KEYS)])]
+    keyed = keyed.assign(n=keyed["n"].clip(lower=0))
+    answers = None
+    if keyed["n"].sum():
+        answers = answers_per_cell(keyed)
+        usual = _most_common(answers.to_numpy().ravel())
+        odd = find_odd(table, keyed, usual) if (answers != usual).to_numpy().any() else []
+        unread = unread.copy() if odd else unread
+        for each in odd:
+            unread.loc[each.rows, list(each.columns)] = True
+        problems += [each.problem for each in odd]
+    faulty = _any_of(unread)
+    sound = frame.loc[~faulty]
+    if sound["n"].sum() == 0:
+        return problems
+    problems += _doubled(table, sound)
+    if answers is None or faulty.any():
+        answers = answers_per_cell(sound)
     usual = _most_common(answers.to_numpy().ravel())
+    counted = np.where(_excused(answers, frame.loc[faulty], unread.loc[faulty]), np.maximum(answers, usual), answers)
+    return problems + _unequal(table, sound, answers, counted, usual)
+
+
+def _unequal(
+    table: Table, frame: pd.DataFrame, answers: pd.DataFrame, counted: NDArray[np.int64], usual: int
+) -> list[Problem]:
+    """Return the participants with missing or surplus answers, those of faulty rows not missed."""
+    problems: list[Problem] = []
     listed = 0
-    for participant, row in zip(answers.index, answers.to_numpy(), strict=True):
+    for participant, row in zip(answers.index, counted, strict=True):
         odd = np.flatnonzero(row != usual)
         if not odd.size:
             continue
@@ -49,6 +87,29 @@ def check_balance(table: Table, frame: pd.DataFrame) -> list[Problem]:
         rest = f"{listed - MOST_LISTED} more participants with missing or surplus answers"
         problems.append(Problem(table.file, 1, 1, "", rest, f"{usual} in every cell", ""))
     return problems
+
+
+def _any_of(truths: pd.DataFrame) -> NDArray[np.bool_]:
+    """Return which rows hold anything true."""
+    return np.asarray(truths.to_numpy(dtype=bool).any(axis=1), dtype=np.bool_)
+
+
+def _excused(answers: pd.DataFrame, frame: pd.DataFrame, unread: pd.DataFrame) -> NDArray[np.bool_]:
+    """Return which missing answers may stand in faulty rows, (n_participants, n_cells) array."""
+    excused = np.zeros(answers.shape, dtype=bool)
+    known = frame[list(KEYS)].astype(object).where(~unread[list(KEYS)].to_numpy(), _ANY)
+    different = set(known.itertuples(index=False, name=None))
+    if len(different) > _MOST_EXCUSES:
+        return np.ones(answers.shape, dtype=bool)
+    participants = answers.index.to_numpy()
+    cells = [answers.columns.get_level_values(name).to_numpy() for name in CELL]
+    for participant, *cell in different:
+        rows = np.full(len(participants), True) if participant == _ANY else participants == participant
+        columns = np.full(answers.shape[1], True)
+        for words, word in zip(cells, cell, strict=True):
+            columns &= True if word == _ANY else words == word
+        excused[np.ix_(rows, columns)] = True
+    return excused
 
 
 def answers_per_cell(frame: pd.DataFrame) -> pd.DataFrame:

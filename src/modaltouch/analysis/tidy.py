@@ -56,16 +56,37 @@ def read_csv(path: Path) -> Responses:
         elif name not in frame.columns:
             frame[name] = _categorical(column.codes, column.words).astype("str")
     problems += _same_zone(table, frame) + _near_conditions(table)
-    if problems:
-        raise InputError(problems)
+    unread = _unread(table, frame) if problems else None
+    n_problems = len(problems)
     frame, practice = _without_practice(table, frame, problems)
     frame = unmirror(frame)
-    if not problems:
-        problems += check_balance(table, frame)
+    if len(problems) == n_problems:
+        problems += check_balance(table, frame, None if unread is None else unread.loc[frame.index])
     if problems:
         raise InputError(problems)
     left_out = (LeftOut(f"{table.file}: {practice} rows", "practice trials"),) if practice else ()
     return Responses(frame, (), left_out, Source(table.file, "csv", table.sha256))
+
+
+def _unread(table: Table, frame: pd.DataFrame) -> pd.DataFrame:
+    """Return which words of each row are faulty: participant, cell, and ``other`` for the rest of the row."""
+    words = {name: frame[name].astype(str) for name in REQUIRED[:4]}
+    # A turned beam exchanges the zones, so a fault in one leaves both unsure.
+    zones = (words["zone_left"] == "") | (words["zone_right"] == "") | (words["zone_left"] == words["zone_right"])
+    slips = [word for word in table.columns["finger_condition"].words if _is_near(word)]
+    other = frame["response"].isna() | (frame["n"] < 0)
+    if "repetition" in table.columns:
+        other |= frame["repetition"] < 0
+    return pd.DataFrame(
+        {
+            "participant": words["participant"] == "",
+            "finger_condition": words["finger_condition"].isin(["", *slips]),
+            "zone_left": zones,
+            "zone_right": zones,
+            "velocity_mm_s": frame["velocity_mm_s"].isna(),
+            "other": other,
+        }
+    )
 
 
 def _report(
@@ -138,6 +159,7 @@ def _numbers(
         return repr(word) if word else "nothing", "write a plain number such as 80 or 92.5"
 
     problems += _report(table, column, faulty, allowed, say)
+    values[faulty] = math.nan
     return np.asarray(values[column.codes], dtype=float)
 
 
@@ -161,7 +183,7 @@ def _whole_numbers(table: Table, name: str, problems: list[Problem], least: int)
         f"a whole number, {least} or above",
         lambda value: math.isfinite(value) and value == int(value) and least <= value < 1e9,
     )
-    return np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0).astype(np.int64)
+    return np.nan_to_num(values, nan=-1.0).astype(np.int64)
 
 
 def _same_zone(table: Table, frame: pd.DataFrame) -> list[Problem]:
@@ -181,13 +203,14 @@ def _same_zone(table: Table, frame: pd.DataFrame) -> list[Problem]:
 def _near_conditions(table: Table) -> list[Problem]:
     """Return the finger conditions that are probably a slip of the pen."""
     column = table.columns["finger_condition"]
-    slips = [
-        code
-        for code, word in enumerate(column.words)
-        if word and word not in FINGER_CONDITIONS and _folded(word) in {_folded(known) for known in FINGER_CONDITIONS}
-    ]
+    slips = [code for code, word in enumerate(column.words) if _is_near(word)]
     allowed = f"{', '.join(FINGER_CONDITIONS)}, or a name of your own"
     return _report(table, column, slips, allowed, lambda w: (repr(w), f"write {suggest(w, FINGER_CONDITIONS)}"))
+
+
+def _is_near(word: str) -> bool:
+    known = {_folded(each) for each in FINGER_CONDITIONS}
+    return bool(word) and word not in FINGER_CONDITIONS and _folded(word) in known
 
 
 def _folded(word: str) -> str:
