@@ -330,6 +330,12 @@ class TestOddWords:
         (problem,) = fails(write_csv(rows))
         assert "no answer of participant p04 in" in problem
 
+    def test_a_participant_who_gave_up_after_an_odd_word_is_not_taken_for_another(self, write_csv, build) -> None:
+        """Nobody answered under the odd word, so its row would seem to fit everybody."""
+        rows = [row for row in build["paper"](4) if row["participant"] != "p04"]
+        (word,) = fails(write_csv([*rows, {**rows[-1], "participant": "p04", "finger_condition": "2hands"}]))
+        assert "finger_condition: given '2hands'" in word
+
     def test_a_condition_that_half_of_the_participants_met_is_no_odd_word(self, write_csv, build) -> None:
         """Both finger conditions are spelt alike, but none of the rows fills a gap of the other."""
         rows = [

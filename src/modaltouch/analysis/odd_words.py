@@ -19,7 +19,7 @@ from modaltouch.document import Problem
 KEYS = ("participant", *CELL)
 """What tells the answers of a balanced table apart."""
 
-_FACTORS = (("participant",), ("finger_condition",), ("zone_left", "zone_right"), ("velocity_mm_s",))
+_CELL_FACTORS = (("finger_condition",), ("zone_left", "zone_right"), ("velocity_mm_s",))
 
 _FEW = 4
 """A word is rare where the commonest of its kind has at least as many times its rows."""
@@ -70,7 +70,12 @@ def find_odd(table: Table, frame: pd.DataFrame, usual: int) -> list[Odd]:
     """
     sums = frame.groupby(list(KEYS), observed=True)["n"].sum()
     totals: Totals = dict(zip(sums.index.to_list(), sums.to_list(), strict=True))
-    return [odd for columns in _FACTORS for odd in _odd_of(table, frame, totals, columns, usual)]
+    odd = [each for columns in _CELL_FACTORS for each in _odd_of(table, frame, totals, columns, usual)]
+    # Where a cell exists by mistake nobody else has answers, which is no gap for a participant to fill.
+    rows = frame.loc[np.concatenate([each.rows for each in odd])] if odd else frame.iloc[:0]
+    mistaken = set(rows[list(CELL)].itertuples(index=False, name=None))
+    real = {key: n for key, n in totals.items() if key[1:] not in mistaken}
+    return odd + _odd_of(table, frame, real, ("participant",), usual)
 
 
 def _odd_of(table: Table, frame: pd.DataFrame, totals: Totals, columns: tuple[str, ...], usual: int) -> list[Odd]:
@@ -78,7 +83,7 @@ def _odd_of(table: Table, frame: pd.DataFrame, totals: Totals, columns: tuple[st
     counts: Counter[Value] = Counter()
     for key, n in totals.items():
         counts[key[place]] += n
-    most = max(counts.values())
+    most = max(counts.values(), default=0)
     suspects = [value for value, n in sorted(counts.items(), key=lambda item: item[1]) if n < most or len(counts) == 2]
     found: dict[Value, Value | None] = {}
     for value in suspects:
