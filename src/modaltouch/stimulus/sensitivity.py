@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from modaltouch.stimulus.design import Stimulus
 from modaltouch.stimulus.dynamics import modal_system
-from modaltouch.stimulus.vibration import moments, states_by_channel
+from modaltouch.stimulus.vibration import states_by_channel
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -87,48 +87,44 @@ class Sensitivity:
 
 
 def focus_sensitivity(stimulus: Stimulus) -> Sensitivity:
-    r"""Return the derivatives of the state at the focusing instant, in closed form.
+    r"""Return the derivatives of the state at the focusing instant, in closed form, on the clock as it is.
 
-    With :math:`z = \sum_c G_c [\frac{p}{p+s} h(s) m_c(s) - \frac{u_c}{p+s}]`, h the held gain, m the moments of
-    the voltages and u the amplifier's state, the derivatives follow by the chain rule from ds/dw and ds/dxi.
+    With :math:`z = \sum_c G_c [\frac{p}{p+s} r_c(s) - \frac{u_c}{p+s}]`, r the response to the voltages' steps and u
+    the amplifier's state, the derivatives follow by the chain rule from ds/dw and ds/dxi.
 
     Parameters
     ----------
     stimulus : Stimulus
-        The design, on a clock that holds all samples equally long.
-
-    Raises
-    ------
-    ValueError
-        If the clock holds the samples unequally.
+        The design.
     """
-    timing, model = stimulus.timing, stimulus.model
-    if timing.lateness is not None:
-        raise ValueError(
-            f"{timing.n_samples} samples are held unequally long by the clock; the derivatives need equal "
-            f"holds: take 125000 samples over 50 ms"
-        )
+    timing, model, s = stimulus.timing, stimulus.model, stimulus.model.exponent
     n_before, remainder = timing.samples_until(timing.focusing_instant - stimulus.amplifier.delay)
-    voltage = stimulus.voltage[:, :n_before]
-    hold, s = timing.hold, model.exponent
-    to_focus = remainder + hold * np.arange(n_before - 1, -1, -1)
-    fade = np.exp(s * remainder)
-    moment = moments(voltage, s, hold).T * fade[:, None]
-    moment_slope = moments(voltage * to_focus, s, hold).T * fade[:, None]
-    held = np.expm1(s * hold) / s
-    held_slope = (hold * np.exp(s * hold) - held) / s
-    reached = held[:, None] * moment
-    slope = held_slope[:, None] * moment + held[:, None] * moment_slope
+    n_begun = min(n_before + (remainder > 0), timing.n_samples)
+    ago: FloatArray = np.asarray(remainder + timing.hold * (n_before - np.arange(n_begun)))
+    if timing.lateness is not None:
+        ago = np.maximum(ago - timing.lateness[:n_begun], 0.0)
+    step = np.diff(stimulus.voltage[:, :n_begun], axis=1, prepend=0.0)
+    reached, slope = _response_to_steps(step, ago, s)
     if stimulus.amplifier.bandwidth is not None:
         pole = 2 * np.pi * stimulus.amplifier.bandwidth
-        lag = stimulus.system.exponent[model.n_modes :]
-        behind = stimulus.system.held_gain(hold)[model.n_modes :].diagonal()
-        left = (moments(voltage, lag, hold).diagonal() * behind * np.exp(lag * remainder)).real
+        lagging, _ = _response_to_steps(step, ago, np.array([-pole], dtype=complex))
+        left = pole * lagging[0].real
         share = (1 / (pole + s))[:, None]
         slope = pole * share * slope - pole * share**2 * reached + share**2 * left
         reached = pole * share * reached - share * left
     by_channel = model.modal_gain * reached
     return _derivatives(stimulus, by_channel, (model.modal_gain * slope).sum(axis=1))
+
+
+def _response_to_steps(step: FloatArray, ago: FloatArray, exponent: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    """Return x of x' = s x + v, and dx/ds, after steps of v some time ago, two (n_states, n_channels) arrays."""
+    reached, slope = np.empty((2, exponent.size, step.shape[0]), dtype=complex)
+    for k, s in enumerate(exponent):
+        # One state at a time bounds the memory.
+        grown = np.expm1(s * ago) / s
+        reached[k] = step @ grown
+        slope[k] = step @ (ago * np.exp(s * ago) - grown) / s
+    return reached, slope
 
 
 def _derivatives(stimulus: Stimulus, by_channel: ComplexArray, slope: ComplexArray) -> Sensitivity:
