@@ -18,7 +18,12 @@ PROTOCOL = Annotated[Path, typer.Argument(help="Protocol, a YAML file.", show_de
 def check(
     protocol: PROTOCOL,
     json_output: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
-    compare: Annotated[bool, typer.Option("--compare", help="Also show the other drive law on the same rig.")] = False,
+    compare: Annotated[
+        bool,
+        typer.Option(
+            "--compare", help="Also show the other drive law on the same rig, and the generator without burst mode."
+        ),
+    ] = False,
 ) -> None:
     """Validate a protocol, synthesise its stimuli and predict the speeds at the zones.
 
@@ -62,6 +67,8 @@ def show(preflight: Preflight, *, compare: bool = False) -> None:
             f"[dim]Law {stimulus['law']} at {stimulus['velocity_mm_s']:g} mm/s on the same rig: worst modal error "
             f"{stimulus['worst_modal_error_mm_s']:.3g} mm/s[/]"
         )
+    if fallback := values.get("continuous_fallback"):
+        console.print(f"[dim]{fallback['warning']}[/]")
     for warning in values["warnings"]:
         console.print(f"[yellow]{warning}[/]")
 

@@ -121,6 +121,15 @@ class Preflight:
         compared = stimulus.under_law(other)
         return [stimulus_figures(ground, compared, level) for level in ground.levels.values()]
 
+    def continuous_fallback(self) -> dict[str, Any] | None:
+        """Return what a generator without burst mode would miss at the highest level; None where anything is wrong."""
+        if self.problems:
+            return None
+        from modaltouch.preflight.fallback import continuous_figures
+
+        ground, stimulus = self._sound
+        return continuous_figures(stimulus, max(ground.levels.values()) * 1e-3)
+
     def as_dict(self, *, compare: bool = False) -> dict[str, Any]:
         """Return everything as plain values, as ``modaltouch check --json`` prints it.
 
@@ -162,7 +171,9 @@ class Preflight:
             "unknown_gains": [{"mode": label, "set": name} for label, name in apparatus.unknown_gains()],
             "assumed_gains": [{"mode": label, "set": name} for label, name in apparatus.assumed_gains()],
         }
-        return values | ({"comparison": self.comparison()} if compare else {})
+        if compare:
+            values |= {"comparison": self.comparison(), "continuous_fallback": self.continuous_fallback()}
+        return values
 
     def _apparatus_name(self) -> str | None:
         reading = self.findings.apparatus

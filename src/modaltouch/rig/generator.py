@@ -50,7 +50,8 @@ class Generator:
         Backend, as PyVISA names it: ``@py``, or empty for the vendor's.
     repetition : str
         ``burst``: one record at each tick of the trigger timer; ``continuous``: one record that holds burst and
-        silence, for an instrument whose burst mode cannot be used.
+        silence, for an instrument whose burst mode cannot be used; it cannot be exact, `check --compare` says by
+        how much.
     start_guard : callable
         Starts the watchdog for an address and a backend.
 

@@ -94,7 +94,12 @@ def states_by_channel(system: DiagonalSystem, voltage: FloatArray, timing: Timin
     if remainder:
         states = states * np.exp(system.exponent * remainder)
         if n_whole < min(voltage.shape[1], timing.n_samples):
-            states = states + voltage[:, n_whole, None] * system.held_gain(remainder).T
+            wait = 0.0 if timing.lateness is None else min(float(timing.lateness[n_whole]), remainder)
+            begun = system.held_gain(remainder - wait)
+            states = states + voltage[:, n_whole, None] * begun.T
+            if wait and n_whole:
+                # Until the clock begins it, the sample before goes on.
+                states = states + voltage[:, n_whole - 1, None] * (system.held_gain(remainder) - begun).T
     return np.asarray(states)
 
 

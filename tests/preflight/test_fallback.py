@@ -1,0 +1,48 @@
+"""The generator without burst mode: one record a period, which cannot be exact."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from modaltouch.preflight import Preflight, examine
+from modaltouch.rig.settings import continuous_codes
+
+PROTOCOLS = Path(__file__).parents[2] / "protocols"
+
+
+@pytest.fixture(scope="module")
+def preflight() -> Preflight:
+    """The paper's protocol, examined."""
+    return examine(PROTOCOLS / "differentiated_stimulation.yaml")
+
+
+def test_the_continuous_record_misses_as_its_real_edges_do(preflight: Preflight) -> None:
+    """Sum over the edges of a 250 MHz clock at 7 Hz, 272 or 273 clocks to a point, up to 25 ms."""
+    stimulus = preflight.stimulus
+    volts = (continuous_codes(stimulus.burst).astype(float) - 8191) * stimulus.volts_per_code(0.2)[:, None]
+    clocks = np.ceil(np.arange(131_073) * (250e6 / 7 / 131_072) - 1e-6)
+    assert set(np.unique(np.diff(clocks))) == {272.0, 273.0}
+    edge = np.minimum(clocks / 250e6, 0.025)
+    exponent = stimulus.model.exponent
+    powers = np.exp(exponent[:, None] * (0.025 - edge))
+    state = ((stimulus.model.modal_gain @ volts) * (powers[:, :-1] - powers[:, 1:])).sum(axis=1) / exponent
+    velocity = state.real + exponent.real / exponent.imag * state.imag
+    displacement = stimulus.model.angular_frequency / exponent.imag * state.imag
+    error = max(np.abs(velocity - stimulus.target).max(), np.abs(displacement).max())
+    fallback = preflight.continuous_fallback()
+    assert fallback is not None
+    assert fallback["worst_modal_error_mm_s"] == pytest.approx(error * 1e3, rel=1e-6)
+
+
+def test_the_check_says_that_it_cannot_be_exact_and_by_how_much(preflight: Preflight) -> None:
+    """Half a point of 1/(7 Hz x 131,072) and a clock of 4 ns; a thousand times the burst's own error."""
+    fallback = preflight.as_dict(compare=True)["continuous_fallback"]
+    assert fallback["step_error_us"] == pytest.approx(0.5e6 / (7 * 131_072) + 0.004, rel=1e-9)
+    own = preflight.as_dict()["stimuli"][-1]["worst_modal_error_mm_s"]
+    assert 1e-3 < fallback["worst_modal_error_mm_s"] < 0.1
+    assert fallback["worst_modal_error_mm_s"] > 100 * own
+    assert "200 mm/s cannot be exact: steps come up to 0.55 us late or early" in fallback["warning"]
+    assert "continuous_fallback" not in preflight.as_dict()
