@@ -1,0 +1,165 @@
+"""The stress list of the physics notes (section 6), where no test of a single module holds it already."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from modaltouch.stimulus.design import Amplifier, ModalModel, Timing, Wish, design_stimulus
+from modaltouch.stimulus.dynamics import modal_system
+from modaltouch.stimulus.vibration import modal_history, states_by_channel
+
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(24)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    frequency=st.floats(20.0, 90e3),
+    ratio=st.floats(1e-6, 0.99),
+    gain=st.floats(1e-6, 1e6),
+    seed=st.integers(0, 10_000),
+)
+def test_work_is_stored_or_dissipated(frequency, ratio, gain, seed):
+    """Work of a held force is force times path; (eta'^2 + w^2 eta^2)/2 is stored, 2 a eta'^2 dissipated."""
+    model = ModalModel((1,), [frequency], [ratio], [[gain]], 0.1)
+    timing = Timing(n_samples=40, duration=40 * 4e-7, focusing_instant=4e-7)
+    voltage = np.random.default_rng(seed).normal(size=(1, 40))
+    system, w, a = modal_system(model), model.angular_frequency[0], ratio * model.angular_frequency[0]
+
+    def read(instant):
+        state = states_by_channel(system, voltage, timing, instant)[0]
+        return (system.velocity @ state).real[0], (system.displacement @ state).real[0] / w
+
+    ends = [read(n * timing.hold) for n in range(41)]
+    paths = np.diff([path for _, path in ends])
+    work = gain * voltage[0] @ paths
+    lost = sum(
+        timing.hold / 2 * weight * 2 * a * read((n + (1 + node) / 2) * timing.hold)[0] ** 2
+        for n in range(40)
+        for node, weight in zip(NODES, WEIGHTS, strict=True)
+    )
+    velocity, path = ends[-1]
+    stored = (velocity**2 + (w * path) ** 2) / 2
+    # Force times path are signed: their sum may be small beside its terms.
+    assert work == pytest.approx(stored + lost, abs=1e-9 * (np.abs(gain * voltage[0] * paths).sum() + lost))
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 10_000), n_samples=st.integers(3, 700))
+def test_time_reversal_swaps_drive_and_reading(seed, n_samples, crossed_model):
+    """The velocity at the end is the impulse response against the drive reversed in time, for any drive."""
+    duration = n_samples * 4e-7
+    timing = Timing(n_samples=n_samples, duration=duration, focusing_instant=duration)
+    one, impulse = np.zeros((2, 2, n_samples))
+    one[1] = np.random.default_rng(seed).normal(size=n_samples)
+    impulse[1, 0] = 1.0
+    response = modal_history(crossed_model, impulse, timing)[:, 1:]
+    found = modal_history(crossed_model, one, timing)[:, -1]
+    terms = np.abs(response) @ np.abs(one[1, :-1][::-1])
+    assert (np.abs(response @ one[1, :-1][::-1] - found) <= 1e-12 * terms).all()
+
+
+def test_a_thousand_modes_keep_to_their_own_peak(rng):
+    """Frequencies up to just below half the sampling rate, gains over twelve decades, against 80-bit steps."""
+    n_modes, hold = 1000, 4e-7
+    frequency = np.geomspace(20.0, 1.2e6, n_modes)
+    ratio = 10 ** rng.uniform(-6, math.log10(0.99), n_modes)
+    gain = 10 ** rng.uniform(-6, 6, (n_modes, 1))
+    model = ModalModel(tuple(range(1, n_modes + 1)), frequency, ratio, gain, 0.1)
+    timing = Timing(n_samples=500, duration=500 * hold, focusing_instant=hold)
+    voltage = rng.normal(size=(1, 500))
+    wide = 2 * np.longdouble("3.14159265358979323846264338327950288") * frequency.astype(np.longdouble)
+    xi = ratio.astype(np.longdouble)
+    s = -xi * wide + 1j * wide * np.sqrt((1 - xi) * (1 + xi))
+    grown = np.exp(s * np.longdouble(hold))
+    push = (grown - 1) / s * gain[:, 0]
+    state, expected = np.zeros(n_modes, dtype=np.clongdouble), np.empty((n_modes, 500))
+    for n in range(500):
+        expected[:, n] = (state.real + s.real / s.imag * state.imag).astype(float)
+        state = grown * state + push * voltage[0, n]
+    error = np.abs(modal_history(model, voltage, timing) - expected).max(axis=1)
+    assert (error <= 1e-11 * np.abs(expected).max(axis=1)).all()
+
+
+@settings(max_examples=20, deadline=None)
+@given(apart=st.floats(-1e-6, 1e-6).filter(lambda x: abs(x) > 1e-9), ratio=st.floats(1e-3, 0.1))
+def test_nearly_repeated_modes_are_met_within_their_condition(apart, ratio):
+    """Two modes up to a millionth apart on two channels, each on both: as well as the condition number allows."""
+    gain = np.array([[5.0, 1.0], [1.0, 5.0]])
+    model = ModalModel((1, 3), [4000.0, 4000.0 * (1 + apart)], [ratio, ratio], gain, 0.1)
+    stimulus = design_stimulus(
+        model, Wish(selection=(1, 3)), Timing(n_samples=12_500), Amplifier(gain=25.0, limit=1e9), rounding="plain"
+    )
+    assert stimulus.condition_number < 1e6
+    assert stimulus.drive.residual <= 10 * np.finfo(float).eps * stimulus.condition_number * 0.2
+
+
+@settings(max_examples=15, deadline=None)
+@given(levels=st.lists(st.sampled_from([0.01, 0.05, 0.08, 0.1, 0.125, 0.15, 0.2]), min_size=1, max_size=4, unique=True))
+def test_one_record_serves_every_level(levels, design):
+    """Codes are the same bits whichever levels are asked about, in whichever order; only amplitudes differ."""
+    stimulus = design(timing=Timing(n_samples=12_500), levels=(0.2,))
+    first = stimulus.burst.codes.tobytes()
+    for level in levels:
+        stimulus.achieved(level)
+        ratio = np.divide(stimulus.burst.amplitude_for(level), stimulus.burst.amplitude)
+        assert ratio == pytest.approx(level / 0.2, rel=6e-3)
+    assert stimulus.burst.codes.tobytes() == first
+
+
+@pytest.mark.parametrize("n_samples", [131_072, 65_536, 100_000, 44_100])
+def test_any_clock_is_met_at_the_focus(design, n_samples):
+    """Held unequally long or not, every state is met within 1e-6 of the peak by the codes, first and steady burst."""
+    stimulus = design(timing=Timing(n_samples=n_samples))
+    assert stimulus.worst_modal_error(0.2) <= 1e-6 * 0.2
+    steady, displacement = stimulus.achieved_steady(0.2)
+    assert max(np.abs(steady - stimulus.target).max(), np.abs(displacement).max()) <= 1e-5 * 0.2
+
+
+PARTS = {
+    "model": ("natural_frequency", "damping_ratio", "modal_gain", "length"),
+    "wish": ("base", "centre", "velocity", "further_centres"),
+    "timing": ("duration", "focusing_instant", "repetition_rate", "clock_rate"),
+    "amplifier": ("gain", "limit", "bandwidth", "delay"),
+    "option": ("levels", "load_factor"),
+}
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize(("part", "name"), [(part, name) for part, names in PARTS.items() for name in names])
+def test_no_number_that_is_none_gets_into_the_engine(model, part, name, bad):
+    """NaN or infinite, anywhere: a ValueError that shows the value, and nothing is computed."""
+    parts = {
+        "model": model,
+        "wish": Wish(),
+        "timing": Timing(n_samples=12_500),
+        "amplifier": Amplifier(gain=25.0, limit=250.0),
+    }
+    options = {"levels": (0.1, 0.2), "load_factor": 1.0}
+
+    def design():
+        if part == "option":
+            options[name] = (0.1, bad) if name == "levels" else bad
+        else:
+            before = getattr(parts[part], name)
+            value = (bad,) if name == "further_centres" else bad
+            if isinstance(before, np.ndarray):
+                value = before.copy()
+                value[(3,) * before.ndim if before.ndim == 1 else (3, 1)] = bad
+            parts[part] = replace(parts[part], **{name: value})
+        return design_stimulus(parts["model"], parts["wish"], parts["timing"], parts["amplifier"], **options).burst
+
+    with pytest.raises(ValueError, match=r"nan|inf"):
+        design()
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0, 1024.0])
+def test_scaling_a_field_by_two_scales_every_state_exactly(design, factor):
+    """Powers of two pass through every product and sum without rounding."""
+    one = design(timing=Timing(n_samples=12_500))
+    other = design(timing=Timing(n_samples=12_500), wish=Wish(velocity=0.2 * factor))
+    assert (other.voltage == factor * one.voltage).all()
+    assert other.condition_number == one.condition_number
