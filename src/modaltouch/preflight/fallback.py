@@ -35,7 +35,8 @@ def continuous_figures(stimulus: Stimulus, velocity: float) -> dict[str, Any]:
     """
     burst, timing = stimulus.burst, stimulus.timing
     played = replace(timing, n_samples=MAX_POINTS, duration=1 / timing.repetition_rate)
-    codes = signed_codes(continuous_codes(burst))
+    # What is played after the focusing instant does not act on it.
+    codes = signed_codes(continuous_codes(burst)[:, : int(timing.focusing_instant / played.hold) + 2])
     state = stimulus.volts_per_code(velocity) @ states_by_channel(
         stimulus.system, codes, played, timing.focusing_instant
     )

@@ -95,10 +95,11 @@ class Course:
         some, places = self._different(output)
         kernel, bound, peak = self.kernel.reading(some), self._bounds(some), np.full(len(some), floor)
         # The likeliest blocks first: what they reach spares nearly all the others.
-        likeliest = np.unique(bound.argmax(axis=1)[bound.max(axis=1) > floor])
-        self._look_into(likeliest, kernel, peak)
-        higher = np.setdiff1d(np.flatnonzero((bound > peak[:, None]).any(axis=0)), likeliest)
-        self._look_into(higher, kernel, peak)
+        likeliest = np.zeros(bound.shape[1], dtype=bool)
+        likeliest[bound.argmax(axis=1)[bound.max(axis=1) > floor]] = True
+        self._look_into(np.flatnonzero(likeliest), kernel, peak)
+        higher = (bound > peak[:, None]).any(axis=0) & ~likeliest
+        self._look_into(np.flatnonzero(higher), kernel, peak)
         period = int(self.timing.sampling_rate / self.timing.repetition_rate)
         silence = max(0, period - BLOCK * bound.shape[1])
         return self._peak_of_decay(some * self.begin[:, -1], silence, peak)[places]
