@@ -6,7 +6,7 @@ block's inputs and the states at its start; those follow from the blocks' pushes
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -19,7 +19,7 @@ from modaltouch.stimulus.synthesis import decay
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-__all__ = ["SHORT", "BlockKernel", "Effort", "filled_blocks"]
+__all__ = ["SHORT", "BlockKernel", "Effort", "bound_weights", "filled_blocks"]
 
 LIKELIEST = 64
 """Blocks looked at first where a peak is sought: what they reach spares most of the others."""
@@ -74,32 +74,49 @@ def filled_blocks(inputs: FloatArray) -> FloatArray:
     return filled.reshape(len(inputs), -1, SHORT)
 
 
+def bound_weights(output: ComplexArray, push: ComplexArray, powers: ComplexArray) -> tuple[FloatArray, FloatArray]:
+    """Return what steady inputs and inputs of unit energy do to outputs at most within a block.
+
+    Parameters
+    ----------
+    output : (n_outputs, n_states) complex array
+        The outputs are the real part of ``output @ state``.
+    push : (n_states, n_inputs) complex array
+        What a unit of each input leaves in the states at the end of its sample.
+    powers : (n_states, n) complex array
+        Decays over 0 to n - 1 samples, n of them to a block [1].
+
+    Returns
+    -------
+    steady, worst : (n_outputs, n_inputs) arrays
+        Per unit of the mean, and per root of the energy of what remains.
+    """
+    impulse = ((output[:, None, :] * push.T) @ powers).real
+    return np.abs(impulse.cumsum(axis=2)).max(axis=2), np.sqrt((impulse**2).sum(axis=2))
+
+
 @dataclass(frozen=True, eq=False)
 class BlockKernel:
     """What a block of inputs and the states at its start do to the outputs and to the states at its end.
 
+    Everything is computed when first needed: bounds need no tables, states no outputs.
+
     Attributes
     ----------
-    scan : Scan
-        How the states go on from block to block.
+    exponent : (n_states,) complex array
+        Exponents [1/s].
     push : (n_states, n_inputs) complex array
         What a unit of each input leaves in the states at the end of its sample.
-    powers : (n_states, SHORT) complex array
-        Decays over 0 to SHORT - 1 samples [1].
-    into_state : tuple of (states, (n, SHORT) complex array)
-        For each input the states that it pushes, and what the samples of a block leave in them.
-    used : tuple of (inputs, states)
-        For each output the inputs and states that it depends on; the others cost nothing.
-    table : tuple of arrays
-        For each output the product's right side: its inputs' samples, then its states' parts.
+    output : (n_outputs, n_states) complex array
+        The outputs are the real part of ``output @ state``.
+    hold : float
+        Length of a sample [s].
     """
 
-    scan: Scan
+    exponent: ComplexArray
     push: ComplexArray
-    powers: ComplexArray
-    into_state: tuple[tuple[NDArray[np.intp], ComplexArray], ...]
-    used: tuple[tuple[tuple[int, ...], tuple[int, ...]], ...]
-    table: tuple[FloatArray, ...]
+    output: ComplexArray
+    hold: float
 
     @classmethod
     def of(cls, system: DiagonalSystem, output: ComplexArray, hold: float) -> BlockKernel:
@@ -114,56 +131,45 @@ class BlockKernel:
         hold : float
             Length of a sample [s].
         """
-        return cls.of_pushes(system.exponent, system.held_gain(hold), output, hold)
+        return cls(system.exponent, system.held_gain(hold), output, hold)
 
-    @classmethod
-    def of_pushes(cls, exponent: ComplexArray, push: ComplexArray, output: ComplexArray, hold: float) -> BlockKernel:
-        """Return the kernel of inputs of any kind.
+    @cached_property
+    def powers(self) -> ComplexArray:
+        """Decays over 0 to SHORT - 1 samples, (n_states, SHORT) array [1]."""
+        return decay(self.exponent, self.hold, np.arange(SHORT))
 
-        Parameters
-        ----------
-        exponent : (n_states,) complex array
-            Exponents [1/s].
-        push : (n_states, n_inputs) complex array
-            What a unit of each input leaves in the states at the end of its sample.
-        output : (n_outputs, n_states) complex array
-            What is read off the states.
-        hold : float
-            Length of a sample [s].
-        """
-        powers = decay(exponent, hold, np.arange(SHORT))
-        into_state = []
-        for column in push.T:
+    @cached_property
+    def scan(self) -> Scan:
+        """How the states go on from block to block."""
+        return Scan.of(self.exponent, self.hold)
+
+    @cached_property
+    def _into_state(self) -> list[tuple[NDArray[np.intp], ComplexArray]]:
+        """For each input the states that it pushes, and what the samples of a block leave in them."""
+        pushes = []
+        for column in self.push.T:
             pushed = np.flatnonzero(column)
-            into_state.append((pushed, column[pushed, None] * powers[pushed, ::-1]))
-        kernel = cls(Scan.of(exponent, hold), push, powers, tuple(into_state), (), ())
-        return kernel.reading(output) if len(output) else kernel
+            pushes.append((pushed, column[pushed, None] * self.powers[pushed, ::-1]))
+        return pushes
 
-    def reading(self, output: ComplexArray) -> BlockKernel:
-        """Return the kernel of the same inputs and states with other outputs.
+    @cached_property
+    def _tables(self) -> list[tuple[tuple[int, ...], tuple[int, ...], FloatArray]]:
+        """For each output its inputs, its states, and the right side of its product; what it does not hear is left out.
 
-        Parameters
-        ----------
-        output : (n_outputs, n_states) complex array
-            What is read off the states.
+        The rows of a right side are the samples of the inputs, then the real and the imaginary parts of the states.
         """
         # Sample i of a block hears what an input did i - m - 1 samples ago, and none that is still to come.
-        heard = np.zeros((output.shape[0], self.push.shape[1], 2 * SHORT))
-        heard[:, :, SHORT + 1 :] = ((output[:, None, :] * self.push.T) @ self.powers[:, :-1]).real
+        heard = np.zeros((self.output.shape[0], self.push.shape[1], 2 * SHORT))
+        heard[:, :, SHORT + 1 :] = ((self.output[:, None, :] * self.push.T) @ self.powers[:, :-1]).real
         toeplitz = np.lib.stride_tricks.sliding_window_view(heard, SHORT, axis=2)[:, :, SHORT:0:-1]
-        acts = np.abs(output) @ np.abs(self.push) > 0
-        used, table = [], []
-        for row, hears, which in zip(output, toeplitz, acts, strict=True):
+        acts = np.abs(self.output) @ np.abs(self.push) > 0
+        tables = []
+        for row, hears, which in zip(self.output, toeplitz, acts, strict=True):
             states, inputs = np.flatnonzero(row), np.flatnonzero(which)
             weighted = row[states, None] * self.powers[states]
-            used.append((tuple(inputs.tolist()), tuple(states.tolist())))
-            table.append(np.concatenate([hears[inputs].reshape(-1, SHORT), weighted.real, -weighted.imag]))
-        return replace(self, used=tuple(used), table=tuple(table))
-
-    @property
-    def n_states(self) -> int:
-        """Number of states."""
-        return int(self.scan.power.shape[0])
+            right = np.concatenate([hears[inputs].reshape(-1, SHORT), weighted.real, -weighted.imag])
+            tables.append((tuple(inputs.tolist()), tuple(states.tolist()), right))
+        return tables
 
     def states(self, blocks: FloatArray, state: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
         """Return the states at the starts of the blocks, and after the last.
@@ -192,8 +198,8 @@ class BlockKernel:
         blocks : (n_inputs, n_blocks, SHORT) array
             Their inputs.
         """
-        together = np.zeros((self.n_states, blocks.shape[1]), dtype=complex)
-        for (states, column), rows in zip(self.into_state, blocks, strict=True):
+        together = np.zeros((self.exponent.size, blocks.shape[1]), dtype=complex)
+        for (states, column), rows in zip(self._into_state, blocks, strict=True):
             parts = np.concatenate([column.real, column.imag]) @ rows.T
             together.real[states] += parts[: states.size]
             together.imag[states] += parts[states.size :]
@@ -213,7 +219,7 @@ class BlockKernel:
         """
         n_whole, rest = divmod(out.shape[1], SHORT)
         sides: dict[tuple[tuple[int, ...], int], FloatArray] = {}
-        for (inputs, states), table, row in zip(self.used, self.table, out, strict=True):
+        for (inputs, states, table), row in zip(self._tables, out, strict=True):
             # Outputs of the same inputs share one left side; only its states are written anew.
             key = (inputs, len(states))
             if key not in sides:
@@ -236,10 +242,10 @@ class BlockKernel:
         begin : (n_states, n_blocks) complex array
             The states at their starts.
         """
-        inputs, states = self.used[place]
+        inputs, states, table = self._tables[place]
         side = _inputs_beside(blocks, inputs, len(states))
         _write_states(side, begin, states)
-        return np.asarray(side @ self.table[place])
+        return np.asarray(side @ table)
 
     def bounds(self, blocks: FloatArray, begin: ComplexArray) -> FloatArray:
         """Return what each output cannot pass within each block, (n_outputs, n_blocks) array.
@@ -254,22 +260,13 @@ class BlockKernel:
         begin : (n_states, n_blocks) complex array
             From `states`.
         """
-        free, steady, worst = self._bound_weights
+        steady, worst = self._bound_weights
         effort = Effort.of(blocks, begin)
-        return np.asarray(free @ effort.size + steady @ effort.mean + worst @ effort.swing)
+        return np.asarray(np.abs(self.output) @ effort.size + steady @ effort.mean + worst @ effort.swing)
 
     @cached_property
-    def _bound_weights(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """What a state, a steady input and a block of unit energy can do to each output at most."""
-        free = np.zeros((len(self.used), self.n_states))
-        steady, worst = np.zeros((2, len(self.used), len(self.into_state)))
-        for place, ((inputs, states), table) in enumerate(zip(self.used, self.table, strict=True)):
-            width = SHORT * len(inputs)
-            impulse = table[:width].reshape(len(inputs), SHORT, SHORT)
-            free[place, states] = np.hypot(table[width : width + len(states), 0], table[width + len(states) :, 0])
-            steady[place, inputs] = np.abs(impulse.sum(axis=1)).max(axis=1)
-            worst[place, inputs] = np.sqrt((impulse**2).sum(axis=1).max(axis=1))
-        return free, steady, worst
+    def _bound_weights(self) -> tuple[FloatArray, FloatArray]:
+        return bound_weights(self.output, self.push, self.powers)
 
     def peak(self, place: int, blocks: FloatArray, begin: ComplexArray, bound: FloatArray, least: float) -> float:
         """Return the largest magnitude of one output within the blocks, or `least` where that is higher.

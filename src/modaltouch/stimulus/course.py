@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.stimulus.blocks import SHORT, BlockKernel, Effort
+from modaltouch.stimulus.blocks import SHORT, BlockKernel, Effort, bound_weights
 from modaltouch.stimulus.dynamics import DiagonalSystem
 from modaltouch.stimulus.lateness import clock_inputs, clock_pushes
 from modaltouch.stimulus.scan import Scan
@@ -76,12 +76,6 @@ class Course:
             parts.append(Effort.of(blocks, self.begin[:, :-1][:, place]))
         return Effort(*(np.concatenate(each, axis=1) for each in zip(*map(astuple, parts), strict=True)))
 
-    @cached_property
-    def kernel(self) -> BlockKernel:
-        """From inputs to states within short blocks, read nowhere yet."""
-        push, hold = clock_pushes(self.system, self.timing), self.timing.hold
-        return BlockKernel.of_pushes(self.system.exponent, push, np.zeros((0, len(push)), dtype=complex), hold)
-
     def peak(self, output: ComplexArray, floor: float = 0.0) -> FloatArray:
         """Return the largest magnitude of each output until the next burst would begin, (n_outputs,) array.
 
@@ -93,23 +87,24 @@ class Course:
             Returned for outputs that stay below it; the more it is, the less is looked into.
         """
         some, places = self._different(output)
-        kernel, bound, peak = self.kernel.reading(some), self._bounds(some), np.full(len(some), floor)
-        # The likeliest blocks first: what they reach spares nearly all the others.
-        likeliest = np.zeros(bound.shape[1], dtype=bool)
-        likeliest[bound.argmax(axis=1)[bound.max(axis=1) > floor]] = True
-        self._look_into(np.flatnonzero(likeliest), kernel, peak)
-        higher = (bound > peak[:, None]).any(axis=0) & ~likeliest
-        self._look_into(np.flatnonzero(higher), kernel, peak)
+        kernel = BlockKernel(self.system.exponent, self._push, some, self.timing.hold)
+        # What the outputs reach at the starts of the blocks spares looking into most of them.
+        peak = np.maximum(np.abs((some @ self.begin).real).max(axis=1), floor)
+        bound = self._bounds(some)
+        self._look_into(np.flatnonzero((bound > peak[:, None]).any(axis=0)), kernel, peak)
         period = int(self.timing.sampling_rate / self.timing.repetition_rate)
         silence = max(0, period - BLOCK * bound.shape[1])
         return self._peak_of_decay(some * self.begin[:, -1], silence, peak)[places]
 
+    @cached_property
+    def _push(self) -> ComplexArray:
+        """What a unit of each input leaves in the states at the end of its sample, (n_states, n_inputs) array."""
+        return clock_pushes(self.system, self.timing)
+
     def _bounds(self, output: ComplexArray) -> FloatArray:
         """Return what each output cannot pass within each block, (n_outputs, n_blocks) array."""
         fine, _ = ladders(self.system.exponent, self.timing.hold, 1)
-        impulse = ((output[:, None, :] * clock_pushes(self.system, self.timing).T) @ fine).real[:, :, ::-1]
-        steady = np.abs(impulse.cumsum(axis=2)).max(axis=2)
-        worst = np.sqrt((impulse**2).sum(axis=2))
+        steady, worst = bound_weights(output, self._push, fine[:, ::-1])
         effort = self.effort
         return np.asarray(np.abs(output) @ effort.size + steady @ effort.mean + worst @ effort.swing)
 
@@ -122,7 +117,7 @@ class Course:
             parts.append(long[:, which[(which >= span.start) & (which < span.stop)] - span.start])
         blocks = np.concatenate(parts, axis=1).reshape(len(self.inputs), -1, SHORT)
         # All long blocks go side by side through their short ones.
-        n_states, ratio = len(self.begin), kernel.scan.power[:, 0, 1, None]
+        n_states, ratio = len(self.begin), decay(self.system.exponent, self.timing.hold, np.array([SHORT]))
         pushed = kernel.pushed(blocks).reshape(n_states, which.size, -1)
         begin = np.empty_like(pushed)
         begin[:, :, 0] = self.begin[:, which]

@@ -252,7 +252,14 @@ class Stimulus:
         displacement : (n_modes,) array
             Modal displacements times angular frequency [m/s].
         """
-        return self._read(self.states_at_focus(velocity))
+        if velocity not in self._achieved:
+            self._achieved[velocity] = self._read(self.states_at_focus(velocity))
+        return self._achieved[velocity]
+
+    @cached_property
+    def _achieved(self) -> dict[float, tuple[FloatArray, FloatArray]]:
+        """What was achieved at levels already asked for."""
+        return {}
 
     def _read(self, states: ComplexArray) -> tuple[FloatArray, FloatArray]:
         return (self.system.velocity @ states).real, (self.system.displacement @ states).real

@@ -228,17 +228,17 @@ class Projection:
         if not 0 < fraction < 1:
             raise ValueError(f"a width is asked at {fraction} of the centre; give a fraction above 0 and below 1")
         level = fraction * self.wish.velocity
-        ends = []
+        brackets = []
         for position, field in self._flanks:
             below = np.flatnonzero(field < level)
             if below.size == 0 or below[0] == 0:
-                ends.append(float(position[-1 if below.size == 0 else 0]))
-                continue
-            i = int(below[0])
-            between = np.linspace(position[i - 1], position[i], 31)
-            above = self.field(between) - level
-            ends.append(float(np.interp(0.0, -above, between)))
-        return ends[1] - ends[0]
+                end = position[-1 if below.size == 0 else 0]
+                brackets.append(np.full(31, end))
+            else:
+                brackets.append(np.linspace(position[below[0] - 1], position[below[0]], 31))
+        above = self.field(np.concatenate(brackets)).reshape(2, -1) - level
+        left, right = (float(np.interp(0.0, -one, place)) for one, place in zip(above, brackets, strict=True))
+        return right - left
 
     @cached_property
     def _flanks(self) -> list[tuple[FloatArray, FloatArray]]:
@@ -246,4 +246,4 @@ class Projection:
         half = self.model.length / 2
         # Eight points to a half wave of the highest mode at least.
         sides = [np.linspace(self.wish.centre, end, 8 * max(self.selected) + 13) for end in (-half, half)]
-        return [(position, self.field(position)) for position in sides]
+        return list(zip(sides, self.field(np.concatenate(sides)).reshape(2, -1), strict=True))

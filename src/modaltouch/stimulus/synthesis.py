@@ -7,6 +7,7 @@ burst. Work is done in chunks from the end, so that no memory grows with the num
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,6 +79,13 @@ def ladders(exponent: ComplexArray, hold: float, n_blocks: int) -> tuple[Complex
     coarse : (n_blocks + 1, n) complex array
         Over `n_blocks` down to 0 blocks [1].
     """
+    return _ladders(exponent.tobytes(), hold, n_blocks)
+
+
+@lru_cache(maxsize=8)
+def _ladders(exponents: bytes, hold: float, n_blocks: int) -> tuple[ComplexArray, ComplexArray]:
+    """Return the ladders, read-only: a design climbs the same ones again and again."""
+    exponent = np.frombuffer(exponents, dtype=complex)
     rung, stride = math.isqrt(BLOCK), math.isqrt(n_blocks) + 1
     short, long = np.arange(rung - 1, -1, -1), np.arange(stride - 1, -1, -1)
     steps = np.concatenate([short, rung * short, BLOCK * long, BLOCK * stride * long])
@@ -86,7 +94,10 @@ def ladders(exponent: ComplexArray, hold: float, n_blocks: int) -> tuple[Complex
     fine = (high[:, :, None] * low[:, None, :]).reshape(exponent.size, BLOCK)
     blocks = powers.T[2 * rung :]
     coarse = (blocks[stride:, None, :] * blocks[:stride]).reshape(stride * stride, exponent.size)
-    return fine, coarse[-n_blocks - 1 :]
+    coarse = coarse[-n_blocks - 1 :]
+    fine.setflags(write=False)
+    coarse.setflags(write=False)
+    return fine, coarse
 
 
 def synthesise(amplitude: ComplexArray, exponent: ComplexArray, hold: float, out: FloatArray) -> None:

@@ -210,12 +210,12 @@ def _checked(voltage: FloatArray, model: ModalModel) -> FloatArray:
 
 def _history(system: DiagonalSystem, output: ComplexArray, voltage: FloatArray, timing: Timing) -> FloatArray:
     """Return the outputs at the starts of the samples, (n_outputs, n_samples) array [m/s]."""
-    kernel = BlockKernel.of_pushes(system.exponent, clock_pushes(system, timing), output, timing.hold)
+    kernel = BlockKernel(system.exponent, clock_pushes(system, timing), output, timing.hold)
     history = np.empty((output.shape[0], voltage.shape[1]))
     state = np.zeros(system.exponent.size, dtype=complex)
     for start in range(0, voltage.shape[1], _CHUNK):
         stop = min(start + _CHUNK, voltage.shape[1])
-        blocks = filled_blocks(clock_inputs(voltage, timing, start, stop, len(kernel.into_state)))
+        blocks = filled_blocks(clock_inputs(voltage, timing, start, stop, kernel.push.shape[1]))
         begin, state = kernel.states(blocks, state)
         kernel.respond(blocks, begin, history[:, start:stop])
     return history
