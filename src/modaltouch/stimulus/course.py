@@ -9,8 +9,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.stimulus.blocks import SHORT, BlockKernel, Effort, bound_weights
+from modaltouch.stimulus.blocks import SHORT, BlockKernel
 from modaltouch.stimulus.dynamics import DiagonalSystem
+from modaltouch.stimulus.envelope import Effort, bound_weights
 from modaltouch.stimulus.lateness import clock_inputs, clock_pushes
 from modaltouch.stimulus.scan import Scan
 from modaltouch.stimulus.synthesis import BLOCK, decay, ladders

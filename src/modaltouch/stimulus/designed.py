@@ -11,12 +11,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from modaltouch.stimulus.bounds import require_positive
 from modaltouch.stimulus.burst import MID_CODE, Burst, amplitudes_at
-from modaltouch.stimulus.course import Course
 from modaltouch.stimulus.drive import Drive, Law, Release, exact_drive
 from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem, modal_system
 from modaltouch.stimulus.field import Projection
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.paper_law import paper_drive
+from modaltouch.stimulus.played import Played
 from modaltouch.stimulus.quantise import full_scale, round_to_codes, unsigned_codes
 from modaltouch.stimulus.settling import settle
 from modaltouch.stimulus.timing import Timing
@@ -134,7 +134,7 @@ class Stimulus:
     def burst(self) -> Burst:
         """The codes, common to all levels, and each channel's amplitude at the reference level."""
         return Burst(
-            codes=unsigned_codes(self._played),
+            codes=unsigned_codes(self._played.codes),
             duration=self.timing.duration,
             repetition_rate=self.timing.repetition_rate,
             velocity=self.wish.velocity,
@@ -153,21 +153,16 @@ class Stimulus:
         return tuple(full_scale(2 * float(v) / self._to_beam, shares) for v in self.peak_voltage)
 
     @cached_property
-    def _played(self) -> FloatArray:
-        """Signed codes, (n_channels, n_samples) array [1]."""
+    def _played(self) -> Played:
+        """The codes, and what they do to the beam."""
         volts_per_code = np.asarray(self._amplitude) * (self._to_beam / 2 / MID_CODE)
         codes = round_to_codes(self.voltage, volts_per_code)
-        if self.law != "exact" or self.rounding != "settled":
-            return codes
-        states = volts_per_code @ states_by_channel(self.system, codes, self.timing, self.timing.focusing_instant)
-        reached, displacement = self._read(states)
-        error = np.concatenate([self.target - reached, -displacement])
-        return settle(codes, volts_per_code, self.system, self.timing, error, float(np.abs(self.target).max()))
-
-    @cached_property
-    def _highest_code(self) -> FloatArray:
-        """Largest magnitude of each channel's signed codes, (n_channels,) array [1]."""
-        return np.asarray(np.maximum(self._played.max(axis=1), -self._played.min(axis=1)))
+        if self.law == "exact" and self.rounding == "settled":
+            states = volts_per_code @ states_by_channel(self.system, codes, self.timing, self.timing.focusing_instant)
+            reached, displacement = self._read(states)
+            error = np.concatenate([self.target - reached, -displacement])
+            codes = settle(codes, volts_per_code, self.system, self.timing, error, float(np.abs(self.target).max()))
+        return Played(self.system, self.timing, codes)
 
     def peak_drive(self, velocity: float) -> FloatArray:
         """Return the highest magnitude of each channel's voltage as played at a level, (n_channels,) array [V].
@@ -177,7 +172,7 @@ class Stimulus:
         velocity : float
             Level [m/s].
         """
-        return self._highest_code * self.volts_per_code(velocity)
+        return self._played.highest * self.volts_per_code(velocity)
 
     def under_law(self, law: Law) -> Stimulus:
         """Return the same stimulus under another drive law; what does not depend on the law is not computed again.
@@ -190,11 +185,6 @@ class Stimulus:
         other = replace(self, law=law)
         vars(other).update({name: getattr(self, name) for name in _LAWLESS})
         return other
-
-    @cached_property
-    def _states_per_volt(self) -> ComplexArray:
-        """States at the focusing instant for codes worth a volt each, (n_channels, n_states) array."""
-        return states_by_channel(self.system, self._played, self.timing, self.timing.focusing_instant)
 
     def volts_per_code(self, velocity: float) -> FloatArray:
         """Return what a code is worth at the beam at a level as the generator plays, (n_channels,) array [V].
@@ -225,7 +215,7 @@ class Stimulus:
         velocity : float
             Level [m/s].
         """
-        return self._played * self.volts_per_code(velocity)[:, None]
+        return self._played.codes * self.volts_per_code(velocity)[:, None]
 
     def states_at_focus(self, velocity: float) -> ComplexArray:
         """Return the states of `system` at the focusing instant of the first burst, (n_states,) complex array.
@@ -235,7 +225,7 @@ class Stimulus:
         velocity : float
             Level [m/s].
         """
-        return np.asarray(self.volts_per_code(velocity) @ self._states_per_volt)
+        return self._played.states_at_focus(self.volts_per_code(velocity))
 
     def achieved(self, velocity: float) -> tuple[FloatArray, FloatArray]:
         """Return what the rounded codes do to the modes at the focusing instant of the first burst.
@@ -277,13 +267,7 @@ class Stimulus:
         velocity, displacement : (n_modes,) arrays
             As `achieved` [m/s].
         """
-        timing, exponent = self.timing, self.system.exponent
-        end = timing.duration + self.system.delay
-        after = states_by_channel(self.system, self._played, timing, end)
-        left = self.volts_per_code(velocity) @ after
-        period = 1 / timing.repetition_rate
-        carried = np.exp(exponent * (period - end)) / -np.expm1(exponent * period)
-        return self._read(self.states_at_focus(velocity) + left * carried * np.exp(exponent * timing.focusing_instant))
+        return self._read(self._played.states_steady(self.volts_per_code(velocity)))
 
     def worst_modal_error(self, velocity: float) -> float:
         """Return the largest of |velocity - target| and |w eta| over the modes, as `achieved` [m/s].
@@ -322,30 +306,6 @@ class Stimulus:
         """Mode shapes already computed, by the positions."""
         return {}
 
-    @cached_property
-    def _courses(self) -> dict[tuple[float, ...], tuple[Course, dict[float, float]]]:
-        """Courses of the codes already computed, and peaks by position, by the channels' ratio."""
-        return {}
-
-    def _course(self, velocity: float) -> tuple[Course, dict[float, float], float]:
-        """Return the course of the codes at a level, known peaks by position, and what both are to be scaled by.
-
-        Levels that keep the channels' ratio only scale: one course serves them all.
-        """
-        unit = self.volts_per_code(velocity)
-        largest = float(unit.max())
-        ratio = tuple(round(float(u), 12) for u in unit / largest)
-        if ratio not in self._courses:
-            # Codes for volts: what a code is worth goes into the gains, and no voltages are written out.
-            gain = self.system.input_gain * (unit / largest)
-            course = Course.of(replace(self.system, input_gain=gain), self._played, self.timing)
-            self._courses[ratio] = course, {}
-        return *self._courses[ratio], largest
-
-    def _reading(self, positions: ArrayLike) -> ComplexArray:
-        """Return what reads the velocity at points off the states, (n_positions, n_states) array."""
-        return np.asarray(self._shapes_at(positions).T @ self.system.velocity)
-
     def passes(self, positions: ArrayLike, velocity: float, limit: float) -> bool:
         """Return whether the speed at any of some points of the beam passes a limit.
 
@@ -360,8 +320,7 @@ class Stimulus:
         limit : float
             Speed [m/s].
         """
-        course, _, scale = self._course(velocity)
-        return bool((course.peak(self._reading(positions), limit / scale) * scale > limit).any())
+        return self._played.passes(self.volts_per_code(velocity), self._shapes_at(positions), limit)
 
     def peak_velocity(self, positions: ArrayLike, velocity: float) -> FloatArray:
         """Return the highest speed at points of the beam until the next burst, (n_positions,) array [m/s].
@@ -373,8 +332,4 @@ class Stimulus:
         velocity : float
             Level [m/s].
         """
-        place = np.atleast_1d(np.asarray(positions, dtype=float)).tolist()
-        course, known, scale = self._course(velocity)
-        if asked := [point for point in dict.fromkeys(place) if point not in known]:
-            known.update(zip(asked, course.peak(self._reading(asked)).tolist(), strict=True))
-        return np.array([known[point] for point in place]) * scale
+        return self._played.peaks(self.volts_per_code(velocity), positions, self._shapes_at(positions))
