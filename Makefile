@@ -29,14 +29,15 @@ install: .venv/.installed system
 
 # OpenGL for the answer window, PortAudio for masking noise, and a virtual display with its own keyboard for
 # the tests and for machines without a screen.
-DEBIAN_PACKAGES := libgl1 libgl1-mesa-dri libglx-mesa0 libglu1-mesa libx11-6 libxext6 xvfb
+DEBIAN_PACKAGES := libgl1 libgl1-mesa-dri libglx-mesa0 libglu1-mesa libx11-6 libxext6 libportaudio2 xvfb
 .PHONY: system
 system:
 	@[ "$$(uname)" = Linux ] || exit 0; \
 	libraries=$$(PATH="$$PATH:/sbin:/usr/sbin" ldconfig -p); drivers=$$(ls /usr/lib/*/dri/swrast_dri.so /usr/lib/*/libgallium*.so 2>/dev/null || true); \
 	case "$$libraries" in *libGLU.so.1*) glu=yes;; esac; case "$$libraries" in *libGL.so.1*) gl=yes;; esac; \
-	[ -n "$$gl" ] && [ -n "$$glu" ] && [ -n "$$drivers" ] && command -v Xvfb >/dev/null && exit 0; \
-	command -v apt-get >/dev/null || { echo "Install OpenGL (libGL, libGLU, Mesa) and Xvfb with this system's package manager, then run make again." >&2; exit 1; }; \
+	case "$$libraries" in *libportaudio.so.2*) sound=yes;; esac; \
+	[ -n "$$gl" ] && [ -n "$$glu" ] && [ -n "$$sound" ] && [ -n "$$drivers" ] && command -v Xvfb >/dev/null && exit 0; \
+	command -v apt-get >/dev/null || { echo "Install OpenGL (libGL, libGLU, Mesa), PortAudio and Xvfb with this system's package manager, then run make again." >&2; exit 1; }; \
 	$(SUDO) apt-get update -q && $(SUDO) env DEBIAN_FRONTEND=noninteractive apt-get install -y -q --no-install-recommends $(DEBIAN_PACKAGES)
 
 ## demo: a whole short session on the simulated rig, in the real window, then its report
