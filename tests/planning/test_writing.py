@@ -37,6 +37,8 @@ def test_tables_and_json_hold_the_same_figures(power: Power, tmp_path: Path) -> 
 def test_an_analysis_is_never_replaced_by_a_plan(power: Power, tmp_path: Path) -> None:
     """Expected: refused, and the analysis as it was."""
     write_files(tmp_path / "analysis", {"tests.csv": b"p\n1\n"}, {"version": "0"})
-    with pytest.raises(RecordError, match="holds an analysis, which a plan would replace; give another folder"):
+    with pytest.raises(
+        RecordError, match="holds what `modaltouch analyse` made, which would be replaced; give another folder"
+    ):
         write_power(tmp_path / "analysis", power)
     assert (tmp_path / "analysis" / "tests.csv").read_bytes() == b"p\n1\n"

@@ -14,8 +14,13 @@ from modaltouch.record.chain import RecordError
 
 MANIFEST = "manifest.json"
 
+_MAKER = "modaltouch "
+"""What the maker of every manifest begins with."""
 
-def write_files(folder: Path, files: dict[str, bytes], about: dict[str, Any]) -> dict[str, Path]:
+
+def write_files(
+    folder: Path, files: dict[str, bytes], about: dict[str, Any], command: str = "analyse"
+) -> dict[str, Path]:
     """Write files into a folder, with a manifest that tells ours from others.
 
     Everything is first written to a folder beside it, so a full disk or a kill leaves what was there.
@@ -28,6 +33,8 @@ def write_files(folder: Path, files: dict[str, bytes], about: dict[str, Any]) ->
         Contents by name.
     about : dict
         What the manifest says of their making, plain values.
+    command : str
+        The command that made them; a folder belongs to one command.
 
     Returns
     -------
@@ -37,8 +44,11 @@ def write_files(folder: Path, files: dict[str, bytes], about: dict[str, Any]) ->
     Raises
     ------
     RecordError
-        If a file of that name is not ours, was changed since, or cannot be written.
+        If the folder belongs to another command, or a file of that name is not ours, was changed since, or cannot
+        be written.
     """
+    refuse_other(folder, command)
+    about = {"generated_by": _MAKER + command, **about}
     known = _read_manifest(folder)
     for name in (*files, MANIFEST):
         _refuse_strange(folder / name, known.get(name, []) if name != MANIFEST else None, bool(known))
@@ -67,6 +77,28 @@ def write_files(folder: Path, files: dict[str, bytes], about: dict[str, Any]) ->
     return {name: folder / name for name in files}
 
 
+def refuse_other(folder: Path, command: str) -> None:
+    """Refuse a folder that holds what another command made, before long work rather than after it.
+
+    Parameters
+    ----------
+    folder : Path
+        Where files would go.
+    command : str
+        The command that would write them.
+
+    Raises
+    ------
+    RecordError
+        If another command made what it holds.
+    """
+    maker = str(_manifest_of(folder).get("generated_by", ""))
+    if maker.startswith(_MAKER) and maker != _MAKER + command:
+        raise RecordError(
+            f"{folder}: holds what `{maker}` made, which would be replaced; give another folder with --out"
+        )
+
+
 def _put(temporary: Path, folder: Path, name: str, text: str) -> None:
     path = temporary / name
     with path.open("w", encoding="utf-8", newline="\n") as file:
@@ -77,20 +109,29 @@ def _put(temporary: Path, folder: Path, name: str, text: str) -> None:
 
 
 def _manifest(about: dict[str, Any], hashes: dict[str, list[str]]) -> str:
-    values = {"generated_by": "modaltouch analyse", **about, "files": dict(sorted(hashes.items()))}
+    values = {**about, "files": dict(sorted(hashes.items()))}
     return json.dumps(values, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def _read_manifest(folder: Path) -> dict[str, list[str]]:
     if folder.exists() and not folder.is_dir():
         raise RecordError(f"{folder}: is a file, but a folder is needed; give another one with --out")
+    values = _manifest_of(folder)
+    if not str(values.get("generated_by", "")).startswith(_MAKER):
+        return {}
+    try:
+        return {str(name): [str(h) for h in hashes] for name, hashes in values["files"].items() if _plain(name)}
+    except (KeyError, TypeError, AttributeError):
+        return {}
+
+
+def _manifest_of(folder: Path) -> dict[str, Any]:
+    """Return what a folder's manifest says; nothing where there is none."""
     try:
         values = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
-        if values["generated_by"] != "modaltouch analyse":
-            return {}
-        return {str(name): [str(h) for h in hashes] for name, hashes in values["files"].items() if _plain(name)}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+    except (OSError, ValueError):
         return {}
+    return values if isinstance(values, dict) else {}
 
 
 def _plain(name: object) -> bool:

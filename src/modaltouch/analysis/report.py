@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -14,6 +13,7 @@ from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.findings import ALPHA, Finding
 from modaltouch.analysis.gallery import Picture
 from modaltouch.analysis.outcome import Analysis
+from modaltouch.analysis.page import embed_svg, render_page
 from modaltouch.analysis.style import level_label
 from modaltouch.analysis.tables import tabulate, zone_table
 from modaltouch.analysis.words import HEADINGS, say_number, write_paragraphs
@@ -33,20 +33,13 @@ def render_report(analysis: Analysis, pictures: Sequence[Picture], vectors: Mapp
     vectors : mapping of str to bytes
         Each figure as SVG, by name.
     """
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
     from modaltouch.analysis.record_facts import describe_record
     from modaltouch.provenance import commit, versions
 
-    environment = Environment(
-        loader=PackageLoader("modaltouch.analysis"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     answers = analysis.answers
-    return environment.get_template(TEMPLATE).render(
+    return render_page(
+        "modaltouch.analysis",
+        TEMPLATE,
         title=_title(analysis),
         source=analysis.responses.source,
         answers=answers,
@@ -127,7 +120,7 @@ def _embed(picture: Picture, svg: bytes) -> dict[str, Any]:
         "section": picture.section,
         "caption": picture.caption,
         "finger_condition": picture.finger_condition,
-        "uri": "data:image/svg+xml;base64," + base64.b64encode(svg).decode("ascii"),
+        "uri": embed_svg(svg),
     }
 
 

@@ -53,12 +53,13 @@ def power(
     """
     sizes_n = parse_sizes(participants, "--participants", _MOST_PARTICIPANTS)
     sizes_r = parse_sizes(reps, "--reps", _MOST_ANSWERS) if reps is not None else None
+    from modaltouch.analysis.output import refuse_other
     from modaltouch.interruption import Interruption
     from modaltouch.observer.file import read_observer
     from modaltouch.planning.experiments import Study
     from modaltouch.planning.power import plan
     from modaltouch.planning.presented import design_for
-    from modaltouch.planning.writing import refuse_other
+    from modaltouch.planning.writing import COMMAND
     from modaltouch.preflight import examine
 
     with reporting(json_output=json_output):
@@ -69,7 +70,7 @@ def power(
         _refuse_too_large(max(sizes_n) * max(repetitions) * len(design.levels))
         study = Study(design, model, _families(questions, design.scopes), null, seed)
         if out is not None:
-            refuse_other(out)
+            refuse_other(out, COMMAND)
         with Interruption() as interruption, _progress() as on_progress:
             found = plan(
                 study,

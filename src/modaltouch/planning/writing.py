@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from modaltouch import __version__
-from modaltouch.analysis.output import MANIFEST, write_files
+from modaltouch.analysis.output import write_files
 from modaltouch.planning.power import Power
-from modaltouch.record.chain import RecordError
 
-_COMMAND = "power"
+COMMAND = "power"
+"""The command that owns the folder."""
 
 
 def write_power(folder: Path, power: Power, target: float = 0.8) -> dict[str, Path]:
@@ -36,7 +36,6 @@ def write_power(folder: Path, power: Power, target: float = 0.8) -> dict[str, Pa
     from modaltouch.analysis.style import render
     from modaltouch.planning.pictures import draw_power
 
-    refuse_other(folder)
     values = power.as_dict(target)
     figure = draw_power(power, target)
     files = {
@@ -47,28 +46,7 @@ def write_power(folder: Path, power: Power, target: float = 0.8) -> dict[str, Pa
         "power.svg": render(figure, "svg"),
         "power.png": render(figure, "png"),
     }
-    return write_files(folder, files, {"version": __version__, "command": _COMMAND, "seed": power.study.seed})
-
-
-def refuse_other(folder: Path) -> None:
-    """Refuse a folder that holds what another command made.
-
-    Parameters
-    ----------
-    folder : Path
-        Where a plan would go.
-
-    Raises
-    ------
-    RecordError
-        If it holds an analysis.
-    """
-    try:
-        manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return
-    if isinstance(manifest, dict) and "generated_by" in manifest and manifest.get("command") != _COMMAND:
-        raise RecordError(f"{folder}: holds an analysis, which a plan would replace; give another folder with --out")
+    return write_files(folder, files, {"version": __version__, "seed": power.study.seed}, COMMAND)
 
 
 def _table(rows: list[dict[str, Any]]) -> bytes:
