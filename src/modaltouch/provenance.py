@@ -1,4 +1,4 @@
-"""Which program made a record: versions of what took part, and the commit where the code is a checkout."""
+"""Which program made a record: versions of what took part, the commit, and since when the machine runs."""
 
 from __future__ import annotations
 
@@ -34,6 +34,17 @@ def commit() -> str:
     except (OSError, subprocess.SubprocessError):
         return ""
     return head + ("+" if changed else "")
+
+
+def boot() -> str:
+    """Return what tells one start of this machine from another; empty where the system does not say.
+
+    The monotonic clock of a record counts from there.
+    """
+    try:
+        return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+    except (OSError, UnicodeDecodeError):
+        return ""
 
 
 def _git(root: Path, *words: str) -> str:

@@ -9,6 +9,7 @@ from typing import Any
 
 from modaltouch.practice import expected_answer, judge_round
 from modaltouch.protocol import Protocol, ScheduleSection
+from modaltouch.record.instants import describe_instants
 from modaltouch.record.log import SessionLog
 from modaltouch.rig.interface import Firing, Rig, RigError
 from modaltouch.trial import Response, Trial
@@ -184,6 +185,8 @@ def present(sitting: Sitting, trial: Trial) -> tuple[Response, Firing, RigError 
     while True:
         firing = fire(sitting, trial)
         try:
+            # Whatever ends the session now, the record knows that this stimulus had begun.
+            sitting.log.append("fired", trial=trial.as_dict(), confirmed=firing.as_dict())
             response = sitting.window.ask(trial, progress, onset=firing.onset, stop=stop)
         except TrialInterrupted as cut:
             sitting.log.append("trial_cut", trial=trial.as_dict(), reason=cut.reason, confirmed=firing.as_dict())
@@ -220,9 +223,11 @@ def fire(sitting: Sitting, trial: Trial) -> Firing:
 def write_down(sitting: Sitting, trial: Trial, response: Response, firing: Firing) -> None:
     """Put the answer on the disk: planned, commanded, confirmed and answered apart."""
     speed_left, speed_right = sitting.speeds(trial)
+    values, answered = trial.as_dict(), firing.onset + response.counted_from + response.reaction_time
     sitting.log.append(
         "trial",
-        trial=trial.as_dict(),
+        trial=values,
+        presentation=sum(event["event"] == "fired" and event["trial"] == values for event in sitting.log.events),
         fingers=list(fingers(sitting.protocol, trial)),
         planned={
             "velocity_mm_s": trial.condition.velocity_mm_s,
@@ -232,6 +237,15 @@ def write_down(sitting: Sitting, trial: Trial, response: Response, firing: Firin
         commanded={"amplitude_Vpp": list(firing.commanded_amplitude)},
         confirmed=firing.as_dict(),
         response=response.as_dict(),
+        instants=describe_instants(
+            onset=firing.onset,
+            onset_uncertainty=firing.onset_uncertainty,
+            period=1 / sitting.protocol.stimulus.repetition_rate_Hz,
+            answered=answered,
+            answer_uncertainty=response.time_uncertainty,
+            question=None if response.question_after is None else firing.onset + response.question_after,
+            question_uncertainty=response.question_uncertainty,
+        ),
         supersedes=_superseded(sitting.log, trial),
     )
     sitting.save_view()
@@ -239,9 +253,9 @@ def write_down(sitting: Sitting, trial: Trial, response: Response, firing: Firin
 
 def _superseded(log: SessionLog, trial: Trial) -> int | None:
     """Return the line of the answer that a new one to the same trial replaces, if there is one."""
+    values = trial.as_dict()
     events = (event for event in reversed(log.events) if event["event"] == "trial")
-    same = (event for event in events if event["trial"] == trial.as_dict())
-    return next((event["n"] for event in same), None)
+    return next((event["n"] for event in events if event["trial"] == values), None)
 
 
 def fingers(protocol: Protocol, trial: Trial) -> tuple[str, str]:

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from typing import Any, Literal
 
 from modaltouch.interruption import Interrupted, Interruption
 from modaltouch.preflight import Preflight
-from modaltouch.provenance import commit, versions
+from modaltouch.provenance import boot, commit, versions
 from modaltouch.record.chain import RecordError
 from modaltouch.record.folders import SessionFolder
 from modaltouch.record.log import SCHEMA, Session, SessionLog, read_session, refuse_existing
 from modaltouch.record.view import describe_dataset, list_participants, write_view
+from modaltouch.resumption import Interruption as Cut
+from modaltouch.resumption import answers_to_ask_again, examine_interruption, refuse_old
 from modaltouch.rig import is_simulated
 from modaltouch.rig.interface import Rig, RigError
 from modaltouch.schedule import Schedule
@@ -43,6 +47,8 @@ class Setup:
         How the instrument and the window are opened.
     facts : dict
         What else the start record should say: rig, answers, seed.
+    replaces : SessionFolder or None
+        The interrupted session that this one begins anew.
     on_progress : callable
         Called with (answered, total) after each trial.
     """
@@ -53,6 +59,7 @@ class Setup:
     open_rig: OpenRig
     open_window: OpenWindow
     facts: dict[str, Any] = field(default_factory=dict)
+    replaces: SessionFolder | None = None
     on_progress: Callable[[int, int], None] = lambda answered, total: None
 
 
@@ -110,36 +117,63 @@ def begin(setup: Setup) -> Session:
 
 
 def resume(setup: Setup) -> Session:
-    """Continue an interrupted session with the trials that are left, in the order they had.
+    """Continue an interrupted session as its protocol has it, the trials that are left in the order they had.
 
     A session that lacks no answer is only given the BIDS view that the interruption may have kept from it.
+    One that is begun anew (`Setup.replaces`) is closed, and all its trials come in the same order.
 
     Raises
     ------
     RecordError
-        If the record is damaged or in use, or this program would draw another order than the recorded one.
+        If the record is damaged or in use, the interruption is too old, or this program would draw another
+        order than the recorded one.
     RigError, WindowError, SessionStopped, Interrupted
         Whatever ended it early again.
     """
-    session = read_session(setup.place.log)
+    place = setup.replaces or setup.place
+    session = read_session(place.log)
     if session.complete:
-        with SessionLog.reopen(setup.place.log) as log:
-            write_view(setup.place, session, log.head)
+        with SessionLog.reopen(place.log) as log:
+            write_view(place, session, log.head)
         return session
     recorded = session.start["schedule"]
     if recorded["order_hash"] != setup.schedule.order_hash:
         raise RecordError(
-            f"{setup.place.log}: its order has the hash {recorded['order_hash'][:12]}, this program draws "
+            f"{place.log}: its order has the hash {recorded['order_hash'][:12]}, this program draws "
             f"{setup.schedule.order_hash[:12]}; resume it with the version that began it "
             f"({session.start['versions']['modaltouch']})"
         )
 
-    def reopen(place: SessionFolder, facts: dict[str, Any]) -> SessionLog:
-        log = SessionLog.reopen(place.log)
-        log.append("resume", **facts)
-        return log
+    cut = examine_interruption(session, now=datetime.now(UTC), clock=time.perf_counter(), boot=boot())
+    if setup.replaces is not None:
+        refuse_existing(setup.place.log)
+        return _sit(setup, lambda place, facts: _begin_anew(setup, cut, facts), "start")
+    refuse_old(session, cut, setup.preflight.experiment.protocol.schedule.resume)
+    return _sit(setup, lambda place, facts: _go_on(setup, cut, facts), "resume")
 
-    return _sit(setup, reopen, "resume")
+
+def _go_on(setup: Setup, cut: Cut, facts: dict[str, Any]) -> SessionLog:
+    """Return the log of an interrupted session, with what the interruption cut and what is asked again."""
+    policy = setup.preflight.experiment.protocol.schedule.resume
+    log = SessionLog.reopen(setup.place.log)
+    log.append("resume", at=policy.at, interruption=cut.as_dict(), **facts)
+    if cut.cut_trial is not None:
+        log.append("trial_cut", trial=cut.cut_trial, reason=f"interrupted ({cut.reason})")
+    lines = answers_to_ask_again(Session(log.path, tuple(log.events), ()), setup.schedule, policy)
+    if lines:
+        log.append("withdrawn", lines=list(lines), reason="the block that was interrupted begins anew")
+    return log
+
+
+def _begin_anew(setup: Setup, cut: Cut, facts: dict[str, Any]) -> SessionLog:
+    """Close an interrupted session and return the log of the one that takes its place."""
+    old = setup.replaces or setup.place
+    with SessionLog.reopen(old.log) as log:
+        if Session(log.path, tuple(log.events), ()).begun_anew_as is None:
+            log.append("closed", begun_anew_as=setup.place.session, interruption=cut.as_dict())
+        write_view(old, Session(log.path, tuple(log.events), ()), log.head)
+    begun = {"session": old.session, "interruption": cut.as_dict()}
+    return SessionLog.create(setup.place.log, "start", **facts, begins_anew=begun)
 
 
 def _sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], SessionLog], first: str) -> Session:
@@ -216,6 +250,7 @@ def _describe(setup: Setup, rig: Rig, window: AnswerWindow, first: str) -> dict[
         "window": window.describe(),
         "versions": versions(),
         "commit": commit(),
+        "boot": boot(),
     }
     if first == "resume":
         return about

@@ -126,6 +126,8 @@ class Response:
         Whether another answer came within 50 ms.
     question_after : float or None
         From the onset of the stimulus to the question on the screen [s]; None without a screen.
+    question_uncertainty : float
+        How long bringing the question onto the screen took: it was there this much earlier at most [s].
     time_uncertainty : float
         Longest time the answer event may have waited before it was stamped [s].
     """
@@ -139,7 +141,13 @@ class Response:
     key: str = ""
     double: bool = False
     question_after: float | None = None
+    question_uncertainty: float = 0.0
     time_uncertainty: float = 0.0
+
+    @property
+    def counted_from(self) -> float:
+        """What the reaction time counts from [s after the onset of the stimulus]."""
+        return (self.question_after or 0.0) if self.onset == "question" else 0.0
 
     def as_dict(self) -> dict[str, Any]:
         """Return the response as plain values for the record."""

@@ -79,7 +79,7 @@ def verify_session(path: Path) -> Verdict:
 def _check_order(session: Session) -> tuple[bool, str]:
     start = session.start
     protocol = restore_experiment(Sources.from_dict(start["sources"])).protocol
-    schedule = draw_schedule(protocol, start["participant"], start["seed"], start["session"])
+    schedule = draw_schedule(protocol, start["participant"], start["seed"], session.drawn_as)
     if schedule.as_dict() == start["schedule"]:
         return True, f"order of {len(schedule.trials)} trials drawn again from seed {start['seed']}: the same"
     return False, f"{session.path}: seed {start['seed']} draws another order than the recorded one"
@@ -117,7 +117,7 @@ def _check_view(session: Session, checks: tuple[str, ...]) -> tuple[str, list[st
     made_from = Session(session.path, session.events[: head["lines"]], ())
     if text != table_text(made_from):
         return "", [f"{table}: differs from what the log says; the log is the truth"]
-    behind = len(session.trials) - len(made_from.trials)
-    if behind:
-        return f"BIDS view agrees, {behind} answers behind the log: `modaltouch resume` brings it up", []
+    if session.trials != made_from.trials:
+        behind = len(checks) - head["lines"]
+        return f"BIDS view agrees, {behind} lines behind the log: `modaltouch resume` brings it up", []
     return f"BIDS view agrees: {len(session.trials)} answers", []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,9 +13,9 @@ from modaltouch.observer import Observer
 from modaltouch.observer.felt import Felt
 from modaltouch.preflight import Preflight, examine_findings
 from modaltouch.protocol import Sources, examine_sources
-from modaltouch.record.chain import RecordError
+from modaltouch.record.chain import RecordError, RecordInputError
 from modaltouch.record.folders import Mode, SessionFolder, find_log, locate
-from modaltouch.record.log import read_session
+from modaltouch.record.log import Session, read_session
 from modaltouch.rig import open_rig, start_simulator
 from modaltouch.rig.interface import Rig
 from modaltouch.schedule import Schedule, draw_schedule, random_generator
@@ -157,14 +158,26 @@ def wire_resume(
     *,
     rig: str | None = None,
     answers: AnswersBy | None = None,
+    restart: bool = False,
     window_options: dict[str, Any] | None = None,
 ) -> Setup:
     """Return what an interrupted session needs to go on, all of it from the session's own record.
 
+    Parameters
+    ----------
+    path : Path
+        A session's folder or its log.
+    rig, answers : str, optional
+        Others than the recorded ones, of the same kind.
+    restart : bool
+        Whether it is begun anew as another session, whatever its protocol says.
+    window_options : dict, optional
+        Further arguments of `open_window`.
+
     Raises
     ------
     RecordError
-        If there is no such session, it is damaged, or a real one would go on simulated.
+        If there is no such session, it is damaged or has been begun anew, or a real one would go on simulated.
     """
     log = find_log(path)
     session = read_session(log)
@@ -181,9 +194,36 @@ def wire_resume(
             "another kind; give --rig and --answers as it began"
         )
     preflight = examine_findings(examine_sources(Sources.from_dict(start["sources"]))).require()
-    schedule = draw_schedule(preflight.experiment.protocol, place.participant, start["seed"], place.session)
+    schedule = draw_schedule(preflight.experiment.protocol, place.participant, start["seed"], session.drawn_as)
     observer = Observer.from_dict(start["observer"]) if "observer" in start else Observer()
-    return _setup(preflight, schedule, place, start["seed"], rig, answers, window_options or {}, observer)
+    at = preflight.experiment.protocol.schedule.resume.at
+    anew = _place_anew(place, session) if (restart or at == "restart") and not session.complete else None
+    if anew is None and session.begun_anew_as is not None:
+        anew = _place_anew(place, session)
+    setup = _setup(preflight, schedule, anew or place, start["seed"], rig, answers, window_options or {}, observer)
+    return setup if anew is None else replace(setup, replaces=place)
+
+
+def _place_anew(place: SessionFolder, session: Session) -> SessionFolder:
+    """Return the place of the session that begins another one anew: the next free number.
+
+    Raises
+    ------
+    RecordInputError
+        If it has been begun anew already.
+    """
+    number = session.begun_anew_as
+    if number is not None:
+        anew = replace(place, session=number)
+        if anew.log.exists():
+            raise RecordInputError(
+                f"{place.log}: was begun anew as session {number}; go on with `modaltouch resume {anew.folder}`"
+            )
+        return anew
+    number = place.session + 1
+    while replace(place, session=number).log.exists():
+        number += 1
+    return replace(place, session=number)
 
 
 def _setup(

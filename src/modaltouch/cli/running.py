@@ -116,6 +116,9 @@ def resume(
     session: Annotated[Path, typer.Argument(help="A session's folder or its session.jsonl.", show_default=False)],
     rig: Annotated[str | None, typer.Option(help="Another VISA address than the recorded one.")] = None,
     answers: Annotated[Answers | None, typer.Option(help="Another way of answering than the recorded one.")] = None,
+    restart: Annotated[
+        bool, typer.Option("--restart", help="Close it, its answers kept, and begin it anew as the next session.")
+    ] = False,
     fullscreen: FULLSCREEN = False,
     size: SIZE = "1280x800",
     theme: THEME = Theme.dark,
@@ -124,6 +127,8 @@ def resume(
     json_output: JSON = False,
 ) -> None:
     """Go on with an interrupted session: the trials that are left, in the order they had.
+
+    Where the protocol says so (`schedule.resume`), the block that was cut begins anew, or the whole session does.
 
     Everything is taken from the record itself, so it does not matter what became of the protocol's files.
     """
@@ -135,6 +140,7 @@ def resume(
             session,
             rig=rig,
             answers=answers.value if answers else None,
+            restart=restart,
             window_options=_window_options(fullscreen, size, theme, screen, screenshots),
         )
         with _progress() as on_progress:

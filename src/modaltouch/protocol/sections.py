@@ -108,6 +108,19 @@ class ConditionsSection(Section):
     )
 
 
+class ResumeSection(Section):
+    """How an interrupted session goes on."""
+
+    at: Literal["trial", "block", "restart"] = described(
+        "trial: with the next trial; block: the block that was cut from its first trial on, its answers kept but not "
+        "counted; restart: as a new session in the same order, the old one closed.",
+        default="trial",
+    )
+    within_hours: Positive | None = described(
+        "Longest interruption after which it may go on [h]; null for no limit.", default=None
+    )
+
+
 class ScheduleSection(Section):
     """How the trials are ordered."""
 
@@ -146,6 +159,7 @@ class ScheduleSection(Section):
     break_after_min: Positive | None = described(
         "Minutes between two breaks, at the next trial; null for no breaks by time.", default=None
     )
+    resume: ResumeSection = described("How an interrupted session goes on.", default=ResumeSection())
 
     @property
     def all_practice_trials(self) -> int:

@@ -198,10 +198,24 @@ class Session:
         return str(self.start.get("protocol", ""))
 
     @property
+    def drawn_as(self) -> int:
+        """Number of the session whose order this one has: its own, or that of the session it began anew."""
+        own = self.start.get("session", 1)
+        return int(self.start.get("schedule", {}).get("seeds", {}).get("session", own))
+
+    @property
+    def begun_anew_as(self) -> int | None:
+        """Number of the session that began this one anew; None if this one may go on."""
+        closed = [event["begun_anew_as"] for event in self.events if event.get("event") == "closed"]
+        return int(closed[-1]) if closed else None
+
+    @property
     def trials(self) -> tuple[dict[str, Any], ...]:
-        """The trial events that count: answered, and not superseded by a later one."""
+        """The trial events that count: answered, not superseded by a later one, and not to be asked again."""
         superseded = {event["supersedes"] for event in self.events if event.get("supersedes")}
-        return tuple(event for event in self.events if event.get("event") == "trial" and event["n"] not in superseded)
+        withdrawn = {line for event in self.events if event.get("event") == "withdrawn" for line in event["lines"]}
+        gone = superseded | withdrawn
+        return tuple(event for event in self.events if event.get("event") == "trial" and event["n"] not in gone)
 
     @property
     def answered(self) -> frozenset[tuple[bool, int]]:

@@ -131,6 +131,7 @@ class ParticipantWindow:
             stop()
             self._feel(trial, question, stop, until=due)
         asked = self._stage.show(question, Moment("answer", trial, onset))
+        flip_took = self._stage.flip_took
         # What is read now was pressed while the question was being drawn: it cannot answer it.
         for event in self._stage.poll_quietly():
             self._before_question(event, trial, stop)
@@ -150,6 +151,7 @@ class ParticipantWindow:
             key=event.key or answer,
             double=self._watch_double(answer, event),
             question_after=asked - onset,
+            question_uncertainty=flip_took,
             time_uncertainty=gap,
         )
 

@@ -136,6 +136,8 @@ class Stage:
         self._last_poll = time.perf_counter()
         self.poll_gap = 0.0
         """Time between the last two polls: the longest an event of the last one can have waited [s]."""
+        self.flip_took = 0.0
+        """How long it took to bring the picture onto the screen [s]."""
         if screenshots is not None:
             try:
                 screenshots.mkdir(parents=True, exist_ok=True)
@@ -152,7 +154,10 @@ class Stage:
         """Show a picture unless it is on already, and return since when it is on [s]."""
         if picture != self._picture:
             self.draw_ahead(picture)
-            self._shown = self._drawn = self._display.flip(self._screenshot(picture))
+            screenshot = self._screenshot(picture)
+            began = time.perf_counter()
+            self._shown = self._drawn = self._display.flip(screenshot)
+            self.flip_took = self._shown - began
             self._picture, self._ahead = picture, None
             self._is_stale = False
         if moment is not None:

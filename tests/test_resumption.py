@@ -1,0 +1,235 @@
+"""An interrupted session goes on as its protocol says: in the same order, whatever line it was cut at."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from modaltouch.observer import Observer
+from modaltouch.preflight import Preflight, examine
+from modaltouch.protocol import ResumeSection
+from modaltouch.record.chain import RecordInputError, read_chain
+from modaltouch.record.log import Session, read_session
+from modaltouch.resumption import examine_interruption, refuse_old
+from modaltouch.rig.interface import Firing
+from modaltouch.sitting import Setup, begin, resume
+from modaltouch.verification import verify_session
+from modaltouch.window.interface import AnswerWindow
+from modaltouch.window.simulated import Answerer, SimulatedParticipant
+from modaltouch.wiring import wire_resume, wire_run
+
+Edit = Callable[..., Path]
+
+
+class PaperRig:
+    """Fires nothing and confirms it."""
+
+    identity = "TEKTRONIX,AFG3022B,SIMULATED,paper"
+    address = "paper"
+    firing: Firing | None = None
+
+    def load(self, burst: Any) -> None:
+        pass
+
+    def fire(self, velocity: float) -> Firing:
+        self.firing = Firing((1.0, 1.0), (1.0, 1.0), True, time.perf_counter(), 0.15)
+        return self.firing
+
+    def stop(self) -> None:
+        pass
+
+    def heartbeat(self) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
+def on_paper(setup: Setup) -> Setup:
+    """Return a setup without instrument and window: a model answers."""
+
+    @contextmanager
+    def open_rig(log: Callable[..., None]) -> Iterator[PaperRig]:
+        yield PaperRig()
+
+    def open_window(tick: Callable[[], None], log: Callable[..., None]) -> AnswerWindow:
+        from modaltouch.schedule import random_generator
+
+        person = Observer().draw(random_generator(1, "p01", 1, "observer"))
+        answerer = Answerer(person, setup.preflight.speeds, random_generator(1, "p01", 1, "answers"))
+        return SimulatedParticipant(answerer, tick=tick)
+
+    return replace(setup, open_rig=open_rig, open_window=open_window)  # type: ignore[arg-type]
+
+
+def with_policy(edit: Edit, policy: str) -> Preflight:
+    """Return the demonstration with another policy of resuming."""
+    path = edit("demo.yaml", ("  break_after_trials: 6", f"  break_after_trials: 6\n  resume: {policy}"))
+    return examine(path).require()
+
+
+def asked(session: Session) -> list[tuple[bool, int, str]]:
+    """Return what was answered, in the order of the record."""
+    return [
+        (event["trial"]["practice"], event["trial"]["index"], event["response"]["answer"])
+        for event in session.events
+        if event["event"] == "trial"
+    ]
+
+
+def cut_at(whole: Path, place: Path, n_lines: int, extra: bytes = b"") -> Path:
+    """Return a copy of a session's log that ends after some lines, as a kill leaves it."""
+    folder = place / whole.parent.relative_to(whole.parents[5])
+    folder.mkdir(parents=True)
+    lines = whole.read_bytes().splitlines(keepends=True)
+    log = folder / whole.name
+    log.write_bytes(b"".join(lines[:n_lines]) + extra)
+    return log
+
+
+@pytest.mark.parametrize("at", ["trial", "block", "restart"])
+def test_whatever_line_a_session_is_cut_at_the_rest_has_the_order_of_an_uninterrupted_one(
+    edit: Edit, tmp_path: Path, at: str
+) -> None:
+    """Issue, item 8: every kill point, whole lines and torn ones; by policy, the rest, the block or all of it."""
+    preflight = with_policy(edit, f"{{at: {at}}}")
+    whole = begin(on_paper(wire_run(preflight, "p01", answers="simulated", results=tmp_path / "whole")))
+    expected = asked(whole)
+    first_of_block = {trial[1]: 1 if trial[1] <= 6 else 7 for trial in expected if not trial[0]}
+    n_lines = len(whole.events) - 1  # without the stop record: that session is complete
+    for n in range(1, n_lines):
+        torn = b'{"n":' if n % 3 == 0 else b""
+        log = cut_at(whole.path, tmp_path / str(n), n, torn)
+        before = asked(read_session(log))
+        complete = read_session(log).complete
+        done = resume(on_paper(wire_resume(log)))
+        assert done.complete
+        assert verify_session(done.path).problems == ()
+        after = asked(done)
+        if at == "restart" and not complete:
+            assert done.path != log
+            assert after == expected
+            assert asked(read_session(log)) == before
+            assert read_session(log).begun_anew_as == 2
+            continue
+        assert after[: len(before)] == before
+        counted = [event for event in before if not event[0]]
+        begun = at == "block" and not complete and counted and counted[-1][1] not in (6, 12)
+        first = first_of_block[counted[-1][1]] if begun else len(counted) + 1
+        rest = [
+            event for event in expected if (event[0] and event not in before) or (not event[0] and event[1] >= first)
+        ]
+        assert after[len(before) :] == rest
+        assert [(e["trial"]["practice"], e["trial"]["index"], e["response"]["answer"]) for e in done.trials] == expected
+        table = next(done.path.parent.glob("*_beh.tsv")).read_text().splitlines()
+        assert len(table) == 1 + len(expected)
+
+
+def test_a_stimulus_that_was_cut_is_flagged_and_offered_again(edit: Edit, tmp_path: Path) -> None:
+    """Killed between the stimulus and the answer: `trial_cut` on resumption, then the second presentation."""
+    preflight = with_policy(edit, "{at: trial}")
+    whole = begin(on_paper(wire_run(preflight, "p01", answers="simulated", results=tmp_path / "whole")))
+    fired = [event["n"] for event in whole.events if event["event"] == "fired"]
+    log = cut_at(whole.path, tmp_path / "cut", fired[4])
+    done = resume(on_paper(wire_resume(log)))
+    cut = [event for event in done.events if event["event"] == "trial_cut"]
+    assert [event["reason"] for event in cut] == ["interrupted (killed)"]
+    again = next(event for event in done.trials if event["trial"] == cut[0]["trial"])
+    assert again["presentation"] == 2
+    assert {event["presentation"] for event in done.trials if event is not again} == {1}
+    told = next(event for event in done.events if event["event"] == "resume")
+    assert told["interruption"]["cut_trial"] == cut[0]["trial"]
+    assert told["interruption"]["reason"] == "killed"
+
+
+def test_a_session_that_was_begun_anew_does_not_go_on(edit: Edit, tmp_path: Path) -> None:
+    """It says which session took its place; the new one goes on like any other, in the same order."""
+    preflight = with_policy(edit, "{at: trial}")
+    whole = begin(on_paper(wire_run(preflight, "p01", answers="simulated", results=tmp_path / "whole")))
+    log = cut_at(whole.path, tmp_path / "cut", 12)
+    anew = resume(on_paper(wire_resume(log, restart=True)))
+    assert anew.start["begins_anew"]["session"] == 1
+    assert anew.start["schedule"]["order_hash"] == whole.start["schedule"]["order_hash"]
+    with pytest.raises(RecordInputError, match="was begun anew as session 2"):
+        wire_resume(log)
+
+
+def test_a_restart_that_was_itself_killed_takes_the_place_it_had(edit: Edit, tmp_path: Path) -> None:
+    """Killed between closing the old session and beginning the new one: the next try closes nothing twice."""
+    preflight = with_policy(edit, "{at: restart}")
+    whole = begin(on_paper(wire_run(preflight, "p01", answers="simulated", results=tmp_path / "whole")))
+    log = cut_at(whole.path, tmp_path / "cut", 12)
+    anew = resume(on_paper(wire_resume(log)))
+    shutil.rmtree(anew.path.parents[1])
+    again = resume(on_paper(wire_resume(log)))
+    assert again.path == anew.path
+    assert [event["event"] for event in read_chain(log).events].count("closed") == 1
+
+
+def interrupted(hours_ago: float, *, clock: float = 1000.0, boot: str = "one") -> Session:
+    """Return a session of two lines that ended some hours ago."""
+    then = datetime.now(UTC) - timedelta(hours=hours_ago)
+    start = {"n": 1, "time": then.isoformat(), "clock": clock, "event": "start", "boot": boot}
+    return Session(Path("s/session.jsonl"), (start, {**start, "n": 2, "event": "placement"}), ())
+
+
+def test_an_interruption_within_the_limit_of_age_goes_on() -> None:
+    """Both clocks say two hours; the limit is three."""
+    session = interrupted(2)
+    cut = examine_interruption(session, now=datetime.now(UTC), clock=1000.0 + 7200, boot="one")
+    assert cut.age_s == pytest.approx(7200, abs=1)
+    assert cut.clock_set_back_s == 0
+    refuse_old(session, cut, ResumeSection(within_hours=3))
+
+
+def test_an_interruption_beyond_the_limit_of_age_is_refused() -> None:
+    """The message says how old, how old at most, and what to do."""
+    session = interrupted(30)
+    cut = examine_interruption(session, now=datetime.now(UTC), clock=5.0, boot="two")
+    with pytest.raises(RecordInputError, match=r"30\.0 h ago.*within 24 h.*--restart s"):
+        refuse_old(session, cut, ResumeSection(within_hours=24))
+    refuse_old(session, cut, ResumeSection())
+
+
+@pytest.mark.parametrize(
+    ("hours_ago", "clock", "boot"),
+    [(-5, 10.0, "two"), (2, 1000.0 + 30 * 3600, "one")],
+    ids=["earlier than the record itself", "later than the record, behind the monotonic clock"],
+)
+def test_a_clock_set_back_fools_no_limit_of_age(hours_ago: float, clock: float, boot: str) -> None:
+    """The wall clock alone would allow both; the first needs a look at the record, the second the other clock."""
+    session = interrupted(hours_ago)
+    cut = examine_interruption(session, now=datetime.now(UTC), clock=clock, boot=boot)
+    assert cut.clock_set_back_s > 3600
+    with pytest.raises(RecordInputError, match="clock of this machine is at least"):
+        refuse_old(session, cut, ResumeSection(within_hours=24))
+
+
+def test_a_machine_that_slept_is_not_taken_for_a_clock_set_back() -> None:
+    """The monotonic clock stands still in sleep: the wall clock is ahead, and right."""
+    session = interrupted(10)
+    cut = examine_interruption(session, now=datetime.now(UTC), clock=1000.0 + 60, boot="one")
+    assert cut.clock_set_back_s == 0
+    assert cut.age_s == pytest.approx(36000, abs=1)
+
+
+def test_the_record_says_when_everything_happened_and_how_surely(edit: Edit, tmp_path: Path) -> None:
+    """Issue, item 7: trigger, first burst and answer of each trial as intervals, in their order."""
+    preflight = with_policy(edit, "{at: trial}")
+    done = begin(on_paper(wire_run(preflight, "p01", answers="simulated", results=tmp_path)))
+    for event in done.trials:
+        instants = event["instants"]
+        assert instants["question"] is None
+        trigger, burst, answer = (instants[name] for name in ("trigger", "first_burst", "answer"))
+        assert trigger["earliest_s"] == burst["earliest_s"] <= trigger["latest_s"] <= burst["latest_s"]
+        assert burst["latest_s"] - trigger["latest_s"] == pytest.approx(1 / 7, abs=1e-3)
+        expected = event["confirmed"]["onset"] + event["response"]["reaction_time"]
+        assert answer["latest_s"] == pytest.approx(expected, abs=1e-5)
