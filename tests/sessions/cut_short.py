@@ -1,0 +1,125 @@
+"""Runs ``modaltouch`` in this process and cuts it short as its plan says; made for `runpy.run_path`.
+
+The plan (`PLAN`, put among this module's globals) holds the command's ``words``, the file ``witness`` that takes a
+byte for every answer confirmed to the participant, and ``cut``, one of
+
+- ``{}``: nothing happens from inside
+- ``{"stimulus": k, "signal": s}``: signal s while the k-th stimulus plays
+- ``{"call": k, "torn": f}``: SIGKILL at the k-th call that changes a file; with a fraction f above 0, a write of which
+  that part has reached the disk, as a power cut leaves it
+- ``{"raise_after_s": t}``: an exception out of nowhere, t seconds from now
+- ``{"largest_file": n}``: the kernel refuses whatever would make a file longer than n bytes
+- ``{"clock_back_s": s}``: the wall clock goes back by that much at every reading
+"""
+
+import os
+import resource
+import signal
+import stat
+from datetime import timedelta
+
+import modaltouch.record.log
+from modaltouch.__main__ import main
+from modaltouch.window.simulated import SimulatedParticipant
+
+
+def witness(path):
+    """Note outside of this process, for each answer, that the participant saw it confirmed."""
+    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+    confirm = SimulatedParticipant.confirm
+
+    def confirmed(self, response):
+        os_write(descriptor, b".")
+        confirm(self, response)
+
+    SimulatedParticipant.confirm = confirmed
+
+
+def cut_at_stimulus(number, signal_number):
+    """Send a signal to this process while the n-th stimulus plays."""
+    ask, asked = SimulatedParticipant.ask, 0
+
+    def ask_or_die(self, *arguments, **options):
+        nonlocal asked
+        asked += 1
+        if asked == number:
+            os.kill(os.getpid(), signal_number)
+        return ask(self, *arguments, **options)
+
+    SimulatedParticipant.ask = ask_or_die
+
+
+def die():
+    """End as a power cut does, with nothing tidied up."""
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def cut_at_call(number, torn):
+    """Die at the n-th call that changes a file."""
+    calls = 0
+
+    def counted(name):
+        function = getattr(os, name)
+
+        def call(*arguments, **options):
+            nonlocal calls
+            if name == "write" and not stat.S_ISREG(os.fstat(arguments[0]).st_mode):
+                return function(*arguments, **options)
+            calls += 1
+            if calls == number:
+                if torn and name == "write":
+                    descriptor, data = arguments
+                    function(descriptor, data[: max(1, int(len(data) * torn))])
+                die()
+            return function(*arguments, **options)
+
+        setattr(os, name, call)
+
+    for name in ("write", "fsync", "replace", "rename", "link", "unlink"):
+        counted(name)
+
+
+def raise_after(seconds):
+    """Raise in the middle of whatever the main thread does."""
+
+    def handler(number, frame):
+        raise RuntimeError("out of nowhere")
+
+    signal.signal(signal.SIGALRM, handler)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+
+
+def turn_clock_back(seconds):
+    """Let the wall clock run backwards."""
+    real, readings = modaltouch.record.log.datetime, 0
+
+    class Backwards(real):
+        @classmethod
+        def now(cls, tz=None):
+            nonlocal readings
+            readings += 1
+            return real.now(tz) - timedelta(seconds=seconds * readings)
+
+    modaltouch.record.log.datetime = Backwards
+
+
+def cut_short(plan):
+    """Do what the plan says and run the command."""
+    witness(plan["witness"])
+    cut = plan["cut"]
+    if "stimulus" in cut:
+        cut_at_stimulus(cut["stimulus"], cut["signal"])
+    if "call" in cut:
+        cut_at_call(cut["call"], cut["torn"])
+    if "raise_after_s" in cut:
+        raise_after(cut["raise_after_s"])
+    if "largest_file" in cut:
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (cut["largest_file"], resource.RLIM_INFINITY))
+    if "clock_back_s" in cut:
+        turn_clock_back(cut["clock_back_s"])
+    main([str(word) for word in plan["words"]])
+
+
+os_write = os.write
+cut_short(PLAN)  # noqa: F821  (given by run_path)

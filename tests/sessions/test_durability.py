@@ -1,0 +1,257 @@
+"""An answer confirmed on screen survives anything, at any instant (README, "What it promises").
+
+Sessions run in processes of their own against a rig in this one. Each is cut short at a seeded point, resumed and cut
+again until it is complete. After every cut: no answer confirmed to the participant is missing, the answers are those
+of the uninterrupted session in its order, no output is on, and whatever there is of the BIDS view is valid.
+
+``MODALTOUCH_KILL_POINTS`` sets how many points there are; ``make soak`` takes more and writes what came of them.
+"""
+
+import json
+import math
+import os
+import random
+import runpy
+import shutil
+import signal
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+
+from modaltouch.apparatus import read_apparatus
+from modaltouch.record.chain import read_chain
+from modaltouch.record.log import read_session
+from modaltouch.rig.simulator import Simulator
+from modaltouch.verification import verify_session
+
+CUT_SHORT = Path(__file__).with_name("cut_short.py")
+N_POINTS = int(os.environ.get("MODALTOUCH_KILL_POINTS", "300"))
+SOAK = os.environ.get("MODALTOUCH_SOAK_RESULTS", "")
+KINDS = {
+    "SIGKILL": 0.16,
+    "SIGKILL in a stimulus": 0.12,
+    "SIGKILL at a call": 0.16,
+    "torn write": 0.08,
+    "SIGTERM": 0.08,
+    "SIGINT": 0.08,
+    "SIGHUP": 0.05,
+    "exception": 0.08,
+    "rig fault": 0.08,
+    "full disk": 0.06,
+    "clock set back": 0.05,
+}
+"""Ways to end, with their shares."""
+
+ATTEMPTS = 40
+"""After so many cuts a session that never ends is a failure."""
+
+OFF_WITHIN = 3.0
+"""Longest time until the outputs are off after any end [s]."""
+
+
+@dataclass
+class Tally:
+    """What came of the kill points."""
+
+    points: Counter = field(default_factory=Counter)
+    exits: Counter = field(default_factory=Counter)
+    answers_confirmed: int = 0
+    answers_lost: int = 0
+    changed_orders: int = 0
+    outputs_on: int = 0
+    invalid_views: int = 0
+    cut_while_on: int = 0
+    slowest_off_s: float = 0.0
+
+
+@pytest.fixture(scope="module")
+def simulator(protocol_path):
+    """A rig that outlives the sessions, so that its outputs can be looked at after each."""
+    with Simulator(read_apparatus(protocol_path.parent / "apparatus" / "beam_100x6x2.yaml")) as simulator:
+        yield simulator
+
+
+class Subject:
+    """One participant whose session is cut short again and again."""
+
+    def __init__(self, context, simulator, protocol, results, participant):
+        self.simulator = simulator
+        self._context = context
+        self._protocol, self._results, self._participant = protocol, results, participant
+        name = protocol.stem
+        self.log = results / "simulated" / name / f"sub-{participant}" / "ses-1" / "beh" / "session.jsonl"
+        self._witness = results.parent / f"{results.name}-{participant}.witness"
+
+    def start(self, cut):
+        """Begin or go on, in a process of its own."""
+        words = ("run", self._protocol, "-p", self._participant, "--rig", self.simulator.address, "--yes")
+        words = (*words, "--answers", "simulated", "--results", self._results)
+        if self.log.exists():
+            words = ("resume", self.log.parent)
+        plan = {"words": [str(word) for word in words], "cut": cut, "witness": str(self._witness)}
+        process = self._context.Process(
+            target=runpy.run_path, args=(str(CUT_SHORT),), kwargs={"init_globals": {"PLAN": plan}}
+        )
+        process.start()
+        return process
+
+    @property
+    def confirmed(self):
+        """How many answers the participant saw confirmed."""
+        return self._witness.stat().st_size if self._witness.exists() else 0
+
+    @property
+    def answers(self):
+        """Every answer in the log, those that a later one replaced included."""
+        if not self.log.exists():
+            return []
+        return [
+            (event["trial"]["practice"], event["trial"]["index"], event["trial"]["condition"], event["response"])
+            for event in read_chain(self.log).events
+            if event["event"] == "trial"
+        ]
+
+    @property
+    def done(self):
+        """Answers that count, in their order, without what differs from one presentation to the next."""
+        kept = read_session(self.log).trials if self.log.exists() else ()
+        return [
+            (e["trial"]["practice"], e["trial"]["index"], e["trial"]["condition"], e["response"]["answer"])
+            for e in kept
+            if e["confirmed"]["confirmed"]
+        ]
+
+    @property
+    def complete(self):
+        """Whether nothing is left to ask."""
+        return self.log.exists() and read_session(self.log).complete
+
+
+@pytest.fixture
+def subject(context, simulator, protocol_path, tmp_path):
+    """Make participants whose sessions can be cut short."""
+    return lambda participant, results="results": Subject(
+        context, simulator, protocol_path, tmp_path / results, participant
+    )
+
+
+def end(process, kind, rng, simulator, seconds):
+    """End a session from outside as the kind says, at an instant of the seed's choosing; return its exit status."""
+    if kind.startswith("SIG") and kind.isalpha():
+        process.join(rng.uniform(0, seconds))
+        if process.exitcode is None:
+            os.kill(process.pid, getattr(signal, kind))
+    if kind == "rig fault":
+        process.join(rng.uniform(0, seconds))
+        fault = rng.choice(["unplugged", "power cycle", "lost_reply", "dropped_connection", "scpi_error"])
+        if fault == "unplugged":
+            simulator.refuse_connections()
+            simulator.drop_connections()
+        elif fault == "power cycle":
+            simulator.power_cycle()
+        else:
+            simulator.faults.inject(fault, times=50, value=-310.0)
+        process.join(rng.uniform(0.5, 1.5))
+        simulator.accept_connections() if fault == "unplugged" else simulator.faults.clear()
+    process.join(60)
+    simulator.faults.clear()
+    assert process.exitcode is not None, f"{kind}: the session did not end"
+    return process.exitcode
+
+
+def plan_of(kind, rng, seconds, size):
+    """Return what is to happen inside the process."""
+    if kind == "SIGKILL in a stimulus":
+        return {"stimulus": rng.randint(1, 12), "signal": int(signal.SIGKILL)}
+    if kind == "SIGKILL at a call":
+        return {"call": rng.randint(1, 400), "torn": 0.0}
+    if kind == "torn write":
+        return {"call": rng.randint(1, 400), "torn": rng.uniform(0.01, 0.99)}
+    if kind == "exception":
+        return {"raise_after_s": rng.uniform(0.02, seconds)}
+    if kind == "full disk":
+        return {"largest_file": size + rng.randint(0, 60_000)}
+    if kind == "clock set back":
+        return {"clock_back_s": rng.uniform(1, 1e5), "call": rng.randint(1, 400), "torn": 0.0}
+    return {}
+
+
+def seconds_until_off(simulator):
+    """Wait until no output is on and return how long it took [s]; infinity if one stays on."""
+    start, waited = time.monotonic(), 0.0
+    while any(simulator.outputs):
+        if waited > OFF_WITHIN:
+            return math.inf
+        time.sleep(0.001)
+        waited = time.monotonic() - start
+    return waited
+
+
+def view_is_valid(log):
+    """Return whether whatever there is of the BIDS view is whole, and says nothing that the log does not."""
+    dataset = log.parents[3]
+    try:
+        for path in dataset.rglob("*.json"):
+            json.loads(path.read_text(encoding="utf-8"))
+        for path in dataset.rglob("*.tsv"):
+            header, *rows = [line.split("\t") for line in path.read_text(encoding="utf-8").splitlines()]
+            if any(len(row) != len(header) for row in rows):
+                return False
+    except ValueError:
+        return False
+    tables = list(log.parent.glob("*_beh.tsv")) if log.exists() else []
+    answered = len(read_session(log).trials) if log.exists() else 0
+    return all(answered - 1 <= len(table.read_text(encoding="utf-8").splitlines()) - 1 <= answered for table in tables)
+
+
+def cut_until_complete(person, whole, seconds, rng, tally, n_points):
+    """Cut a session short up to n times and let it end; count what a promise was broken by."""
+    for _ in range(ATTEMPTS):
+        if person.complete or not n_points:
+            break
+        kind = rng.choices(list(KINDS), list(KINDS.values()))[0]
+        before = person.answers
+        size = person.log.stat().st_size if person.log.exists() else 60_000
+        status = end(person.start(plan_of(kind, rng, seconds, size)), kind, rng, person.simulator, seconds)
+        tally.points[kind] += 1
+        tally.exits[f"{kind}: {status}"] += 1
+        n_points -= 1
+        off = seconds_until_off(person.simulator)
+        tally.outputs_on += off == math.inf
+        tally.cut_while_on += off > 0
+        tally.slowest_off_s = max(tally.slowest_off_s, off)
+        answers = person.answers
+        tally.answers_lost += max(0, person.confirmed - len(answers)) + (answers[: len(before)] != before)
+        tally.changed_orders += person.done != whole[: len(person.done)]
+        tally.invalid_views += not view_is_valid(person.log)
+    if not person.complete:
+        assert end(person.start({}), "nothing", rng, person.simulator, seconds) == 0
+    assert person.done == whole
+    tally.answers_confirmed += person.confirmed
+    assert person.confirmed <= len(person.answers)
+    assert verify_session(person.log).problems == ()
+    return n_points
+
+
+def test_no_kill_point_loses_an_answer_changes_an_order_or_leaves_an_output_on(subject, simulator, tmp_path):
+    """At least 300 seeded points over sessions: 0 answers lost, 0 orders changed, 0 outputs on, 0 invalid views."""
+    tally, left, number = Tally(), N_POINTS, 0
+    while left:
+        number += 1
+        rng = random.Random(number)
+        uncut = subject(f"p{number}", f"whole{number}")
+        begin = time.monotonic()
+        assert end(uncut.start({}), "nothing", rng, simulator, 0) == 0
+        seconds = time.monotonic() - begin
+        left = cut_until_complete(subject(f"p{number}"), uncut.done, seconds, rng, tally, left)
+        for folder in tmp_path.iterdir():
+            shutil.rmtree(folder) if folder.is_dir() else folder.unlink()
+    if SOAK:
+        Path(SOAK).write_text(json.dumps({**vars(tally), "points_in_all": N_POINTS}, indent=1, sort_keys=True) + "\n")
+    assert (tally.answers_lost, tally.changed_orders, tally.outputs_on, tally.invalid_views) == (0, 0, 0, 0), tally
+    assert tally.answers_confirmed > 0
+    assert N_POINTS < 100 or tally.cut_while_on > 0, "no cut met a stimulus: nothing is proved of the outputs"
+    assert N_POINTS < 100 or set(tally.points) == set(KINDS)
