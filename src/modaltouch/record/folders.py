@@ -125,3 +125,18 @@ def locate(log: Path, mode: str, protocol: str) -> SessionFolder:
             f"{log}: is a {mode} session of the protocol {protocol} and belongs in {place.folder}; put it back there"
         )
     return place
+
+
+def make_folder(folder: Path) -> None:
+    """Create a folder and those above it that are missing, every one for its owner alone.
+
+    `Path.mkdir` gives its mode to the last folder only.
+
+    Raises
+    ------
+    OSError
+        If one cannot be created.
+    """
+    if not folder.is_dir():
+        make_folder(folder.parent)
+        folder.mkdir(mode=0o700, exist_ok=True)

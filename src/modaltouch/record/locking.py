@@ -1,9 +1,13 @@
-"""An exclusive lock on an open file, released by the system when its process ends."""
+"""An exclusive lock on an open file or on a folder, released by the system when its process ends."""
 
 from __future__ import annotations
 
 import os
 import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 
 if sys.platform == "win32":
     import msvcrt
@@ -21,3 +25,40 @@ else:
     def lock(descriptor: int) -> None:
         """Take the lock of a file or raise OSError at once."""
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+LOCK_NAME = ".lock"
+"""File of a folder that stands for the folder where it is locked; it stays, empty."""
+
+PATIENCE = 10.0
+"""How long to wait for a folder that another process holds [s]; each holds it for milliseconds."""
+
+
+@contextmanager
+def hold(folder: Path) -> Iterator[None]:
+    """Keep other processes from changing what a folder holds in common, such as a list of participants.
+
+    Parameters
+    ----------
+    folder : Path
+        An existing folder; a file `LOCK_NAME` appears in it.
+
+    Raises
+    ------
+    OSError
+        If the lock cannot be made, or another process keeps it for longer than `PATIENCE`.
+    """
+    descriptor = os.open(folder / LOCK_NAME, os.O_RDWR | os.O_CREAT, 0o600)
+    try:
+        deadline = time.monotonic() + PATIENCE
+        while True:
+            try:
+                lock(descriptor)
+                break
+            except OSError:
+                if time.monotonic() > deadline:
+                    raise
+                time.sleep(0.005)
+        yield
+    finally:
+        os.close(descriptor)

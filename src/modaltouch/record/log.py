@@ -11,6 +11,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from modaltouch.record.chain import GENESIS, Chain, RecordError, describe_torn, encode_line, read_chain
+from modaltouch.record.folders import make_folder
 from modaltouch.record.locking import lock
 
 SCHEMA = 1
@@ -55,7 +56,7 @@ class SessionLog:
         """
         draft = path.with_name(f".{path.name}.{os.getpid()}.tmp")
         try:
-            path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+            make_folder(path.parent)
             descriptor = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND, 0o600)
         except OSError as error:
             raise RecordError(

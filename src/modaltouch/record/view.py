@@ -17,7 +17,8 @@ from typing import Any
 
 from modaltouch import __version__
 from modaltouch.record.chain import RecordError
-from modaltouch.record.folders import LOG_NAME, SessionFolder
+from modaltouch.record.folders import LOG_NAME, SessionFolder, make_folder
+from modaltouch.record.locking import LOCK_NAME, hold
 from modaltouch.record.log import Session, sync_folder
 
 BIDS_VERSION = "1.10.0"
@@ -119,7 +120,7 @@ def describe_dataset(place: SessionFolder, title: str) -> None:
         "GeneratedBy": [{"Name": "modaltouch", "Version": __version__}],
     }
     try:
-        place.dataset.mkdir(parents=True, exist_ok=True, mode=0o700)
+        make_folder(place.dataset)
     except OSError as error:
         raise RecordError(
             f"{place.dataset}: cannot be created ({error.strerror}); give a folder you may write to with --results"
@@ -130,7 +131,7 @@ def describe_dataset(place: SessionFolder, title: str) -> None:
         replace_file(
             place.dataset / "README", f"{description['Name']}: sessions recorded by modaltouch {__version__}.\n"
         )
-        replace_file(place.dataset / ".bidsignore", "*.jsonl\n*.log\n")
+        replace_file(place.dataset / ".bidsignore", f"*.jsonl\n*.log\n{LOCK_NAME}\n")
 
 
 def list_participants(place: SessionFolder) -> None:
@@ -141,14 +142,24 @@ def list_participants(place: SessionFolder) -> None:
     RecordError
         If the list cannot be read or written.
     """
-    path = place.dataset / "participants.tsv"
+    try:
+        with hold(place.dataset):  # two sessions may begin at once: none may write a list that lacks the other
+            _list_participants(place.dataset)
+    except OSError as error:
+        raise RecordError(
+            f"{place.dataset}: cannot be locked ({error.strerror}); see what else writes there"
+        ) from error
+
+
+def _list_participants(dataset: Path) -> None:
+    path = dataset / "participants.tsv"
     try:
         text = path.read_text(encoding="utf-8") if path.exists() else "participant_id\n"
     except (OSError, UnicodeDecodeError) as error:
         raise RecordError(f"{path}: cannot be read ({error}); mend it or move it away") from error
     header, *rows = [line.split("\t") for line in text.splitlines()] or [["participant_id"]]
     listed = {row[0] for row in rows}
-    folders = sorted(folder.name for folder in place.dataset.glob("sub-*") if folder.is_dir())
+    folders = sorted(folder.name for folder in dataset.glob("sub-*") if folder.is_dir())
     new = ["\t".join([name, *["n/a"] * (len(header) - 1)]) for name in folders if name not in listed]
     if new or not path.exists():
         replace_file(path, "\n".join([text.rstrip("\n"), *new]) + "\n")

@@ -1,0 +1,132 @@
+"""A full disk, a folder that cannot be written, and a second session in the same place, with real processes."""
+
+import os
+import subprocess
+import sys
+from contextlib import contextmanager
+
+import pytest
+
+from modaltouch.record.log import read_session
+
+RUN = ("--answers", "simulated", "--yes")
+CAN_MOUNT = os.name == "posix" and os.geteuid() == 0
+
+
+@contextmanager
+def small_disk(folder, kilobytes):
+    """A disk of a few kilobytes at a folder."""
+    folder.mkdir()
+    subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={kilobytes}k", "tmpfs", folder], check=True)
+    try:
+        yield folder
+    finally:
+        subprocess.run(["umount", folder], check=True)
+
+
+def remount(folder, options):
+    """Change a mounted disk's options."""
+    subprocess.run(["mount", "-o", f"remount,{options}", folder], check=True)
+
+
+needs_mount = pytest.mark.skipif(not CAN_MOUNT, reason="only root mounts a small disk; the kill points meet a full one")
+
+
+def modaltouch(*words):
+    """Run ``modaltouch`` in a process of its own; return its exit status and what it said of a failure."""
+    command = [sys.executable, "-m", "modaltouch", *map(str, words)]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=100, check=False)
+    return ended.returncode, ended.stderr
+
+
+@needs_mount
+@pytest.mark.parametrize("kilobytes", [16, 64, 96, 128, 150])
+def test_a_full_disk_ends_the_session_and_a_larger_one_completes_it(
+    tmp_path, finish, protocol_path, log_of, answers_of, kilobytes
+):
+    """Exit status 4 with the file's name; what was answered is kept; once there is room, it goes on to the end."""
+    with small_disk(tmp_path / "disk", kilobytes) as disk:
+        log = log_of(disk, "p07")
+        status, said = modaltouch("run", protocol_path, "-p", "p07", *RUN, "--results", disk)
+        assert (status, "No space left on device" in said or "the disk is full" in said) == (4, True), said
+        assert str(disk) in said
+        before = answers_of(log) if log.exists() else []
+        remount(disk, "size=8m")
+        words = ("resume", log.parent) if log.exists() else ("run", protocol_path, "-p", "p07", *RUN, "--results", disk)
+        assert finish(*words) == 0
+        assert answers_of(log)[: len(before)] == before
+        assert read_session(log).complete
+        assert finish("verify", log.parent) == 0
+
+
+@needs_mount
+def test_a_disk_that_became_read_only_is_told_and_nothing_is_changed(
+    tmp_path, start, finish, kill, protocol_path, log_of, wait_for_trials
+):
+    """Neither a new session nor a resumed one begins; with the disk writable again it goes on."""
+    with small_disk(tmp_path / "disk", 8000) as disk:
+        log = log_of(disk, "p07")
+        session = start("run", protocol_path, "-p", "p07", *RUN, "--results", disk)
+        wait_for_trials(log, 5)
+        kill(session, 9)
+        kept = log.read_bytes()
+        remount(disk, "ro")
+        for words in (("resume", log.parent), ("run", protocol_path, "-p", "p08", *RUN, "--results", disk)):
+            status, said = modaltouch(*words)
+            assert (status, "Read-only file system" in said) == (4, True), said
+        assert log.read_bytes() == kept
+        remount(disk, "rw")
+        assert finish("resume", log.parent) == 0
+
+
+@pytest.mark.parametrize("attempt", range(4))
+def test_of_two_runs_at_once_on_one_session_one_is_refused(tmp_path, start, protocol_path, log_of, attempt):
+    """As from two machines on a shared folder: one session is recorded whole, the other touches nothing."""
+    runs = [start("run", protocol_path, "-p", "p07", *RUN, "--results", tmp_path) for _ in range(2)]
+    for process in runs:
+        process.join(60)
+    assert sorted(process.exitcode for process in runs) == [0, 4]
+    session = read_session(log_of(tmp_path, "p07"))
+    assert session.problems == ()
+    assert session.complete
+
+
+def test_two_resumes_at_once_give_one_session(
+    tmp_path, start, kill, protocol_path, log_of, wait_for_trials, answers_of
+):
+    """The lock of the log admits one; no trial is answered twice."""
+    log = log_of(tmp_path, "p07")
+    session = start("run", protocol_path, "-p", "p07", *RUN, "--results", tmp_path)
+    wait_for_trials(log, 5)
+    kill(session, 9)
+    runs = [start("resume", log.parent) for _ in range(2)]
+    for process in runs:
+        process.join(60)
+    # The second may also come so late that nothing is left to do.
+    assert sorted(process.exitcode for process in runs) in ([0, 4], [0, 0])
+    assert read_session(log).problems == ()
+    answers = [each[:2] for each in answers_of(log)]
+    assert len(answers) == len(set(answers))
+
+
+def test_participants_who_begin_at_once_are_all_listed(tmp_path, start, protocol_path):
+    """Four sessions of one results tree: each is recorded, and participants.tsv names all of them."""
+    names = ("p01", "p02", "p03", "p04")
+    runs = [start("run", protocol_path, "-p", name, *RUN, "--results", tmp_path) for name in names]
+    for process in runs:
+        process.join(60)
+    assert [process.exitcode for process in runs] == [0, 0, 0, 0]
+    (listed,) = tmp_path.rglob("participants.tsv")
+    assert sorted(listed.read_text().split()) == ["participant_id", *(f"sub-{name}" for name in names)]
+
+
+def test_files_of_a_session_are_its_owners_alone(tmp_path, protocol_path):
+    """Participant data are readable by nobody else, whatever the umask."""
+    before = os.umask(0)
+    try:
+        status, said = modaltouch("run", protocol_path, "-p", "p07", *RUN, "--results", tmp_path / "results")
+    finally:
+        os.umask(before)
+    assert status == 0, said
+    for path in (tmp_path / "results", *(tmp_path / "results").rglob("*")):
+        assert path.stat().st_mode & 0o077 == 0, f"{path} has the mode {path.stat().st_mode:o}"
