@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from modaltouch.analysis.responses import Responses
 from modaltouch.record.log import Session
+
+Ranges = list[tuple[float, float]] | None
+"""Lowest and highest value of each channel; None where trials differ in their number of channels."""
 
 FAULTS = {
     "trial_cut": "trials cut and offered again",
@@ -59,6 +62,97 @@ class RecordFacts:
     settings: dict[str, str]
 
 
+@dataclass
+class LevelFacts:
+    """What was sent and read back at one level of one finger condition.
+
+    Attributes
+    ----------
+    n_trials, n_confirmed : int
+        Answers, and those whose stimulus the instrument confirmed.
+    commanded, confirmed : list of (float, float), or None
+        Lowest and highest amplitude of each channel, sent and read back [V peak to peak]; None where trials tell
+        different numbers of channels.
+    """
+
+    n_trials: int = 0
+    n_confirmed: int = 0
+    commanded: Ranges = field(default_factory=list)
+    confirmed: Ranges = field(default_factory=list)
+
+    def add(self, other: LevelFacts) -> None:
+        """Take the trials of another session in."""
+        first = self.n_trials == 0
+        self.n_trials += other.n_trials
+        self.n_confirmed += other.n_confirmed
+        self.commanded = other.commanded if first else _widen(self.commanded, other.commanded)
+        self.confirmed = other.confirmed if first else _widen(self.confirmed, other.confirmed)
+
+
+@dataclass(frozen=True, eq=False)
+class SessionFacts:
+    """What remains of a session's log once its answers are taken; small, so that a thousand fit in memory.
+
+    Attributes
+    ----------
+    participant : str
+        Participant id.
+    number : int
+        Which session of the participant.
+    day : str
+        Date of its beginning.
+    n_answers, n_practice : int
+        Answers that count, and those of practice.
+    levels : dict
+        What was presented, by finger condition and peak velocity [mm/s].
+    faults : Counter
+        Events that need a look, by kind.
+    settings : dict
+        Instrument, seed, hashes and versions.
+    """
+
+    participant: str
+    number: int
+    day: str
+    n_answers: int
+    n_practice: int
+    levels: dict[tuple[str, float], LevelFacts]
+    faults: Counter[str]
+    settings: dict[str, object]
+
+    @property
+    def name(self) -> str:
+        """Participant and session in words."""
+        return f"{self.participant} (session {self.number})"
+
+
+def take_facts(session: Session) -> SessionFacts:
+    """Return what a session's log tells beside the answers.
+
+    Parameters
+    ----------
+    session : Session
+        A session as read from its log.
+    """
+    start, trials = session.start, session.trials
+    counted = [event for event in trials if not event["trial"]["practice"]]
+    levels: dict[tuple[str, float], LevelFacts] = {}
+    for event in counted:
+        condition = event["trial"]["condition"]
+        key = (str(condition["finger_condition"]), float(condition["velocity_mm_s"]))
+        levels.setdefault(key, LevelFacts()).add(_level_facts(event))
+    return SessionFacts(
+        participant=session.participant,
+        number=start.get("session", 1),
+        day=str(start.get("time", ""))[:10],
+        n_answers=len(counted),
+        n_practice=len(trials) - len(counted),
+        levels=levels,
+        faults=Counter(kind for event in session.events for kind in _kinds_of_fault(event)),
+        settings=_settings_of(start),
+    )
+
+
 def describe_record(responses: Responses) -> RecordFacts | None:
     """Return what the logs of the analysed sessions tell; None for a CSV, which has none.
 
@@ -78,79 +172,89 @@ def describe_record(responses: Responses) -> RecordFacts | None:
     )
 
 
-def _name(session: Session) -> str:
-    return f"{session.participant} (session {session.start.get('session', 1)})"
-
-
-def _session_row(session: Session) -> dict[str, Any]:
+def _session_row(session: SessionFacts) -> dict[str, Any]:
     return {
         "participant": session.participant,
-        "session": session.start.get("session", 1),
-        "day": str(session.start.get("time", ""))[:10],
-        "n_answers": sum(not event["trial"]["practice"] for event in session.trials),
-        "n_practice": sum(bool(event["trial"]["practice"]) for event in session.trials),
-        "n_events": sum(_is_fault(event, kind) for event in session.events for kind in FAULTS),
+        "session": session.number,
+        "day": session.day,
+        "n_answers": session.n_answers,
+        "n_practice": session.n_practice,
+        "n_events": session.faults.total(),
     }
 
 
-def _presented(sessions: Sequence[Session]) -> Iterator[Presented]:
-    groups: dict[tuple[str, float], list[dict[str, Any]]] = {}
+def _level_facts(event: dict[str, Any]) -> LevelFacts:
+    """Return what one trial tells of its level."""
+    sent = event.get("commanded", {}).get("amplitude_Vpp", [])
+    confirmed = event.get("confirmed", {})
+    read = confirmed.get("confirmed_amplitude", [])
+    return LevelFacts(1, int(bool(confirmed.get("confirmed"))), [(v, v) for v in sent], [(v, v) for v in read])
+
+
+def _widen(ranges: Ranges, others: Ranges) -> Ranges:
+    if ranges is None or others is None or len(ranges) != len(others):
+        return None
+    return [(min(a, c), max(b, d)) for (a, b), (c, d) in zip(ranges, others, strict=True)]
+
+
+def _presented(sessions: Sequence[SessionFacts]) -> Iterator[Presented]:
+    together: dict[tuple[str, float], LevelFacts] = {}
     for session in sessions:
-        for event in session.trials:
-            if not event["trial"]["practice"]:
-                condition = event["trial"]["condition"]
-                key = (str(condition["finger_condition"]), float(condition["velocity_mm_s"]))
-                groups.setdefault(key, []).append(event)
-    for (finger_condition, velocity), events in sorted(groups.items()):
-        sent = [event.get("commanded", {}).get("amplitude_Vpp", []) for event in events]
-        read = [event.get("confirmed", {}).get("confirmed_amplitude", []) for event in events]
-        confirmed = sum(bool(event.get("confirmed", {}).get("confirmed")) for event in events)
-        yield Presented(finger_condition, f"{velocity:g}", len(events), confirmed, _ranges(sent), _ranges(read))
+        for key, level in session.levels.items():
+            together.setdefault(key, LevelFacts()).add(level)
+    for (finger_condition, velocity), level in sorted(together.items(), key=lambda item: item[0]):
+        sent, read = _in_words(level.commanded), _in_words(level.confirmed)
+        yield Presented(finger_condition, f"{velocity:g}", level.n_trials, level.n_confirmed, sent, read)
 
 
-def _ranges(amplitudes: Sequence[Sequence[float]]) -> str:
+def _in_words(ranges: Ranges) -> str:
     """Return the amplitude of each channel over trials, as in ``1.234, 0.987 to 0.988``."""
-    if not amplitudes or len({len(values) for values in amplitudes}) != 1:
+    if ranges is None:
         return "not told"
-    texts = []
-    for channel in zip(*amplitudes, strict=True):
-        low, high = min(channel), max(channel)
-        texts.append(f"{low:g}" if low == high else f"{low:g} to {high:g}")
-    return ", ".join(texts)
+    return ", ".join(f"{low:g}" if low == high else f"{low:g} to {high:g}" for low, high in ranges)
 
 
-def _is_fault(event: dict[str, Any], kind: str) -> bool:
-    if kind == "torn":
-        return bool(event.get("torn"))
-    if kind == "rig":
-        said = {str(event.get("event")), *(str(exchange.get("what")) for exchange in event.get("exchanges", ()))}
-        return bool(said & RIG_TROUBLES)
+def _kinds_of_fault(event: dict[str, Any]) -> Iterator[str]:
+    if event.get("torn"):
+        yield "torn"
+    kind = event.get("event")
+    said = {kind, *(exchange.get("what") for exchange in event.get("exchanges", ()))}
+    if said & RIG_TROUBLES:
+        yield "rig"
     # Every sitting ends with a stop; only one before the last trial is a deviation.
-    return event.get("event") == kind and not (kind == "stop" and event.get("complete"))
+    if kind in ("trial_cut", "unconfirmed", "resume") or (kind == "stop" and not event.get("complete")):
+        yield kind
 
 
-def _faults(sessions: Sequence[Session]) -> Iterator[tuple[str, int, str]]:
+def _faults(sessions: Sequence[SessionFacts]) -> Iterator[tuple[str, int, str]]:
     for kind, words in FAULTS.items():
-        found = Counter(_name(session) for session in sessions for event in session.events if _is_fault(event, kind))
+        found: Counter[str] = Counter()
+        for session in sessions:
+            if session.faults[kind]:
+                found[session.name] += session.faults[kind]
         if found:
             where = ", ".join(f"{name}: {n}" if n > 1 else name for name, n in found.most_common(8))
             yield words, sum(found.values()), where + (" and others" if len(found) > 8 else "")
 
 
-def _settings(sessions: Sequence[Session]) -> dict[str, str]:
-    starts = [session.start for session in sessions]
-    facts = {
-        "rig": [start.get("rig", {}).get("identity") for start in starts],
-        "rig address": [start.get("rig", {}).get("address") for start in starts],
-        "protocol": [start.get("protocol") for start in starts],
-        "apparatus": [start.get("apparatus") for start in starts],
-        "study seed": [start.get("seed") for start in starts],
-        "burst": [str(start.get("stimulus", {}).get("content_hash", ""))[:16] for start in starts],
-        "modaltouch": [start.get("versions", {}).get("modaltouch") for start in starts],
-        "commit": [str(start.get("commit", ""))[:13] for start in starts],
-        "python": [start.get("versions", {}).get("python") for start in starts],
+def _settings_of(start: dict[str, Any]) -> dict[str, object]:
+    return {
+        "rig": start.get("rig", {}).get("identity"),
+        "rig address": start.get("rig", {}).get("address"),
+        "protocol": start.get("protocol"),
+        "apparatus": start.get("apparatus"),
+        "study seed": start.get("seed"),
+        "burst": str(start.get("stimulus", {}).get("content_hash", ""))[:16],
+        "modaltouch": start.get("versions", {}).get("modaltouch"),
+        "commit": str(start.get("commit", ""))[:13],
+        "python": start.get("versions", {}).get("python"),
     }
-    return {name: text for name, values in facts.items() if (text := _unanimous(values))}
+
+
+def _settings(sessions: Sequence[SessionFacts]) -> dict[str, str]:
+    names = sessions[0].settings
+    facts = {name: _unanimous([session.settings[name] for session in sessions]) for name in names}
+    return {name: text for name, text in facts.items() if text}
 
 
 def _unanimous(values: Sequence[object]) -> str:

@@ -7,13 +7,13 @@ The tidy table has one row for an answer (or, with a column ``n``, for a count o
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from modaltouch.record.log import Session
+    from modaltouch.analysis.record_facts import SessionFacts
 
 REQUIRED = ("participant", "finger_condition", "zone_left", "zone_right", "velocity_mm_s", "response")
 CELL = ("finger_condition", "zone_left", "zone_right", "velocity_mm_s")
@@ -65,23 +65,21 @@ class Responses:
     ----------
     frame : DataFrame
         Tidy table; ``response`` is categorical over all three answers, ``n`` counts equal answers.
-    sessions : tuple of Session
-        Recorded sessions the answers come from; empty for a CSV.
+    sessions : tuple of SessionFacts
+        What the log of each recorded session tells beside its answers; empty for a CSV.
     left_out : tuple of LeftOut
         What was found but not used, and why.
     source : Source
         Where the answers come from.
     focus : str
         Zone at which the vibration was focused, if known.
+    start : dict
+        Start record of the first session; empty for a CSV.
     """
 
     frame: pd.DataFrame
-    sessions: tuple[Session, ...]
+    sessions: tuple[SessionFacts, ...]
     left_out: tuple[LeftOut, ...]
     source: Source
     focus: str = ""
-
-    @property
-    def start(self) -> dict[str, Any]:
-        """Start record of the first session; empty for a CSV."""
-        return self.sessions[0].start if self.sessions else {}
+    start: dict[str, Any] = field(default_factory=dict)

@@ -7,9 +7,10 @@ two designs.
 from __future__ import annotations
 
 import hashlib
+import sys
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ import pandas as pd
 
 from modaltouch.analysis.balance import answers_per_cell, describe_cell
 from modaltouch.analysis.mirroring import unmirror
+from modaltouch.analysis.record_facts import SessionFacts, take_facts
 from modaltouch.analysis.responses import LeftOut, Responses, Source
 from modaltouch.document import InputError, Problem
 from modaltouch.record.chain import RecordError
@@ -35,15 +37,32 @@ class Found:
     ----------
     path : Path
         Its log.
-    session : Session or None
-        What the log tells; none where it cannot be read.
+    mode, participant, protocol : str
+        What the log says of itself; empty where it cannot be read.
     reason : str
         Why it stays out; empty if it is analysed.
+    unfit : str
+        Why it would stay out though its mode and protocol are the right ones.
+    digest : str
+        SHA-256 of the log.
+    rows : tuple of tuple
+        Its answers in the order of `COLUMNS`; none where it stays out.
+    facts : SessionFacts or None
+        What it tells beside the answers; None where it stays out.
+    focus : str
+        Zone at which the vibration was focused, if known.
     """
 
     path: Path
-    session: Session | None
+    mode: str = ""
+    participant: str = ""
+    protocol: str = ""
     reason: str = ""
+    unfit: str = ""
+    digest: str = ""
+    rows: tuple[tuple[Any, ...], ...] = ()
+    facts: SessionFacts | None = None
+    focus: str = ""
 
 
 def read_tree(place: Path, mode: str | None = None) -> Responses:
@@ -69,22 +88,22 @@ def read_tree(place: Path, mode: str | None = None) -> Responses:
         _refuse(place, "a folder without a recorded session", "a results folder", remedy)
     chosen = mode or _choose_mode(place, found)
     found = [_mark(item, _other_mode(item, chosen)) for item in found]
-    _refuse_protocols(place, [item.session for item in found if item.session and not item.reason])
-    found = [_mark(item, _unfit(item)) for item in found]
-    found = _even_out(found)
+    _refuse_protocols(place, [item.protocol for item in found if not item.reason])
+    found = _even_out([_mark(item, item.unfit) for item in found])
     left_out = tuple(LeftOut(str(item.path.parent), item.reason) for item in found if item.reason)
-    sessions = tuple(item.session for item in found if item.session and not item.reason)
-    if not sessions:
+    taken = [item for item in found if not item.reason]
+    if not taken:
         counted = Counter(item.reason for item in left_out)
         listed = "; ".join(f"{n} {reason}" for reason, n in counted.most_common(5))
         remedy = "finish one with `modaltouch resume`, or choose another mode or folder"
         _refuse(place, f"no session that can be analysed ({listed})", "at least one complete session", remedy)
-    frame = unmirror(pd.DataFrame([row for session in sessions for row in session_rows(session)]))
+    frame = unmirror(pd.DataFrame([row for item in taken for row in item.rows], columns=list(COLUMNS)))
     _refuse_designs(place, frame)
     frame["response"] = pd.Categorical(frame["response"], categories=list(ANSWERS))
-    digest = hashlib.sha256("".join(_digest(session.path) for session in sessions).encode()).hexdigest()
-    focus = str(sessions[0].start.get("design", {}).get("stimulus", {}).get("focus", ""))
-    return Responses(frame, sessions, left_out, Source(str(place), "results", digest, chosen), focus)
+    digest = hashlib.sha256("".join(item.digest for item in taken).encode()).hexdigest()
+    facts = tuple(item.facts for item in taken if item.facts is not None)
+    start = read_session(taken[0].path).start
+    return Responses(frame, facts, left_out, Source(str(place), "results", digest, chosen), taken[0].focus, start)
 
 
 def find_logs(place: Path) -> list[Path]:
@@ -98,59 +117,88 @@ def find_logs(place: Path) -> list[Path]:
     return [place] if place.is_file() else sorted(place.rglob(LOG_NAME))
 
 
-def session_rows(session: Session) -> list[dict[str, Any]]:
-    """Return the answers of a session that count, practice left out, as tidy rows.
-
-    Parameters
-    ----------
-    session : Session
-        A sound session.
-    """
-    return [_row(session, event) for event in session.trials if not event["trial"]["practice"]]
+def _rows(session: Session) -> tuple[tuple[Any, ...], ...]:
+    """Return the answers of a session that count, practice left out, in the order of `COLUMNS`."""
+    return tuple(_row(session, event) for event in session.trials if not event["trial"]["practice"])
 
 
-def _row(session: Session, event: dict[str, Any]) -> dict[str, Any]:
+COLUMNS = (
+    "participant",
+    "finger_condition",
+    "zone_left",
+    "zone_right",
+    "velocity_mm_s",
+    "placement",
+    "response",
+    "n",
+    "repetition",
+    "session",
+    "trial",
+    "block",
+    "response_time",
+    "response_onset",
+    "answered_by",
+    "double",
+    "speed_left_mm_s",
+    "speed_right_mm_s",
+    "confirmed",
+)
+"""Columns of the tidy table of recorded answers."""
+
+
+def _row(session: Session, event: dict[str, Any]) -> tuple[Any, ...]:
     trial, response, planned = event["trial"], event["response"], event.get("planned", {})
     condition = trial["condition"]
-    return {
-        "participant": session.participant,
-        "finger_condition": condition["finger_condition"],
-        "zone_left": condition["zone_left"],
-        "zone_right": condition["zone_right"],
-        "velocity_mm_s": float(condition["velocity_mm_s"]),
-        "placement": condition.get("placement", "normal"),
-        "response": response["answer"],
-        "n": 1,
-        "repetition": trial["repetition"],
-        "session": session.start.get("session", 1),
-        "trial": float(trial["index"]),
-        "block": float(trial["block"]),
-        "response_time": float(response["reaction_time"]),
-        "response_onset": response.get("onset", ""),
-        "answered_by": response.get("answered_by", ""),
-        "double": bool(response.get("double", False)),
-        "speed_left_mm_s": float(planned.get("speed_left_mm_s", float("nan"))),
-        "speed_right_mm_s": float(planned.get("speed_right_mm_s", float("nan"))),
-        "confirmed": bool(event.get("confirmed", {}).get("confirmed", False)),
-    }
+    return (
+        session.participant,
+        _one(condition["finger_condition"]),
+        _one(condition["zone_left"]),
+        _one(condition["zone_right"]),
+        float(condition["velocity_mm_s"]),
+        _one(condition.get("placement", "normal")),
+        _one(response["answer"]),
+        1,
+        trial["repetition"],
+        session.start.get("session", 1),
+        float(trial["index"]),
+        float(trial["block"]),
+        float(response["reaction_time"]),
+        _one(response.get("onset", "")),
+        _one(response.get("answered_by", "")),
+        bool(response.get("double", False)),
+        float(planned.get("speed_left_mm_s", float("nan"))),
+        float(planned.get("speed_right_mm_s", float("nan"))),
+        bool(event.get("confirmed", {}).get("confirmed", False)),
+    )
+
+
+def _one(word: object) -> str:
+    """Return the one copy of a word that comes in every row."""
+    return sys.intern(str(word))
 
 
 def _open(path: Path) -> Found:
+    """Read a session and keep only what an analysis needs of it: a thousand logs would not fit in memory."""
     try:
         session = read_session(path)
     except RecordError as error:
-        return Found(path, None, f"unreadable: {error}")
+        return Found(path, reason=f"unreadable: {error}")
     if not session.start:
-        return Found(path, None, f"damaged: {session.problems[0]}" if session.problems else "cut before it began")
-    return Found(path, session)
+        damage = f"damaged: {session.problems[0]}" if session.problems else "cut before it began"
+        return Found(path, reason=damage)
+    found = Found(path, session.mode, session.participant, session.protocol, unfit=_unfit(session))
+    if found.unfit:
+        return found
+    focus = str(session.start.get("design", {}).get("stimulus", {}).get("focus", ""))
+    return replace(found, digest=_digest(path), rows=_rows(session), facts=take_facts(session), focus=focus)
 
 
 def _mark(item: Found, reason: str) -> Found:
-    return item if item.reason or not reason else Found(item.path, item.session, reason)
+    return item if item.reason or not reason else replace(item, reason=reason)
 
 
 def _choose_mode(place: Path, found: Sequence[Found]) -> str:
-    counted = Counter(item.session.mode for item in found if item.session)
+    counted = Counter(item.mode for item in found if item.mode)
     if "real" in counted or not counted:
         return "real"
     if len(counted) > 1:
@@ -161,13 +209,13 @@ def _choose_mode(place: Path, found: Sequence[Found]) -> str:
 
 
 def _other_mode(item: Found, chosen: str) -> str:
-    if item.session is None or item.session.mode == chosen:
+    if not item.mode or item.mode == chosen:
         return ""
-    return f"{item.session.mode}, not {chosen} (choose with --mode {item.session.mode})"
+    return f"{item.mode}, not {chosen} (choose with --mode {item.mode})"
 
 
-def _refuse_protocols(place: Path, sessions: Sequence[Session]) -> None:
-    names = Counter(session.protocol for session in sessions)
+def _refuse_protocols(place: Path, protocols: Sequence[str]) -> None:
+    names = Counter(protocols)
     if len(names) > 1:
         listed = ", ".join(f"{n} of {name!r}" for name, n in names.most_common())
         _refuse(place, f"sessions of several protocols ({listed})", "one protocol", "give the folder of one of them")
@@ -187,10 +235,7 @@ def _refuse_designs(place: Path, frame: pd.DataFrame) -> None:
     _refuse(place, given, "the same conditions, equally often, for every participant", remedy)
 
 
-def _unfit(item: Found) -> str:
-    session = item.session
-    if session is None:
-        return ""
+def _unfit(session: Session) -> str:
     if session.problems:
         return f"damaged: {session.problems[0]}"
     if not session.complete:
@@ -201,14 +246,14 @@ def _unfit(item: Found) -> str:
 
 def _even_out(found: Sequence[Found]) -> list[Found]:
     """Keep as many sessions of every participant as the one with fewest has."""
-    usable = Counter(item.session.participant for item in found if item.session and not item.reason)
+    usable = Counter(item.participant for item in found if not item.reason)
     fewest = min(usable.values(), default=0)
     taken: Counter[str] = Counter()
     evened = []
     for item in found:
-        if item.session and not item.reason:
-            taken[item.session.participant] += 1
-            if taken[item.session.participant] > fewest:
+        if not item.reason:
+            taken[item.participant] += 1
+            if taken[item.participant] > fewest:
                 item = _mark(item, f"session beyond the first {fewest}: not every participant has as many")
         evened.append(item)
     return evened
