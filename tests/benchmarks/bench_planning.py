@@ -152,8 +152,12 @@ def main() -> None:
         "libraries_cpu_s": each * N_EXPERIMENTS,
         "times_faster": each * N_EXPERIMENTS / cpu,
         "largest_difference_of_sign_flip_p": largest_difference(study.design, answers, by_libraries),
-        "bars": {"ours_cpu_s": 0.25, "times_faster": 1000},
     }  # fmt: skip
+    figures["bars"] = [
+        {"what": "CPU time of 1,000 experiments [s]", "bar": 0.25, "measured": cpu, "met": cpu <= 0.25},
+        {"what": "times faster", "bar": 1000, "measured": each * N_EXPERIMENTS / cpu,
+         "met": each * N_EXPERIMENTS / cpu >= 1000},
+    ]  # fmt: skip
     target = ROOT / "results" / "benchmarks" / "planning.json"
     target.parent.mkdir(parents=True, exist_ok=True)
     target.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")

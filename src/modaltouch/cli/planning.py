@@ -41,6 +41,10 @@ def power(
     ] = False,
     target: Annotated[float, typer.Option(min=0.01, max=0.999, help="Power that is wanted.")] = 0.8,
     jobs: Annotated[int, typer.Option("--jobs", "-j", min=1, max=256, help="Processes that share the work.")] = 1,
+    dask: Annotated[
+        str | None,
+        typer.Option(help="Scheduler of a dask cluster that does the work instead, such as tcp://10.0.0.5:8786."),
+    ] = None,
     out: Annotated[
         Path | None, typer.Option(help="Folder for tables and the contour plot.", show_default="nothing is written")
     ] = None,
@@ -77,6 +81,7 @@ def power(
                 [(n, r) for r in repetitions for n in sizes_n],
                 experiments,
                 n_processes=jobs,
+                dask=dask,
                 on_progress=on_progress,
                 told_to_stop=lambda: bool(interruption.pending),
             )

@@ -7,8 +7,8 @@
 ``questions``     the families of tests, as in the analysis
 ``floors``        the fewest participants with whom anything can be significant
 ``experiments``   participants and answers drawn, significant tests counted, job by job
-``power``         plan: all jobs, here or in processes -> Power
-``processes``     how a working process begins
+``power``         plan: all jobs -> Power
+``workers``       jobs shared among processes, or on a dask cluster
 ``pictures``      contours of power over participants and repetitions
 ``writing``       tables and pictures into a folder
 ``fitting``       an observer fitted to recorded answers

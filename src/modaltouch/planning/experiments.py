@@ -128,6 +128,10 @@ class Tally:
         )
 
 
+Tallies = dict[str, Tally]
+"""What came out of some experiments, by family of tests."""
+
+
 def divide(design: Design, sizes: Iterable[tuple[int, int]], n_experiments: int) -> list[Job]:
     """Return the jobs of a study, such that the first ones already cover every size.
 
@@ -148,7 +152,7 @@ def divide(design: Design, sizes: Iterable[tuple[int, int]], n_experiments: int)
     return sorted(jobs, key=lambda job: (job.batch, job.n_repetitions, job.n_participants))
 
 
-def run_job(study: Study, job: Job) -> dict[str, Tally]:
+def run_job(study: Study, job: Job) -> Tallies:
     """Return what comes out of the experiments of a job, family by family.
 
     Parameters

@@ -2,27 +2,17 @@
 
 from __future__ import annotations
 
-import multiprocessing
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import islice
 from typing import Any
 
 from modaltouch.analysis.intervals import wilson
-from modaltouch.planning.experiments import Job, Study, Tally, divide, run_job
+from modaltouch.planning.experiments import Job, Study, Tallies, divide, run_job
 from modaltouch.planning.floors import Floor, find_floor, smallest_p
-from modaltouch.planning.processes import begin_worker
+from modaltouch.planning.workers import run_shared
 
-Tallies = dict[str, Tally]
 Size = tuple[int, int]
-
-_IN_HAND = 3
-"""Jobs that are given to each process at a time."""
-
-_GLANCE = 0.2
-"""How often is asked whether to stop, while processes work [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,13 +180,13 @@ def plan(
     n_experiments: int,
     *,
     n_processes: int = 1,
+    dask: str | None = None,
     on_progress: Callable[[int, int], None] | None = None,
     told_to_stop: Callable[[], bool] | None = None,
 ) -> Power:
     """Return the power of a study at several sizes.
 
-    The result depends on the study and the sizes alone, not on the number of processes: every job has a seed of
-    its own.
+    The result depends on the study and the sizes alone, not on who does the work: every job has a seed of its own.
 
     Parameters
     ----------
@@ -208,6 +198,8 @@ def plan(
         Experiments of each size.
     n_processes : int
         Processes that share the work.
+    dask : str, optional
+        Address of the scheduler of a dask cluster that does the work instead.
     on_progress : callable, optional
         Called with (jobs done, jobs in all).
     told_to_stop : callable, optional
@@ -217,11 +209,18 @@ def plan(
     -------
     Power
         Not `complete` where it was told to stop.
+
+    Raises
+    ------
+    ClusterError
+        If there is no cluster at the address, or it runs another version.
     """
     jobs = divide(study.design, sizes, n_experiments)
-    run = _run_here if n_processes == 1 or len(jobs) == 1 else _run_in_processes
+    told = told_to_stop or (lambda: False)
+    here = dask is None and (n_processes == 1 or len(jobs) == 1)
+    results = _run_here(study, jobs, told) if here else run_shared(study, jobs, told, n_processes, dask)
     done: dict[Job, Tallies] = {}
-    for job, tallies in run(study, jobs, n_processes, told_to_stop or (lambda: False)):
+    for job, tallies in results:
         done[job] = tallies
         if on_progress is not None:
             on_progress(len(done), len(jobs))
@@ -234,35 +233,11 @@ def plan(
     return Power(study, tuple(sizes), n_experiments, added)
 
 
-def _run_here(
-    study: Study, jobs: Sequence[Job], n_processes: int, told_to_stop: Callable[[], bool]
-) -> Iterator[tuple[Job, Tallies]]:
+def _run_here(study: Study, jobs: Sequence[Job], told_to_stop: Callable[[], bool]) -> Iterator[tuple[Job, Tallies]]:
     for job in jobs:
         if told_to_stop():
             return
         yield job, run_job(study, job)
-
-
-def _run_in_processes(
-    study: Study, jobs: Sequence[Job], n_processes: int, told_to_stop: Callable[[], bool]
-) -> Iterator[tuple[Job, Tallies]]:
-    # Spawned rather than forked: the same on every system, and safe beside other threads.
-    context = multiprocessing.get_context("spawn")
-    left = iter(jobs)
-    with ProcessPoolExecutor(n_processes, mp_context=context, initializer=begin_worker) as pool:
-        waiting: dict[Future[Tallies], Job] = {}
-        try:
-            while not told_to_stop():
-                # A few in hand for each process: thousands would be slow to watch and slow to give up.
-                for job in islice(left, _IN_HAND * n_processes - len(waiting)):
-                    waiting[pool.submit(run_job, study, job)] = job
-                if not waiting:
-                    return
-                finished, _ = wait(waiting, timeout=_GLANCE, return_when=FIRST_COMPLETED)
-                for future in finished:
-                    yield waiting.pop(future), future.result()
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
 
 
 def _size(size: Size, shape: tuple[int, int, int]) -> dict[str, int]:
