@@ -3,7 +3,6 @@ from __future__ import annotations
 from pathlib import Path
 
 from modaltouch.analysis.record_facts import describe_record, take_facts
-from modaltouch.analysis.responses import Responses, Source
 from modaltouch.record.log import Session
 
 
@@ -22,8 +21,7 @@ def session(participant: str, *events: dict) -> Session:
 
 def facts(*sessions: Session):
     """Return what the report says of these sessions."""
-    taken = tuple(take_facts(each) for each in sessions)
-    return describe_record(Responses(None, taken, (), Source("results", "results", "")))  # type: ignore[arg-type]
+    return describe_record([take_facts(each) for each in sessions])
 
 
 def test_a_table_has_no_record_to_tell_of() -> None:

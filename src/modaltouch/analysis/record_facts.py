@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from modaltouch.analysis.responses import Responses
 from modaltouch.record.log import Session
 
 Ranges = list[tuple[float, float]] | None
@@ -153,17 +152,16 @@ def take_facts(session: Session) -> SessionFacts:
     )
 
 
-def describe_record(responses: Responses) -> RecordFacts | None:
+def describe_record(sessions: Sequence[SessionFacts]) -> RecordFacts | None:
     """Return what the logs of the analysed sessions tell; None for a CSV, which has none.
 
     Parameters
     ----------
-    responses : Responses
-        Answers with their sessions.
+    sessions : sequence of SessionFacts
+        The analysed sessions.
     """
-    if not responses.sessions:
+    if not sessions:
         return None
-    sessions = responses.sessions
     return RecordFacts(
         tuple(_session_row(session) for session in sessions),
         tuple(_presented(sessions)),

@@ -51,7 +51,7 @@ def render_report(analysis: Analysis, pictures: Sequence[Picture], vectors: Mapp
         tests=_test_tables(analysis.findings),
         limits=design_limits(analysis),
         left_out=analysis.responses.left_out,
-        record=describe_record(analysis.responses),
+        record=describe_record(analysis.responses.sessions),
         version=__version__,
         commit=commit(),
         versions={k: v for k, v in versions().items() if v != "absent"},
