@@ -80,6 +80,12 @@ results: install
 bench: install
 	for script in tests/benchmarks/bench_*.py; do $(PYTHON) $$script || exit 1; done
 
+## soak: sessions cut short at 1,200 seeded points; what came of them goes into results/benchmarks/soak.json
+.PHONY: soak
+soak: install
+	MODALTOUCH_KILL_POINTS=1200 MODALTOUCH_SOAK_RESULTS=results/benchmarks/soak.json \
+	  $(PYTHON) -m pytest --timeout 7200 tests/sessions/test_durability.py
+
 ## lock: resolve the dependencies again into requirements.lock
 .PHONY: lock
 lock: | $(filter .uv/bin/uv,$(UV))

@@ -236,6 +236,7 @@ def cut_until_complete(person, whole, seconds, rng, tally, n_points):
     return n_points
 
 
+@pytest.mark.timeout(900)
 def test_no_kill_point_loses_an_answer_changes_an_order_or_leaves_an_output_on(subject, simulator, tmp_path):
     """At least 300 seeded points over sessions: 0 answers lost, 0 orders changed, 0 outputs on, 0 invalid views."""
     tally, left, number = Tally(), N_POINTS, 0

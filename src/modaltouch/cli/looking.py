@@ -33,14 +33,31 @@ def verify(
 
 
 def doctor(
+    session: Annotated[
+        Path | None,
+        typer.Argument(help="A session that is damaged: say what of it can be recovered.", show_default=False),
+    ] = None,
+    into: Annotated[
+        Path | None,
+        typer.Option(help="Recover the session into this new results folder.", show_default=False),
+    ] = None,
     results: Annotated[Path, typer.Option(help="Folder where sessions would be recorded.")] = Path("results"),
     timing: Annotated[bool, typer.Option(help="Open the window and measure frames and keys, some seconds.")] = False,
     json_output: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
 ) -> None:
-    """Look at what this machine has of what a session needs, and say what to do about the rest."""
+    """Look at what this machine has of what a session needs, and say what to do about the rest.
+
+    With a SESSION, look at its record instead: what is damaged, what still proves itself, and with --into a new
+    record of that. The damaged one is never touched.
+    """
     from modaltouch.doctor import examine_machine
 
     with reporting(json_output=json_output):
+        if session is not None:
+            _examine_record(session, into, json_output=json_output)
+            return
+        if into is not None:
+            raise typer.BadParameter("--into needs a session: modaltouch doctor SESSION --into FOLDER")
         if timing:
             _measure(json_output=json_output)
             return
@@ -54,6 +71,27 @@ def doctor(
                 typer.echo(f"{typer.style(f'{word:8}', fg=colour)} {finding.subject:16} {finding.found}{remedy}")
         if any(finding.state == "fault" for finding in findings):
             raise typer.Exit(RIG_FAILED)
+
+
+def _examine_record(session: Path, into: Path | None, *, json_output: bool) -> None:
+    """Say what a record proves, and write it anew where that is asked; the exit status tells whether it is sound."""
+    from modaltouch.record.folders import find_log
+    from modaltouch.record.recovery import recover, survey
+
+    found = survey(find_log(session))
+    lines = found.lines
+    recovered = None
+    if into is not None:
+        recovered = recover(found, into)
+        lines.append(f"recovered into {recovered}; check it with `modaltouch verify {recovered.parent}`")
+    elif not found.is_sound:
+        lines.append("recover it into a new results folder with --into FOLDER; this record is never touched")
+    if json_output:
+        print_json({**found.as_dict(), "recovered_into": str(recovered) if recovered else None})
+    else:
+        print("\n".join(lines))
+    if not found.is_sound and recovered is None:
+        raise typer.Exit(RECORD_AT_RISK)
 
 
 def _measure(*, json_output: bool) -> None:

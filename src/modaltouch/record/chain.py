@@ -19,7 +19,8 @@ from typing import Any
 GENESIS = "0" * 64
 """The check before the first line."""
 
-_TAIL = re.compile(rb',"check":"([0-9a-f]{64})"\}\Z')
+TAIL = re.compile(rb',"check":"([0-9a-f]{64})"\}\Z')
+"""The end of a line, which holds its check."""
 
 
 class RecordError(Exception):
@@ -85,7 +86,7 @@ def encode_line(event: dict[str, Any], previous: str) -> tuple[bytes, str]:
     if not event:
         raise ValueError("an event needs at least one member, given none")
     body = json.dumps(event, ensure_ascii=False, separators=(",", ":"), allow_nan=False)[:-1].encode()
-    check = _check(previous, body)
+    check = line_check(previous, body)
     return body + b',"check":"' + check.encode() + b'"}\n', check
 
 
@@ -149,16 +150,17 @@ def _lines(data: bytes) -> list[bytes]:
     return [line + b"\n" for line in whole] + ([rest] if rest else [])
 
 
-def _check(previous: str, body: bytes) -> str:
+def line_check(previous: str, body: bytes) -> str:
+    """Return the check of a line: SHA-256 of the check before it and its bytes up to its own."""
     return hashlib.sha256(previous.encode() + body).hexdigest()
 
 
 def _decode(line: bytes, previous: str) -> tuple[dict[str, Any] | None, str]:
-    tail = _TAIL.search(line)
+    tail = TAIL.search(line)
     if tail is None:
         return None, ""
     body, check = line[: tail.start()], tail.group(1).decode()
-    if _check(previous, body) != check:
+    if line_check(previous, body) != check:
         return None, ""
     event = json.loads(body + b"}")
     return event, check

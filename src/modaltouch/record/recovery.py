@@ -1,0 +1,223 @@
+"""What can be saved of a damaged log, and a new log of it; the damaged one is never touched.
+
+A line proves itself by a check that its predecessor's check takes part in, so what was changed, moved or doubled can be
+told from what was not: a line counts as proved where some check in the file, or the beginning, makes its own come out
+right. A line whose predecessor is gone cannot be proved: it is left out and kept as it stands.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from modaltouch.record.chain import GENESIS, TAIL, RecordError, describe_torn, line_check
+from modaltouch.record.folders import SessionFolder
+from modaltouch.record.log import Session, SessionLog, refuse_existing
+from modaltouch.record.view import describe_dataset, list_participants, write_view
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A line that is not recovered.
+
+    Attributes
+    ----------
+    number : int
+        Line of the damaged file, from 1.
+    reason : str
+        Why.
+    content : bytes
+        The line as it stands.
+    """
+
+    number: int
+    reason: str
+    content: bytes
+
+
+@dataclass(frozen=True)
+class Recovery:
+    """What a damaged log still proves.
+
+    Attributes
+    ----------
+    path : Path
+        The log.
+    sha256 : str
+        Of the whole file.
+    events : tuple of dict
+        Proved lines, in the order in which they were written.
+    numbers : tuple of int
+        Where each stands in the file, from 1.
+    left_out : tuple of LeftOut
+        The other lines.
+    missing : tuple of int
+        Numbers of lines that were written and are gone.
+    """
+
+    path: Path
+    sha256: str
+    events: tuple[dict[str, Any], ...]
+    numbers: tuple[int, ...]
+    left_out: tuple[LeftOut, ...]
+    missing: tuple[int, ...]
+
+    @property
+    def is_sound(self) -> bool:
+        """Whether nothing is lost."""
+        return not self.left_out and not self.missing and self.numbers == tuple(range(1, len(self.numbers) + 1))
+
+    @property
+    def lines(self) -> list[str]:
+        """What can be recovered and what cannot, in words."""
+        answers = sum(event.get("event") == "trial" for event in self.events)
+        said = [f"{len(self.events)} lines prove themselves, {answers} answers among them"]
+        if self.numbers != tuple(sorted(self.numbers)):
+            said.append("they were moved; the order in which they were written is known")
+        said += [f"line {line.number} is left out: {line.reason}" for line in self.left_out]
+        if self.missing:
+            said.append(f"gone: the lines numbered {_ranges(self.missing)}")
+        return said
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the recovery as plain values."""
+        return {
+            "session": str(self.path),
+            "sound": self.is_sound,
+            "n_lines": len(self.events),
+            "n_answers": sum(event.get("event") == "trial" for event in self.events),
+            "left_out": [{"line": line.number, "reason": line.reason} for line in self.left_out],
+            "missing": list(self.missing),
+            "lines": self.lines,
+        }
+
+
+def survey(path: Path) -> Recovery:
+    """Return what a log still proves.
+
+    Parameters
+    ----------
+    path : Path
+        A ``session.jsonl``.
+
+    Raises
+    ------
+    RecordError
+        If it cannot be read.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise RecordError(f"{path}: cannot be read ({error.strerror}); give the session.jsonl of a session") from error
+    lines = data.split(b"\n")
+    if lines and not lines[-1]:
+        lines.pop()
+    claimed = {number: tail.group(1).decode() for number, line in enumerate(lines, 1) if (tail := TAIL.search(line))}
+    proved: dict[int, dict[str, Any]] = {}
+    left_out: list[LeftOut] = []
+    first_copy: dict[bytes, int] = {}
+    for number, line in enumerate(lines, 1):
+        event = _prove(lines, claimed, number)
+        if event is None:
+            left_out.append(LeftOut(number, _why(line, claimed, number), line))
+        elif line in first_copy:
+            left_out.append(LeftOut(number, f"a copy of line {first_copy[line]}", line))
+        else:
+            first_copy[line] = number
+            proved[number] = event
+    order = sorted(proved, key=lambda number: proved[number]["n"])
+    declared = [event["torn"] for event in proved.values() if "torn" in event]
+    left_out = [line for line in left_out if describe_torn(line.content) not in declared]
+    events = tuple(proved[number] for number in order)
+    written = {event["n"] for event in events}
+    missing = tuple(n for n in range(1, max(written, default=0)) if n not in written)
+    return Recovery(path, hashlib.sha256(data).hexdigest(), events, tuple(order), tuple(left_out), missing)
+
+
+def recover(found: Recovery, results: Path) -> Path:
+    """Write a new log of what is proved, with a last line that says so, and return its path.
+
+    Parameters
+    ----------
+    found : Recovery
+        What the damaged log proves; its start record must be among it.
+    results : Path
+        Folder of results in which the session gets its place.
+
+    Raises
+    ------
+    RecordError
+        If there is nothing to recover, or a session in that place.
+    """
+    if not found.events or found.events[0].get("event") != "start":
+        raise RecordError(
+            f"{found.path}: its start record does not prove itself, so nothing says what the answers belong to; "
+            "the lines are left as they are"
+        )
+    first, *others = found.events
+    place = SessionFolder(results, first["mode"], first["protocol"], first["participant"], first["session"])
+    refuse_existing(place.log)
+    describe_dataset(place, first.get("design", {}).get("title", ""))
+    new_numbers = {event["n"]: number for number, event in enumerate(found.events, 1)}
+    with SessionLog.create(place.log, "start", **_facts(first)) as log:
+        for event in others:
+            facts = _facts(event)
+            if event.get("supersedes"):
+                facts["supersedes"] = new_numbers.get(event["supersedes"])
+            log.append(event["event"], **facts)
+        log.append(
+            "recovered",
+            sha256=found.sha256,
+            lines=[event["n"] for event in found.events],
+            missing=list(found.missing),
+            left_out=[{"line": line.number, "reason": line.reason} for line in found.left_out],
+        )
+        list_participants(place)
+        write_view(place, Session(place.log, tuple(log.events), ()), log.head)
+    if found.left_out:
+        _keep(place.log.with_name("left_out.txt"), b"\n".join(line.content for line in found.left_out) + b"\n")
+    return place.log
+
+
+def _facts(event: dict[str, Any]) -> dict[str, Any]:
+    """Return what an event says and when; number, check and remains are the new log's."""
+    return {name: value for name, value in event.items() if name not in ("n", "event", "torn")}
+
+
+def _keep(path: Path, content: bytes) -> None:
+    path.touch(mode=0o600)
+    path.write_bytes(content)
+
+
+def _prove(lines: list[bytes], claimed: dict[int, str], number: int) -> dict[str, Any] | None:
+    """Return the event of a line if its check comes out right after some line of the file."""
+    if number not in claimed:
+        return None
+    line, check = lines[number - 1], claimed[number]
+    body = line[: TAIL.search(line).start()]  # type: ignore[union-attr]
+    likely = [claimed[number - 1]] if number - 1 in claimed else []
+    for previous in (*likely, GENESIS, *claimed.values()):
+        if line_check(previous, body) == check:
+            event = json.loads(body + b"}")
+            return event if isinstance(event, dict) and isinstance(event.get("n"), int) else None
+    return None
+
+
+def _why(line: bytes, claimed: dict[int, str], number: int) -> str:
+    if number not in claimed:
+        return "it was cut or its end was changed"
+    return "it was changed, or the line before it is gone, so that it cannot be proved"
+
+
+def _ranges(numbers: tuple[int, ...]) -> str:
+    """Return numbers as ``3, 7 to 9``."""
+    runs: list[list[int]] = []
+    for number in numbers:
+        if runs and number == runs[-1][1] + 1:
+            runs[-1][1] = number
+        else:
+            runs.append([number, number])
+    return ", ".join(str(first) if first == last else f"{first} to {last}" for first, last in runs)
