@@ -29,8 +29,8 @@ class PaperRig:
     unconfirmed: int = 0
     firing: Firing | None = None
 
-    def fire(self, velocity: float) -> Firing:
-        self.told.append(f"fire {velocity:g}")
+    def fire(self, velocity: float, *, silent: bool = False) -> Firing:
+        self.told.append(f"silent {velocity:g}" if silent else f"fire {velocity:g}")
         confirmed = self.unconfirmed == 0
         self.unconfirmed = max(self.unconfirmed - 1, 0)
         self.firing = Firing((1.0, 1.0), (1.0, 1.0), confirmed, time.perf_counter(), 0.14)
@@ -268,7 +268,7 @@ def test_breaks_come_by_time(sit: Callable[..., Sitting], monkeypatch: pytest.Mo
     now = iter(range(0, 10**6, 70))
     monkeypatch.setattr("modaltouch.session.time.perf_counter", lambda: float(next(now)))
     sitting = sit(break_after_trials=None, break_after_min=5.0, practice_trials=0)
-    sitting.rig.fire = lambda velocity: Firing((1.0,), (1.0,), True, 0.0, 0.1)  # type: ignore[method-assign]
+    sitting.rig.fire = lambda velocity, silent: Firing((1.0,), (1.0,), True, 0.0, 0.1)  # type: ignore[method-assign]
     conduct(sitting)
     assert seen(sitting).count("rest") >= 2
 
@@ -278,3 +278,19 @@ def test_no_breaks_where_none_are_asked_for(sit: Callable[..., Sitting]) -> None
     sitting = sit(break_after_trials=None, break_after_min=None)
     conduct(sitting)
     assert "rest" not in seen(sitting)
+
+
+def test_a_catch_trial_is_asked_like_any_other_and_drives_nothing(sit: Callable[..., Sitting]) -> None:
+    """Expected: fired silently at the lowest level, 80 mm/s; the same screens; marked in the record, speeds 0."""
+    sitting = sit(lambda trial: "none" if trial.condition.is_catch else right_answer(trial), catch_trials=2)
+    conduct(sitting)
+    told = sitting.rig.told  # type: ignore[attr-defined]
+    assert [each for each in told if each.startswith("silent")] == ["silent 0.08"] * 4
+    caught = [event for event in events(sitting, "trial") if event.get("catch")]
+    assert [event["response"]["answer"] for event in caught] == ["none"] * 4
+    assert [event["trial"]["condition"]["velocity_mm_s"] for event in caught] == [0.0] * 4
+    asked = [name for name in seen(sitting) if name.startswith("trial ")]
+    assert asked == [f"trial {index}" for index in range(1, 17)]
+    assert not any(
+        "catch" in event for event in events(sitting, "trial") if event["trial"]["condition"]["velocity_mm_s"]
+    )

@@ -206,9 +206,11 @@ def fire(sitting: Sitting, trial: Trial) -> Firing:
     RigError
         If the instrument cannot be brought to confirm it.
     """
-    velocity = trial.condition.velocity_mm_s * 1e-3
+    # A catch trial does all that one at the lowest level does, but lets no burst go.
+    silent = trial.condition.is_catch
+    level = min(sitting.protocol.conditions.peak_velocities_mm_s) if silent else trial.condition.velocity_mm_s
     for attempt in range(1, ATTEMPTS + 1):
-        firing = sitting.rig.fire(velocity)
+        firing = sitting.rig.fire(level * 1e-3, silent=silent)
         if firing.confirmed:
             return firing
         sitting.rig.stop()
@@ -229,6 +231,7 @@ def write_down(sitting: Sitting, trial: Trial, response: Response, firing: Firin
         trial=values,
         presentation=sum(event["event"] == "fired" and event["trial"] == values for event in sitting.log.events),
         fingers=list(fingers(sitting.protocol, trial)),
+        **({"catch": True} if trial.condition.is_catch else {}),
         planned={
             "velocity_mm_s": trial.condition.velocity_mm_s,
             "speed_left_mm_s": round(speed_left * 1e3, 3),

@@ -5,8 +5,11 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
-Answer = Literal["left", "right", "both"]
+Answer = Literal["left", "right", "both", "none"]
 ANSWERS: tuple[Answer, ...] = ("left", "right", "both")
+"""The paper's answers."""
+ANSWERS_WITH_NONE: tuple[Answer, ...] = (*ANSWERS, "none")
+"""The same with "felt nowhere", where a protocol offers it."""
 
 FINGERS: dict[tuple[str, str], tuple[str, str]] = {
     ("one_hand", "right"): ("right index", "right middle"),
@@ -29,7 +32,7 @@ class Condition:
     zone_left, zone_right : str
         Zones under the two fingers, left and right as the participant sees the beam.
     velocity_mm_s : float
-        Peak velocity at the centre of the focus zone at the focusing instant [mm/s].
+        Peak velocity at the centre of the focus zone at the focusing instant [mm/s]; 0 in a catch trial.
     placement : str
         ``normal``; ``mirrored`` (the beam turned end to end, so that its last zone lies on the left);
         ``swapped`` (the other hand in ``one_hand``, crossed hands in ``two_hands``); ``mirrored_swapped``.
@@ -45,6 +48,11 @@ class Condition:
     def pair(self) -> tuple[str, str]:
         """Zones under the left and the right finger."""
         return (self.zone_left, self.zone_right)
+
+    @property
+    def is_catch(self) -> bool:
+        """Whether nothing is driven: a catch trial."""
+        return self.velocity_mm_s == 0
 
     @property
     def is_mirrored(self) -> bool:
@@ -108,7 +116,7 @@ class Response:
     Attributes
     ----------
     answer : str
-        ``left``, ``right`` or ``both``, as the participant sees the beam.
+        ``left``, ``right`` or ``both``, as the participant sees the beam, or ``none`` where the protocol offers it.
     reaction_time : float
         From the onset named by `onset` to the answer event [s].
     onset : str

@@ -20,7 +20,7 @@ from modaltouch.rig import open_rig, start_simulator
 from modaltouch.rig.interface import Rig
 from modaltouch.schedule import Schedule, draw_schedule, random_generator
 from modaltouch.sitting import Setup
-from modaltouch.trial import Trial
+from modaltouch.trial import ANSWERS, ANSWERS_WITH_NONE, Trial
 from modaltouch.window import AnswersBy, open_window
 from modaltouch.window.interface import AnswerWindow
 from modaltouch.window.simulated import Answerer
@@ -100,7 +100,9 @@ class Wires:
 
     def _answerer(self) -> Answerer:
         person = self._observer.draw(random_generator(*self._person, "observer"))
-        return Answerer(person, self._felt, random_generator(*self._person, "answers"))
+        offers_none = self._preflight.experiment.protocol.answers.offers_none
+        answers = ANSWERS_WITH_NONE if offers_none else ANSWERS
+        return Answerer(person, self._felt, random_generator(*self._person, "answers"), answers)
 
     def _felt(self, trial: Trial) -> tuple[float, float]:
         """Return what the two fingers feel: on the twin where there is one, else as predicted."""
@@ -109,7 +111,7 @@ class Wires:
         if self._simulator is not None:
             left, right = self._simulator.felt_velocity(trial.condition.pair)
             peaks = float(left), float(right)
-        if self._observer.front_end == "peak":
+        if self._observer.front_end == "peak" or trial.condition.is_catch:
             return peaks
         # The twin tells peaks; what else is felt follows the predicted history, at the twin's size.
         level = trial.condition.velocity_mm_s * 1e-3

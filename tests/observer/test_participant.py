@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from modaltouch.observer import Observer, Participant
+from modaltouch.trial import ANSWERS_WITH_NONE
 
 N = 4000
 
@@ -156,3 +157,19 @@ def test_a_speed_without_meaning_is_refused(speed: float) -> None:
     """Expected: the message names the finger and what was given."""
     with pytest.raises(ValueError, match="m/s under the right finger"):
         Participant().answer(0.1, speed, "one_hand", np.random.default_rng(1))
+
+
+def test_who_feels_nothing_says_none_where_that_is_an_answer() -> None:
+    """Expected: none for still fingers apart from lapses; half of the time at the detection speed; never at 0.1 m/s."""
+    participant = Participant(lapse_rate=0.2, noise=0.3)
+    rng = np.random.default_rng(3)
+
+    def share(speed: float) -> float:
+        given = [participant.answer(speed, 0.0, "one_hand", rng, ANSWERS_WITH_NONE)[0] for _ in range(N)]
+        return given.count("none") / N
+
+    # A lapse says none in a quarter of the cases.
+    assert share(0.0) == pytest.approx(0.8 + 0.2 / 4, abs=0.02)
+    assert share(participant.detection_speed) == pytest.approx(0.8 / 2 + 0.2 / 4, abs=0.03)
+    assert share(0.1) == pytest.approx(0.2 / 4, abs=0.015)
+    assert "none" not in answers(participant, 0.0, 0.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -244,3 +245,35 @@ def _pyglet_key_names() -> list[str]:
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return list(module._key_names.values())
+
+
+NONE = ("    right: [right, num_6]", "    right: [right, num_6]\n    none: [n]")
+
+
+@pytest.mark.parametrize("language", ["english", "french"])
+def test_the_answer_none_needs_its_words(edit: Edit, language: str) -> None:
+    """Both shipped languages have them; a language file without is told before anybody reads it."""
+    file = edit(FILE, NONE, ("texts/english.yaml", f"texts/{language}.yaml"))
+    assert faults(file) == []
+    texts = file.parent / "texts" / f"{language}.yaml"
+    texts.write_text(re.sub(r"(?m)^none: .*\n", "", texts.read_text(encoding="utf-8")), encoding="utf-8")
+    (found,) = faults(file)
+    assert f"{language}.yaml:" in found
+    assert f"none: given nothing; allowed: a text, as {FILE} offers the answer none" in found
+
+
+@pytest.mark.parametrize(
+    ("changes", "fault"),
+    [
+        (
+            [("practice_trials: 3", "catch_trials: 13\n  practice_trials: 3")],
+            "catch_trials: given 13 where 12 trials of",
+        ),
+        ([("practice_trials: 3", "catch_trials: -1\n  practice_trials: 3")], "catch_trials: given -1"),
+        ([("    right: [right, num_6]", "    right: [right, num_6]\n    none: [left]")], "'left', which answers left"),
+    ],
+)
+def test_catch_trials_and_keys_beyond_reason_are_faults(edit: Edit, changes: list[tuple[str, str]], fault: str) -> None:
+    """A catch trial follows a driven one, so there are at most as many; a key gives one answer."""
+    (found,) = faults(edit(FILE, *changes))
+    assert fault in found

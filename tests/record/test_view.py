@@ -128,3 +128,19 @@ def test_a_file_that_cannot_be_written_is_named_and_the_old_one_stays(tmp_path):
     with pytest.raises(RecordError, match=r"table.tsv: cannot be written .* the session log is intact"):
         replace_file(tmp_path / "table.tsv", "new\n")
     assert list(tmp_path.iterdir()) == [tmp_path / "table.tsv"]
+
+
+def test_catch_trials_and_the_answer_none_are_described_where_there_are_any(session, place):
+    """A protocol with neither keeps the table it had; one with both gets a column and a level more."""
+    start, trial = session.events
+    design = {"schedule": {"catch_trials": 2}, "answers": {"keys": {"left": [], "none": []}}}
+    caught = {**trial, "trial": {**trial["trial"], "condition": {**CONDITION, "velocity_mm_s": 0.0}}}
+    with_both = Session(session.path, ({**start, "design": design}, caught), ())
+    header, row = (line.split("\t") for line in table_text(with_both).splitlines())
+    assert dict(zip(header, row, strict=True))["catch"] == "1"
+    write_view(place, with_both, {"lines": 2, "check": "0" * 64})
+    side = json.loads(place.table.with_suffix(".json").read_text())
+    assert side["catch"]["Levels"] == {"0": "no", "1": "yes"}
+    assert "none" in side["response"]["Levels"]
+    assert "catch" not in table_text(session).splitlines()[0].split("\t")
+    assert "none" not in COLUMNS["response"]["Levels"]

@@ -43,6 +43,48 @@ def test_firing_is_confirmed_and_felt(loaded: Generator, simulator: Simulator) -
     assert simulator.felt_velocity(["A", "C"]).tolist() == [0, 0]
 
 
+def test_a_catch_trial_does_everything_but_play(loaded: Generator, simulator: Simulator) -> None:
+    """Amplitudes set, relays on, all confirmed, and fingers feel nothing, though a burst had just been playing."""
+    loaded.fire(0.1)
+    loaded.stop()
+    firing = loaded.fire(0.08, silent=True)
+    assert firing.confirmed
+    assert firing.confirmed_amplitude == firing.commanded_amplitude != (0, 0)
+    assert simulator.outputs == (True, True)
+    assert simulator.felt_velocity(["A", "C"]).tolist() == [0, 0]
+    loaded.stop()
+    assert simulator.outputs == (False, False)
+    assert loaded.firing is not None
+    assert loaded.firing.confirmed
+    assert loaded.fire(0.08).confirmed
+    assert (simulator.felt_velocity(["A", "C"]) > 0).all()
+
+
+def test_a_catch_trial_takes_the_commands_of_any_other(loaded: Generator, heard: Any) -> None:
+    """The same number of messages, so that neither time nor relays tell; one differs: the trigger's source."""
+    sent = []
+    for silent in (False, True):
+        heard.clear()
+        loaded.fire(0.08, silent=silent)
+        loaded.stop()
+        sent.append(heard.sent)
+    assert len(sent[0]) == len(sent[1])
+    ((let_go, kept),) = [pair for pair in zip(*sent, strict=True) if pair[0] != pair[1]]
+    assert let_go.startswith(":TRIG:SOUR TIM;")
+    assert kept == let_go.replace("TIM", "EXT")
+
+
+def test_a_continuous_record_cannot_be_silent(
+    simulator: Simulator, open_generator: Callable[..., Generator], burst: Burst
+) -> None:
+    """It plays as soon as the outputs are on, so a catch trial is refused and they stay off."""
+    generator = open_generator(repetition="continuous")
+    generator.load(burst)
+    with pytest.raises(RigError, match="needs the repetition `burst`"):
+        generator.fire(0.1, silent=True)
+    assert simulator.outputs == (False, False)
+
+
 def test_level_scales_what_is_felt(loaded: Generator, simulator: Simulator) -> None:
     """The beam is linear: speeds are in the ratio of the levels, 0.4 to 0.5 to 0.75 to 1."""
     felt = []

@@ -12,11 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from modaltouch.protocol import Protocol, read_protocol
-from modaltouch.schedule import draw_schedule, random_generator
+from modaltouch.schedule import Stream, draw_schedule, random_generator
+from modaltouch.schedule.catches import place_catches
 from modaltouch.schedule.designs import latin_square
 from modaltouch.schedule.rejection import longest_run
 
 SHIPPED = Path(__file__).parents[2] / "protocols"
+ORDERS = ["shuffled", "by_pair", "by_velocity", "latin_square"]
 PAPER = read_protocol(SHIPPED / "differentiated_stimulation.yaml").protocol
 
 
@@ -229,3 +231,67 @@ def test_a_latin_square_is_balanced(n_cells: int) -> None:
     successions = Counter(pair for row in rows for pair in itertools.pairwise(row))
     assert set(successions.values()) <= {each}
     assert len(successions) == n_cells * (n_cells - 1)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 12), st.sampled_from([1, 2, 3, None]), st.integers(0, 2**40), st.sampled_from(ORDERS))
+def test_catch_trials_stand_where_nothing_betrays_them(n: int, limit: int | None, seed: int, order: str) -> None:
+    """As many as asked, none first in a block, no two neighbours, no pair longer running than the limit."""
+    limit = limit if order == "shuffled" else None
+    protocol = changed("schedule", catch_trials=n, max_same_pair_running=limit, order=order)
+    schedule = draw_schedule(protocol, "p01", seed)
+    bare = draw_schedule(changed("schedule", max_same_pair_running=limit, order=order), "p01", seed)
+    assert [t.index for t in schedule.trials] == list(range(1, 25 + 2 * n))
+    for block, other in zip(schedule.blocks, bare.blocks, strict=True):
+        catch = [trial.condition.is_catch for trial in block.trials]
+        assert sum(catch) == n
+        assert not catch[0]
+        assert not any(one and two for one, two in itertools.pairwise(catch))
+        pairs = [trial.condition.pair for trial in block.trials]
+        assert limit is None or longest_run(pairs) <= limit
+        driven = [trial.condition for trial in block.trials if not trial.condition.is_catch]
+        assert driven == [trial.condition for trial in other.trials]
+        if order == "by_pair":
+            assert len([key for key, _ in itertools.groupby(pairs)]) == 3
+
+
+def test_a_schedule_without_catch_trials_has_no_trace_of_them() -> None:
+    """The record of such a protocol stays what it was: no purpose of its own, the same hash."""
+    assert (
+        draw_schedule(changed("schedule", catch_trials=0), "p01", 1).as_dict()
+        == draw_schedule(PAPER, "p01", 1).as_dict()
+    )
+    purposes = draw_schedule(changed("schedule", catch_trials=1), "p01", 1).seeds["purposes"]
+    assert {"catch trials within one_hand", "catch trials within two_hands"} < set(purposes)
+
+
+def test_catch_trials_are_drawn_uniformly_among_the_valid_places_and_pairs() -> None:
+    """Two among A B B A, at most two alike running: ten ways; 5000 draws, chi-square below its 0.9999."""
+    first, second = ("A", "C"), ("B", "D")
+    order, limit = [first, second, second, first], 2
+
+    def merged(placed: tuple[tuple[int, tuple[str, str]], ...]) -> list[tuple[str, str]]:
+        after = dict(placed)
+        return [pair for place, own in enumerate(order) for pair in (own, *([after[place]] if place in after else []))]
+
+    ways = [
+        tuple(zip(places, pairs, strict=True))
+        for places in itertools.combinations(range(4), 2)
+        for pairs in itertools.product([first, second], repeat=2)
+    ]
+    valid = {way for way in ways if longest_run(merged(way)) <= limit}
+    stream = Stream(1, "p01", 1, "a test")
+    drawn = Counter(tuple(place_catches(order, 2, limit, stream)) for _ in range(5000))
+    assert set(drawn) == valid
+    expected = 5000 / len(valid)
+    assert len(valid) == 10
+    assert sum((n - expected) ** 2 / expected for n in drawn.values()) < 33.7
+
+
+def test_catch_trials_that_cannot_keep_the_limit_are_refused() -> None:
+    """Two pairs in turn leave no pair for a catch trial between them: only the end of the block is free."""
+    order = [("A", "C"), ("B", "D")] * 3
+    stream = Stream(1, "p01", 1, "a test")
+    assert place_catches(order, 1, 1, stream) == [(5, ("A", "C"))]
+    with pytest.raises(ValueError, match="no way to spread 2 catch trials over 6 trials"):
+        place_catches(order, 2, 1, stream)

@@ -46,6 +46,25 @@ def test_a_killed_session_goes_on_where_it_stopped(
     assert finish("verify", log.parent) == 0
 
 
+@pytest.mark.parametrize(("n_trials", "seed"), [(5, 1), (12, 2), (24, 3)])
+def test_a_killed_session_keeps_its_catch_trials(
+    tmp_path, start, finish, kill, protocol_path, wait_for_trials, answers_of, n_trials, seed
+):
+    """SIGKILL and resume: the same trials, catch trials with them, and the same answers as without."""
+    protocol = protocol_path.with_name("with_catch_trials.yaml")
+    logs = [tmp_path / name / "simulated" / protocol.stem / "sub-p07/ses-1/beh/session.jsonl" for name in ("a", "b")]
+    assert finish("run", protocol, "-p", "p07", *RUN, "--results", tmp_path / "a") == 0
+    session = start("run", protocol, "-p", "p07", *RUN, "--results", tmp_path / "b")
+    wait_for_trials(logs[1], n_trials)
+    session.join(random.Random(seed).uniform(0, 0.04))
+    kill(session, signal.SIGKILL)
+    assert finish("resume", logs[1].parent) == 0
+    assert answers_of(logs[1]) == answers_of(logs[0])
+    caught = [answer for _, _, condition, answer in answers_of(logs[1]) if condition["velocity_mm_s"] == 0]
+    assert caught == ["none"] * 6
+    assert finish("verify", logs[1].parent) == 0
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_ends_a_session_in_order(tmp_path, start, kill, protocol_path, log_of, wait_for_trials, number):
     """Exit status 130, the reason in the record, and a BIDS table with every answer."""

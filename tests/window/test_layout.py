@@ -47,11 +47,26 @@ def test_everything_lies_inside_any_window(width_px: int, height_px: int, n_zone
         assert box.top <= 0.5
 
 
-@pytest.mark.parametrize("size", SIZES)
-def test_nothing_on_the_question_screen_overlaps(size: tuple[int, int]) -> None:
+@pytest.mark.parametrize("offers_none", [False, True])
+@pytest.mark.parametrize("size", [*SIZES, (1080, 1920)])
+def test_nothing_on_the_question_screen_overlaps(size: tuple[int, int], offers_none: bool) -> None:  # noqa: FBT001
     """Expected: each part of the question has its own place at every size of the design notes."""
-    for (name, first), (other, second) in itertools.combinations(boxes(lay_out(*size, ZONES)).items(), 2):
+    layout = lay_out(*size, ZONES, offers_none=offers_none)
+    for (name, first), (other, second) in itertools.combinations(boxes(layout).items(), 2):
         assert not overlap(first, second), (name, other)
+    assert layout.go_on.top < min(box.bottom for box in layout.buttons.values())
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_the_answer_none_lies_below_the_others_on_nobodys_side(size: tuple[int, int]) -> None:
+    """Expected: centred, no smaller than the 44 pixels of touch guidelines, and hit where it is drawn."""
+    layout = lay_out(*size, ZONES, offers_none=True)
+    none = layout.buttons["none"]
+    assert none.x == 0
+    assert none.top < min(box.bottom for answer, box in layout.buttons.items() if answer != "none")
+    assert none.height * size[1] >= 44
+    assert layout.answer_at(none.left + 0.01, none.y) == "none"
+    assert "none" not in lay_out(*size, ZONES).buttons
 
 
 @pytest.mark.parametrize("size", SIZES)

@@ -42,6 +42,20 @@ def test_a_key_of_the_protocol_gives_its_answer(
     assert len(made.stopped) == 1
 
 
+def test_the_answer_none_is_given_by_key_and_by_click(room: Callable[..., Any], hands: Any, trial: Trial) -> None:
+    """Expected: the key of `none`, and a click in the middle of its button, where the protocol offers it."""
+    made = room(answers={"keys": {"left": ("left",), "both": ("up",), "right": ("right",), "none": ("down",)}})
+    made.script = [("question", 0.1, lambda: hands.key("Down"))]
+    response = ask(made, trial)
+    assert (response.answer, response.key) == ("none", "down")
+    button = made.window._pictures.layout.buttons["none"]
+    left, top = hands.origin(TITLE)
+    place = left + round(640 + button.x * 800), top + round(400 - button.y * 800)
+    made.script = [("question", 0.1, lambda: hands.click(*place))]
+    response = ask(made, trial)
+    assert (response.answer, response.device) == ("none", "mouse")
+
+
 def test_reaction_time_runs_from_the_first_burst_to_the_key(room: Callable[..., Any], hands: Any, trial: Trial) -> None:
     """Expected time: the moment at which the key was injected into the display server."""
     made = room()

@@ -255,3 +255,29 @@ def test_an_unknown_pair_of_fingers_has_no_picture(experiment: Experiment, trial
     layout = lay_out(1280, 800, ("X", "Y", "Z"))
     pictures = Illustrator(layout, DARK, experiment.texts, experiment.protocol.answers, "right")
     assert pictures.feel(make_trial("XZ"), PROGRESS).name == "feel_one_hand_XZ"
+
+
+def test_four_answers_are_shown_with_their_words_and_keys(experiment: Experiment) -> None:
+    """Expected: the texts' own words; the instruction that names four answers; a key cap on each button."""
+    keys = {**experiment.protocol.answers.keys, "both": ("up",), "none": ("down",)}
+    answers = experiment.protocol.answers.model_copy(update={"keys": keys})
+    layout = lay_out(800, 600, tuple(experiment.apparatus.zones), offers_none=True)
+    pictures = Illustrator(layout, DARK, experiment.texts, answers, "right")
+    question = pictures.question(make_trial(), PROGRESS)
+    for answer, word in (("left", "Left"), ("both", "Both"), ("right", "Right"), ("none", "Nowhere")):
+        words = find_words(question, word)
+        box = layout.buttons[answer]  # type: ignore[index]
+        assert box.contains(words.box.left, words.box.bottom)
+        assert box.contains(words.box.right, words.box.top)
+    texts = [mark.text for mark in pictures.answering(make_trial()).marks if isinstance(mark, Words)]
+    assert texts[0] == "Each time, choose one of these four answers."
+    chosen = pictures.question(make_trial(), PROGRESS, chosen="none")
+    assert find_words(chosen, "Nowhere").fill == DARK.pressed_text
+
+
+def test_a_catch_trial_looks_like_any_other(experiment: Experiment) -> None:
+    """Expected: feel, question and ready screens of velocity 0 equal those of 200 mm/s, mark by mark."""
+    pictures = illustrate(experiment)
+    catch, other = make_trial(velocity=0.0), make_trial(velocity=200.0)
+    for draw in (pictures.feel, pictures.question, pictures.ready):
+        assert draw(catch, PROGRESS) == draw(other, PROGRESS)

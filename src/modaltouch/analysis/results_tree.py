@@ -118,8 +118,9 @@ def find_logs(place: Path) -> list[Path]:
 
 
 def _rows(session: Session) -> tuple[tuple[Any, ...], ...]:
-    """Return the answers of a session that count, practice left out, in the order of `COLUMNS`."""
-    return tuple(_row(session, event) for event in session.trials if not event["trial"]["practice"])
+    """Return the answers of a session that count, without practice and catch trials, in the order of `COLUMNS`."""
+    cells = (event for event in session.trials if not event["trial"]["practice"] and not event.get("catch"))
+    return tuple(_row(session, event) for event in cells)
 
 
 COLUMNS = (

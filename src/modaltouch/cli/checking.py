@@ -51,8 +51,9 @@ def show(preflight: Preflight, *, compare: bool = False) -> None:
 
     console = Console()
     values = preflight.as_dict(compare=compare)
+    catches = f" ({values['n_catch_trials']} of them catch trials)" if values["n_catch_trials"] else ""
     console.print(
-        f"[bold]{values['title'] or values['protocol']}[/]: {values['n_trials']} trials and "
+        f"[bold]{values['title'] or values['protocol']}[/]: {values['n_trials']} trials{catches} and "
         f"{values['n_practice_trials']} for practice, about {values['estimated_duration_min']:.0f} min"
     )
     stimuli = values["stimuli"]

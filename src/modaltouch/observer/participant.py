@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -28,8 +29,9 @@ class Participant:
     .. math:: d = (1 + s) \ln\frac{v_r + v_0}{v_l + v_0} + b + \sigma z, \qquad z \sim N(0, 1)
 
     The answer is ``both`` where :math:`|d| < c`, else the side of the stronger finger. In a share of trials
-    (lapses) the answer is any of the three. What a finger feels, v, is a speed: the front end of the observer
-    says which.
+    (lapses) the answer is any of those offered. Where ``none`` is offered, it is given where the stronger finger
+    feels less than :math:`v_0 e^{\sigma z'}`, with a normal z' of its own. What a finger feels, v, is a speed: the
+    front end of the observer says which.
 
     Attributes
     ----------
@@ -147,7 +149,12 @@ class Participant:
         return (1 + self.suppression_in(finger_condition)) * ratio + self.side_bias
 
     def answer(
-        self, speed_left: float, speed_right: float, finger_condition: str, rng: np.random.Generator
+        self,
+        speed_left: float,
+        speed_right: float,
+        finger_condition: str,
+        rng: np.random.Generator,
+        answers: Sequence[Answer] = ANSWERS,
     ) -> tuple[Answer, float]:
         """Return an answer and its reaction time from the first burst [s].
 
@@ -159,6 +166,8 @@ class Participant:
             ``one_hand`` or another.
         rng : numpy.random.Generator
             Source of chance; the same number of draws is taken for every answer.
+        answers : sequence of Answer
+            Answers that are offered.
 
         Raises
         ------
@@ -166,6 +175,7 @@ class Participant:
             If a speed is negative or not finite.
         """
         draw, lapse, guess, pace = rng.standard_normal(), rng.random(), rng.random(), rng.standard_normal()
+        doubt = rng.standard_normal() if "none" in answers else 0.0
         expected = self.difference(speed_left, speed_right, finger_condition)
         noise = self.noise_at(speed_left, speed_right)
         felt = expected + noise * draw
@@ -175,7 +185,9 @@ class Participant:
         median = self.decision_time * (1 + self.hesitation * difficulty)
         reaction_time = self.quickest + median * math.exp(self.decision_spread * pace)
         if lapse < self.lapse_rate:
-            return ANSWERS[int(guess * len(ANSWERS))], reaction_time
+            return answers[int(guess * len(answers))], reaction_time
+        if "none" in answers and max(speed_left, speed_right) < self.detection_speed * math.exp(noise * doubt):
+            return "none", reaction_time
         if abs(felt) < self.criterion:
             return "both", reaction_time
         return ("right" if felt > 0 else "left"), reaction_time

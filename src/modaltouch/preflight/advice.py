@@ -47,6 +47,23 @@ def field_warnings(ground: Ground, stimulus: Stimulus, figures: list[dict[str, A
     return said
 
 
+def answer_warnings(protocol: Protocol) -> list[str]:
+    """Return what catch trials and the answer none cannot do for lack of each other.
+
+    Parameters
+    ----------
+    protocol : Protocol
+        The design.
+    """
+    n_catches = protocol.schedule.catch_trials
+    if n_catches and not protocol.answers.offers_none:
+        return [
+            f"the {n_catches} catch trials of a block cannot be answered rightly, as there is no answer none: they "
+            "tell what is guessed, not how often; give answers.keys the keys of `none`"
+        ]
+    return []
+
+
 def taken_defaults(reading: Reading[Protocol]) -> list[dict[str, Any]]:
     """Return the keys that a protocol leaves out, with the values taken for them.
 

@@ -10,7 +10,7 @@ from typing import Any, Self
 import numpy as np
 
 from modaltouch.document import InputError, Problem
-from modaltouch.preflight.advice import default_warnings, field_warnings, taken_defaults
+from modaltouch.preflight.advice import answer_warnings, default_warnings, field_warnings, taken_defaults
 from modaltouch.preflight.faults import locate
 from modaltouch.preflight.figures import (
     contrasts,
@@ -99,6 +99,8 @@ class Preflight:
         trial : Trial
             What is presented.
         """
+        if trial.condition.is_catch:
+            return 0.0, 0.0
         ground, stimulus = self._sound
         peaks = stimulus.peak_velocity(zone_centres(ground), trial.condition.velocity_mm_s * 1e-3)
         by_zone = dict(zip(ground.zones, peaks.tolist(), strict=True))
@@ -145,6 +147,7 @@ class Preflight:
             "file": str(reading.source.path) if reading else None,
             "apparatus": self._apparatus_name(),
             "n_trials": None,
+            "n_catch_trials": None,
             "n_practice_trials": None,
             "estimated_duration_min": None,
             "problems": [problem.as_dict() for problem in self.problems],
@@ -165,6 +168,7 @@ class Preflight:
             "warnings": [
                 *field_warnings(ground, stimulus, self.stimuli),
                 *warnings(ground, stimulus, self.stimuli),
+                *answer_warnings(protocol),
                 *default_warnings(values["defaults"]),
             ],
             "contrasts": contrasts(protocol, self.stimuli[-1]["zone_peak_mm_s"]),
@@ -244,6 +248,7 @@ def _check_schedule(findings: Findings) -> list[Problem]:
 def _design_figures(protocol: Protocol) -> dict[str, Any]:
     return {
         "n_trials": protocol.n_trials,
+        "n_catch_trials": protocol.schedule.catch_trials * len(protocol.conditions.finger_conditions),
         "n_practice_trials": protocol.schedule.practice_trials,
         "estimated_duration_min": estimated_duration(protocol),
     }

@@ -101,7 +101,13 @@ def _check_schedule(reading: Reading[Protocol]) -> Iterator[Problem]:
     running = reading.sound("schedule", "max_same_pair_running")
     if repetitions is None or not n_pairs or not n_levels:
         return
-    n_trials = n_pairs * n_levels * repetitions * max(n_blocks, 1)
+    n_driven = n_pairs * n_levels * repetitions
+    n_catch = reading.sound("schedule", "catch_trials") or 0
+    if n_catch > n_driven:
+        given = f"{n_catch} where {n_driven} trials of a finger condition have a stimulus"
+        remedy = "take fewer: each follows a trial with a stimulus"
+        yield reading.problem(("schedule", "catch_trials"), given, f"at most {n_driven}", remedy)
+    n_trials = (n_driven + n_catch) * max(n_blocks, 1)
     if n_trials > TRIAL_LIMIT:
         given = f"{repetitions}, which makes {n_trials} trials"
         yield reading.problem(("schedule", "repetitions"), given, f"at most {TRIAL_LIMIT} trials", "repeat less often")
@@ -127,7 +133,7 @@ def _check_keys(reading: Reading[Protocol]) -> Iterator[Problem]:
             path = ("answers", "keys", answer)
             yield reading.problem(path, "nothing", "a list of keys", f"add the missing key `{answer}`")
     taken: dict[str, str] = {}
-    paths = [("answers", "keys", answer) for answer in ("left", "both", "right")]
+    paths = [("answers", "keys", answer) for answer in ("left", "both", "right", "none")]
     for path in paths:
         for index, name in reading.items(*path):
             yield from _check_key(reading, (*path, index), name)

@@ -12,7 +12,7 @@ from modaltouch.document.source import YAML_FILE
 from modaltouch.protocol.checks import check_protocol
 from modaltouch.protocol.fit import check_fit
 from modaltouch.protocol.sections import Protocol
-from modaltouch.protocol.texts import Texts
+from modaltouch.protocol.texts import Texts, check_words
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,8 @@ def examine_sources(sources: Sources) -> Findings:
     """
     protocol, texts = read(sources.protocol, Protocol), read(sources.texts, Texts)
     apparatus, problems = examine_apparatus(sources.apparatus)
-    problems += [*protocol.problems, *check_protocol(protocol), *texts.problems, *check_fit(protocol, apparatus)]
+    problems += [*protocol.problems, *check_protocol(protocol), *check_fit(protocol, apparatus)]
+    problems += [*texts.problems, *check_words(protocol, texts)]
     return Findings(protocol, apparatus, texts, tuple(problems))
 
 
@@ -163,7 +164,7 @@ def examine_files(path: Path) -> Findings:
     named = _load_named(protocol, "texts", problems)
     if named is not None:
         texts = read(named, Texts)
-        problems += texts.problems
+        problems += [*texts.problems, *check_words(protocol, texts)]
     return Findings(protocol, apparatus, texts, tuple(sorted(set(problems))))
 
 

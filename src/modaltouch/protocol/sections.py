@@ -21,6 +21,7 @@ from modaltouch.document.section import (
 FingerCondition = Literal["one_hand", "two_hands"]
 AnswerWay = Literal["free_hand", "lifting", "foot_switch", "experimenter"]
 Placement = Literal["normal", "mirrored", "swapped", "mirrored_swapped"]
+OfferedAnswer = Literal["left", "both", "right", "none"]
 ZoneName = Annotated[Word, Field(json_schema_extra={"x-allowed": "the name of a zone of the beam"})]
 ZonePair = tuple[ZoneName, ZoneName]
 SampleCount = Annotated[int, Field(strict=True, ge=2, le=131_072, multiple_of=2)]
@@ -138,6 +139,10 @@ class ScheduleSection(Section):
         default=True,
         description="Whether participants take turns in which finger condition comes first.",
     )
+    catch_trials: Annotated[int, Field(strict=True, ge=0, le=100)] = described(
+        "Trials without a stimulus among those of each finger condition; none is the first, no two are neighbours.",
+        default=0,
+    )
     practice_trials: Annotated[int, Field(strict=True, ge=0, le=1000)] = described(
         "Trials before the ones that count.", default=0
     )
@@ -189,12 +194,18 @@ class AnswersSection(Section):
     presentation_s: Positive = described("Length of the stimulus where it stops before the question [s].", default=2.0)
     question_delay_s: NotNegative = described("From the first burst to the question [s].", default=0.5)
     pause_s: NotNegative = described("Between an answer and the next stimulus [s].", default=1.0)
-    keys: dict[Literal["left", "both", "right"], Annotated[tuple[KeyName, ...], Field(min_length=1)]] = described(
-        "Keys of each answer.", json_schema_extra={"required": ["left", "both", "right"]}
+    keys: dict[OfferedAnswer, Annotated[tuple[KeyName, ...], Field(min_length=1)]] = described(
+        "Keys of each answer; with keys for `none`, felt nowhere, that answer is offered too.",
+        json_schema_extra={"required": ["left", "both", "right"]},
     )
     continue_keys: tuple[KeyName, ...] = described(
         "Keys that go on from a screen that waits.", default=("space", "enter", "num_enter"), min_length=1
     )
+
+    @property
+    def offers_none(self) -> bool:
+        """Whether "felt nowhere" is one of the answers."""
+        return "none" in self.keys
 
     def way(self, finger_condition: str) -> AnswerWay:
         """Return how answers are given in a finger condition."""
@@ -224,7 +235,7 @@ class Protocol(Section):
 
     @property
     def trials_per_block(self) -> int:
-        """Number of trials of one finger condition."""
+        """Number of trials of one finger condition, catch trials with them."""
         conditions = self.conditions
         n_cells = len(conditions.zone_pairs) * len(conditions.peak_velocities_mm_s)
-        return n_cells * self.schedule.repetitions
+        return n_cells * self.schedule.repetitions + self.schedule.catch_trials

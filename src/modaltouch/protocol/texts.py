@@ -6,11 +6,13 @@ import string
 
 from pydantic import ValidationInfo, field_validator
 
-from modaltouch.document import fault
+from modaltouch.document import Problem, Reading, fault
 from modaltouch.document.section import Section, Text, described
+from modaltouch.protocol.sections import Protocol
 
 _PLACEHOLDERS: dict[str, frozenset[str]] = {
     "how_to_answer": frozenset({"pause_key"}),
+    "how_to_answer_or_none": frozenset({"pause_key"}),
     "place_fingers": frozenset({"left_finger", "left_zone", "right_finger", "right_zone"}),
     "trial_of": frozenset({"number", "total"}),
     "practice_of": frozenset({"number", "total"}),
@@ -27,6 +29,9 @@ class Texts(Section):
     welcome: Text = described("Greeting on the first screen.")
     instructions: Text = described("What the experiment asks of the participant.")
     how_to_answer: Text = described("How to answer and to pause; holds {pause_key}.")
+    how_to_answer_or_none: Text | None = described(
+        "Instead of how_to_answer where the protocol offers the answer none; holds {pause_key}.", default=None
+    )
     place_fingers: Text = described(
         "Which finger goes where; holds {left_finger}, {left_zone}, {right_finger}, {right_zone}."
     )
@@ -37,6 +42,7 @@ class Texts(Section):
     left: Text = described("The answer left.")
     both: Text = described("The answer both.")
     right: Text = described("The answer right.")
+    none: Text | None = described("The answer none, where the protocol offers it.", default=None)
     trial_of: Text = described("Progress; holds {number} and {total}.")
     practice_of: Text = described("Progress in practice; holds {number} and {total}.")
     rest: Text = described("Shown in a break.")
@@ -80,3 +86,24 @@ class Texts(Section):
             given = ", ".join(f"{{{name}}}" for name in sorted(found)) or "no words in braces"
             raise fault(f"{given} in {text!r}", f"exactly {needed}", "write each of them once")
         return text
+
+
+def check_words(protocol: Reading[Protocol], texts: Reading[Texts]) -> list[Problem]:
+    """Return the texts that a protocol needs and its language file lacks.
+
+    Parameters
+    ----------
+    protocol, texts : Reading
+        Both files, as far as they are sound.
+    """
+    keys = protocol.find(("answers", "keys"))
+    if keys is None or not isinstance(keys.content, dict) or "none" not in keys.content:
+        return []
+    file = protocol.source.path.name
+    problems = []
+    for name in ("none", "how_to_answer_or_none"):
+        node = texts.find((name,))
+        if node is None or node.content is None:
+            allowed = f"a text, as {file} offers the answer none"
+            problems.append(texts.problem((name,), "nothing", allowed, f"add the missing key `{name}`"))
+    return problems

@@ -70,6 +70,11 @@ COLUMNS: dict[str, dict[str, Any]] = {
     "log_line": {"Description": f"Number of the line in {LOG_NAME}"},
 }
 
+CATCH: dict[str, Any] = {
+    "Description": "Catch trial: nothing was driven, the velocity is 0",
+    "Levels": {"0": "no", "1": "yes"},
+}
+
 
 def write_view(place: SessionFolder, session: Session, head: dict[str, Any]) -> None:
     """Write the session's table and its side file from the log.
@@ -91,7 +96,7 @@ def write_view(place: SessionFolder, session: Session, head: dict[str, Any]) -> 
     """
     side = {
         "TaskName": place.protocol,
-        **COLUMNS,
+        **_columns(session),
         "Mode": session.mode,
         "SessionLog": {"File": LOG_NAME, **head},
     }
@@ -101,8 +106,21 @@ def write_view(place: SessionFolder, session: Session, head: dict[str, Any]) -> 
 
 def table_text(session: Session) -> str:
     """Return the BIDS table of a session: one row for each answer that counts."""
-    rows = [_row(event) for event in session.trials]
-    return "\n".join(["\t".join(COLUMNS), *("\t".join(row) for row in rows)]) + "\n"
+    columns = _columns(session)
+    rows = [_row(event, columns) for event in session.trials]
+    return "\n".join(["\t".join(columns), *("\t".join(row) for row in rows)]) + "\n"
+
+
+def _columns(session: Session) -> dict[str, dict[str, Any]]:
+    """Return the columns of a session's table: those for catch trials and the answer none only where it has them."""
+    design = session.start.get("design", {})
+    columns = dict(COLUMNS)
+    if design.get("schedule", {}).get("catch_trials"):
+        columns["catch"] = CATCH
+    if "none" in design.get("answers", {}).get("keys", {}):
+        response = columns["response"]
+        columns["response"] = {**response, "Levels": {**response["Levels"], "none": "neither finger"}}
+    return columns
 
 
 def describe_dataset(place: SessionFolder, title: str) -> None:
@@ -187,7 +205,7 @@ def replace_file(path: Path, text: str) -> None:
         raise RecordError(f"{path}: cannot be written ({error.strerror}); the session log is intact") from error
 
 
-def _row(event: dict[str, Any]) -> list[str]:
+def _row(event: dict[str, Any], columns: dict[str, dict[str, Any]]) -> list[str]:
     trial, response = event["trial"], event["response"]
     condition = trial["condition"]
     values = {
@@ -201,6 +219,7 @@ def _row(event: dict[str, Any]) -> list[str]:
         "finger_right": event["fingers"][1],
         "placement": condition["placement"],
         "velocity_mm_s": f"{condition['velocity_mm_s']:g}",
+        "catch": int(condition["velocity_mm_s"] == 0),
         "repetition": trial["repetition"],
         "response": response["answer"],
         "response_time": f"{response['reaction_time']:.4f}",
@@ -210,4 +229,4 @@ def _row(event: dict[str, Any]) -> list[str]:
         "confirmed": int(event["confirmed"]["confirmed"]),
         "log_line": event["n"],
     }
-    return [str(values[column]).replace("\t", " ").replace("\n", " ") for column in COLUMNS]
+    return [str(values[column]).replace("\t", " ").replace("\n", " ") for column in columns]

@@ -149,13 +149,15 @@ class Generator:
             except LinkError:
                 self._connection.restore("loading the stimulus", (), self._player.replay)
 
-    def fire(self, velocity: float) -> Firing:
+    def fire(self, velocity: float, *, silent: bool = False) -> Firing:
         """Set the level, switch the outputs on and repeat the burst until `stop`.
 
         Parameters
         ----------
         velocity : float
             Peak velocity at the focus [m/s].
+        silent : bool
+            Whether no burst is let go, in a catch trial: the outputs are on, at the level's amplitude, and rest.
 
         Returns
         -------
@@ -175,7 +177,7 @@ class Generator:
             self._connection.guard.arm()
             self._on = True
             try:
-                firing = self._player.start(commanded)
+                firing = self._player.start(commanded, silent=silent)
             except (Unconfirmed, LinkError) as error:
                 firing = _unconfirmed(commanded, error)
                 self._log("unconfirmed", reason=firing.reason)

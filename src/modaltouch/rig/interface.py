@@ -62,8 +62,11 @@ class Rig(typing.Protocol):
     def load(self, burst: Burst) -> None:
         """Upload both channels' records and verify them, outputs off."""
 
-    def fire(self, velocity: float) -> Firing:
-        """Set the level [m/s], switch the outputs on and repeat the burst until `stop`."""
+    def fire(self, velocity: float, *, silent: bool = False) -> Firing:
+        """Set the level [m/s], switch the outputs on and repeat the burst until `stop`.
+
+        With `silent` everything is the same but that no burst is let go: the outputs are on at rest.
+        """
 
     def stop(self) -> None:
         """Switch both outputs off and confirm it."""

@@ -47,12 +47,14 @@ class Player:
         self._burst: Burst | None = None
         self._peaks: tuple[float, ...] = ()
         self._settings: tuple[Setting, ...] = ()
+        self._let_go = ARMED
+        self._at_rest = 0.0
         self._levels: tuple[Setting, ...] = ()
 
     @property
     def expected(self) -> tuple[Setting, ...]:
         """Every setting that must read back while the burst plays."""
-        return (*self._settings, *self._levels, *self._trigger(ARMED))
+        return (*self._settings, *self._levels, *self._trigger(self._let_go))
 
     def take(self, burst: Burst) -> None:
         """Make a burst the one to be played; `replay` brings it into the instrument."""
@@ -92,25 +94,38 @@ class Player:
             raise RigError("fire was called before load; the outputs are off; load a burst first")
         return amplitudes(self._burst, self._peaks, velocity, self._limits)
 
-    def start(self, commanded: tuple[float, ...]) -> Firing:
+    def start(self, commanded: tuple[float, ...], *, silent: bool = False) -> Firing:
         """Set both levels with the trigger stopped, see that nothing else changed, switch on, let the trigger go.
+
+        `silent` goes through the same steps, so that relays and time betray nothing, but the trigger stays stopped.
 
         Raises
         ------
+        RigError
+            If it shall be silent and the repetition knows no trigger.
         LinkError, Unconfirmed
             If the instrument does not confirm a step.
         """
+        if silent and self._continuous:
+            raise RigError(
+                "a catch trial needs the repetition `burst`: a continuous record plays as soon as the outputs are "
+                "on; the outputs are off; leave out schedule.catch_trials"
+            )
+        self._let_go = STOPPED if silent else ARMED
         read_back = self.set_levels(commanded)
         changed = self._controls.differences([*self._settings, *self._trigger(STOPPED)])
         if changed:
             raise Unconfirmed("; ".join(changed), read_back)
+        if silent:
+            # A burst that had begun when the trigger was stopped plays to its end.
+            time.sleep(max(self._at_rest - time.perf_counter(), 0.0))
         if self._continuous:
             self._controls.command("SOUR1:PHAS:INIT")
         started = time.perf_counter()
         self._controls.outputs_on()
         if not self._continuous:
             started = time.perf_counter()
-            self._controls.apply([ARMED])
+            self._controls.apply([self._let_go])
         took = time.perf_counter() - started
         period = 1 / self._burst.repetition_rate if self._burst is not None else 0.0
         return Firing(commanded, numbers(read_back), True, started, took + period)
@@ -136,6 +151,7 @@ class Player:
             If the instrument does not confirm it.
         """
         self._controls.apply_each(self._trigger(STOPPED))
+        self._at_rest = time.perf_counter() + (self._burst.duration if self._burst is not None else 0.0)
 
     def _trigger(self, setting: Setting) -> tuple[Setting, ...]:
         return () if self._continuous else (setting,)

@@ -2,6 +2,7 @@
 
 ``streams``  a random stream of its own for each purpose
 ``orders``   uniform draws among the orders that keep a limit on runs
+``catches``  where catch trials stand among the others
 ``designs``  shuffled, blocked and Latin-square orders
 ``draw``     draw_schedule
 """

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from modaltouch.protocol import Protocol
+from modaltouch.schedule.catches import place_catches
 from modaltouch.schedule.orders import draw_order
 from modaltouch.schedule.streams import Stream
 
@@ -30,6 +31,41 @@ def order_cells(protocol: Protocol, turn: int, stream: Stream) -> list[Cell]:
         If no order keeps the protocol's limit on runs.
     """
     return _ORDERS[protocol.schedule.order](protocol, turn, stream)
+
+
+def insert_catches(protocol: Protocol, cells: list[Cell], stream: Stream) -> list[Cell]:
+    """Return the cells of a block with the protocol's catch trials among them, whose velocity is 0.
+
+    Parameters
+    ----------
+    protocol : Protocol
+        The design.
+    cells : list of ((str, str), float)
+        Pairs and velocities in order.
+    stream : Stream
+        Where chance comes from.
+
+    Raises
+    ------
+    ValueError
+        If the catch trials cannot keep the protocol's limit on runs.
+    """
+    schedule = protocol.schedule
+    placed = dict(
+        place_catches(
+            [pair for pair, _ in cells],
+            schedule.catch_trials,
+            schedule.max_same_pair_running,
+            stream,
+            own_pair=schedule.order == "by_pair",
+        )
+    )
+    merged: list[Cell] = []
+    for place, cell in enumerate(cells):
+        merged.append(cell)
+        if place in placed:
+            merged.append((placed[place], 0.0))
+    return merged
 
 
 def latin_square(n_cells: int) -> list[list[int]]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from modaltouch.protocol import Placement, Protocol
-from modaltouch.schedule.designs import Cell, order_cells
+from modaltouch.schedule.designs import Cell, insert_catches, order_cells
 from modaltouch.schedule.streams import ALGORITHM, Stream, key_of
 from modaltouch.trial import Condition, Trial
 
@@ -91,7 +91,9 @@ class Schedule:
 
     def _purposes(self) -> list[str]:
         orders = [_purpose_of_order(block.finger_condition) for block in self.blocks]
-        return ["order of finger conditions", "practice", *orders]
+        with_catches = (block for block in self.blocks if any(trial.condition.is_catch for trial in block.trials))
+        catches = [_purpose_of_catches(block.finger_condition) for block in with_catches]
+        return ["order of finger conditions", "practice", *orders, *catches]
 
     def as_dict(self) -> dict[str, Any]:
         """Return the schedule as plain values for the record."""
@@ -137,6 +139,9 @@ def draw_schedule(protocol: Protocol, participant: str, seed: int, session: int 
     for number, finger_condition in enumerate(finger_conditions, start=1):
         stream = Stream(seed, participant, session, _purpose_of_order(finger_condition))
         cells = order_cells(protocol, turn, stream)
+        if protocol.schedule.catch_trials:
+            catches = Stream(seed, participant, session, _purpose_of_catches(finger_condition))
+            cells = insert_catches(protocol, cells, catches)
         conditions = [_place(finger_condition, cell, placement) for cell in cells]
         first = sum(len(block.trials) for block in blocks) + 1
         blocks.append(Block(number, finger_condition, _number(conditions, block=number, first=first)))
@@ -186,6 +191,10 @@ def _check_arguments(participant: str, seed: int, session: int) -> None:
 
 def _purpose_of_order(finger_condition: str) -> str:
     return f"order within {finger_condition}"
+
+
+def _purpose_of_catches(finger_condition: str) -> str:
+    return f"catch trials within {finger_condition}"
 
 
 def _draw_practice(protocol: Protocol, stream: Stream) -> list[Cell]:

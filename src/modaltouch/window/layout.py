@@ -8,7 +8,7 @@ from modaltouch.trial import Answer
 from modaltouch.window.marks import Box
 
 SHOWN_ANSWERS: tuple[Answer, ...] = ("left", "both", "right")
-"""Answers in the order of their buttons, from the left."""
+"""Answers in the order of their buttons, from the left; the answer none lies below them all, on no finger's side."""
 
 _FULL_ASPECT = 1.32
 """Windows at least this much wider than high show everything at full size; narrower ones shrink it to fit."""
@@ -70,7 +70,12 @@ class Layout:
 
 
 def lay_out(
-    width_px: int, height_px: int, zones: tuple[str, ...], answers: tuple[Answer, ...] = SHOWN_ANSWERS
+    width_px: int,
+    height_px: int,
+    zones: tuple[str, ...],
+    answers: tuple[Answer, ...] = SHOWN_ANSWERS,
+    *,
+    offers_none: bool = False,
 ) -> Layout:
     """Return where everything stands in a window.
 
@@ -82,6 +87,8 @@ def lay_out(
         Names of the zones from the left.
     answers : tuple of Answer
         Answers in the order of their buttons, from the left.
+    offers_none : bool
+        Whether the answer none has a button too, below the others.
 
     Raises
     ------
@@ -103,12 +110,16 @@ def lay_out(
     across = 1.2 * unit
     gap = 0.045 * unit
     button_width = min(0.4 * unit, (across - gap * (len(answers) - 1)) / len(answers))
-    button_height = 0.175 * max(unit, 0.8)
+    button_height, row = 0.175 * max(unit, 0.8), -0.275
+    if offers_none:
+        button_height, row = 0.14 * max(unit, 0.8), -0.21
     first = -(len(answers) - 1) / 2
     buttons = {
-        answer: Box((first + place) * (button_width + gap), -0.275, button_width, button_height)
+        answer: Box((first + place) * (button_width + gap), row, button_width, button_height)
         for place, answer in enumerate(answers)
     }
+    if offers_none:
+        buttons["none"] = Box(0, -0.3285, across, 0.075)
     return Layout(
         width=width,
         unit=unit,

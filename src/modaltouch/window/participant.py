@@ -71,7 +71,7 @@ class ParticipantWindow:
         self._answers = protocol.answers
         self._n_practice, self._n_trials = protocol.schedule.practice_trials, protocol.n_trials
         self._texts = texts
-        layout = lay_out(*display.size, zones)
+        layout = lay_out(*display.size, zones, offers_none=protocol.answers.offers_none)
         self._pictures = Illustrator(layout, theme, texts, protocol.answers, protocol.conditions.hand)
         self._stage = Stage(display, tick=tick, log=log, screenshots=screenshots, sitter=robot or Nobody())
         self._answered_by = "simulated" if robot else ""

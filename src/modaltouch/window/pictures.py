@@ -53,15 +53,16 @@ class Illustrator:
 
     def answering(self, trial: Trial) -> Picture:
         """Return the screen that shows how to answer."""
-        title, *rest = _paragraphs(self.texts.how_to_answer.format(pause_key=self.key_name(PAUSE_KEY)))
+        texts = self.texts
+        words = (texts.how_to_answer_or_none if self.answers.offers_none else None) or texts.how_to_answer
+        title, *rest = _paragraphs(words.format(pause_key=self.key_name(PAUSE_KEY)))
         layout = self.layout
         below = Box(0, 0.07, layout.body.width, 0.4)
-        words = Words("\n\n".join(rest), below, 0.042 * layout.type_scale, self.theme.text)
         return Picture(
             "answers",
             (
                 self._headline(title, 0.054),
-                words,
+                Words("\n\n".join(rest), below, 0.042 * layout.type_scale, self.theme.text),
                 *self._buttons(None, with_keys=self.answers.given_by == "participant"),
                 *self._go_on(),
             ),
@@ -209,11 +210,27 @@ class Illustrator:
     def _buttons(self, chosen: str | None, *, with_keys: bool) -> tuple[Mark, ...]:
         marks: list[Mark] = []
         for answer, box in self.layout.buttons.items():
+            if answer == "none":
+                marks += self._low_button(answer, box, pressed=answer == chosen, with_keys=with_keys)
+                continue
             marks += self._button(answer, pressed=answer == chosen)
             if with_keys:
                 below = Box(box.x, box.y - 0.27 * box.height, box.width * 0.9, 0.25 * box.height)
                 marks += self._key_caps(answer, below)
         return tuple(marks)
+
+    def _low_button(self, answer: Answer, box: Box, *, pressed: bool, with_keys: bool) -> tuple[Mark, ...]:
+        """Return a button too low for two lines: its word in the middle, its key beside it."""
+        theme, unit = self.theme, self.layout.unit
+        fill, ink = (theme.pressed, theme.pressed_text) if pressed else (theme.button, theme.text)
+        size = min(self._answer_size(self.layout.buttons["left"].width * 0.68), 0.5 * box.height)
+        words = Words(self._word(answer), Box(box.x, box.y, box.width * 0.5, box.height * 0.9), size, ink, bold=True)
+        beside = Box(box.x + 0.36 * box.width, box.y, box.width * 0.2, 0.6 * box.height)
+        return (
+            *framed(box, 0.018 * unit, theme.button_edge, fill, 0.006 * unit),
+            words,
+            *(self._key_caps(answer, beside) if with_keys else ()),
+        )
 
     def _button(self, answer: Answer, *, pressed: bool) -> tuple[Mark, ...]:
         theme, box, unit = self.theme, self.layout.buttons[answer], self.layout.unit
@@ -228,13 +245,16 @@ class Illustrator:
         ]
         return (
             *framed(box, 0.022 * unit, edge, fill, 0.006 * unit),
-            Words(str(getattr(self.texts, answer)), upper, self._answer_size(upper.width), ink, bold=True),
+            Words(self._word(answer), upper, self._answer_size(upper.width), ink, bold=True),
             *arrows,
         )
 
+    def _word(self, answer: Answer) -> str:
+        return str(getattr(self.texts, answer))
+
     def _answer_size(self, width: float) -> float:
         """Return one size of type at which the longest answer fits its button [window heights]."""
-        longest = max(len(str(getattr(self.texts, answer))) for answer in self.layout.buttons)
+        longest = max(len(self._word(answer)) for answer in self.layout.buttons)
         return min(0.062 * self.layout.type_scale, width / (_BOLD_LETTER * longest))
 
     def _key_caps(self, answer: Answer, box: Box) -> tuple[Mark, ...]:

@@ -10,7 +10,7 @@ from typing import Any, Self
 import numpy as np
 
 from modaltouch.observer import Participant
-from modaltouch.trial import Answer, Response, Trial
+from modaltouch.trial import ANSWERS, Answer, Response, Trial
 from modaltouch.window.interface import Progress
 
 
@@ -27,11 +27,14 @@ class Answerer:
     generator : numpy.random.Generator
         Source of chance. It is never advanced: each trial has a stream of its own, so that a resumed session
         and a repeated trial get the same answers as an uninterrupted one.
+    answers : tuple of Answer
+        Answers that the protocol offers.
     """
 
     participant: Participant
     felt: Callable[[Trial], tuple[float, float]]
     generator: np.random.Generator
+    answers: tuple[Answer, ...] = ANSWERS
 
     def answer(self, trial: Trial) -> tuple[Answer, float]:
         """Return the answer to a trial and its reaction time [s].
@@ -50,7 +53,7 @@ class Answerer:
         key = (*seed.spawn_key, int(trial.practice), trial.index)
         stream = np.random.default_rng(np.random.SeedSequence(seed.entropy, spawn_key=key))
         left, right = self.felt(trial)
-        return self.participant.answer(left, right, trial.condition.finger_condition, stream)
+        return self.participant.answer(left, right, trial.condition.finger_condition, stream, self.answers)
 
 
 class SimulatedParticipant:
