@@ -11,11 +11,11 @@ from modaltouch.stimulus.synthesis import decay
 
 ComplexArray = NDArray[np.complex128]
 
-SHORT = 32
+SHORT = 16
 """Samples per block: the work per sample is least where a block is about as long as a product is efficient."""
 
 LEVELS = 3
-"""Blocks, groups of blocks, groups of groups: a chunk of 32^4 samples would need no more."""
+"""Blocks, groups of blocks, groups of groups: three levels step over 16^4 samples, twice the longest chunk."""
 
 
 @dataclass(frozen=True, eq=False)

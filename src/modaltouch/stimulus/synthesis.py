@@ -21,11 +21,14 @@ BLOCK = 256
 CHUNK = 512
 """Blocks per chunk: bounds the memory; one chunk holds the longest record of the generator."""
 
-_DEAD = 2.0**-57
+_DEAD = 2.0**-53
 """An exponential below this fraction of the channel's largest is lost in its rounding."""
 
-_WORTH = 24
+_WORTH = 64
 """Blocks that must be spared before a matrix product is split in two."""
+
+_STEP = 8
+"""Lives are counted in as many blocks as a matrix product takes rows at a time."""
 
 _TWO_PI = np.longdouble("6.283185307179586476925286766559005768")
 
@@ -118,71 +121,84 @@ def synthesise(amplitude: ComplexArray, exponent: ComplexArray, hold: float, out
     out : (n_channels, n_samples) array
         Where the samples go [V]; each row contiguous.
     """
-    threshold = _DEAD * np.abs(amplitude).max(axis=1, initial=0.0)
+    threshold = [_DEAD * max(each, default=0.0) for each in np.abs(amplitude).tolist()]
     stop = out.shape[1]
     while stop > 0:
         start = max(0, stop - CHUNK * BLOCK)
-        if start == 0 and stop == out.shape[1]:
-            faded = amplitude
-        else:
+        faded = amplitude
+        if stop < out.shape[1]:
             faded = amplitude * decay(exponent, hold, np.array([out.shape[1] - stop]))[:, 0]
-        if (np.abs(faded).max(axis=1, initial=0.0) <= threshold).all():
-            out[:, :stop] = 0.0
-            return
         _write_chunk(faded, exponent, hold, threshold, out[:, start:stop])
         stop = start
 
 
 def _write_chunk(
-    amplitude: ComplexArray, exponent: ComplexArray, hold: float, threshold: FloatArray, out: FloatArray
+    amplitude: ComplexArray, exponent: ComplexArray, hold: float, threshold: list[float], out: FloatArray
 ) -> None:
     """Write the sums of one chunk; block j from the end begins j blocks before it, the first may be short."""
-    n_blocks, head = divmod(out.shape[1], BLOCK)
+    n_blocks = out.shape[1] // BLOCK
+    order, fine, coarse, rate = _by_life(exponent.tobytes(), hold, n_blocks)
+    ordered = amplitude.take(order, axis=1)
+    lives = [
+        [_life(size, least, fading, n_blocks + 1) for size, fading in zip(sizes, rate, strict=True)]
+        for sizes, least in zip(np.abs(ordered).tolist(), threshold, strict=True)
+    ]
+    if all(map(all, lives)):
+        # Every channel is made of the same exponentials: they go together.
+        _write_rows(coarse, ordered, fine, list(map(max, zip(*lives, strict=True))), out)
+        return
+    for channel, alive_for in enumerate(lives):
+        kept = [place for place, life in enumerate(alive_for) if life]
+        left, alive, row = coarse.take(kept, axis=1), [alive_for[i] for i in kept], slice(channel, channel + 1)
+        _write_rows(left, ordered[row, kept], fine[kept], alive, out[row])
+
+
+@lru_cache(maxsize=4)
+def _by_life(
+    exponents: bytes, hold: float, n_blocks: int
+) -> tuple[NDArray[np.intp], ComplexArray, ComplexArray, list[float]]:
+    """Return exponentials' order from the slowest on, and in it their ladders and by what they fade in a block."""
+    exponent = np.frombuffer(exponents, dtype=complex)
     fine, coarse = ladders(exponent, hold, n_blocks)
-    alive = _blocks_alive(amplitude, exponent, hold, threshold, n_blocks + 1)
-    by_life = np.argsort(-alive, axis=1, kind="stable")
-    for channel, lives, order, row in zip(amplitude, alive, by_life, out, strict=True):
-        alive_for = [life for life in lives[order].tolist() if life]
-        if not alive_for:
-            row[:] = 0.0
-            continue
-        kept = order[: len(alive_for)]
-        right = np.empty((kept.size, 2, BLOCK))
-        right[:, 0] = fine.real[kept]
-        np.negative(fine.imag[kept], out=right[:, 1])
-        left = (coarse.take(kept, axis=1) * channel[kept]).view(np.float64)
-        body = row[head:].reshape(n_blocks, BLOCK)
-        for reach, shorter, n_alive in _groups(alive_for):
-            first, last = n_blocks - reach, n_blocks - shorter
-            start = max(first, 0)
-            used = right[:n_alive].reshape(2 * n_alive, BLOCK)
-            if first < 0 and head:
-                row[:head] = left[0, : 2 * n_alive] @ used[:, BLOCK - head :]
-            if last > start:
-                np.matmul(left[start + 1 : last + 1, : 2 * n_alive], used, out=body[start:last])
-        row[: max(0, head + (n_blocks - alive_for[0]) * BLOCK)] = 0.0
+    order = np.argsort(-exponent.real, kind="stable")
+    rate = -exponent.real[order] * (hold * BLOCK)
+    # The real part of a product is that of one factor times the conjugate of the other, as vectors of two.
+    return order, fine[order], np.ascontiguousarray(coarse[:, order].conj()), rate.tolist()
 
 
-def _blocks_alive(
-    amplitude: ComplexArray, exponent: ComplexArray, hold: float, threshold: FloatArray, n_blocks: int
-) -> NDArray[np.int64]:
-    """Return for how many blocks before the end each exponential matters, (n_channels, n) array."""
-    size = np.abs(amplitude)
-    tiny = 1e-300
-    loudness = np.maximum(size / np.maximum(threshold, tiny)[:, None], 1.0)
-    life = np.log(loudness) / np.maximum(np.abs(exponent.real) * (hold * BLOCK), tiny)
-    return np.asarray(np.where(loudness > 1.0, np.minimum(life + 1, n_blocks), 0).astype(np.int64))
+def _life(size: float, threshold: float, rate: float, longest: int) -> int:
+    """Return for how many blocks before the end an exponential matters, in steps of those a product takes at once."""
+    if size <= threshold:
+        return 0
+    loudness = math.log(size / threshold)
+    return longest if loudness >= rate * longest else min(longest, (int(loudness / rate) // _STEP + 1) * _STEP)
 
 
-def _groups(alive_for: list[int]) -> list[tuple[int, int, int]]:
-    """Return stretches (from, to blocks before the end, exponentials alive), the longest-lived first.
+def _write_rows(
+    coarse: ComplexArray, amplitude: ComplexArray, fine: ComplexArray, alive_for: list[int], rows: FloatArray
+) -> None:
+    """Write channels stretch by stretch, each with the exponentials alive in it, which come first.
 
     Stretches shorter than what a matrix product costs by itself are joined to the next, longer one.
     """
-    groups: list[tuple[int, int, int]] = []
-    reach = alive_for[0] if alive_for else 0
-    for n_alive, shorter in enumerate([*alive_for[1:], 0], start=1):
-        if reach - shorter >= _WORTH or (shorter == 0 and reach > 0):
-            groups.append((reach, shorter, n_alive))
-            reach = shorter
-    return groups
+    if not alive_for:
+        rows[:] = 0.0
+        return
+    n_blocks, head = divmod(rows.shape[1], BLOCK)
+    reach = max(alive_for)
+    rows[:, : max(0, head + (n_blocks - reach) * BLOCK)] = 0.0
+    turned = amplitude[:, :, None] * fine
+    right = np.empty((*turned.shape[:2], 2, BLOCK))
+    right[:, :, 0], right[:, :, 1] = turned.real, turned.imag
+    left, right = coarse.view(np.float64), right.reshape(len(rows), -1, BLOCK)
+    body = rows[:, head:].reshape(len(rows), n_blocks, BLOCK)
+    for n_alive in range(1, len(alive_for) + 1):
+        shorter = max(alive_for[n_alive:], default=0)
+        if reach - shorter < _WORTH and shorter:
+            continue
+        first, last, used = n_blocks - reach, n_blocks - shorter, right[:, : 2 * n_alive]
+        if first < 0:
+            first = 0
+            np.matmul(left[0, : 2 * n_alive], used[:, :, BLOCK - head :], out=rows[:, :head])
+        np.matmul(left[first + 1 : last + 1, : 2 * n_alive], used, out=body[:, first:last])
+        reach = shorter

@@ -1,6 +1,6 @@
 """The beam forward: from sampled voltages to states, velocity histories and peak speeds.
 
-Each state is a one-pole, x' = exponent x + input_gain v, held samples: within a block of 32 samples every
+Each state is a one-pole, x' = exponent x + input_gain v, held samples: within a short block of samples every
 output is one matrix product of the block's voltages and the state at its start; the states at the starts follow
 by a second level of blocks. Work is done chunk by chunk, so that memory does not grow with the burst.
 """
