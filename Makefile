@@ -64,15 +64,17 @@ format: install
 	$(PYTHON) -m ruff format src tests
 	$(PYTHON) -m ruff check --fix src tests
 
-## results: the reference pictures in results/reference, from a simulated cohort and the demonstration
+## results: the reference pictures in results/reference, from a simulated cohort, the demonstration and a scan of the twin
 .PHONY: results
 results: install
-	rm -rf build/results build/analysis
+	rm -rf build/results build/analysis build/validation
 	$(PYTHON) -m modaltouch simulate protocols/differentiated_stimulation.yaml -n 10 --results build/results
 	$(PYTHON) -m modaltouch analyse build/results --out build/analysis
 	$(PYTHON) -m modaltouch demo --results build/results
 	mkdir -p results/reference
 	cp build/analysis/fig_10.csv build/analysis/fig_10.png build/analysis/fig_11.csv build/analysis/fig_11.png results/reference/
+	$(PYTHON) -m modaltouch validate protocols/differentiated_stimulation.yaml --out build/validation
+	cp build/validation/fig_[25678]*.png build/validation/fig_[25678]*.csv build/validation/validation.json results/reference/
 	cp build/results/simulated/demo/derivatives/sub-demo_ses-1/screenshots/question_one_hand_AC.png results/reference/answer_window.png
 
 ## bench: run time against error, beside the peers, into results/benchmarks

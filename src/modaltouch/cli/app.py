@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from modaltouch import __version__
-from modaltouch.cli import analysing, checking, fitting, looking, planning, rigs, running
+from modaltouch.cli import analysing, checking, fitting, looking, planning, rigs, running, validating
 
 app = typer.Typer(
     name="modaltouch",
@@ -43,6 +43,7 @@ app.command("simulate")(running.simulate)
 app.command("analyse")(analysing.analyse)
 app.command("power")(planning.power)
 app.command("fit")(fitting.fit)
+app.command("validate")(validating.validate)
 app.command("verify")(looking.verify)
 app.command("doctor")(looking.doctor)
 app.add_typer(rigs.app, name="rig")

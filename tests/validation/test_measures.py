@@ -1,0 +1,61 @@
+"""Widths, durations, contrast and spectrogram against closed forms."""
+
+import math
+
+import numpy as np
+import pytest
+
+from modaltouch.validation.measures import contrast, spot_width, time_above
+from modaltouch.validation.spectrum import Spectrogram
+
+
+@pytest.mark.parametrize("fraction", [0.2, 0.5, 0.8])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_width_of_a_triangle_is_its_base_times_the_rest(fraction, sign):
+    """A triangle of base b is b (1 - fraction) wide, whatever its sign, also where its centre is no point."""
+    place = np.linspace(-0.05, 0.05, 78)
+    field = sign * 0.2 * np.maximum(0, 1 - np.abs(place - 0.003) / 0.028)
+    place, field = np.append(place, 0.003), np.append(field, sign * 0.2)
+    order = np.argsort(place)
+    width = spot_width(place[order], field[order], 0.003, fraction)
+    # Straight lines between points 1.3 mm apart are exact on a triangle, but for where it reaches zero.
+    assert width == pytest.approx(0.056 * (1 - fraction), rel=1e-9)
+
+
+def test_a_field_that_never_falls_is_as_wide_as_the_beam():
+    """Expected: from end to end."""
+    assert spot_width(np.linspace(-0.05, 0.05, 11), np.ones(11), 0.0, 0.5) == pytest.approx(0.1)
+
+
+def test_a_field_without_a_focus_has_no_width():
+    """Expected: NaN, not a number that looks like one."""
+    assert math.isnan(spot_width(np.linspace(-1, 1, 5), np.zeros(5), 0.0, 0.5))
+
+
+def test_a_cosine_stays_above_nine_tenths_for_twice_its_arc():
+    """cos(w t) > 0.9 for |t| < arccos(0.9) / w; a later crest does not count."""
+    time, omega = np.linspace(-1e-4, 1e-4, 20_001), 2 * np.pi * 29_390
+    assert time_above(time, np.cos(omega * time), 0.0, 0.9) == pytest.approx(2 * math.acos(0.9) / omega, rel=1e-5)
+
+
+def test_contrast_is_the_faster_over_the_slower():
+    """Expected: the same both ways round, and infinite beside a zone at rest."""
+    assert contrast(0.2, -0.1) == contrast(-0.1, 0.2) == 2.0
+    assert contrast(0.2, 0.0) == math.inf
+
+
+def test_spectrogram_of_a_sine_reads_its_amplitude_and_frequency():
+    """A steady sine of 0.05 m/s shows as 0.05 m/s at its frequency, and as nothing an octave away."""
+    time = np.arange(50_000) / 1e6
+    one = Spectrogram.of(time, 0.05 * np.sin(2 * np.pi * 7137 * time), 20e3)
+    row = np.unravel_index(one.amplitude.argmax(), one.amplitude.shape)[0]
+    assert one.frequency[row] == pytest.approx(7137, abs=63)
+    assert one.amplitude.max() == pytest.approx(0.05, rel=0.01)
+    assert one.amplitude[np.abs(one.frequency - 14_274) < 100].max() < 1e-5
+    assert one.frequency[-1] <= 20e3
+
+
+def test_spectrogram_refuses_a_record_shorter_than_its_window():
+    """Expected: a clear error, not an empty picture."""
+    with pytest.raises(ValueError, match=r"lasts 1 ms, but a window of the spectrogram 4 ms: record longer"):
+        Spectrogram.of(np.arange(1000) / 1e6, np.zeros(1000), 20e3)
