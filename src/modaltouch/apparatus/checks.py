@@ -5,13 +5,20 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator
 
+from modaltouch.apparatus.measured_shapes import check_shapes
 from modaltouch.apparatus.sections import Apparatus, Zone
 from modaltouch.document import Problem, Reading, suggest
 
 
 def check_apparatus(reading: Reading[Apparatus]) -> list[Problem]:
     """Return the faults between the keys of an apparatus, as far as its sound parts show them."""
-    return [*_check_zones(reading), *_check_actuator_sets(reading), *_check_modes(reading), *_check_unlisted(reading)]
+    return [
+        *_check_zones(reading),
+        *_check_actuator_sets(reading),
+        *_check_modes(reading),
+        *_check_unlisted(reading),
+        *check_shapes(reading),
+    ]
 
 
 def zone_edges(zone: Zone) -> tuple[float, float]:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 from pydantic import Field
 
+from modaltouch.apparatus.measured_shapes import ShapeTable
 from modaltouch.apparatus.twin import Twin
 from modaltouch.document.section import (
     SMALLEST,
@@ -36,9 +37,15 @@ class Beam(Section):
     length_mm: Positive = described("Length of the beam [mm].")
     width_mm: Positive = described("Width of the beam [mm].")
     thickness_mm: Positive = described("Thickness of the beam [mm].")
-    theory: Literal["euler_bernoulli"] = described(
-        "Where the mode shapes come from: those of a uniform free-free beam.", default="euler_bernoulli"
+    theory: Literal["euler_bernoulli", "timoshenko", "measured"] = described(
+        "Where the mode shapes come from: those of a slender uniform free-free beam, of one with shear and rotary "
+        "inertia, or of a scan (`measured_shapes`).",
+        default="euler_bernoulli",
     )
+    poissons_ratio: Annotated[float, Field(strict=True, gt=-1, le=0.5)] = described(
+        "Poisson's ratio, by which the timoshenko theory knows the shear stiffness [1].", default=0.33
+    )
+    measured_shapes: ShapeTable | None = described("Shapes of a scan, for `theory: measured`.", default=None)
 
 
 class Zone(Section):
@@ -143,19 +150,29 @@ class Apparatus(Section):
             frequencies [Hz], damping ratios [1], length [m].
         """
         from modaltouch.stimulus.modes import ModalModel
+        from modaltouch.stimulus.timoshenko import TimoshenkoBeam
 
+        beam, length = self.beam, self.beam.length_mm * 1e-3
+        label = tuple(mode.label for mode in self.modes)
+        bending, basis = None, None
+        if beam.theory == "timoshenko":
+            bending = TimoshenkoBeam(length, beam.thickness_mm * 1e-3, poissons_ratio=beam.poissons_ratio)
+        if beam.theory == "measured" and beam.measured_shapes is not None:
+            basis = beam.measured_shapes.basis(label, length)
         channel = {name: actuators.channel for name, actuators in self.actuator_sets.items()}
         gain = np.zeros((len(self.modes), max(channel.values())))
         for row, mode in enumerate(self.modes):
             for name, value in mode.gain_mm_s2_per_V.items():
                 gain[row, channel[name] - 1] = value * 1e-3
         return ModalModel(
-            label=tuple(mode.label for mode in self.modes),
+            label=label,
             natural_frequency=np.array([mode.natural_frequency_Hz for mode in self.modes]),
             damping_ratio=np.array([mode.damping_ratio for mode in self.modes]),
             modal_gain=gain,
-            length=self.beam.length_mm * 1e-3,
-            theory=self.beam.theory,
+            length=length,
+            theory=beam.theory,
+            basis=basis,
+            beam=bending,
         )
 
     def amplifier_values(self) -> AmplifierValues:

@@ -24,6 +24,20 @@ def check(
             "--compare", help="Also show the other drive law on the same rig, and the generator without burst mode."
         ),
     ] = False,
+    sensitivity: Annotated[
+        bool, typer.Option("--sensitivity", help="Also show how well the beam must be identified.")
+    ] = False,
+    designs: Annotated[
+        bool,
+        typer.Option("--designs", help="Also show voltages of less peak for the same field, and what they cost."),
+    ] = False,
+    tolerance: Annotated[
+        float | None,
+        typer.Option(
+            help="Also show the fewest samples that keep the field around the focus within this share of the level.",
+            show_default=False,
+        ),
+    ] = None,
 ) -> None:
     """Validate a protocol, synthesise its stimuli and predict the speeds at the zones.
 
@@ -31,15 +45,19 @@ def check(
     """
     from modaltouch.preflight import examine
 
-    with reporting():
+    with reporting(json_output=json_output):
+        if tolerance is not None and not 0 < tolerance < 1:
+            raise typer.BadParameter(f"--tolerance is {tolerance:g}; allowed: above 0 and below 1, such as 0.001")
         preflight = examine(protocol)
+        asked = {} if preflight.problems else _explore(preflight, sensitivity, designs, tolerance)
         if json_output:
-            print_json(preflight.as_dict(compare=compare))
+            print_json(preflight.as_dict(compare=compare) | asked)
         elif preflight.problems:
             for problem in preflight.problems:
                 typer.secho(str(problem), err=True, fg=typer.colors.RED)
         else:
             show(preflight, compare=compare)
+            _show_explored(asked)
         if preflight.problems:
             raise typer.Exit(BAD_INPUT)
 
@@ -72,6 +90,70 @@ def show(preflight: Preflight, *, compare: bool = False) -> None:
         console.print(f"[dim]{fallback['warning']}[/]")
     for warning in values["warnings"]:
         console.print(f"[yellow]{warning}[/]")
+
+
+def _explore(preflight: Preflight, sensitivity: bool, designs: bool, tolerance: float | None) -> dict[str, Any]:  # noqa: FBT001
+    """Return what was asked for besides the check; what nobody asked for is not computed."""
+    asked: dict[str, Any] = {}
+    if not (sensitivity or designs or tolerance is not None) or preflight.ground is None:
+        return asked
+    from modaltouch.preflight.exploration import design_figures, sample_figures, sensitivity_figures
+
+    ground, stimulus = preflight.ground, preflight.stimulus
+    if sensitivity:
+        asked["sensitivity"] = sensitivity_figures(ground, stimulus)
+    if designs:
+        asked["designs"] = design_figures(stimulus)
+    if tolerance is not None:
+        asked["samples"] = sample_figures(ground, stimulus, tolerance)
+    return asked
+
+
+def _show_explored(asked: dict[str, Any]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console()
+    if found := asked.get("sensitivity"):
+        table = Table(
+            title=f"What an error of a parameter does at {found['velocity_mm_s']:g} mm/s", title_justify="left"
+        )
+        for heading in ("parameter", "mode", "error %", "field mm/s", "displacement mm/s"):
+            table.add_column(heading, justify="left" if heading == "parameter" else "right")
+        for row in found["table"][:12]:
+            numbers = (f"{row['error'] * 100:g}", f"{row['field_mm_s']:.2f}", f"{row['displacement_mm_s']:.2f}")
+            table.add_row(str(row["parameter"]).replace("_", " "), str(row["mode"]), *numbers)
+        console.print(table)
+        drawn, spread = found["drawn"], found["drawn"]["deviations"]
+        console.print(
+            f"{drawn['n_draws']} beams drawn with deviations of {spread['natural_frequency']:.1%} in frequency, "
+            f"{spread['damping_ratio']:.0%} in damping and {spread['modal_gain']:.0%} in gain: worst modal error "
+            f"{drawn['median_modal_error_mm_s']:.1f} mm/s in the middle one, {drawn['p95_modal_error_mm_s']:.1f} mm/s "
+            "in one of twenty"
+        )
+    if rows := asked.get("designs"):
+        table = Table(title="Other voltages for the same field at the highest level", title_justify="left")
+        headings = (
+            "design",
+            "peak V",
+            "energy V²s",
+            "residual mm/s",
+            f"mode of {rows[0]['unmodelled_frequency_Hz']:.0f} Hz mm/s",
+        )
+        for heading in headings:
+            table.add_column(heading, justify="left" if heading == "design" else "right")
+        for row in rows:
+            table.add_row(
+                row["design"],
+                f"{row['peak_drive_V']:.0f}",
+                f"{row['energy_V2_s']:.1f}",
+                f"{row['residual_mm_s']:.0e}",
+                f"{row['unmodelled_speed_mm_s']:.2f}",
+            )
+        console.print(table)
+        console.print("[dim]The last column is the speed of a supposed mode that the table of the beam lacks.[/]")
+    if found := asked.get("samples"):
+        console.print(found["said"])
 
 
 def _level_table(table_kind: Any, stimuli: list[dict[str, Any]]) -> Any:

@@ -47,6 +47,8 @@ def locate(error: Exception, findings: Findings) -> Problem:
         key = next(key for word, key in _MODE_KEYS if word in message)
         if index is not None:
             return apparatus.problem(("modes", index, key), given, "", remedy)
+    if re.search(r"linearly dependent|scan grid|zero at every point", message):
+        return apparatus.problem(("beam", "measured_shapes"), given, "", remedy)
     if re.search(r"samples are fewer", message) and _is_late(findings):
         return apparatus.problem(
             ("amplifier", "delay_us"), given, "", "shorten the delay, or move the focusing instant"

@@ -1,0 +1,75 @@
+"""Where mode shapes come from: a theory or a scan (issue: Timoshenko as an option, measured bases)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from modaltouch.apparatus import read_apparatus
+from modaltouch.preflight import examine
+from modaltouch.stimulus.shapes import mode_shapes
+from modaltouch.stimulus.timoshenko import TimoshenkoBeam
+
+Edit = Callable[..., Path]
+BEAM = "apparatus/beam_100x6x2.yaml"
+THEORY = "theory: euler_bernoulli"
+LABELS = tuple(range(1, 18, 2))
+
+
+def scanned(n_points: int, labels: tuple[int, ...] = LABELS, theory: str = "measured") -> str:
+    """Return the section of a scan that found the theoretical shapes, three times as large and upside down."""
+    x = np.linspace(-50, 50, n_points)
+    rows = -3 * mode_shapes(labels, x * 1e-3, 0.1)
+    lines = [f"theory: {theory}", "  measured_shapes:", f"    position_mm: [{', '.join(f'{v:g}' for v in x)}]"]
+    lines += ["    modes:"]
+    for label, row in zip(labels, rows, strict=True):
+        lines.append(f"      - {{label: {label}, values: [{', '.join(f'{v:.9f}' for v in row)}]}}")
+    return "\n".join(lines)
+
+
+def faults(edit: Edit, text: str) -> list[str]:
+    """Return what a protocol on such a beam is told."""
+    edit(BEAM, (f"{THEORY}   # mode shapes of a uniform free-free beam", text))
+    protocol = edit("differentiated_stimulation.yaml")
+    return [str(problem).replace(f"{protocol.parent}/", "") for problem in examine(protocol).problems]
+
+
+def test_scanned_shapes_take_the_place_of_theory(edit: Edit) -> None:
+    """41 points of the theoretical shapes in any scale and sign give the theoretical shapes back."""
+    model = read_apparatus(edit(BEAM, (THEORY, scanned(41)))).modal_model()
+    x = np.linspace(-0.05, 0.05, 101)
+    assert model.shapes(x) == pytest.approx(mode_shapes(LABELS, x, 0.1), abs=1e-6)
+
+
+def test_timoshenko_shapes_are_those_of_the_section(edit: Edit) -> None:
+    """The bending modes are those of a beam of this length, thickness and Poisson's ratio."""
+    apparatus = read_apparatus(edit(BEAM, (THEORY, "theory: timoshenko\n  poissons_ratio: 0.3")))
+    x = np.linspace(-0.05, 0.05, 11)
+    expected = TimoshenkoBeam(0.1, 0.002, poissons_ratio=0.3).shapes([15], x)
+    assert apparatus.modal_model().shapes(x)[-1] == pytest.approx(expected[0])
+    assert not np.allclose(apparatus.modal_model().shapes(x), mode_shapes(LABELS, x, 0.1), atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("theory: measured", "beam.theory: given measured, without any shapes"),
+        (scanned(41, theory="timoshenko"), "beam.measured_shapes: given shapes of a scan, which timoshenko"),
+        (scanned(41, LABELS[:-1]), "beam.measured_shapes.modes: given 0 shapes of mode 17"),
+        (scanned(11), "given a stimulus that cannot be made, 9 shapes on 11 points are linearly dependent"),
+    ],
+)
+def test_shapes_that_will_not_do_are_refused_in_their_place(edit: Edit, text: str, said: str) -> None:
+    """Missing, idle, incomplete or dependent: file, line, column, value and remedy."""
+    (problem,) = faults(edit, text)
+    assert problem.startswith(BEAM)
+    assert said in problem
+
+
+def test_as_many_values_as_positions(edit: Edit) -> None:
+    """A value that is missing is told at its mode."""
+    (problem,) = faults(edit, scanned(41).replace("values: [", "values: [1.0, ", 1))
+    assert "beam.measured_shapes.modes[0].values: given 42 values at 41 positions" in problem

@@ -1,0 +1,71 @@
+"""What a lab may ask of its stimulus besides the check (issue: sensitivity, other designs, fewest samples)."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+PROTOCOL = Path(__file__).parents[2] / "protocols" / "differentiated_stimulation.yaml"
+
+
+def check(*options: str) -> subprocess.CompletedProcess[str]:
+    """Run ``modaltouch check`` on the paper's protocol."""
+    command = [sys.executable, "-m", "modaltouch", "check", str(PROTOCOL), *options]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+
+
+@pytest.fixture(scope="module")
+def explored() -> dict[str, Any]:
+    """Everything there is to ask."""
+    done = check("--sensitivity", "--designs", "--tolerance", "0.01", "--json")
+    assert done.returncode == 0, done.stderr
+    values: dict[str, Any] = json.loads(done.stdout)
+    return values
+
+
+def test_open_loop_is_limited_by_identification(explored: dict[str, Any]) -> None:
+    """physics.md section 4: 5 % of a gain moves the field by about 3 mm/s, 5 % of a damping ratio by 1.4 or more."""
+    table = explored["sensitivity"]["table"]
+    of_mode_1 = {row["parameter"]: row["field_mm_s"] for row in table if row["mode"] == 1}
+    assert of_mode_1["modal_gain"] == pytest.approx(2.96, abs=0.02)
+    assert of_mode_1["damping_ratio"] == pytest.approx(1.4, rel=0.1)
+    assert [row["field_mm_s"] for row in table] == sorted((row["field_mm_s"] for row in table), reverse=True)
+
+
+def test_less_peak_voltage_shakes_what_is_not_modelled(explored: dict[str, Any]) -> None:
+    """physics.md section 4: p = 4 has a lower peak for a fifth more energy; the least peak is bang-bang."""
+    rows = {row["design"]: row for row in explored["designs"]}
+    assert rows["4-norm"]["peak_drive_V"] < 0.65 * rows["exact"]["peak_drive_V"]
+    assert rows["4-norm"]["energy_V2_s"] == pytest.approx(1.2 * rows["exact"]["energy_V2_s"], rel=0.03)
+    peaks = [rows[name]["peak_drive_V"] for name in ("exact", "4-norm", "8-norm", "least peak")]
+    assert peaks == sorted(peaks, reverse=True)
+    assert rows["least peak"]["unmodelled_speed_mm_s"] > 100 * rows["exact"]["unmodelled_speed_mm_s"]
+    assert max(row["residual_mm_s"] for row in rows.values()) < 1e-9
+
+
+def test_fewest_samples_keep_the_tolerance(explored: dict[str, Any]) -> None:
+    """At least 2.5 samples to a cycle of the highest mode, 87,855 Hz over 50 ms."""
+    found = explored["samples"]
+    assert found["error"] <= 0.01
+    assert 2.5 * 87855 * 0.05 <= found["n_samples"] < 125_000
+
+
+def test_nothing_is_computed_that_nobody_asked_for(explored: dict[str, Any]) -> None:
+    """Without options there is no such key."""
+    plain = json.loads(check("--json").stdout)
+    assert set(explored) - set(plain) == {"sensitivity", "designs", "samples"}
+
+
+def test_tables_are_for_people_too() -> None:
+    """Words, units, and what a senseless tolerance should have been."""
+    said = check("--sensitivity", "--designs").stdout
+    assert "modal gain" in said
+    assert "least peak" in said
+    refused = check("--tolerance", "2")
+    assert refused.returncode == 2
+    assert "allowed: above 0 and below 1" in refused.stderr
