@@ -152,9 +152,9 @@ class TestFaults:
 
     def test_a_word_that_is_wrong_everywhere_is_told_once_with_its_number(self, write_csv, build) -> None:
         """240 rows with the same unknown word."""
-        problems = fails(write_csv(build["constant"](response="none")))
+        problems = fails(write_csv(build["constant"](response="nowhere")))
         assert len(problems) == 1
-        assert "given 'none' (in 240 rows)" in problems[0]
+        assert "given 'nowhere' (in 240 rows)" in problems[0]
 
     def test_a_missing_column_is_named_with_what_was_found(self, write_csv, paper_rows) -> None:
         """The likely other name is suggested."""

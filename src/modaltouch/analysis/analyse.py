@@ -43,7 +43,7 @@ def analyse(path: Path | str, out: Path | str | None = None, *, mode: str | None
     """
     responses = read_responses(path, mode=mode)
     answers = count_answers(responses.frame, responses.focus)
-    findings = tuple(find(answers, responses.frame))
+    findings = tuple(find(answers, responses.frame, responses.catches))
     analysis = Analysis(responses, answers, findings, {})
     folder = Path(out) if out is not None else default_folder(Path(path))
     about = {

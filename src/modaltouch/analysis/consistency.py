@@ -46,7 +46,7 @@ def consistency_findings(answers: AnswerCounts) -> Iterator[Finding]:
 
 
 def association_findings(answers: AnswerCounts) -> Iterator[Finding]:
-    """Yield the Monte Carlo checks of questions b and d, on all three answers at once."""
+    """Yield the Monte Carlo checks of questions b and d, on all answers at once."""
     for f, q in product(range(len(answers.finger_conditions)), range(len(answers.pairs))):
         scope = f"{answers.finger_conditions[f]} {answers.pairs[q].label}"
         shuffled = level_association(answers.counts[:, f, q])
@@ -74,7 +74,7 @@ def effect_findings(answers: AnswerCounts) -> Iterator[Finding]:
     """Yield question f, every proportion over levels, and every paired difference cell by cell."""
     n = answers.n_participants
     for f, q in product(range(len(answers.finger_conditions)), range(len(answers.pairs))):
-        for label, place in answers.pairs[q].answers:
+        for label, place in answers.answers_of(answers.pairs[q]):
             share = korn_graubard(answers.counts[:, f, q, :, place].sum(axis=1), answers.n_answers)
             scope = f"{answers.finger_conditions[f]} {answers.pairs[q].label}"
             worth = f"worth {share.n_effective:.1f} independent answers of {n * answers.n_answers}"

@@ -11,12 +11,15 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from modaltouch.trial import ANSWERS
+from modaltouch.trial import ANSWERS_WITH_NONE
 
 T = TypeVar("T")
 
-LEFT, BOTH, RIGHT = 0, 1, 2
-"""Places of the answers in the last axis of `AnswerCounts.counts`."""
+LEFT, BOTH, RIGHT, NONE = 0, 1, 2, 3
+"""Places of the answers in the last axis of `AnswerCounts.counts`; it ends before none where that is no answer."""
+
+WORDS = ("left", "both", "right", "none")
+"""Answers in that order."""
 
 PAPER_CONDITIONS = ("one_hand", "two_hands")
 
@@ -57,7 +60,7 @@ class Pair:
 
     @property
     def answers(self) -> tuple[tuple[str, int], ...]:
-        """Labels of the three answers in the paper's order, and their places in the counts."""
+        """Labels of the paper's three answers in its order, and their places in the counts."""
         first = self.dominant_index
         both = f"{self.right} & {self.left}" if self.focused and first == RIGHT else f"{self.left} & {self.right}"
         return ((self.dominant, first), (self.other, RIGHT - first), (both, BOTH))
@@ -75,8 +78,8 @@ class AnswerCounts:
         Zone pairs along the third axis.
     levels : tuple of float
         Peak velocities along the fourth axis [mm/s].
-    counts : (n_participants, n_finger_conditions, n_pairs, n_levels, 3) array of int
-        Counts of left, both and right.
+    counts : (n_participants, n_finger_conditions, n_pairs, n_levels, 3 or 4) array of int
+        Counts of left, both and right, and of none where that is an answer.
     n_repetitions : int
         Answers of each participant in each cell.
     focus : str
@@ -93,6 +96,21 @@ class AnswerCounts:
     n_repetitions: int
     focus: str = ""
     mirrored: frozenset[str] = frozenset()
+
+    @property
+    def offers_none(self) -> bool:
+        """Whether none was one of the answers."""
+        return bool(self.counts.shape[-1] > NONE)
+
+    def answers_of(self, pair: Pair) -> tuple[tuple[str, int], ...]:
+        """Return the labels of all answers to a pair, and their places in the counts.
+
+        Parameters
+        ----------
+        pair : Pair
+            One of `pairs`.
+        """
+        return (*pair.answers, ("none", NONE)) if self.offers_none else pair.answers
 
     @property
     def n_participants(self) -> int:
@@ -152,15 +170,16 @@ def count_answers(frame: pd.DataFrame, focus: str = "") -> AnswerCounts:
     levels, level = np.unique(frame["velocity_mm_s"].to_numpy(dtype=float), return_inverse=True)
     focus = focus or find_focus(zones)
     given, words = _coded(frame["response"])
-    unknown = sorted(set(words) - set(ANSWERS))
+    unknown = sorted(set(words) - set(ANSWERS_WITH_NONE))
     if unknown:
-        raise ValueError(f"response {unknown[0]!r} is not an answer: allowed are {', '.join(ANSWERS)}")
-    answer = np.array([("left", "both", "right").index(word) for word in words], dtype=np.int64)[given]
+        raise ValueError(f"response {unknown[0]!r} is not an answer: allowed are {', '.join(ANSWERS_WITH_NONE)}")
+    answer = np.array([WORDS.index(word) for word in words], dtype=np.int64)[given]
+    n_kinds = len(WORDS) if "none" in words or "none" in _categories(frame["response"]) else NONE
     participants, who = _reordered(participants, who, sorted(participants, key=_natural))
     conditions, fingers = _reordered(conditions, fingers, _ordered_conditions(conditions))
     zones, pairing = _reordered(zones, pairing, sorted(zones))
     pairs = tuple(orient(*pair, focus) for pair in zones)
-    counts = np.zeros((len(participants), len(conditions), len(zones), len(levels), len(ANSWERS)), dtype=np.int64)
+    counts = np.zeros((len(participants), len(conditions), len(zones), len(levels), n_kinds), dtype=np.int64)
     weights = frame["n"].to_numpy() if "n" in frame.columns else np.ones(len(frame), dtype=np.int64)
     np.add.at(counts, (who, fingers, pairing, level, answer), weights)
     _refuse_imbalance(counts.sum(axis=-1), participants, conditions, pairs, levels.tolist())
@@ -227,6 +246,11 @@ def _coded(column: pd.Series) -> tuple[NDArray[np.int64], list[str]]:
     """Return the code of every row and the words that occur, in order of appearance or of the categories."""
     codes, words = pd.factorize(column, use_na_sentinel=False)
     return np.asarray(codes, dtype=np.int64), [str(word) for word in words]
+
+
+def _categories(column: pd.Series) -> list[str]:
+    """Return the words that a column may hold, as far as it says."""
+    return list(column.cat.categories) if isinstance(column.dtype, pd.CategoricalDtype) else []
 
 
 def _reordered(values: list[T], codes: NDArray[np.int64], order: list[T]) -> tuple[list[T], NDArray[np.int64]]:

@@ -14,7 +14,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from modaltouch.analysis.counts import BOTH, RIGHT, AnswerCounts
+from modaltouch.analysis.counts import BOTH, NONE, RIGHT, AnswerCounts
 from modaltouch.analysis.intervals import clopper_pearson, korn_graubard
 from modaltouch.analysis.style import (
     ANSWER_COLOURS,
@@ -33,7 +33,7 @@ FINGERS = {
     "two_hands": "index fingers of both hands",
 }
 PAIRS_PER_ROW = 3
-STRIP_COLOURS = (ANSWER_COLOURS["dominant"], ANSWER_COLOURS["both"], ANSWER_COLOURS["other"], "white")
+STRIP_COLOURS = (ANSWER_COLOURS["dominant"], ANSWER_COLOURS["both"], ANSWER_COLOURS["other"], "white", FAINT)
 STRIP_PARTICIPANTS = 40
 """Participants that one figure of strips can show."""
 
@@ -225,15 +225,12 @@ def draw_participants(answers: AnswerCounts) -> Figure:
         panels[0].set_yticks(range(len(shown)), list(shown))
         panels[0].set_ylabel("participant")
         more = "" if len(shown) == answers.n_participants else f", first {len(shown)} of {answers.n_participants} shown"
-        names = [
-            "dominant zone",
-            "both (&)",
-            "other zone",
-            *(["tie between repetitions (?)"] * bool((modal < 0).any())),
-        ]
+        names = {0: "dominant zone", 1: "both (&)", 2: "other zone"}
+        names |= {3: "tie between repetitions (?)"} if (modal < 0).any() else {}
+        names |= {4: "none (–)"} if answers.offers_none else {}
         patches = [
-            Patch(facecolor=c, edgecolor=INK, linewidth=0.5, label=n)
-            for c, n in zip(STRIP_COLOURS, names, strict=False)
+            Patch(facecolor=STRIP_COLOURS[kind], edgecolor=INK, linewidth=0.5, label=name)
+            for kind, name in names.items()
         ]
         figure.legend(handles=patches, loc="outside lower center", ncols=len(names), frameon=False)
         figure.suptitle(f"Every participant's answer in every cell{more}", fontsize=9)
@@ -246,9 +243,10 @@ def _draw_strip(axes: Axes, answers: AnswerCounts, modal: NDArray[np.int64], sho
     picture = np.full((len(shown), len(answers.pairs) * n_levels), 3)
     for q, pair in enumerate(answers.pairs):
         own = modal[:, q]
-        kind = np.select([own == pair.dominant_index, own == BOTH, own == RIGHT - pair.dominant_index], [0, 1, 2], 3)
+        kinds = [own == pair.dominant_index, own == BOTH, own == RIGHT - pair.dominant_index, own == NONE]
+        kind = np.select(kinds, [0, 1, 2, 4], 3)
         picture[:, q * n_levels : (q + 1) * n_levels] = kind
-        letters = (pair.dominant, "&", pair.other, "?")
+        letters = (pair.dominant, "&", pair.other, "?", "–")
         for (row, column), value in np.ndenumerate(kind) if len(shown) <= LETTER_PARTICIPANTS else ():
             axes.text(
                 q * n_levels + column, row, letters[value][:2], ha="center", va="center", fontsize=6,
@@ -260,7 +258,7 @@ def _draw_strip(axes: Axes, answers: AnswerCounts, modal: NDArray[np.int64], sho
             (q + 0.5) * n_levels - 0.5, 1.0, pair.label, ha="center", va="bottom", fontsize=7, color=FAINT,
             transform=axes.get_xaxis_transform(),
         )  # fmt: skip
-    axes.imshow(picture, cmap=ListedColormap(STRIP_COLOURS), vmin=0, vmax=3, aspect="equal", interpolation="nearest")
+    axes.imshow(picture, cmap=ListedColormap(STRIP_COLOURS), vmin=0, vmax=4, aspect="equal", interpolation="nearest")
     axes.set_xticks(
         range(picture.shape[1]),
         [level_label(level) for level in answers.levels] * len(answers.pairs),

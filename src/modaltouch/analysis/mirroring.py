@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pandas as pd
 
-_EXCHANGED = {"left": "right", "right": "left", "both": "both"}
+_EXCHANGED = {"left": "right", "right": "left", "both": "both", "none": "none"}
 _SIDES = (("zone_left", "zone_right"), ("speed_left_mm_s", "speed_right_mm_s"))
 
 

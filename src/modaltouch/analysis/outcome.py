@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
+from modaltouch.analysis.catches import catch_rows
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.findings import Finding, to_frame
 from modaltouch.analysis.responses import Responses
@@ -51,6 +52,7 @@ class Analysis:
         return {
             "counts": [plain_row(row) for row in self.counts.to_dict("records")],
             "tests": [plain_row(row) for row in self.tests.to_dict("records")],
+            "catch_trials": [asdict(row) for row in catch_rows(self.answers, self.responses.catches)],
             "files": {name: str(path) for name, path in self.files.items()},
             "n_participants": self.answers.n_participants,
             "n_responses": int(self.answers.counts.sum()),

@@ -8,7 +8,7 @@ from itertools import combinations, product
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.analysis.counts import BOTH, AnswerCounts, Pair
+from modaltouch.analysis.counts import BOTH, NONE, AnswerCounts, Pair
 from modaltouch.analysis.exact import ExactTest, multinomial_tests, sign_flip_test, sign_test
 from modaltouch.analysis.findings import Finding, finding_of
 from modaltouch.analysis.intervals import Interval, clopper_pearson, clustered_difference, paired_mean
@@ -18,24 +18,29 @@ IntArray = NDArray[np.int64]
 
 
 def chance_findings(answers: AnswerCounts) -> Iterator[Finding]:
-    """Yield question a1, whether a cell differs from guessing among the three answers.
+    """Yield question a1, whether a cell differs from guessing among left, both and right.
 
     One answer of each participant enters a cell: the one given, or with repetitions the most frequent; ties are
-    left out and counted in the note.
+    left out and counted in the note. Where none is an answer too, the test is of those who felt something (given
+    how many they are, guesses are even over the three whatever the chance of none), the share of all.
     """
     modal = answers.modal()
     cells = list(product(range(len(answers.finger_conditions)), range(len(answers.pairs)), range(len(answers.levels))))
-    counts = np.array([np.bincount(modal[:, f, q, v][modal[:, f, q, v] >= 0], minlength=3) for f, q, v in cells])
+    size = answers.counts.shape[-1]
+    kinds = np.array([np.bincount(modal[:, f, q, v][modal[:, f, q, v] >= 0], minlength=size) for f, q, v in cells])
+    counts, everyone = kinds[:, :NONE], kinds.sum(axis=1)
     totals = counts.sum(axis=1)
     tests: dict[int, ExactTest] = {}
     for total in np.unique(totals):
         rows = np.flatnonzero(totals == total)
         tests.update(zip(rows.tolist(), multinomial_tests(counts[rows]), strict=True))
     for row, (f, q, v) in enumerate(cells):
-        pair, n = answers.pairs[q], int(totals[row])
+        pair, n = answers.pairs[q], int(everyone[row])
         left, both, right = counts[row].tolist()
         ties = answers.n_participants - n
         notes = [f"left {left}, both {both}, right {right}"]
+        if answers.offers_none:
+            notes.append(f"none {n - int(totals[row])}, left out of the test")
         if answers.n_repetitions > 1:
             notes.append(f"most frequent answer of each participant, {ties} tied and left out")
         interval = clopper_pearson(float(counts[row, pair.dominant_index]), n)
@@ -54,9 +59,12 @@ def dominance_findings(answers: AnswerCounts) -> Iterator[Finding]:
         index = clustered_difference(first, second, answers.n_answers)
         leaning = clopper_pearson(int((score > 0).sum()), n)
         total = n * answers.n_answers
-        both = total - int(first.sum()) - int(second.sum())
+        none = int(answers.counts[:, f, q, :, NONE:].sum())
+        both = total - int(first.sum()) - int(second.sum()) - none
+        silent = f" and {none} none" if answers.offers_none else ""
+        chosen = f"{int(first.sum())} {pair.dominant}, {int(second.sum())} {pair.other}, {both} both{silent}"
         shared = [
-            f"{int(first.sum())} {pair.dominant}, {int(second.sum())} {pair.other}, {both} both of {total} answers",
+            f"{chosen} of {total} answers",
             f"{int((score > 0).sum())} of {n} participants lean to {pair.dominant}",
         ]
         scope = _scope(answers, f, pair)

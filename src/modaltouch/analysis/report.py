@@ -9,6 +9,7 @@ from typing import Any
 import pandas as pd
 
 from modaltouch import __version__
+from modaltouch.analysis.catches import catch_rows
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.findings import ALPHA, Finding
 from modaltouch.analysis.gallery import Picture
@@ -49,6 +50,7 @@ def render_report(analysis: Analysis, pictures: Sequence[Picture], vectors: Mapp
         tables={condition: _zone_rows(answers, condition) for condition in answers.finger_conditions},
         paragraphs=write_paragraphs(analysis.findings, answers),
         tests=_test_tables(analysis.findings),
+        catches=catch_rows(answers, analysis.responses.catches),
         limits=design_limits(analysis),
         left_out=analysis.responses.left_out,
         record=describe_record(analysis.responses.sessions),
@@ -81,10 +83,13 @@ def design_limits(analysis: Analysis) -> list[str]:
     limits.append(
         "“Both” mixes two things, feeling both fingers alike and being unable to tell; the question does not part them."
     )
-    limits.append(
-        "There is no answer “none”, so a trial without a stimulus cannot be answered correctly: lapses and guessing "
-        "stay unknown."
-    )
+    if not answers.offers_none:
+        limits.append(
+            "There is no answer “none”, so a trial without a stimulus cannot be answered correctly: lapses and "
+            "guessing stay unknown."
+        )
+    elif not analysis.responses.catches:
+        limits.append("“None” was an answer, but no trial was without a stimulus, so false alarms stay unknown.")
     n = answers.n_participants
     if n < 8:
         limits.append(

@@ -7,6 +7,7 @@ The tidy table has one row for an answer (or, with a column ``n``, for a count o
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -64,7 +65,7 @@ class Responses:
     Attributes
     ----------
     frame : DataFrame
-        Tidy table; ``response`` is categorical over all three answers, ``n`` counts equal answers.
+        Tidy table; ``response`` is categorical over all answers that could be given, ``n`` counts equal answers.
     sessions : tuple of SessionFacts
         What the log of each recorded session tells beside its answers; empty for a CSV.
     left_out : tuple of LeftOut
@@ -75,6 +76,8 @@ class Responses:
         Zone at which the vibration was focused, if known.
     start : dict
         Start record of the first session; empty for a CSV.
+    catches : dict of str to Counter
+        Answers to catch trials by participant, which are not in the table; empty without any.
     """
 
     frame: pd.DataFrame
@@ -83,3 +86,4 @@ class Responses:
     source: Source
     focus: str = ""
     start: dict[str, Any] = field(default_factory=dict)
+    catches: dict[str, Counter[str]] = field(default_factory=dict)

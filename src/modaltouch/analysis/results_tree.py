@@ -10,7 +10,7 @@ import hashlib
 import sys
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,7 @@ from modaltouch.document import InputError, Problem
 from modaltouch.record.chain import RecordError
 from modaltouch.record.folders import LOG_NAME
 from modaltouch.record.log import Session, read_session
-from modaltouch.trial import ANSWERS
+from modaltouch.trial import ANSWERS, ANSWERS_WITH_NONE
 
 MODES = ("real", "pilot", "simulated")
 
@@ -51,6 +51,10 @@ class Found:
         What it tells beside the answers; None where it stays out.
     focus : str
         Zone at which the vibration was focused, if known.
+    offers_none : bool
+        Whether none was an answer.
+    catches : Counter
+        Its answers to catch trials.
     """
 
     path: Path
@@ -63,6 +67,8 @@ class Found:
     rows: tuple[tuple[Any, ...], ...] = ()
     facts: SessionFacts | None = None
     focus: str = ""
+    offers_none: bool = False
+    catches: Counter[str] = field(default_factory=Counter)
 
 
 def read_tree(place: Path, mode: str | None = None) -> Responses:
@@ -99,11 +105,22 @@ def read_tree(place: Path, mode: str | None = None) -> Responses:
         _refuse(place, f"no session that can be analysed ({listed})", "at least one complete session", remedy)
     frame = unmirror(pd.DataFrame([row for item in taken for row in item.rows], columns=list(COLUMNS)))
     _refuse_designs(place, frame)
-    frame["response"] = pd.Categorical(frame["response"], categories=list(ANSWERS))
+    words = ANSWERS_WITH_NONE if any(item.offers_none for item in taken) else ANSWERS
+    frame["response"] = pd.Categorical(frame["response"], categories=list(words))
     digest = hashlib.sha256("".join(item.digest for item in taken).encode()).hexdigest()
     facts = tuple(item.facts for item in taken if item.facts is not None)
     start = read_session(taken[0].path).start
-    return Responses(frame, facts, left_out, Source(str(place), "results", digest, chosen), taken[0].focus, start)
+    source = Source(str(place), "results", digest, chosen)
+    return Responses(frame, facts, left_out, source, taken[0].focus, start, _sum_catches(taken))
+
+
+def _sum_catches(found: Sequence[Found]) -> dict[str, Counter[str]]:
+    """Return the answers to catch trials by participant, over sessions."""
+    catches: dict[str, Counter[str]] = {}
+    for item in found:
+        if item.catches:
+            catches.setdefault(item.participant, Counter()).update(item.catches)
+    return catches
 
 
 def find_logs(place: Path) -> list[Path]:
@@ -190,8 +207,16 @@ def _open(path: Path) -> Found:
     found = Found(path, session.mode, session.participant, session.protocol, unfit=_unfit(session))
     if found.unfit:
         return found
-    focus = str(session.start.get("design", {}).get("stimulus", {}).get("focus", ""))
-    return replace(found, digest=_digest(path), rows=_rows(session), facts=take_facts(session), focus=focus)
+    design = session.start.get("design", {})
+    return replace(
+        found,
+        digest=_digest(path),
+        rows=_rows(session),
+        facts=take_facts(session),
+        focus=str(design.get("stimulus", {}).get("focus", "")),
+        offers_none="none" in design.get("answers", {}).get("keys", {}),
+        catches=Counter(_one(event["response"]["answer"]) for event in session.trials if event.get("catch")),
+    )
 
 
 def _mark(item: Found, reason: str) -> Found:

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from modaltouch.analysis.counts import LEFT, RIGHT, AnswerCounts
+from modaltouch.analysis.counts import LEFT, NONE, RIGHT, AnswerCounts
 from modaltouch.analysis.exact import sign_flip_test
 from modaltouch.analysis.findings import Finding, finding_of
 from modaltouch.analysis.intervals import CONFIDENCE, Interval, paired_mean
@@ -75,7 +75,8 @@ def side_findings(answers: AnswerCounts) -> Iterator[Finding]:
 def _seen(answers: AnswerCounts, f: int, right: list[int], left: list[int]) -> tuple[IntArray, IntArray]:
     """Return the counts with the focus on the right and on the left, both as the participants saw the beam."""
     turned = answers.facing < 0
-    own, exchanged = answers.counts[:, f], answers.counts[:, f][..., ::-1]
+    own = answers.counts[:, f][..., :NONE]
+    exchanged = own[..., ::-1]
     on_right = np.concatenate([own[~turned][:, right].reshape(-1, 3), exchanged[turned][:, left].reshape(-1, 3)])
     on_left = np.concatenate([own[~turned][:, left].reshape(-1, 3), exchanged[turned][:, right].reshape(-1, 3)])
     return on_right, on_left
@@ -167,9 +168,10 @@ def time_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Findin
 def speed_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Finding]:
     """Yield ordered probit fits of left < both < right on the ratio of predicted speeds; estimates, no p."""
     ratio = np.log2((frame["speed_right_mm_s"] / frame["speed_left_mm_s"]).to_numpy())
-    places = frame["response"].astype(str).map({"left": 0, "both": 1, "right": 2}).to_numpy()
+    places = frame["response"].astype(str).map({"left": 0, "both": 1, "right": 2, "none": 3}).to_numpy()
     for condition in answers.finger_conditions:
-        own = (frame["finger_condition"].astype(str) == condition).to_numpy()
+        # None lies outside the order left < both < right.
+        own = (frame["finger_condition"].astype(str) == condition).to_numpy() & (places != NONE)
         groups = frame["participant"].astype(str).to_numpy()[own]
         fit = fit_ordered_probit(ratio[own], places[own], groups)
         yield Finding(

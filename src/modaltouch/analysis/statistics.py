@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import pandas as pd
 
+from modaltouch.analysis.catches import Catches, catch_findings
 from modaltouch.analysis.consistency import association_findings, consistency_findings, effect_findings
 from modaltouch.analysis.counts import AnswerCounts, count_answers
 from modaltouch.analysis.findings import Finding, correct, to_frame
@@ -40,7 +41,7 @@ def run_tests(frame: pd.DataFrame, focus: str = "") -> pd.DataFrame:
     return to_frame(find(count_answers(frame, focus), frame))
 
 
-def find(answers: AnswerCounts, frame: pd.DataFrame) -> list[Finding]:
+def find(answers: AnswerCounts, frame: pd.DataFrame, catches: Catches | None = None) -> list[Finding]:
     """Return the findings behind `run_tests`, in the order of the questions.
 
     Parameters
@@ -49,6 +50,8 @@ def find(answers: AnswerCounts, frame: pd.DataFrame) -> list[Finding]:
         Counts of the answers.
     frame : DataFrame
         The tidy answers themselves, for what counts do not hold: order and times.
+    catches : mapping of str to Counter, optional
+        Answers to catch trials by participant.
     """
     findings = [
         *chance_findings(answers),
@@ -59,10 +62,11 @@ def find(answers: AnswerCounts, frame: pd.DataFrame) -> list[Finding]:
         *association_findings(answers),
         *consistency_findings(answers),
         *effect_findings(answers),
+        *catch_findings(answers, catches or {}),
         *secondary_findings(answers, frame),
     ]
     return sorted(correct(findings), key=lambda finding: ORDER.index(finding.question))
 
 
-ORDER = ("a1", "a2", "b", "c", "d", "e", "f", "side", "order", "time", "speed")
+ORDER = ("a1", "a2", "b", "c", "d", "e", "f", "catch", "side", "order", "time", "speed")
 """Questions in the order of the report: those of the plan, then the further ones."""

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from modaltouch.analysis.counts import PAPER_CONDITIONS, AnswerCounts, count_answers, find_focus, orient
+from modaltouch.analysis.counts import NONE, PAPER_CONDITIONS, WORDS, AnswerCounts, count_answers, find_focus, orient
 from modaltouch.analysis.responses import CELL
 
 
@@ -23,8 +23,8 @@ def count_responses(frame: pd.DataFrame, focus: str = "") -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        Columns finger_condition, pair, zone_left, zone_right, velocity_mm_s, left, both, right, n; one row for
-        each cell.
+        Columns finger_condition, pair, zone_left, zone_right, velocity_mm_s, left, both, right, none (where that is
+        an answer), n; one row for each cell.
     """
     return tabulate(count_answers(frame, focus))
 
@@ -38,7 +38,8 @@ def tabulate(answers: AnswerCounts) -> pd.DataFrame:
         for q, pair in enumerate(answers.pairs)
         for v, level in enumerate(answers.levels)
     ]
-    return pd.DataFrame(rows, columns=["finger_condition", "pair", *CELL[1:], "left", "both", "right", "n"])
+    words = WORDS[: answers.counts.shape[-1]]
+    return pd.DataFrame(rows, columns=["finger_condition", "pair", *CELL[1:], *words, "n"])
 
 
 def zone_table(counts: pd.DataFrame, finger_condition: str, focus: str = "") -> pd.DataFrame:
@@ -56,8 +57,8 @@ def zone_table(counts: pd.DataFrame, finger_condition: str, focus: str = "") -> 
     Returns
     -------
     DataFrame
-        Index (pair, answer), answers as in the paper: ``C``, ``A``, ``C & A`` and so on; one column for each
-        level [mm/s], holding how many answers out of the cell's n.
+        Index (pair, answer), answers as in the paper: ``C``, ``A``, ``C & A`` and so on, then ``none`` where that is
+        an answer; one column for each level [mm/s], holding how many answers out of the cell's n.
 
     Raises
     ------
@@ -70,13 +71,13 @@ def zone_table(counts: pd.DataFrame, finger_condition: str, focus: str = "") -> 
         raise ValueError(f"finger condition {finger_condition!r} is not in the counts; there are {known}")
     zones = list(dict.fromkeys(zip(own["zone_left"], own["zone_right"], strict=True)))
     focus = focus or find_focus(zones)
-    columns = ("left", "both", "right")
+    none = (("none", NONE),) if "none" in own.columns else ()
     rows = {}
     for left, right in zones:
         pair = orient(str(left), str(right), focus)
         cells = own[(own["zone_left"] == left) & (own["zone_right"] == right)].set_index("velocity_mm_s")
-        for label, place in pair.answers:
-            rows[pair.label, label] = cells[columns[place]].sort_index()
+        for label, place in (*pair.answers, *none):
+            rows[pair.label, label] = cells[WORDS[place]].sort_index()
     table = pd.DataFrame(rows).T.astype(int)
     table.index.names = ["pair", "answer"]
     table.columns.name = "velocity_mm_s"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from modaltouch.analysis.csv_table import MOST_LISTED, Column, Table, read_table
 from modaltouch.analysis.mirroring import unmirror
 from modaltouch.analysis.responses import REQUIRED, LeftOut, Responses, Source
 from modaltouch.document import InputError, Problem, suggest
-from modaltouch.trial import ANSWERS
+from modaltouch.trial import ANSWERS, ANSWERS_WITH_NONE
 
 FINGER_CONDITIONS = ("one_hand", "two_hands")
 
@@ -32,8 +33,9 @@ def read_csv(path: Path) -> Responses:
     Parameters
     ----------
     path : Path
-        A table with the six columns, and optionally ``n`` (count of equal answers), ``repetition``,
-        ``practice`` and any others, which are kept.
+        A table with the six columns, and optionally ``n`` (count of equal answers), ``repetition``, ``practice``,
+        ``catch`` (1 where nothing was driven, whatever the velocity) and any others, which are kept. Where any
+        response is ``none``, that is taken to have been an answer.
 
     Raises
     ------
@@ -45,7 +47,9 @@ def read_csv(path: Path) -> Responses:
     frame = pd.DataFrame(index=pd.RangeIndex(table.n_rows))
     for name in REQUIRED[:4]:
         frame[name] = _words(table, name, problems)
-    frame["velocity_mm_s"] = _numbers(table, "velocity_mm_s", problems, "a peak velocity in mm/s, above 0", _positive)
+    caught, caught_problems = _flags(table, "catch", "a catch trial")
+    problems += caught_problems
+    frame["velocity_mm_s"] = _velocities(table, problems, caught)
     frame["response"] = _answers(table, problems)
     frame["n"] = _whole_numbers(table, "n", problems, 0) if "n" in table.columns else 1
     if "repetition" in table.columns:
@@ -53,19 +57,45 @@ def read_csv(path: Path) -> Responses:
     for name, column in table.columns.items():
         if name in NUMBERS:
             frame[name] = _numbers(table, name, problems, "a number, or nothing", _anything, empty=True)
-        elif name not in frame.columns:
+        elif name not in frame.columns and name != "catch":
             frame[name] = _categorical(column.codes, column.words).astype("str")
     problems += _same_zone(table, frame) + _near_conditions(table)
     unread = _unread(table, frame) if problems else None
     n_problems = len(problems)
-    frame, practice = _without_practice(table, frame, problems)
-    frame = unmirror(frame)
+    practised, practice_problems = _flags(table, "practice", "a practice trial")
+    problems += practice_problems
+    catches = _count_catches(frame[caught & ~practised])
+    practice, caught = practised, caught & ~practised
+    frame = unmirror(frame[~practice & ~caught])
     if len(problems) == n_problems:
         problems += check_balance(table, frame, None if unread is None else unread.loc[frame.index])
     if problems:
         raise InputError(problems)
-    left_out = (LeftOut(f"{table.file}: {practice} rows", "practice trials"),) if practice else ()
-    return Responses(frame, (), left_out, Source(table.file, "csv", table.sha256))
+    apart = ((practice, "practice trials"), (caught, "catch trials, counted apart"))
+    left_out = tuple(LeftOut(f"{table.file}: {rows.sum()} rows", why) for rows, why in apart if rows.any())
+    return Responses(frame, (), left_out, Source(table.file, "csv", table.sha256), catches=catches)
+
+
+def _count_catches(frame: pd.DataFrame) -> dict[str, Counter[str]]:
+    """Return the answers to catch trials by participant."""
+    catches: dict[str, Counter[str]] = {}
+    for participant, word, n in zip(frame["participant"], frame["response"], frame["n"], strict=True):
+        catches.setdefault(str(participant), Counter())[str(word)] += int(n)
+    return catches
+
+
+def _velocities(table: Table, problems: list[Problem], caught: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return the velocities, 0 allowed in catch trials alone."""
+    allowed = "a peak velocity in mm/s, above 0"
+    if not caught.any():
+        return _numbers(table, "velocity_mm_s", problems, allowed, _positive)
+    values = _numbers(table, "velocity_mm_s", problems, allowed, _not_negative)
+    still = np.flatnonzero((values == 0) & ~caught)
+    for row in still[:MOST_LISTED]:
+        problems.append(
+            table.problem(int(row), "velocity_mm_s", "'0'", allowed, "write 1 under catch, or the velocity")
+        )
+    return np.where((values == 0) & ~caught, math.nan, values)
 
 
 def _unread(table: Table, frame: pd.DataFrame) -> pd.DataFrame:
@@ -120,19 +150,24 @@ def _categorical(codes: NDArray[np.int64], words: Sequence[str]) -> pd.Categoric
 
 def _answers(table: Table, problems: list[Problem]) -> pd.Categorical:
     column = table.columns["response"]
-    unknown = [code for code, word in enumerate(column.words) if word not in ANSWERS]
+    words = ANSWERS_WITH_NONE if "none" in column.words else ANSWERS
+    unknown = [code for code, word in enumerate(column.words) if word not in words]
 
     def say(word: str) -> tuple[str, str]:
-        meant = suggest(word, ANSWERS)
+        meant = suggest(word, words)
         return repr(word) if word else "nothing", f"write {meant}" if meant else "write one of these words"
 
-    problems += _report(table, column, unknown, ", ".join(ANSWERS), say)
-    codes = np.array([ANSWERS.index(word) if word in ANSWERS else -1 for word in column.words], dtype=np.int64)
-    return _categorical(codes[column.codes], ANSWERS)
+    problems += _report(table, column, unknown, ", ".join(words), say)
+    codes = np.array([words.index(word) if word in words else -1 for word in column.words], dtype=np.int64)
+    return _categorical(codes[column.codes], words)
 
 
 def _positive(value: float) -> bool:
     return math.isfinite(value) and value > 0
+
+
+def _not_negative(value: float) -> bool:
+    return math.isfinite(value) and value >= 0
 
 
 def _anything(value: float) -> bool:
@@ -217,12 +252,12 @@ def _folded(word: str) -> str:
     return "".join(character for character in word.casefold() if character.isalnum()).rstrip("s")
 
 
-def _without_practice(table: Table, frame: pd.DataFrame, problems: list[Problem]) -> tuple[pd.DataFrame, int]:
-    if "practice" not in table.columns:
-        return frame, 0
-    column = table.columns["practice"]
+def _flags(table: Table, name: str, what: str) -> tuple[NDArray[np.bool_], list[Problem]]:
+    """Return which rows a column of 0 and 1 marks, none where there is no such column, and its faults."""
+    if name not in table.columns:
+        return np.zeros(table.n_rows, dtype=bool), []
+    column = table.columns[name]
     unknown = [code for code, word in enumerate(column.words) if word.casefold() not in _TRUTH]
-    problems += _report(table, column, unknown, "0 or 1", lambda w: (repr(w), "write 1 for a practice trial"))
+    problems = _report(table, column, unknown, "0 or 1", lambda w: (repr(w), f"write 1 for {what}"))
     known: list[Any] = [_TRUTH.get(word.casefold(), False) for word in column.words]
-    practice = np.array(known, dtype=bool)[column.codes]
-    return frame[~practice], int(practice.sum())
+    return np.array(known, dtype=bool)[column.codes], problems

@@ -18,6 +18,7 @@ HEADINGS = {
     "d": "Do the pairs of zones differ in “both”?",
     "e": "Do the participants agree?",
     "f": "How large are the effects?",
+    "catch": "Is something felt where nothing is driven?",
     "side": "Is there a side bias?",
     "order": "Do answers drift, or depend on what came first?",
     "time": "Do reaction times differ?",
@@ -181,6 +182,8 @@ def _plain(question: str, own: Sequence[Finding]) -> str:
     text = _sum_up([f for f in own if f not in estimates], quantity=True)
     text += " ".join(f"{f.scope}: {f.quantity} {say_interval(f)} ({f.note})." for f in estimates)
     caution = {
+        "catch": " Catch trials are in no other table or test; in those, “none” on a trial with a stimulus counts "
+        "for neither zone and not for both, and shares are of all answers.",
         "time": " Bursts repeat at a fixed rate, so reaction times come in steps of one burst period.",
         "order": " In the paper the order of the two finger conditions is not told.",
     }

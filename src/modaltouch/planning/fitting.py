@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from modaltouch.analysis.counts import AnswerCounts, count_answers
+from modaltouch.analysis.counts import NONE, AnswerCounts, count_answers
 from modaltouch.analysis.reading import read_responses
 from modaltouch.analysis.responses import Responses
 from modaltouch.document import InputError, Problem
@@ -92,7 +92,7 @@ def fit_answers(preflight: Preflight, path: Path, prior: Observer, *, mode: str 
 
 
 def _record(answers: AnswerCounts, felt: Felt) -> Recorded:
-    """Return counts as a fit takes them."""
+    """Return counts as a fit takes them: answers of none tell nothing of left against right and are left out."""
     speeds = [
         [felt.at(zone, level * 1e-3) for zone in (pair.left, pair.right)]
         for _ in answers.finger_conditions
@@ -101,7 +101,7 @@ def _record(answers: AnswerCounts, felt: Felt) -> Recorded:
     ]
     n_each = len(answers.pairs) * len(answers.levels)
     return Recorded(
-        counts=answers.counts.reshape(answers.n_participants, -1, 3),
+        counts=answers.counts[..., :NONE].reshape(answers.n_participants, -1, NONE),
         speeds=np.array(speeds),
         finger_conditions=tuple(name for name in answers.finger_conditions for _ in range(n_each)),
         facing=answers.facing.astype(float),

@@ -1,0 +1,145 @@
+"""Catch trials and the answer none: kept out of the cells, counted, and what the statistics make of them."""
+
+from __future__ import annotations
+
+import csv
+from collections import Counter
+from pathlib import Path
+from statistics import NormalDist
+
+import numpy as np
+import pytest
+
+from modaltouch.analysis.analyse import analyse
+from modaltouch.analysis.catches import catch_findings, catch_rows
+from modaltouch.analysis.counts import count_answers
+from modaltouch.analysis.exact import multinomial_test
+from modaltouch.analysis.questions import chance_findings, dominance_findings
+from modaltouch.analysis.reading import read_responses
+from modaltouch.analysis.tables import count_responses, zone_table
+from modaltouch.document import InputError
+
+HEADER = "participant,finger_condition,zone_left,zone_right,velocity_mm_s,response,catch"
+
+
+def write(path: Path, answers: dict[str, str], caught: dict[str, str]) -> Path:
+    """Write a table: each participant's answers to A-C at 80, 100, ... mm/s, and to catch trials, by first letter."""
+    words = {"l": "left", "b": "both", "r": "right", "n": "none"}
+    lines = [HEADER]
+    for name, letters in answers.items():
+        lines += [f"{name},one_hand,A,C,{80 + 20 * i},{words[x]},0" for i, x in enumerate(letters)]
+        lines += [f"{name},one_hand,A,C,0,{words[x]},1" for x in caught.get(name, "")]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def table(tmp_path: Path) -> Path:
+    """Four participants at three levels, with three catch trials each: 2 false alarms of 12, 3 misses of 12."""
+    answers = {"p1": "rrr", "p2": "nrr", "p3": "nnb", "p4": "lrr"}
+    return write(tmp_path / "answers.csv", answers, {"p1": "nnn", "p2": "nlb", "p3": "nnn", "p4": "nnn"})
+
+
+def test_catch_trials_are_in_no_cell(table: Path) -> None:
+    """Expected: the three levels alone, four answers in each; what was caught is counted by participant."""
+    responses = read_responses(table)
+    answers = count_answers(responses.frame)
+    assert answers.levels == (80.0, 100.0, 120.0)
+    assert answers.counts.sum() == 12
+    assert responses.catches["p2"] == Counter(none=1, left=1, both=1)
+    assert [item.reason for item in responses.left_out] == ["catch trials, counted apart"]
+
+
+def test_none_has_a_column_and_a_row_of_its_own(table: Path) -> None:
+    """Expected counts by hand: none twice at 80 mm/s, once at 100 mm/s, never at 120 mm/s."""
+    counts = count_responses(read_responses(table).frame, "C")
+    assert counts["none"].tolist() == [2, 1, 0]
+    zones = zone_table(counts, "one_hand", "C")
+    assert zones.loc[("A-C", "none")].tolist() == [2, 1, 0]
+    assert zones.sum().tolist() == [4, 4, 4]
+
+
+def test_a_table_without_none_keeps_its_three_answers(tmp_path: Path) -> None:
+    """Expected: no column and no row of none, no outcome of catch trials."""
+    path = write(tmp_path / "answers.csv", {"p1": "rrb", "p2": "lrr"}, {})
+    answers = count_answers(read_responses(path).frame)
+    assert answers.counts.shape[-1] == 3
+    assert "none" not in count_responses(read_responses(path).frame).columns
+    assert catch_rows(answers, {}) == ()
+    assert list(catch_findings(answers, {})) == []
+
+
+def test_false_alarms_misses_and_detection_are_as_counted_by_hand(table: Path) -> None:
+    """Expected: 2 of 12 and 3 of 12; d' = z((9 + .5) / 13) - z((2 + .5) / 13) with the log-linear correction."""
+    responses = read_responses(table)
+    answers = count_answers(responses.frame)
+    *rows, total = catch_rows(answers, responses.catches)
+    assert [(row.participant, row.false_alarms, row.n_missed) for row in rows] == [
+        ("p1", "0 of 3", 0),
+        ("p2", "2 of 3", 1),
+        ("p3", "0 of 3", 2),
+        ("p4", "0 of 3", 0),
+    ]
+    assert (total.n_false_alarms, total.n_catch, total.n_missed, total.n_driven) == (2, 12, 3, 12)
+    alarms, misses, detection = catch_findings(answers, responses.catches)
+    assert alarms.estimate == pytest.approx(2 / 12)
+    assert misses.estimate == pytest.approx(3 / 12)
+    assert alarms.low < 2 / 12 < alarms.high
+    z = NormalDist().inv_cdf
+    assert detection.estimate == pytest.approx(z(9.5 / 13) - z(2.5 / 13))
+
+
+def test_the_test_against_chance_is_of_those_who_felt_something(table: Path) -> None:
+    """At 80 mm/s one right, one left, two none: the test has two answers, the share of C is one of four."""
+    answers = count_answers(read_responses(table).frame, "C")
+    first = next(iter(chance_findings(answers)))
+    assert first.p == pytest.approx(multinomial_test([1, 0, 1]).p)
+    assert first.estimate == pytest.approx(1 / 4)
+    assert "none 2, left out of the test" in first.note
+
+
+def test_dominance_counts_none_for_neither_zone(table: Path) -> None:
+    """Eight right less one left of twelve answers, whatever else they are: 7 right - 1 left as counted by hand."""
+    answers = count_answers(read_responses(table).frame, "C")
+    first = next(iter(dominance_findings(answers)))
+    assert first.estimate == pytest.approx((7 - 1) / 12)
+    assert "7 C, 1 A, 1 both and 3 none of 12 answers" in first.note
+
+
+def test_catch_trials_without_the_answer_none_count_no_false_alarms(tmp_path: Path) -> None:
+    """Nothing could be answered rightly, so only the answers themselves are told."""
+    path = write(tmp_path / "answers.csv", {"p1": "rrb", "p2": "lrr"}, {"p1": "lb", "p2": "br"})
+    responses = read_responses(path)
+    answers = count_answers(responses.frame)
+    assert catch_rows(answers, responses.catches)[-1].answers == {"left": 1, "right": 1, "both": 2, "none": 0}
+    assert list(catch_findings(answers, responses.catches)) == []
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "fault"),
+    [
+        (",80,right,0", ",0,right,0", "velocity_mm_s: given '0'; allowed: a peak velocity in mm/s, above 0"),
+        (",80,right,0", ",80,right,maybe", "catch: given 'maybe'; allowed: 0 or 1"),
+        (",80,right,0", ",80,nowhere,0", "response: given 'nowhere'; allowed: left, right, both, none"),
+    ],
+)
+def test_faults_of_catch_trials_have_their_place(table: Path, old: str, new: str, fault: str) -> None:
+    """A standstill that is no catch trial, a flag that is none, a word that is no answer."""
+    table.write_text(table.read_text().replace(old, new, 1))
+    with pytest.raises(InputError) as caught:
+        read_responses(table)
+    assert fault in str(caught.value)
+
+
+def test_the_report_and_the_json_tell_the_outcome(table: Path, tmp_path: Path) -> None:
+    """One table with a row for each participant; the words say that catch trials are in no other."""
+    analysis = analyse(table, tmp_path / "out")
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "Catch trials and the answer “none”" in page
+    assert "<td>2 of 12</td><td>3 of 12</td>" in page
+    assert "Catch trials are in no other table or test" in page
+    assert analysis.as_dict()["catch_trials"][-1]["n_missed"] == 3
+    with (tmp_path / "out" / "counts.csv").open() as file:
+        assert sum(int(row["none"]) for row in csv.DictReader(file)) == 3
+    rows = [row for row in analysis.as_dict()["tests"] if row["question"] == "catch"]
+    assert np.isclose(rows[0]["estimate"], 2 / 12)
