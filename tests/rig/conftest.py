@@ -14,6 +14,7 @@ from modaltouch.apparatus import Apparatus, read_apparatus
 from modaltouch.rig.connection import Patience
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.simulator import Simulator
+from modaltouch.rig.visa import VisaSession
 from modaltouch.stimulus.burst import Burst
 
 APPARATUS = Path(__file__).parents[2] / "protocols" / "apparatus" / "beam_100x6x2.yaml"
@@ -43,14 +44,19 @@ class Heard:
         self.events.clear()
 
 
-class QuietGuard:
-    """Stands at the process boundary in tests that are not about the watchdog: keeps what it is told but beats."""
+class QuietGuard(VisaSession):
+    """Stands at the process boundary in tests that are not about it: the watchdog's VISA session, in this process.
+
+    It is what starts a watchdog, too: given an address, it is the one for it.
+    """
 
     def __init__(self) -> None:
+        super().__init__("", "")
         self.told: list[str] = []
 
-    def attach(self) -> None:
-        self.told.append("attach")
+    def __call__(self, address: str, visa_library: str) -> QuietGuard:
+        super().__init__(address, visa_library)
+        return self
 
     def arm(self) -> None:
         self.told.append("arm")
@@ -62,6 +68,7 @@ class QuietGuard:
         self.told.append("disarm")
 
     def release(self, *, clean: bool) -> None:
+        self.close(broken=False)
         self.told.append("clean" if clean else "left watching")
 
 
@@ -113,7 +120,7 @@ def open_generator(
         defaults = {
             "log": heard,
             "patience": patience,
-            "start_guard": lambda address, library: guard,
+            "start_guard": guard,
         }
         opened.append(Generator(simulator.address, apparatus, **(defaults | options)))
         return opened[-1]

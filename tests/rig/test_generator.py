@@ -14,10 +14,11 @@ import pytest
 import pyvisa
 
 from modaltouch.apparatus import Apparatus
-from modaltouch.rig.generator import Generator, find_instruments
+from modaltouch.rig.generator import Generator
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.settings import continuous_codes
 from modaltouch.rig.simulator import Simulator
+from modaltouch.rig.visa import find_instruments
 from modaltouch.stimulus.burst import Burst
 
 LEVELS = (0.08, 0.1, 0.15, 0.2)
@@ -253,7 +254,7 @@ def test_lower_amplifier_limit_binds_the_instrument(
 ) -> None:
     """With 100 V allowed at the beam the instrument itself refuses more than 4 V at its output."""
     gentle = apparatus.model_copy(update={"amplifier": apparatus.amplifier.model_copy(update={"limit_V": 100.0})})
-    with Generator(simulator.address, gentle, start_guard=lambda *_: guard) as generator:
+    with Generator(simulator.address, gentle, start_guard=guard) as generator:
         generator.load(burst)
         with pytest.raises(RigError, match=r"200 mm/s needs 12 V .* 150.0 V at the beam: allowed at most 100 V"):
             generator.fire(0.2)
@@ -266,7 +267,7 @@ def test_fifty_ohm_load_halves_the_volts_at_the_beam(
     """Into 50 ohm half the open-circuit volts remain: 20 Vpp at the generator are 125 V at the beam."""
     terminated = apparatus.model_copy(update={"generator": apparatus.generator.model_copy(update={"load": "50_ohm"})})
     strong = replace(burst, amplitude=(20.0, 8.0))
-    with Generator(simulator.address, terminated, start_guard=lambda *_: guard) as generator:
+    with Generator(simulator.address, terminated, start_guard=guard) as generator:
         generator.load(strong)
         assert generator.fire(0.2).confirmed
 
@@ -288,7 +289,7 @@ def test_another_model_is_refused(simulator: Simulator, apparatus: Apparatus, gu
     other = apparatus.model_copy(update={"generator": apparatus.generator.model_copy(update={"model": "AFG31022"})})
     simulator.front_panel("OUTP1 ON")
     with pytest.raises(RigError, match=r"says it is 'TEKTRONIX,AFG3022B.*names AFG31022; no output was switched on"):
-        Generator(simulator.address, other, start_guard=lambda *_: guard)
+        Generator(simulator.address, other, start_guard=guard)
     assert guard.told == ["clean"]
     assert simulator.outputs == (True, False)
 

@@ -4,50 +4,46 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
-from modaltouch.rig.link import Link, LinkError, describe_block, split_reply
+from modaltouch.rig.link import Link, describe_block, split_reply
+from modaltouch.rig.transport import InUse, LinkError
 
 
-class Resource:
+class Transport:
     """Answers as told."""
 
     def __init__(self, reply: object) -> None:
         self.reply = reply
-        self.timeout = 0.0
-        self.closed = False
+        self.timeouts: list[float] = []
+        self.closed: list[bool] = []
 
-    def write(self, message: str) -> int:
-        return len(message)
+    def open(self) -> str:
+        return "locked out"
 
-    def write_raw(self, message: bytes) -> int:
-        if isinstance(self.reply, BaseException):
-            raise self.reply
-        return len(message)
-
-    def read(self) -> Any:
+    def exchange(self, message: bytes, *, timeout: float, reply: bool) -> Any:
+        assert message.endswith(b"\n")
+        self.timeouts.append(timeout)
         if isinstance(self.reply, BaseException):
             raise self.reply
         return self.reply
 
-    def query_binary_values(self, message: str, **options: Any) -> Any:
-        return self.read()
-
-    def close(self) -> None:
-        self.closed = True
+    def close(self, *, broken: bool) -> None:
+        self.closed.append(broken)
 
 
 @pytest.fixture
-def link(heard: Any) -> Callable[[object], tuple[Link, Resource, list[object]]]:
-    """Return what opens a link to a resource that answers as told."""
+def link(heard: Any) -> Callable[[object], tuple[Link, Transport]]:
+    """Return what opens a link over a transport that answers as told."""
 
-    def open_link(reply: object) -> tuple[Link, Resource, list[object]]:
-        resource, cut = Resource(reply), []
-        opened = Link(lambda: resource, cut.append, log=heard, timeout=0.5)
+    def open_link(reply: object) -> tuple[Link, Transport]:
+        transport = Transport(reply)
+        opened = Link(transport, log=heard, timeout=0.5)
         opened.open()
-        return opened, resource, cut
+        return opened, transport
 
     return open_link
 
@@ -66,11 +62,10 @@ def link(heard: Any) -> Callable[[object], tuple[Link, Resource, list[object]]]:
 )
 def test_every_exception_of_a_backend_is_one_error(link: Callable[..., Any], heard: Any, fault: Exception) -> None:
     """The kinds seen in practice (instruments.md, faults): each poisons the session and is logged."""
-    opened, resource, cut = link(fault)
+    opened, transport = link(fault)
     with pytest.raises(LinkError, match=rf"'\*IDN\?' failed \({type(fault).__name__}"):
         opened.ask("*IDN?")
-    assert resource.closed
-    assert cut == [resource]
+    assert transport.closed == [True]
     assert not opened.is_open
     assert heard.of("scpi")[-1]["failed"].startswith(type(fault).__name__)
     with pytest.raises(LinkError, match="the connection is closed"):
@@ -79,23 +74,23 @@ def test_every_exception_of_a_backend_is_one_error(link: Callable[..., Any], hea
 
 def test_interrupt_passes_and_poisons_the_session(link: Callable[..., Any]) -> None:
     """Ctrl-C between question and reply: not swallowed, and the reply can no longer be mistaken for another."""
-    opened, resource, _ = link(KeyboardInterrupt())
+    opened, transport = link(KeyboardInterrupt())
     with pytest.raises(KeyboardInterrupt):
         opened.ask("*IDN?")
     assert not opened.is_open
-    assert resource.closed
+    assert transport.closed == [True]
 
 
 def test_reply_that_is_no_text_is_an_error(link: Callable[..., Any]) -> None:
     """Control characters in a reply mean that bytes were lost."""
-    opened, _, _ = link("1;\x00;2")
+    opened, _ = link(b"1;\x00;2")
     with pytest.raises(LinkError, match="is not text"):
         opened.ask("OUTP1?")
 
 
 def test_reply_is_stripped_and_logged(link: Callable[..., Any], heard: Any) -> None:
     """The terminator belongs to the transport."""
-    opened, _, _ = link("1\n")
+    opened, _ = link(b"1\n")
     assert opened.ask("OUTP1?") == "1"
     facts = heard.of("scpi")[-1]
     assert (facts["sent"], facts["reply"]) == ("OUTP1?", "1")
@@ -104,28 +99,43 @@ def test_reply_is_stripped_and_logged(link: Callable[..., Any], heard: Any) -> N
 
 def test_longer_wait_holds_for_one_exchange(link: Callable[..., Any]) -> None:
     """A copy may take 15 s; the next question may not."""
-    opened, resource, _ = link("1")
+    opened, transport = link(b"1")
     opened.ask("*OPC?", timeout=15)
-    assert resource.timeout == 500
+    opened.ask("*IDN?")
+    assert transport.timeouts == [15, 0.5]
 
 
 def test_codes_come_as_an_array(link: Callable[..., Any], heard: Any) -> None:
-    """Whatever container the backend uses."""
-    opened, _, _ = link([1, 2, 16382])
+    """A definite block, two bytes each, big-endian; what follows it is not looked at (IEEE 488.2, 8.7.9)."""
+    opened, _ = link(b"#16" + bytes([0, 1, 0, 2, 0x3F, 0xFE]) + b"\n")
     codes = opened.read_codes("DATA?", timeout=1)
     assert codes.dtype == np.uint16
     assert codes.tolist() == [1, 2, 16382]
     assert heard.of("scpi")[-1]["reply"].startswith("<6 bytes, blake2b ")
 
 
-def test_failure_to_open_is_told(heard: Any) -> None:
-    """Nobody there."""
+@pytest.mark.parametrize("reply", [b"", b"1", b"#", b"#0", b"#2x1", b"#15ab", b"\xff#12ab"])
+def test_reply_that_is_no_whole_block_is_an_error(link: Callable[..., Any], reply: bytes) -> None:
+    """No head, no length, or fewer bytes than it announces."""
+    opened, _ = link(reply)
+    with pytest.raises(LinkError, match="is no block|announces 5 bytes, 2 came"):
+        opened.read_codes("DATA?", timeout=1)
 
-    def refuse() -> Any:
-        raise ConnectionRefusedError(111, "refused")
 
-    with pytest.raises(LinkError, match="cannot be opened .*ConnectionRefusedError"):
-        Link(refuse, lambda resource: None, log=heard, timeout=1).open()
+@pytest.mark.parametrize(
+    ("fault", "kind", "words"),
+    [
+        (ConnectionRefusedError(111, "refused"), LinkError, "cannot be opened .*ConnectionRefusedError"),
+        (InUse("another program has locked it"), InUse, "another program has locked it"),
+    ],
+)
+def test_failure_to_open_is_told(heard: Any, fault: Exception, kind: type[Exception], words: str) -> None:
+    """Nobody there, or somebody else there first: told apart."""
+    transport = Transport(b"")
+    transport.open = Mock(side_effect=fault)  # type: ignore[method-assign]
+    with pytest.raises(kind, match=words):
+        Link(transport, log=heard, timeout=1).open()
+    assert heard.of("link")[0]["failed"].startswith(type(fault).__name__)
 
 
 @pytest.mark.parametrize(

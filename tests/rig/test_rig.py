@@ -18,7 +18,7 @@ def test_front_door_leads_to_driver_and_simulator(apparatus: Apparatus, burst: B
     """A session wires the two by the simulator's address alone."""
     with (
         start_simulator(apparatus) as simulator,
-        open_rig(simulator.address, apparatus, log=heard, start_guard=lambda *_: guard) as rig,
+        open_rig(simulator.address, apparatus, log=heard, start_guard=guard) as rig,
     ):
         rig.load(burst)
         assert rig.fire(0.1).confirmed
@@ -51,7 +51,7 @@ def test_simulator_runs_in_a_process_of_its_own(burst: Burst, apparatus: Apparat
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         address = process.stdout.readline().strip()
-        with open_rig(address, apparatus, log=heard, start_guard=lambda *_: guard) as rig:
+        with open_rig(address, apparatus, log=heard, start_guard=guard) as rig:
             rig.load(burst)
             assert rig.fire(0.1).confirmed
         process.terminate()

@@ -19,7 +19,7 @@ def list_addresses(
     json_output: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
 ) -> None:
     """List the VISA addresses of the instruments that this machine can see."""
-    from modaltouch.rig.generator import find_instruments
+    from modaltouch.rig.visa import find_instruments
 
     with reporting(json_output=json_output):
         addresses = find_instruments()

@@ -13,11 +13,10 @@ from typing import Any
 from modaltouch.apparatus import Apparatus
 from modaltouch.rig.connection import Connection, Patience
 from modaltouch.rig.controls import Unconfirmed
-from modaltouch.rig.generator import open_resource
 from modaltouch.rig.guard import Watchdog
-from modaltouch.rig.link import LinkError, Log
+from modaltouch.rig.link import Log
 from modaltouch.rig.questions import QUESTIONS, Bench, Finding, State
-from modaltouch.rig.quirks import abandon
+from modaltouch.rig.transport import LinkError
 
 
 @dataclass(frozen=True)
@@ -89,8 +88,6 @@ def check_rig(
     connection = Connection(
         address,
         apparatus,
-        lambda: open_resource(address, visa_library),
-        abandon,
         guard=Watchdog(address, visa_library),
         log=log,
         patience=patience,

@@ -11,8 +11,9 @@ from modaltouch.apparatus import Apparatus
 from modaltouch.rig.controls import CHANNELS, Controls, Unconfirmed
 from modaltouch.rig.guard import Guard
 from modaltouch.rig.interface import RigError
-from modaltouch.rig.link import Link, LinkError, Log, Resource
+from modaltouch.rig.link import Link, Log
 from modaltouch.rig.settings import KNOWN_MODELS, STOPPED, Limits, Setting, quiet_settings
+from modaltouch.rig.transport import InUse, LinkError
 
 
 @dataclass(frozen=True)
@@ -68,12 +69,8 @@ class Connection:
         VISA address.
     apparatus : Apparatus
         Expected model, and limits.
-    open_resource : callable
-        Opens the VISA resource.
-    abandon : callable
-        Cuts one whose other end may be gone.
     guard : Guard
-        The watchdog.
+        The watchdog, which holds the VISA session.
     log : callable
         Takes every exchange and event.
     patience : Patience
@@ -84,8 +81,6 @@ class Connection:
         self,
         address: str,
         apparatus: Apparatus,
-        open_resource: Callable[[], Resource],
-        abandon: Callable[[Resource], None],
         *,
         guard: Guard,
         log: Log,
@@ -98,7 +93,7 @@ class Connection:
         self._expected_model = apparatus.generator.model
         self._log = log
         self._patience = patience
-        self.link = Link(open_resource, abandon, log=log, timeout=patience.reply, alive=self._beat)
+        self.link = Link(guard, log=log, timeout=patience.reply)
         self.controls = Controls(self.link, revive=self._revive, log=log, copy_timeout=patience.copy)
 
     def open(self) -> None:
@@ -116,7 +111,11 @@ class Connection:
             self.controls.outputs_off()
             self.controls.clear_errors()
             self._prepare()
-            self.guard.attach()
+        except InUse as error:
+            raise RigError(
+                f"the generator at {self.address} is in use: {error}; it was left as it is; end the other program, "
+                "or, if there is none (a lost connection may have left its lock), switch the generator off and on"
+            ) from error
         except LinkError as error:
             raise RigError(
                 f"no generator answers at {self.address}: {error}{self._reported()}; no output was "
@@ -130,7 +129,6 @@ class Connection:
 
     def close(self, *, clean: bool) -> None:
         """End the session; unless the outputs are off, the watchdog stays and switches them off."""
-        self.link.close()
         self.guard.release(clean=clean)
 
     def switch_off(self, doing: str, expected: Sequence[Setting], replay: Callable[[], None]) -> Found:
@@ -190,12 +188,6 @@ class Connection:
             f"{self._last_resort()}; see that the generator is on and connected, then go on with "
             "`modaltouch resume`"
         ) from last
-
-    def _beat(self) -> None:
-        """Tell the watchdog of an exchange: a slow instrument is no stalled session."""
-        # A watchdog that is gone is the session's next heartbeat's to report, not in the midst of an exchange.
-        with contextlib.suppress(RigError):
-            self.guard.beat()
 
     def _reported(self) -> str:
         """Return what the error queue says over a new connection: a refused query stays silent."""

@@ -8,8 +8,9 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.rig.link import Link, LinkError, Log, split_reply
+from modaltouch.rig.link import Link, Log, split_reply
 from modaltouch.rig.settings import MAX_POINTS, Setting
+from modaltouch.rig.transport import LinkError
 
 NO_ERROR = 0
 QUERIES_PER_MESSAGE = 12

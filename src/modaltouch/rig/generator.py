@@ -1,32 +1,28 @@
 """The arbitrary function generator over PyVISA: AFG3022B and its relatives.
 
 The outputs are off whenever no stimulus is wanted, whatever happens: after every failure they are switched off
-and asked whether they are, and a watchdog process does it where this one cannot. After a failed exchange an
-answer may belong to an earlier question, so the session is opened anew, the instrument identified, its outputs
-switched off and every setting made again.
+and asked whether they are, and the watchdog process, which holds the VISA session, does it where this one cannot.
+After a failed exchange an answer may belong to an earlier question, so the session is opened anew, the instrument
+identified, its outputs switched off and every setting made again.
 """
 
 from __future__ import annotations
 
 import contextlib
 import time
-import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Any, Self, cast
+from typing import Any, Self
 
 from modaltouch.apparatus import Apparatus
 from modaltouch.rig.connection import Connection, Found, Patience
 from modaltouch.rig.controls import CHANNELS, Unconfirmed
 from modaltouch.rig.guard import Guard, Watchdog
 from modaltouch.rig.interface import Firing, RigError
-from modaltouch.rig.link import LinkError, Log, Resource
+from modaltouch.rig.link import Log
 from modaltouch.rig.player import Player, Repetition, numbers
-from modaltouch.rig.quirks import abandon, close_leftovers, knock
+from modaltouch.rig.transport import LinkError
 from modaltouch.stimulus.burst import Burst
-
-CHUNK = 1 << 20
-"""Bytes asked for in one read: a whole record."""
 
 
 def _ignore(event: str, **facts: Any) -> None:
@@ -79,8 +75,6 @@ class Generator:
         self._connection = Connection(
             address,
             apparatus,
-            lambda: open_resource(address, visa_library),
-            abandon,
             guard=start_guard(address, visa_library),
             log=log,
             patience=patience or Patience(),
@@ -174,9 +168,9 @@ class Generator:
         if self._on:
             self.stop()
         with self._off_after_a_failure("starting the stimulus"):
-            self._connection.guard.arm()
             self._on = True
             try:
+                self._connection.guard.arm()
                 firing = self._player.start(commanded, silent=silent)
             except (Unconfirmed, LinkError) as error:
                 firing = _unconfirmed(commanded, error)
@@ -215,9 +209,11 @@ class Generator:
         """
         try:
             self._connection.guard.beat()
-        except RigError:
+        except LinkError as error:
             self._switch_off("going on without a watchdog")
-            raise
+            raise RigError(
+                f"{error}; the outputs are off, switched off over a new one; go on with `modaltouch resume`"
+            ) from error
 
     def close(self) -> None:
         """Switch the outputs off and release the instrument; never raises.
@@ -274,58 +270,3 @@ class Generator:
 def _unconfirmed(commanded: tuple[float, ...], error: Exception) -> Firing:
     read_back = numbers(error.read_back) if isinstance(error, Unconfirmed) else ()
     return Firing(commanded, read_back, False, time.perf_counter(), 0.0, str(error))
-
-
-def open_resource(address: str, visa_library: str) -> Resource:
-    """Return an open VISA resource.
-
-    Parameters
-    ----------
-    address : str
-        VISA address.
-    visa_library : str
-        Backend, as PyVISA names it.
-    """
-    import pyvisa
-
-    knock(address)
-    try:
-        resource = pyvisa.ResourceManager(visa_library).open_resource(address)
-    except Exception as error:
-        close_leftovers(error)
-        raise
-    message_based = cast("pyvisa.resources.MessageBasedResource", resource)
-    message_based.chunk_size = CHUNK
-    if address.upper().endswith("SOCKET"):
-        message_based.read_termination = message_based.write_termination = "\n"
-    return cast("Resource", message_based)
-
-
-def find_instruments(visa_library: str = "@py") -> tuple[str, ...]:
-    """Return the VISA addresses of the instruments that can be found.
-
-    Parameters
-    ----------
-    visa_library : str
-        Backend, as PyVISA names it.
-
-    Raises
-    ------
-    RigError
-        If the backend cannot list them.
-    """
-    import pyvisa
-
-    try:
-        # What cannot be searched (USB, HiSLIP without their packages) is warned about, and no fault of the user's.
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            found = pyvisa.ResourceManager(visa_library).list_resources("?*::INSTR")
-    # Backends raise OSError, ValueError and errors of their own.
-    except Exception as error:
-        raise RigError(
-            f"the VISA backend '{visa_library}' cannot list instruments ({error}); use '@py', or install the "
-            "vendor's VISA library"
-        ) from error
-    # The series has USB, LAN and GPIB; a serial port is something else's.
-    return tuple(address for address in found if not address.upper().startswith("ASRL"))

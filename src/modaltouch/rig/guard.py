@@ -1,8 +1,9 @@
-"""The session's end of the watchdog: starts its process and keeps it informed."""
+"""The session's end of the watchdog: starts its process, reaches the instrument through it, keeps it informed."""
 
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import subprocess
 import sys
@@ -11,17 +12,36 @@ import time
 import typing
 
 from modaltouch.rig.interface import RigError
-from modaltouch.rig.watchdog import ARM, BEAT, CLEAN, DISARM, LIMIT, OPEN
+from modaltouch.rig.transport import InUse, LinkError, Transport, TransportError
+from modaltouch.rig.watchdog import (
+    ARM,
+    BEAT,
+    CLEAN,
+    CLOSE,
+    DISARM,
+    DONE,
+    EXCHANGE,
+    HEAD,
+    LIMIT,
+    MARK,
+    OPEN,
+    TAKEN,
+    TERMS,
+    frame,
+)
 
 BEAT_PERIOD = LIMIT / 10
 """Time between two signs of life [s]."""
 
+OPEN_LIMIT = 20.0
+"""Longest time that starting the process and opening the instrument may take [s]."""
 
-class Guard(typing.Protocol):
-    """What the driver asks of a watchdog."""
+OVERHEAD = 3.0
+"""What a backend may need beyond the times it is given, before its process counts as stuck [s]."""
 
-    def attach(self) -> None:
-        """The instrument is reached, and may be opened a second time."""
+
+class Guard(Transport, typing.Protocol):
+    """What the driver asks of a watchdog: the way to the instrument, and that the outputs go off without the driver."""
 
     def arm(self) -> None:
         """Outputs may go on from now."""
@@ -37,7 +57,9 @@ class Guard(typing.Protocol):
 
 
 class Watchdog:
-    """A process that switches the outputs off when this one dies or stalls.
+    """A process that holds the VISA session, and switches the outputs off when this one dies or stalls.
+
+    One that dies or gets stuck itself is replaced by the next `open`. Use it from one thread.
 
     Parameters
     ----------
@@ -48,123 +70,188 @@ class Watchdog:
     """
 
     def __init__(self, address: str, visa_library: str) -> None:
-        # A session of its own keeps it out of reach of a closed terminal and of Ctrl-C.
+        self._command = [sys.executable, "-P", "-m", "modaltouch.rig.watchdog", address, visa_library]
+        self._next_beat = 0.0
+        self._armed = False
+        self._number = 0
+        self._due = math.inf
         try:
-            self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "modaltouch.rig.watchdog", address, visa_library],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.DEVNULL,
-                bufsize=0,
-                start_new_session=True,
-                env=_environment(),
-            )
+            self._process = self._start()
         except OSError as error:
             raise RigError(
                 f"the watchdog process cannot be started ({error}), so the generator at {address} was not "
                 f"touched; see whether this machine can start {sys.executable}"
             ) from error
-        self._said: list[str] = []
-        self._heard = threading.Event()
-        self._reader = threading.Thread(target=self._listen, daemon=True, name="watchdog")
-        self._reader.start()
-        self._next_beat = 0.0
-        self._armed = False
+        self._released = threading.Event()
+        threading.Thread(target=self._end_if_stuck, daemon=True, name="watchdog").start()
 
-    @property
-    def said(self) -> tuple[str, ...]:
-        """What the watchdog has reported."""
-        return tuple(self._said)
-
-    def attach(self) -> None:
-        """Let it open the instrument: were it first, an instrument that admits one session would be taken.
+    def open(self) -> str:
+        """Open the instrument anew and return in words how others are kept out.
 
         Raises
         ------
-        RigError
+        InUse
+            If another program has the instrument.
+        TransportError, OSError
+            If it cannot be reached, or the process cannot be started.
+        """
+        if self._process.poll() is not None:
+            _close_pipes(self._process)
+            self._armed = False
+            self._process = self._start()
+        return self._request(OPEN, b"", OPEN_LIMIT).decode()
+
+    def exchange(self, message: bytes, *, timeout: float, reply: bool) -> bytes:
+        """Send a message, and return the reply if one is expected, within a time for each [s].
+
+        Raises
+        ------
+        TransportError
+            If it fails.
+        """
+        return self._request(EXCHANGE, TERMS.pack(timeout, reply, False) + message, 2 * timeout + OVERHEAD)  # noqa: FBT003
+
+    def close(self, *, broken: bool) -> None:
+        """End the VISA session; the process stays."""
+        self._request(CLOSE, TERMS.pack(0.0, False, broken), 2 * OVERHEAD)  # noqa: FBT003
+
+    def arm(self) -> None:
+        """Tell it that outputs may go on.
+
+        Raises
+        ------
+        LinkError
             If it is gone.
         """
-        self._send(OPEN)
-
-    def arm(self, patience: float = 20.0) -> None:
-        """Make sure that it watches, then tell it that outputs may go on.
-
-        Raises
-        ------
-        RigError
-            If it does not start, or is gone.
-        """
-        if not self._heard.wait(patience) or self._process.poll() is not None:
-            raise RigError(
-                f"the watchdog process {self._process.pid} does not run (exit status {self._process.poll()}), "
-                "so no output is switched on; the outputs are off; see whether this machine can start processes"
-            )
+        self._send(frame(ARM, 0))
         self._armed = True
         self._next_beat = time.perf_counter() + BEAT_PERIOD
-        self._send(ARM)
 
     def beat(self) -> None:
         """Tell it that this process is alive, at most ten times a second.
 
         Raises
         ------
-        RigError
+        LinkError
             If it is gone while outputs may be on.
         """
         now = time.perf_counter()
         if self._armed and now >= self._next_beat:
             self._next_beat = now + BEAT_PERIOD
-            self._send(BEAT)
+            self._send(frame(BEAT, 0))
 
     def disarm(self) -> None:
         """Tell it that the outputs are off."""
         if self._armed:
             self._armed = False
-            with contextlib.suppress(RigError):
-                self._send(DISARM)
+            with contextlib.suppress(LinkError):
+                self._send(frame(DISARM, 0))
 
     def release(self, *, clean: bool) -> None:
-        """Let it go, without waiting for what it still has to do."""
-        with contextlib.suppress(RigError):
+        """Let it go, without waiting for what it still has to do unless that is nothing."""
+        self._released.set()
+        with contextlib.suppress(LinkError):
             if clean:
-                self._send(CLEAN)
-        pipe = self._process.stdin
-        if pipe is not None:
+                self._send(frame(CLEAN, 0))
+        if self._process.stdin is not None:
             with contextlib.suppress(OSError):
-                pipe.close()
-        reaper = threading.Thread(target=self._reap, daemon=True, name="watchdog-reaper")
+                self._process.stdin.close()
+        reaper = threading.Thread(target=_reap, args=(self._process,), daemon=True, name="watchdog-reaper")
         reaper.start()
         if clean:
             reaper.join(2.0)
 
-    def _reap(self) -> None:
-        """Wait for its end, so that no zombie and no open pipe is left."""
-        self._process.wait()
-        self._reader.join()
-        if self._process.stdout is not None:
-            self._process.stdout.close()
+    def _start(self) -> subprocess.Popen[bytes]:
+        self._came = bytearray()
+        # A session of its own keeps it out of reach of a closed terminal and of Ctrl-C.
+        return subprocess.Popen(
+            self._command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            bufsize=0,
+            start_new_session=True,
+            env=_environment(),
+        )
 
-    def _send(self, letter: bytes) -> None:
+    def _request(self, letter: bytes, content: bytes, limit: float) -> bytes:
+        """Return what comes of a request."""
+        self._number = (self._number + 1) % (1 << 32)
+        self._due = time.monotonic() + limit
+        try:
+            self._send(frame(letter, self._number, content))
+            went, number, answer = self._answer()
+            # An answer that a signal kept from being read is not the next one's.
+            while number != self._number:
+                went, number, answer = self._answer()
+        finally:
+            self._due = math.inf
+        if went == TAKEN:
+            raise InUse(answer.decode())
+        if went != DONE:
+            raise TransportError(answer.decode())
+        return answer
+
+    def _send(self, data: bytes) -> None:
         pipe = self._process.stdin
+        rest = memoryview(data)
         try:
             if pipe is None or pipe.closed:
                 raise BrokenPipeError("closed")
-            pipe.write(letter)
+            while rest:
+                rest = rest[os.write(pipe.fileno(), rest) :]
         except OSError as error:
-            raise RigError(
-                f"the watchdog process {self._process.pid} is gone (exit status {self._process.poll()}); the "
-                "outputs are being switched off; start the session again with `modaltouch resume`"
-            ) from error
+            raise self._gone() from error
+        except BaseException:
+            # Cut by a signal: half a request would be taken for the beginning of the next.
+            if len(rest) < len(data):
+                self._process.kill()
+            raise
 
-    def _listen(self) -> None:
-        stream = self._process.stdout
-        if stream is None:
-            return
-        with contextlib.suppress(ValueError, OSError):
-            for line in iter(stream.readline, b""):
-                self._said.append(line.decode("ascii", "replace").strip())
-                self._heard.set()
-        self._heard.set()
+    def _answer(self) -> tuple[bytes, int, bytes]:
+        mark, letter, number, length = HEAD.unpack(self._read(HEAD.size))
+        if mark != MARK:
+            self._process.kill()
+            raise self._gone()
+        return letter, number, self._read(length)
+
+    def _read(self, size: int) -> bytes:
+        pipe = self._process.stdout
+        while len(self._came) < size:
+            chunk = os.read(pipe.fileno(), max(size, 1 << 16)) if pipe is not None else b""
+            if not chunk:
+                raise self._gone()
+            self._came += chunk
+        data = bytes(self._came[:size])
+        del self._came[:size]
+        return data
+
+    def _gone(self) -> LinkError:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(1.0)
+        return LinkError(
+            f"the watchdog process {self._process.pid} is gone (exit status {self._process.poll()}), and the "
+            "connection with it"
+        )
+
+    def _end_if_stuck(self) -> None:
+        """End a process whose answer is overdue; `open` starts another."""
+        while not self._released.wait(0.25):
+            if time.monotonic() > self._due:
+                self._process.kill()
+
+
+def _reap(process: subprocess.Popen[bytes]) -> None:
+    """Wait for a process, so that no zombie and no open pipe is left."""
+    process.wait()
+    _close_pipes(process)
+
+
+def _close_pipes(process: subprocess.Popen[bytes]) -> None:
+    for pipe in (process.stdin, process.stdout):
+        if pipe is not None:
+            with contextlib.suppress(OSError):
+                pipe.close()
 
 
 def _environment() -> dict[str, str]:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import typing
 from dataclasses import asdict, dataclass
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
-from modaltouch.stimulus.burst import Burst
+if TYPE_CHECKING:
+    from modaltouch.stimulus.burst import Burst
 
 
 class RigError(Exception):

@@ -1,4 +1,4 @@
-"""One session with an instrument over VISA: exchanges, all logged, and one error for all that breaks."""
+"""Exchanges with one instrument, all logged, and one error for all that breaks; knows no VISA and no process."""
 
 from __future__ import annotations
 
@@ -6,42 +6,17 @@ import contextlib
 import hashlib
 import time
 import typing
-from collections.abc import Callable, Iterator
-from typing import Any
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from modaltouch.rig.transport import InUse, LinkError, Transport, block_bounds, describe_error
+
 Log = Callable[..., None]
 """``log(event, **facts)`` takes one event."""
 
-
-class LinkError(Exception):
-    """An exchange failed; what the instrument has done is unknown, and so is what it will answer next."""
-
-
-class Resource(typing.Protocol):
-    """What a link needs of a VISA resource."""
-
-    timeout: Any
-
-    def write(self, message: str) -> int:
-        """Send text."""
-
-    def write_raw(self, message: bytes) -> int:
-        """Send bytes."""
-
-    def read(self) -> str:
-        """Receive text."""
-
-    def read_raw(self) -> bytes:
-        """Receive bytes."""
-
-    def query_binary_values(self, message: str, **options: Any) -> Any:
-        """Ask for a block."""
-
-    def close(self) -> None:
-        """End the session."""
+T = typing.TypeVar("T")
 
 
 class Link:
@@ -49,70 +24,55 @@ class Link:
 
     Parameters
     ----------
-    open_resource : callable
-        Opens the VISA resource.
-    abandon : callable
-        Cuts a resource whose other end may be gone, so that closing it takes no time.
+    transport : Transport
+        The way there, not open yet.
     log : callable
         Takes ``scpi`` events: sent, reply, seconds.
     timeout : float
         Longest wait for a reply [s].
-    alive : callable
-        Called after each exchange that succeeded.
     """
 
-    def __init__(
-        self,
-        open_resource: Callable[[], Resource],
-        abandon: Callable[[Resource], None],
-        *,
-        log: Log,
-        timeout: float,
-        alive: Callable[[], None] = lambda: None,
-    ) -> None:
-        self._open_resource = open_resource
-        self._abandon = abandon
+    def __init__(self, transport: Transport, *, log: Log, timeout: float) -> None:
+        self._transport = transport
         self._log = log
         self._timeout = timeout
-        self._alive = alive
-        self._resource: Resource | None = None
+        self._open = False
 
     @property
     def is_open(self) -> bool:
         """Whether the session exists and no exchange has failed."""
-        return self._resource is not None
+        return self._open
 
     def open(self) -> None:
         """Open the session anew.
 
         Raises
         ------
+        InUse
+            If another program has the instrument.
         LinkError
             If the instrument cannot be reached.
         """
         self.close()
         started = time.perf_counter()
         try:
-            resource = self._open_resource()
-            resource.timeout = self._timeout * 1e3
+            shut = self._transport.open()
         # Backends raise VisaIOError, OSError, ValueError and plain Exception here.
         except Exception as error:
-            self._log("link", did="open", failed=_describe(error), seconds=_since(started))
-            raise LinkError(f"it cannot be opened ({_describe(error)})") from error
-        self._resource = resource
-        self._log("link", did="open", seconds=_since(started))
+            self._log("link", did="open", failed=describe_error(error), seconds=_since(started))
+            if isinstance(error, InUse):
+                raise
+            raise LinkError(f"it cannot be opened ({describe_error(error)})") from error
+        self._open = True
+        self._log("link", did="open", others=shut, seconds=_since(started))
 
     def close(self, *, broken: bool = False) -> None:
         """End the session, whatever state it is in; without a word to the other end if it is broken."""
-        resource, self._resource = self._resource, None
-        if resource is None:
-            return
-        # The other end may be long gone, and there is nothing left to be done about it.
-        if broken:
+        was_open, self._open = self._open, False
+        if was_open:
+            # The other end may be long gone, and there is nothing left to be done about it.
             with contextlib.suppress(Exception):
-                self._abandon(resource)
-        with contextlib.suppress(Exception):
-            resource.close()
+                self._transport.close(broken=broken)
 
     def ask(self, message: str, *, timeout: float | None = None) -> str:
         """Send a message that contains a query and return the reply.
@@ -122,13 +82,15 @@ class Link:
         LinkError
             If no reply comes in time, or it is not text.
         """
-        with self._exchange(message, timeout) as (resource, facts):
-            resource.write(message)
-            reply = resource.read().strip()
-            facts["reply"] = reply
-            if not reply.isprintable():
-                raise ValueError(f"reply {reply!r} is not text")
-        return reply
+
+        def read(reply: bytes, facts: dict[str, str]) -> str:
+            text = reply.decode("ascii").strip()
+            facts["reply"] = text
+            if not text.isprintable():
+                raise ValueError(f"reply {text!r} is not text")
+            return text
+
+        return self._exchange(message, message.encode("ascii"), timeout, read)
 
     def send_block(self, command: str, block: bytes, *, timeout: float) -> None:
         """Send a command whose last argument is a definite block.
@@ -139,8 +101,8 @@ class Link:
             If it cannot be sent.
         """
         length = str(len(block))
-        with self._exchange(f"{command},{describe_block(block)}", timeout) as (resource, _):
-            resource.write_raw(f"{command},#{len(length)}{length}".encode() + block + b"\n")
+        message = f"{command},#{len(length)}{length}".encode("ascii") + block
+        self._exchange(f"{command},{describe_block(block)}", message, timeout, None)
 
     def ask_raw(self, query: str, *, timeout: float) -> bytes:
         """Ask for a reply and return it as it comes, terminator and all.
@@ -150,11 +112,12 @@ class Link:
         LinkError
             If no reply comes in time.
         """
-        with self._exchange(query, timeout) as (resource, facts):
-            resource.write(query)
-            reply = resource.read_raw()
+
+        def read(reply: bytes, facts: dict[str, str]) -> bytes:
             facts["reply"] = describe_block(reply)
-        return reply
+            return reply
+
+        return self._exchange(query, query.encode("ascii"), timeout, read)
 
     def read_codes(self, query: str, *, timeout: float) -> NDArray[np.uint16]:
         """Ask for a block of codes of two bytes, big-endian, and return them.
@@ -164,36 +127,45 @@ class Link:
         LinkError
             If the reply is no such block.
         """
-        with self._exchange(query, timeout) as (resource, facts):
-            values = resource.query_binary_values(query, datatype="H", is_big_endian=True, container=np.ndarray)
-            codes = np.asarray(values).astype(np.uint16)
-            facts["reply"] = describe_block(codes.astype(">u2").tobytes())
-        return codes
 
-    @contextlib.contextmanager
-    def _exchange(self, message: str, timeout: float | None) -> Iterator[tuple[Resource, dict[str, str]]]:
+        def read(reply: bytes, facts: dict[str, str]) -> NDArray[np.uint16]:
+            start, end = block_bounds(reply)
+            if len(reply) < end:
+                raise ValueError(f"the block announces {end - start} bytes, {len(reply) - start} came")
+            codes = np.frombuffer(reply[start:end], ">u2").astype(np.uint16)
+            facts["reply"] = describe_block(reply[start:end])
+            return codes
+
+        return self._exchange(query, query.encode("ascii"), timeout, read)
+
+    def _exchange(
+        self,
+        shown: str,
+        message: bytes,
+        timeout: float | None,
+        read: Callable[[bytes, dict[str, str]], T] | None,
+    ) -> T:
         """Log an exchange, bound its time, and give the session up if it fails."""
-        resource = self._resource
-        if resource is None:
+        if not self._open:
             raise LinkError("the connection is closed")
         started = time.perf_counter()
         facts: dict[str, str] = {}
+        value: T | None = None
         try:
-            if timeout is not None:
-                resource.timeout = timeout * 1e3
-            yield resource, facts
-            if timeout is not None:
-                resource.timeout = self._timeout * 1e3
+            limit = self._timeout if timeout is None else timeout
+            reply = self._transport.exchange(message + b"\n", timeout=limit, reply=read is not None)
+            if read is not None:
+                value = read(reply, facts)
         except Exception as error:
             self.close(broken=True)
-            self._log("scpi", sent=message, **facts, failed=_describe(error), seconds=_since(started))
-            raise LinkError(f"'{message[:60]}' failed ({_describe(error)})") from error
+            self._log("scpi", sent=shown, **facts, failed=describe_error(error), seconds=_since(started))
+            raise LinkError(f"'{shown[:60]}' failed ({describe_error(error)})") from error
         except BaseException:
             # Cut by a signal: a reply may still be on its way, so the session is of no more use.
             self.close(broken=True)
             raise
-        self._log("scpi", sent=message, **facts, seconds=_since(started))
-        self._alive()
+        self._log("scpi", sent=shown, **facts, seconds=_since(started))
+        return typing.cast("T", value)
 
 
 def describe_block(block: bytes) -> str:
@@ -211,11 +183,6 @@ def split_reply(reply: str) -> list[str]:
         else:
             parts[-1] += letter
     return [part.strip() for part in parts]
-
-
-def _describe(error: BaseException) -> str:
-    text = " ".join(str(error).split())
-    return f"{type(error).__name__}: {text[:200]}" if text else type(error).__name__
 
 
 def _since(started: float) -> float:

@@ -10,10 +10,10 @@ from typing import Literal
 
 from modaltouch.rig.connection import Connection, Patience
 from modaltouch.rig.controls import CHANNELS
-from modaltouch.rig.generator import open_resource
-from modaltouch.rig.link import Link, LinkError, split_reply
-from modaltouch.rig.quirks import abandon
+from modaltouch.rig.link import Link, split_reply
 from modaltouch.rig.settings import STOPPED, Setting, level_setting, quiet_level, quiet_settings
+from modaltouch.rig.transport import InUse, LinkError, describe_error
+from modaltouch.rig.visa import VisaSession
 
 REPETITION_PERIOD = 1 / 7
 RAW_PORTS = (4000, 5025)
@@ -202,24 +202,22 @@ def _skew(bench: Bench) -> Finding:
 
 
 def _sessions(bench: Bench) -> Finding:
-    second = Link(
-        lambda: open_resource(bench.connection.address, bench.visa_library),
-        abandon,
-        log=lambda event, **facts: None,
-        timeout=bench.patience.reply,
-    )
+    second = VisaSession(bench.connection.address, bench.visa_library)
     try:
         second.open()
-        second.ask("*IDN?")
-    except LinkError as error:
-        return (
-            "found",
-            f"no: {error}",
-            "the watchdog can only go in once the session has let go: it ends a stalled session to do so",
-        )
+        second.exchange(b"*IDN?\n", timeout=bench.patience.reply, reply=True)
+    except InUse as error:
+        return "found", f"no: {error}", "a second program is refused while a session runs"
+    # Backends raise VisaIOError, OSError, ValueError and plain Exception.
+    except Exception as error:
+        return "found", f"no: {describe_error(error)}", "a second program is refused while a session runs"
     finally:
-        second.close()
-    return "found", "yes: a second session is answered", "the watchdog switches the outputs off by its own session"
+        second.close(broken=False)
+    return (
+        "found",
+        "yes: a second session is answered",
+        "a second program can disturb a session; the driver notices at each trial's end, and offers the trial again",
+    )
 
 
 def _after_link_loss(bench: Bench) -> Finding:

@@ -1,6 +1,8 @@
 """A whole rig on the loopback interface: generator behind a VXI-11 server, amplifier, beam, fingers.
 
-``python -m modaltouch.rig.simulator --port 0 APPARATUS.yaml`` runs one in a process of its own.
+``python -m modaltouch.rig.simulator --port 0 APPARATUS.yaml`` runs one in a process of its own. Beside the
+instrument, ``inst0`` of its address, others reach its front panel, ``panel0``: past the lock of whoever uses the
+instrument, as a person who stands before it.
 """
 
 from __future__ import annotations
@@ -145,7 +147,7 @@ class Simulator:
 
     def front_panel(self, command: str) -> str:
         """Do at the instrument what a command says, and return the reply of a query."""
-        return b";".join(self._instrument.perform(command.encode())).decode("latin1")
+        return self._instrument.perform(command.encode()).data.decode("latin1").removesuffix("\n")
 
     def power_cycle(self) -> None:
         """Cut the generator's power: connections gone, settings lost, outputs off, USER memories kept."""

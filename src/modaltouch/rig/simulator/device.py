@@ -41,6 +41,9 @@ class Device(typing.Protocol):
     def execute(self, message: bytes) -> Reply:
         """Carry out one message."""
 
+    def perform(self, message: bytes) -> Reply:
+        """Carry out one message as the front panel would, past every fault."""
+
     def fail(self, error: ScpiError) -> None:
         """Put an error in the instrument's queue."""
 

@@ -48,10 +48,10 @@ class Instrument:
         """Take a group execute trigger, as ``*TRG``."""
         self.perform(b"*TRG")
 
-    def perform(self, message: bytes) -> list[bytes]:
-        """Carry out a message as the front panel would, past every fault, and return the replies."""
+    def perform(self, message: bytes) -> Reply:
+        """Carry out a message as the front panel would, past every fault."""
         with self._busy:
-            return self._table.run(message, fail=self.afg.fail)
+            return Reply(_joined(self._table.run(message, fail=self.afg.fail)))
 
     def execute(self, message: bytes) -> Reply:
         """Carry out a message that came over a link."""
@@ -70,8 +70,12 @@ class Instrument:
                 self.afg.fail(ScpiError(int(float(met["scpi_error"].value))))
             if "front_panel" in met:
                 self.perform(str(met["front_panel"].value).encode())
-        data = b";".join(replies) + b"\n" if replies else b""
-        return _spoil_reply(data, met)
+        return _spoil_reply(_joined(replies), met)
+
+
+def _joined(replies: list[bytes]) -> bytes:
+    """Return a response message."""
+    return b";".join(replies) + b"\n" if replies else b""
 
 
 def _spoil_upload(message: bytes, met: dict[Kind, Fault]) -> bytes:

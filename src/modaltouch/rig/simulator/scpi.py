@@ -32,6 +32,7 @@ TEXTS = {
     -241: "Hardware missing",
     -310: "System error",
     -350: "Queue overflow",
+    -363: "Input buffer overrun",
     -410: "Query INTERRUPTED",
     -420: "Query UNTERMINATED",
 }

@@ -1,50 +1,21 @@
 """A VXI-11 server on the loopback interface, for one simulated instrument.
 
-Implements the core channel of VXI-11 revision 1.0 over ONC RPC (RFC 5531) without a portmapper: clients name
+Serves the core channel (`links`) over ONC RPC (RFC 5531) without a portmapper: clients name
 the port in their address, ``TCPIP::127.0.0.1,<port>::inst0::INSTR``.
 """
 
 from __future__ import annotations
 
 import contextlib
-import itertools
 import socket
 import struct
 import threading
-import time
-import typing
-from dataclasses import dataclass, field
 
 from modaltouch.rig.simulator.device import Device
-from modaltouch.rig.simulator.rpc import (
-    PROGRAM_UNAVAILABLE,
-    HangUp,
-    accept,
-    as_record,
-    opaque,
-    read_call,
-    read_record,
-)
-from modaltouch.rig.simulator.scpi import ScpiError
+from modaltouch.rig.simulator.links import INSTRUMENT, LARGEST_MESSAGE, Links
+from modaltouch.rig.simulator.rpc import PROGRAM_UNAVAILABLE, HangUp, accept, as_record, read_call, read_record
 
 CORE_PROGRAM = 0x0607AF
-LARGEST_MESSAGE = 1 << 20
-"""Bytes accepted in one RPC, announced to the client."""
-
-_CREATE_LINK, _WRITE, _READ, _READ_STATUS, _TRIGGER, _CLEAR = 10, 11, 12, 13, 14, 15
-_REMOTE, _LOCAL, _LOCK, _UNLOCK, _ENABLE_SERVICE, _DESTROY_LINK = 16, 17, 18, 19, 20, 23
-_NO_ERROR, _INVALID_LINK, _NOT_SUPPORTED, _OUT_OF_RESOURCES, _LOCKED, _NO_LOCK = 0, 4, 8, 9, 11, 12
-_TIMEOUT = 15
-_FLAG_WAIT, _FLAG_END, _FLAG_TERMINATOR = 1, 8, 128
-_REASON_COUNT, _REASON_TERMINATOR, _REASON_END = 1, 2, 4
-
-
-@dataclass
-class _Link:
-    number: int
-    arriving: bytearray = field(default_factory=bytearray)
-    leaving: bytes = b""
-    ready_at: float = 0.0
 
 
 class Vxi11Server:
@@ -60,12 +31,10 @@ class Vxi11Server:
 
     def __init__(self, device: Device, port: int = 0) -> None:
         self.device = device
-        self._links: dict[int, _Link] = {}
-        self._lock_holder: int | None = None
-        self._numbers = itertools.count(1)
         self._connections: set[socket.socket] = set()
         self._guard = threading.RLock()
         self._closing = threading.Event()
+        self._links = Links(device, self._closing)
         self._listener: socket.socket | None = None
         self.port = port
         self.listen()
@@ -73,7 +42,7 @@ class Vxi11Server:
     @property
     def address(self) -> str:
         """VISA address of the instrument."""
-        return f"TCPIP::127.0.0.1,{self.port}::inst0::INSTR"
+        return f"TCPIP::127.0.0.1,{self.port}::{INSTRUMENT}::INSTR"
 
     @property
     def n_links(self) -> int:
@@ -138,13 +107,7 @@ class Vxi11Server:
         finally:
             with self._guard:
                 self._connections.discard(connection)
-                for number in own:
-                    self._forget(number)
-
-    def _forget(self, number: int) -> None:
-        self._links.pop(number, None)
-        if self._lock_holder == number:
-            self._lock_holder = None
+            self._links.forget(own)
 
     def _answer(self, call: bytes, own: set[int]) -> bytes:
         """Return the RPC reply to an RPC call."""
@@ -153,132 +116,7 @@ class Vxi11Server:
             return accept(transaction, PROGRAM_UNAVAILABLE)
         if procedure == 0:
             return accept(transaction)
-        handler = self._procedures().get(procedure)
-        result = handler(parameters, own) if handler else struct.pack(">i", _NOT_SUPPORTED)
-        return accept(transaction) + result
-
-    def _procedures(self) -> dict[int, typing.Callable[[bytes, set[int]], bytes]]:
-        return {
-            _CREATE_LINK: self._create_link,
-            _WRITE: self._write,
-            _READ: self._read,
-            _READ_STATUS: self._read_status,
-            _TRIGGER: self._trigger,
-            _CLEAR: self._clear,
-            _REMOTE: self._accept_silently,
-            _LOCAL: self._accept_silently,
-            _ENABLE_SERVICE: self._accept_silently,
-            _LOCK: self._take_lock,
-            _UNLOCK: self._release_lock,
-            _DESTROY_LINK: self._destroy_link,
-        }
-
-    def _create_link(self, parameters: bytes, own: set[int]) -> bytes:
-        with self._guard:
-            if len(self._links) >= self.device.max_sessions:
-                return struct.pack(">iiII", _OUT_OF_RESOURCES, 0, 0, 0)
-            number = next(self._numbers)
-            self._links[number] = _Link(number)
-            own.add(number)
-        return struct.pack(">iiII", _NO_ERROR, number, 0, LARGEST_MESSAGE)
-
-    def _destroy_link(self, parameters: bytes, own: set[int]) -> bytes:
-        (number,) = struct.unpack_from(">i", parameters)
-        with self._guard:
-            known = number in self._links
-            self._forget(number)
-            own.discard(number)
-        return struct.pack(">i", _NO_ERROR if known else _INVALID_LINK)
-
-    def _write(self, parameters: bytes, own: set[int]) -> bytes:
-        number, _, lock_timeout, flags, length = struct.unpack_from(">iIIiI", parameters)
-        link = self._links.get(number)
-        error = self._access(link, flags, lock_timeout)
-        if error or link is None:
-            return struct.pack(">iI", error, 0)
-        link.arriving += parameters[20 : 20 + length]
-        if flags & _FLAG_END:
-            message, link.arriving = bytes(link.arriving), bytearray()
-            if link.leaving:
-                self.device.fail(ScpiError(-410))
-                link.leaving = b""
-            reply = self.device.execute(message)
-            if reply.hang_up:
-                raise HangUp
-            link.leaving, link.ready_at = reply.data, time.monotonic() + reply.delay
-        return struct.pack(">iI", _NO_ERROR, length)
-
-    def _read(self, parameters: bytes, own: set[int]) -> bytes:
-        number, size, io_timeout, lock_timeout, flags, terminator = struct.unpack_from(">iIIIii", parameters)
-        link = self._links.get(number)
-        error = self._access(link, flags, lock_timeout)
-        if error or link is None:
-            return struct.pack(">iiI", error, 0, 0)
-        if not link.leaving:
-            self.device.fail(ScpiError(-420))
-            link.ready_at = float("inf")
-        wait = link.ready_at - time.monotonic()
-        if wait > 0:
-            self._closing.wait(min(wait, io_timeout / 1000))
-            if wait > io_timeout / 1000:
-                return struct.pack(">iiI", _TIMEOUT, 0, 0)
-        data, reason = link.leaving[:size], _REASON_COUNT
-        if flags & _FLAG_TERMINATOR and terminator in data:
-            data, reason = data[: data.index(terminator) + 1], _REASON_TERMINATOR
-        link.leaving = link.leaving[len(data) :]
-        if not link.leaving:
-            reason |= _REASON_END
-        return struct.pack(">ii", _NO_ERROR, reason) + opaque(data)
-
-    def _read_status(self, parameters: bytes, own: set[int]) -> bytes:
-        link = self._links.get(struct.unpack_from(">i", parameters)[0])
-        if link is None:
-            return struct.pack(">iI", _INVALID_LINK, 0)
-        return struct.pack(">iI", _NO_ERROR, self.device.status_byte | (16 if link.leaving else 0))
-
-    def _trigger(self, parameters: bytes, own: set[int]) -> bytes:
-        number, flags, lock_timeout = struct.unpack_from(">iiI", parameters)
-        error = self._access(self._links.get(number), flags, lock_timeout)
-        if not error:
-            self.device.trigger()
-        return struct.pack(">i", error)
-
-    def _clear(self, parameters: bytes, own: set[int]) -> bytes:
-        number, flags, lock_timeout = struct.unpack_from(">iiI", parameters)
-        link = self._links.get(number)
-        error = self._access(link, flags, lock_timeout)
-        if not error and link is not None:
-            link.arriving, link.leaving = bytearray(), b""
-        return struct.pack(">i", error)
-
-    def _accept_silently(self, parameters: bytes, own: set[int]) -> bytes:
-        known = struct.unpack_from(">i", parameters)[0] in self._links
-        return struct.pack(">i", _NO_ERROR if known else _INVALID_LINK)
-
-    def _take_lock(self, parameters: bytes, own: set[int]) -> bytes:
-        number, flags, lock_timeout = struct.unpack_from(">iiI", parameters)
-        error = self._access(self._links.get(number), flags, lock_timeout)
-        if not error:
-            self._lock_holder = number
-        return struct.pack(">i", error)
-
-    def _release_lock(self, parameters: bytes, own: set[int]) -> bytes:
-        (number,) = struct.unpack_from(">i", parameters)
-        if self._lock_holder != number:
-            return struct.pack(">i", _NO_LOCK)
-        self._lock_holder = None
-        return struct.pack(">i", _NO_ERROR)
-
-    def _access(self, link: _Link | None, flags: int, lock_timeout: int) -> int:
-        """Return 0 if a link may use the instrument, after waiting for another's lock if asked to."""
-        if link is None:
-            return _INVALID_LINK
-        deadline = time.monotonic() + (lock_timeout / 1000 if flags & _FLAG_WAIT else 0.0)
-        while self._lock_holder not in (None, link.number):
-            if time.monotonic() >= deadline:
-                return _LOCKED
-            self._closing.wait(0.01)
-        return _NO_ERROR
+        return accept(transaction) + self._links.call(procedure, parameters, own)
 
 
 def _reset(connection: socket.socket) -> None:
