@@ -51,11 +51,11 @@ class QuietGuard(VisaSession):
     """
 
     def __init__(self) -> None:
-        super().__init__("", "")
+        super().__init__("")
         self.told: list[str] = []
 
-    def __call__(self, address: str, visa_library: str) -> QuietGuard:
-        super().__init__(address, visa_library)
+    def __call__(self, address: str) -> QuietGuard:
+        super().__init__(address)
         return self
 
     def arm(self) -> None:

@@ -30,12 +30,13 @@ from modaltouch.stimulus.burst import Burst
 
 APPARATUS = Path(__file__).parents[2] / "protocols" / "apparatus" / "beam_100x6x2.yaml"
 
-SESSION = textwrap.dedent(
+SESSIONS = textwrap.dedent(
     """
-    import signal, sys, time
+    import os, signal, sys, time
     import numpy as np
     from modaltouch.apparatus import read_apparatus
     from modaltouch.rig import open_rig
+    from modaltouch.rig.generator import Generator
     from modaltouch.stimulus.burst import Burst
 
     class Planned(BaseException):
@@ -44,24 +45,72 @@ SESSION = textwrap.dedent(
     def raise_it(*_):
         raise Planned
 
-    address, apparatus, seconds, hangs = sys.argv[1:]
-    signal.signal(signal.SIGUSR1, raise_it)
-    codes = np.full((2, 1000), 8191, dtype=np.uint16)
-    codes[:, 500] = 12000
-    with open_rig(address, read_apparatus(apparatus), log=lambda event, **facts: None) as rig:
-        rig.load(Burst(codes, 0.05, 7.0, 0.2, (10.0, 10.0)))
-        rig.fire(0.1)
-        print("firing", flush=True)
-        ends = time.monotonic() + float(seconds)
-        while time.monotonic() < ends:
-            rig.heartbeat()
-            time.sleep(60 if hangs == "hangs" else 1e-3)
-        rig.stop()
-        print("confirmed" if rig.firing.confirmed else rig.firing.reason, flush=True)
+    def sit(address, seconds, hangs):
+        signal.signal(signal.SIGUSR1, raise_it)
+        codes = np.full((2, 1000), 8191, dtype=np.uint16)
+        codes[:, 500] = 12000
+        with open_rig(address, apparatus, log=lambda event, **facts: None) as rig:
+            rig.load(Burst(codes, 0.05, 7.0, 0.2, (10.0, 10.0)))
+            rig.fire(0.1)
+            print("firing", flush=True)
+            ends = time.monotonic() + float(seconds)
+            while time.monotonic() < ends:
+                rig.heartbeat()
+                time.sleep(60 if hangs == "hangs" else 1e-3)
+            rig.stop()
+            print("confirmed" if rig.firing.confirmed else rig.firing.reason, flush=True)
+
+    apparatus = read_apparatus(sys.argv[1])
+    for line in sys.stdin:
+        verb, *words = line.split()
+        if verb == "wait":
+            print(os.waitstatus_to_exitcode(os.waitpid(int(words[0]), 0)[1]), flush=True)
+            continue
+        pid = os.fork()
+        if pid == 0:
+            output = os.open(words.pop(0), os.O_WRONLY | os.O_CREAT)
+            os.dup2(output, 1)
+            os.dup2(output, 2)
+            sit(*words)
+            os._exit(0)
+        print(pid, flush=True)
     """
 )
+"""Sits through sessions in processes of their own, forked where all is imported: a start costs no second each."""
 
-SLOW = 0.6
+
+class Session:
+    """One session's process."""
+
+    def __init__(self, host: subprocess.Popen[str], output: Path, *words: str) -> None:
+        self._host = host
+        self._output = output
+        self.pid = int(self._tell("start", str(output), *words))
+        self.ended = False
+
+    def signal(self, number: int) -> None:
+        """Send it a signal."""
+        os.kill(self.pid, number)
+
+    def wait(self) -> int:
+        """Return its status, once it has ended."""
+        self.ended = True
+        return int(self._tell("wait", str(self.pid)))
+
+    @property
+    def said(self) -> list[str]:
+        """What it has printed."""
+        return self._output.read_text().splitlines() if self._output.exists() else []
+
+    def _tell(self, *words: str) -> str:
+        assert self._host.stdin is not None
+        assert self._host.stdout is not None
+        self._host.stdin.write(" ".join(words) + "\n")
+        self._host.stdin.flush()
+        return self._host.stdout.readline()
+
+
+SLOW = 0.4
 """How long the instrument takes over the message at which a phase is met [s]."""
 
 PHASES = {"connect": r"\*RST", "upload": "COPY USER", "arm": "SOUR TIM", "trial": None, "stop": r"OUTP1\?;:OUTP2\?"}
@@ -74,37 +123,44 @@ def single_link(apparatus: Apparatus) -> Iterator[Simulator]:
         yield simulator
 
 
-Start = Callable[..., "subprocess.Popen[str]"]
+@pytest.fixture(scope="module")
+def host() -> Iterator[subprocess.Popen[str]]:
+    """Return the process that sessions come from."""
+    command = [sys.executable, "-c", SESSIONS, str(APPARATUS)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        yield process
+        process.terminate()
+
+
+Start = Callable[..., Session]
 
 
 @pytest.fixture
-def start(single_link: Simulator) -> Iterator[Start]:
-    """Return what starts a session in a process of its own and waits until it has come to a phase."""
-    started: list[subprocess.Popen[str]] = []
+def start(single_link: Simulator, host: subprocess.Popen[str], tmp_path: Path) -> Iterator[Start]:
+    """Return what starts a session and waits until it has come to a phase."""
+    started: list[Session] = []
 
-    def start_one(phase: str, *, hangs: bool = False) -> subprocess.Popen[str]:
+    def start_one(phase: str, *, hangs: bool = False) -> Session:
         slow = PHASES[phase]
         if slow is not None and phase != "stop":
             single_link.faults.inject("slow_command", when=slow, value=SLOW)
         seconds = "0.3" if phase == "stop" else "60"
-        words = [single_link.address, str(APPARATUS), seconds, "hangs" if hangs else ""]
-        process = subprocess.Popen(
-            [sys.executable, "-c", SESSION, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-        )
-        started.append(process)
+        words = [single_link.address, seconds, "hangs" if hangs else "beats"]
+        session = Session(host, tmp_path / "said.txt", *words)
+        started.append(session)
         if phase in ("trial", "stop"):
-            assert process.stdout is not None
-            assert process.stdout.readline() == "firing\n"
+            wait_until(lambda: session.said == ["firing"], "the stimulus")
             assert single_link.outputs == (True, True)
         if phase == "stop" and slow is not None:
             single_link.faults.inject("slow_command", when=slow, value=SLOW)
         wait_until(lambda: not single_link.faults.any, f"the phase '{phase}'")
-        return process
+        return session
 
     yield start_one
-    for process in started:
-        process.kill()
-        process.communicate()
+    for session in started:
+        if not session.ended:
+            session.signal(signal.SIGKILL)
+            session.wait()
 
 
 def wait_until(happened: Callable[[], bool], what: str, patience: float = 20.0) -> float:
@@ -129,7 +185,7 @@ def seconds_until_off(simulator: Simulator) -> float:
 @pytest.mark.parametrize("phase", list(PHASES))
 def test_killed_session_leaves_outputs_off(start: Start, single_link: Simulator, phase: str) -> None:
     """SIGKILL passes every finally; the pipe's end tells the watchdog, which waits for what is under way alone."""
-    start(phase).kill()
+    start(phase).signal(signal.SIGKILL)
     assert seconds_until_off(single_link) < (0.5 if phase == "trial" else SLOW + 0.5)
 
 
@@ -137,7 +193,7 @@ def test_killed_session_leaves_outputs_off(start: Start, single_link: Simulator,
 def test_stopped_session_leaves_outputs_off(start: Start, single_link: Simulator, phase: str) -> None:
     """SIGSTOP: no sign of life, off after the limit of 1 s and a moment; with outputs that are off, nothing to do."""
     session = start(phase)
-    os.kill(session.pid, signal.SIGSTOP)
+    session.signal(signal.SIGSTOP)
     took = seconds_until_off(single_link)
     assert took < LIMIT + SLOW + 0.6
     if phase == "trial":
@@ -148,11 +204,10 @@ def test_stopped_session_leaves_outputs_off(start: Start, single_link: Simulator
 def test_exception_leaves_outputs_off_before_the_process_ends(start: Start, single_link: Simulator, phase: str) -> None:
     """Raised in the midst of an exchange, in every phase: not swallowed, and the with statement switches off."""
     session = start(phase)
-    os.kill(session.pid, signal.SIGUSR1)
-    _, errors = session.communicate(timeout=20)
-    assert session.returncode == 1
+    session.signal(signal.SIGUSR1)
+    assert session.wait() == 1
     assert single_link.outputs == (False, False)
-    assert "Planned" in errors.splitlines()[-1]
+    assert session.said[-1].endswith("Planned")
 
 
 @pytest.mark.parametrize("phase", list(PHASES))
@@ -161,7 +216,7 @@ def test_pulled_cable_and_a_killed_session_leave_outputs_off(start: Start, singl
     session = start(phase)
     single_link.refuse_connections()
     single_link.drop_connections()
-    session.kill()
+    session.signal(signal.SIGKILL)
     time.sleep(0.3)
     single_link.accept_connections()
     assert seconds_until_off(single_link) < SLOW + 1.0
@@ -171,10 +226,9 @@ def test_pulled_cable_is_found_again_through_the_watchdog(start: Start, single_l
     """Cable out and in at the stop: the one session is opened anew, and the outputs go off."""
     session = start("stop")
     single_link.drop_connections()
-    said, _ = session.communicate(timeout=20)
-    assert session.returncode == 0
+    assert session.wait() == 0
     assert single_link.outputs == (False, False)
-    assert said in ("confirmed\n", "output 1 was off; output 2 was off when the stimulus ended\n")
+    assert session.said[1] in ("confirmed", "output 1 was off; output 2 was off when the stimulus ended")
 
 
 def test_hanging_session_leaves_outputs_off(start: Start, single_link: Simulator) -> None:
@@ -185,19 +239,18 @@ def test_hanging_session_leaves_outputs_off(start: Start, single_link: Simulator
 
 def test_terminated_session_leaves_outputs_off(start: Start, single_link: Simulator) -> None:
     """Without any handler SIGTERM ends the process at once, past every finally."""
-    start("trial").terminate()
+    start("trial").signal(signal.SIGTERM)
     assert seconds_until_off(single_link) < 0.5
 
 
 def test_session_that_wakes_up_again_is_told_what_happened(start: Start, single_link: Simulator) -> None:
     """Stopped for longer than the limit, then continued: its trial is not confirmed."""
     session = start("trial")
-    os.kill(session.pid, signal.SIGSTOP)
+    session.signal(signal.SIGSTOP)
     seconds_until_off(single_link)
-    os.kill(session.pid, signal.SIGCONT)
-    os.kill(session.pid, signal.SIGUSR1)
-    session.communicate(timeout=20)
-    assert session.returncode == 1
+    session.signal(signal.SIGCONT)
+    session.signal(signal.SIGUSR1)
+    assert session.wait() == 1
     assert single_link.outputs == (False, False)
 
 
@@ -218,8 +271,8 @@ def dogs() -> list[Watchdog]:
 def rig(apparatus: Apparatus, single_link: Simulator, dogs: list[Watchdog]) -> Iterator[Generator]:
     """Return a driver behind a real watchdog, loaded."""
 
-    def begin(address: str, library: str) -> Watchdog:
-        dogs.append(Watchdog(address, library))
+    def begin(address: str) -> Watchdog:
+        dogs.append(Watchdog(address))
         return dogs[-1]
 
     patience = Patience(reply=0.5)

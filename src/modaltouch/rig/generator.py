@@ -35,21 +35,19 @@ class Generator:
     Parameters
     ----------
     address : str
-        VISA address.
+        VISA address; ``@ivi`` after it takes the vendor's VISA library.
     apparatus : Apparatus
         Model, load, amplifier and limits.
     log : callable
         ``log(event, **facts)`` takes every exchange and event.
     patience : Patience
         How long to wait.
-    visa_library : str
-        Backend, as PyVISA names it: ``@py``, or empty for the vendor's.
     repetition : str
         ``burst``: one record at each tick of the trigger timer; ``continuous``: one record that holds burst and
         silence, for an instrument whose burst mode cannot be used; it cannot be exact, `check --compare` says by
         how much.
     start_guard : callable
-        Starts the watchdog for an address and a backend.
+        Starts the watchdog for an address.
 
     Raises
     ------
@@ -64,9 +62,8 @@ class Generator:
         *,
         log: Log = _ignore,
         patience: Patience | None = None,
-        visa_library: str = "@py",
         repetition: Repetition = "burst",
-        start_guard: Callable[[str, str], Guard] = Watchdog,
+        start_guard: Callable[[str], Guard] = Watchdog,
     ) -> None:
         self._log = log
         self._firing: Firing | None = None
@@ -75,7 +72,7 @@ class Generator:
         self._connection = Connection(
             address,
             apparatus,
-            guard=start_guard(address, visa_library),
+            guard=start_guard(address),
             log=log,
             patience=patience or Patience(),
         )

@@ -65,12 +65,10 @@ class Watchdog:
     ----------
     address : str
         VISA address.
-    visa_library : str
-        Backend, as PyVISA names it.
     """
 
-    def __init__(self, address: str, visa_library: str) -> None:
-        self._command = [sys.executable, "-P", "-m", "modaltouch.rig.watchdog", address, visa_library]
+    def __init__(self, address: str) -> None:
+        self._command = [sys.executable, "-P", "-m", "modaltouch.rig.watchdog", address]
         self._next_beat = 0.0
         self._armed = False
         self._number = 0

@@ -30,7 +30,6 @@ class Bench:
 
     connection: Connection
     patience: Patience
-    visa_library: str
 
     @property
     def link(self) -> Link:
@@ -202,12 +201,12 @@ def _skew(bench: Bench) -> Finding:
 
 
 def _sessions(bench: Bench) -> Finding:
-    second = VisaSession(bench.connection.address, bench.visa_library)
+    second = VisaSession(bench.connection.address)
     try:
         second.open()
         second.exchange(b"*IDN?\n", timeout=bench.patience.reply, reply=True)
     except InUse as error:
-        return "found", f"no: {error}", "a second program is refused while a session runs"
+        return "found", f"no: {error}", "a second program is refused while a session runs, and the first goes on"
     # Backends raise VisaIOError, OSError, ValueError and plain Exception.
     except Exception as error:
         return "found", f"no: {describe_error(error)}", "a second program is refused while a session runs"

@@ -14,6 +14,9 @@ from modaltouch.rig.transport import InUse, block_bounds
 CHUNK = 1 << 20
 """Bytes asked for in one read: a whole record."""
 
+PURE_PYTHON, VENDOR = "py", "ivi"
+"""PyVISA's names of its two backends."""
+
 LOCK_TIMEOUT = 1.0
 """How long another session's lock is waited for: that of one which ends just now is gone by then [s]."""
 
@@ -31,14 +34,12 @@ class VisaSession:
     Parameters
     ----------
     address : str
-        VISA address.
-    visa_library : str
-        Backend, as PyVISA names it.
+        VISA address; ``@ivi`` after it takes the vendor's VISA library (NI-VISA, R&S VISA) instead of pyvisa-py.
     """
 
-    def __init__(self, address: str, visa_library: str) -> None:
-        self._address = address
-        self._visa_library = visa_library
+    def __init__(self, address: str) -> None:
+        self._address, _, backend = address.partition("@")
+        self._visa_library = f"@{backend or PURE_PYTHON}"
         self._resource: Any = None
         self._timeout = 0.0
 
@@ -129,8 +130,24 @@ def _lock(resource: Any) -> str:
             return "locked out"
 
 
-def find_instruments(visa_library: str = "@py") -> tuple[str, ...]:
-    """Return the VISA addresses of the instruments that can be found.
+def find_instruments() -> tuple[str, ...]:
+    """Return the addresses of what pyvisa-py finds, and of what a vendor's VISA library finds where there is one.
+
+    Raises
+    ------
+    RigError
+        If a library cannot list them.
+    """
+    from pyvisa.ctwrapper.highlevel import IVIVisaLibrary
+
+    found = find_by(f"@{PURE_PYTHON}")
+    if IVIVisaLibrary.get_library_paths():
+        found += tuple(f"{address}@{VENDOR}" for address in find_by(f"@{VENDOR}"))
+    return found
+
+
+def find_by(visa_library: str) -> tuple[str, ...]:
+    """Return the VISA addresses of the instruments that one backend finds.
 
     Parameters
     ----------
@@ -152,8 +169,8 @@ def find_instruments(visa_library: str = "@py") -> tuple[str, ...]:
     # Backends raise OSError, ValueError and errors of their own.
     except Exception as error:
         raise RigError(
-            f"the VISA backend '{visa_library}' cannot list instruments ({error}); use '@py', or install the "
-            "vendor's VISA library"
+            f"the VISA backend '{visa_library}' cannot list instruments ({error}); mend or remove that "
+            "library; a known address works without"
         ) from error
     # The series has USB, LAN and GPIB; a serial port is something else's.
     return tuple(address for address in found if not address.upper().startswith("ASRL"))

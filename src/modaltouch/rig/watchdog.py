@@ -1,6 +1,6 @@
 """Holds the one session with the instrument, and switches the outputs off when its master cannot.
 
-``python -m modaltouch.rig.watchdog ADDRESS VISA_LIBRARY`` is a process of its own. The driver asks it for every
+``python -m modaltouch.rig.watchdog ADDRESS`` is a process of its own. The driver asks it for every
 exchange through a pipe, so that it can go in at any time: over any interface, those that admit one session (USB)
 and those that it has locked (LAN) among them. While armed it expects a sign of life at least every `LIMIT` seconds;
 an exchange is one. If none comes, or the pipe ends without `CLEAN` (the master was killed, or its display server
@@ -178,14 +178,14 @@ def _import_visa() -> None:
     logging.getLogger("pyvisa").disabled = True
 
 
-def main(address: str, visa_library: str = "@py") -> int:
+def main(address: str) -> int:
     """Run the watchdog for the session at the other end of standard input."""
     for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK"):
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
     _import_visa()
     with open(0, "rb", buffering=1 << 18, closefd=False) as requests:  # noqa: PTH123
-        Watch(VisaSession(address, visa_library)).serve(requests, _answer)
+        Watch(VisaSession(address)).serve(requests, _answer)
     return 0
 
 

@@ -75,9 +75,7 @@ def test_chirp_through_the_driver_gives_the_true_transfer_function(
     """
     with (
         Simulator(lab(apparatus, amplifier=TrueAmplifier(bandwidth_kHz=300.0, delay_us=1.0))) as simulator,
-        Generator(
-            simulator.address, apparatus, patience=patience, repetition="continuous", start_guard=lambda *_: guard
-        ) as rig,
+        Generator(simulator.address, apparatus, patience=patience, repetition="continuous", start_guard=guard) as rig,
         simulator.scope() as scope,
     ):
         rig.load(chirp_burst())
