@@ -1,5 +1,6 @@
 """The beam forward, against 80-bit steps and the invariants of a linear system."""
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -239,3 +240,24 @@ def test_voltages_that_do_not_fit_are_refused(model):
     voltage[1, 2] = np.nan
     with pytest.raises(ValueError, match=r"sample 2 of channel 2 is nan V; every sample must be a finite number"):
         velocity_history(model, voltage, timing, [0.0])
+
+
+def test_many_points_need_no_array_of_all_modes_at_all_points(shipped):
+    """Issue 3: memory is bounded at the large end; what is found does not depend on how many points are asked for."""
+    many = np.linspace(-0.05, 0.05, 100_001)
+    few = shipped.velocity_at_focus(many[::10_000], 0.2)
+    tracemalloc.start()
+    field = shipped.velocity_at_focus(many, 0.2)
+    taken = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    np.testing.assert_allclose(field[::10_000], few, rtol=0, atol=1e-15)
+    assert taken < 4 * field.nbytes
+
+
+def test_peaks_at_many_points_are_those_at_each(shipped):
+    """Places are taken some at a time: the peak at one is that found alone."""
+    many, voltage = np.linspace(-0.05, 0.05, 601), shipped.voltage_played(0.2)
+    together = peak_velocity(shipped.model, voltage, shipped.timing, many)
+    for place in (0, 255, 256, 300, 600):
+        alone = peak_velocity(shipped.model, voltage, shipped.timing, many[place : place + 1])
+        assert together[place] == pytest.approx(alone[0], rel=1e-12)

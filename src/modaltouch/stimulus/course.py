@@ -20,6 +20,9 @@ from modaltouch.stimulus.timing import Timing
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
+_OUTPUTS = 256
+"""Outputs whose peaks are sought together: bounds the memory, whatever the number of places."""
+
 
 @dataclass(frozen=True, eq=False)
 class Course:
@@ -87,6 +90,9 @@ class Course:
         floor : float
             Returned for outputs that stay below it; the more it is, the less is looked into.
         """
+        if len(output) > _OUTPUTS:
+            starts = range(0, len(output), _OUTPUTS)
+            return np.concatenate([self.peak(output[start : start + _OUTPUTS], floor) for start in starts])
         some, places = self._different(output)
         kernel = BlockKernel(self.system.exponent, self._push, some, self.timing.hold)
         # What the outputs reach at the starts of the blocks spares looking into most of them.

@@ -56,23 +56,33 @@ def design_stimulus(
         If a mode, the field, the timing or a level is out of bounds; the message names it, its bound and the
         remedy.
     """
+    played = (wish.velocity,) if levels is None else tuple(levels)
+    _check_options(law, release, rounding)
+    _check_levels(played, wish.velocity)
+    require_positive("the load factor", load_factor, "", "1 into high impedance, 0.5 into 50 ohm")
+    stimulus = Stimulus(model, wish, timing, amplifier, law, release, played, load_factor, rounding)
+    check_drivable(model, stimulus.target, timing)
+    return stimulus
+
+
+def _check_options(law: str, release: str, rounding: str) -> None:
+    """Refuse words that mean nothing here."""
     if law not in ("exact", "paper"):
         raise ValueError(f"the drive law {law!r} is unknown; allowed: exact, paper")
     if release not in ("braked", "free"):
         raise ValueError(f"the release {release!r} is unknown; allowed: braked, free")
     if rounding not in ("settled", "plain"):
         raise ValueError(f"the rounding {rounding!r} is unknown; allowed: settled, plain")
-    played = (wish.velocity,) if levels is None else tuple(levels)
-    if not played:
+
+
+def _check_levels(levels: tuple[float, ...], reference: float) -> None:
+    """Refuse levels that cannot be played by codes that fill the generator's range at the reference [m/s]."""
+    if not levels:
         raise ValueError("no velocity level is given; give at least one")
-    for level in played:
+    for level in levels:
         require_positive("the velocity level", level, "m/s", "the paper has 0.08 to 0.2 m/s")
-        if level > wish.velocity * (1 + 1e-12):
+        if level > reference * (1 + 1e-12):
             raise ValueError(
-                f"the level of {level * 1e3:g} mm/s passes the reference of {wish.velocity * 1e3:g} mm/s, for "
+                f"the level of {level * 1e3:g} mm/s passes the reference of {reference * 1e3:g} mm/s, for "
                 f"which the codes fill the generator's range: design for the highest level"
             )
-    require_positive("the load factor", load_factor, "", "1 into high impedance, 0.5 into 50 ohm")
-    stimulus = Stimulus(model, wish, timing, amplifier, law, release, played, load_factor, rounding)
-    check_drivable(model, stimulus.target, timing)
-    return stimulus

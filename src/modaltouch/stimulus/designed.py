@@ -11,44 +11,29 @@ from numpy.typing import ArrayLike, NDArray
 
 from modaltouch.stimulus.bounds import require_positive
 from modaltouch.stimulus.burst import MID_CODE, Burst, amplitudes_at
-from modaltouch.stimulus.drive import Drive, Law, Release, exact_drive
-from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem, modal_system
-from modaltouch.stimulus.field import Projection
-from modaltouch.stimulus.modes import ModalModel
-from modaltouch.stimulus.paper_law import paper_drive
+from modaltouch.stimulus.drive import Law
 from modaltouch.stimulus.played import Played
 from modaltouch.stimulus.quantise import full_scale, round_to_codes, unsigned_codes
 from modaltouch.stimulus.settling import settle
-from modaltouch.stimulus.timing import Timing
 from modaltouch.stimulus.vibration import states_by_channel
-from modaltouch.stimulus.wish import Wish
+from modaltouch.stimulus.voltages import LAWLESS, Voltages
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Rounding = Literal["settled", "plain"]
 
-_LAWLESS = ("projection", "system", "_shapes", "fwhm", "width_80", "reconstruction_error")
-"""What a stimulus computes that does not depend on its drive law."""
+_FEW = 1024
+"""Points up to which mode shapes are kept for the next question."""
 
 
 @dataclass(frozen=True, eq=False)
-class Stimulus:
-    """A designed stimulus. Everything is computed when first asked for, and only then.
+class Stimulus(Voltages):
+    """A designed stimulus: voltages, their codes, and the beam's answer at every level.
 
     Attributes
     ----------
-    model : ModalModel
-        The identified beam.
-    wish : Wish
-        The wished field; its velocity is the reference level.
-    timing : Timing
-        Samples, clock and focusing instant.
-    amplifier : Amplifier
-        Between generator and beam.
-    law : str
-        ``exact`` or ``paper``.
-    release : str
-        ``braked`` or ``free``.
+    model, wish, timing, amplifier, law, release
+        As for `Voltages`.
     levels : tuple of float
         Levels whose amplitudes shall lie on the generator's grid [m/s].
     load_factor : float
@@ -59,76 +44,9 @@ class Stimulus:
         which misses by far more, is left alone) or ``plain``.
     """
 
-    model: ModalModel
-    wish: Wish
-    timing: Timing
-    amplifier: Amplifier
-    law: Law
-    release: Release
     levels: tuple[float, ...]
     load_factor: float
     rounding: Rounding = "settled"
-
-    @cached_property
-    def projection(self) -> Projection:
-        """The wish as the modelled modes see it."""
-        return Projection(self.model, self.wish)
-
-    @property
-    def selected(self) -> tuple[int, ...]:
-        """Labels of the modes that are excited, increasing."""
-        return self.projection.selected
-
-    @property
-    def target(self) -> FloatArray:
-        """Modal velocities wished at the focusing instant at the reference level, (n_modes,) array [m/s]."""
-        return self.projection.target
-
-    @cached_property
-    def system(self) -> DiagonalSystem:
-        """The modal equations behind the amplifier."""
-        return modal_system(self.model, self.amplifier)
-
-    @cached_property
-    def drive(self) -> Drive:
-        """Voltages before rounding, and how well they were solved for."""
-        law = exact_drive if self.law == "exact" else paper_drive
-        return law(self.model, self.system, self.timing, self.target, self.release)
-
-    @property
-    def voltage(self) -> FloatArray:
-        """Voltages at the beam before rounding, at the reference level, (n_channels, n_samples) array [V]."""
-        return self.drive.voltage
-
-    @cached_property
-    def peak_voltage(self) -> FloatArray:
-        """Highest voltage at the beam at the reference level, either sign, (n_channels,) array [V]."""
-        return np.asarray(np.maximum(self.voltage.max(axis=1), -self.voltage.min(axis=1)))
-
-    @property
-    def highest_velocity(self) -> float:
-        """Level at which the first channel reaches the amplifier's limit [m/s]."""
-        return self.wish.velocity * self.amplifier.limit / float(self.peak_voltage.max())
-
-    @property
-    def condition_number(self) -> float:
-        """Condition number of the scaled Gramian that was solved [1]; 1 for the paper's law: none is."""
-        return self.drive.condition_number
-
-    @cached_property
-    def reconstruction_error(self) -> float:
-        """Root mean square of what the selected modes leave of the wish, over that of the wish [1]."""
-        return self.projection.reconstruction_error
-
-    @cached_property
-    def fwhm(self) -> float:
-        """Width of the reached field at half its centre's velocity [m]."""
-        return self.projection.width(0.5)
-
-    @cached_property
-    def width_80(self) -> float:
-        """Width of the reached field at 80 % of its centre's velocity [m]."""
-        return self.projection.width(0.8)
 
     @cached_property
     def burst(self) -> Burst:
@@ -183,7 +101,7 @@ class Stimulus:
             ``exact`` or ``paper``.
         """
         other = replace(self, law=law)
-        vars(other).update({name: getattr(self, name) for name in _LAWLESS})
+        vars(other).update({name: getattr(self, name) for name in (*LAWLESS, "_shapes")})
         return other
 
     def volts_per_code(self, velocity: float) -> FloatArray:
@@ -292,6 +210,8 @@ class Stimulus:
             Level [m/s].
         """
         reached, _ = self.achieved(velocity)
+        if np.size(positions) > _FEW:
+            return self.model.field(reached, positions)
         return np.asarray(reached @ self._shapes_at(positions))
 
     def _shapes_at(self, positions: ArrayLike) -> FloatArray:

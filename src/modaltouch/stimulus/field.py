@@ -170,7 +170,7 @@ class Projection:
         position : (n_points,) array_like
             Coordinate along the beam, origin at its middle [m].
         """
-        return np.asarray(self.target @ self.model.shapes(position))
+        return self.model.field(self.target, position)
 
     def residual(self, position: ArrayLike) -> FloatArray:
         """Return what of the wish stays unreached, wish less field, (n_points,) array [m/s].

@@ -19,6 +19,9 @@ __all__ = ["ModalModel", "mode_shapes"]
 
 FloatArray = NDArray[np.float64]
 
+_POINTS = 4096
+"""Points at which the modes are added up together."""
+
 
 @dataclass(frozen=True, eq=False)
 class ModalModel:
@@ -144,6 +147,25 @@ class ModalModel:
                 shapes[[k > 2 for k in self.label]] = self.beam.shapes([k - 2 for k in bending], position)
             return shapes
         return mode_shapes(self.label, position, self.length)
+
+    def field(self, modal_velocity: FloatArray, position: ArrayLike) -> FloatArray:
+        """Return the velocity of modes at points of the beam, (n_points,) array [m/s].
+
+        Many points are taken some at a time: no array of all modes at all points is made.
+
+        Parameters
+        ----------
+        modal_velocity : (n_modes,) array
+            Velocity of each mode [m/s].
+        position : (n_points,) array_like
+            Coordinate along the beam, origin at its middle [m].
+        """
+        place = np.atleast_1d(np.asarray(position, dtype=float))
+        field = np.empty(place.size)
+        for start in range(0, place.size, _POINTS):
+            some = slice(start, start + _POINTS)
+            field[some] = modal_velocity @ self.shapes(place[some])
+        return field
 
 
 def _check_mode(label: int, frequency: float, ratio: float, gain: FloatArray) -> None:

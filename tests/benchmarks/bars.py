@@ -1,0 +1,87 @@
+"""What the project promises of its speed and exactness, each beside what was measured.
+
+As a script: prints the promises of every file in results/benchmarks/, and fails if one is not kept.
+"""
+
+import json
+import os
+import platform
+import sys
+from pathlib import Path
+from typing import Any
+
+RESULTS = Path(__file__).resolve().parents[2] / "results" / "benchmarks"
+
+
+def at_least(bar: str, measured: float, bound: float, unit: str = "times") -> dict[str, Any]:
+    """Return a promise that a figure reaches a bound."""
+    return _promise(bar, measured, f"at least {bound:g} {unit}", measured >= bound)
+
+
+def at_most(bar: str, measured: float, bound: float, unit: str = "times") -> dict[str, Any]:
+    """Return a promise that a figure stays within a bound."""
+    return _promise(bar, measured, f"at most {bound:g} {unit}", measured <= bound)
+
+
+def _promise(bar: str, measured: float, bound: str, met: bool) -> dict[str, Any]:
+    return {"bar": bar, "bound": bound.strip(), "measured": float(measured), "met": bool(met)}
+
+
+def machine() -> dict[str, Any]:
+    """Return on what the figures were taken."""
+    import numpy as np
+    import scipy
+    from threadpoolctl import threadpool_info
+
+    blas = [each for each in threadpool_info() if each.get("user_api") == "blas"]
+    return {
+        "processor": _processor(),
+        "cores": os.cpu_count(),
+        "load_average": round(os.getloadavg()[0], 2),
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "scipy": scipy.__version__,
+        "blas": sorted({f"{each['internal_api']} {each['version']}, {each.get('architecture')}" for each in blas}),
+        "blas_threads": 1,
+    }
+
+
+def _processor() -> str:
+    """Return the name of the processor."""
+    listed = Path("/proc/cpuinfo")
+    lines = listed.read_text(encoding="utf-8").splitlines() if listed.exists() else []
+    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor() or platform.machine()
+
+
+def write(name: str, results: dict[str, Any], bars: list[dict[str, Any]]) -> int:
+    """Write what was measured to ``results/benchmarks/NAME.json`` and print its promises."""
+    RESULTS.mkdir(parents=True, exist_ok=True)
+    whole = {"machine": machine(), "bars": bars, **results}
+    (RESULTS / f"{name}.json").write_text(json.dumps(whole, indent=1) + "\n", encoding="utf-8")
+    show(bars)
+    return 0
+
+
+def show(bars: list[dict[str, Any]]) -> None:
+    """Print promises, one to a line."""
+    for each in bars:
+        verdict = "met    " if each["met"] else "NOT MET"
+        print(f"  {verdict}  {each['measured']:10.3g}  {each['bound']:24s}  {each['bar']}")
+
+
+def main() -> int:
+    """Print all promises."""
+    unmet = 0
+    for path in sorted(RESULTS.glob("*.json")):
+        bars = json.loads(path.read_text(encoding="utf-8")).get("bars", [])
+        if bars:
+            print(path.name)
+            show(bars)
+        unmet += sum(not each["met"] for each in bars)
+    print(f"{unmet} not met" if unmet else "all met")
+    return 1 if unmet else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

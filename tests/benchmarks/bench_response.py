@@ -1,0 +1,85 @@
+"""The beam forward: nine modes under 65,536 arbitrary samples, beside lsim, forced_response and lfilter; errors too.
+
+Writes ``results/benchmarks/response.json``. One BLAS thread; times are the best of their repetitions, taken in turns.
+Errors are those of each mode over its own peak, against one-poles stepped in 80-bit numbers.
+"""
+
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import control
+import numpy as np
+from bars import at_least, at_most, write
+from peers import eighty_bits, forced_response, lsim, nine_lfilters, one_by_one, race, shipped_model, state_space
+from threadpoolctl import threadpool_limits
+
+from modaltouch.stimulus.design import ModalModel, Timing
+from modaltouch.stimulus.dynamics import modal_system
+from modaltouch.stimulus.vibration import modal_history, states_by_channel, velocity_history
+
+N_SAMPLES = 65_536
+TIMING = Timing(n_samples=N_SAMPLES, clock_rate=N_SAMPLES * 20 * 190)
+"""A clock that holds every sample equally long, as the peers assume."""
+
+
+def speed(model: ModalModel, voltage: Any) -> dict[str, float]:
+    """Return run times and ratios."""
+    hold, system = TIMING.hold, modal_system(model)
+    whole, single = state_space(model), [state_space(each) for each in one_by_one(model)]
+    whole_system, single_systems = control.ss(*whole), [control.ss(*each) for each in single]
+    quick: dict[str, Callable[[], object]] = {
+        "nine_modes_ms": lambda: modal_history(model, voltage, TIMING),
+        "two_zones_ms": lambda: velocity_history(model, voltage, TIMING, [-0.04, 0.0]),
+        "state_at_focus_ms": lambda: states_by_channel(system, voltage, TIMING, 0.025),
+        "nine_lfilters_ms": lambda: nine_lfilters(model, voltage, hold),
+    }
+    slow: dict[str, Callable[[], object]] = {
+        "lsim_ms": lambda: lsim([whole], voltage, hold),
+        "forced_response_ms": lambda: forced_response([whole_system], voltage, hold),
+    }
+    slowest: dict[str, Callable[[], object]] = {
+        "nine_lsims_ms": lambda: lsim(single, voltage, hold),
+        "nine_forced_responses_ms": lambda: forced_response(single_systems, voltage, hold),
+    }
+    row = {**race(quick, 6.0), **race(slow, 6.0, 3), **race(slowest, 1.0, 2)}
+    for peer in ("lsim", "forced_response", "nine_lfilters", "nine_lsims", "nine_forced_responses"):
+        row[f"times_faster_than_{peer}"] = row[f"{peer}_ms"] / row["nine_modes_ms"]
+    return row
+
+
+def errors(model: ModalModel, voltage: Any) -> dict[str, float]:
+    """Return the largest error of any mode over its own peak, of the engine and of its peers."""
+    exact, hold = eighty_bits(model, voltage, TIMING.hold), TIMING.hold
+    peak = np.abs(exact).max(axis=1, keepdims=True)
+    found = {
+        "engine": modal_history(model, voltage, TIMING),
+        "lsim": lsim([state_space(model)], voltage, hold),
+        "nine_lfilters": nine_lfilters(model, voltage, hold),
+    }
+    return {who: float((np.abs(each - exact) / peak).max()) for who, each in found.items()}
+
+
+def main() -> int:
+    """Run the benchmark and write its figures."""
+    model, voltage = shipped_model(), np.random.default_rng(2).normal(size=(2, N_SAMPLES))
+    light = replace(model, damping_ratio=np.full(9, 1e-6))
+    with threadpool_limits(1):
+        row = speed(model, voltage)
+        wrong = {"table_i": errors(model, voltage), "damping_1e-6": errors(light, voltage)}
+    what = f"response of nine modes to {N_SAMPLES} samples"
+    bars = [
+        at_least(f"{what}: faster than one lsim call", row["times_faster_than_lsim"], 40),
+        at_least(f"{what}: faster than one forced_response call", row["times_faster_than_forced_response"], 60),
+        at_least(f"{what}: faster than nine lfilter calls", row["times_faster_than_nine_lfilters"], 1),
+        at_most(f"{what}: state at t_F alone, of its time", row["state_at_focus_ms"] / row["nine_modes_ms"], 0.5),
+        at_most(f"{what}: two zones alone, of its time", row["two_zones_ms"] / row["nine_modes_ms"], 0.9),
+        at_most(f"{what}, Table I: error of each mode over its own peak", wrong["table_i"]["engine"], 1e-12, ""),
+        at_most(f"{what}, damping 1e-6: error of each over its own peak", wrong["damping_1e-6"]["engine"], 1e-11, ""),
+    ]
+    return write("response", {"speed": row, "error_over_own_peak": wrong}, bars)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
