@@ -19,6 +19,41 @@ The stages, in the order in which values flow through them:
 ``analysis``   records -> tables, statistics, figures, report
 ``planning``   how many participants, by simulating the very protocol
 ``cli``        the command line
+
+From Python, without the command line:
+
+>>> import modaltouch, tempfile
+>>> preflight = modaltouch.examine("protocols/demo.yaml")      # every fault in `problems`, the design in `stimulus`
+>>> [round(1e3 * speed) for speed in preflight.stimulus.peak_velocity([-0.02, 0.0, 0.02], 0.2)]
+[115, 200, 115]
+>>> results = tempfile.TemporaryDirectory()
+>>> session = modaltouch.simulate_session("protocols/demo.yaml", "p01", results.name)
+>>> session.n_answered
+12
+>>> analysis = modaltouch.analyse(session.path.parent)          # also of a CSV with one answer a row
+>>> int(analysis.counts["n"].sum())
+12
+>>> results.cleanup()
 """
 
+from importlib import import_module
+from typing import Any
+
 __version__ = "0.1.0"
+
+_DOORS = {
+    "examine": "modaltouch.preflight",
+    "simulate_session": "modaltouch.simulation",
+    "analyse": "modaltouch.analysis.analyse",
+    "read_session": "modaltouch.record.log",
+}
+"""Where each function lives that the package offers; imported when it is first asked for, since some are heavy."""
+
+__all__ = ["__version__", *_DOORS]  # noqa: PLE0604
+
+
+def __getattr__(name: str) -> Any:
+    """Return a function of `_DOORS`."""
+    if name not in _DOORS:
+        raise AttributeError(f"module 'modaltouch' has no attribute {name!r}; it offers {', '.join(__all__)}")
+    return getattr(import_module(_DOORS[name]), name)

@@ -164,8 +164,7 @@ def simulate(
 
     from modaltouch.observer.file import read_observer
     from modaltouch.preflight import examine
-    from modaltouch.sitting import begin
-    from modaltouch.wiring import wire_run
+    from modaltouch.simulation import simulate_session
 
     with reporting(json_output=json_output):
         population = read_observer(observer)
@@ -174,15 +173,8 @@ def simulate(
         with Progress(console=Console(stderr=True)) as progress:
             task = progress.add_task("participants", total=participants)
             for number in range(1, participants + 1):
-                setup = wire_run(
-                    preflight,
-                    f"sim{number:0{max(2, len(str(participants)))}d}",
-                    answers="simulated",
-                    seed=seed,
-                    results=results,
-                    observer=population,
-                )
-                sessions.append(begin(setup))
+                name = f"sim{number:0{max(2, len(str(participants)))}d}"
+                sessions.append(simulate_session(preflight, name, results, seed=seed, observer=population))
                 progress.advance(task)
         dataset = sessions[0].path.parents[3]
         if json_output:
