@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
+from modaltouch.console.experimenter import Experimenter
 from modaltouch.practice import expected_answer, judge_round
 from modaltouch.protocol import Protocol, ScheduleSection
 from modaltouch.record.instants import describe_instants
 from modaltouch.record.log import SessionLog
 from modaltouch.rig.interface import Firing, Rig, RigError
 from modaltouch.trial import Response, Trial
-from modaltouch.window.interface import AnswerWindow, Progress, SessionStopped, TrialInterrupted
+from modaltouch.window.interface import AnswerWindow, Progress, SessionStopped, Tick, TrialInterrupted
 
 ATTEMPTS = 3
 """How often a trial whose amplitude the instrument does not confirm is set up again before the session ends."""
@@ -39,6 +40,8 @@ class Sitting:
         Brings the BIDS view up to date with the log.
     tick : callable
         Called between steps; raises when the session was told to end.
+    experimenter : Experimenter
+        Is told what happens, and asks for repeats and for the end of the session after a block.
     """
 
     protocol: Protocol
@@ -49,7 +52,8 @@ class Sitting:
     window: AnswerWindow
     log: SessionLog
     save_view: Callable[[], None]
-    tick: Callable[[], None]
+    tick: Tick
+    experimenter: Experimenter = field(default_factory=Experimenter)
 
 
 def conduct(sitting: Sitting) -> None:
@@ -69,14 +73,31 @@ def conduct(sitting: Sitting) -> None:
     for trial in sitting.trials:
         if trial.practice:
             continue
+        if previous is not None and trial.block != previous.block and sitting.experimenter.ends_after_block:
+            sitting.window.goodbye()
+            raise SessionStopped("end of block")
         if previous is None or previous.practice:
             sitting.window.announce("start")
         elif _rest_is_due(sitting.protocol.schedule, trial, rested):
+            sitting.log.append("rest", before_trial=trial.index)
             sitting.window.rest(Progress(trial.index, sitting.total))
             rested = time.perf_counter()
         run(sitting, trial, previous)
-        previous = trial
+        previous = repeat(sitting, trial)
     sitting.window.goodbye()
+
+
+def repeat(sitting: Sitting, previous: Trial) -> Trial:
+    """Ask again what the experimenter wants repeated, and return the last trial that was run.
+
+    The first answer stays in the record, withdrawn: if nothing comes after it, `resume` asks the trial again.
+    """
+    while (event := sitting.experimenter.take_repeat()) is not None:
+        trial = Trial.from_dict(event["trial"])
+        sitting.log.append("withdrawn", lines=[event["n"]], reason="the experimenter has the trial repeated")
+        run(sitting, trial, previous)
+        previous = trial
+    return previous
 
 
 def practise(sitting: Sitting) -> Trial | None:
@@ -142,6 +163,7 @@ def run(sitting: Sitting, trial: Trial, previous: Trial | None) -> Response:
         If the outputs could not be switched off, or the instrument changed under every presentation.
     """
     sitting.tick()
+    sitting.experimenter.tell({"event": "trial_next", "trial": _describe_trial(sitting, trial)})
     if previous is None or _placement(trial) != _placement(previous):
         sitting.window.place_fingers(trial)
         sitting.log.append("placement", **_describe_placement(sitting.protocol, trial))
@@ -275,6 +297,20 @@ def _rest_is_due(schedule: ScheduleSection, trial: Trial, rested: float) -> bool
 
 def _placement(trial: Trial) -> tuple[Any, ...]:
     return (trial.condition.finger_condition, *trial.condition.pair, trial.condition.placement)
+
+
+def _describe_trial(sitting: Sitting, trial: Trial) -> dict[str, Any]:
+    """Return what the experimenter should know of a trial."""
+    speed_left, speed_right = sitting.speeds(trial)
+    return {
+        "number": trial.index,
+        "practice": trial.practice,
+        "block": trial.block,
+        "velocity_mm_s": trial.condition.velocity_mm_s,
+        "predicted_left_mm_s": round(speed_left * 1e3, 1),
+        "predicted_right_mm_s": round(speed_right * 1e3, 1),
+        **_describe_placement(sitting.protocol, trial),
+    }
 
 
 def _describe_placement(protocol: Protocol, trial: Trial) -> dict[str, Any]:

@@ -9,8 +9,12 @@ from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from typing import Any, Literal
 
+from modaltouch.console.experimenter import Experimenter
+from modaltouch.console.interface import Console, Silence
+from modaltouch.console.status import Status
 from modaltouch.interruption import Interrupted, Interruption
 from modaltouch.preflight import Preflight
+from modaltouch.preflight.figures import estimated_duration
 from modaltouch.provenance import boot, commit, versions
 from modaltouch.record.chain import RecordError
 from modaltouch.record.folders import SessionFolder
@@ -22,12 +26,12 @@ from modaltouch.rig import is_simulated
 from modaltouch.rig.interface import Rig, RigError
 from modaltouch.schedule import Schedule
 from modaltouch.session import Sitting, conduct
-from modaltouch.window.interface import AnswerWindow, SessionStopped, WindowError
+from modaltouch.window.interface import AnswerWindow, SessionStopped, Tick, WindowError, Wish
 
 OpenRig = Callable[[Callable[..., None]], AbstractContextManager[Rig]]
 """Opens the instrument for a while, given a function that takes each exchange with it."""
 
-OpenWindow = Callable[[Callable[[], None], Callable[..., None]], AnswerWindow]
+OpenWindow = Callable[[Tick, Callable[..., None]], AnswerWindow]
 """Opens the answer window, given the tick it must call while it waits and a function that takes its events."""
 
 
@@ -51,6 +55,8 @@ class Setup:
         The interrupted session that this one begins anew.
     on_progress : callable
         Called with (answered, total) after each trial.
+    console : Console
+        Shows the experimenter how the session stands, and takes requests; closed by whoever opened it.
     """
 
     preflight: Preflight
@@ -61,6 +67,7 @@ class Setup:
     facts: dict[str, Any] = field(default_factory=dict)
     replaces: SessionFolder | None = None
     on_progress: Callable[[int, int], None] = lambda answered, total: None
+    console: Console = field(default_factory=Silence)
 
 
 class Journal:
@@ -74,6 +81,8 @@ class Journal:
         self._log: SessionLog | None = None
         self._early: list[tuple[str, dict[str, Any]]] = []
         self._exchanges: list[dict[str, Any]] = []
+        self.listener: Callable[[dict[str, Any]], None] = lambda exchange: None
+        """Hears of each exchange with the instrument as it happens."""
 
     def open(self, log: SessionLog) -> None:
         """Write to this log from now on."""
@@ -89,6 +98,7 @@ class Journal:
     def exchange(self, event: str, **facts: Any) -> None:
         """Keep an exchange with the instrument until `flush`."""
         self._exchanges.append({"what": event, **facts})
+        self.listener({"event": "exchange", "what": event, **facts})
 
     def flush(self) -> None:
         """Write everything that was kept."""
@@ -178,6 +188,9 @@ def _begin_anew(setup: Setup, cut: Cut, facts: dict[str, Any]) -> SessionLog:
 
 def _sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], SessionLog], first: str) -> Session:
     journal = Journal()
+    seconds = estimated_duration(setup.preflight.experiment.protocol) * 60 / max(len(setup.schedule.trials), 1)
+    experimenter = Experimenter(setup.console, journal.event, Status(seconds))
+    journal.listener = experimenter.tell
     with Interruption() as interruption, ExitStack() as stack:
         rig = stack.enter_context(setup.open_rig(journal.exchange))
         if is_simulated(rig.identity) and setup.place.mode != "simulated":
@@ -186,18 +199,22 @@ def _sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessi
             refuse_existing(setup.place.log)
         rig.load(setup.preflight.stimulus.burst)
 
-        def tick() -> None:
+        def tick() -> Wish | None:
             interruption.check()
             rig.heartbeat()
+            return experimenter.attend()
 
         window = stack.enter_context(setup.open_window(tick, journal.event))
         describe_dataset(setup.place, setup.preflight.experiment.protocol.title)
         log = stack.enter_context(open_log(setup.place, _describe(setup, rig, window, first)))
         journal.open(log)
+        for event in log.events:
+            experimenter.tell(event)
+        log.listener = experimenter.tell
         ending = {"reason": "finished"}
         try:
             list_participants(setup.place)
-            conduct(_sitting(setup, rig, window, log, journal, tick))
+            conduct(replace(_sitting(setup, rig, window, log, journal, tick), experimenter=experimenter))
         except BaseException as error:
             ending = _ending(error)
             error.add_note(f"everything answered is kept; go on with `modaltouch resume {setup.place.folder}`")
@@ -215,7 +232,7 @@ def _sitting(
     window: AnswerWindow,
     log: SessionLog,
     journal: Journal,
-    tick: Callable[[], None],
+    tick: Tick,
 ) -> Sitting:
     done = Session(log.path, tuple(log.events), ()).answered
     schedule = setup.schedule

@@ -22,7 +22,7 @@ from modaltouch.schedule import Schedule, draw_schedule, random_generator
 from modaltouch.sitting import Setup
 from modaltouch.trial import ANSWERS, ANSWERS_WITH_NONE, Trial
 from modaltouch.window import AnswersBy, open_window
-from modaltouch.window.interface import AnswerWindow
+from modaltouch.window.interface import AnswerWindow, Tick
 from modaltouch.window.simulated import Answerer
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ class Wires:
                 address = self._simulator.address
             yield stack.enter_context(open_rig(address, apparatus, log=log))
 
-    def open_window(self, tick: Callable[[], None], log: Callable[..., None]) -> AnswerWindow:
+    def open_window(self, tick: Tick, log: Callable[..., None]) -> AnswerWindow:
         """Open the answer window, with a simulated participant where no person answers."""
         experiment = self._preflight.experiment
         zones = experiment.apparatus.zones

@@ -19,7 +19,7 @@ from modaltouch.protocol.experiment import (
     read_protocol,
     restore_experiment,
 )
-from modaltouch.protocol.keys import KEY_NAMES, RESERVED_KEYS
+from modaltouch.protocol.keys import END_KEY, KEY_NAMES, RESERVED_KEYS
 from modaltouch.protocol.schemas import write_schemas
 from modaltouch.protocol.sections import (
     AnswersSection,
@@ -35,6 +35,7 @@ from modaltouch.protocol.sections import (
 from modaltouch.protocol.texts import Texts
 
 __all__ = [
+    "END_KEY",
     "KEY_NAMES",
     "RESERVED_KEYS",
     "AnswersSection",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from modaltouch.document import Problem, Reading, suggest
-from modaltouch.protocol.keys import KEY_ALIASES, KEY_NAMES, RESERVED_KEYS
+from modaltouch.protocol.keys import END_KEY, KEY_ALIASES, KEY_NAMES, RESERVED_KEYS
 from modaltouch.protocol.sections import Protocol
 
 TRIAL_LIMIT = 10_000
@@ -143,6 +143,13 @@ def _check_keys(reading: Reading[Protocol]) -> Iterator[Problem]:
             taken.setdefault(name, path[-1])
     for index, name in reading.items("answers", "continue_keys"):
         yield from _check_key(reading, ("answers", "continue_keys", index), name)
+        taken.setdefault(name, "to go on")
+    for index, name in reading.items("answers", "emergency_keys"):
+        path = ("answers", "emergency_keys", index)
+        yield from _check_key(reading, path, name)
+        if name in taken or name == END_KEY:
+            given = f"'{name}', which is needed otherwise"
+            yield reading.problem(path, given, "a key with no other meaning, such as f12", "choose another")
 
 
 def _check_key(reading: Reading[Protocol], path: tuple[str | int, ...], name: str) -> Iterator[Problem]:

@@ -7,6 +7,9 @@ import string
 RESERVED_KEYS = frozenset({"escape"})
 """Keys that the window keeps for itself: Escape pauses the session."""
 
+END_KEY = "q"
+"""Key that ends the session from the pause screen; elsewhere it may answer."""
+
 _NAMED = """
 ampersand apostrophe asciicircum asciitilde asterisk at backslash backspace bar begin braceleft braceright
 bracketleft bracketright break cancel capslock clear colon comma delete dollar doublequote down end enter equal

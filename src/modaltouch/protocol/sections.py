@@ -201,6 +201,10 @@ class AnswersSection(Section):
     continue_keys: tuple[KeyName, ...] = described(
         "Keys that go on from a screen that waits.", default=("space", "enter", "num_enter"), min_length=1
     )
+    emergency_keys: tuple[KeyName, ...] = described(
+        "Keys that switch the outputs off at once and end the session, on every screen and at the console.",
+        default=("f12",),
+    )
 
     @property
     def offers_none(self) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -32,6 +33,8 @@ class SessionLog:
         self._torn = chain.torn if chain else b""
         self._needs_newline = bool(chain and not chain.ends_in_newline)
         self._failure = ""
+        self.listener: Callable[[dict[str, Any]], None] = lambda line: None
+        """Hears of each event once it is on the disk."""
 
     @classmethod
     def create(cls, path: Path, event: str, **facts: Any) -> Self:
@@ -126,6 +129,7 @@ class SessionLog:
         self._write(b"\n" * self._needs_newline + data)
         self._check, self._torn, self._needs_newline = check, b"", False
         self.events.append(line)
+        self.listener(line)
         return line
 
     @property

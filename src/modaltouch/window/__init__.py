@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from modaltouch.window.interface import AnswerWindow, Log
+from modaltouch.window.interface import AnswerWindow, Log, Tick
 
 if TYPE_CHECKING:
     from modaltouch.protocol import Protocol, Texts
@@ -22,7 +21,7 @@ def open_window(
     texts: Texts,
     *,
     zones: tuple[str, ...],
-    tick: Callable[[], None],
+    tick: Tick,
     log: Log,
     answerer: Answerer | None = None,
     size: tuple[int, int] = (1280, 800),
@@ -45,7 +44,7 @@ def open_window(
     zones : tuple of str
         Names of the beam's zones, from the participant's left.
     tick : callable
-        Called about every millisecond while the window waits; may raise.
+        Called about every millisecond while the window waits; may raise, and returns what the experimenter wishes.
     log : callable
         Takes the window's events for the record, as ``log(event, **facts)``.
     answerer : Answerer, optional
@@ -73,7 +72,7 @@ def open_window(
     if answers == "simulated" and answerer is not None:
         from modaltouch.window.simulated import SimulatedParticipant
 
-        return SimulatedParticipant(answerer, tick=tick, stimulus_until=protocol.answers.stimulus_until)
+        return SimulatedParticipant(answerer, tick=tick, log=log, stimulus_until=protocol.answers.stimulus_until)
     from modaltouch.window.participant import ParticipantWindow
     from modaltouch.window.robot import Robot
     from modaltouch.window.screen import Screen

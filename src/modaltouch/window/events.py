@@ -13,7 +13,7 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Any, Literal
 
-EventKind = Literal["key", "release", "click", "close", "focus", "blur", "expose"]
+EventKind = Literal["key", "release", "click", "close", "focus", "blur", "expose", "pause", "continue"]
 
 _ALIASES = {
     "return": "enter",
@@ -48,7 +48,8 @@ class Event:
     time : float
         When it was received, by `time.perf_counter` [s].
     kind : str
-        ``key``, ``release``, ``click``, ``close``, ``focus``, ``blur`` or ``expose``.
+        ``key``, ``release``, ``click``, ``close``, ``focus``, ``blur`` or ``expose``; or ``pause`` and
+        ``continue``, which the experimenter asks for.
     key : str
         Name of the key, for ``key`` and ``release``.
     x, y : float

@@ -15,12 +15,13 @@ class WindowError(Exception):
 
 
 class SessionStopped(Exception):  # noqa: N818
-    """The participant or experimenter ended the session (Escape and confirmed, or the window's close button).
+    """The participant or experimenter ended the session.
 
     Attributes
     ----------
     reason : str
-        One of ``escape``, ``window closed``, ``practice not passed``.
+        One of ``escape`` (and confirmed), ``window closed``, ``practice not passed``, ``experimenter``, ``end of
+        block``, ``emergency stop``.
     """
 
     def __init__(self, reason: str) -> None:
@@ -29,18 +30,24 @@ class SessionStopped(Exception):  # noqa: N818
 
 
 class TrialInterrupted(Exception):  # noqa: N818
-    """The trial was cut (Escape then continue, or focus lost): offer it again.
+    """The trial was cut by a pause or a lost focus: offer it again.
 
     Attributes
     ----------
     reason : str
-        One of ``escape``, ``focus lost``.
+        One of ``escape``, ``focus lost``, ``experimenter``.
     """
 
     def __init__(self, reason: str) -> None:
         super().__init__(reason)
         self.reason = reason
 
+
+Wish = typing.Literal["pause", "continue"]
+"""What the experimenter asks of the window."""
+
+Tick = Callable[[], Wish | None]
+"""Called about every millisecond while the window waits; may raise, and returns what the experimenter wishes."""
 
 Log = Callable[..., None]
 """``log(event, **facts)`` appends one event to the session log."""
@@ -57,7 +64,8 @@ class Progress:
 class AnswerWindow(typing.Protocol):
     """Shows the session to the participant and collects the answers.
 
-    Every method that waits calls the `tick` given at opening about every millisecond; `tick` may raise.
+    Every method that waits calls the `tick` given at opening about every millisecond; `tick` may raise, and what
+    it returns is done: ``pause`` holds the session until ``continue`` or a press to go on.
     """
 
     def describe(self) -> dict[str, Any]:

@@ -9,8 +9,8 @@ from typing import Any, NoReturn, Self
 
 from modaltouch.protocol import Protocol, Texts
 from modaltouch.trial import Answer, Condition, Response, Trial
-from modaltouch.window.events import Event
-from modaltouch.window.interface import Log, Progress, TrialInterrupted
+from modaltouch.window.events import Event, canonical_key
+from modaltouch.window.interface import Log, Progress, Tick, TrialInterrupted
 from modaltouch.window.layout import lay_out
 from modaltouch.window.marks import Picture
 from modaltouch.window.pausing import SETTLE, Pauser
@@ -62,7 +62,7 @@ class ParticipantWindow:
         *,
         zones: tuple[str, ...],
         theme: Theme,
-        tick: Callable[[], None],
+        tick: Tick,
         log: Log,
         screenshots: Path | None = None,
         robot: Sitter | None = None,
@@ -73,7 +73,14 @@ class ParticipantWindow:
         self._texts = texts
         layout = lay_out(*display.size, zones, offers_none=protocol.answers.offers_none)
         self._pictures = Illustrator(layout, theme, texts, protocol.answers, protocol.conditions.hand)
-        self._stage = Stage(display, tick=tick, log=log, screenshots=screenshots, sitter=robot or Nobody())
+        self._stage = Stage(
+            display,
+            tick=tick,
+            log=log,
+            screenshots=screenshots,
+            sitter=robot or Nobody(),
+            emergency_keys=frozenset(map(canonical_key, protocol.answers.emergency_keys)),
+        )
         self._answered_by = "simulated" if robot else ""
         self._reader = Reader.of(protocol.answers, layout)
         self._pauser = Pauser(self._stage, self._pictures, self._reader, protocol.answers.pause_s)
@@ -308,4 +315,4 @@ class ParticipantWindow:
         """Stop the stimulus, pause, and have the trial offered again."""
         stop()
         self._pauser.pause(trial, event, self._ready_picture())
-        raise TrialInterrupted("focus lost" if event.kind == "blur" else "escape")
+        raise TrialInterrupted({"blur": "focus lost", "pause": "experimenter"}.get(event.kind, "escape"))

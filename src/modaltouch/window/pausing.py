@@ -58,14 +58,15 @@ class Pauser:
         if event.kind == "close":
             self._end("window closed")
         name = "focus_lost" if event.kind == "blur" else "pause"
-        self._stage.note(name, trial=trial.index if trial else None)
+        by = {"by": "experimenter"} if event.kind == "pause" else {}
+        self._stage.note(name, trial=trial.index if trial else None, **by)
         began = time.perf_counter()
         shown = self._stage.show(self._pictures.pause(trial), Moment("go_on", trial))
         while True:
             for press in self._stage.poll():
                 if press.kind == "close":
                     self._end("window closed")
-                if press.time < shown + SETTLE:
+                if press.kind != "continue" and press.time < shown + SETTLE:
                     self.discard(press, "as the screen appeared", trial)
                 elif self._reader.ends(press):
                     self._end("escape")

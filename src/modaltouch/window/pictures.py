@@ -5,13 +5,13 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from modaltouch.protocol import AnswersSection, Texts
+from modaltouch.protocol import END_KEY, AnswersSection, Texts
 from modaltouch.trial import Answer, Trial
 from modaltouch.window.hands import draw_beam, draw_hands
 from modaltouch.window.interface import Progress
 from modaltouch.window.layout import Layout
 from modaltouch.window.marks import Box, Mark, Picture, Words, framed, moved, rectangle, rounded, triangle
-from modaltouch.window.reading import END_KEY, PAUSE_KEY
+from modaltouch.window.reading import PAUSE_KEY
 from modaltouch.window.theme import Theme
 
 _ARROWS = ("left", "right", "up", "down")

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Self
 
-from modaltouch.protocol import AnswersSection
+from modaltouch.protocol import END_KEY, AnswersSection
 from modaltouch.trial import Answer
 from modaltouch.window.events import Event, canonical_key
 from modaltouch.window.layout import Layout
 
-END_KEY = "q"
-"""Key that ends the session from the pause screen."""
 PAUSE_KEY = "escape"
 """Key that pauses the session."""
 
@@ -49,12 +47,12 @@ class Reader:
         return None
 
     def goes_on(self, event: Event) -> bool:
-        """Return whether the event is a key to go on."""
-        return event.kind == "key" and event.key in self.continue_keys
+        """Return whether the event is a key to go on, or the experimenter's wish to."""
+        return event.kind == "continue" or (event.kind == "key" and event.key in self.continue_keys)
 
     def pauses(self, event: Event) -> bool:
         """Return whether the event asks for a pause, or for the end."""
-        return event.kind == "close" or (event.kind == "key" and event.key == PAUSE_KEY)
+        return event.kind in ("close", "pause") or (event.kind == "key" and event.key == PAUSE_KEY)
 
     def interrupts(self, event: Event) -> bool:
         """Return whether the event cuts a trial: a pause, or keys that now go to another window."""

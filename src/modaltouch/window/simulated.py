@@ -11,7 +11,7 @@ import numpy as np
 
 from modaltouch.observer import Participant
 from modaltouch.trial import ANSWERS, Answer, Response, Trial
-from modaltouch.window.interface import Progress
+from modaltouch.window.interface import Log, Progress, Tick, TrialInterrupted
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,9 @@ class SimulatedParticipant:
     answerer : Answerer
         Who answers.
     tick : callable
-        Called at every step; may raise.
+        Called at every step; may raise, and a wish to pause is obeyed.
+    log : callable
+        Takes the pauses for the record.
     stimulus_until : str
         ``answer``, or ``question`` where the stimulus stops before the question.
     waits : bool
@@ -75,12 +77,14 @@ class SimulatedParticipant:
         self,
         answerer: Answerer,
         *,
-        tick: Callable[[], None],
+        tick: Tick,
+        log: Log = lambda event, **facts: None,
         stimulus_until: str = "answer",
         waits: bool = False,
     ) -> None:
         self._answerer = answerer
-        self._tick = tick
+        self._ticks = tick
+        self._log = log
         self._onset_is = "question" if stimulus_until == "question" else "first_burst"
         self._waits = waits
 
@@ -102,9 +106,9 @@ class SimulatedParticipant:
 
     def ask(self, trial: Trial, progress: Progress, *, onset: float, stop: Callable[[], None]) -> Response:
         """Return the observer's answer."""
-        self._tick()
         answer, reaction_time = self._answerer.answer(trial)
-        self._pass(reaction_time)
+        if self._pass(reaction_time):
+            raise TrialInterrupted("experimenter")
         stop()
         return Response(
             answer=answer,
@@ -141,10 +145,22 @@ class SimulatedParticipant:
     def __exit__(self, *exc: object) -> None:
         self.close()
 
-    def _pass(self, seconds: float) -> None:
-        """Tick once, or for as long as the time takes."""
-        self._tick()
+    def _pass(self, seconds: float) -> bool:
+        """Tick once, or for as long as the time takes; return whether a pause came between."""
+        paused = self._tick()
         end = time.perf_counter() + seconds if self._waits else 0.0
         while time.perf_counter() < end:
-            self._tick()
+            paused |= self._tick()
             time.sleep(1e-3)
+        return paused
+
+    def _tick(self) -> bool:
+        """Tick, hold where the experimenter wishes it, and return whether that was so."""
+        if self._ticks() != "pause":
+            return False
+        began = time.perf_counter()
+        self._log("pause", trial=None, by="experimenter")
+        while self._ticks() != "continue":
+            time.sleep(1e-3)
+        self._log("continued", paused_s=round(time.perf_counter() - began, 3))
+        return True

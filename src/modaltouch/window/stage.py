@@ -12,7 +12,7 @@ from typing import Any
 
 from modaltouch.trial import Trial
 from modaltouch.window.events import Event
-from modaltouch.window.interface import Log, WindowError
+from modaltouch.window.interface import Log, SessionStopped, Tick, WindowError
 from modaltouch.window.marks import Picture
 
 POLL_INTERVAL = 1e-3
@@ -97,13 +97,15 @@ class Stage:
     display : Display
         The window.
     tick : callable
-        Called at every poll; may raise.
+        Called at every poll; may raise, and returns what the experimenter wishes.
     log : callable
         Takes the window's events for the record.
     screenshots : Path, optional
         Folder for one PNG of each kind of picture.
     sitter : Sitter
         A robot, or nobody.
+    emergency_keys : frozenset of str
+        Keys that end the session at once, on every screen.
 
     Raises
     ------
@@ -115,16 +117,19 @@ class Stage:
         self,
         display: Display,
         *,
-        tick: Callable[[], None],
+        tick: Tick,
         log: Log,
         screenshots: Path | None,
         sitter: Sitter,
+        emergency_keys: frozenset[str] = frozenset(),
     ) -> None:
         self._display = display
         self._tick = tick
         self._log = log
         self._screenshots = screenshots
         self._sitter = sitter
+        self._emergency_keys = emergency_keys
+        self._is_emergency = False
         self._kept: set[str] = set()
         self._unread: deque[Event] = deque()
         self._unwritten: list[tuple[str, dict[str, Any]]] = []
@@ -175,10 +180,20 @@ class Stage:
         self._sitter.see(moment, time.perf_counter())
 
     def poll(self) -> list[Event]:
-        """Tick, and return what happened since the last poll; rests a millisecond if that is nothing."""
-        self._tick()
+        """Tick, and return what happened since the last poll; rests a millisecond if that is nothing.
+
+        Raises
+        ------
+        SessionStopped
+            At a key for emergencies, be it one that was read while nothing might raise.
+        """
+        wish = self._tick()
         self._sitter.act(time.perf_counter(), self._display.type_key)
         events = self.poll_quietly()
+        if self._is_emergency:
+            raise SessionStopped("emergency stop")
+        if wish is not None:
+            events.append(Event(time.perf_counter(), wish))
         self._refresh()
         if not events:
             time.sleep(POLL_INTERVAL)
@@ -189,6 +204,7 @@ class Stage:
         events = self._display.poll()
         self.poll_gap, self._last_poll = time.perf_counter() - self._last_poll, time.perf_counter()
         self._is_stale = self._is_stale or any(event.kind == "expose" for event in events)
+        self._is_emergency |= any(event.kind == "key" and event.key in self._emergency_keys for event in events)
         unread = list(self._unread)
         self._unread.clear()
         return [*unread, *(event for event in events if event.kind != "expose")]

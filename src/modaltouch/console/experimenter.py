@@ -1,0 +1,83 @@
+"""What the experimenter asked for, kept until the session acts upon it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from modaltouch.console.interface import Console, Silence
+from modaltouch.console.status import Status
+from modaltouch.window.interface import SessionStopped, Wish
+
+
+class Experimenter:
+    """The session's ear and mouth towards the experimenter.
+
+    Parameters
+    ----------
+    console : Console, optional
+        Where it is shown and asked; nowhere by default.
+    record : callable, optional
+        Takes what was asked for the record, as ``record(event, **facts)``.
+    status : Status, optional
+        How the session stands.
+    """
+
+    def __init__(
+        self,
+        console: Console | None = None,
+        record: Callable[..., Any] = lambda event, **facts: None,
+        status: Status | None = None,
+    ) -> None:
+        self._console = console or Silence()
+        self._record = record
+        self._status = status or Status()
+        self._last: dict[str, Any] | None = None
+        self._repeats: dict[str, Any] | None = None
+        self.ends_after_block = False
+        """Whether the session ends before the next block."""
+
+    def tell(self, event: dict[str, Any]) -> None:
+        """Take in an event of the record, or one that happens now, and show what it changed."""
+        if event["event"] == "trial" and not event["trial"]["practice"]:
+            self._last = event
+        elif event["event"] == "withdrawn" and self._last is not None and self._last["n"] in event["lines"]:
+            self._last = None
+        if self._status.take(event):
+            self._console.show(self._status.facts())
+
+    def attend(self) -> Wish | None:
+        """Take in what was asked, and return what it asks of the window; cheap, called about every millisecond.
+
+        Raises
+        ------
+        SessionStopped
+            If the session is to end now.
+        """
+        wish: Wish | None = None
+        for request in self._console.requests():
+            self._record("experimenter", asks=request.command, **({"text": request.text} if request.text else {}))
+            if request.command == "emergency_stop":
+                raise SessionStopped("emergency stop")
+            if request.command == "stop":
+                raise SessionStopped("experimenter")
+            if request.command == "pause":
+                wish = "continue" if self._status.paused else "pause"
+            elif request.command == "end_after_block":
+                self.ends_after_block = not self.ends_after_block
+                self._show_wishes()
+            elif request.command == "repeat":
+                self._repeats = None if self._repeats is not None else self._last
+                self._show_wishes()
+        return wish
+
+    def take_repeat(self) -> dict[str, Any] | None:
+        """Return the trial event that is to be asked again, once."""
+        repeats, self._repeats = self._repeats, None
+        if repeats is not None:
+            self._show_wishes()
+        return repeats
+
+    def _show_wishes(self) -> None:
+        number = self._repeats["trial"]["index"] if self._repeats is not None else None
+        self.tell({"event": "wishes", "ends_after_block": self.ends_after_block, "repeats_trial": number})

@@ -1,0 +1,88 @@
+"""What a console is told, and what can be asked at it."""
+
+from __future__ import annotations
+
+import typing
+from dataclasses import dataclass
+from typing import Any, Self
+
+Command = typing.Literal["pause", "repeat", "note", "end_after_block", "stop", "emergency_stop"]
+COMMANDS: tuple[Command, ...] = typing.get_args(Command)
+
+Facts = dict[str, Any]
+"""How a session stands: plain values, keys with units (`status.Status.facts`)."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """What the experimenter asks for.
+
+    Attributes
+    ----------
+    command : str
+        ``pause`` (and go on), ``repeat`` (the last answered trial once more), ``note``, ``end_after_block`` (and
+        take it back), ``stop`` or ``emergency_stop``.
+    text : str
+        The note.
+    """
+
+    command: Command
+    text: str = ""
+
+
+class Console(typing.Protocol):
+    """Shows how a session stands and takes requests; nothing here may raise or wait."""
+
+    def show(self, facts: Facts) -> None:
+        """Show how the session stands."""
+
+    def requests(self) -> list[Request]:
+        """Return what was asked for since the last call."""
+
+    def close(self) -> None:
+        """Show nothing more; the terminal is as it was."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *exc: object) -> None: ...
+
+
+class Silence:
+    """No console: nothing is shown, nothing is asked."""
+
+    def show(self, facts: Facts) -> None:
+        """Show nothing."""
+
+    def requests(self) -> list[Request]:
+        """Return nothing."""
+        return []
+
+    def close(self) -> None:
+        """Do nothing."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+class Consoles(Silence):
+    """Several consoles as one."""
+
+    def __init__(self, consoles: list[Console]) -> None:
+        self._consoles = consoles
+
+    def show(self, facts: Facts) -> None:
+        """Show it on all of them."""
+        for console in self._consoles:
+            console.show(facts)
+
+    def requests(self) -> list[Request]:
+        """Return what was asked for at any of them."""
+        return [request for console in self._consoles for request in console.requests()]
+
+    def close(self) -> None:
+        """Close all of them."""
+        for console in self._consoles:
+            console.close()

@@ -1,0 +1,93 @@
+"""What an experimenter should look into while there is time: read from the record's trial events alone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from modaltouch.practice import expected_answer
+
+HASTY = 0.1
+"""Nobody feels, decides and presses within this time: such an answer was ready before its question [s]."""
+_FEWEST = 6
+"""Fewer departures to one side say nothing."""
+_LEVEL = 0.01
+"""Level of the sign test; looked at after every answer, so this is a hint and no result [1]."""
+_SIDES = {"left": -1, "both": 0, "right": 1}
+
+
+def read_signs(trials: Sequence[dict[str, Any]]) -> list[str]:
+    """Return what is worth a look, in words; empty where nothing is.
+
+    Parameters
+    ----------
+    trials : sequence of dict
+        The trial events that count, practice left out.
+    """
+    signs = [find_side_bias(trials), _count_hasty(trials), _count_missed(trials), _count_doubles(trials)]
+    return [sign for sign in signs if sign]
+
+
+def find_side_bias(trials: Sequence[dict[str, Any]]) -> str:
+    """Return to which side the answers lean, by a sign test; empty if they do not.
+
+    Each answer is compared with the one that the predicted speeds ask for: `left` for `both` and `both` for
+    `right` are departures to the left. Without a bias, departures go either way alike, whatever the design.
+
+    Parameters
+    ----------
+    trials : sequence of dict
+        Trial events.
+    """
+    left = right = 0
+    for event in trials:
+        planned = event.get("planned", {})
+        speeds = (planned.get("speed_left_mm_s", 0.0), planned.get("speed_right_mm_s", 0.0))
+        answer, expected = event["response"]["answer"], expected_answer(*speeds)
+        if answer in _SIDES and expected is not None and not is_catch(event):
+            step = _SIDES[answer] - _SIDES[expected]
+            left, right = left + (step < 0), right + (step > 0)
+    n, more = left + right, max(left, right)
+    if n < _FEWEST or min(1.0, 2 * sum(math.comb(n, k) for k in range(more, n + 1)) / 2**n) > _LEVEL:
+        return ""
+    side = "left" if left > right else "right"
+    return f"answers lean to the {side}: {more} of {n} departures from what was predicted"
+
+
+def is_hasty(event: dict[str, Any]) -> bool:
+    """Return whether a trial was answered before anybody could have felt and decided."""
+    response = event["response"]
+    since = response["reaction_time"]
+    if response.get("onset") == "first_burst" and response.get("question_after") is not None:
+        since -= response["question_after"]
+    return bool(since < HASTY)
+
+
+def is_catch(event: dict[str, Any]) -> bool:
+    """Return whether nothing was presented in a trial."""
+    return bool(event["trial"]["condition"]["velocity_mm_s"] == 0)
+
+
+def _count_hasty(trials: Sequence[dict[str, Any]]) -> str:
+    hasty = [event["trial"]["index"] for event in trials if is_hasty(event)]
+    if not hasty:
+        return ""
+    return f"{_times(len(hasty))} answered within {HASTY * 1e3:.0f} ms of the question, last in trial {hasty[-1]}"
+
+
+def _count_missed(trials: Sequence[dict[str, Any]]) -> str:
+    caught = [event for event in trials if is_catch(event)]
+    missed = [event["trial"]["index"] for event in caught if event["response"]["answer"] != "none"]
+    if not missed:
+        return ""
+    return f"{len(missed)} of {len(caught)} catch trials felt as real, last trial {missed[-1]}"
+
+
+def _count_doubles(trials: Sequence[dict[str, Any]]) -> str:
+    doubles = [event["trial"]["index"] for event in trials if event["response"].get("double")]
+    return f"{_times(len(doubles))} two answers at once, last in trial {doubles[-1]}" if doubles else ""
+
+
+def _times(count: int) -> str:
+    return "once" if count == 1 else f"{count} times"

@@ -1,0 +1,184 @@
+"""The session's events -> how it stands, as plain values with units."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+from modaltouch.console.interface import Facts
+from modaltouch.console.signs import read_signs
+
+TROUBLES = frozenset(
+    {"connection_lost", "reconnect_failed", "instrument_errors", "upload_repeated", "unconfirmed", "close_failed"}
+)
+"""Events of the rig that an experimenter should know of."""
+_QUIET = frozenset({"rig", "exchange", "discarded", "ignored"})
+"""Events that change nothing an experimenter looks at."""
+_LONGEST = 300.0
+"""A trial that took longer than this was a break, and tells nothing about the next [s]."""
+
+
+class Status:
+    """How a session stands, kept up to date by its events.
+
+    Parameters
+    ----------
+    seconds_per_trial : float
+        What a trial takes before any has been answered [s].
+    clock : callable
+        Monotonic clock [s].
+    """
+
+    def __init__(self, seconds_per_trial: float = 5.0, clock: Callable[[], float] = time.perf_counter) -> None:
+        self._clock = clock
+        self._guess = seconds_per_trial
+        self._began = clock()
+        self._facts: Facts = {
+            "event": "",
+            "participant": "",
+            "session": 0,
+            "mode": "",
+            "protocol": "",
+            "state": "waiting",
+            "stopped_by": "",
+            "trial": None,
+            "generator": {"identity": "", "outputs": "off", "amplitude_Vpp": [], "confirmed": None, "last_error": ""},
+            "last": None,
+            "ends_after_block": False,
+            "repeats_trial": None,
+            "n_notes": 0,
+        }
+        self._total = 0
+        self._trials: dict[int, dict[str, Any]] = {}
+        self._durations: list[float] = []
+        self._answered_at: float | None = None
+
+    def take(self, event: dict[str, Any]) -> bool:
+        """Take in an event of the record, or one that happens now, and return whether it changed what is shown.
+
+        Parameters
+        ----------
+        event : dict
+            With its name under ``event``.
+        """
+        name = str(event["event"])
+        react = getattr(self, f"_on_{name}", None)
+        if react is not None:
+            react(event)
+        if name in TROUBLES:
+            self._facts["generator"]["last_error"] = _words(name, event)
+        if name in _QUIET:
+            return event.get("what") in TROUBLES
+        self._facts["event"] = name
+        return True
+
+    @property
+    def paused(self) -> bool:
+        """Whether the session waits for somebody to go on."""
+        return bool(self._facts["state"] == "paused")
+
+    def facts(self) -> Facts:
+        """Return how the session stands."""
+        answers = Counter(str(event["response"]["answer"]) for event in self._trials.values())
+        left = max(self._total - len(self._trials), 0)
+        return {
+            **self._facts,
+            "generator": dict(self._facts["generator"]),
+            "n_answered": len(self._trials),
+            "n_trials": self._total,
+            "answers": dict(answers),
+            "elapsed_s": round(self._clock() - self._began, 1),
+            "time_left_s": round(left * self._pace(), 1),
+            "warnings": read_signs(list(self._trials.values())),
+        }
+
+    def _pace(self) -> float:
+        """Return what a trial takes [s]: the median of those answered, once there are three."""
+        return statistics.median(self._durations[-20:]) if len(self._durations) >= 3 else self._guess
+
+    def _on_start(self, event: dict[str, Any]) -> None:
+        facts = self._facts
+        facts |= {name: event.get(name, facts[name]) for name in ("participant", "session", "mode", "protocol")}
+        self._total = event["schedule"]["n_trials"]
+        self._on_resume(event)
+
+    def _on_resume(self, event: dict[str, Any]) -> None:
+        self._facts["generator"]["identity"] = event["rig"]["identity"]
+        self._facts |= {"state": "waiting", "stopped_by": ""}
+        self._answered_at = None
+
+    def _on_trial_next(self, event: dict[str, Any]) -> None:
+        self._facts |= {"state": "waiting", "trial": event["trial"]}
+
+    def _on_fired(self, event: dict[str, Any]) -> None:
+        firing = event["confirmed"]
+        self._facts["state"] = "trial"
+        self._facts["generator"] |= {
+            "outputs": "on",
+            "amplitude_Vpp": list(firing["commanded_amplitude"]),
+            "confirmed": firing["confirmed"],
+        }
+
+    def _on_trial(self, event: dict[str, Any]) -> None:
+        self._facts["generator"] |= {"outputs": "off", "confirmed": event["confirmed"]["confirmed"]}
+        self._facts["last"] = {
+            "number": event["trial"]["index"],
+            "practice": event["trial"]["practice"],
+            "answer": event["response"]["answer"],
+            "reaction_time_s": round(event["response"]["reaction_time"], 3),
+            "counted_from": event["response"].get("onset", ""),
+        }
+        self._facts["state"] = "waiting"
+        if self._answered_at is not None and event["clock"] - self._answered_at < _LONGEST:
+            self._durations.append(event["clock"] - self._answered_at)
+        self._answered_at = event["clock"]
+        if not event["trial"]["practice"] and event["confirmed"]["confirmed"]:
+            self._trials[event["trial"]["index"]] = event
+
+    def _on_withdrawn(self, event: dict[str, Any]) -> None:
+        gone = set(event["lines"])
+        self._trials = {index: trial for index, trial in self._trials.items() if trial["n"] not in gone}
+
+    def _on_trial_cut(self, event: dict[str, Any]) -> None:
+        self._facts["generator"]["outputs"] = "off"
+
+    def _on_pause(self, event: dict[str, Any]) -> None:
+        self._facts["generator"]["outputs"] = "off"
+        self._facts["state"] = "paused"
+        self._answered_at = None
+
+    _on_focus_lost = _on_pause
+
+    def _on_continued(self, event: dict[str, Any]) -> None:
+        self._facts["state"] = "waiting"
+
+    def _on_rest(self, event: dict[str, Any]) -> None:
+        self._facts["state"] = "break"
+        self._answered_at = None
+
+    def _on_experimenter(self, event: dict[str, Any]) -> None:
+        self._facts["n_notes"] += event["asks"] == "note"
+
+    def _on_wishes(self, event: dict[str, Any]) -> None:
+        self._facts |= {name: event[name] for name in ("ends_after_block", "repeats_trial")}
+
+    def _on_stop(self, event: dict[str, Any]) -> None:
+        self._facts["generator"]["outputs"] = "off"
+        self._facts |= {"state": "ended", "stopped_by": event["reason"]}
+
+    def _on_exchange(self, event: dict[str, Any]) -> None:
+        what = event["what"]
+        if what in TROUBLES:
+            self._facts["generator"]["last_error"] = _words(what, event)
+
+
+def _words(name: str, event: dict[str, Any]) -> str:
+    """Return a trouble of the rig in words."""
+    errors = event.get("errors")
+    said = (
+        ", ".join(map(str, errors)) if errors else event.get("reason") or event.get("confirmed", {}).get("reason", "")
+    )
+    return f"{name.replace('_', ' ')}: {said}" if said else name.replace("_", " ")
