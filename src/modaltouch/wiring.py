@@ -150,7 +150,7 @@ def wire_run(
         If the participant id is not allowed.
     """
     protocol = preflight.experiment.protocol
-    place = SessionFolder(results, _mode(rig, answers, pilot=pilot), protocol.protocol, participant, session)
+    place = SessionFolder(results, mode_of(rig, answers, pilot=pilot), protocol.protocol, participant, session)
     schedule = draw_schedule(protocol, participant, seed, session)
     return _setup(preflight, schedule, place, seed, rig, answers, window_options or {}, observer or Observer())
 
@@ -190,7 +190,7 @@ def wire_resume(
     place = locate(log, session.mode, session.protocol)
     rig, answers = rig or start["rig_choice"], answers or start["answers_choice"]
     as_begun = (rig, answers) == (start["rig_choice"], start["answers_choice"])
-    if not as_begun and _mode(rig, answers, pilot=session.mode == "pilot") != session.mode:
+    if not as_begun and mode_of(rig, answers, pilot=session.mode == "pilot") != session.mode:
         raise RecordError(
             f"{log}: is a {session.mode} session, and with rig {rig!r} and answers {answers!r} it would go on as "
             "another kind; give --rig and --answers as it began"
@@ -254,8 +254,8 @@ def _setup(
     return Setup(preflight, schedule, place, wires.open_rig, wires.open_window, facts)
 
 
-def _mode(rig: str, answers: AnswersBy, *, pilot: bool) -> Mode:
-    """``simulated`` as soon as anything is."""
+def mode_of(rig: str, answers: AnswersBy, *, pilot: bool) -> Mode:
+    """Return which kind of data a session makes: ``simulated`` as soon as anything in it is."""
     if rig == SIMULATED or answers != "window":
         return "simulated"
     return "pilot" if pilot else "real"

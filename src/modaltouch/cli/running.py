@@ -13,11 +13,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from modaltouch.cli.checking import PROTOCOL, show
+from modaltouch.cli.asking import ask_participant, ask_session, wait_for_start
+from modaltouch.cli.checking import PROTOCOL
+from modaltouch.cli.consoles import EVENTS, PLAIN, open_console
 from modaltouch.cli.faults import print_json, reporting
 
 if TYPE_CHECKING:
     from modaltouch.record.log import Session
+    from modaltouch.sitting import Setup
 
 
 class Answers(StrEnum):
@@ -61,7 +64,10 @@ def run(
         str | None,
         typer.Option("--participant", "-p", help="Participant id: letters and digits.", show_default=False),
     ] = None,
-    session: Annotated[int, typer.Option(min=1, help="Number of the participant's session.")] = 1,
+    session: Annotated[
+        int | None,
+        typer.Option("--session", "-s", min=1, help="Number of the participant's session.", show_default="1, or asked"),
+    ] = None,
     rig: RIG = "simulated",
     answers: ANSWERS = Answers.window,
     pilot: Annotated[bool, typer.Option("--pilot", help="Keep the data apart, as a pilot's.")] = False,
@@ -72,28 +78,35 @@ def run(
     theme: THEME = Theme.dark,
     screen: SCREEN = 0,
     screenshots: SCREENSHOTS = None,
+    events: EVENTS = None,
+    plain: PLAIN = False,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Begin without asking.")] = False,
     json_output: JSON = False,
 ) -> None:
     """Run one participant's session, after a full check of the protocol.
 
+    In a terminal it asks for what is missing, shows the check and waits for `start`; then the terminal is the
+    experimenter's console.
+
     Every answer is on the disk before the next trial. If anything ends the session early, the outputs are off
     and `modaltouch resume` goes on where it stopped.
     """
     from modaltouch.preflight import examine
-    from modaltouch.record.folders import check_participant
 
     with reporting(json_output=json_output):
         window_options = _window_options(fullscreen, size, theme, screen, screenshots)
         preflight = examine(protocol).require()
-        if participant is None:
-            participant = _ask_participant()
-        check_participant(participant)
-        if sys.stdin.isatty() and not yes and not json_output:
-            show(preflight)
-            typer.confirm("Begin?", default=True, abort=True)
-        from modaltouch.wiring import wire_run
+        from modaltouch.record.folders import check_participant, dataset_of
+        from modaltouch.record.log import refuse_existing
+        from modaltouch.wiring import mode_of, wire_run
 
+        mode = mode_of(rig, answers.value, pilot=pilot)
+        dataset = dataset_of(results, mode, preflight.experiment.protocol.protocol)
+        if participant is None:
+            participant = ask_participant(dataset)
+        check_participant(participant)
+        if session is None:
+            session = ask_session(dataset, participant) if not (yes or json_output) else 1
         setup = wire_run(
             preflight,
             participant,
@@ -105,10 +118,13 @@ def run(
             results=results,
             window_options=window_options,
         )
+        refuse_existing(setup.place.log)
+        if sys.stdin.isatty() and not yes and not json_output:
+            wait_for_start(preflight, setup.place, rig)
         from modaltouch.sitting import begin
 
-        with _progress() as on_progress:
-            recorded = begin(replace(setup, on_progress=on_progress))
+        with open_console(events, _emergency_keys(setup), plain=plain) as console:
+            recorded = begin(replace(setup, console=console))
         _finish(recorded, json_output=json_output)
 
 
@@ -124,6 +140,8 @@ def resume(
     theme: THEME = Theme.dark,
     screen: SCREEN = 0,
     screenshots: SCREENSHOTS = None,
+    events: EVENTS = None,
+    plain: PLAIN = False,
     json_output: JSON = False,
 ) -> None:
     """Go on with an interrupted session: the trials that are left, in the order they had.
@@ -143,8 +161,8 @@ def resume(
             restart=restart,
             window_options=_window_options(fullscreen, size, theme, screen, screenshots),
         )
-        with _progress() as on_progress:
-            recorded = go_on(replace(setup, on_progress=on_progress))
+        with open_console(events, _emergency_keys(setup), plain=plain) as console:
+            recorded = go_on(replace(setup, console=console))
         _finish(recorded, json_output=json_output)
 
 
@@ -246,10 +264,8 @@ def _window_options(
     }
 
 
-def _ask_participant() -> str:
-    if not sys.stdin.isatty():
-        raise typer.BadParameter("a session needs a participant id: give it with -p, for example -p p01")
-    return str(typer.prompt("Participant id (letters and digits, never a name)"))
+def _emergency_keys(setup: Setup) -> tuple[str, ...]:
+    return setup.preflight.experiment.protocol.answers.emergency_keys
 
 
 def _finish(session: Session, *, json_output: bool) -> None:

@@ -52,7 +52,7 @@ def _show(
 ) -> None:
     console = Console(file=file, force_terminal=True)
     known = facts.get()
-    with Live(console=console, screen=True, auto_refresh=False) as live:
+    with Live(console=console, screen=True, auto_refresh=False, redirect_stdout=False, redirect_stderr=False) as live:
         came = drawn = 0.0
         is_new = True
         while known is not None:

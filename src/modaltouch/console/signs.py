@@ -17,15 +17,18 @@ _LEVEL = 0.01
 _SIDES = {"left": -1, "both": 0, "right": 1}
 
 
-def read_signs(trials: Sequence[dict[str, Any]]) -> list[str]:
+def read_signs(trials: Sequence[dict[str, Any]], *, offers_none: bool = False) -> list[str]:
     """Return what is worth a look, in words; empty where nothing is.
 
     Parameters
     ----------
     trials : sequence of dict
         The trial events that count, practice left out.
+    offers_none : bool
+        Whether ``none`` can be answered: else no catch trial can be told from a real one.
     """
-    signs = [find_side_bias(trials), _count_hasty(trials), _count_missed(trials), _count_doubles(trials)]
+    missed = _count_missed(trials) if offers_none else ""
+    signs = [find_side_bias(trials), _count_hasty(trials), missed, _count_doubles(trials)]
     return [sign for sign in signs if sign]
 
 

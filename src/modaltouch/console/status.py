@@ -52,6 +52,7 @@ class Status:
             "n_notes": 0,
         }
         self._total = 0
+        self._offers_none = False
         self._trials: dict[int, dict[str, Any]] = {}
         self._durations: list[float] = []
         self._answered_at: float | None = None
@@ -92,7 +93,7 @@ class Status:
             "answers": dict(answers),
             "elapsed_s": round(self._clock() - self._began, 1),
             "time_left_s": round(left * self._pace(), 1),
-            "warnings": read_signs(list(self._trials.values())),
+            "warnings": read_signs(list(self._trials.values()), offers_none=self._offers_none),
         }
 
     def _pace(self) -> float:
@@ -103,6 +104,7 @@ class Status:
         facts = self._facts
         facts |= {name: event.get(name, facts[name]) for name in ("participant", "session", "mode", "protocol")}
         self._total = event["schedule"]["n_trials"]
+        self._offers_none = "none" in event.get("design", {}).get("answers", {}).get("keys", {})
         self._on_resume(event)
 
     def _on_resume(self, event: dict[str, Any]) -> None:

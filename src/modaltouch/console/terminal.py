@@ -38,15 +38,19 @@ class TerminalConsole(Silence):
         self._terminal = keys
         self._screen = screen
         self._before = save_terminal(keys)
-        unix = {} if sys.platform == "win32" else {"pass_fds": (keys, screen)}
+        # Numbers of their own: the process's standard input and output are the pipes.
+        passed = () if sys.platform == "win32" else (os.dup(keys), os.dup(screen))
+        words = [str(number) for number in passed or (keys, screen)]
         self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "modaltouch.console", str(keys), str(screen), ",".join(emergency) or "x"],
+            [sys.executable, "-P", "-m", "modaltouch.console", *words, ",".join(emergency) or "x"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL if sys.platform == "win32" else None,
+            stderr=subprocess.DEVNULL,
             env={**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
-            **unix,  # type: ignore[call-overload]
+            pass_fds=passed,
         )
+        for number in passed:
+            os.close(number)
         self._asked: deque[Request] = deque()
         self._facts: deque[Facts] = deque(maxlen=_KEPT)
         self._wake: queue.SimpleQueue[bool] = queue.SimpleQueue()

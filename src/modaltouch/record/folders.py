@@ -47,8 +47,7 @@ class SessionFolder:
     @property
     def dataset(self) -> Path:
         """Root of the BIDS dataset: one protocol in one mode."""
-        root = self.results if self.mode == "real" else self.results / self.mode
-        return root / self.protocol
+        return dataset_of(self.results, self.mode, self.protocol)
 
     @property
     def folder(self) -> Path:
@@ -65,6 +64,21 @@ class SessionFolder:
         """The BIDS table derived from the log; its side file has the suffix ``.json``."""
         task = re.sub(r"[^A-Za-z0-9]", "", self.protocol)
         return self.folder / f"sub-{self.participant}_ses-{self.session}_task-{task}_beh.tsv"
+
+
+def dataset_of(results: Path, mode: Mode, protocol: str) -> Path:
+    """Return the root of the BIDS dataset of one protocol in one mode.
+
+    Parameters
+    ----------
+    results : Path
+        Root of all results.
+    mode : str
+        ``real``, ``pilot`` or ``simulated``.
+    protocol : str
+        Name of the protocol.
+    """
+    return (results if mode == "real" else results / mode) / protocol
 
 
 def check_participant(participant: str) -> str:

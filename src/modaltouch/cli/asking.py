@@ -1,0 +1,137 @@
+"""What ``modaltouch run`` asks for where it was not given: who, which session, and whether to start."""
+
+from __future__ import annotations
+
+import re
+import sys
+from typing import TYPE_CHECKING
+
+import typer
+
+from modaltouch.cli.checking import show
+from modaltouch.cli.faults import INTERRUPTED, leave
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from modaltouch.preflight import Preflight
+    from modaltouch.record.folders import SessionFolder
+
+_NUMBERED = re.compile(r"([A-Za-z]*)(\d+)\Z")
+_NAME = re.compile(r"[A-Z]?[a-z]{2,}\Z|[A-Za-z]{3,}\Z")
+
+
+def ask_participant(dataset: Path) -> str:
+    """Return a participant id that may stand in a file name, asked for until it is one.
+
+    Parameters
+    ----------
+    dataset : Path
+        Where the participants so far are; the next number is proposed.
+
+    Raises
+    ------
+    typer.BadParameter
+        If there is no terminal to ask in.
+    """
+    from modaltouch.record.chain import RecordError
+    from modaltouch.record.folders import check_participant
+
+    if not sys.stdin.isatty():
+        raise typer.BadParameter("a session needs a participant id: give it with -p, for example -p p01")
+    while True:
+        words = "Participant id (a code of letters and digits, never a name)"
+        participant = str(_prompt(words, default=propose_participant(dataset))).strip()
+        try:
+            check_participant(participant)
+        except RecordError as error:
+            typer.secho(str(error), err=True, fg=typer.colors.RED)
+            continue
+        if not _NAME.match(participant):
+            return participant
+        question = f"'{participant}' looks like a name; ids stay in the data for ever. Use it all the same?"
+        if _confirm(question):
+            return participant
+
+
+def propose_participant(dataset: Path) -> str:
+    """Return the id after the last one in a dataset: ``p08`` after ``p07``; ``p01`` where there is none.
+
+    Parameters
+    ----------
+    dataset : Path
+        A folder of ``sub-<id>`` folders; it need not exist.
+    """
+    found = [_NUMBERED.match(folder.name[4:]) for folder in dataset.glob("sub-*") if folder.is_dir()]
+    numbered = [match.groups() for match in found if match]
+    if not numbered:
+        return "p01"
+    letters, digits = max(numbered, key=lambda parts: int(parts[1]))
+    return f"{letters}{int(digits) + 1:0{len(digits)}d}"
+
+
+def ask_session(dataset: Path, participant: str) -> int:
+    """Return the number of the participant's session: 1 for a new one, else asked for, the next free proposed.
+
+    Parameters
+    ----------
+    dataset : Path
+        Where the sessions so far are.
+    participant : str
+        Participant id.
+    """
+    from modaltouch.record.log import read_session
+
+    logs = {
+        int(log.parents[1].name[4:]): log
+        for log in dataset.glob(f"sub-{participant}/ses-*/beh/session.jsonl")
+        if log.parents[1].name[4:].isdecimal()
+    }
+    if not logs or not sys.stdin.isatty():
+        return 1
+    for number, log in sorted(logs.items()):
+        session = read_session(log)
+        if session.complete:
+            state = "complete"
+        elif session.begun_anew_as:
+            state = f"begun anew as session {session.begun_anew_as}"
+        else:
+            state = f"{session.n_answered} answers, not complete: go on with `modaltouch resume {log.parent}`"
+        typer.echo(f"{participant} has session {number}: {state}", err=True)
+    while True:
+        given = str(_prompt("Session number", default=max(logs) + 1))
+        if given.isdecimal() and int(given) >= 1 and int(given) not in logs:
+            return int(given)
+        said = f"given {given!r}; allowed: a number from 1 that is not taken"
+        typer.secho(said, err=True, fg=typer.colors.RED)
+
+
+def wait_for_start(preflight: Preflight, place: SessionFolder, rig: str) -> None:
+    """Show what is about to happen and wait for ``start``; anything else leaves everything as it is."""
+    show(preflight)
+    kind = "" if place.mode == "real" else f" ({place.mode} data)"
+    typer.echo(f"Participant {place.participant}, session {place.session}, rig {rig}{kind}, to {place.folder}")
+    while True:
+        word = str(_prompt("Type start to begin, or q to leave", default="", shown=False)).strip().casefold()
+        if word == "start":
+            return
+        if word in ("q", "quit", "exit", "n", "no"):
+            leave(INTERRUPTED, "not started; nothing was recorded")
+
+
+def _prompt(words: str, *, default: object, shown: bool = True) -> object:
+    # On standard error: standard output is for what the command reports.
+    try:
+        answer: object = typer.prompt(words, default=default, type=str, show_default=shown, err=True)
+    except typer.Abort:
+        typer.echo("", err=True)
+        leave(INTERRUPTED, "not started; nothing was recorded")
+    return answer
+
+
+def _confirm(question: str) -> bool:
+    try:
+        return typer.confirm(question, default=False, err=True)
+    except typer.Abort:
+        typer.echo("", err=True)
+        leave(INTERRUPTED, "not started; nothing was recorded")

@@ -1,0 +1,63 @@
+"""Which console a session gets: the live one in a terminal, else plain lines; JSON lines beside it on request."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from modaltouch.console.interface import Console
+
+EVENTS = Annotated[
+    Path | None,
+    typer.Option(help="File or named pipe for the session's state as JSON lines; a pipe nobody reads delays nothing."),
+]
+PLAIN = Annotated[bool, typer.Option("--plain", help="Plain lines instead of the live console, and no keys.")]
+
+
+@contextmanager
+def open_console(events: Path | None, emergency_keys: Sequence[str], *, plain: bool) -> Iterator[Console]:
+    """Give the experimenter's console of one sitting.
+
+    Raises
+    ------
+    typer.BadParameter
+        If the events can be written nowhere.
+    """
+    from modaltouch.console.interface import Consoles
+
+    consoles: list[Console] = []
+    if events is not None:
+        from modaltouch.console.lines import EventLines
+
+        try:
+            consoles.append(EventLines(events))
+        except OSError as error:
+            raise typer.BadParameter(
+                f"given --events {events}, which cannot be written ({error.strerror}); give a file in a folder you "
+                "may write to, or a named pipe (`mkfifo`)"
+            ) from error
+    if has_terminal() and not plain:
+        from modaltouch.console.terminal import TerminalConsole
+
+        consoles.append(TerminalConsole(sys.stdin.fileno(), sys.stderr.fileno(), emergency_keys))
+    else:
+        from modaltouch.console.lines import PlainLines
+
+        consoles.append(PlainLines(sys.stderr))
+    with Consoles(consoles) as console:
+        yield console
+
+
+def has_terminal() -> bool:
+    """Return whether somebody can type at this process and see what it draws."""
+    if not (sys.stdin.isatty() and sys.stderr.isatty()) or os.environ.get("TERM") == "dumb":
+        return False
+    # A job in the background would be stopped by the first key it reads.
+    return sys.platform == "win32" or os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()

@@ -1,0 +1,267 @@
+"""How a session stands, and what an experimenter should look into, from the record's events alone."""
+
+from __future__ import annotations
+
+import json
+import os
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.console import Console
+
+from modaltouch.console.dialogue import Dialogue
+from modaltouch.console.drawing import draw_session
+from modaltouch.console.experimenter import Experimenter
+from modaltouch.console.interface import Request, Silence
+from modaltouch.console.keyboard import split_keys
+from modaltouch.console.lines import LONGEST_LINE, EventLines, PlainLines
+from modaltouch.console.signs import find_side_bias, read_signs
+from modaltouch.console.status import Status
+from modaltouch.window.interface import SessionStopped
+
+
+def start(n_trials: int = 24) -> dict[str, Any]:
+    """Return a start record, as far as the console looks at it."""
+    return {
+        "n": 1,
+        "event": "start",
+        "participant": "p01",
+        "session": 1,
+        "mode": "real",
+        "protocol": "demo",
+        "schedule": {"n_trials": n_trials},
+        "rig": {"identity": "TEKTRONIX,AFG3022B,C010101,SCPI:99.0"},
+        "clock": 0.0,
+    }
+
+
+def trial(
+    index: int,
+    answer: str = "both",
+    *,
+    clock: float = 0.0,
+    speeds: tuple[float, float] = (100.0, 100.0),
+    **response: Any,
+) -> dict[str, Any]:
+    """Return a trial event, as far as the console looks at it."""
+    return {
+        "n": 10 + index,
+        "event": "trial",
+        "clock": clock,
+        "trial": {"index": index, "practice": False, "block": 1, "condition": {"velocity_mm_s": max(speeds)}},
+        "planned": {"speed_left_mm_s": speeds[0], "speed_right_mm_s": speeds[1]},
+        "confirmed": {"confirmed": True},
+        "response": {"answer": answer, "reaction_time": 0.9, "onset": "first_burst", "question_after": 0.5, **response},
+    }
+
+
+def test_the_time_left_follows_the_pace_of_the_answers() -> None:
+    """Ten seconds a trial, five of twenty-four answered: 190 s left; a break of an hour changes nothing."""
+    status = Status(seconds_per_trial=5.0)
+    status.take(start())
+    assert status.facts()["time_left_s"] == 24 * 5
+    for index in range(1, 6):
+        status.take(trial(index, clock=10.0 * index))
+    assert status.facts()["time_left_s"] == 19 * 10
+    status.take({"event": "rest"})
+    status.take(trial(6, clock=3650.0))
+    assert status.facts()["time_left_s"] == 18 * 10
+
+
+def test_an_answer_that_is_withdrawn_is_not_counted() -> None:
+    """The console's count is the record's: superseded and withdrawn answers are out."""
+    status = Status()
+    status.take(start())
+    for index in (1, 2, 3):
+        status.take(trial(index))
+    status.take({"event": "withdrawn", "lines": [12, 13], "reason": "x"})
+    assert status.facts()["n_answered"] == 1
+
+
+def test_a_side_bias_is_told_once_the_sign_test_is_clear() -> None:
+    """Ten answers `left` where `both` was predicted: 2/2^10 < 0.01. Five: too few. Either way alike: none."""
+    assert find_side_bias([trial(i, "left") for i in range(5)]) == ""
+    assert "lean to the left: 10 of 10" in find_side_bias([trial(i, "left") for i in range(10)])
+    assert find_side_bias([trial(i, ("left", "right")[i % 2]) for i in range(40)]) == ""
+    right_for_left = [trial(i, "both", speeds=(200.0, 100.0)) for i in range(8)]
+    assert "lean to the right: 8 of 8" in find_side_bias(right_for_left)
+
+
+@given(st.lists(st.sampled_from(["left", "both", "right"]), max_size=60))
+def test_a_mirrored_session_leans_the_other_way(answers: list[str]) -> None:
+    """Left and right changed in all answers: the same counts, the other side."""
+    mirror = {"left": "right", "right": "left", "both": "both"}
+    told = find_side_bias([trial(i, answer) for i, answer in enumerate(answers)])
+    mirrored = find_side_bias([trial(i, mirror[answer]) for i, answer in enumerate(answers)])
+    swapped = told.replace("left", "RIGHT").replace("right", "left").replace("RIGHT", "right")
+    assert mirrored == swapped
+
+
+def test_hasty_answers_doubles_and_missed_catch_trials_are_told() -> None:
+    """Each with how often and where last; a catch trial is a trial of no velocity."""
+    trials = [
+        trial(1, reaction_time=0.55),
+        trial(2, double=True),
+        trial(3, "left", speeds=(0.0, 0.0)),
+        trial(4, "none", speeds=(0.0, 0.0)),
+        trial(5, reaction_time=0.65),
+    ]
+    told = read_signs(trials, offers_none=True)
+    assert any("once answered within 100 ms of the question, last in trial 1" in sign for sign in told)
+    assert any("1 of 2 catch trials felt as real, last trial 3" in sign for sign in told)
+    assert any("two answers at once, last in trial 2" in sign for sign in told)
+    assert not any("catch" in sign for sign in read_signs(trials))
+
+
+class Asked(Silence):
+    """A console at which somebody asks."""
+
+    def __init__(self, *commands: str) -> None:
+        self._requests = [Request(command) for command in commands]  # type: ignore[arg-type]
+
+    def requests(self) -> list[Request]:
+        requests, self._requests = self._requests, []
+        return requests
+
+
+@pytest.mark.parametrize(("command", "reason"), [("stop", "experimenter"), ("emergency_stop", "emergency stop")])
+def test_stops_are_recorded_and_raised(command: str, reason: str) -> None:
+    """The record says who ended it before it ends."""
+    record: list[tuple[str, dict[str, Any]]] = []
+    experimenter = Experimenter(Asked(command), lambda event, **facts: record.append((event, facts)))
+    with pytest.raises(SessionStopped, match=reason):
+        experimenter.attend()
+    assert record == [("experimenter", {"asks": command})]
+
+
+def test_a_repeat_can_be_taken_back_and_never_asks_for_a_withdrawn_answer() -> None:
+    """R twice asks for nothing; an answer that is to be asked again anyway is not repeated as well."""
+    twice = Experimenter(Asked("repeat", "repeat"))
+    twice.tell(start())
+    twice.tell(trial(1))
+    twice.attend()
+    assert twice.take_repeat() is None
+    experimenter = Experimenter(Asked("repeat"))
+    experimenter.tell(start())
+    experimenter.tell(trial(1))
+    experimenter.tell({"event": "withdrawn", "lines": [11]})
+    experimenter.attend()
+    assert experimenter.take_repeat() is None
+
+
+def test_every_picture_fits_a_terminal_of_80_by_24() -> None:
+    """Long names, long errors and every warning at once: no line is wrapped, none is lost."""
+    status = Status()
+    status.take({**start(240), "participant": "p" * 32, "protocol": "with_a_name_that_is_rather_long"})
+    for index in range(1, 40):
+        status.take(trial(index, "left", double=True, reaction_time=0.5))
+    status.take({"event": "exchange", "what": "connection_lost", "reason": "x" * 300})
+    described = {
+        "number": 100, "practice": True, "block": 2, "velocity_mm_s": 123.456, "predicted_left_mm_s": 1234.5,
+        "predicted_right_mm_s": 1234.5, "finger_condition": "two_hands", "placement": "mirrored_swapped",
+        "zone_left": "A", "zone_right": "C", "finger_left": "right middle", "finger_right": "right index",
+    }  # fmt: skip
+    status.take({"event": "trial_next", "trial": described})
+    for width in (80, 60, 200):
+        file = StringIO()
+        console = Console(file=file, width=width, height=24, force_terminal=False)
+        console.print(draw_session(status.facts(), "note (Enter keeps it): " + "y" * 34, width=width))
+        lines = file.getvalue().splitlines()
+        assert len(lines) <= 23
+        assert max(map(len, lines)) <= width
+        assert any("EMERGENCY STOP" in line for line in lines)
+        assert any("lean to the left" in line for line in lines)
+
+
+def test_the_events_are_json_lines_with_units(tmp_path: Path) -> None:
+    """One object a line, each saying everything: a reader may come late."""
+    file = tmp_path / "events.jsonl"
+    experimenter = Experimenter(EventLines(file))
+    for event in (start(), trial(1), trial(2)):
+        experimenter.tell(event)
+    lines = [json.loads(line) for line in file.read_text().splitlines()]
+    assert [line["n_answered"] for line in lines] == [0, 1, 2]
+    assert {"time", "time_left_s", "elapsed_s", "warnings", "generator", "last"} <= set(lines[-1])
+    assert lines[-1]["last"]["reaction_time_s"] == 0.9
+
+
+def test_a_pipe_that_nobody_reads_holds_nothing_up(tmp_path: Path) -> None:
+    """No reader at all, one that never reads, one that leaves and another that comes: lines are dropped and counted."""
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    status = Status()
+    status.take(start())
+    lines = EventLines(pipe)
+    lines.show(status.facts())
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    for _ in range(400):
+        lines.show(status.facts())
+    data = os.read(reader, 1 << 20)
+    assert all(json.loads(line) for line in data.splitlines()), "what was taken was taken whole"
+    assert json.loads(data.splitlines()[0])["n_dropped"] == 1
+    lines.show(status.facts())
+    assert json.loads(os.read(reader, 1 << 20).splitlines()[0])["n_dropped"] > 100
+    os.close(reader)
+    lines.show(status.facts())
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    lines.show(status.facts())
+    assert json.loads(os.read(reader, 1 << 20).splitlines()[-1])["participant"] == "p01"
+    os.close(reader)
+    lines.close()
+
+
+def test_a_line_never_exceeds_what_a_pipe_takes_whole(tmp_path: Path) -> None:
+    """However long an instrument's complaint, a line stays whole JSON of at most 4096 bytes."""
+    status = Status()
+    status.take(start())
+    status.take({"event": "exchange", "what": "instrument_errors", "errors": ["é" * 5000]})
+    lines = EventLines(tmp_path / "events.jsonl")
+    lines.show(status.facts())
+    line = (tmp_path / "events.jsonl").read_bytes()
+    assert len(line) <= LONGEST_LINE
+    assert json.loads(line)["participant"] == "p01"
+
+
+def test_plain_lines_say_what_is_new_and_outlive_their_reader() -> None:
+    """Answers, pauses and a warning once; a closed file is no reason to stop."""
+    file = StringIO()
+    experimenter = Experimenter(PlainLines(file))
+    experimenter.tell(start())
+    for index in range(1, 12):
+        experimenter.tell(trial(index, "left"))
+    experimenter.tell({"event": "pause", "trial": None})
+    text = file.getvalue()
+    assert "1 of 24 answered: left, 0.90 s after the first burst (trial 1)" in text
+    assert text.count("warning: answers lean to the left") == 1
+    assert text.endswith("paused\n")
+    file.close()
+    experimenter.tell(trial(12))
+
+
+def test_an_end_is_asked_twice_and_a_note_takes_letters_for_letters() -> None:
+    """Q alone ends nothing; in a note, q and x are letters; F12 is never one."""
+    dialogue = Dialogue(("f12",))
+    assert dialogue.press("q") is None
+    assert dialogue.press("n") is None
+    assert dialogue.press("n") is None
+    assert [dialogue.press(key) for key in ("q", "x")] == [None, None]
+    assert dialogue.press("f12") == Request("emergency_stop")
+    assert dialogue.press("enter") == Request("note", "qx")
+    assert dialogue.press("q") is None
+    assert dialogue.press("y") == Request("stop")
+
+
+@given(st.text(max_size=30))
+def test_no_bytes_of_a_terminal_upset_the_keyboard(text: str) -> None:
+    """Whatever is pasted: keys are printable characters or names."""
+    assert all(len(key) == 1 and key.isprintable() or key.isascii() for key in split_keys(text))
+
+
+def test_events_are_written_from_the_session_alone(tmp_path: Path) -> None:
+    """A file in a folder that does not exist is said at once, before anything begins."""
+    with pytest.raises(OSError, match="No such file"):
+        EventLines(tmp_path / "absent" / "events.jsonl")
