@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 
-from modaltouch.rig.simulator.scpi import Argument, ScpiError
+from modaltouch.rig.simulator.scpi import LONGEST_TEXT, Argument, ScpiError
 
 Arguments = tuple[Argument, ...]
 
@@ -39,6 +39,8 @@ def read_number(
     """
     if isinstance(argument, bytes):
         raise ScpiError(-104, "a block where a number belongs")
+    if len(argument) > LONGEST_TEXT:
+        raise ScpiError(-124, argument[:20])
     word = argument.upper()
     if is_word(word, "MINimum"):
         return minimum
@@ -75,10 +77,7 @@ def read_boolean(argument: Argument) -> bool:
     word = argument.upper() if isinstance(argument, str) else ""
     if word in ("ON", "OFF"):
         return word == "ON"
-    try:
-        return round(float(word)) != 0
-    except ValueError:
-        raise ScpiError(-104, str(argument)[:40]) from None
+    return round(read_number(argument, units={}, minimum=-9.9e37, maximum=9.9e37)) != 0
 
 
 def read_choice(argument: Argument, choices: tuple[str, ...]) -> str:
@@ -127,13 +126,9 @@ def asked(arguments: Arguments, value: float, low: float, high: float) -> float:
     """Return the value of a query, or the limit that ``MIN`` or ``MAX`` asks for."""
     if not arguments:
         return value
-    return low if read_choice(arguments[0], ("MINimum", "MAXimum")) == short_form("MINimum") else high
+    return low if read_choice(one(arguments), ("MINimum", "MAXimum")) == short_form("MINimum") else high
 
 
 def flag(state: bool) -> str:
-    """Return the only argument as a number in the first of its units."""
-    """Return the only argument as a whole number."""
-    """Return the only argument."""
-    """Return the arguments if there are `n` of them."""
     """Return a truth value as a reply."""
     return "1" if state else "0"

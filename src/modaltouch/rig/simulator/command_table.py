@@ -9,6 +9,11 @@ from dataclasses import dataclass, field
 from modaltouch.rig.simulator.arguments import short_form
 from modaltouch.rig.simulator.scpi import Argument, MessageUnit, ScpiError, read_message
 
+LARGEST_REPLY = 1 << 20
+"""Bytes that the output queue holds: four records."""
+
+QUERY_DEADLOCKED = -430
+
 Handler = Callable[[int, tuple[Argument, ...]], "str | bytes | None"]
 """Called with the channel (header suffix, 1 without one) and the arguments; a query returns its reply."""
 
@@ -32,7 +37,7 @@ class CommandTable:
     commands: Mapping[str, Command]
     n_channels: int
     _patterns: list[tuple[re.Pattern[str], Command]] = field(init=False)
-    _known: dict[str, tuple[Command, int] | None] = field(default_factory=dict, init=False)
+    _known: dict[str, tuple[Command, int]] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
         self._patterns = [(re.compile(_pattern(header)), command) for header, command in self.commands.items()]
@@ -46,11 +51,11 @@ class CommandTable:
             -113 where there is no such header, -114 where there is no such channel.
         """
         name = header.upper().lstrip(":")
-        if name not in self._known:
-            self._known[name] = self._search(name)
-        found = self._known[name]
+        found = self._known.get(name) or self._search(name)
         if found is None:
             raise ScpiError(-113, header)
+        # What does not exist is not remembered: there is no end to it.
+        self._known[name] = found
         if not 1 <= found[1] <= self.n_channels:
             raise ScpiError(-114, header)
         return found
@@ -59,8 +64,8 @@ class CommandTable:
         for pattern, command in self._patterns:
             match = pattern.fullmatch(name)
             if match:
-                suffix = next((group for group in match.groups() if group), "1")
-                return command, int(suffix)
+                suffix = next((group for group in match.groups() if group), "1").lstrip("0")
+                return command, int(suffix) if len(suffix) == 1 else 0
         return None
 
     def run(self, message: bytes, *, fail: Callable[[ScpiError], None]) -> list[bytes]:
@@ -76,7 +81,7 @@ class CommandTable:
             Takes each error, for the queue and the status registers.
         """
         replies: list[bytes] = []
-        path = ""
+        path, size = "", 0
         try:
             for unit in read_message(message):
                 command, channel, path = self._resolve(unit.header, path)
@@ -89,8 +94,13 @@ class CommandTable:
                     continue
                 if reply is not None:
                     replies.append(reply if isinstance(reply, bytes) else reply.encode("ascii"))
+                    size += len(replies[-1])
+                    if size > LARGEST_REPLY:
+                        raise ScpiError(QUERY_DEADLOCKED, f"more than {LARGEST_REPLY} bytes were asked for")
         except ScpiError as error:
             fail(error)
+            if error.code == QUERY_DEADLOCKED:
+                return []
         return replies
 
     def _resolve(self, header: str, path: str) -> tuple[Command, int, str]:

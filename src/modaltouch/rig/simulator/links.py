@@ -22,6 +22,9 @@ LONGEST_WAIT = 30.0
 INSTRUMENT, PANEL = "inst0", "panel0"
 """Names of devices: the instrument, and its front panel, which is past locks, faults and the limit of sessions."""
 
+PEOPLE_AT_THE_PANEL = 16
+"""Links to the front panel at a time."""
+
 _CREATE_LINK, _WRITE, _READ, _READ_STATUS, _TRIGGER, _CLEAR = 10, 11, 12, 13, 14, 15
 _REMOTE, _LOCAL, _LOCK, _UNLOCK, _ENABLE_SERVICE, _DESTROY_LINK = 16, 17, 18, 19, 20, 23
 _NO_ERROR, _NOT_ACCESSIBLE, _INVALID_LINK, _NOT_SUPPORTED, _OUT_OF_RESOURCES = 0, 3, 4, 8, 9
@@ -111,8 +114,8 @@ class Links:
         if name not in (INSTRUMENT, PANEL):
             return struct.pack(">iiII", _NOT_ACCESSIBLE, 0, 0, 0)
         with self._guard:
-            n_sessions = sum(not link.panel for link in self._links.values())
-            if name == INSTRUMENT and n_sessions >= self._device.max_sessions:
+            n_links = sum(link.panel == (name == PANEL) for link in self._links.values())
+            if n_links >= (PEOPLE_AT_THE_PANEL if name == PANEL else self._device.max_sessions):
                 return struct.pack(">iiII", _OUT_OF_RESOURCES, 0, 0, 0)
             link = _Link(next(self._numbers), panel=name == PANEL)
             self._links[link.number] = link

@@ -32,7 +32,7 @@ def read_record(stream: io.BufferedIOBase, limit: int) -> bytes:
     HangUp
         If the record is longer than `limit`: whoever sends it speaks another protocol.
     """
-    record = b""
+    record = bytearray()
     while True:
         (word,) = struct.unpack(">I", _exactly(stream, 4))
         length = word & ~_LAST_FRAGMENT
@@ -40,7 +40,7 @@ def read_record(stream: io.BufferedIOBase, limit: int) -> bytes:
             raise HangUp
         record += _exactly(stream, length)
         if word & _LAST_FRAGMENT:
-            return record
+            return bytes(record)
 
 
 def _exactly(stream: io.BufferedIOBase, length: int) -> bytes:

@@ -16,9 +16,11 @@ TEXTS = {
     -104: "Data type error",
     -108: "Parameter not allowed",
     -109: "Missing parameter",
+    -112: "Program mnemonic too long",
     -113: "Undefined header",
     -114: "Header suffix out of range",
     -120: "Numeric data error",
+    -124: "Too many digits",
     -131: "Invalid suffix",
     -151: "Invalid string data",
     -161: "Invalid block data",
@@ -35,6 +37,7 @@ TEXTS = {
     -363: "Input buffer overrun",
     -410: "Query INTERRUPTED",
     -420: "Query UNTERMINATED",
+    -430: "Query DEADLOCKED",
 }
 """Standard texts of SCPI-99, volume 2, chapter 21.8."""
 
@@ -43,12 +46,19 @@ _PLAIN = re.compile(rb"[^;,\n\"'#]*")
 _BLANKS = b" \t\r"
 
 
+LONGEST_TEXT = 255
+"""Characters of an error's text (SCPI-99, 21.8.1), and of what else has to be looked at as a whole."""
+
+
 class ScpiError(Exception):
-    """What an instrument puts in its error queue: a number of SCPI-99 and its text."""
+    """What an instrument puts in its error queue: a number of SCPI-99 and its text, printable whatever was sent."""
 
     def __init__(self, code: int, detail: str = "") -> None:
         self.code = code
-        self.text = f"{TEXTS.get(code, 'Device error')}; {detail}" if detail else TEXTS.get(code, "Device error")
+        said = detail[:LONGEST_TEXT].encode("ascii", "backslashreplace").decode().replace('"', "'")
+        said = "".join(letter if letter.isprintable() else " " for letter in said)
+        text = TEXTS.get(code, "Device error")
+        self.text = f"{text}; {said}"[:LONGEST_TEXT] if detail else text
         super().__init__(f'{code},"{self.text}"')
 
 
@@ -76,7 +86,9 @@ def read_message(message: bytes) -> Iterator[MessageUnit]:
             continue
         found = _HEADER.match(message, at)
         if found is None:
-            raise ScpiError(-101 if message[at] > 0x7E else -102, _show(message[at : at + 20]))
+            raise ScpiError(-102 if 0x20 <= message[at] <= 0x7E else -101, _show(message[at : at + 20]))
+        if len(found[1]) > LONGEST_TEXT:
+            raise ScpiError(-112, _show(found[1][:20]))
         header, query = found[1].decode("ascii"), bool(found[2])
         arguments, at = _read_arguments(message, found.end())
         yield MessageUnit(header, query, arguments)
