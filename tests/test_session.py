@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from modaltouch.adaptive import Levels
 from modaltouch.protocol import Experiment, Protocol, read_protocol
 from modaltouch.record.log import SessionLog
 from modaltouch.rig.interface import Firing, RigError
@@ -111,6 +112,7 @@ def sit(experiment: Experiment, tmp_path: Path) -> Iterator[Callable[..., Sittin
             protocol=protocol,
             trials=(*drawn.practice, *drawn.trials),
             total=len(drawn.trials),
+            levels=Levels(protocol),
             speeds=lambda trial: (SPEEDS[trial.condition.zone_left], SPEEDS[trial.condition.zone_right]),
             rig=PaperRig(),  # type: ignore[arg-type]
             window=Person(rule),  # type: ignore[arg-type]

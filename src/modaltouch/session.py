@@ -7,11 +7,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+from modaltouch.adaptive import Levels
 from modaltouch.console.experimenter import Experimenter
 from modaltouch.practice import expected_answer, judge_round
 from modaltouch.protocol import Protocol, ScheduleSection
 from modaltouch.record.instants import describe_instants
-from modaltouch.record.log import SessionLog
+from modaltouch.record.log import Session, SessionLog
 from modaltouch.rig.interface import Firing, Rig, RigError
 from modaltouch.trial import Response, Trial
 from modaltouch.window.interface import AnswerWindow, Progress, SessionStopped, Tick, TrialInterrupted
@@ -32,6 +33,8 @@ class Sitting:
         What is still to be answered, in order, practice first.
     total : int
         Number of scheduled trials, without practice.
+    levels : Levels
+        What decides the levels of an adaptive run.
     speeds : callable
         Predicted peak speeds under the left and the right finger in a trial [m/s].
     rig, window, log
@@ -47,6 +50,7 @@ class Sitting:
     protocol: Protocol
     trials: tuple[Trial, ...]
     total: int
+    levels: Levels
     speeds: Callable[[Trial], tuple[float, float]]
     rig: Rig
     window: AnswerWindow
@@ -82,8 +86,11 @@ def conduct(sitting: Sitting) -> None:
             sitting.log.append("rest", before_trial=trial.index)
             sitting.window.rest(Progress(trial.index, sitting.total))
             rested = time.perf_counter()
-        run(sitting, trial, previous)
-        previous = repeat(sitting, trial)
+        # The record alone decides the next level, so that a session that was killed goes on with the very same one.
+        answered = Session(sitting.log.path, tuple(sitting.log.events), ()).trials
+        settled = sitting.levels.settle(trial, answered)
+        run(sitting, settled, previous)
+        previous = repeat(sitting, settled)
     sitting.window.goodbye()
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from typing import Any, Literal
 
+from modaltouch.adaptive import Levels, describe_rule
 from modaltouch.console.experimenter import Experimenter
 from modaltouch.console.interface import Console, Silence
 from modaltouch.console.status import Status
@@ -188,6 +189,7 @@ def _begin_anew(setup: Setup, cut: Cut, facts: dict[str, Any]) -> SessionLog:
 
 def _sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], SessionLog], first: str) -> Session:
     journal = Journal()
+    levels = Levels(setup.preflight.experiment.protocol)
     seconds = estimated_duration(setup.preflight.experiment.protocol) * 60 / max(len(setup.schedule.trials), 1)
     experimenter = Experimenter(setup.console, journal.event, Status(seconds))
     journal.listener = experimenter.tell
@@ -214,7 +216,7 @@ def _sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessi
         ending = {"reason": "finished"}
         try:
             list_participants(setup.place)
-            conduct(replace(_sitting(setup, rig, window, log, journal, tick), experimenter=experimenter))
+            conduct(replace(_sitting(setup, rig, window, log, journal, tick, levels), experimenter=experimenter))
         except BaseException as error:
             ending = _ending(error)
             error.add_note(f"everything answered is kept; go on with `modaltouch resume {setup.place.folder}`")
@@ -233,6 +235,7 @@ def _sitting(
     log: SessionLog,
     journal: Journal,
     tick: Tick,
+    levels: Levels,
 ) -> Sitting:
     done = Session(log.path, tuple(log.events), ()).answered
     schedule = setup.schedule
@@ -250,6 +253,7 @@ def _sitting(
         protocol=setup.preflight.experiment.protocol,
         trials=tuple(remaining),
         total=total,
+        levels=levels,
         speeds=setup.preflight.speeds,
         rig=rig,
         window=window,
@@ -271,6 +275,7 @@ def _describe(setup: Setup, rig: Rig, window: AnswerWindow, first: str) -> dict[
     }
     if first == "resume":
         return about
+    rule = describe_rule(experiment.protocol)
     return {
         "schema": SCHEMA,
         "mode": setup.place.mode,
@@ -282,6 +287,7 @@ def _describe(setup: Setup, rig: Rig, window: AnswerWindow, first: str) -> dict[
         "design": experiment.protocol.model_dump(mode="json"),
         "sources": experiment.sources.as_dict(),
         "schedule": schedule.as_dict(),
+        **({"adaptive": rule} if rule is not None else {}),
         "stimulus": {
             "content_hash": burst.content_hash,
             "velocity_mm_s": burst.velocity * 1e3,

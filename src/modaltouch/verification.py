@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from modaltouch.adaptive import Levels
 from modaltouch.preflight import examine_findings
 from modaltouch.protocol import Sources, examine_sources, restore_experiment
 from modaltouch.record.chain import read_chain
@@ -14,6 +15,7 @@ from modaltouch.record.folders import find_log
 from modaltouch.record.log import Session
 from modaltouch.record.view import table_text
 from modaltouch.schedule import draw_schedule
+from modaltouch.trial import Trial
 
 
 @dataclass(frozen=True)
@@ -66,7 +68,10 @@ def verify_session(path: Path) -> Verdict:
         lines.append(f"{len(chain.events)} lines, each continuing the one before")
     if not session.start:
         return Verdict(log, tuple(lines), (*problems, f"{log}: has no start record"))
-    for check in (_check_order, _check_drive):
+    checks = [_check_order, _check_drive]
+    if session.start.get("adaptive"):
+        checks.append(_check_levels)
+    for check in checks:
         holds, line = check(session)
         (lines if holds else problems).append(line)
     line, faults = _check_view(session, chain.checks)
@@ -94,6 +99,22 @@ def _check_drive(session: Session) -> tuple[bool, str]:
         False,
         f"{session.path}: the drive computed again has the hash {found[:12]}, the record says {recorded[:12]}",
     )
+
+
+def _check_levels(session: Session) -> tuple[bool, str]:
+    """Return whether the answers lead to the levels that were presented."""
+    levels = Levels(restore_experiment(Sources.from_dict(session.start["sources"])).protocol)
+    trials = session.trials
+    every = [Trial.from_dict(event["trial"]) for event in trials]
+    driven = [trial for trial in every if not (trial.practice or trial.condition.is_catch)]
+    for trial in driven:
+        found = levels.settle(trial, trials).condition.velocity_mm_s
+        if found != trial.condition.velocity_mm_s:
+            return False, (
+                f"{session.path}: the answers before trial {trial.index} lead to {found:g} mm/s, the record says "
+                f"{trial.condition.velocity_mm_s:g} mm/s"
+            )
+    return True, f"levels of {len(driven)} trials follow from the answers before them"
 
 
 def _check_view(session: Session, checks: tuple[str, ...]) -> tuple[str, list[str]]:

@@ -2,6 +2,7 @@
 
 ``sections``    the protocol file's keys
 ``texts``       the words the participant reads
+``adaptive``    the keys of adaptive runs
 ``observers``   the keys of an observer file
 ``keys``        names of the keys that can answer
 ``checks``      faults between the keys of a protocol
@@ -10,6 +11,7 @@
 ``schemas``     JSON Schemas for editors
 """
 
+from modaltouch.protocol.adaptive import AdaptiveSection, StaircaseSection
 from modaltouch.protocol.experiment import (
     Experiment,
     Findings,
@@ -38,6 +40,7 @@ __all__ = [
     "END_KEY",
     "KEY_NAMES",
     "RESERVED_KEYS",
+    "AdaptiveSection",
     "AnswersSection",
     "ConditionsSection",
     "Experiment",
@@ -48,6 +51,7 @@ __all__ = [
     "ResumeSection",
     "ScheduleSection",
     "Sources",
+    "StaircaseSection",
     "StimulusSection",
     "Texts",
     "WishedField",

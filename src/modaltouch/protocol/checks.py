@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from modaltouch.document import Problem, Reading, suggest
+from modaltouch.protocol.adaptive_checks import check_adaptive
 from modaltouch.protocol.keys import END_KEY, KEY_ALIASES, KEY_NAMES, RESERVED_KEYS
 from modaltouch.protocol.sections import Protocol
 
@@ -21,6 +22,7 @@ def check_protocol(reading: Reading[Protocol]) -> list[Problem]:
         *_check_stimulus(reading),
         *_check_doubles(reading),
         *_check_schedule(reading),
+        *check_adaptive(reading),
         *_check_keys(reading),
         *_check_times(reading),
     ]
@@ -101,7 +103,8 @@ def _check_schedule(reading: Reading[Protocol]) -> Iterator[Problem]:
     running = reading.sound("schedule", "max_same_pair_running")
     if repetitions is None or not n_pairs or not n_levels:
         return
-    n_driven = n_pairs * n_levels * repetitions
+    n_runs = reading.sound("adaptive", "trials")
+    n_driven = n_pairs * (n_runs or n_levels * repetitions)
     n_catch = reading.sound("schedule", "catch_trials") or 0
     if n_catch > n_driven:
         given = f"{n_catch} where {n_driven} trials of a finger condition have a stimulus"
@@ -118,9 +121,9 @@ def _check_schedule(reading: Reading[Protocol]) -> Iterator[Problem]:
         yield reading.problem(path, given, "null, or the order shuffled", "remove the limit or shuffle")
         return
     faulty = any(problem.path.startswith("conditions.zone_pairs") for problem in reading.problems)
-    if running is not None and n_pairs == 1 and not faulty and n_levels * repetitions > running:
+    if running is not None and n_pairs == 1 and not faulty and n_driven > running:
         given = f"{running} where every trial has the same pair"
-        allowed = f"at least {n_levels * repetitions}, or null for no limit"
+        allowed = f"at least {n_driven}, or null for no limit"
         path = ("schedule", "max_same_pair_running")
         yield reading.problem(path, given, allowed, "add a pair of zones or lift the limit")
 

@@ -17,6 +17,7 @@ from modaltouch.document.section import (
     Word,
     described,
 )
+from modaltouch.protocol.adaptive import AdaptiveSection
 
 FingerCondition = Literal["one_hand", "two_hands"]
 AnswerWay = Literal["free_hand", "lifting", "foot_switch", "experimenter"]
@@ -230,6 +231,11 @@ class Protocol(Section):
     stimulus: StimulusSection = described("The burst that every trial plays, up to its level.")
     conditions: ConditionsSection = described("The cells of the design.")
     schedule: ScheduleSection = described("How the trials are ordered.", default=ScheduleSection())
+    adaptive: AdaptiveSection | None = described(
+        "Runs in which the next level follows from the answers; the peak velocities are then their lowest and highest "
+        "level. Null for fixed levels.",
+        default=None,
+    )
     answers: AnswersSection = described("How the question is asked and answered.")
 
     @property
@@ -240,6 +246,15 @@ class Protocol(Section):
     @property
     def trials_per_block(self) -> int:
         """Number of trials of one finger condition, catch trials with them."""
-        conditions = self.conditions
-        n_cells = len(conditions.zone_pairs) * len(conditions.peak_velocities_mm_s)
-        return n_cells * self.schedule.repetitions + self.schedule.catch_trials
+        n_cells = len(self.conditions.zone_pairs) * len(self.scheduled_levels)
+        return n_cells * self.scheduled_repetitions + self.schedule.catch_trials
+
+    @property
+    def scheduled_levels(self) -> tuple[float, ...]:
+        """Peak velocities that trials are scheduled with [mm/s]; in an adaptive run the first, whatever comes."""
+        return self.conditions.peak_velocities_mm_s if self.adaptive is None else (self.adaptive.start_mm_s,)
+
+    @property
+    def scheduled_repetitions(self) -> int:
+        """How many trials of each pair and scheduled level a block holds."""
+        return self.schedule.repetitions if self.adaptive is None else self.adaptive.trials

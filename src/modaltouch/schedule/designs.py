@@ -104,8 +104,8 @@ def _row_of_turn(turn: int, n_rows: int) -> int:
 
 def _shuffled(protocol: Protocol, turn: int, stream: Stream) -> list[Cell]:
     """Draw the order of pairs first, then spread each pair's velocities over its places."""
-    pairs, levels = protocol.conditions.zone_pairs, protocol.conditions.peak_velocities_mm_s
-    repetitions = protocol.schedule.repetitions
+    pairs, levels = protocol.conditions.zone_pairs, protocol.scheduled_levels
+    repetitions = protocol.scheduled_repetitions
     counts = [len(levels) * repetitions] * len(pairs)
     order = draw_order(counts, protocol.schedule.max_same_pair_running, stream)
     waiting = [stream.shuffled(levels * repetitions) for _ in pairs]
@@ -114,26 +114,26 @@ def _shuffled(protocol: Protocol, turn: int, stream: Stream) -> list[Cell]:
 
 def _by_pair(protocol: Protocol, turn: int, stream: Stream) -> list[Cell]:
     """Take the pairs one after the other, in this participant's row of a Latin square."""
-    pairs, levels = protocol.conditions.zone_pairs, protocol.conditions.peak_velocities_mm_s
+    pairs, levels = protocol.conditions.zone_pairs, protocol.scheduled_levels
     rows = latin_square(len(pairs))
     row = rows[_row_of_turn(turn, len(rows))]
-    return [(pairs[pair], level) for pair in row for level in stream.shuffled(levels * protocol.schedule.repetitions)]
+    return [(pairs[pair], level) for pair in row for level in stream.shuffled(levels * protocol.scheduled_repetitions)]
 
 
 def _by_velocity(protocol: Protocol, turn: int, stream: Stream) -> list[Cell]:
     """Take the velocities one after the other, in this participant's row of a Latin square."""
-    pairs, levels = protocol.conditions.zone_pairs, protocol.conditions.peak_velocities_mm_s
+    pairs, levels = protocol.conditions.zone_pairs, protocol.scheduled_levels
     rows = latin_square(len(levels))
     row = rows[_row_of_turn(turn, len(rows))]
-    return [(pair, levels[level]) for level in row for pair in stream.shuffled(pairs * protocol.schedule.repetitions)]
+    return [(pair, levels[level]) for level in row for pair in stream.shuffled(pairs * protocol.scheduled_repetitions)]
 
 
 def _latin_square(protocol: Protocol, turn: int, stream: Stream) -> list[Cell]:
     """Take all cells in this participant's row of a Latin square, the next row for each repetition."""
     conditions = protocol.conditions
-    cells = [(pair, level) for pair in conditions.zone_pairs for level in conditions.peak_velocities_mm_s]
+    cells = [(pair, level) for pair in conditions.zone_pairs for level in protocol.scheduled_levels]
     rows = latin_square(len(cells))
-    repetitions = protocol.schedule.repetitions
+    repetitions = protocol.scheduled_repetitions
     turns = range(turn * repetitions, (turn + 1) * repetitions)
     return [cells[cell] for each in turns for cell in rows[_row_of_turn(each, len(rows))]]
 

@@ -55,6 +55,8 @@ class Schedule:
     finger_conditions_by : str
         What decided the order of the finger conditions: ``number of the participant``, ``hash of the
         participant``, or ``protocol``.
+    is_adaptive : bool
+        Whether the levels follow from the answers; a trial is then scheduled with the level of a run's first.
     """
 
     participant: str
@@ -63,6 +65,7 @@ class Schedule:
     practice: tuple[Trial, ...]
     blocks: tuple[Block, ...]
     finger_conditions_by: str
+    is_adaptive: bool = False
 
     @property
     def trials(self) -> tuple[Trial, ...]:
@@ -102,6 +105,7 @@ class Schedule:
             "seeds": self.seeds,
             "finger_conditions": [block.finger_condition for block in self.blocks],
             "finger_conditions_by": self.finger_conditions_by,
+            **({"levels": "adaptive"} if self.is_adaptive else {}),
             "n_trials": len(self.trials),
             "n_practice_trials": len(self.practice),
             "practice": [_brief(trial) for trial in self.practice],
@@ -154,6 +158,7 @@ def draw_schedule(protocol: Protocol, participant: str, seed: int, session: int 
         practice=_number(practised, block=0, first=1),
         blocks=tuple(blocks),
         finger_conditions_by=decided_by if len(orders) > 1 else "protocol",
+        is_adaptive=protocol.adaptive is not None,
     )
 
 
@@ -200,7 +205,7 @@ def _purpose_of_catches(finger_condition: str) -> str:
 def _draw_practice(protocol: Protocol, stream: Stream) -> list[Cell]:
     """Return the cells to practise, none again before all others have come."""
     conditions, n_trials = protocol.conditions, protocol.schedule.all_practice_trials
-    cells = [(pair, level) for pair in conditions.zone_pairs for level in conditions.peak_velocities_mm_s]
+    cells = [(pair, level) for pair in conditions.zone_pairs for level in protocol.scheduled_levels]
     drawn: list[Cell] = []
     while len(drawn) < n_trials:
         drawn += stream.shuffled(cells)

@@ -1,0 +1,63 @@
+"""What an adaptive protocol can say that no single key can: levels, orders and pairs that make no run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from modaltouch.document import Problem, Reading
+from modaltouch.protocol.sections import Protocol
+
+
+def check_adaptive(reading: Reading[Protocol]) -> Iterator[Problem]:
+    """Yield the faults between the section ``adaptive`` and the others, as far as its sound parts show them."""
+    node = reading.find(("adaptive",))
+    if node is None or not isinstance(node.content, dict):
+        return
+    yield from _check_levels(reading)
+    yield from _check_order(reading)
+    yield from _check_success(reading)
+
+
+def _check_levels(reading: Reading[Protocol]) -> Iterator[Problem]:
+    path = ("conditions", "peak_velocities_mm_s")
+    levels = [level for _, level in reading.items(*path)]
+    node = reading.find(path)
+    given = len(node.content) if node is not None and isinstance(node.content, list) else None
+    if given is not None and given != 2:
+        words = f"{given} levels where runs are adaptive"
+        yield reading.problem(path, words, "two: the lowest and the highest that a run may reach", "give both")
+    elif len(levels) == 2 and not levels[0] < levels[1]:
+        words = f"[{levels[0]:g}, {levels[1]:g}] where runs are adaptive"
+        yield reading.problem(path, words, "the lowest level first, then a higher one", "write the lowest first")
+    start = reading.sound("adaptive", "start_mm_s")
+    if start is not None and len(levels) == 2 and levels[0] < levels[1] and not levels[0] <= start <= levels[1]:
+        allowed = f"{levels[0]:g} to {levels[1]:g} mm/s, the levels of conditions.peak_velocities_mm_s"
+        yield reading.problem(("adaptive", "start_mm_s"), f"{start:g} mm/s", allowed, "start within them")
+
+
+def _check_order(reading: Reading[Protocol]) -> Iterator[Problem]:
+    repetitions, order = reading.sound("schedule", "repetitions"), reading.sound("schedule", "order")
+    if repetitions is not None and repetitions != 1:
+        given = f"{repetitions} where runs are adaptive"
+        remedy = "remove it; adaptive.trials says how long a run is"
+        yield reading.problem(("schedule", "repetitions"), given, "1", remedy)
+    if order in ("by_velocity", "latin_square"):
+        remedy = "shuffle the runs into each other, or take one after the other"
+        given = f"{order}, where the levels are not known beforehand"
+        yield reading.problem(("schedule", "order"), given, "shuffled or by_pair", remedy)
+
+
+def _check_success(reading: Reading[Protocol]) -> Iterator[Problem]:
+    success = reading.sound("adaptive", "success") or "focus_named"
+    focus = reading.sound("stimulus", "focus")
+    if success == "focus_named" and focus is not None:
+        for index, pair in reading.items("conditions", "zone_pairs"):
+            if focus not in pair:
+                given = f"[{pair[0]}, {pair[1]}], neither of which is in focus, where success is naming the focus"
+                path = ("conditions", "zone_pairs", index)
+                yield reading.problem(path, given, f"a pair with {focus}", "remove it, or count `felt` as success")
+    keys = reading.find(("answers", "keys"))
+    offers_none = keys is not None and isinstance(keys.content, dict) and "none" in keys.content
+    if success == "felt" and not offers_none:
+        given = "felt, where no answer says that nothing was felt"
+        yield reading.problem(("adaptive", "success"), given, "focus_named, or keys for `none`", "give the keys")

@@ -1,0 +1,71 @@
+"""Adaptive sessions on the simulated rig: killed and resumed, checked, forged (issue 6, item 6)."""
+
+import json
+import random
+import shutil
+import signal
+
+import pytest
+
+from modaltouch.record.chain import GENESIS, encode_line, read_chain
+from modaltouch.verification import verify_session
+
+RUN = ("--answers", "simulated", "--yes")
+
+
+@pytest.fixture
+def short(tmp_path, protocol_path):
+    """Return the shipped adaptive protocol with short runs, by another rule."""
+
+    def write(method):
+        return _shorten(tmp_path, protocol_path, method)
+
+    return write
+
+
+def _shorten(tmp_path, protocol_path, method):
+    folder = tmp_path / "protocols"
+    shutil.copytree(protocol_path.parent, folder)
+    file = folder / "threshold.yaml"
+    text = file.read_text(encoding="utf-8").replace("method: quest_plus", f"method: {method}")
+    text = text.replace("trials: 40", "trials: 9").replace("catch_trials: 10", "catch_trials: 3")
+    file.write_text(text, encoding="utf-8")
+    return file
+
+
+@pytest.mark.parametrize(("method", "n_trials"), [("staircase", 6), ("staircase", 17), ("quest_plus", 12)])
+def test_a_killed_run_goes_on_with_the_very_same_level(
+    tmp_path, short, start, finish, kill, wait_for_trials, answers_of, method, n_trials
+):
+    """SIGKILL and resume: levels and answers as in the session that nobody interrupts; verify recomputes them."""
+    protocol = short(method)
+    logs = [tmp_path / name / "simulated/threshold/sub-p07/ses-1/beh/session.jsonl" for name in ("a", "b")]
+    assert finish("run", protocol, "-p", "p07", *RUN, "--results", tmp_path / "a") == 0
+    session = start("run", protocol, "-p", "p07", *RUN, "--results", tmp_path / "b")
+    wait_for_trials(logs[1], n_trials)
+    session.join(random.Random(n_trials).uniform(0, 0.04))
+    kill(session, signal.SIGKILL)
+    assert finish("resume", logs[1].parent) == 0
+    assert answers_of(logs[1]) == answers_of(logs[0])
+    levels = {condition["velocity_mm_s"] for practice, _, condition, _ in answers_of(logs[1]) if not practice}
+    assert len(levels) > 4
+    verdict = verify_session(logs[1].parent)
+    assert verdict.problems == ()
+    assert "levels of 18 trials follow from the answers before them" in verdict.lines
+    start_record = json.loads(logs[1].read_text(encoding="utf-8").splitlines()[0])
+    assert start_record["schedule"]["levels"] == "adaptive"
+
+
+def test_a_level_that_does_not_follow_is_noticed(tmp_path, short, finish):
+    """A level changed in the record, every check made to fit."""
+    assert finish("run", short("staircase"), "-p", "p07", *RUN, "--results", tmp_path) == 0
+    log = tmp_path / "simulated/threshold/sub-p07/ses-1/beh/session.jsonl"
+    check, lines = GENESIS, []
+    for event in read_chain(log).events:
+        if event["event"] == "trial" and event["trial"]["index"] == 9 and not event["trial"]["practice"]:
+            event["trial"]["condition"]["velocity_mm_s"] = 77.0
+        line, check = encode_line(event, check)
+        lines.append(line)
+    log.write_bytes(b"".join(lines))
+    problems = verify_session(log.parent).problems
+    assert any("the record says 77 mm/s" in problem for problem in problems)
