@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from modaltouch.apparatus.checks import check_apparatus, zone_edges
+from modaltouch.apparatus.intervals import Identified, Intervals, Provenance
 from modaltouch.apparatus.sections import (
     Acquisition,
     ActuatorSet,
@@ -28,9 +29,12 @@ __all__ = [
     "Beam",
     "Fingers",
     "Generator",
+    "Identified",
+    "Intervals",
     "Mode",
     "Number",
     "Positive",
+    "Provenance",
     "Safety",
     "Scope",
     "Section",

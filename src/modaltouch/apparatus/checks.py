@@ -71,6 +71,11 @@ def _check_modes(reading: Reading[Apparatus]) -> Iterator[Problem]:
             if name not in (sets or ()):
                 path = ("modes", index, "gain_mm_s2_per_V", name)
                 yield _unknown_set(reading, path, name, sets or [], at_key=True)
+        known = reading.find(("modes", index, "intervals_95", "gain_mm_s2_per_V"))
+        for name in list(known.content) if known is not None and isinstance(known.content, dict) else ():
+            if name not in named:
+                within = ("modes", index, "intervals_95", "gain_mm_s2_per_V", name)
+                yield _unknown_set(reading, within, name, named, at_key=True)
         for position, name in reading.items("modes", index, "assumed"):
             if name not in named:
                 path = ("modes", index, "assumed", position)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 from pydantic import Field
 
+from modaltouch.apparatus.intervals import Identified, Intervals, Provenance
 from modaltouch.apparatus.measured_shapes import ShapeTable
 from modaltouch.apparatus.twin import Twin
 from modaltouch.document.section import (
@@ -76,6 +77,8 @@ class Mode(Section):
         "unknown and taken as zero."
     )
     assumed: tuple[Word, ...] = described("Actuator sets whose gain is assumed, not measured.", default=())
+    intervals_95: Intervals | None = described("95 % intervals, as identified.", default=None)
+    provenance: Provenance | None = described("Where each number comes from.", default=None)
 
 
 class Amplifier(Section):
@@ -116,6 +119,10 @@ class Acquisition(Section):
         "What a volt of the vibrometer's output stands for [mm/s per V].", default=50.0
     )
     range_mm_s: Positive = described("Highest velocity in the vibrometer's range [mm/s, peak].", default=500.0)
+    vibrometer_bandwidth_kHz: Positive | None = described(  # noqa: N815
+        "Corner of the vibrometer's first-order low-pass by its data sheet [kHz]; null for one that needs none.",
+        default=None,
+    )
     probe_attenuation: Positive = described(
         "Volts at the beam per volt at the scope's drive inputs [V/V].", default=100.0
     )
@@ -138,6 +145,7 @@ class Apparatus(Section):
     safety: Safety = described("Limits that no protocol can raise.")
     generator: Generator = described("The arbitrary function generator.", default=Generator())
     acquisition: Acquisition = described("What velocity and drive are measured with.", default=Acquisition())
+    identified: Identified | None = described("The identification that the table of modes comes from.", default=None)
     twin: Twin = described("What the simulated rig has and the tables have not.", default=Twin())
 
     def modal_model(self) -> ModalModel:

@@ -1,0 +1,290 @@
+"""The joint fit of all responses: natural frequencies, damping ratios, gains and shapes, each with its interval."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modaltouch.identification.halfpower import HalfPower, half_power
+from modaltouch.identification.kernel import N_REST, Evaluation, Problem
+from modaltouch.identification.responses import FrequencyResponses
+from modaltouch.identification.search import Poles, find_more, first_poles, make_problem, refine
+from modaltouch.identification.shapes import label_shapes, unit_shape
+
+FloatArray = NDArray[np.float64]
+
+NORMAL_95 = 1.959963984540054
+"""Half-width of a 95 % interval in standard deviations."""
+
+MOST_ADDED = 20
+"""Poles that may be added to those of the first peaks."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A number with its 95 % interval.
+
+    Attributes
+    ----------
+    value, low, high : float
+        In the unit of the quantity.
+    """
+
+    value: float
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, value: float, deviation: float) -> Estimate:
+        """Return the estimate of a value of a standard deviation."""
+        return cls(value, value - NORMAL_95 * deviation, value + NORMAL_95 * deviation)
+
+    def __contains__(self, value: float) -> bool:
+        """Return whether the interval covers a value."""
+        return self.low <= value <= self.high
+
+    @property
+    def deviation(self) -> float:
+        """Standard deviation."""
+        return (self.high - self.low) / (2 * NORMAL_95)
+
+
+@dataclass(frozen=True, eq=False)
+class IdentifiedMode:
+    """What was found of one mode, in SI units.
+
+    Attributes
+    ----------
+    label : int or None
+        As in the paper; None for what is no bending mode of the mid-line, or where no shape was measured.
+    natural_frequency, damping_ratio : Estimate
+        Undamped natural frequency [Hz], damping ratio [1].
+    gain : tuple of Estimate
+        Modal acceleration per unit of each excitation [m/s^2 per V]; empty where no shape was measured.
+    shape : (n_points,) array or None
+        Of unit mean square, positive at the right end [1].
+    mac : float
+        Likeness of the shape with that of a uniform free-free beam [1]; NaN where no shape was measured.
+    half_power : HalfPower
+        Of the highest response.
+    half_power_gain : float
+        What peak and half-power bandwidth make of the gain [m/s^2 per V], sign included; NaN without a shape.
+    coherence : float
+        Median over the points at the peak, for the excitation that drives it most [1]; NaN where unknown.
+    """
+
+    label: int | None
+    natural_frequency: Estimate
+    damping_ratio: Estimate
+    gain: tuple[Estimate, ...]
+    shape: FloatArray | None
+    mac: float
+    half_power: HalfPower
+    half_power_gain: float
+    coherence: float
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """What responses say of a beam.
+
+    Attributes
+    ----------
+    modes : tuple of IdentifiedMode
+        In order of frequency.
+    delay : Estimate
+        Of the velocity against the drive, beyond the known low-pass [s].
+    misfit : float
+        Mean square of what the fit leaves over that of the noise [1].
+    responses : FrequencyResponses
+        What was fitted.
+    length : float or None
+        Length of the beam [m].
+    """
+
+    modes: tuple[IdentifiedMode, ...]
+    delay: Estimate
+    misfit: float
+    responses: FrequencyResponses
+    length: float | None
+
+    def mode(self, label: int) -> IdentifiedMode:
+        """Return the mode of a label.
+
+        Raises
+        ------
+        KeyError
+            If it was not found.
+        """
+        for mode in self.modes:
+            if mode.label == label:
+                return mode
+        found = ", ".join(str(mode.label) for mode in self.modes if mode.label)
+        raise KeyError(f"mode {label} was not found; found are {found}")
+
+
+def identify(
+    responses: FrequencyResponses, length: float | None = None, *, start: Poles | None = None, most: int = MOST_ADDED
+) -> Identification:
+    """Return the modes that responses show.
+
+    Parameters
+    ----------
+    responses : FrequencyResponses
+        Of the velocity; a conjugated response or another quantity is refused (see `require_velocity`).
+    length : float, optional
+        Length of the beam [m], for shapes and labels.
+    start : Poles, optional
+        Where the search begins; at the peaks if not given.
+    most : int
+        Poles that may be added while something is left that noise does not explain.
+
+    Raises
+    ------
+    ValueError
+        If nothing stands out, or the responses cannot be those of a velocity.
+    """
+    poles = first_poles(responses, length) if start is None else start
+    problem = make_problem(responses, poles)
+    poles, fit = refine(problem, poles)
+    if most:
+        poles, problem, fit = find_more(responses, poles, problem, fit, most)
+    return _Reading(responses, length, problem, fit).identification()
+
+
+@dataclass(frozen=True, eq=False)
+class _Reading:
+    """Reads modes off a fit."""
+
+    responses: FrequencyResponses
+    length: float | None
+    problem: Problem
+    fit: Evaluation
+
+    def identification(self) -> Identification:
+        fit = self.fit
+        variance = 2 * fit.cost / max(fit.n_free, 1)
+        deviation = np.sqrt(np.maximum(np.diag(fit.covariance), 0) * variance)
+        scale = 1 / float(self.problem.omega[-1])
+        local = np.sqrt(self._local_misfit(variance) / variance)
+        residue = self._residue()
+        labels, likeness = self._labels(residue)
+        modes = tuple(
+            self._mode(k, residue[k], labels[k], float(likeness[k]), deviation, float(local[k]), variance)
+            for k in range(fit.n_modes)
+        )
+        return Identification(
+            modes=modes,
+            delay=Estimate.of(fit.delay, float(deviation[-1]) * scale * float(local.max(initial=1.0))),
+            misfit=variance,
+            responses=self.responses,
+            length=self.length,
+        )
+
+    def _mode(
+        self,
+        k: int,
+        residue: FloatArray,
+        label: int | None,
+        likeness: float,
+        deviation: FloatArray,
+        local: float,
+        variance: float,
+    ) -> IdentifiedMode:
+        fit, n = self.fit, self.fit.n_modes
+        frequency, ratio = float(fit.natural_frequency[k]), float(fit.damping_ratio[k])
+        gain: tuple[Estimate, ...] = ()
+        shape = None
+        if label is not None and self.responses.positions is not None and self.length is not None:
+            shape = unit_shape(residue, self.responses.positions, label, self.length)
+            values = residue @ shape / (shape @ shape)
+            spread = self._gain_deviation(k, shape, variance) * local
+            gain = tuple(Estimate.of(float(v), float(d)) for v, d in zip(values, spread, strict=True))
+        driver, point = np.unravel_index(int(np.abs(residue).argmax()), residue.shape)
+        magnitude = np.abs(self.responses.response[driver, point])
+        peak = half_power(self.responses.frequency, magnitude, frequency, ratio * frequency)
+        return IdentifiedMode(
+            label=label,
+            natural_frequency=Estimate.of(frequency, float(deviation[k]) * ratio * frequency * local),
+            damping_ratio=Estimate.of(ratio, float(deviation[n + k]) * ratio * local),
+            gain=gain,
+            shape=shape,
+            mac=likeness if shape is not None else float("nan"),
+            half_power=peak,
+            half_power_gain=self._half_power_gain(peak, residue, shape, int(driver), int(point)),
+            coherence=self._coherence(residue, frequency),
+        )
+
+    def _residue(self) -> FloatArray:
+        """Return gain times shape of each mode, (n_modes, n_sets, n_points) array [m/s^2 per V]."""
+        n_sets, n_points = self.responses.response.shape[:2]
+        fit = self.fit
+        column = 2 * np.pi * fit.natural_frequency * fit.damping_ratio
+        level = np.sqrt(self._level)[None, :, None]
+        residue = fit.residue[: fit.n_modes].reshape(-1, n_sets, n_points)
+        return np.asarray(residue * column[:, None, None] * level)
+
+    @property
+    def _level(self) -> FloatArray:
+        """Noise of each set, by which the problem scales its responses, (n_sets,) array."""
+        return np.asarray(np.median(self.responses.noise, axis=1))
+
+    def _labels(self, residue: FloatArray) -> tuple[Sequence[int | None], FloatArray]:
+        positions, n_modes = self.responses.positions, self.fit.n_modes
+        if positions is None or self.length is None or positions.size < 3:
+            return [None] * n_modes, np.full(n_modes, np.nan)
+        scaled = residue / np.sqrt(self._level)[None, :, None]
+        common = np.array([np.linalg.svd(each, full_matrices=False)[2][0] for each in scaled])
+        return label_shapes(common, positions, self.length)
+
+    def _gain_deviation(self, k: int, shape: FloatArray, variance: float) -> FloatArray:
+        """Return the standard deviation of a mode's gains: of its residues, and of what moves them with the poles."""
+        fit = self.fit
+        n_sets, n_points = self.responses.response.shape[:2]
+        column = 2 * np.pi * float(fit.natural_frequency[k] * fit.damping_ratio[k])
+        weight = shape / (shape @ shape)
+        on_shape = fit.residue.reshape(-1, n_sets, n_points) @ weight
+        inverse = np.linalg.inv(fit.factor)
+        alone = float((inverse[k] ** 2).sum()) * float(weight @ weight)
+        spread = []
+        for s in range(n_sets):
+            own = np.concatenate([on_shape[: fit.n_modes, s]] * 2)
+            slope = -np.append(fit.lost[k] * own, fit.lost_turned[k] @ on_shape[:, s])
+            total = (alone + float(slope @ fit.covariance @ slope)) * variance * float(self._level[s])
+            spread.append(column * np.sqrt(max(total, 0.0)))
+        return np.array(spread)
+
+    def _local_misfit(self, variance: float) -> FloatArray:
+        """Return the mean square of the rest about each mode, where it passes what chance makes of the whole's."""
+        n = self.problem.bins.start.size
+        square = (self.fit.rest[:n] ** 2 + self.fit.rest[n:] ** 2).sum(axis=1)
+        frequency = self.problem.bins.centre
+        worst = []
+        for own, ratio in zip(self.fit.natural_frequency, self.fit.damping_ratio, strict=True):
+            near = np.abs(frequency - own) <= 2 * max(ratio * own, self.responses.spacing)
+            count = 2 * int(near.sum()) * self.fit.rest.shape[1]
+            # The poles' own parameters take their part of the scatter.
+            free = max(count - self.fit.rest.shape[1] * (1 + N_REST / 4), 1.0)
+            found = float(square[near].sum()) / free
+            worst.append(found if found > variance * (1 + 3 * np.sqrt(2 / free)) else variance)
+        return np.array(worst)
+
+    def _half_power_gain(
+        self, peak: HalfPower, residue: FloatArray, shape: FloatArray | None, driver: int, point: int
+    ) -> float:
+        r"""Return what a peak says of the gain: :math:`G = 2 \xi \omega |H| / \varphi` (section III-B, corrected)."""
+        if shape is None or shape[point] == 0:
+            return float("nan")
+        sign = np.sign(residue[driver, point])
+        height = peak.height * 4 * np.pi * peak.peak_frequency * peak.damping_ratio
+        return float(sign * height / shape[point])
+
+    def _coherence(self, residue: FloatArray, frequency: float) -> float:
+        if self.responses.coherence is None:
+            return float("nan")
+        driver = int((residue**2).sum(axis=1).argmax())
+        bin_ = int(np.abs(self.responses.frequency - frequency).argmin())
+        return float(np.median(self.responses.coherence[driver, :, bin_]))

@@ -1,0 +1,242 @@
+r"""Least squares of many responses on common poles: residues are solved for, poles and delay searched.
+
+A velocity response behind a delay :math:`\tau` and a known low-pass L is
+
+.. math:: H_r(\omega) = L e^{-i\omega\tau} \Big[\sum_k \frac{i\omega R_{kr}}
+          {\omega_k^2 - \omega^2 + 2 i \xi_k \omega_k \omega} + c_r + d_r \omega\Big]
+
+with real residues R, which are gain times shape, and a complex linear rest c + d w. For given poles and delay the rest
+is linear; what is left of the responses then, r = P y with the projector P, is minimised over poles and delay (variable
+projection). Its slope is exactly -P (dA/dp) x (Golub and Pereyra 1973); Gauss and Newton's second derivative follows
+from it (Kaufman 1975).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+N_REST = 4
+"""Columns of the complex linear rest."""
+
+
+@dataclass(frozen=True)
+class Bins:
+    """Neighbouring bins joined where the responses are smooth, and the model averaged over the same ones.
+
+    Attributes
+    ----------
+    frequency : (n_bins,) array
+        Of every bin [Hz].
+    start : (n_groups,) array
+        First bin of each group.
+    """
+
+    frequency: FloatArray
+    start: NDArray[np.intp]
+
+    @classmethod
+    def near(cls, frequency: FloatArray, natural_frequency: FloatArray, damping_ratio: FloatArray) -> Bins:
+        """Return groups no wider than an eighth of their distance from the nearest pole in the complex plane."""
+        distance = np.hypot(frequency[:, None] - natural_frequency, damping_ratio * natural_frequency).min(axis=1)
+        spacing = frequency[1] - frequency[0]
+        start, n = [], frequency.size
+        index = 0
+        while index < n:
+            start.append(index)
+            index += max(1, int(distance[index] / 8 / spacing))
+        return cls(frequency, np.array(start, dtype=np.intp))
+
+    @cached_property
+    def size(self) -> FloatArray:
+        """Bins of each group, (n_groups,) array."""
+        return np.diff(np.append(self.start, self.frequency.size)).astype(float)
+
+    @cached_property
+    def centre(self) -> FloatArray:
+        """Mean frequency of each group, (n_groups,) array [Hz]."""
+        return self.mean(self.frequency).real
+
+    def mean(self, values: FloatArray | ComplexArray) -> ComplexArray:
+        """Return the mean over each group, along the last axis."""
+        return np.asarray(np.add.reduceat(values, self.start, axis=-1) / self.size, dtype=complex)
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Responses to be fitted.
+
+    Attributes
+    ----------
+    bins : Bins
+        Where.
+    response : (n_groups, n_responses) complex array
+        Responses over their standard deviation, times the square root of the bins of the group.
+    weight : (n_groups,) array
+        What the columns are multiplied by likewise; a response's own scale is in its residues.
+    bandwidth : float or None
+        Corner of the known low-pass [Hz].
+    """
+
+    bins: Bins
+    response: ComplexArray
+    weight: FloatArray
+    bandwidth: float | None
+
+    @cached_property
+    def stacked(self) -> FloatArray:
+        """Real above imaginary parts, (2 n_groups, n_responses) array."""
+        return np.concatenate([self.response.real, self.response.imag])
+
+    @cached_property
+    def omega(self) -> FloatArray:
+        """Angular frequency of every bin, (n_bins,) array [rad/s]."""
+        return 2 * np.pi * self.bins.frequency
+
+    @cached_property
+    def low_pass(self) -> ComplexArray:
+        """The known low-pass, (n_bins,) array [1]."""
+        if self.bandwidth is None:
+            return np.ones(self.omega.size, dtype=complex)
+        return np.asarray(1 / (1 + 1j * self.bins.frequency / self.bandwidth))
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """A fit at given poles and delay.
+
+    Attributes
+    ----------
+    natural_frequency, damping_ratio : (n_modes,) array
+        The poles [Hz, 1].
+    delay : float
+        Of the responses [s].
+    residue : (n_modes + 4, n_responses) array
+        Of the modes, then of the rest, in the scale of the problem's responses.
+    rest : (2 n_groups, n_responses) array
+        What is left, in standard deviations.
+    slope : (2 n_groups, 2 n_modes + 1) array
+        Change of the modes' columns by natural frequency over its damping, by the logarithm of the damping ratio, less
+        what the columns can take; the last is unused.
+    turned : (2 n_groups, n_modes + 4) array
+        Change of all columns by the delay, likewise.
+    factor : (n_modes + 4, n_modes + 4) array
+        The columns' upper triangular factor.
+    lost : (n_modes + 4, 2 n_modes) array
+        What the columns take of the slopes: how residues follow the poles.
+    lost_turned : (n_modes + 4, n_modes + 4) array
+        The same of the delay.
+    """
+
+    natural_frequency: FloatArray
+    damping_ratio: FloatArray
+    delay: float
+    residue: FloatArray
+    rest: FloatArray
+    slope: FloatArray
+    turned: FloatArray
+    factor: FloatArray
+    lost: FloatArray
+    lost_turned: FloatArray
+
+    @property
+    def n_modes(self) -> int:
+        """Number of poles."""
+        return int(self.natural_frequency.size)
+
+    @cached_property
+    def cost(self) -> float:
+        """Half the sum of squares."""
+        return 0.5 * float((self.rest**2).sum())
+
+    @cached_property
+    def n_free(self) -> int:
+        """Degrees of freedom."""
+        return int(self.rest.size - self.residue.size - 2 * self.n_modes - 1)
+
+    @cached_property
+    def _own(self) -> FloatArray:
+        """Residue of the mode that each pole parameter moves, (2 n_modes, n_responses) array."""
+        return np.concatenate([self.residue[: self.n_modes]] * 2)
+
+    @cached_property
+    def gradient(self) -> FloatArray:
+        """Of the cost by the parameters, (2 n_modes + 1,) array."""
+        own = -np.einsum("pr,pr->p", self.slope.T @ self.rest, self._own)
+        return np.append(own, -float(np.sum((self.turned.T @ self.rest) * self.residue)))
+
+    @cached_property
+    def curvature(self) -> FloatArray:
+        """Of the cost by the parameters, (2 n_modes + 1, 2 n_modes + 1) array."""
+        n = 2 * self.n_modes
+        result = np.empty((n + 1, n + 1))
+        result[:n, :n] = (self.slope.T @ self.slope) * (self._own @ self._own.T)
+        mixed = self.residue @ self.residue.T
+        result[:n, n] = np.einsum("pc,cp->p", self.slope.T @ self.turned, self.residue @ self._own.T)
+        result[n, :n] = result[:n, n]
+        result[n, n] = float(np.sum((self.turned.T @ self.turned) * mixed))
+        return result
+
+    @cached_property
+    def covariance(self) -> FloatArray:
+        """Of the parameters (frequency over damping, log damping, delay times scale) for responses of unit variance."""
+        return np.asarray(np.linalg.pinv(self.curvature, hermitian=True))
+
+
+def evaluate(
+    problem: Problem, natural_frequency: FloatArray, damping_ratio: FloatArray, delay: float, scale: float
+) -> Evaluation:
+    """Return the best fit of the responses for given poles and delay.
+
+    Parameters
+    ----------
+    problem : Problem
+        The responses.
+    natural_frequency, damping_ratio : (n_modes,) array
+        The poles [Hz, 1].
+    delay : float
+        Of the responses [s].
+    scale : float
+        Unit of the delay among the parameters [s].
+    """
+    omega, n_modes = problem.omega, natural_frequency.size
+    own = 2 * np.pi * natural_frequency[:, None]
+    ratio = damping_ratio[:, None]
+    turn = problem.low_pass * np.exp(-1j * omega * delay)
+    dynamic = 1 / (own**2 - omega**2 + 2j * ratio * own * omega)
+    driven = 1j * omega * dynamic * turn
+    by_frequency = -driven * dynamic * (2 * own + 2j * ratio * omega) * (own * ratio)
+    by_damping = -driven * dynamic * (2j * own * omega) * ratio
+    relative = omega / omega[-1]
+    rest = np.stack([turn, 1j * turn, relative * turn, 1j * relative * turn])
+    columns = np.concatenate([driven * own * ratio, rest])
+    slopes = np.concatenate([by_frequency, by_damping]) * np.concatenate([own * ratio] * 2)
+    everything = np.concatenate([columns, slopes, -1j * omega * scale * columns])
+    grouped = problem.bins.mean(everything) * problem.weight
+    real = np.concatenate([grouped.real, grouped.imag], axis=1).T
+    n_columns = n_modes + N_REST
+    basis, factor = np.linalg.qr(real[:, :n_columns])
+    moved = real[:, n_columns:]
+    taken = basis.T @ moved
+    left = moved - basis @ taken
+    solved = basis.T @ problem.stacked
+    inverse = np.linalg.inv(factor)
+    lost = inverse @ taken
+    return Evaluation(
+        natural_frequency=natural_frequency,
+        damping_ratio=damping_ratio,
+        delay=delay,
+        residue=inverse @ solved,
+        rest=problem.stacked - basis @ solved,
+        slope=left[:, : 2 * n_modes],
+        turned=left[:, 2 * n_modes :],
+        factor=factor,
+        lost=lost[:, : 2 * n_modes],
+        lost_turned=lost[:, 2 * n_modes :],
+    )

@@ -1,0 +1,344 @@
+"""Finds the poles: first guesses from the peaks, joint refinement, more poles while something is left to explain."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modaltouch.identification.kernel import Bins, Evaluation, Problem, evaluate
+from modaltouch.identification.responses import FrequencyResponses
+from modaltouch.stimulus.shapes import mode_shapes
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+FIRST_DAMPING = 0.01
+"""Damping ratio that a peak too narrow for its half-power bandwidth is first given [1]."""
+
+DAMPING_BOUNDS = (1e-5, 0.3)
+"""Between these damping ratios a pole counts as a mode [1]."""
+
+SIGNIFICANT = 7.0
+"""Height of a peak over its noise from which it counts [standard deviations of what was averaged]."""
+
+SAME_PEAK = 0.7
+"""Distance below which two peaks count as one [larger half of their half-power bandwidths]."""
+
+FEWEST_LABELS = 6
+"""Shapes that the points must tell apart before the responses are told apart by them."""
+
+FEWEST_PHASES = 3
+"""Resonances from which their phases tell what was measured."""
+
+WRONG_QUANTITY = 0.15
+"""How much better the phases must fit another quantity than a velocity [mean cosine of twice the phase]."""
+
+MOST_POLES = 60
+
+
+@dataclass(frozen=True, eq=False)
+class Poles:
+    """Natural frequencies, damping ratios and the common delay.
+
+    Attributes
+    ----------
+    natural_frequency, damping_ratio : (n_modes,) array
+        In order of frequency [Hz, 1].
+    delay : float
+        Of all responses [s].
+    """
+
+    natural_frequency: FloatArray
+    damping_ratio: FloatArray
+    delay: float
+
+    def sorted(self) -> Poles:
+        """Return the same in order of frequency."""
+        order = np.argsort(self.natural_frequency)
+        return Poles(self.natural_frequency[order], self.damping_ratio[order], self.delay)
+
+    def and_one(self, frequency: float, damping_ratio: float) -> Poles:
+        """Return one pole more."""
+        return Poles(
+            np.append(self.natural_frequency, frequency), np.append(self.damping_ratio, damping_ratio), self.delay
+        ).sorted()
+
+    def without(self, index: int) -> Poles:
+        """Return one pole less."""
+        return Poles(np.delete(self.natural_frequency, index), np.delete(self.damping_ratio, index), self.delay)
+
+
+def make_problem(responses: FrequencyResponses, poles: Poles) -> Problem:
+    """Return the least-squares problem of responses, binned for poles that are roughly known."""
+    bins = Bins.near(responses.frequency, poles.natural_frequency, poles.damping_ratio)
+    noise = responses.noise
+    # One profile over frequency for all sets, so that all share their columns; a set's level scales its responses.
+    level = np.median(noise, axis=1)
+    profile = bins.mean(np.median(noise / level[:, None], axis=0))
+    weight = np.sqrt(bins.size / profile.real) * np.sqrt(2.0)
+    scaled = responses.response / np.sqrt(level)[:, None, None]
+    flat = scaled.reshape(-1, scaled.shape[-1])
+    grouped = bins.mean(flat) * weight
+    return Problem(bins, np.asarray(grouped.T), weight, responses.bandwidth)
+
+
+def refine(problem: Problem, poles: Poles, *, tolerance: float = 1e-5, most: int = 60) -> tuple[Poles, Evaluation]:
+    """Return the poles and the delay of least squares, and the fit there.
+
+    Parameters
+    ----------
+    problem : Problem
+        The responses.
+    poles : Poles
+        Where to begin.
+    tolerance : float
+        Ends when the expected gain of a step is below this part of a degree of freedom [1].
+    most : int
+        Longest search [iterations].
+    """
+    from scipy.optimize import minimize
+
+    scale = 1 / float(problem.omega[-1])
+    n = poles.natural_frequency.size
+    start = poles
+    known: dict[bytes, Evaluation] = {}
+
+    def at(step: FloatArray) -> Evaluation:
+        key = step.tobytes()
+        if key not in known:
+            if len(known) > 3:
+                known.pop(next(iter(known)))
+            frequency = start.natural_frequency * np.exp(np.clip(step[:n] * start.damping_ratio, -0.5, 0.5))
+            damping = np.clip(start.damping_ratio * np.exp(np.clip(step[n : 2 * n], -3, 3)), *DAMPING_BOUNDS)
+            known[key] = evaluate(problem, frequency, damping, start.delay + scale * float(step[-1]), scale)
+        return known[key]
+
+    def slope(step: FloatArray) -> FloatArray:
+        return at(step).gradient * _unit(at(step), start)
+
+    def curvature(step: FloatArray) -> FloatArray:
+        unit = _unit(at(step), start)
+        return at(step).curvature * np.outer(unit, unit)
+
+    def stop(intermediate_result: object) -> None:
+        step = intermediate_result.x  # type: ignore[attr-defined]
+        gradient = slope(step)
+        gain = gradient @ np.linalg.lstsq(curvature(step), gradient, rcond=1e-12)[0]
+        if gain < tolerance:
+            raise StopIteration
+
+    found = minimize(
+        lambda step: at(step).cost,
+        np.zeros(2 * n + 1),
+        jac=slope,
+        hess=curvature,
+        method="trust-exact",
+        callback=stop,
+        options={"initial_trust_radius": 1.0, "max_trust_radius": 20.0, "gtol": 1e-6, "maxiter": most},
+    )
+    best = at(found.x)
+    ordered = np.argsort(best.natural_frequency)
+    refined = Poles(best.natural_frequency[ordered], best.damping_ratio[ordered], best.delay)
+    return refined, evaluate(problem, refined.natural_frequency, refined.damping_ratio, refined.delay, scale)
+
+
+def _unit(evaluation: Evaluation, start: Poles) -> FloatArray:
+    """Return what a step of the search is in the parameters of the kernel, whose unit moves with the damping."""
+    n = evaluation.n_modes
+    return np.concatenate([start.damping_ratio / evaluation.damping_ratio, np.ones(n), [1.0]])
+
+
+def first_poles(responses: FrequencyResponses, length: float | None) -> Poles:
+    """Return poles at the peaks of the responses, and the delay that makes them real there.
+
+    Where the positions are known the responses are first told apart by the shapes of a uniform free-free beam: each
+    share then shows one peak, with the noise of all points averaged.
+
+    Parameters
+    ----------
+    responses : FrequencyResponses
+        The responses.
+    length : float or None
+        Length of the beam [m].
+    """
+    shares = _shares(responses, length)
+    peaks: list[_Peak] = []
+    for share in shares:
+        peaks += _peaks(responses.frequency, share, several=len(shares) == 1)
+    kept: list[_Peak] = []
+    for peak in sorted(peaks, key=lambda each: -each.height):
+        # A peak on the flank of a higher one is its leakage into another share.
+        apart = (abs(peak.frequency - each.frequency) / max(each.width, peak.width) for each in kept)
+        if all(distance > SAME_PEAK for distance in apart):
+            kept.append(peak)
+    if not kept:
+        raise ValueError(
+            f"no resonance stands out between {responses.frequency[0]:g} and {responses.frequency[-1]:g} Hz: drive "
+            "harder, average more, or look where the beam's modes are"
+        )
+    chosen = sorted(kept[:MOST_POLES], key=lambda each: each.frequency)
+    return Poles(
+        np.array([each.frequency for each in chosen]),
+        np.array([each.ratio for each in chosen]),
+        first_delay(responses, chosen),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Peak:
+    """A peak of a share of the responses."""
+
+    frequency: float
+    ratio: float
+    height: float
+    share: ComplexArray
+
+    @property
+    def width(self) -> float:
+        """Half its half-power bandwidth [Hz]."""
+        return self.ratio * self.frequency
+
+
+def _shares(responses: FrequencyResponses, length: float | None) -> list[ComplexArray]:
+    """Return shares of the responses over their noise, each an (n, n_bins) array."""
+    white = responses.response / np.sqrt(responses.noise)[:, None, :]
+    n_labels = responses.n_points * 2 // 3
+    if responses.positions is None or length is None or n_labels < FEWEST_LABELS:
+        return [white.reshape(-1, white.shape[-1])]
+    shapes = mode_shapes(range(1, n_labels + 1), responses.positions, length)
+    inverse = np.linalg.pinv(shapes.T)
+    # Rows scaled so that the noise of each share has unit variance.
+    inverse = inverse / np.linalg.norm(inverse, axis=1)[:, None]
+    return list(np.stack([inverse @ each for each in white], axis=1))
+
+
+def _peaks(frequency: FloatArray, share: ComplexArray, *, several: bool) -> list[_Peak]:
+    """Return the peaks of the power of a share over its noise: all of them, or the highest."""
+    from scipy.signal import find_peaks, peak_widths
+
+    n_averaged = share.shape[0]
+    power = np.maximum((np.abs(share) ** 2).mean(axis=0), 1e-12)
+    threshold = 1 + (SIGNIFICANT**2 if n_averaged <= 4 else 3 * SIGNIFICANT / np.sqrt(n_averaged))
+    places, about = find_peaks(np.log(power), height=np.log(threshold), prominence=1.0 if several else 0.7)
+    if places.size == 0:
+        return []
+    if not several:
+        places = places[[int(about["peak_heights"].argmax())]]
+    widths = peak_widths(power, places, rel_height=0.5)[0]
+    spacing = float(frequency[1] - frequency[0])
+    return [
+        _Peak(
+            frequency=float(frequency[place]),
+            ratio=_ratio(float(width), float(frequency[place]), spacing),
+            height=float(power[place]),
+            share=share,
+        )
+        for place, width in zip(places, widths, strict=True)
+    ]
+
+
+def _ratio(width: float, frequency: float, spacing: float) -> float:
+    """Return the damping ratio that a half-power width of some bins says."""
+    if width < 3:
+        return min(FIRST_DAMPING, spacing / frequency)
+    return float(np.clip(width * spacing / (2 * frequency), 10 * DAMPING_BOUNDS[0], DAMPING_BOUNDS[1] / 2))
+
+
+def first_delay(responses: FrequencyResponses, peaks: Sequence[_Peak]) -> float:
+    """Return the delay with which the responses are real at their peaks [s].
+
+    Twice the phase counts, since a shape has both signs. Over a band about a peak the phases before and after it
+    cancel, so that its frequency need not be known well.
+
+    Raises
+    ------
+    ValueError
+        If the phases turn the other way through the peaks, or are those of another quantity than a velocity.
+    """
+    frequency = np.array([peak.frequency for peak in peaks])
+    twice, turning = [], 0.0
+    for peak in peaks:
+        low, high = np.searchsorted(responses.frequency, [peak.frequency - peak.width, peak.frequency + peak.width])
+        band = slice(max(0, int(low) - 1), int(high) + 1)
+        own = peak.share[:, band]
+        if responses.bandwidth is not None:
+            own = own * (1 + 1j * responses.frequency[band] / responses.bandwidth)
+        size = max(float((np.abs(own) ** 2).sum()), 1e-300)
+        twice.append(complex((own**2).sum()) / size)
+        turning += float((np.conj(own[:, :-1]) * own[:, 1:]).imag.sum()) / size
+    if turning > 0:
+        raise ValueError(
+            "the phase of the responses rises through their resonances, where that of a beam falls: they are "
+            "conjugated, as by the time law exp(-i w t); say so with --conjugated, or export them by exp(+i w t)"
+        )
+    # Beyond a cycle of the lowest frequency nothing is unique; a step is a sixteenth of a cycle of the highest.
+    step = 1 / (16 * frequency.max())
+    reach = min(0.5 / frequency.min(), 200e-6 + 1 / frequency.max())
+    tried = np.arange(-0.2 * reach, reach, step)
+    score = (np.exp(4j * np.pi * np.outer(tried, frequency)) @ np.array(twice)).real
+    if frequency.size >= FEWEST_PHASES and -score.min() > score.max() + WRONG_QUANTITY * frequency.size:
+        raise ValueError(
+            "the responses are imaginary at their resonances, where a velocity is real: they are of a displacement or "
+            "an acceleration; say which with --quantity"
+        )
+    good = np.flatnonzero(score >= 0.97 * score.max())
+    return float(tried[good[np.abs(tried[good]).argmin()]])
+
+
+def find_more(
+    responses: FrequencyResponses, poles: Poles, problem: Problem, fit: Evaluation, most: int
+) -> tuple[Poles, Problem, Evaluation]:
+    """Return the poles with further ones where the fit leaves a peak that noise does not explain."""
+    for _ in range(most):
+        peak = _left_over(problem, fit)
+        if peak is None or poles.natural_frequency.size >= MOST_POLES:
+            break
+        tried = poles.and_one(*peak)
+        finer = make_problem(responses, tried)
+        _, before = refine(finer, poles, most=3)
+        refined, after = refine(finer, tried)
+        new = np.ptp(refined.natural_frequency) > 0 and _sound(refined)
+        if not new or after.cost > before.cost - 0.5 * SIGNIFICANT * problem.response.shape[1] ** 0.5:
+            break
+        poles, problem, fit = refined, finer, after
+    return poles, problem, fit
+
+
+def _sound(poles: Poles) -> bool:
+    """Return whether every pole is a mode, apart from its neighbours."""
+    apart = np.diff(poles.natural_frequency) > 0.05 * (poles.damping_ratio * poles.natural_frequency)[:-1]
+    low, high = DAMPING_BOUNDS
+    return bool(apart.all() and (poles.damping_ratio > 2 * low).all() and (poles.damping_ratio < 0.9 * high).all())
+
+
+def _left_over(problem: Problem, fit: Evaluation) -> tuple[float, float] | None:
+    """Return frequency and rough damping of the highest peak of what a fit leaves, or None."""
+    n = problem.bins.start.size
+    left = (fit.rest[:n] + 1j * fit.rest[n:]).T
+    frequency = problem.bins.centre
+    best, where = SIGNIFICANT**2, None
+    for ratio in (0.004, 0.012, 0.03):
+        # Each response against the course of a mode there: what it would explain, summed over the responses.
+        candidate = frequency[:: max(1, n // 1500)]
+        course = _course(problem, candidate, ratio, fit.delay)
+        overlap = (np.conj(course) @ left.T).real / np.linalg.norm(course, axis=1)[:, None]
+        n_responses = left.shape[0]
+        height = ((overlap**2).sum(axis=1) - n_responses) / np.sqrt(2 * n_responses)
+        index = int(height.argmax())
+        if height[index] ** 2 > best and height[index] > 0:
+            best, where = float(height[index] ** 2), (float(candidate[index]), ratio)
+    return where
+
+
+def _course(problem: Problem, natural_frequency: FloatArray, ratio: float, delay: float) -> ComplexArray:
+    """Return the responses of modes at the centres of the bins, (n_modes, n_groups) array."""
+    omega = 2 * np.pi * problem.bins.centre
+    own = 2 * np.pi * natural_frequency[:, None]
+    turn = np.exp(-1j * omega * delay)
+    if problem.bandwidth is not None:
+        turn = turn / (1 + 1j * problem.bins.centre / problem.bandwidth)
+    course = 1j * omega * turn / (own**2 - omega**2 + 2j * ratio * own * omega)
+    return np.asarray(course * problem.weight)
