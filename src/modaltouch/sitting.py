@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 from typing import Any, Literal
 
 from modaltouch.adaptive import Levels, describe_rule
+from modaltouch.allotment import allot
 from modaltouch.console.experimenter import Experimenter
 from modaltouch.console.interface import Console, Silence
 from modaltouch.console.status import Status
@@ -20,12 +21,12 @@ from modaltouch.provenance import boot, commit, versions
 from modaltouch.record.chain import RecordError
 from modaltouch.record.folders import SessionFolder
 from modaltouch.record.log import SCHEMA, Session, SessionLog, read_session, refuse_existing
-from modaltouch.record.view import describe_dataset, list_participants, write_view
+from modaltouch.record.view import describe_dataset, hold_dataset, list_participants, write_view
 from modaltouch.resumption import Interruption as Cut
 from modaltouch.resumption import answers_to_ask_again, examine_interruption, refuse_old
 from modaltouch.rig import is_simulated
 from modaltouch.rig.interface import Rig, RigError
-from modaltouch.schedule import Schedule
+from modaltouch.schedule import Schedule, draw_schedule
 from modaltouch.session import Sitting, conduct
 from modaltouch.window.interface import AnswerWindow, SessionStopped, Tick, WindowError, Wish
 
@@ -54,6 +55,9 @@ class Setup:
         What else the start record should say: rig, answers, seed.
     replaces : SessionFolder or None
         The interrupted session that this one begins anew.
+    drawn_as : int or None
+        Where the records on disk decide the participant's turn (`schedule.balance`): the number of the session in
+        the participant's own count. `schedule` is then drawn as the session's log is created.
     on_progress : callable
         Called with (answered, total) after each trial.
     console : Console
@@ -67,6 +71,7 @@ class Setup:
     open_window: OpenWindow
     facts: dict[str, Any] = field(default_factory=dict)
     replaces: SessionFolder | None = None
+    drawn_as: int | None = None
     on_progress: Callable[[int, int], None] = lambda answered, total: None
     console: Console = field(default_factory=Silence)
 
@@ -208,7 +213,9 @@ def _sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessi
 
         window = stack.enter_context(setup.open_window(tick, journal.event))
         describe_dataset(setup.place, setup.preflight.experiment.protocol.title)
-        log = stack.enter_context(open_log(setup.place, _describe(setup, rig, window, first)))
+        with hold_dataset(setup.place):
+            setup = _allotted(setup)
+            log = stack.enter_context(open_log(setup.place, _describe(setup, rig, window, first)))
         journal.open(log)
         for event in log.events:
             experimenter.tell(event)
@@ -226,6 +233,16 @@ def _sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessi
             rig.close()
             _conclude(setup, log, journal, ending)
     return read_session(setup.place.log)
+
+
+def _allotted(setup: Setup) -> Setup:
+    """Return the setup with the schedule that the records on disk give the participant, if they do."""
+    if setup.drawn_as is None:
+        return setup
+    drawn, protocol = setup.schedule, setup.preflight.experiment.protocol
+    allotment = allot(setup.place, protocol, setup.drawn_as)
+    schedule = draw_schedule(protocol, drawn.participant, drawn.seed, drawn.session, given=allotment.turn)
+    return replace(setup, schedule=schedule, facts={**setup.facts, "balance": allotment.as_dict()})
 
 
 def _sitting(

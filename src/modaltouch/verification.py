@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from modaltouch.adaptive import Levels
+from modaltouch.allotment import recorded_turn
 from modaltouch.preflight import examine_findings
 from modaltouch.protocol import Sources, examine_sources, restore_experiment
 from modaltouch.record.chain import read_chain
@@ -84,7 +85,9 @@ def verify_session(path: Path) -> Verdict:
 def _check_order(session: Session) -> tuple[bool, str]:
     start = session.start
     protocol = restore_experiment(Sources.from_dict(start["sources"])).protocol
-    schedule = draw_schedule(protocol, start["participant"], start["seed"], session.drawn_as)
+    schedule = draw_schedule(
+        protocol, start["participant"], start["seed"], session.drawn_as, given=recorded_turn(start)
+    )
     if schedule.as_dict() == start["schedule"]:
         return True, f"order of {len(schedule.trials)} trials drawn again from seed {start['seed']}: the same"
     return False, f"{session.path}: seed {start['seed']} draws another order than the recorded one"

@@ -9,6 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from modaltouch.allotment import next_session, recorded_turn
 from modaltouch.observer import Observer
 from modaltouch.observer.felt import Felt
 from modaltouch.preflight import Preflight, examine_findings
@@ -133,7 +134,7 @@ def wire_run(
     preflight: Preflight,
     participant: str,
     *,
-    session: int = 1,
+    session: int | None = 1,
     rig: str = SIMULATED,
     answers: AnswersBy = "window",
     pilot: bool = False,
@@ -144,15 +145,30 @@ def wire_run(
 ) -> Setup:
     """Return what a new session needs.
 
+    Parameters
+    ----------
+    preflight : Preflight
+        The checked experiment.
+    participant : str
+        Participant id.
+    session : int or None
+        Number of the session; None for the participant's next.
+    rig, answers, pilot, seed, results, window_options, observer
+        As `Wires` and the command line have them.
+
     Raises
     ------
     RecordError
-        If the participant id is not allowed.
+        If the participant id is not allowed, or the participant has no next session.
     """
     protocol = preflight.experiment.protocol
-    place = SessionFolder(results, mode_of(rig, answers, pilot=pilot), protocol.protocol, participant, session)
-    schedule = draw_schedule(protocol, participant, seed, session)
-    return _setup(preflight, schedule, place, seed, rig, answers, window_options or {}, observer or Observer())
+    place = SessionFolder(results, mode_of(rig, answers, pilot=pilot), protocol.protocol, participant, session or 1)
+    drawn_as = place.session
+    if session is None:
+        place, drawn_as = next_session(place, protocol.schedule.sessions)
+    schedule = draw_schedule(protocol, participant, seed, drawn_as)
+    setup = _setup(preflight, schedule, place, seed, rig, answers, window_options or {}, observer or Observer())
+    return replace(setup, drawn_as=drawn_as) if protocol.schedule.balance == "least_filled" else setup
 
 
 def wire_resume(
@@ -196,7 +212,9 @@ def wire_resume(
             "another kind; give --rig and --answers as it began"
         )
     preflight = examine_findings(examine_sources(Sources.from_dict(start["sources"]))).require()
-    schedule = draw_schedule(preflight.experiment.protocol, place.participant, start["seed"], session.drawn_as)
+    given = recorded_turn(start)
+    protocol = preflight.experiment.protocol
+    schedule = draw_schedule(protocol, place.participant, start["seed"], session.drawn_as, given=given)
     observer = Observer.from_dict(start["observer"]) if "observer" in start else Observer()
     at = preflight.experiment.protocol.schedule.resume.at
     anew = _place_anew(place, session) if (restart or at == "restart") and not session.complete else None

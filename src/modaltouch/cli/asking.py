@@ -70,8 +70,10 @@ def propose_participant(dataset: Path) -> str:
     return f"{letters}{int(digits) + 1:0{len(digits)}d}"
 
 
-def ask_session(dataset: Path, participant: str) -> int:
-    """Return the number of the participant's session: 1 for a new one, else asked for, the next free proposed.
+def ask_session(dataset: Path, participant: str) -> int | None:
+    """Return the number of the participant's session, asked for with the next free one proposed.
+
+    None stands for the participant's next, where there is none yet or no terminal to ask in.
 
     Parameters
     ----------
@@ -88,7 +90,7 @@ def ask_session(dataset: Path, participant: str) -> int:
         if log.parents[1].name[4:].isdecimal()
     }
     if not logs or not sys.stdin.isatty():
-        return 1
+        return None
     for number, log in sorted(logs.items()):
         session = read_session(log)
         if session.complete:

@@ -66,7 +66,9 @@ def run(
     ] = None,
     session: Annotated[
         int | None,
-        typer.Option("--session", "-s", min=1, help="Number of the participant's session.", show_default="1, or asked"),
+        typer.Option(
+            "--session", "-s", min=1, help="Number of the session.", show_default="the participant's next, or asked"
+        ),
     ] = None,
     rig: RIG = "simulated",
     answers: ANSWERS = Answers.window,
@@ -106,7 +108,7 @@ def run(
             participant = ask_participant(dataset)
         check_participant(participant)
         if session is None:
-            session = ask_session(dataset, participant) if not (yes or json_output) else 1
+            session = None if yes or json_output else ask_session(dataset, participant)
         setup = wire_run(
             preflight,
             participant,

@@ -144,6 +144,14 @@ class ScheduleSection(Section):
         "Trials without a stimulus among those of each finger condition; none is the first, no two are neighbours.",
         default=0,
     )
+    balance: Literal["by_number", "least_filled"] = described(
+        "How participants take turns in orders, placements and rows of a Latin square: by their number, or each new "
+        "one gets the turn that fewest of those on record have filled, so that dropouts are made good.",
+        default="by_number",
+    )
+    sessions: Annotated[Count, Field(le=1000)] = described(
+        "Sessions of each participant; each has the turn after the one before.", default=1
+    )
     practice_trials: Annotated[int, Field(strict=True, ge=0, le=1000)] = described(
         "Trials before the ones that count.", default=0
     )

@@ -12,6 +12,8 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -160,13 +162,27 @@ def list_participants(place: SessionFolder) -> None:
     RecordError
         If the list cannot be read or written.
     """
-    try:
-        with hold(place.dataset):  # two sessions may begin at once: none may write a list that lacks the other
-            _list_participants(place.dataset)
-    except OSError as error:
-        raise RecordError(
-            f"{place.dataset}: cannot be locked ({error.strerror}); see what else writes there"
-        ) from error
+    with hold_dataset(place):  # two sessions may begin at once: none may write a list that lacks the other
+        _list_participants(place.dataset)
+
+
+@contextmanager
+def hold_dataset(place: SessionFolder) -> Iterator[None]:
+    """Keep other sessions from beginning in a dataset, for milliseconds.
+
+    Raises
+    ------
+    RecordError
+        If it cannot be locked.
+    """
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(hold(place.dataset))
+        except OSError as error:
+            raise RecordError(
+                f"{place.dataset}: cannot be locked ({error.strerror}); see what else writes there"
+            ) from error
+        yield
 
 
 def _list_participants(dataset: Path) -> None:

@@ -7,7 +7,7 @@
 ``draw``     draw_schedule
 """
 
-from modaltouch.schedule.draw import Block, Schedule, draw_schedule
+from modaltouch.schedule.draw import Block, Schedule, Turn, draw_schedule, period_of_turns, turn_of
 from modaltouch.schedule.orders import count_orders, draw_order
 from modaltouch.schedule.streams import Stream, random_generator
 
@@ -15,8 +15,11 @@ __all__ = [
     "Block",
     "Schedule",
     "Stream",
+    "Turn",
     "count_orders",
     "draw_order",
     "draw_schedule",
+    "period_of_turns",
     "random_generator",
+    "turn_of",
 ]

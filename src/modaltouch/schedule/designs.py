@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 from modaltouch.protocol import Protocol
@@ -91,6 +92,26 @@ def latin_square(n_cells: int) -> list[list[int]]:
     zigzag = [(place + 1) // 2 if place % 2 else -place // 2 for place in range(n_cells)]
     rows = [[(cell + shift) % n_cells for cell in zigzag] for shift in range(n_cells)]
     return rows if n_cells % 2 == 0 else [*rows, *(row[::-1] for row in rows)]
+
+
+def period_of_rows(protocol: Protocol) -> int:
+    """Return after how many turns the rows of a Latin square repeat; 1 where the protocol uses none.
+
+    Parameters
+    ----------
+    protocol : Protocol
+        The design.
+    """
+    n_pairs, n_levels = len(protocol.conditions.zone_pairs), len(protocol.conditions.peak_velocities_mm_s)
+    n_kinds = {"by_pair": n_pairs, "by_velocity": n_levels, "latin_square": n_pairs * n_levels}
+    n_items = n_kinds.get(protocol.schedule.order)
+    if n_items is None:
+        return 1
+    n_rows = len(latin_square(n_items))
+    # Each round of the rows begins one later than the last, so it takes as many rounds as rows.
+    period = n_rows * n_rows
+    taken = protocol.schedule.repetitions if protocol.schedule.order == "latin_square" else 1
+    return period // math.gcd(period, taken)
 
 
 def _row_of_turn(turn: int, n_rows: int) -> int:

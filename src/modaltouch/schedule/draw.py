@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
+import math
 import re
 from collections import Counter
 from collections.abc import Iterable
@@ -12,9 +13,25 @@ from dataclasses import dataclass
 from typing import Any
 
 from modaltouch.protocol import Placement, Protocol
-from modaltouch.schedule.designs import Cell, insert_catches, order_cells
+from modaltouch.schedule.designs import Cell, insert_catches, order_cells, period_of_rows
 from modaltouch.schedule.streams import ALGORITHM, Stream, key_of
 from modaltouch.trial import Condition, Trial
+
+
+@dataclass(frozen=True)
+class Turn:
+    """Which of several balanced orders a participant gets.
+
+    Attributes
+    ----------
+    number : int
+        To be taken modulo the number of orders, placements and rows.
+    reason : str
+        What decided it.
+    """
+
+    number: int
+    reason: str
 
 
 @dataclass(frozen=True)
@@ -54,9 +71,11 @@ class Schedule:
         One to each finger condition, in this participant's order.
     finger_conditions_by : str
         What decided the order of the finger conditions: ``number of the participant``, ``hash of the
-        participant``, or ``protocol``.
+        participant``, the reason of a given turn, or ``protocol``.
     is_adaptive : bool
         Whether the levels follow from the answers; a trial is then scheduled with the level of a run's first.
+    turn : int or None
+        The turn where it was given; None where participant, seed and session decide it.
     """
 
     participant: str
@@ -66,6 +85,7 @@ class Schedule:
     blocks: tuple[Block, ...]
     finger_conditions_by: str
     is_adaptive: bool = False
+    turn: Turn | None = None
 
     @property
     def trials(self) -> tuple[Trial, ...]:
@@ -106,6 +126,7 @@ class Schedule:
             "finger_conditions": [block.finger_condition for block in self.blocks],
             "finger_conditions_by": self.finger_conditions_by,
             **({"levels": "adaptive"} if self.is_adaptive else {}),
+            **({"turn": self.turn.number, "turn_by": self.turn.reason} if self.turn is not None else {}),
             "n_trials": len(self.trials),
             "n_practice_trials": len(self.practice),
             "practice": [_brief(trial) for trial in self.practice],
@@ -113,7 +134,9 @@ class Schedule:
         }
 
 
-def draw_schedule(protocol: Protocol, participant: str, seed: int, session: int = 1) -> Schedule:
+def draw_schedule(
+    protocol: Protocol, participant: str, seed: int, session: int = 1, *, given: Turn | None = None
+) -> Schedule:
     """Return a participant's schedule; the same arguments give the same schedule.
 
     Parameters
@@ -126,6 +149,8 @@ def draw_schedule(protocol: Protocol, participant: str, seed: int, session: int 
         Seed of the study, 0 or above.
     session : int
         Number of the session, from 1; every session has an order of its own.
+    given : Turn, optional
+        The participant's turn, where records decide it and not the participant's number.
 
     Raises
     ------
@@ -133,7 +158,8 @@ def draw_schedule(protocol: Protocol, participant: str, seed: int, session: int 
         If an argument is out of bounds or no order keeps the protocol's limit on runs.
     """
     _check_arguments(participant, seed, session)
-    turn, decided_by = turn_of(participant, seed, session)
+    decided = given or turn_of(participant, seed, session)
+    turn = decided.number
     orders = _orders_of_finger_conditions(protocol)
     placements = protocol.conditions.placements
     # Orders change with every participant, placements each time all orders have been had.
@@ -157,8 +183,9 @@ def draw_schedule(protocol: Protocol, participant: str, seed: int, session: int 
         seed=seed,
         practice=_number(practised, block=0, first=1),
         blocks=tuple(blocks),
-        finger_conditions_by=decided_by if len(orders) > 1 else "protocol",
         is_adaptive=protocol.adaptive is not None,
+        finger_conditions_by=decided.reason if len(orders) > 1 else "protocol",
+        turn=given,
     )
 
 
@@ -173,16 +200,33 @@ def _place(finger_condition: str, cell: Cell, placement: Placement) -> Condition
     return Condition(finger_condition, left, right, cell[1], placement)
 
 
-def turn_of(participant: str, seed: int, session: int) -> tuple[int, str]:
-    """Return which of several balanced orders is a participant's, to be taken modulo their number, and why.
+def period_of_turns(protocol: Protocol) -> int:
+    """Return after how many turns orders of finger conditions, placements and rows repeat together.
+
+    Parameters
+    ----------
+    protocol : Protocol
+        The design.
+    """
+    n_orders = len(_orders_of_finger_conditions(protocol)) * len(protocol.conditions.placements)
+    return math.lcm(n_orders, period_of_rows(protocol))
+
+
+def turn_of(participant: str, seed: int, session: int) -> Turn:
+    """Return which of several balanced orders is a participant's by number or hash.
 
     Sessions of one participant take turns too, so nothing is drawn anew for them.
+
+    Parameters
+    ----------
+    participant, seed, session
+        As `draw_schedule` takes them.
     """
     ending = re.search(r"[0-9]+$", participant)
     if ending is not None:
-        return int(ending.group()[-18:]) - 1 + session - 1, "number of the participant"
+        return Turn(int(ending.group()[-18:]) - 1 + session - 1, "number of the participant")
     stream = Stream(seed, participant, 1, "order of finger conditions")
-    return stream.below(2**64) + session - 1, "hash of the participant"
+    return Turn(stream.below(2**64) + session - 1, "hash of the participant")
 
 
 def _check_arguments(participant: str, seed: int, session: int) -> None:

@@ -1,0 +1,182 @@
+"""Which session comes next, and which balanced order a participant gets, from the records on disk.
+
+Participants take turns in the order of finger conditions, the placement and the row of a Latin square. By number,
+p01 has the first turn, p02 the second, and whoever drops out leaves a gap. By the records, a new participant gets
+the turn that fewest have filled, so a gap is filled again. A turn is filled by a participant whose latest session
+is complete or is being run now; one whose latest session was left incomplete decides only between turns that are
+otherwise filled alike, since it may still be resumed.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from modaltouch.protocol import Protocol
+from modaltouch.record.chain import RecordError
+from modaltouch.record.folders import LOG_NAME, SessionFolder
+from modaltouch.record.locking import lock
+from modaltouch.record.log import Session, read_session
+from modaltouch.schedule import Turn, period_of_turns, turn_of
+
+
+@dataclass(frozen=True)
+class Allotment:
+    """A participant's turn and why it is theirs.
+
+    Attributes
+    ----------
+    turn : Turn
+        Number and reason.
+    n_turns : int
+        Turns there are before orders, placements and rows repeat.
+    filled, left : dict of int to int
+        How many other participants had filled each turn, and left it incomplete; turns without any are not in it.
+    """
+
+    turn: Turn
+    n_turns: int
+    filled: dict[int, int]
+    left: dict[int, int]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as plain values for the record."""
+        return {
+            "rule": "least_filled",
+            "turn": self.turn.number,
+            "reason": self.turn.reason,
+            "n_turns": self.n_turns,
+            "filled": {str(turn): n for turn, n in sorted(self.filled.items())},
+            "left_incomplete": {str(turn): n for turn, n in sorted(self.left.items())},
+        }
+
+
+def allot(place: SessionFolder, protocol: Protocol, drawn_as: int) -> Allotment:
+    """Return the turn of a participant whose session begins; to be called while the dataset is held.
+
+    Parameters
+    ----------
+    place : SessionFolder
+        Where the session will be.
+    protocol : Protocol
+        The design.
+    drawn_as : int
+        Number of the session in the participant's own count; each has the turn after the one before.
+
+    Raises
+    ------
+    RecordError
+        If a session cannot be read.
+    """
+    n_turns = period_of_turns(protocol)
+    filled: Counter[int] = Counter()
+    left: Counter[int] = Counter()
+    own: int | None = None
+    for participant, sessions in _by_participant(place.dataset):
+        base = _first_turn(sessions[0]) % n_turns
+        if participant == place.participant:
+            own = base
+        else:
+            counter = filled if sessions[-1].complete or _is_running(sessions[-1].path) else left
+            counter[base] += 1
+    if own is not None:
+        reason = "the participant's earlier sessions"
+    else:
+        own = min(range(n_turns), key=lambda turn: (filled[turn], left[turn], turn))
+        reason = "least filled in the records"
+    return Allotment(Turn(own + drawn_as - 1, reason), n_turns, dict(filled), dict(left))
+
+
+def recorded_turn(start: dict[str, Any]) -> Turn | None:
+    """Return the turn that a start record keeps; None where the participant's number or hash decided.
+
+    Parameters
+    ----------
+    start : dict
+        Start record of a session.
+    """
+    schedule = start.get("schedule", {})
+    return Turn(int(schedule["turn"]), str(schedule["turn_by"])) if "turn" in schedule else None
+
+
+def next_session(place: SessionFolder, n_sessions: int) -> tuple[SessionFolder, int]:
+    """Return the place of a participant's next session, and its number in the participant's own count.
+
+    The count leaves out sessions that were begun anew; without any of these both numbers are the same.
+
+    Parameters
+    ----------
+    place : SessionFolder
+        Of any session of the participant.
+    n_sessions : int
+        Sessions of each participant.
+
+    Raises
+    ------
+    RecordError
+        If the latest session is not complete, or there are as many as the protocol has.
+    """
+    sessions = _sessions_of(place.dataset / f"sub-{place.participant}")
+    if not sessions:
+        return replace(place, session=1), 1
+    latest = sessions[-1]
+    folder = latest.path.parent
+    number = _number(latest.path) + 1
+    if not latest.complete:
+        raise RecordError(
+            f"{latest.path}: this session exists already and is not complete; continue it with `modaltouch resume "
+            f"{folder}`, or begin another with --session {number}"
+        )
+    held = [session for session in sessions if session.begun_anew_as is None]
+    if len(held) >= n_sessions:
+        what = "its one session" if n_sessions == 1 else f"all {n_sessions} sessions"
+        raise RecordError(
+            f"{latest.path}: participant {place.participant} exists already and has had {what} of the protocol, and "
+            f"nothing is overwritten; give another participant id, or --session {number} for one more"
+        )
+    return replace(place, session=number), len(held) + 1
+
+
+def _by_participant(dataset: Path) -> Iterator[tuple[str, list[Session]]]:
+    """Yield every participant of a dataset who has a readable start record, with their sessions in order."""
+    for folder in sorted(dataset.glob("sub-*")):
+        sessions = _sessions_of(folder)
+        if sessions:
+            yield folder.name.removeprefix("sub-"), sessions
+
+
+def _sessions_of(folder: Path) -> list[Session]:
+    """Return a participant's sessions that have a start record, in order of their numbers."""
+    logs = sorted(folder.glob(f"ses-*/beh/{LOG_NAME}"), key=_number)
+    return [session for session in map(read_session, logs) if session.start]
+
+
+def _number(log: Path) -> int:
+    name = log.parent.parent.name.removeprefix("ses-")
+    return int(name) if name.isdecimal() else 0
+
+
+def _first_turn(session: Session) -> int:
+    """Return the turn that a participant's first session would have, from that of any."""
+    start = session.start
+    turn = recorded_turn(start) or turn_of(session.participant, int(start["seed"]), session.drawn_as)
+    return turn.number - (session.drawn_as - 1)
+
+
+def _is_running(log: Path) -> bool:
+    """Return whether a process is writing a session: it holds the log's lock."""
+    try:
+        descriptor = os.open(log, os.O_RDWR)
+    except OSError:
+        return False
+    try:
+        lock(descriptor)
+    except OSError:
+        return True
+    finally:
+        os.close(descriptor)
+    return False
