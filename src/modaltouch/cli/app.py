@@ -21,6 +21,8 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
+    # Help as plain text: a library of markup would take four times as long to load as all else.
+    rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
@@ -47,3 +49,7 @@ app.command("validate")(validating.validate)
 app.command("verify")(looking.verify)
 app.command("doctor")(looking.doctor)
 app.add_typer(rigs.app, name="rig")
+
+for each in (*app.registered_commands, *rigs.app.registered_commands):
+    # The whole first line in lists of commands, where the library would cut it.
+    each.short_help = (getattr(each.callback, "__doc__", None) or "").partition("\n")[0]
