@@ -219,7 +219,7 @@ def call(procedure: int, parameters: bytes, *, program: int = 0x0607AF) -> bytes
 
 def frames(rng: random.Random) -> bytes:
     """Return something that is nearly VXI-11."""
-    link = call(10, struct.pack(">iIII", 1, rng.randrange(2), 50, 5) + b"inst0" + bytes(3))
+    link = call(10, struct.pack(">iIII", 1, 0, 50, 5) + b"inst0" + bytes(3))
     body = rng.randbytes(rng.randint(0, 60))
     match rng.randrange(8):
         case 0:
@@ -257,6 +257,17 @@ def test_malformed_frames_end_their_own_connection_alone(standing: Simulator) ->
     while standing._server.n_links and time.monotonic() < deadline:
         time.sleep(0.01)
     assert standing._server.n_links == 0
+
+
+def test_link_of_another_connection_is_out_of_reach(standing: Simulator) -> None:
+    """Its number guessed right: neither written to nor destroyed (VXI-11 error 4)."""
+    client: Any = pyvisa.ResourceManager("@py").open_resource(standing.address)
+    number = client.visalib.sessions[client.session].link
+    client.write("SOUR1:FREQ 20")
+    send(standing, call(11, struct.pack(">iIIiI", number, 1, 1, 8, 4) + b"*RST"), wait=0.5)
+    send(standing, call(23, struct.pack(">i", number)), wait=0.5)
+    assert float(client.query("SOUR1:FREQ?")) == 20
+    client.close()
 
 
 def test_message_without_end_is_dropped_before_it_fills_the_memory(standing: Simulator) -> None:

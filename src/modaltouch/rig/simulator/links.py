@@ -92,6 +92,10 @@ class Links:
                 if self._lock_holder == number:
                     self._lock_holder = None
 
+    def _of(self, number: int, own: set[int]) -> _Link | None:
+        """Return a link of the connection that calls; those of others are not to be had."""
+        return self._links.get(number) if number in own else None
+
     def _procedures(self) -> dict[int, typing.Callable[[bytes, set[int]], bytes]]:
         return {
             _CREATE_LINK: self._create_link,
@@ -127,14 +131,15 @@ class Links:
 
     def _destroy_link(self, parameters: bytes, own: set[int]) -> bytes:
         (number,) = struct.unpack_from(">i", parameters)
-        known = number in self._links
-        self.forget([number])
-        own.discard(number)
+        known = number in own
+        if known:
+            self.forget([number])
+            own.discard(number)
         return struct.pack(">i", _NO_ERROR if known else _INVALID_LINK)
 
     def _write(self, parameters: bytes, own: set[int]) -> bytes:
         number, _, lock_timeout, flags, length = struct.unpack_from(">iIIiI", parameters)
-        link = self._links.get(number)
+        link = self._of(number, own)
         error = self._access(link, flags, lock_timeout)
         if error or link is None:
             return struct.pack(">iI", error, 0)
@@ -159,7 +164,7 @@ class Links:
 
     def _read(self, parameters: bytes, own: set[int]) -> bytes:
         number, size, io_timeout, lock_timeout, flags, terminator = struct.unpack_from(">iIIIii", parameters)
-        link = self._links.get(number)
+        link = self._of(number, own)
         error = self._access(link, flags, lock_timeout)
         if error or link is None:
             return struct.pack(">iiI", error, 0, 0)
@@ -181,33 +186,33 @@ class Links:
         return struct.pack(">ii", _NO_ERROR, reason) + opaque(data)
 
     def _read_status(self, parameters: bytes, own: set[int]) -> bytes:
-        link = self._links.get(struct.unpack_from(">i", parameters)[0])
+        link = self._of(struct.unpack_from(">i", parameters)[0], own)
         if link is None:
             return struct.pack(">iI", _INVALID_LINK, 0)
         return struct.pack(">iI", _NO_ERROR, self._device.status_byte | (16 if link.leaving else 0))
 
     def _trigger(self, parameters: bytes, own: set[int]) -> bytes:
         number, flags, lock_timeout = struct.unpack_from(">iiI", parameters)
-        error = self._access(self._links.get(number), flags, lock_timeout)
+        error = self._access(self._of(number, own), flags, lock_timeout)
         if not error:
             self._device.trigger()
         return struct.pack(">i", error)
 
     def _clear(self, parameters: bytes, own: set[int]) -> bytes:
         number, flags, lock_timeout = struct.unpack_from(">iiI", parameters)
-        link = self._links.get(number)
+        link = self._of(number, own)
         error = self._access(link, flags, lock_timeout)
         if not error and link is not None:
             link.arriving, link.leaving = bytearray(), b""
         return struct.pack(">i", error)
 
     def _accept_silently(self, parameters: bytes, own: set[int]) -> bytes:
-        known = struct.unpack_from(">i", parameters)[0] in self._links
+        known = struct.unpack_from(">i", parameters)[0] in own
         return struct.pack(">i", _NO_ERROR if known else _INVALID_LINK)
 
     def _take_lock(self, parameters: bytes, own: set[int]) -> bytes:
         number, flags, lock_timeout = struct.unpack_from(">iiI", parameters)
-        return struct.pack(">i", self._take(self._links.get(number), flags, lock_timeout))
+        return struct.pack(">i", self._take(self._of(number, own), flags, lock_timeout))
 
     def _take(self, link: _Link | None, flags: int, lock_timeout: int) -> int:
         while True:
@@ -222,7 +227,7 @@ class Links:
 
     def _release_lock(self, parameters: bytes, own: set[int]) -> bytes:
         (number,) = struct.unpack_from(">i", parameters)
-        if self._lock_holder != number:
+        if self._lock_holder != number or number not in own:
             return struct.pack(">i", _NO_LOCK)
         self._lock_holder = None
         return struct.pack(">i", _NO_ERROR)
