@@ -104,7 +104,7 @@ class Simulator:
         Parameters
         ----------
         instant : float
-            From the first sample of a burst at the generator's output [s].
+            From a trigger, when the first sample leaves the generator unless it is set to wait [s].
         first : bool
             Whether the burst starts from rest; else it is one after many.
         """

@@ -64,15 +64,19 @@ class Playback:
     Attributes
     ----------
     record : bytes
-        Codes of one burst, two bytes each, big-endian.
+        Codes of one cycle, two bytes each, big-endian.
     amplitude, offset : float
         Of the record's full scale, open circuit [V peak to peak, V].
     duration : float
-        Length of the record [s].
+        Length of one cycle [s].
     period : float
-        Time from one burst to the next [s]; infinite for a single burst.
+        Time from one trigger to the next [s], or one cycle without; infinite for a single trigger.
     idle_code : int
         Code at which the output rests between bursts.
+    n_cycles : int
+        Cycles of one burst.
+    delay : float
+        From a trigger to its burst [s].
     """
 
     record: bytes
@@ -81,6 +85,8 @@ class Playback:
     duration: float
     period: float
     idle_code: int
+    n_cycles: int = 1
+    delay: float = 0.0
 
 
 @dataclass
@@ -277,16 +283,27 @@ class Afg:
             sign = -1.0 if channel.polarity == "INV" else 1.0
             idle = {"first": record[:2], "last": record[-2:]}.get(self.behaviour.idle_level)
             idle_code = MID_CODE if idle is None else int.from_bytes(idle, "big")
-            return Playback(record, sign * channel.amplitude, channel.offset, duration, period, idle_code)
+            level = sign * channel.amplitude, channel.offset
+            if math.isinf(self._burst_length(channel, duration)) or not channel.burst:
+                return Playback(record, *level, duration, period, idle_code)
+            return Playback(record, *level, duration, period, idle_code, int(channel.n_cycles), channel.delay)
+
+    @staticmethod
+    def _burst_length(channel: Channel, duration: float) -> float:
+        """Return the time from a trigger to the end of its burst [s]."""
+        return channel.delay + duration * channel.n_cycles
 
     def _burst_period(self, channel: Channel, duration: float) -> float | None:
-        """Return the time between records [s], None where no trigger comes."""
+        """Return the time between bursts [s], None where no trigger comes."""
         if not channel.burst:
             return duration
+        length = self._burst_length(channel, duration)
         if self.trigger_source == "TIM":
-            return self.timer
-        played = duration * channel.n_cycles
-        return math.inf if self.now() - self.last_trigger <= played else None
+            # A burst without end has one trigger, the first.
+            return duration if math.isinf(length) else self.timer
+        if self.now() - self.last_trigger > length or math.isinf(self.last_trigger):
+            return None
+        return duration if math.isinf(length) else math.inf
 
 
 def blank_record(n_points: int) -> bytes:

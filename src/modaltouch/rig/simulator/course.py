@@ -67,6 +67,7 @@ class Motion:
             First and last instant that will be asked for, from the first sample of a burst at the beam [s].
         """
         voltage, hold = refined(system, held)
+        span = span[0] - held.delay, span[1] - held.delay
         # What lies before a burst, or after its period, is the end of another.
         within = span[0] >= 0 and span[1] < held.period
         n_needed = min(voltage.shape[1], int(span[1] / hold) + 2) if within else voltage.shape[1]

@@ -37,12 +37,15 @@ class Held:
         Of one burst [s].
     period : float
         From one burst to the next [s]; infinite for a single burst.
+    delay : float
+        From a trigger, where time begins, to its burst [s].
     """
 
     voltage: FloatArray
     rest: FloatArray
     duration: float
     period: float
+    delay: float = 0.0
 
     @property
     def hold(self) -> float:
@@ -61,6 +64,8 @@ class Held:
 
     def within_period(self, time: FloatArray) -> FloatArray:
         """Return times since the latest burst began [s]; those before a single burst stay negative."""
+        if self.delay:
+            time = time - self.delay
         if math.isinf(self.period) or (time.min() >= 0 and time.max() < self.period):
             return time
         return np.mod(time, self.period)
@@ -85,10 +90,15 @@ def state_at(system: DiagonalSystem, held: Held, instant: float, *, first: bool)
     held : Held
         What is played.
     instant : float
-        From the first sample of a burst at the generator, at most a period [s].
+        From a trigger, at most a period [s].
     first : bool
         Whether it is the first burst, from rest, or one after many.
     """
+    instant -= held.delay
+    if instant < 0:
+        if first or math.isinf(held.period):
+            return np.zeros(system.exponent.size, dtype=complex)
+        instant += held.period
     played = min(instant, held.duration + system.delay)
     state = states_by_channel(system, held.voltage, held.timing, played).sum(axis=0)
     state = state * np.exp(system.exponent * (instant - played))

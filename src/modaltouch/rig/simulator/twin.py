@@ -12,11 +12,16 @@ from numpy.typing import NDArray
 from modaltouch.apparatus import Apparatus
 from modaltouch.rig.simulator.afg import MID_CODE, Playback
 from modaltouch.rig.simulator.course import Drive, Motion, low_passed
-from modaltouch.rig.simulator.response import Held, peak, state_at
+from modaltouch.rig.simulator.response import LONGEST_SILENCE, Held, peak, refined, state_at
 from modaltouch.rig.simulator.true_beam import generator_gains, true_amplifier, true_beam
 from modaltouch.stimulus.dynamics import DiagonalSystem
 
 FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+MOST_SAMPLES = 1 << 22
+"""Of one burst, many cycles together: a third of a second at least, many times what any mode remembers."""
+
 Setting = tuple[Playback | None, ...]
 """What each channel sends."""
 
@@ -178,8 +183,8 @@ class Twin:
         playbacks : sequence of Playback or None
             What each channel sends.
         instant : float
-            From the first sample of a burst at the generator's output [s]; what is sent then moves the beam only
-            after the amplifier's delay.
+            From a trigger, when the first sample leaves the generator unless it is set to wait [s]; what is sent
+            then moves the beam only after the amplifier's delay.
         first : bool
             Whether the burst starts from rest; else it is one after many.
         touched : sequence of float
@@ -219,9 +224,12 @@ class Twin:
         for channel, playback in enumerate(together[: self.beam.n_channels]):
             if playback is not None:
                 voltage[channel], rest[channel] = self._amplify(playback, float(self._gains[channel]))
-        # A trigger that comes while a burst plays is lost: the next one counts.
-        triggers = max(1.0, np.ceil(first.duration / first.period - 1e-9))
-        return Held(voltage, rest, first.duration, first.period * triggers)
+        # More cycles than that are heard no longer when the last ones end.
+        n_cycles = min(first.n_cycles, max(1, MOST_SAMPLES // n_samples))
+        duration = first.duration * n_cycles
+        # A trigger that comes while a burst plays, or waits to, is lost: the next one counts.
+        triggers = max(1.0, np.ceil((first.delay + first.duration * first.n_cycles) / first.period - 1e-9))
+        return Held(np.tile(voltage, n_cycles), rest, duration, first.period * triggers, first.delay)
 
     def _amplify(self, playback: Playback, gain: float) -> tuple[FloatArray, float]:
         scale, shift = gain * playback.amplitude / (2 * MID_CODE), gain * playback.offset
@@ -242,8 +250,11 @@ class Twin:
     def _peaks(self, setting: Setting, positions: Sequence[float], touched: Sequence[float]) -> list[float]:
         system = self.system(touched)
         output = self.beam.shapes(positions).T @ system.velocity
+        parts = self.held_of(setting)
+        if len(parts) > 1 and len({part.period for part in parts}) == 1:
+            return [_common_peak(system, row, parts) for row in output]
         # Bursts of unequal rate slide past each other, so that sooner or later their peaks meet.
-        total = sum((peak(system, output, held) for held in self.held_of(setting)), np.zeros(len(positions)))
+        total = sum((peak(system, output, held) for held in parts), np.zeros(len(positions)))
         return [float(speed) for speed in total]
 
 
@@ -254,8 +265,17 @@ def _at_unit_level(playbacks: Sequence[Playback | None], level: float) -> Settin
     )
 
 
-def _clock(playback: Playback) -> tuple[int, float, float]:
-    return len(playback.record), playback.duration, playback.period
+def _clock(playback: Playback) -> tuple[float, ...]:
+    return len(playback.record), playback.duration, playback.period, playback.n_cycles, playback.delay
+
+
+def _common_peak(system: DiagonalSystem, output: ComplexArray, parts: Sequence[Held]) -> float:
+    """Return the largest magnitude of an output while unlike bursts repeat together, to 3 parts in 1000."""
+    step = min(refined(system, part)[1] for part in parts) / 2
+    ends = max(part.delay + LONGEST_SILENCE * part.duration for part in parts)
+    span = 0.0, min(parts[0].period, ends)
+    times = np.arange(*span, step)
+    return float(np.abs(sum(Motion.of(system, output, part, span).at(times) for part in parts)).max())
 
 
 @functools.lru_cache(maxsize=8)

@@ -1,0 +1,116 @@
+"""Bursts of several cycles, and bursts that wait after their trigger: played as the instrument is set."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from modaltouch.rig.simulator import Simulator
+from modaltouch.rig.simulator.afg import Playback
+from modaltouch.rig.simulator.twin import MOST_SAMPLES, Twin
+
+Play = Callable[..., Playback]
+
+
+def course(twin: Twin, sent: list[Playback | None], time: np.ndarray) -> np.ndarray:
+    """Return the velocity of the beam's middle over time [m/s]."""
+    motions = twin.motions(sent, 0.011, offset=0.0, bandwidth=None, touched=(), span=(time[0], time[-1]))
+    return np.sum([motion.at(time) for motion in motions], axis=0)
+
+
+def test_cycles_follow_each_other_without_a_gap(twin: Twin, playback: Play) -> None:
+    """Three cycles of 25 ms are one record of 75 ms that holds them one after the other, state for state."""
+    cycle = replace(playback(), duration=0.025, n_cycles=3)
+    whole = replace(playback(), duration=0.075, record=cycle.record * 3)
+    for instant in (0.01, 0.03, 0.0749, 0.1):
+        got, expected = (twin.true_state([sent, None], instant) for sent in (cycle, whole))
+        np.testing.assert_allclose(got.velocity, expected.velocity, rtol=1e-9)
+    assert twin.felt([cycle, None], [0.0]) == pytest.approx(twin.felt([whole, None], [0.0]))
+
+
+def test_cycles_build_up_what_one_cycle_does_not(twin: Twin, playback: Play) -> None:
+    """Sine at the first resonance: the speed's envelope is 1 - e^(-a t), and its last peak at n - 1/4 cycles."""
+    time = np.arange(1000) / 1000
+    sine = np.round(8191 + 8191 * np.sin(2 * np.pi * time)).astype(">u2").tobytes()
+    beam = twin.beam.table
+    first = beam.label.index(1)
+    hertz, damping = beam.angular_frequency[first] / (2 * np.pi), beam.damping_ratio[first]
+    one = replace(playback(), record=sine, duration=1 / hertz, n_cycles=1, period=math.inf)
+    peaks = []
+    for n in (1, 5):
+        sent = [replace(one, n_cycles=n), None]
+        instants = (n - 0.5 + np.linspace(0, 0.5, 200)) / hertz
+        peaks.append(max(abs(twin.true_state(sent, t, first=True).velocity[first]) for t in instants))
+    envelope = [1 - math.exp(-2 * math.pi * damping * (n - 0.25)) for n in (1, 5)]
+    assert peaks[1] / peaks[0] == pytest.approx(envelope[1] / envelope[0], rel=0.02)
+
+
+def test_triggers_during_many_cycles_are_lost(twin: Twin, playback: Play) -> None:
+    """Five cycles of 50 ms after a delay of 40 ms, a trigger every 1/7 s: every third counts (290 of 428.6 ms)."""
+    (held,) = twin.held_of([replace(playback(), n_cycles=5, delay=0.04), None])
+    assert held.period == pytest.approx(3 / 7)
+    assert held.duration == pytest.approx(0.25)
+
+
+def test_a_million_cycles_take_no_more_memory_than_are_heard(twin: Twin, playback: Play) -> None:
+    """MOST_SAMPLES points at most; the triggers that are lost are those of all the cycles."""
+    (held,) = twin.held_of([replace(playback(), n_cycles=1_000_000), None])
+    assert held.voltage.shape[1] <= MOST_SAMPLES
+    assert held.period == pytest.approx(50_000, rel=1e-4)
+
+
+def test_delay_moves_the_burst_and_changes_nothing_else(twin: Twin, playback: Play) -> None:
+    """Everything 10 ms later, around the whole period: true states, motion, drive, and the same peaks."""
+    now, later = playback(), replace(playback(), delay=0.01)
+    instants = np.linspace(0.0101, 0.14, 50)
+    np.testing.assert_allclose(course(twin, [later, None], instants), course(twin, [now, None], instants - 0.01))
+    early = np.array([0.002, 0.009])
+    np.testing.assert_allclose(course(twin, [later, None], early), course(twin, [now, None], early - 0.01 + 1 / 7))
+    for instant in (0.012, 0.03, 0.1):
+        got, expected = twin.true_state([later, None], instant), twin.true_state([now, None], instant - 0.01)
+        np.testing.assert_allclose(got.velocity, expected.velocity, rtol=1e-9)
+    assert not twin.true_state([later, None], 0.005, first=True).velocity.any()
+    drives = twin.drive([later, None], 0), twin.drive([now, None], 0)
+    assert drives[0] is not None
+    assert drives[1] is not None
+    np.testing.assert_allclose(drives[0].at(instants), drives[1].at(instants - 0.01))
+    assert twin.felt([later, None], [0.0]) == pytest.approx(twin.felt([now, None], [0.0]))
+
+
+def test_channels_of_unlike_delay_meet_as_they_do(twin: Twin, playback: Play) -> None:
+    """The second channel comes 3 ms late: the peak is that of the sum over time, within 0.3 %, not the peaks' sum."""
+    sent = [playback(), replace(playback(), delay=0.003)]
+    fine = np.abs(course(twin, sent, np.arange(0, 0.2, 0.5e-6))).max()
+    assert twin.felt(sent, [0.011])[0] == pytest.approx(fine, rel=3e-3)
+    assert twin.felt([sent[0], None], [0.011])[0] + twin.felt([None, sent[1]], [0.011])[0] > 1.01 * fine
+
+
+def test_instrument_plays_its_cycles_and_delay(simulator: Simulator) -> None:
+    """What the commands set is what is sent; INFinity, or burst off, is no burst, and has neither."""
+    simulator.front_panel("DATA:COPY USER1;:SOUR1:FUNC USER1;:SOUR1:FREQ 20;:SOUR1:BURS:STAT ON;:OUTP1 ON")
+    simulator.front_panel("SOUR1:BURS:NCYC 3;:SOUR1:BURS:TDEL 5MS;:TRIG:TIM 0.2")
+    sent = simulator.playbacks[0]
+    assert sent is not None
+    assert (sent.duration, sent.period, sent.n_cycles, sent.delay) == (0.05, 0.2, 3, 0.005)
+    simulator.front_panel("SOUR1:BURS:NCYC INF")
+    sent = simulator.playbacks[0]
+    assert sent is not None
+    assert (sent.duration, sent.period, sent.n_cycles, sent.delay) == (0.05, 0.05, 1, 0)
+
+
+def test_forced_trigger_plays_until_its_last_cycle_ends(simulator: Simulator) -> None:
+    """*TRG: 10 ms of delay and three cycles of 50 ms, nothing before it and nothing after 160 ms."""
+    clock = [100.0]
+    simulator.afg.now = lambda: clock[0]
+    simulator.front_panel("DATA:COPY USER1;:SOUR1:FUNC USER1;:SOUR1:FREQ 20;:SOUR1:BURS:STAT ON;:OUTP1 ON")
+    simulator.front_panel("SOUR1:BURS:NCYC 3;:SOUR1:BURS:TDEL 10MS;:TRIG:SOUR EXT")
+    assert simulator.playbacks[0] is None
+    simulator.front_panel("*TRG")
+    clock[0] += 0.159
+    assert simulator.playbacks[0] is not None
+    clock[0] += 0.002
+    assert simulator.playbacks[0] is None
