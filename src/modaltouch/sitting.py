@@ -14,9 +14,11 @@ from modaltouch.allotment import allot
 from modaltouch.console.experimenter import Experimenter
 from modaltouch.console.interface import Console, Silence
 from modaltouch.console.status import Status
+from modaltouch.document import InputError
 from modaltouch.interruption import Interrupted, Interruption
 from modaltouch.preflight import Preflight
 from modaltouch.preflight.figures import estimated_duration
+from modaltouch.protocol.calibration_file import generator_problem
 from modaltouch.provenance import boot, commit, versions
 from modaltouch.record.chain import RecordError
 from modaltouch.record.folders import SessionFolder
@@ -200,6 +202,7 @@ def _sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessi
     journal.listener = experimenter.tell
     with Interruption() as interruption, ExitStack() as stack:
         rig = stack.enter_context(setup.open_rig(journal.exchange))
+        _refuse_other_generator(setup.preflight, rig)
         if is_simulated(rig.identity) and setup.place.mode != "simulated":
             # An address may lead to a simulator; its data never land among real ones.
             setup = replace(setup, place=replace(setup.place, mode="simulated"))
@@ -243,6 +246,20 @@ def _allotted(setup: Setup) -> Setup:
     allotment = allot(setup.place, protocol, setup.drawn_as)
     schedule = draw_schedule(protocol, drawn.participant, drawn.seed, drawn.session, given=allotment.turn)
     return replace(setup, schedule=schedule, facts={**setup.facts, "balance": allotment.as_dict()})
+
+
+def _refuse_other_generator(preflight: Preflight, rig: Rig) -> None:
+    """Refuse a generator that the calibration was not made with: its amplitudes are its own.
+
+    Raises
+    ------
+    InputError
+        With the place in the calibration file.
+    """
+    calibration = preflight.findings.calibration
+    problem = None if calibration is None else generator_problem(calibration, rig.identity)
+    if problem is not None:
+        raise InputError([problem])
 
 
 def _sitting(

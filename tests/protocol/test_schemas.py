@@ -9,8 +9,7 @@ import jsonschema
 import pytest
 
 from modaltouch.document import Source, parse_tree
-from modaltouch.protocol import write_schemas
-from modaltouch.protocol.schemas import SCHEMAS
+from modaltouch.protocol.schemas import SCHEMAS, write_schemas
 
 
 def plain(file: Path) -> dict:

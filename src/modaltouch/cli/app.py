@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from modaltouch import __version__
-from modaltouch.cli import analysing, checking, fitting, looking, planning, rigs, running, validating
+from modaltouch.cli import analysing, calibrating, checking, fitting, looking, planning, rigs, running, validating
 
 app = typer.Typer(
     name="modaltouch",
@@ -39,6 +39,7 @@ def version(
 
 app.command("demo")(running.demo)
 app.command("check")(checking.check)
+app.command("calibrate")(calibrating.calibrate)
 app.command("run")(running.run)
 app.command("resume")(running.resume)
 app.command("simulate")(running.simulate)

@@ -15,8 +15,17 @@ if TYPE_CHECKING:
 PROTOCOL = Annotated[Path, typer.Argument(help="Protocol, a YAML file.", show_default=False)]
 
 
+CALIBRATION = Annotated[
+    Path | None,
+    typer.Option(
+        help="Calibration file to use, as `modaltouch calibrate` wrote it.", show_default="the one the protocol names"
+    ),
+]
+
+
 def check(
     protocol: PROTOCOL,
+    calibration: CALIBRATION = None,
     json_output: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
     compare: Annotated[
         bool,
@@ -48,7 +57,7 @@ def check(
     with reporting(json_output=json_output):
         if tolerance is not None and not 0 < tolerance < 1:
             raise typer.BadParameter(f"--tolerance is {tolerance:g}; allowed: above 0 and below 1, such as 0.001")
-        preflight = examine(protocol)
+        preflight = examine(protocol, calibration)
         asked = {} if preflight.problems else _explore(preflight, sensitivity, designs, tolerance)
         if json_output:
             print_json(preflight.as_dict(compare=compare) | asked)
@@ -80,6 +89,11 @@ def show(preflight: Preflight, *, compare: bool = False) -> None:
         f"Focus {first['focus']}, law {first['law']}, modes {', '.join(map(str, first['selected_modes']))}, "
         f"{first['n_samples']} samples at {first['sampling_rate_Hz'] / 1e6:g} MHz, spot {first['fwhm_mm']:.1f} mm wide"
     )
+    if calibration := values["calibration"]:
+        console.print(
+            f"Calibrated {calibration['made']} on {calibration['generator']}: worst modal error then "
+            f"{calibration['worst_modal_error_mm_s']:.2g} mm/s at {calibration['reference_mm_s']:g} mm/s"
+        )
     console.print(_level_table(Table, stimuli))
     for stimulus in values.get("comparison", []):
         console.print(

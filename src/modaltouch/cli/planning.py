@@ -68,7 +68,7 @@ def power(
 
     with reporting(json_output=json_output):
         model = read_observer(observer)
-        preflight = examine(protocol).require()
+        preflight = examine(protocol, uncalibrated=True).require()
         repetitions = sizes_r or (preflight.experiment.protocol.schedule.repetitions,)
         design = design_for(preflight, model)
         _refuse_too_large(max(sizes_n) * max(repetitions) * len(design.levels))

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from modaltouch.cli.asking import ask_participant, ask_session, wait_for_start
-from modaltouch.cli.checking import PROTOCOL
+from modaltouch.cli.checking import CALIBRATION, PROTOCOL
 from modaltouch.cli.consoles import EVENTS, PLAIN, open_console
 from modaltouch.cli.faults import print_json, reporting
 
@@ -82,6 +82,7 @@ def run(
     screenshots: SCREENSHOTS = None,
     events: EVENTS = None,
     plain: PLAIN = False,
+    calibration: CALIBRATION = None,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Begin without asking.")] = False,
     json_output: JSON = False,
 ) -> None:
@@ -97,7 +98,7 @@ def run(
 
     with reporting(json_output=json_output):
         window_options = _window_options(fullscreen, size, theme, screen, screenshots)
-        preflight = examine(protocol).require()
+        preflight = examine(protocol, calibration).require()
         from modaltouch.record.folders import check_participant, dataset_of
         from modaltouch.record.log import refuse_existing
         from modaltouch.wiring import mode_of, wire_run
@@ -176,6 +177,7 @@ def simulate(
         str, typer.Option(help="Who is simulated: a YAML file, or a shipped observer such as `paper`.")
     ] = "paper",
     results: RESULTS = Path("results"),
+    calibration: CALIBRATION = None,
     json_output: JSON = False,
 ) -> None:
     """Run a cohort of simulated participants through the same code on the simulated rig."""
@@ -188,7 +190,7 @@ def simulate(
 
     with reporting(json_output=json_output):
         population = read_observer(observer)
-        preflight = examine(protocol).require()
+        preflight = examine(protocol, calibration).require()
         sessions = []
         with Progress(console=Console(stderr=True)) as progress:
             task = progress.add_task("participants", total=participants)

@@ -24,7 +24,7 @@ from modaltouch.preflight.limits import check_levels, fits_generator
 from modaltouch.protocol import Experiment, Findings, Protocol, examine_files
 from modaltouch.schedule import draw_schedule
 from modaltouch.stimulus.design import Stimulus
-from modaltouch.stimulus.drive import Law
+from modaltouch.stimulus.drive import Law, Release
 from modaltouch.trial import Trial
 
 
@@ -146,6 +146,7 @@ class Preflight:
             "title": reading.sound("title") if reading else None,
             "file": str(reading.source.path) if reading else None,
             "apparatus": self._apparatus_name(),
+            "calibration": self._calibration(),
             "n_trials": None,
             "n_catch_trials": None,
             "n_practice_trials": None,
@@ -179,26 +180,45 @@ class Preflight:
             values |= {"comparison": self.comparison(), "continuous_fallback": self.continuous_fallback()}
         return values
 
+    def _calibration(self) -> dict[str, Any] | None:
+        """Return which calibration is used and how far from the wish it left the beam; None without one."""
+        reading = self.findings.calibration
+        if reading is None or reading.value is None:
+            return None
+        value = reading.value
+        return {
+            "file": str(reading.source.path),
+            "sha256": reading.source.sha256,
+            "made": value.made,
+            "generator": value.instruments.generator,
+            "reference_mm_s": value.reference_mm_s,
+            "worst_modal_error_mm_s": max(abs(each) for mode in value.modes for each in mode.error_after_mm_s),
+        }
+
     def _apparatus_name(self) -> str | None:
         reading = self.findings.apparatus
         name: str | None = reading.sound("apparatus") if reading else None
         return name
 
 
-def examine(path: Path | str) -> Preflight:
+def examine(path: Path | str, calibration: Path | None = None, *, uncalibrated: bool = False) -> Preflight:
     """Return the whole check of a protocol: files, limits, predictions; no hardware is touched.
 
     Parameters
     ----------
     path : path
         The protocol file.
+    calibration : Path, optional
+        Calibration file to use instead of the one that the protocol names.
+    uncalibrated : bool
+        Whether no calibration is read, although the protocol names or requires one: to make one, or to plan.
 
     Returns
     -------
     Preflight
         With every fault in its `problems`; nothing is raised for a faulty file.
     """
-    return examine_findings(examine_files(Path(path)))
+    return examine_findings(examine_files(Path(path), calibration, uncalibrated=uncalibrated))
 
 
 def examine_findings(findings: Findings) -> Preflight:
@@ -214,7 +234,7 @@ def examine_findings(findings: Findings) -> Preflight:
     if ground is not None and findings.protocol is not None:
         try:
             with np.errstate(all="ignore"):
-                stimulus = _design_to_fit(ground)
+                stimulus = design_to_fit(ground)
                 problems += check_levels(ground, stimulus, findings.protocol)
         except (ValueError, ArithmeticError) as error:
             problems.append(locate(error, findings))
@@ -223,12 +243,25 @@ def examine_findings(findings: Findings) -> Preflight:
     return Preflight(findings, tuple(sorted(set(problems))), ground, stimulus)
 
 
-def _design_to_fit(ground: Ground) -> Stimulus:
-    """Return the stimulus, without the 5 % of full scale for the amplitude grid where they do not fit."""
-    stimulus = design(ground)
+def design_to_fit(ground: Ground, *, release: Release | None = None) -> Stimulus:
+    """Return the stimulus, without the 5 % of full scale for the amplitude grid where they do not fit.
+
+    Parameters
+    ----------
+    ground : Ground
+        What it is designed from.
+    release : str, optional
+        What follows the focusing instant; the protocol's own if not given.
+
+    Raises
+    ------
+    ValueError
+        If the engine refuses it.
+    """
+    stimulus = design(ground, release=release)
     within = float(stimulus.peak_voltage.max()) <= ground.apparatus.amplifier.limit_V
     if within and not fits_generator(ground, stimulus):
-        return design(ground, on_grid=False)
+        return design(ground, release=release, on_grid=False)
     return stimulus
 
 

@@ -40,8 +40,9 @@ def continuous_figures(stimulus: Stimulus, velocity: float) -> dict[str, Any]:
     state = stimulus.volts_per_code(velocity) @ states_by_channel(
         stimulus.system, codes, played, timing.focusing_instant
     )
-    reached = (stimulus.system.velocity @ state).real - stimulus.target * (velocity / stimulus.wish.velocity)
-    error = 1e3 * float(max(np.abs(reached).max(), np.abs((stimulus.system.displacement @ state).real).max()))
+    reached = np.concatenate([stimulus.system.velocity @ state, stimulus.system.displacement @ state]).real
+    aim = np.concatenate(stimulus.aim) * (velocity / stimulus.wish.velocity)
+    error = 1e3 * float(np.abs(reached - aim).max())
     step = 1e6 * (played.hold / 2 + 1 / timing.clock_rate)
     return {
         "velocity_mm_s": velocity * 1e3,

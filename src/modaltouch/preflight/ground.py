@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from modaltouch.apparatus import Apparatus, Zone
 from modaltouch.document import Problem
 from modaltouch.protocol import Findings, StimulusSection
-from modaltouch.stimulus.design import Stimulus, Timing, Wish, design_stimulus
-from modaltouch.stimulus.drive import Law
+from modaltouch.protocol.calibration_file import calibrated_apparatus
+from modaltouch.stimulus.design import Correction, Stimulus, Timing, Wish, design_stimulus
+from modaltouch.stimulus.drive import Law, Release
+
+if TYPE_CHECKING:
+    from modaltouch.protocol.calibration_sections import CalibrationFile
 
 _NEEDED = ("stimulus", "beam", "actuator_sets", "modes", "amplifier", "generator")
 
@@ -25,13 +32,15 @@ class Ground:
     section : StimulusSection
         The burst.
     apparatus : Apparatus
-        Its parts; those a stimulus does not need may be missing.
+        Its parts, as a calibration found them where there is one; those a stimulus does not need may be missing.
     centre_mm : float
         Centre of the focus zone [mm].
     levels : dict of int to float
         Sound peak velocities by their place in the protocol [mm/s].
     velocity_limit : float
         Safety limit [mm/s]; infinite where it is not sound.
+    correction : Correction or None
+        What a calibration makes of the targets.
     """
 
     section: StimulusSection
@@ -39,6 +48,7 @@ class Ground:
     centre_mm: float
     levels: dict[int, float]
     velocity_limit: float
+    correction: Correction | None = None
 
     @property
     def reference(self) -> float:
@@ -75,16 +85,38 @@ def find_ground(findings: Findings) -> Ground | None:
     if section.focus not in zones:
         return None
     limit = apparatus.sound("safety", "velocity_limit_mm_s")
+    used = Apparatus.model_construct(apparatus="", zones=zones, **parts)
+    calibration = findings.calibration.value if findings.calibration is not None else None
+    if calibration is not None and not _fits(findings):
+        return None
     return Ground(
         section=section,
-        apparatus=Apparatus.model_construct(apparatus="", zones=zones, **parts),
+        apparatus=used if calibration is None else calibrated_apparatus(used, calibration),
         centre_mm=zones[section.focus].centre_mm,
         levels=dict(protocol.items("conditions", "peak_velocities_mm_s")),
         velocity_limit=float("inf") if limit is None else limit,
+        correction=None if calibration is None else correction_of(calibration),
     )
 
 
-def design(ground: Ground, *, law: Law | None = None, on_grid: bool = True) -> Stimulus:
+def correction_of(calibration: CalibrationFile) -> Correction:
+    """Return the corrected targets of a calibration in SI units."""
+    return Correction(
+        velocity=np.array([mode.target_mm_s for mode in calibration.modes]) * 1e-3,
+        displacement=np.array([mode.target_displacement_mm_s for mode in calibration.modes]) * 1e-3,
+        reference=calibration.reference_mm_s * 1e-3,
+        trims=tuple((level.velocity_mm_s * 1e-3, level.amplitude_factor) for level in calibration.levels),
+    )
+
+
+def _fits(findings: Findings) -> bool:
+    """Return whether nothing speaks against the calibration, so that its values can be used."""
+    reading = findings.calibration
+    named = str(reading.source.path) if reading is not None else ""
+    return not any(problem.file == named for problem in findings.problems)
+
+
+def design(ground: Ground, *, law: Law | None = None, release: Release | None = None, on_grid: bool = True) -> Stimulus:
     """Return the stimulus of a protocol.
 
     Parameters
@@ -93,6 +125,8 @@ def design(ground: Ground, *, law: Law | None = None, on_grid: bool = True) -> S
         What it is designed from.
     law : str, optional
         Drive law; the protocol's own if not given.
+    release : str, optional
+        What follows the focusing instant; the protocol's own if not given.
     on_grid : bool
         Whether all levels shall lie on the generator's amplitude grid, for which the full scale may pass the
         peak by 5 %; otherwise the full scale is the peak.
@@ -124,9 +158,10 @@ def design(ground: Ground, *, law: Law | None = None, on_grid: bool = True) -> S
         timing,
         ground.apparatus.amplifier_values(),
         law=law or section.law,
-        release=section.release,
+        release=release or section.release,
         levels=tuple(level * 1e-3 for level in levels) if on_grid else None,
         load_factor=ground.apparatus.generator.load_factor,
+        correction=ground.correction,
     )
 
 

@@ -7,6 +7,8 @@
 ``keys``        names of the keys that can answer
 ``checks``      faults between the keys of a protocol
 ``fit``         faults between a protocol and its apparatus
+``calibration_sections``  the keys of a calibration file
+``calibration_file``      whether a calibration fits protocol and apparatus, and what it makes of them
 ``experiment``  read_protocol: all three files, every fault at once
 ``schemas``     JSON Schemas for editors
 """
@@ -22,9 +24,9 @@ from modaltouch.protocol.experiment import (
     restore_experiment,
 )
 from modaltouch.protocol.keys import END_KEY, KEY_NAMES, RESERVED_KEYS
-from modaltouch.protocol.schemas import write_schemas
 from modaltouch.protocol.sections import (
     AnswersSection,
+    CalibrationSection,
     ConditionsSection,
     FingerCondition,
     Placement,
@@ -42,6 +44,7 @@ __all__ = [
     "RESERVED_KEYS",
     "AdaptiveSection",
     "AnswersSection",
+    "CalibrationSection",
     "ConditionsSection",
     "Experiment",
     "Findings",
@@ -59,5 +62,4 @@ __all__ = [
     "examine_sources",
     "read_protocol",
     "restore_experiment",
-    "write_schemas",
 ]

@@ -4,34 +4,42 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from modaltouch.apparatus import Apparatus, examine_apparatus
 from modaltouch.document import InputError, Problem, Reading, Source, load_source, read
 from modaltouch.document.source import YAML_FILE
+from modaltouch.protocol.calibration_file import check_age, check_calibration, examine_calibration
 from modaltouch.protocol.checks import check_protocol
 from modaltouch.protocol.fit import check_fit
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.texts import Texts, check_words
 
+if TYPE_CHECKING:
+    from modaltouch.protocol.calibration_sections import CalibrationFile
+
 
 @dataclass(frozen=True)
 class Sources:
-    """The three files of an experiment as they were read.
+    """The files of an experiment as they were read.
 
     Attributes
     ----------
     protocol, apparatus, texts : Source
         Path, text and hash of each.
+    calibration : Source or None
+        Path, text and hash of the calibration, where there is one.
     """
 
     protocol: Source
     apparatus: Source
     texts: Source
+    calibration: Source | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Return path, hash and text of each file for the record."""
-        return {name: getattr(self, name).as_dict() for name in ("protocol", "apparatus", "texts")}
+        named = {name: getattr(self, name) for name in ("protocol", "apparatus", "texts", "calibration")}
+        return {name: source.as_dict() for name, source in named.items() if source is not None}
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> Sources:
@@ -71,12 +79,15 @@ class Findings:
         Each file; None where it cannot be opened.
     problems : tuple of Problem
         Every fault of all of them.
+    calibration : Reading or None
+        The calibration file, where there is one.
     """
 
     protocol: Reading[Protocol] | None
     apparatus: Reading[Apparatus] | None
     texts: Reading[Texts] | None
     problems: tuple[Problem, ...]
+    calibration: Reading[CalibrationFile] | None = None
 
     def experiment(self) -> Experiment:
         """Return the experiment.
@@ -91,7 +102,8 @@ class Findings:
         protocol, apparatus, texts = self.protocol.value, self.apparatus.value, self.texts.value
         if protocol is None or apparatus is None or texts is None:
             raise InputError(self.problems)
-        sources = Sources(self.protocol.source, self.apparatus.source, self.texts.source)
+        calibration = None if self.calibration is None else self.calibration.source
+        sources = Sources(self.protocol.source, self.apparatus.source, self.texts.source, calibration)
         return Experiment(protocol, apparatus, texts, sources)
 
 
@@ -139,16 +151,25 @@ def examine_sources(sources: Sources) -> Findings:
     apparatus, problems = examine_apparatus(sources.apparatus)
     problems += [*protocol.problems, *check_protocol(protocol), *check_fit(protocol, apparatus)]
     problems += [*texts.problems, *check_words(protocol, texts)]
-    return Findings(protocol, apparatus, texts, tuple(problems))
+    calibration = None
+    if sources.calibration is not None:
+        # However old it has become since: a record keeps what it was begun with.
+        calibration = examine_calibration(sources.calibration)
+        problems += [*calibration.problems, *check_calibration(calibration, protocol, apparatus)]
+    return Findings(protocol, apparatus, texts, tuple(problems), calibration)
 
 
-def examine_files(path: Path) -> Findings:
+def examine_files(path: Path, calibration: Path | None = None, *, uncalibrated: bool = False) -> Findings:
     """Return what a protocol file and the files that it names hold, with every fault of them.
 
     Parameters
     ----------
     path : Path
         The protocol file.
+    calibration : Path, optional
+        Calibration file to use instead of the one that the protocol names.
+    uncalibrated : bool
+        Whether no calibration is read, although the protocol names or requires one: to make one, or to plan.
     """
     try:
         source = load_source(path)
@@ -157,20 +178,44 @@ def examine_files(path: Path) -> Findings:
     protocol = read(source, Protocol)
     problems = [*protocol.problems, *check_protocol(protocol)]
     apparatus, texts = None, None
-    named = _load_named(protocol, "apparatus", problems)
+    named = _load_named(protocol, ("apparatus",), problems)
     if named is not None:
         apparatus, found = examine_apparatus(named)
         problems += [*found, *check_fit(protocol, apparatus)]
-    named = _load_named(protocol, "texts", problems)
+    named = _load_named(protocol, ("texts",), problems)
     if named is not None:
         texts = read(named, Texts)
         problems += [*texts.problems, *check_words(protocol, texts)]
-    return Findings(protocol, apparatus, texts, tuple(sorted(set(problems))))
+    calibrated = None if uncalibrated else _examine_calibration(protocol, apparatus, calibration, problems)
+    return Findings(protocol, apparatus, texts, tuple(sorted(set(problems))), calibrated)
 
 
-def _load_named(protocol: Reading[Protocol], key: str, problems: list[Problem]) -> Source | None:
+def _examine_calibration(
+    protocol: Reading[Protocol], apparatus: Reading[Apparatus] | None, path: Path | None, problems: list[Problem]
+) -> Reading[CalibrationFile] | None:
+    """Return the calibration that is given, or that the protocol names; what is wrong goes to `problems`."""
+    source = None
+    if path is not None:
+        try:
+            source = load_source(path)
+        except InputError as error:
+            problems += error.problems
+    else:
+        source = _load_named(protocol, ("calibration", "file"), problems)
+        if protocol.sound("calibration", "file") is None and protocol.sound("calibration", "required"):
+            given = "true, and no calibration is given"
+            remedy = "make one with `modaltouch calibrate` and name it under `file`, or give it with --calibration"
+            problems.append(protocol.problem(("calibration", "required"), given, "a calibration", remedy))
+    if source is None:
+        return None
+    reading = examine_calibration(source)
+    problems += [*reading.problems, *check_calibration(reading, protocol, apparatus), *check_age(reading, protocol)]
+    return reading
+
+
+def _load_named(protocol: Reading[Protocol], key: tuple[str, ...], problems: list[Problem]) -> Source | None:
     """Return the text of the file that a key names; what is wrong with the name goes to `problems`."""
-    name = protocol.sound(key)
+    name = protocol.sound(*key)
     if name is None:
         return None
     path = protocol.source.path.parent / name
@@ -184,5 +229,5 @@ def _load_named(protocol: Reading[Protocol], key: str, problems: list[Problem]) 
             as_named = f"{YAML_FILE}, named as seen from this file"
             allowed = as_named if found.allowed == YAML_FILE else found.allowed
             given = f"{name!r}, {found.given} ({path})"
-            problems.append(protocol.problem((key,), given, allowed, found.remedy))
+            problems.append(protocol.problem(key, given, allowed, found.remedy))
         return None

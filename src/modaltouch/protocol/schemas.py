@@ -8,16 +8,23 @@ from typing import Any
 
 from modaltouch.apparatus import Apparatus
 from modaltouch.document.allowed import schema_of
+from modaltouch.protocol.calibration_sections import CalibrationFile
 from modaltouch.protocol.observers import ObserverFile
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.texts import Texts
 
-SCHEMAS = {"protocol": Protocol, "apparatus": Apparatus, "texts": Texts, "observer": ObserverFile}
+SCHEMAS = {
+    "protocol": Protocol,
+    "apparatus": Apparatus,
+    "texts": Texts,
+    "observer": ObserverFile,
+    "calibration": CalibrationFile,
+}
 """Model of each kind of file."""
 
 
 def schema(name: str) -> dict[str, Any]:
-    """Return the JSON Schema of ``protocol``, ``apparatus``, ``texts`` or ``observer``."""
+    """Return the JSON Schema of ``protocol``, ``apparatus``, ``texts``, ``observer`` or ``calibration``."""
     bare = _without(schema_of(SCHEMAS[name]), "x-allowed")
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **bare}
 

@@ -229,6 +229,20 @@ class AnswersSection(Section):
         return self.ways.get("one_hand", "free_hand")
 
 
+class CalibrationSection(Section):
+    """Which calibration the stimulus needs."""
+
+    file: Text | None = described(
+        "File of the calibration that `modaltouch calibrate` wrote, seen from this file; null for none.", default=None
+    )
+    max_age_days: Positive | None = described(
+        "Oldest calibration that a session may begin with [days]; null for any.", default=None
+    )
+    required: bool = Field(
+        strict=True, default=False, description="Whether a session without a calibration is refused."
+    )
+
+
 class Protocol(Section):
     """The whole experiment as one frozen value."""
 
@@ -245,6 +259,7 @@ class Protocol(Section):
         default=None,
     )
     answers: AnswersSection = described("How the question is asked and answered.")
+    calibration: CalibrationSection = described("Which calibration the stimulus needs.", default=CalibrationSection())
 
     @property
     def n_trials(self) -> int:

@@ -9,6 +9,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from modaltouch.stimulus.correction import Trims, trimmed
+
 MID_CODE = 8191
 """Code of zero volts; codes run from 0 to 16382 (instruments.md, arbitrary waveforms of the AFG3022B)."""
 
@@ -31,6 +33,8 @@ class Burst:
         Level for which `amplitude` holds [m/s].
     amplitude : tuple of float
         Amplitude of each channel at `velocity` [V peak to peak, open circuit].
+    trims : tuple of (float, float)
+        Levels [m/s], each with the factor of its amplitude that a calibration measured [1].
     """
 
     codes: NDArray[np.uint16]
@@ -38,6 +42,7 @@ class Burst:
     repetition_rate: float
     velocity: float
     amplitude: tuple[float, ...]
+    trims: Trims = ()
 
     @cached_property
     def content_hash(self) -> str:
@@ -52,7 +57,7 @@ class Burst:
         velocity : float
             Peak velocity at the focus [m/s].
         """
-        return amplitudes_at(self.amplitude, velocity, self.velocity)
+        return amplitudes_at(self.amplitude, trimmed(velocity, self.trims), self.velocity)
 
 
 def amplitudes_at(amplitude: tuple[float, ...], velocity: float, reference: float) -> tuple[float, ...]:

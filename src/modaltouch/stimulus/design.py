@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from modaltouch.stimulus.bounds import require_positive
 from modaltouch.stimulus.burst import Burst
+from modaltouch.stimulus.correction import Correction
 from modaltouch.stimulus.designed import Rounding, Stimulus
 from modaltouch.stimulus.drive import Law, Release, check_drivable
 from modaltouch.stimulus.dynamics import Amplifier
@@ -11,7 +12,7 @@ from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.timing import Timing
 from modaltouch.stimulus.wish import Wish
 
-__all__ = ["Amplifier", "Burst", "ModalModel", "Stimulus", "Timing", "Wish", "design_stimulus"]
+__all__ = ["Amplifier", "Burst", "Correction", "ModalModel", "Stimulus", "Timing", "Wish", "design_stimulus"]
 
 
 def design_stimulus(
@@ -25,6 +26,7 @@ def design_stimulus(
     levels: tuple[float, ...] | None = None,
     load_factor: float = 1.0,
     rounding: Rounding = "settled",
+    correction: Correction | None = None,
 ) -> Stimulus:
     """Return the stimulus that makes a wished field at the focusing instant.
 
@@ -49,6 +51,8 @@ def design_stimulus(
     rounding : str
         ``settled`` (single codes changed so that rounding costs the exact law next to nothing at the focus) or
         ``plain``.
+    correction : Correction, optional
+        What a calibration makes of the targets of the exact law and of the amplitudes.
 
     Raises
     ------
@@ -60,7 +64,7 @@ def design_stimulus(
     _check_options(law, release, rounding)
     _check_levels(played, wish.velocity)
     require_positive("the load factor", load_factor, "", "1 into high impedance, 0.5 into 50 ohm")
-    stimulus = Stimulus(model, wish, timing, amplifier, law, release, played, load_factor, rounding)
+    stimulus = Stimulus(model, wish, timing, amplifier, law, release, played, load_factor, rounding, correction)
     check_drivable(model, stimulus.target, timing)
     return stimulus
 

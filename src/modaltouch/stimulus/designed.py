@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from modaltouch.stimulus.bounds import require_positive
 from modaltouch.stimulus.burst import MID_CODE, Burst, amplitudes_at
+from modaltouch.stimulus.correction import Correction, Trims, trimmed
 from modaltouch.stimulus.drive import Law
 from modaltouch.stimulus.played import Played
 from modaltouch.stimulus.quantise import full_scale, round_to_codes, unsigned_codes
@@ -42,11 +43,30 @@ class Stimulus(Voltages):
     rounding : str
         ``settled`` (single codes changed so that rounding costs next to nothing at the focus; the paper's law,
         which misses by far more, is left alone) or ``plain``.
+    correction : Correction, optional
+        What a calibration makes of the targets of the exact law and of the amplitudes.
     """
 
     levels: tuple[float, ...]
     load_factor: float
     rounding: Rounding = "settled"
+    correction: Correction | None = None
+
+    @cached_property
+    def aim(self) -> tuple[FloatArray, FloatArray]:
+        """What the exact law steers the model to at the reference level, corrected by a calibration.
+
+        A real beam that differs from the model then meets the target. Modal velocities, and displacements times
+        angular frequency, two (n_modes,) arrays [m/s].
+        """
+        if self.correction is None or self.law != "exact":
+            return self.target, np.zeros_like(self.target)
+        return self.correction.at(self.wish.velocity)
+
+    @property
+    def trims(self) -> Trims:
+        """Levels with the factors of their amplitudes, as a calibration measured them."""
+        return self.correction.trims if self.correction is not None and self.law == "exact" else ()
 
     @cached_property
     def burst(self) -> Burst:
@@ -57,6 +77,7 @@ class Stimulus(Voltages):
             repetition_rate=self.timing.repetition_rate,
             velocity=self.wish.velocity,
             amplitude=self._amplitude,
+            trims=self.trims,
         )
 
     @property
@@ -78,7 +99,7 @@ class Stimulus(Voltages):
         if self.law == "exact" and self.rounding == "settled":
             states = volts_per_code @ states_by_channel(self.system, codes, self.timing, self.timing.focusing_instant)
             reached, displacement = self._read(states)
-            error = np.concatenate([self.target - reached, -displacement])
+            error = np.concatenate([self.aim[0] - reached, self.aim[1] - displacement])
             codes = settle(codes, volts_per_code, self.system, self.timing, error, float(np.abs(self.target).max()))
         return Played(self.system, self.timing, codes)
 
@@ -112,7 +133,10 @@ class Stimulus(Voltages):
         velocity : float
             Level [m/s].
         """
-        return np.asarray(self.amplitude_for(velocity)) * (self._to_beam / 2 / MID_CODE)
+        require_positive("the velocity level", velocity, "m/s", "the paper has 0.08 to 0.2 m/s")
+        # A level is trimmed so that the generator, as measured, really gives what proportion asks of it.
+        proportional = amplitudes_at(self._amplitude, velocity, self.wish.velocity)
+        return np.asarray(proportional) * (self._to_beam / 2 / MID_CODE)
 
     def amplitude_for(self, velocity: float) -> tuple[float, ...]:
         """Return the amplitude of each channel at a level, as that of `burst` [V peak to peak, open circuit].
@@ -123,7 +147,7 @@ class Stimulus(Voltages):
             Level [m/s].
         """
         require_positive("the velocity level", velocity, "m/s", "the paper has 0.08 to 0.2 m/s")
-        return amplitudes_at(self._amplitude, velocity, self.wish.velocity)
+        return amplitudes_at(self._amplitude, trimmed(velocity, self.trims), self.wish.velocity)
 
     def voltage_played(self, velocity: float) -> FloatArray:
         """Return the voltages at the beam of the codes as played at a level, (n_channels, n_samples) array [V].
@@ -188,7 +212,7 @@ class Stimulus(Voltages):
         return self._read(self._played.states_steady(self.volts_per_code(velocity)))
 
     def worst_modal_error(self, velocity: float) -> float:
-        """Return the largest of |velocity - target| and |w eta| over the modes, as `achieved` [m/s].
+        """Return the largest of |velocity - aim| and |w eta - aim| over the modes, as `achieved` [m/s].
 
         Parameters
         ----------
@@ -196,8 +220,9 @@ class Stimulus(Voltages):
             Level [m/s].
         """
         reached, displacement = self.achieved(velocity)
-        target = self.target * (velocity / self.wish.velocity)
-        return float(max(np.abs(reached - target).max(), np.abs(displacement).max()))
+        share = velocity / self.wish.velocity
+        miss = np.concatenate([reached - self.aim[0] * share, displacement - self.aim[1] * share])
+        return float(np.abs(miss).max())
 
     def velocity_at_focus(self, positions: ArrayLike, velocity: float) -> FloatArray:
         """Return the velocity at points of the beam at the focusing instant, (n_positions,) array [m/s].

@@ -90,7 +90,12 @@ def check_drivable(model: ModalModel, target: FloatArray, timing: Timing) -> Non
 
 
 def exact_drive(
-    model: ModalModel, system: DiagonalSystem, timing: Timing, target: FloatArray, release: Release
+    model: ModalModel,
+    system: DiagonalSystem,
+    timing: Timing,
+    target: FloatArray,
+    release: Release,
+    displacement: FloatArray | None = None,
 ) -> Drive:
     """Return the cheapest voltages from rest to (velocity = target, displacement = 0) at the focusing instant.
 
@@ -106,13 +111,16 @@ def exact_drive(
         Modal velocities at the focusing instant [m/s].
     release : str
         ``braked`` (steered to rest at the end of the burst) or ``free`` (zero volts after the focus).
+    displacement : (n_modes,) array, optional
+        Modal displacements times angular frequency at the focusing instant, where a calibration wants others than
+        0 [m/s].
 
     Raises
     ------
     ValueError
         If a mode cannot be driven, or there are fewer samples than conditions.
     """
-    reach, read, wished, braked_from = steering(model, system, timing, target)
+    reach, read, wished, braked_from = steering(model, system, timing, target, displacement)
     n_before = reach.taper.n_samples
     voltage = np.zeros((model.n_channels, timing.n_samples))
     condition, residual, state = _steer(system, timing, reach, (read, wished), voltage[:, :n_before])
@@ -124,7 +132,11 @@ def exact_drive(
 
 
 def steering(
-    model: ModalModel, system: DiagonalSystem, timing: Timing, target: FloatArray
+    model: ModalModel,
+    system: DiagonalSystem,
+    timing: Timing,
+    target: FloatArray,
+    displacement: FloatArray | None = None,
 ) -> tuple[Reach, ComplexArray, FloatArray, int]:
     """Return how the samples before the focusing instant reach the states there, and which states are wished.
 
@@ -138,6 +150,8 @@ def steering(
         Clock of the samples.
     target : (n_modes,) array
         Modal velocities at the focusing instant [m/s].
+    displacement : (n_modes,) array, optional
+        Modal displacements times angular frequency there; 0 if not given [m/s].
 
     Returns
     -------
@@ -168,7 +182,8 @@ def steering(
         hold=timing.hold,
         taper=Taper.fitting(n_before, RISE * timing.sampling_rate, FALL * timing.sampling_rate),
     )
-    wished = np.concatenate([target[driven], np.zeros(int(driven.sum()))])
+    resting = np.zeros(model.n_modes) if displacement is None else displacement
+    wished = np.concatenate([target[driven], resting[driven]])
     return reach, read, wished, n_before + (remainder > 0)
 
 

@@ -65,6 +65,14 @@ class Voltages:
         return self.projection.target
 
     @cached_property
+    def aim(self) -> tuple[FloatArray, FloatArray]:
+        """What the exact law steers the model to at the reference level: the target, and no displacement.
+
+        Modal velocities, and displacements times angular frequency, two (n_modes,) arrays [m/s].
+        """
+        return self.target, np.zeros_like(self.target)
+
+    @cached_property
     def system(self) -> DiagonalSystem:
         """The modal equations behind the amplifier."""
         return modal_system(self.model, self.amplifier)
@@ -72,8 +80,10 @@ class Voltages:
     @cached_property
     def drive(self) -> Drive:
         """Voltages before rounding, and how well they were solved for."""
-        law = exact_drive if self.law == "exact" else paper_drive
-        return law(self.model, self.system, self.timing, self.target, self.release)
+        if self.law == "paper":
+            return paper_drive(self.model, self.system, self.timing, self.target, self.release)
+        velocity, displacement = self.aim
+        return exact_drive(self.model, self.system, self.timing, velocity, self.release, displacement)
 
     @property
     def voltage(self) -> FloatArray:

@@ -1,0 +1,145 @@
+"""``modaltouch calibrate``: make the stimulus true on the very rig it is played on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from modaltouch.cli.checking import PROTOCOL
+from modaltouch.cli.faults import print_json, reporting
+from modaltouch.cli.running import RIG
+
+if TYPE_CHECKING:
+    from modaltouch.calibration.loop import Progress, Turn
+    from modaltouch.protocol.calibration_sections import CalibrationFile
+
+
+def calibrate(
+    protocol: PROTOCOL,
+    out: Annotated[Path, typer.Option(help="File for the calibration; never overwritten.", show_default=False)],
+    rig: RIG = "simulated",
+    person: Annotated[str, typer.Option(help="Who calibrates, for the file.", show_default="nobody named")] = "",
+    json_output: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
+) -> None:
+    """Measure what the stimulus really does at the focusing instant, and correct its targets until it is as wished.
+
+    Amplifier, clock, modes and vibrometer are identified first. Then velocity and displacement of every modelled mode
+    are read off the free decay after the focus, and the targets of the exact law corrected, until nothing is left that
+    noise does not explain. Last, every velocity level is verified at the focus. Nothing is written before the end.
+    """
+    from modaltouch.calibration.loop import calibrate as run_loop
+    from modaltouch.calibration.loop import ground_of
+    from modaltouch.calibration.writing import Circumstances, calibration_of, refuse_overwriting, write_calibration
+    from modaltouch.interruption import Interruption
+    from modaltouch.measurement import open_laboratory
+    from modaltouch.preflight import examine
+
+    with reporting(json_output=json_output):
+        refuse_overwriting(out)
+        preflight = examine(protocol, uncalibrated=True).require()
+        experiment, ground = preflight.experiment, ground_of(preflight)
+        with (
+            Interruption() as interruption,
+            _showing(interruption.check, by_hand=rig != "simulated") as (progress, aim),
+            open_laboratory(experiment.apparatus, rig, aim=aim) as laboratory,
+        ):
+            outcome = run_loop(laboratory, experiment.apparatus, ground, progress)
+            circumstances = Circumstances(
+                protocol=experiment.protocol.protocol,
+                apparatus=experiment.apparatus,
+                ground=ground,
+                generator=laboratory.rig.identity,
+                scope=laboratory.scope.identity,
+                mode=laboratory.mode,
+                person=person,
+                made=datetime.now().astimezone(),
+            )
+        calibration = calibration_of(outcome, circumstances)
+        write_calibration(out, calibration)
+        if json_output:
+            print_json({**calibration.model_dump(mode="json"), "file": str(out)})
+        else:
+            _show(calibration, out, protocol)
+
+
+@contextmanager
+def _showing(check: Callable[[], None], *, by_hand: bool) -> Iterator[tuple[Progress, Callable[[float], None]]]:
+    """Show on standard error what is measured, and each turn's errors; yield that, and what aims the vibrometer."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import Progress as Bars
+
+    from modaltouch.calibration.loop import Progress
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    console = Console(stderr=True)
+    aimed: list[float] = []
+    with Bars(*columns, console=console) as bars:
+        task = bars.add_task("records", total=None)
+
+        def step(words: str, n_records: int) -> None:
+            bars.reset(task, description=words, total=n_records)
+
+        def turn(measured: Turn) -> None:
+            velocity, displacement = (error * 1e3 for error in measured.errors)
+            name = "before     " if measured.number == 0 else f"iteration {measured.number}"
+            bars.print(
+                f"{name}  worst velocity error {velocity:7.3f} mm/s, worst w eta error {displacement:7.3f} mm/s, "
+                f"peak {measured.peak_voltage:.0f} V"
+            )
+
+        def aim(position: float) -> None:
+            if not by_hand or aimed[-1:] == [position]:
+                return
+            bars.stop()
+            console.print(f"Aim the vibrometer at {position * 1e3:+.1f} mm from mid-beam, then press Enter")
+            typer.get_text_stream("stdin").readline()
+            check()
+            aimed.append(position)
+            bars.start()
+
+        yield Progress(check=check, step=step, advance=lambda: bars.advance(task), turn=turn), aim
+
+
+def _show(calibration: CalibrationFile, out: Path, protocol: Path) -> None:
+    """Print what was reached."""
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console()
+    turns = Table(title="Errors at the focusing instant, as measured", title_justify="left")
+    for heading in ("iteration", "worst velocity error mm/s", "worst w eta error mm/s", "peak voltage V"):
+        turns.add_column(heading, justify="right")
+    for each in calibration.iterations:
+        turns.add_row(
+            str(each.iteration) if each.iteration else "before",
+            f"{each.worst_velocity_error_mm_s:.3f}",
+            f"{each.worst_displacement_error_mm_s:.3f}",
+            f"{each.peak_voltage_V:.0f}",
+        )
+    console.print(turns)
+    levels = Table(title="Levels at the centre of the focus zone, mm/s", title_justify="left")
+    for heading in ("level", "at the focusing instant", "highest over the burst", "amplitude Vpp"):
+        levels.add_column(heading, justify="right")
+    for level in calibration.levels:
+        levels.add_row(
+            f"{level.velocity_mm_s:g}",
+            f"{level.at_focus_mm_s:.1f} ± {level.uncertainty_mm_s:.1f}",
+            f"{level.highest_mm_s:.1f}",
+            " ".join(f"{volts:.4g}" for volts in level.amplitude_Vpp),
+        )
+    console.print(levels)
+    noise = max(mode.uncertainty_mm_s for mode in calibration.modes)
+    amplifier = calibration.amplifier
+    corner = "none told" if amplifier.bandwidth_kHz is None else f"{amplifier.bandwidth_kHz:.0f} kHz"
+    console.print(
+        f"Amplifier: delay {amplifier.delay_us:.2f} us, corner {corner}; errors are known to {noise:.2f} mm/s "
+        "(95 %, noise alone)"
+    )
+    console.print(f"Written: {out}")
+    console.print(f"Next: modaltouch run {protocol} --calibration {out}")

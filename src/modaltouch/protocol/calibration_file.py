@@ -1,0 +1,199 @@
+"""A calibration and the files it is used with: whether it fits them, and what it makes of the apparatus."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING
+
+from modaltouch.apparatus import Apparatus
+from modaltouch.document import Problem, Reading, Source, read
+from modaltouch.protocol.sections import Protocol
+
+if TYPE_CHECKING:
+    from modaltouch.protocol.calibration_sections import CalibrationFile
+
+AGAIN = "calibrate again with `modaltouch calibrate`"
+
+MEASURED = ("beam", "actuator_sets", "modes", "amplifier", "generator", "acquisition", "twin")
+"""Parts of an apparatus that a calibration holds for; names, zones and limits may change."""
+
+
+def examine_calibration(source: Source) -> Reading[CalibrationFile]:
+    """Return what the text of a calibration file holds, and its faults."""
+    # Most protocols name none: its forty keys are not built for them.
+    from modaltouch.protocol.calibration_sections import CalibrationFile
+
+    return read(source, CalibrationFile)
+
+
+def check_calibration(
+    calibration: Reading[CalibrationFile], protocol: Reading[Protocol], apparatus: Reading[Apparatus] | None
+) -> list[Problem]:
+    """Return why a calibration is not one of this stimulus on this apparatus, as far as its sound parts show it."""
+    if calibration.value is None:
+        return []
+    problems = [*_check_stimulus(calibration, calibration.value, protocol, apparatus)]
+    if apparatus is not None and apparatus.value is not None:
+        problems += _check_apparatus(calibration, calibration.value, apparatus.value)
+    return [*problems, *_check_levels(calibration.value, protocol)]
+
+
+def _check_apparatus(
+    reading: Reading[CalibrationFile], calibration: CalibrationFile, apparatus: Apparatus
+) -> Iterator[Problem]:
+    labels = [mode.label for mode in apparatus.modes]
+    if apparatus_hash(apparatus) != calibration.apparatus.sha256:
+        given = f"a calibration of another apparatus ({calibration.apparatus.name}, values changed since or others)"
+        allowed = f"one made with {apparatus.apparatus} as its file is now"
+        yield reading.problem(("apparatus", "sha256"), given, allowed, AGAIN)
+    elif [mode.label for mode in calibration.modes] != labels:
+        given = f"modes {', '.join(str(mode.label) for mode in calibration.modes)}"
+        yield reading.problem(("modes",), given, ", ".join(map(str, labels)), AGAIN)
+
+
+def _check_stimulus(
+    reading: Reading[CalibrationFile],
+    calibration: CalibrationFile,
+    protocol: Reading[Protocol],
+    apparatus: Reading[Apparatus] | None,
+) -> Iterator[Problem]:
+    section = protocol.sound("stimulus")
+    if section is None:
+        return
+    made, now = calibration.stimulus.model_dump(), section.model_dump()
+    # What follows the focusing instant does not act on it.
+    different = [key for key in now if key != "release" and made[key] != now[key]]
+    for key in different:
+        given = f"{_words(made[key])}, a calibration of another stimulus"
+        yield reading.problem(("stimulus", key), given, f"{_words(now[key])}, as in {protocol.source.path}", AGAIN)
+    if "focus" in different or apparatus is None:
+        return
+    centre = apparatus.sound("zones", section.focus, "centre_mm")
+    if centre is not None and centre != calibration.focus_centre_mm:
+        given = f"{calibration.focus_centre_mm:g} mm, a calibration of another stimulus"
+        allowed = f"{centre:g} mm, the centre of zone {section.focus}"
+        yield reading.problem(("focus_centre_mm",), given, allowed, AGAIN)
+
+
+def _check_levels(calibration: CalibrationFile, protocol: Reading[Protocol]) -> Iterator[Problem]:
+    known = {level.velocity_mm_s for level in calibration.levels}
+    for index, level in protocol.items("conditions", "peak_velocities_mm_s"):
+        if level not in known:
+            given = f"{level:g} mm/s, a level that the calibration did not measure"
+            allowed = ", ".join(f"{each:g}" for each in sorted(known)) + " mm/s"
+            yield protocol.problem(("conditions", "peak_velocities_mm_s", index), given, allowed, AGAIN)
+
+
+def check_age(
+    calibration: Reading[CalibrationFile], protocol: Reading[Protocol], now: datetime | None = None
+) -> list[Problem]:
+    """Return why a calibration is too old for a protocol, or lies in the future.
+
+    Parameters
+    ----------
+    calibration : Reading
+        The calibration file.
+    protocol : Reading
+        The protocol file, which may say ``calibration.max_age_days``.
+    now : datetime, optional
+        The present, with its offset from UTC.
+    """
+    made_text = calibration.sound("made")
+    if made_text is None:
+        return []
+    try:
+        made = datetime.fromisoformat(made_text)
+        days = ((now or datetime.now(UTC)) - made).total_seconds() / 86400
+    except (ValueError, TypeError):
+        allowed = "a date and time with its offset from UTC, as in 2026-05-04T10:30:00+00:00"
+        return [calibration.problem(("made",), f"{made_text!r}, which is no such instant", allowed, AGAIN)]
+    if days < -1 / 24:
+        given = f"{made_text}, which lies in the future"
+        return [calibration.problem(("made",), given, "a time before now", "set this machine's clock right")]
+    limit = protocol.sound("calibration", "max_age_days")
+    if limit is not None and days > limit:
+        given = f"{limit:g} days, and the calibration {calibration.source.path} is {days:.1f} days old ({made_text})"
+        return [protocol.problem(("calibration", "max_age_days"), given, "a younger calibration", AGAIN)]
+    return []
+
+
+def generator_problem(calibration: Reading[CalibrationFile], identity: str) -> Problem | None:
+    """Return why a calibration was made with another generator than the one that is open; None if it was not.
+
+    Maker, model and serial number must agree; the firmware may be another.
+
+    Parameters
+    ----------
+    calibration : Reading
+        The calibration file.
+    identity : str
+        Reply of the open generator to ``*IDN?``.
+    """
+    made_with = calibration.sound("instruments", "generator")
+    if made_with is None or _serial(made_with) == _serial(identity):
+        return None
+    given = f"{made_with}, the generator it was made with"
+    allowed = f"{identity}, the generator that is open"
+    return calibration.problem(("instruments", "generator"), given, allowed, f"open that one, or {AGAIN}")
+
+
+def _serial(identity: str) -> tuple[str, ...]:
+    return tuple(word.strip().upper() for word in identity.split(",")[:3])
+
+
+def _words(value: object) -> str:
+    if isinstance(value, dict):
+        return " ".join(_words(each) for each in value.values())
+    if isinstance(value, tuple | list):
+        return ", ".join(map(str, value))
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def apparatus_hash(apparatus: Apparatus) -> str:
+    """Return the SHA-256 of the values of an apparatus that a calibration depends on.
+
+    Comments, order and keys left at their default do not count.
+
+    Parameters
+    ----------
+    apparatus : Apparatus
+        The apparatus, as its file gives it.
+    """
+    values = apparatus.model_dump(mode="json", include=set(MEASURED), exclude_defaults=True)
+    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
+
+
+def calibrated_apparatus(apparatus: Apparatus, calibration: CalibrationFile) -> Apparatus:
+    """Return an apparatus with modes and amplifier as a calibration found them.
+
+    Parameters
+    ----------
+    apparatus : Apparatus
+        As its file gives it.
+    calibration : CalibrationFile
+        Made with this apparatus.
+    """
+    found = {mode.label: mode for mode in calibration.modes}
+    modes = tuple(
+        mode.model_copy(
+            update={
+                "natural_frequency_Hz": found[mode.label].natural_frequency_Hz,
+                "damping_ratio": found[mode.label].damping_ratio,
+                "gain_mm_s2_per_V": found[mode.label].gain_mm_s2_per_V,
+                "assumed": (),
+            }
+        )
+        for mode in apparatus.modes
+    )
+    measured = calibration.amplifier
+    amplifier = apparatus.amplifier.model_copy(
+        update={
+            "gain_V_per_V": measured.gain_V_per_V,
+            "bandwidth_kHz": measured.bandwidth_kHz,
+            "delay_us": measured.delay_us,
+        }
+    )
+    return apparatus.model_copy(update={"modes": modes, "amplifier": amplifier})

@@ -1,0 +1,52 @@
+"""What a calibration changes of a stimulus: the targets of the exact law, and the amplitude of each level."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+Trims = tuple[tuple[float, float], ...]
+"""Levels [m/s], each with the factor of its amplitude [1]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """Corrected targets: what the exact law is to aim at so that the real beam meets the wish.
+
+    Attributes
+    ----------
+    velocity, displacement : (n_modes,) arrays
+        Modal velocities, and modal displacements times angular frequency, to be aimed at for the level `reference`
+        [m/s].
+    reference : float
+        Level for which they hold; at any other they hold in proportion [m/s].
+    trims : tuple of (float, float)
+        Levels [m/s], each with the factor of its amplitude [1].
+    """
+
+    velocity: FloatArray
+    displacement: FloatArray
+    reference: float
+    trims: Trims = ()
+
+    def at(self, level: float) -> tuple[FloatArray, FloatArray]:
+        """Return what to aim at for a level: modal velocities, and displacements times angular frequency [m/s]."""
+        share = level / self.reference
+        return self.velocity * share, self.displacement * share
+
+
+def trimmed(velocity: float, trims: Trims) -> float:
+    """Return the level to be set for a level to be reached [m/s].
+
+    Parameters
+    ----------
+    velocity : float
+        To be reached [m/s].
+    trims : tuple of (float, float)
+        Levels [m/s], each with the factor of its amplitude [1]; a level not among them is set as it is.
+    """
+    return next((velocity * factor for level, factor in trims if math.isclose(level, velocity)), velocity)

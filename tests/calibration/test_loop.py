@@ -1,0 +1,164 @@
+"""The loop: what it must correct, what it must not do, and what it does when something is in its way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from modaltouch.apparatus import Apparatus
+from modaltouch.calibration.loop import Progress, Turn, calibrate, ground_of, significant
+from modaltouch.calibration.plant import ModalState
+from modaltouch.calibration.taking import measuring_points
+from modaltouch.document import InputError
+from modaltouch.interruption import Interrupted
+from modaltouch.preflight import Preflight, examine
+from modaltouch.preflight.ground import design
+from modaltouch.rig.interface import RigError
+from modaltouch.stimulus.correction import Correction
+
+
+def test_shipped_mismatch_is_met_closer(
+    make_bench: Callable, preflight: Preflight, shipped_apparatus: Apparatus, judge: Callable
+) -> None:
+    """The twin as shipped, 2.7 mm/s off before: 0.15 mm/s in both states, levels within half a per cent."""
+    bench = make_bench(shipped_apparatus, 1)
+    outcome = calibrate(bench, shipped_apparatus, preflight.ground)
+    velocity, displacement, level = judge(bench, outcome)
+    assert outcome.turns[0].worst > 2e-3
+    assert max(velocity, displacement) < 0.15e-3
+    assert level < 5e-3
+
+
+def test_a_real_valued_correction_leaves_the_displacements(
+    make_bench: Callable, preflight: Preflight, mismatched: Apparatus
+) -> None:
+    """Velocities alone, corrected four times on the listed model: w eta stays wrong by millimetres a second."""
+    bench = make_bench(mismatched.model_copy(update={"twin": _without_delay(mismatched)}), 0)
+    ground, aim = preflight.ground, preflight.stimulus.target.copy()
+    for _ in range(5):
+        correction = Correction(aim, np.zeros_like(aim), ground.reference * 1e-3)
+        stimulus = design(replace(ground, correction=correction))
+        state = bench.true_state(stimulus.burst, stimulus.wish.velocity, stimulus.timing.focusing_instant)
+        aim = aim + (stimulus.target - state.velocity)
+    assert np.abs(state.velocity - stimulus.target).max() < 1e-3
+    assert np.abs(state.displacement).max() > 3e-3
+
+
+def test_a_delay_that_is_not_known_lets_the_loop_diverge(
+    make_bench: Callable, preflight: Preflight, mismatched: Apparatus
+) -> None:
+    """Both states corrected with the true ones, but 5 us and 100 kHz unknown: worse from turn to turn."""
+    bench = make_bench(mismatched, 3)
+    ground, wished = preflight.ground, preflight.stimulus.target
+    aim = np.stack([wished, np.zeros_like(wished)])
+    worst = []
+    for _ in range(4):
+        stimulus = design(replace(ground, correction=Correction(aim[0], aim[1], ground.reference * 1e-3)))
+        state = bench.true_state(stimulus.burst, stimulus.wish.velocity, stimulus.timing.focusing_instant)
+        error = np.stack([state.velocity - wished, state.displacement])
+        worst.append(float(np.abs(error).max()))
+        aim = aim - error
+    assert worst[3] > worst[1]
+
+
+def _without_delay(apparatus: Apparatus):
+    true = apparatus.twin.amplifier.model_copy(update={"delay_us": 0.0, "bandwidth_kHz": 1000.0})
+    return apparatus.twin.model_copy(update={"amplifier": true})
+
+
+def test_noise_is_not_corrected() -> None:
+    """Within three standard errors nothing, far beyond them nearly all."""
+    target = np.zeros(3)
+    state = ModalState(np.array([2e-4, 4e-4, 9e-3]), np.zeros(3), np.full(3, 1e-4))
+    velocity, displacement = significant(state, target)
+    assert velocity[0] == 0
+    assert 0 < velocity[1] < 4e-4
+    assert velocity[2] == pytest.approx(9e-3, rel=2e-3)
+    assert (displacement == 0).all()
+
+
+def test_points_see_every_mode_and_stand_in_pairs(preflight: Preflight) -> None:
+    """Mirrored about the middle, and no mode is seen by less than a quarter of its mean."""
+    model = preflight.stimulus.model
+    points = measuring_points(model)
+    assert points == pytest.approx(-points[::-1])
+    assert ((model.shapes(points) ** 2).mean(axis=1) > 0.25).all()
+
+
+def test_more_than_the_amplifier_gives_is_never_played(
+    make_bench: Callable, preflight: Preflight, mismatched: Apparatus
+) -> None:
+    """A rig that turns out to need more than its limit is refused in words; nothing beyond the limit was played."""
+    # Seed 3 needs 182 V where the table says 184 V; gains a third lower need more.
+    weak = mismatched.model_copy(
+        update={
+            "amplifier": mismatched.amplifier.model_copy(update={"limit_V": 190.0}),
+            "twin": mismatched.twin.model_copy(update={"amplifier": _low_gain(mismatched)}),
+        }
+    )
+    ground = preflight.ground
+    ground = replace(ground, apparatus=ground.apparatus.model_copy(update={"amplifier": weak.amplifier}))
+    bench = make_bench(weak, 4)
+    with pytest.raises(RigError, match=r"200 mm/s needs \d+ V at the beam on this rig: allowed are 190 V"):
+        calibrate(bench, weak, ground)
+    assert bench.highest_voltage <= 190.0
+
+
+def _low_gain(apparatus: Apparatus):
+    return apparatus.twin.amplifier.model_copy(update={"gain_V_per_V": 24.0})
+
+
+def test_a_generator_that_is_off_at_one_level_is_trimmed(
+    make_bench: Callable, preflight: Preflight, shipped_apparatus: Apparatus, judge: Callable
+) -> None:
+    """Amplitudes below 7 Vpp come out 3 % high: the level of 80 mm/s gets its own factor, and is met within 1 %."""
+    bench = make_bench(shipped_apparatus, 1, lambda amplitude: 1.03 if amplitude < 7 else 1.0)
+    outcome = calibrate(bench, shipped_apparatus, preflight.ground)
+    assert outcome.levels[0].factor == pytest.approx(1 / 1.03, rel=5e-3)
+    assert [level.factor for level in outcome.levels[1:]] == [1.0, 1.0, 1.0]
+    assert judge(bench, outcome)[2] < 0.01
+
+
+def test_ranges_fit_what_is_measured(make_bench: Callable, preflight: Preflight, shipped_apparatus: Apparatus) -> None:
+    """After the first point of a scan the scope's range follows the highest value, and nothing is overloaded."""
+    bench = make_bench(shipped_apparatus, 1)
+    calibrate(bench, shipped_apparatus, preflight.ground)
+    ranges = [each.velocity_range for each in bench.asked if not each.drives]
+    assert sum(each is None for each in ranges) <= len(ranges) // 8 + 1
+    assert bench.n_records < 70
+
+
+def test_a_signal_ends_it_before_the_next_record(
+    make_bench: Callable, preflight: Preflight, shipped_apparatus: Apparatus
+) -> None:
+    """What `check` raises comes out as it is, after no further record."""
+    bench = make_bench(shipped_apparatus, 1)
+
+    def check() -> None:
+        if bench.n_records >= 5:
+            raise Interrupted("SIGINT")
+
+    with pytest.raises(Interrupted):
+        calibrate(bench, shipped_apparatus, preflight.ground, Progress(check=check))
+    assert bench.n_records == 5
+
+
+def test_turns_are_told_as_they_are_measured(
+    make_bench: Callable, preflight: Preflight, shipped_apparatus: Apparatus
+) -> None:
+    """Every turn, in order, with the number of records announced beforehand."""
+    bench, turns, announced = make_bench(shipped_apparatus, 2), list[Turn](), []
+    progress = Progress(turn=turns.append, step=lambda words, n: announced.append(n))
+    outcome = calibrate(bench, shipped_apparatus, preflight.ground, progress)
+    assert tuple(turns) == outcome.turns
+    assert sum(announced) == bench.n_records
+
+
+def test_the_papers_law_has_no_targets(edit: Callable) -> None:
+    """Refused at its key."""
+    path = edit("differentiated_stimulation.yaml", ("law: exact  ", "law: paper  "))
+    with pytest.raises(InputError, match=r":10:8: stimulus.law: given paper, a law without targets"):
+        ground_of(examine(path))
