@@ -12,7 +12,6 @@ from modaltouch.apparatus import zone_edges
 from modaltouch.document import Problem, Reading
 from modaltouch.preflight.ground import Ground
 from modaltouch.protocol import Protocol
-from modaltouch.stimulus.correction import trimmed
 from modaltouch.stimulus.design import Stimulus
 
 AMPLITUDE_RANGE = (0.02, 20.0)
@@ -64,7 +63,7 @@ def _check_amplifier(
     ground: Ground, stimulus: Stimulus, protocol: Reading[Protocol], index: int, level: float
 ) -> Iterator[Problem]:
     limit = ground.apparatus.amplifier.limit_V
-    needed = float(stimulus.peak_voltage.max()) * trimmed(level * 1e-3, stimulus.trims) / stimulus.wish.velocity
+    needed = float(stimulus.peak_voltage.max()) * level * 1e-3 / stimulus.wish.velocity
     if needed > limit * (1 + 1e-9):
         highest = _rounded_down(limit / needed * level)
         given = f"{level:g} mm/s, which needs {needed:.0f} V at the beam"

@@ -1,0 +1,85 @@
+"""A calibration on the disk: read back it is the same stimulus, to the last code; nothing is overwritten."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+
+from modaltouch.calibration.loop import Outcome, aimed_ground, calibrate
+from modaltouch.calibration.writing import Circumstances, calibration_of, calibration_text, write_calibration
+from modaltouch.document import Source
+from modaltouch.preflight import Preflight, examine
+from modaltouch.preflight.examine import design_to_fit
+from modaltouch.protocol.calibration_file import examine_calibration
+from modaltouch.protocol.calibration_sections import CalibrationFile
+from modaltouch.record.chain import RecordError
+
+
+@pytest.fixture(scope="module")
+def outcome(preflight: Preflight, make_bench: Callable) -> Outcome:
+    """A calibration of the twin as shipped, one level trimmed."""
+    apparatus = preflight.experiment.apparatus
+    bench = make_bench(apparatus, 1, lambda amplitude: 1.02 if amplitude < 7 else 1.0)
+    return calibrate(bench, apparatus, preflight.ground)
+
+
+@pytest.fixture(scope="module")
+def calibration(preflight: Preflight, outcome: Outcome) -> CalibrationFile:
+    """Its file's content."""
+    return calibration_of(
+        outcome,
+        Circumstances(
+            protocol="differentiated_stimulation",
+            apparatus=preflight.experiment.apparatus,
+            ground=preflight.ground,
+            generator="TEKTRONIX,AFG3022B,C012345,SCPI:99.0 FV:3.2.2\n",
+            scope="PicoScope 3404D, 0001",
+            mode="real",
+            person="Zoé",
+            made=datetime(2026, 5, 4, 10, 30, tzinfo=UTC),
+        ),
+    )
+
+
+def test_read_back_it_is_what_was_written(calibration: CalibrationFile) -> None:
+    """Every value, through YAML and the reader with its line numbers."""
+    reading = examine_calibration(Source(Path("c.yaml"), calibration_text(calibration)))
+    assert reading.problems == ()
+    assert reading.value == calibration
+    assert calibration.person == "Zoé"
+    assert calibration.made == "2026-05-04T10:30:00+00:00"
+
+
+def test_the_session_plays_what_the_loop_verified(
+    preflight: Preflight, outcome: Outcome, calibration: CalibrationFile, tmp_path: Path
+) -> None:
+    """Designed from the file, codes and amplitudes are those of the stimulus that was measured."""
+    path = tmp_path / "calibration.yaml"
+    write_calibration(path, calibration)
+    read = examine(preflight.findings.protocol.source.path, path).require().stimulus
+    verified = design_to_fit(aimed_ground(preflight.ground, outcome.refined, outcome.correction))
+    assert read.burst.content_hash == verified.burst.content_hash
+    for level, kept in zip(read.levels, calibration.levels, strict=True):
+        assert read.burst.amplitude_for(level) == read.amplitude_for(level) == kept.amplitude_Vpp
+    assert calibration.levels[0].amplitude_factor == pytest.approx(1 / 1.02, rel=5e-3)
+
+
+def test_nothing_is_overwritten(calibration: CalibrationFile, tmp_path: Path) -> None:
+    """A second calibration into the same file is refused and the first one kept, whole."""
+    path = tmp_path / "folder" / "calibration.yaml"
+    write_calibration(path, calibration)
+    before = path.read_bytes()
+    with pytest.raises(RecordError, match="is there already and is not overwritten; give another file with --out"):
+        write_calibration(path, calibration)
+    assert path.read_bytes() == before
+    assert [each.name for each in path.parent.iterdir()] == ["calibration.yaml"]
+
+
+def test_a_folder_that_cannot_be_made_is_told(calibration: CalibrationFile, tmp_path: Path) -> None:
+    """A file stands where the folder should be."""
+    (tmp_path / "taken").write_text("")
+    with pytest.raises(RecordError, match="cannot be made"):
+        write_calibration(tmp_path / "taken" / "c.yaml", calibration)

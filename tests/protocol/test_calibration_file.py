@@ -1,0 +1,211 @@
+"""Which calibrations a protocol takes, and which it refuses with the place of what does not fit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+
+from modaltouch.apparatus import read_apparatus
+from modaltouch.document import Source, load_source, read
+from modaltouch.preflight import examine
+from modaltouch.protocol import Protocol
+from modaltouch.protocol.calibration_file import apparatus_hash, check_age, examine_calibration, generator_problem
+
+IDENTITY = "TEKTRONIX,AFG3022B,C012345,SCPI:99.0 FV:3.2.2"
+
+
+def text_for(apparatus: Path, *, made: str = "") -> str:
+    """Return a calibration of the demonstration, its targets as listed."""
+    listed = read_apparatus(apparatus)
+    made = made or datetime.now(UTC).isoformat(timespec="seconds")
+    modes = "\n".join(
+        f"- {{label: {mode.label}, natural_frequency_Hz: {mode.natural_frequency_Hz}, damping_ratio: "
+        f"{mode.damping_ratio}, gain_mm_s2_per_V: {{centre: {mode.gain_mm_s2_per_V.get('centre', 1.0)}, side: "
+        f"{mode.gain_mm_s2_per_V.get('side', 1.0)}}}, wished_mm_s: 1, target_mm_s: {20 if mode.label < 8 else 0}, "
+        "target_displacement_mm_s: 0.5, error_before_mm_s: [1, 2], error_after_mm_s: [0.1, -0.2], "
+        "uncertainty_mm_s: 0.05}"
+        for mode in listed.modes
+    )
+    levels = "amplitude_Vpp: [6, 1], at_focus_mm_s: 80, uncertainty_mm_s: 1, highest_mm_s: 80"
+    return f"""\
+calibration: 1
+made: '{made}'
+made_by: modaltouch 0.1.0
+protocol: demo
+apparatus: {{name: beam_100x6x2, sha256: {apparatus_hash(listed)}}}
+instruments: {{generator: '{IDENTITY}', scope: a scope, mode: real}}
+stimulus:
+  focus: C
+  field: {{shape: triangle, base_mm: 56}}
+  repetition_rate_Hz: 7
+focus_centre_mm: 0
+reference_mm_s: 200
+amplifier: {{gain_V_per_V: 25.1, bandwidth_kHz: 300, delay_us: 1}}
+measuring_chain: {{vibrometer_delay_us: 4, vibrometer_lag_us: 0.6, clock_offset_ppm: 5}}
+positions_mm: [-10, 10]
+iterations:
+- {{iteration: 0, worst_velocity_error_mm_s: 1, worst_displacement_error_mm_s: 2, peak_voltage_V: 180}}
+modes:
+{modes}
+levels:
+- {{velocity_mm_s: 80, amplitude_factor: 1, {levels}}}
+- {{velocity_mm_s: 200, amplitude_factor: 1.01, {levels}}}
+"""
+
+
+@pytest.fixture
+def calibrate(tmp_path: Path, edit: Callable) -> Callable[..., tuple[Path, Path]]:
+    """Return what gives a protocol, changed, and a calibration of it as it was."""
+
+    def make(*changes: tuple[str, str], made: str = "") -> tuple[Path, Path]:
+        protocol = edit("demo.yaml", *changes)
+        path = protocol.parent / "calibration.yaml"
+        path.write_text(text_for(protocol.parent / "apparatus" / "beam_100x6x2.yaml", made=made), encoding="utf-8")
+        return protocol, path
+
+    return make
+
+
+def problems(protocol: Path, calibration: Path | None) -> str:
+    """Return every problem, one a line."""
+    return "\n".join(map(str, examine(protocol, calibration).problems))
+
+
+def test_targets_amplifier_and_gains_are_taken_from_it(calibrate: Callable) -> None:
+    """The stimulus aims at the corrected targets, behind the amplifier that was measured, levels trimmed."""
+    protocol, calibration = calibrate()
+    stimulus = examine(protocol, calibration).require().stimulus
+    velocity, displacement = stimulus.aim
+    assert velocity[:4] == pytest.approx([0.02] * 4)
+    assert displacement == pytest.approx([0.5e-3] * 9)
+    assert stimulus.amplifier.delay == pytest.approx(1e-6)
+    assert stimulus.amplifier.bandwidth == pytest.approx(300e3)
+    assert stimulus.worst_modal_error(0.2) < 1e-6
+    untrimmed = stimulus.burst.amplitude[0]
+    assert stimulus.burst.amplitude_for(0.2)[0] == pytest.approx(1.01 * untrimmed, rel=1e-3)
+    assert stimulus.burst.amplitude_for(0.08)[0] == pytest.approx(0.4 * untrimmed, rel=1e-3)
+
+
+def test_the_protocol_can_name_it(calibrate: Callable) -> None:
+    """`calibration.file`, seen from the protocol; --calibration goes before it."""
+    named = ("title: Demonstration", "title: Demonstration\ncalibration: {file: calibration.yaml, required: true}")
+    protocol, _ = calibrate(named)
+    preflight = examine(protocol).require()
+    assert preflight.as_dict()["calibration"]["worst_modal_error_mm_s"] == 0.2
+    assert preflight.experiment.sources.as_dict()["calibration"]["path"].endswith("calibration.yaml")
+    assert examine(protocol, uncalibrated=True).require().as_dict()["calibration"] is None
+
+
+def test_a_named_file_that_is_missing_is_told_at_its_key(calibrate: Callable) -> None:
+    """With line and column of the name."""
+    protocol, path = calibrate(("title: Demonstration", "title: Demonstration\ncalibration: {file: calibration.yaml}"))
+    path.unlink()
+    assert "demo.yaml:5:21: calibration.file: given 'calibration.yaml', a file that does not exist" in problems(
+        protocol, None
+    )
+
+
+def test_required_and_none_given_is_refused(calibrate: Callable) -> None:
+    """At the key that requires it, with the remedy."""
+    protocol, path = calibrate(("title: Demonstration", "title: Demonstration\ncalibration: {required: true}"))
+    assert "calibration.required: given true, and no calibration is given" in problems(protocol, None)
+    assert problems(protocol, path) == ""
+
+
+def test_another_apparatus_is_refused_and_a_comment_is_none(calibrate: Callable) -> None:
+    """A gain changed: refused. A comment, a zone's width or the safety limit changed: taken."""
+    protocol, path = calibrate()
+    apparatus = protocol.parent / "apparatus" / "beam_100x6x2.yaml"
+    text = apparatus.read_text(encoding="utf-8")
+    apparatus.write_text(text.replace("velocity_limit_mm_s: 500  #", "velocity_limit_mm_s: 450  # lower:"), "utf-8")
+    assert problems(protocol, path) == ""
+    apparatus.write_text(text.replace("{centre: 654}", "{centre: 655}"), encoding="utf-8")
+    assert "calibration.yaml:5:41: apparatus.sha256: given a calibration of another apparatus" in problems(
+        protocol, path
+    )
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("base_mm: 56", "base_mm: 50", "stimulus.field: given triangle 56, a calibration of another stimulus"),
+        ("selected_modes: 6", "selected_modes: 5", "stimulus: given 6, a calibration of another stimulus"),
+        ("focus: C", "focus: B", "stimulus.focus: given C, a calibration of another stimulus"),
+        ("law: exact", "law: paper", "given exact, a calibration of another stimulus; allowed: paper"),
+        ("[80, 200]", "[80, 150]", "given 150 mm/s, a level that the calibration did not measure; allowed: 80, 200"),
+    ],
+)
+def test_another_stimulus_is_refused(calibrate: Callable, old: str, new: str, said: str) -> None:
+    """The key that differs is named, with both values."""
+    assert said.replace("stimulus: ", "stimulus.selected_modes: ") in problems(*calibrate((old, new)))
+
+
+def test_what_follows_the_focus_may_change(calibrate: Callable) -> None:
+    """Release free or braked: the same field at the focusing instant."""
+    assert problems(*calibrate(("release: braked", "release: free"))) == ""
+
+
+def test_age_counts_only_where_the_protocol_says_so(calibrate: Callable) -> None:
+    """Eight days old: taken without a limit and within ten, refused beyond seven, at the protocol's key."""
+    made = (datetime.now(UTC) - timedelta(days=8)).isoformat(timespec="seconds")
+    assert problems(*calibrate(made=made)) == ""
+
+
+@pytest.mark.parametrize(("days", "refused"), [(7, True), (10, False)])
+def test_too_old_is_refused(calibrate: Callable, days: int, *, refused: bool) -> None:
+    """With its age, and the remedy."""
+    made = (datetime.now(UTC) - timedelta(days=8)).isoformat(timespec="seconds")
+    limit = ("title: Demonstration", f"title: Demonstration\ncalibration: {{max_age_days: {days}}}")
+    said = problems(*calibrate(limit, made=made))
+    assert ("calibration.max_age_days: given 7 days, and the calibration" in said) is refused
+    assert ("is 8.0 days old" in said) is refused
+
+
+@pytest.mark.parametrize(
+    ("made", "said"),
+    [
+        ("yesterday", "'yesterday', which is no such instant"),
+        ("2026-05-04T10:30:00", "which is no such instant"),
+        ("2999-01-01T00:00:00+00:00", "which lies in the future"),
+    ],
+)
+def test_an_instant_that_is_none_is_refused(calibrate: Callable, made: str, said: str) -> None:
+    """No date, a date without its offset from UTC, a date to come."""
+    assert said in problems(*calibrate(made=made))
+
+
+def test_age_is_counted_from_the_instant_and_not_from_the_file(shipped: Path) -> None:
+    """Half an hour before and after the limit."""
+    text = text_for(shipped / "apparatus" / "beam_100x6x2.yaml", made="2026-05-04T12:00:00+02:00")
+    calibration = examine_calibration(Source(Path("c.yaml"), text))
+    protocol = read(
+        Source(
+            Path("p.yaml"),
+            load_source(shipped / "demo.yaml").text + "\ncalibration: {max_age_days: 1}\n",
+        ),
+        Protocol,
+    )
+    limit = datetime(2026, 5, 5, 10, 0, tzinfo=UTC)
+    assert check_age(calibration, protocol, limit - timedelta(minutes=30)) == []
+    assert len(check_age(calibration, protocol, limit + timedelta(minutes=30))) == 1
+
+
+def test_another_serial_number_is_refused(shipped: Path) -> None:
+    """Maker, model and serial number count; the firmware does not."""
+    calibration = examine_calibration(Source(Path("c.yaml"), text_for(shipped / "apparatus" / "beam_100x6x2.yaml")))
+    assert generator_problem(calibration, IDENTITY + "9\n") is None
+    found = generator_problem(calibration, IDENTITY.replace("C012345", "C099999"))
+    assert str(found).startswith("c.yaml:6:26: instruments.generator: given TEKTRONIX,AFG3022B,C012345")
+
+
+def test_faults_of_the_file_have_their_place(calibrate: Callable) -> None:
+    """A value that is no number, a key that is missing: told like those of any other file, all at once."""
+    protocol, path = calibrate()
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace("focus_centre_mm: 0\n", "").replace("reference_mm_s: 200", "reference_mm_s: fast"))
+    said = problems(protocol, path)
+    assert "focus_centre_mm" in said
+    assert "calibration.yaml:11:17: reference_mm_s" in said
