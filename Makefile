@@ -88,6 +88,11 @@ soak: install
 	MODALTOUCH_KILL_POINTS=1200 MODALTOUCH_SOAK_RESULTS=results/benchmarks/soak.json \
 	  $(PYTHON) -m pytest --timeout 7200 tests/sessions/test_durability.py
 
+## soak-calibration: forty beams calibrated through the whole driver, judged by the twin's true state
+.PHONY: soak-calibration
+soak-calibration: install
+	MODALTOUCH_CALIBRATED_BEAMS=40 $(PYTHON) -m pytest --timeout 600 tests/calibration/test_through_the_driver.py
+
 ## lock: resolve the dependencies again into requirements.lock
 .PHONY: lock
 lock: | $(filter .uv/bin/uv,$(UV))
