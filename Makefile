@@ -93,6 +93,11 @@ soak: install
 soak-calibration: install
 	MODALTOUCH_CALIBRATED_BEAMS=40 $(PYTHON) -m pytest --timeout 600 tests/calibration/test_through_the_driver.py
 
+## fuzz: 20,000 spoilt files through every reader
+.PHONY: fuzz
+fuzz: install
+	MODALTOUCH_MUTATIONS=20000 $(PYTHON) -m pytest --timeout 7200 tests/test_mutated_files.py
+
 ## lock: resolve the dependencies again into requirements.lock
 .PHONY: lock
 lock: | $(filter .uv/bin/uv,$(UV))

@@ -22,7 +22,8 @@ from modaltouch.protocol.calibration_file import generator_problem
 from modaltouch.provenance import boot, commit, versions
 from modaltouch.record.chain import RecordError
 from modaltouch.record.folders import SessionFolder
-from modaltouch.record.log import SCHEMA, Session, SessionLog, read_session, refuse_existing
+from modaltouch.record.log import Session, SessionLog, read_session, refuse_existing
+from modaltouch.record.shape import SCHEMA
 from modaltouch.record.view import describe_dataset, hold_dataset, list_participants, write_view
 from modaltouch.resumption import Interruption as Cut
 from modaltouch.resumption import answers_to_ask_again, examine_interruption, refuse_old

@@ -14,6 +14,7 @@ from modaltouch.protocol import Sources, examine_sources, restore_experiment
 from modaltouch.record.chain import read_chain
 from modaltouch.record.folders import find_log
 from modaltouch.record.log import Session
+from modaltouch.record.shape import check_shape
 from modaltouch.record.view import table_text
 from modaltouch.schedule import draw_schedule
 from modaltouch.trial import Trial
@@ -65,6 +66,9 @@ def verify_session(path: Path) -> Verdict:
     session = Session(log, chain.events, chain.problems)
     lines: list[str] = []
     problems = list(chain.problems)
+    shape = check_shape(chain.events, str(log))
+    if shape:
+        return Verdict(log, (), (*problems, *shape))
     if not problems:
         lines.append(f"{len(chain.events)} lines, each continuing the one before")
     if not session.start:

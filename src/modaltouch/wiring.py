@@ -17,6 +17,7 @@ from modaltouch.protocol import Sources, examine_sources
 from modaltouch.record.chain import RecordError, RecordInputError
 from modaltouch.record.folders import Mode, SessionFolder, find_log, locate
 from modaltouch.record.log import Session, read_session
+from modaltouch.record.shape import check_shape
 from modaltouch.rig import open_rig, start_simulator
 from modaltouch.rig.interface import Rig
 from modaltouch.schedule import Schedule, draw_schedule, random_generator
@@ -203,6 +204,8 @@ def wire_resume(
     if not start:
         damage = "".join(f"\n{problem}" for problem in session.problems)
         raise RecordError(f"{log}: has no start record, so there is nothing to continue{damage}")
+    if shape := check_shape(session.events, str(log)):
+        raise RecordError("\n".join(shape))
     place = locate(log, session.mode, session.protocol)
     rig, answers = rig or start["rig_choice"], answers or start["answers_choice"]
     as_begun = (rig, answers) == (start["rig_choice"], start["answers_choice"])

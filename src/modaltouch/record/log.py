@@ -14,9 +14,7 @@ from typing import Any, Self
 from modaltouch.record.chain import GENESIS, Chain, RecordError, describe_torn, encode_line, read_chain
 from modaltouch.record.folders import make_folder
 from modaltouch.record.locking import lock
-
-SCHEMA = 1
-"""Version of the session log's format, carried by its first line."""
+from modaltouch.record.shape import check_shape
 
 
 class SessionLog:
@@ -256,7 +254,7 @@ def read_session(path: Path) -> Session:
         If the file cannot be read.
     """
     chain = read_chain(path)
-    return Session(path, chain.events, chain.problems)
+    return Session(path, chain.events, (*chain.problems, *check_shape(chain.events, str(path))))
 
 
 def sync_folder(folder: Path) -> None:

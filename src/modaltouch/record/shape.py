@@ -1,0 +1,77 @@
+"""What the first line and every answer of a log must say, whatever version wrote it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+SCHEMA = 1
+"""Version of the session log's format, carried by its first line."""
+
+_NEEDED: dict[str, tuple[tuple[tuple[str, ...], type | tuple[type, ...]], ...]] = {
+    "start": (
+        (("mode",), str),
+        (("participant",), str),
+        (("session",), int),
+        (("protocol",), str),
+        (("seed",), int),
+        (("rig_choice",), str),
+        (("answers_choice",), str),
+        (("design",), dict),
+        (("sources", "protocol", "text"), str),
+        (("sources", "protocol", "path"), str),
+        (("sources", "apparatus", "text"), str),
+        (("sources", "apparatus", "path"), str),
+        (("sources", "texts", "text"), str),
+        (("sources", "texts", "path"), str),
+        (("schedule", "n_trials"), int),
+        (("schedule", "order_hash"), str),
+        (("stimulus", "content_hash"), str),
+        (("versions",), dict),
+    ),
+    "trial": (
+        (("trial", "index"), int),
+        (("trial", "block"), int),
+        (("trial", "practice"), bool),
+        (("trial", "repetition"), int),
+        (("trial", "condition", "finger_condition"), str),
+        (("trial", "condition", "zone_left"), str),
+        (("trial", "condition", "zone_right"), str),
+        (("trial", "condition", "velocity_mm_s"), (int, float)),
+        (("confirmed", "confirmed"), bool),
+        (("response", "answer"), str),
+        (("response", "reaction_time"), (int, float)),
+    ),
+}
+"""Members of each kind of event that the rest of the program relies on, and their types."""
+
+
+def check_shape(events: Iterable[dict[str, Any]], name: str) -> tuple[str, ...]:
+    """Return what the events of a log lack, in words; empty for a log that says all it must.
+
+    Parameters
+    ----------
+    events : iterable of dict
+        Sound lines of a log.
+    name : str
+        Stands before each problem.
+    """
+    problems = []
+    for number, event in enumerate(events, 1):
+        kind = event.get("event")
+        if not isinstance(kind, str) or not isinstance(event.get("n"), int):
+            problems.append(f"{name}:{number}: is no event of a session; nothing is known of such a line")
+            continue
+        if kind == "start" and event.get("schema") != SCHEMA:
+            problems.append(
+                f"{name}:{number}: was written in format {event.get('schema')}, this program knows {SCHEMA}; use the "
+                "version of the program that wrote it"
+            )
+        for path, types in _NEEDED.get(kind, ()):
+            value: Any = event
+            for step in path:
+                value = value.get(step) if isinstance(value, dict) else None
+            if not isinstance(value, types) or (isinstance(value, bool) and types is not bool):
+                problems.append(f"{name}:{number}: the event `{kind}` does not say its {'.'.join(path)}")
+                break
+    return tuple(problems)

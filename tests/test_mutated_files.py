@@ -1,0 +1,180 @@
+"""Spoilt files of every kind through every reader: a clear refusal or sound contents, never a traceback or a hang.
+
+``MODALTOUCH_MUTATIONS`` sets how many spoilt files there are in all; ``make fuzz`` takes 20,000.
+"""
+
+import gc
+import os
+import random
+import re
+import resource
+import shutil
+import time
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from modaltouch.analysis.counts import count_answers
+from modaltouch.analysis.reading import read_responses
+from modaltouch.analysis.statistics import find
+from modaltouch.cli.app import app
+from modaltouch.document import InputError
+from modaltouch.observer.file import read_observer
+from modaltouch.preflight import examine
+from modaltouch.record.chain import RecordError
+from modaltouch.record.log import read_session
+from modaltouch.record.recovery import survey
+from modaltouch.simulation import simulate_session
+from modaltouch.verification import verify_session
+
+ROOT = Path(__file__).parents[1]
+N_MUTATIONS = int(os.environ.get("MODALTOUCH_MUTATIONS", "1200"))
+LONGEST = 10.0
+"""Most that one spoilt file may take [s]."""
+
+GROWTH = 200e6
+"""Most by which the process may grow over all of them, caches of the first included [bytes]."""
+
+WORDS = """-1 0 1e400 .nan .inf 1e308 true ~ [] {} '' *a &a !!int | 5e F [[A,C]] 131072 null one_hand free none
+9999999999999 ../../etc/passwd <script> \x00 \ufeff \u202e é ; ,""".split()  # noqa: SIM905
+
+
+def mutate(data: bytes, rng: random.Random) -> bytes:
+    """Return bytes with some words, lines or bytes changed, doubled, moved or lost."""
+    text = bytearray(data)
+    for _ in range(rng.randint(1, 4)):
+        if not text:
+            break
+        place, length = rng.randrange(len(text)), rng.choice([1, 1, 2, 8, 40, 400])
+        kind = rng.choice(["flip", "word", "cut", "double", "move", "line", "number", "truncate"])
+        if kind == "flip":
+            text[place] ^= 1 << rng.randrange(8)
+        elif kind == "word":
+            words = list(re.finditer(rb"[\w.]+", text))
+            if words:
+                word = rng.choice(words)
+                text[word.start() : word.end()] = rng.choice(WORDS).encode()
+        elif kind == "cut":
+            del text[place : place + length]
+        elif kind == "double":
+            text[place:place] = text[place : place + length]
+        elif kind == "move":
+            piece = text[place : place + length]
+            del text[place : place + length]
+            to = rng.randrange(len(text) + 1)
+            text[to:to] = piece
+        elif kind == "line":
+            lines = bytes(text).splitlines(keepends=True)
+            line = rng.randrange(len(lines))
+            lines[line : line + 1] = rng.choice([[], [lines[line]] * 2, [b"\n"], [rng.choice(lines)]])
+            text = bytearray(b"".join(lines))
+        elif kind == "number":
+            numbers = list(re.finditer(rb"\d+(\.\d+)?", text))
+            if numbers:
+                number = rng.choice(numbers)
+                value = float(number.group()) * 10 ** rng.uniform(-6, 6)
+                text[number.start() : number.end()] = f"{value:.6g}".encode()
+        elif kind == "truncate" and rng.random() < 0.2:
+            del text[place:]
+    return bytes(text)
+
+
+class Kind:
+    """A kind of file: its sound text, where it stands, what reads it, and a command that does."""
+
+    def __init__(self, name, sound, place, readers, command):
+        self.name, self.sound, self.place, self.readers, self.command = name, sound, place, readers, command
+
+
+@pytest.fixture(scope="module")
+def kinds(tmp_path_factory):
+    """Every kind of file that the program reads."""
+    folder = tmp_path_factory.mktemp("spoilt")
+    shutil.copytree(ROOT / "protocols", folder / "protocols")
+    protocol = folder / "protocols" / "with_catch_trials.yaml"
+    session = simulate_session(protocol, "p01", folder / "results").path
+    rows = [f"p{n},one_hand,{left},{right},{level},{answer}" for n in range(4) for left, right in ("AC", "BD")
+            for level, answer in ((80, "left"), (200, "both"))]  # fmt: skip
+    table = folder / "answers.csv"
+    table.write_text("participant,finger_condition,zone_left,zone_right,velocity_mm_s,response\n" + "\n".join(rows))
+    observer = folder / "protocols" / "observers" / "paper.yaml"
+
+    def analysed(path):
+        responses = read_responses(path)
+        find(count_answers(responses.frame, responses.focus), responses.frame)
+
+    def of(name, place, readers, *command):
+        return Kind(name, place.read_bytes(), place, readers, command)
+
+    checked = ([lambda _: examine(protocol).as_dict()], "check", protocol)
+    return [
+        of("protocol", protocol, *checked),
+        of("apparatus", folder / "protocols" / "apparatus" / "beam_100x6x2.yaml", *checked),
+        of("texts", folder / "protocols" / "texts" / "english.yaml", *checked),
+        of(
+            "observer", observer, [read_observer], "simulate", protocol, "--observer", observer, "--results", os.devnull
+        ),
+        of("session log", session, [read_session, survey, verify_session, analysed], "verify", session),
+        of("table of answers", table, [analysed], "analyse", table, "--out", folder / "out"),
+    ]
+
+
+def meet(kind, spoilt):
+    """Let every reader of its kind meet a spoilt file."""
+    kind.place.write_bytes(spoilt)
+    for reader in kind.readers:
+        begin = time.perf_counter()
+        try:
+            reader(kind.place)
+        except (InputError, RecordError) as refused:
+            said = str(refused)
+        else:
+            said = "read"
+        assert said, f"{kind.name}: a refusal without words"
+        assert time.perf_counter() - begin < LONGEST, f"{kind.name}: hung"
+
+
+def memory():
+    """Return the most memory that this process has had [bytes]."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+
+
+@pytest.mark.timeout(3600)
+@pytest.mark.filterwarnings("ignore")
+def test_spoilt_files_are_refused_in_words_or_read(kinds):
+    """Of every kind the same number, each met by all its readers; the process does not grow."""
+    before = None
+    for number in range(N_MUTATIONS):
+        kind = kinds[number % len(kinds)]
+        spoilt = mutate(kind.sound, random.Random(number))
+        try:
+            meet(kind, spoilt)
+        except (InputError, RecordError, AssertionError):
+            raise
+        except BaseException as error:
+            found = Path("build") / f"spoilt_{kind.name.replace(' ', '_')}_{number}"
+            found.parent.mkdir(exist_ok=True)
+            found.write_bytes(spoilt)
+            raise AssertionError(f"{kind.name} number {number} ({found}) raised {error!r}") from error
+        finally:
+            kind.place.write_bytes(kind.sound)
+        if number == min(300, N_MUTATIONS // 2):
+            gc.collect()
+            before = memory()
+    assert before is not None
+    assert memory() - before < GROWTH
+
+
+@pytest.mark.parametrize("number", range(24))
+def test_a_command_ends_with_its_status_whatever_it_is_given(kinds, number):
+    """0, 2 or 4, a message, no traceback."""
+    kind = kinds[number % len(kinds)]
+    kind.place.write_bytes(mutate(kind.sound, random.Random(1000 + number)))
+    try:
+        ended = CliRunner().invoke(app, [str(word) for word in kind.command])
+    finally:
+        kind.place.write_bytes(kind.sound)
+    assert ended.exit_code in (0, 2, 4), ended.output
+    assert ended.exception is None or isinstance(ended.exception, SystemExit), ended.exception
+    assert "Traceback" not in ended.output
