@@ -66,7 +66,7 @@ def verify_session(path: Path) -> Verdict:
     session = Session(log, chain.events, chain.problems)
     lines: list[str] = []
     problems = list(chain.problems)
-    shape = check_shape(chain.events, str(log))
+    shape = check_shape(chain.events, str(log), to_repeat=True)
     if shape:
         return Verdict(log, (), (*problems, *shape))
     if not problems:

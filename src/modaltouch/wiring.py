@@ -204,7 +204,7 @@ def wire_resume(
     if not start:
         damage = "".join(f"\n{problem}" for problem in session.problems)
         raise RecordError(f"{log}: has no start record, so there is nothing to continue{damage}")
-    if shape := check_shape(session.events, str(log)):
+    if shape := check_shape(session.events, str(log), to_repeat=True):
         raise RecordError("\n".join(shape))
     place = locate(log, session.mode, session.protocol)
     rig, answers = rig or start["rig_choice"], answers or start["answers_choice"]

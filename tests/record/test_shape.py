@@ -46,9 +46,10 @@ def test_a_session_of_today_says_all_it_must(log):
     ("change", "said"),
     [
         (lambda events: events[0].update(schema=2), "session.jsonl:1: was written in format 2, this program knows 1"),
-        (lambda events: events[0].pop("seed"), "session.jsonl:1: the event `start` does not say its seed"),
-        (lambda events: events[0].update(seed=True), "does not say its seed"),
-        (lambda events: events[0]["sources"]["texts"].pop("text"), "does not say its sources.texts.text"),
+        (
+            lambda events: events[0].pop("participant"),
+            "session.jsonl:1: the event `start` does not say its participant",
+        ),
         (lambda events: events[1].pop("event"), "session.jsonl:2: is no event of a session"),
     ],
 )
@@ -62,6 +63,23 @@ def test_another_format_is_told_by_every_reader(rewritten, change, said):
 
     with pytest.raises(InputError, match=r"damaged: .*(format 2|does not say|is no event)"):
         read_responses(path.parent)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda events: events[0].pop("seed"), "session.jsonl:1: the event `start` does not say its seed"),
+        (lambda events: events[0].update(seed=True), "does not say its seed"),
+        (lambda events: events[0]["sources"]["texts"].pop("text"), "does not say its sources.texts.text"),
+    ],
+)
+def test_what_cannot_be_repeated_is_told_where_it_would_be(rewritten, change, said):
+    """Verify and resume compute order and drive again; the answers can still be analysed."""
+    path = rewritten(change)
+    assert said in verify_session(path).problems[0]
+    with pytest.raises(RecordError, match="does not say"):
+        wire_resume(path)
+    assert read_session(path).problems == ()
 
 
 def test_an_answer_without_its_words_is_named(rewritten):

@@ -12,8 +12,11 @@ _NEEDED: dict[str, tuple[tuple[tuple[str, ...], type | tuple[type, ...]], ...]] 
     "start": (
         (("mode",), str),
         (("participant",), str),
-        (("session",), int),
         (("protocol",), str),
+        (("schedule", "n_trials"), int),
+    ),
+    "start, to be repeated": (
+        (("session",), int),
         (("seed",), int),
         (("rig_choice",), str),
         (("answers_choice",), str),
@@ -24,7 +27,6 @@ _NEEDED: dict[str, tuple[tuple[tuple[str, ...], type | tuple[type, ...]], ...]] 
         (("sources", "apparatus", "path"), str),
         (("sources", "texts", "text"), str),
         (("sources", "texts", "path"), str),
-        (("schedule", "n_trials"), int),
         (("schedule", "order_hash"), str),
         (("stimulus", "content_hash"), str),
         (("versions",), dict),
@@ -46,7 +48,7 @@ _NEEDED: dict[str, tuple[tuple[tuple[str, ...], type | tuple[type, ...]], ...]] 
 """Members of each kind of event that the rest of the program relies on, and their types."""
 
 
-def check_shape(events: Iterable[dict[str, Any]], name: str) -> tuple[str, ...]:
+def check_shape(events: Iterable[dict[str, Any]], name: str, *, to_repeat: bool = False) -> tuple[str, ...]:
     """Return what the events of a log lack, in words; empty for a log that says all it must.
 
     Parameters
@@ -55,6 +57,8 @@ def check_shape(events: Iterable[dict[str, Any]], name: str) -> tuple[str, ...]:
         Sound lines of a log.
     name : str
         Stands before each problem.
+    to_repeat : bool
+        Whether the first line must also hold all that its order and drive are computed from.
     """
     problems = []
     for number, event in enumerate(events, 1):
@@ -62,12 +66,13 @@ def check_shape(events: Iterable[dict[str, Any]], name: str) -> tuple[str, ...]:
         if not isinstance(kind, str) or not isinstance(event.get("n"), int):
             problems.append(f"{name}:{number}: is no event of a session; nothing is known of such a line")
             continue
-        if kind == "start" and event.get("schema") != SCHEMA:
+        if kind == "start" and event.get("schema", SCHEMA) != SCHEMA:
             problems.append(
                 f"{name}:{number}: was written in format {event.get('schema')}, this program knows {SCHEMA}; use the "
                 "version of the program that wrote it"
             )
-        for path, types in _NEEDED.get(kind, ()):
+        repeated = _NEEDED["start, to be repeated"] if to_repeat and kind == "start" else ()
+        for path, types in (*_NEEDED.get(kind, ()), *repeated):
             value: Any = event
             for step in path:
                 value = value.get(step) if isinstance(value, dict) else None
