@@ -90,9 +90,14 @@ class Levels:
             condition = Condition(**event["trial"]["condition"])
             counts = event["confirmed"]["confirmed"] and not event["trial"]["practice"] and not condition.is_catch
             if counts and run_of(condition) == run:
-                success = is_success(self._protocol, condition, event["response"]["answer"])
+                focus, answer = self._protocol.stimulus.focus, event["response"]["answer"]
+                success = is_success(self._rule, focus, condition.zone_left, answer)
                 found.append(Presented(event["trial"]["index"], condition.velocity_mm_s, success))
         return sorted(found, key=lambda each: each.index)
+
+    @property
+    def _rule(self) -> str:
+        return self._protocol.adaptive.success if self._protocol.adaptive is not None else ""
 
     @property
     def _range(self) -> tuple[float, float]:

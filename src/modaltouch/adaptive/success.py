@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from modaltouch.protocol import Protocol
-from modaltouch.trial import Condition
 
-
-def is_success(protocol: Protocol, condition: Condition, answer: str) -> bool:
+def is_success(rule: str, focus: str, zone_left: str, answer: str) -> bool:
     """Return whether an answer counts as success in an adaptive run.
 
     ``focus_named``: the answer is the finger on the zone in focus, alone. "both" and "none" are failures like the
@@ -15,20 +12,15 @@ def is_success(protocol: Protocol, condition: Condition, answer: str) -> bool:
 
     Parameters
     ----------
-    protocol : Protocol
-        With a section ``adaptive``.
-    condition : Condition
-        What was presented.
+    rule : str
+        ``adaptive.success`` of the protocol.
+    focus : str
+        Zone in focus.
+    zone_left : str
+        Zone under the left finger.
     answer : str
         What was answered.
-
-    Raises
-    ------
-    ValueError
-        If the protocol is not adaptive.
     """
-    if protocol.adaptive is None:
-        raise ValueError("the protocol has no section adaptive, so no answer counts as success; give one that has")
-    if protocol.adaptive.success == "felt":
+    if rule == "felt":
         return answer != "none"
-    return answer == ("left" if condition.zone_left == protocol.stimulus.focus else "right")
+    return answer == ("left" if zone_left == focus else "right")

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import io
 import json
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pandas as pd
 
@@ -17,8 +19,13 @@ from modaltouch.analysis.statistics import find
 from modaltouch.analysis.style import level_label
 from modaltouch.analysis.tables import figure_names, zone_table
 
+if TYPE_CHECKING:
+    from modaltouch.analysis.thresholds import ThresholdAnalysis
 
-def analyse(path: Path | str, out: Path | str | None = None, *, mode: str | None = None) -> Analysis:
+
+def analyse(
+    path: Path | str, out: Path | str | None = None, *, mode: str | None = None
+) -> Analysis | ThresholdAnalysis:
     """Analyse answers and write tables, figures, statistics and a report.
 
     Parameters
@@ -32,7 +39,8 @@ def analyse(path: Path | str, out: Path | str | None = None, *, mode: str | None
 
     Returns
     -------
-    Analysis
+    Analysis or ThresholdAnalysis
+        The latter for adaptive sessions, whose levels followed from the answers.
 
     Raises
     ------
@@ -42,9 +50,6 @@ def analyse(path: Path | str, out: Path | str | None = None, *, mode: str | None
         If a file would be overwritten that this command did not write, or cannot be written.
     """
     responses = read_responses(path, mode=mode)
-    answers = count_answers(responses.frame, responses.focus)
-    findings = tuple(find(answers, responses.frame, responses.catches))
-    analysis = Analysis(responses, answers, findings, {})
     folder = Path(out) if out is not None else default_folder(Path(path))
     about = {
         "version": __version__,
@@ -52,8 +57,15 @@ def analyse(path: Path | str, out: Path | str | None = None, *, mode: str | None
         "sha256": responses.source.sha256,
         "mode": responses.source.mode,
     }
-    files = write_files(folder, render_files(analysis), about)
-    return Analysis(responses, answers, findings, files)
+    if responses.is_adaptive:
+        from modaltouch.analysis.thresholds import analyse_runs, render_runs
+
+        runs = analyse_runs(responses)
+        return replace(runs, files=write_files(folder, render_runs(runs), about))
+    answers = count_answers(responses.frame, responses.focus)
+    findings = tuple(find(answers, responses.frame, responses.catches))
+    analysis = Analysis(responses, answers, findings, {})
+    return replace(analysis, files=write_files(folder, render_files(analysis), about))
 
 
 def default_folder(path: Path) -> Path:

@@ -87,3 +87,8 @@ class Responses:
     focus: str = ""
     start: dict[str, Any] = field(default_factory=dict)
     catches: dict[str, Counter[str]] = field(default_factory=dict)
+
+    @property
+    def is_adaptive(self) -> bool:
+        """Whether the levels followed from the answers, so that there are runs and no table of counts."""
+        return bool(self.start.get("design", {}).get("adaptive"))

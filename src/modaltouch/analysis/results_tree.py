@@ -51,6 +51,8 @@ class Found:
         What it tells beside the answers; None where it stays out.
     focus : str
         Zone at which the vibration was focused, if known.
+    is_adaptive : bool
+        Whether its levels followed from the answers; its rows then hold the catch trials too, at 0 mm/s.
     offers_none : bool
         Whether none was an answer.
     catches : Counter
@@ -69,6 +71,7 @@ class Found:
     focus: str = ""
     offers_none: bool = False
     catches: Counter[str] = field(default_factory=Counter)
+    is_adaptive: bool = False
 
 
 def read_tree(place: Path, mode: str | None = None) -> Responses:
@@ -95,7 +98,9 @@ def read_tree(place: Path, mode: str | None = None) -> Responses:
     chosen = mode or _choose_mode(place, found)
     found = [_mark(item, _other_mode(item, chosen)) for item in found]
     _refuse_protocols(place, [item.protocol for item in found if not item.reason])
-    found = _even_out([_mark(item, item.unfit) for item in found])
+    found = [_mark(item, item.unfit) for item in found]
+    is_adaptive = _are_adaptive(place, [item for item in found if not item.reason])
+    found = found if is_adaptive else _even_out(found)
     left_out = tuple(LeftOut(str(item.path.parent), item.reason) for item in found if item.reason)
     taken = [item for item in found if not item.reason]
     if not taken:
@@ -104,7 +109,8 @@ def read_tree(place: Path, mode: str | None = None) -> Responses:
         remedy = "finish one with `modaltouch resume`, or choose another mode or folder"
         _refuse(place, f"no session that can be analysed ({listed})", "at least one complete session", remedy)
     frame = unmirror(pd.DataFrame([row for item in taken for row in item.rows], columns=list(COLUMNS)))
-    _refuse_designs(place, frame)
+    if not is_adaptive:
+        _refuse_designs(place, frame)
     words = ANSWERS_WITH_NONE if any(item.offers_none for item in taken) else ANSWERS
     frame["response"] = pd.Categorical(frame["response"], categories=list(words))
     digest = hashlib.sha256("".join(item.digest for item in taken).encode()).hexdigest()
@@ -135,9 +141,14 @@ def find_logs(place: Path) -> list[Path]:
 
 
 def _rows(session: Session) -> tuple[tuple[Any, ...], ...]:
-    """Return the answers of a session that count, without practice and catch trials, in the order of `COLUMNS`."""
-    cells = (event for event in session.trials if not event["trial"]["practice"] and not event.get("catch"))
-    return tuple(_row(session, event) for event in cells)
+    """Return the answers of a session that count, in the order of `COLUMNS`; catch trials only of adaptive ones."""
+    counted = (event for event in session.trials if not event["trial"]["practice"])
+    return tuple(_row(session, event) for event in counted if is_adaptive(session) or not event.get("catch"))
+
+
+def is_adaptive(session: Session) -> bool:
+    """Return whether the levels of a session followed from its answers."""
+    return bool(session.start.get("design", {}).get("adaptive"))
 
 
 COLUMNS = (
@@ -215,6 +226,7 @@ def _open(path: Path) -> Found:
         facts=take_facts(session),
         focus=str(design.get("stimulus", {}).get("focus", "")),
         offers_none="none" in design.get("answers", {}).get("keys", {}),
+        is_adaptive=is_adaptive(session),
         catches=Counter(_one(event["response"]["answer"]) for event in session.trials if event.get("catch")),
     )
 
@@ -247,6 +259,14 @@ def _refuse_protocols(place: Path, protocols: Sequence[str]) -> None:
         _refuse(place, f"sessions of several protocols ({listed})", "one protocol", "give the folder of one of them")
 
 
+def _are_adaptive(place: Path, found: Sequence[Found]) -> bool:
+    kinds = {item.is_adaptive for item in found}
+    if len(kinds) > 1:
+        given = "sessions with fixed levels and adaptive ones under the name of one protocol"
+        _refuse(place, given, "one of the two", "give the folder of one of them; name the other protocol anew")
+    return kinds == {True}
+
+
 def _refuse_designs(place: Path, frame: pd.DataFrame) -> None:
     """Refuse participants who met different conditions, as under two versions of a protocol."""
     answers = answers_per_cell(frame)
@@ -257,7 +277,7 @@ def _refuse_designs(place: Path, frame: pd.DataFrame) -> None:
     cells = answers.columns[(answers.loc[odd[0]] != usual).to_numpy()]
     shown = f"{odd[0]} has {answers.loc[odd[0], cells[0]]} in {describe_cell(cells[0])}, others up to {usual}"
     given = f"participants who answered different conditions ({len(odd)} of {len(answers)}; {shown})"
-    remedy = "give a folder with the sessions of one version of the protocol; adaptive runs have no table of counts"
+    remedy = "give a folder with the sessions of one version of the protocol"
     _refuse(place, given, "the same conditions, equally often, for every participant", remedy)
 
 

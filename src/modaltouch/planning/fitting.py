@@ -80,6 +80,9 @@ def fit_answers(preflight: Preflight, path: Path, prior: Observer, *, mode: str 
     """
     experiment = preflight.experiment
     responses = read_responses(path, mode=mode)
+    if responses.is_adaptive:
+        given, remedy = "adaptive sessions, which have no table of counts", "see them with `modaltouch analyse`"
+        raise InputError([Problem(str(path), 1, 1, "", given, "sessions with fixed levels", remedy)])
     answers = count_answers(responses.frame, responses.focus or experiment.protocol.stimulus.focus)
     zones = {name: zone.centre_mm * 1e-3 for name, zone in experiment.apparatus.zones.items()}
     for zone in dict.fromkeys(zone for pair in answers.pairs for zone in (pair.left, pair.right)):

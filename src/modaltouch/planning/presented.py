@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from modaltouch.analysis.counts import PAPER_CONDITIONS, orient
+from modaltouch.document import InputError
 from modaltouch.observer import Observer
 from modaltouch.observer.felt import Felt
 from modaltouch.planning.design import Design
@@ -25,8 +26,12 @@ def design_for(preflight: Preflight, observer: Observer) -> Design:
     Raises
     ------
     InputError
-        If anything is wrong with the protocol.
+        If anything is wrong with the protocol, or its levels follow from the answers.
     """
+    reading = preflight.findings.protocol
+    if reading is not None and preflight.experiment.protocol.adaptive is not None:
+        given, remedy = "adaptive runs, which have no fixed conditions", "plan with a protocol of fixed levels"
+        raise InputError([reading.problem(("adaptive",), given, "fixed levels", remedy)])
     protocol, apparatus = preflight.experiment.protocol, preflight.experiment.apparatus
     zones = {name: zone.centre_mm * 1e-3 for name, zone in apparatus.zones.items()}
     felt = Felt(preflight.stimulus, zones, observer.front_end)

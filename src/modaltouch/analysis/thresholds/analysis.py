@@ -1,0 +1,134 @@
+"""The whole analysis of adaptive sessions: thresholds, figures, report."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from modaltouch import __version__
+from modaltouch.analysis.page import embed_svg, render_page
+from modaltouch.analysis.responses import Responses
+from modaltouch.analysis.thresholds.runs import Run, find_runs, in_words, over_participants
+
+MOST_FIGURES = 60
+"""Sessions whose runs are drawn; more would make a report that no browser opens."""
+
+
+@dataclass(frozen=True, eq=False)
+class ThresholdAnalysis:
+    """What adaptive sessions tell, and where it was written.
+
+    Attributes
+    ----------
+    responses : Responses
+        The answers.
+    runs : tuple of Run
+        Every run with its fit.
+    files : dict of str to Path
+        Files written, by name.
+    """
+
+    responses: Responses
+    runs: tuple[Run, ...]
+    files: dict[str, Path]
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Lowest and highest level that a run may reach [mm/s]."""
+        levels = self.responses.start["design"]["conditions"]["peak_velocities_mm_s"]
+        return min(levels), max(levels)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return everything as plain values for ``--json``; what the answers do not tell is null."""
+        return {
+            "thresholds": [run.as_dict() for run in self.runs],
+            "over_participants": over_participants(self.runs),
+            "files": {name: str(path) for name, path in self.files.items()},
+            "n_participants": len({run.participant for run in self.runs}),
+            "n_responses": len(self.responses.frame),
+            "mode": self.responses.source.mode or None,
+            "source": self.responses.source.path,
+            "left_out": [{"source": item.source, "reason": item.reason} for item in self.responses.left_out],
+        }
+
+
+def analyse_runs(responses: Responses) -> ThresholdAnalysis:
+    """Return what adaptive sessions tell.
+
+    Parameters
+    ----------
+    responses : Responses
+        Answers of adaptive sessions.
+    """
+    return ThresholdAnalysis(responses, find_runs(responses), {})
+
+
+def render_runs(analysis: ThresholdAnalysis) -> dict[str, bytes]:
+    """Return the contents of every file of the analysis, by name.
+
+    Parameters
+    ----------
+    analysis : ThresholdAnalysis
+        What was found.
+    """
+    from modaltouch.analysis.style import render
+    from modaltouch.analysis.thresholds.figures import draw_runs, draw_thresholds
+
+    rows = [run.as_dict() for run in analysis.runs]
+    together = over_participants(analysis.runs)
+    figures = {"thresholds": draw_thresholds(analysis.runs, analysis.bounds)}
+    sessions = list(dict.fromkeys((run.participant, run.session) for run in analysis.runs))
+    for participant, session in sessions[:MOST_FIGURES]:
+        own = [run for run in analysis.runs if (run.participant, run.session) == (participant, session)]
+        figures[f"runs_sub-{participant}_ses-{session}"] = draw_runs(own, analysis.bounds)
+    files = {"thresholds.csv": _csv(rows), "over_participants.csv": _csv(together)}
+    values = {"thresholds": rows, "over_participants": together}
+    files["thresholds.json"] = (json.dumps(values, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()
+    vectors = {name: render(figure, "svg") for name, figure in figures.items()}
+    for name, figure in figures.items():
+        files[f"{name}.svg"], files[f"{name}.png"] = vectors[name], render(figure, "png")
+    files["report.html"] = _report(analysis, together, vectors, len(sessions)).encode()
+    return files
+
+
+def _report(
+    analysis: ThresholdAnalysis, together: list[dict[str, Any]], vectors: Mapping[str, bytes], n_sessions: int
+) -> str:
+    from modaltouch.analysis.record_facts import describe_record
+    from modaltouch.provenance import commit, versions
+
+    responses = analysis.responses
+    design = responses.start["design"]
+    return render_page(
+        "modaltouch.analysis.thresholds",
+        "thresholds.html.j2",
+        title=f"Thresholds: {design.get('title') or responses.start.get('protocol', '')}",
+        source=responses.source,
+        runs=[{"run": run, "words": in_words(run.fitted.threshold) if run.fitted.threshold else None}
+              for run in analysis.runs],
+        together=together,
+        bounds=analysis.bounds,
+        adaptive=design["adaptive"],
+        rule=responses.start.get("adaptive", {}),
+        focus=responses.focus,
+        n_participants=len({run.participant for run in analysis.runs}),
+        n_sessions=n_sessions,
+        pictures=[{"name": name, "uri": embed_svg(svg)} for name, svg in vectors.items()],
+        left_out=responses.left_out,
+        record=describe_record(responses.sessions),
+        version=__version__,
+        commit=commit(),
+        versions={k: v for k, v in versions().items() if v != "absent"},
+    )  # fmt: skip
+
+
+def _csv(rows: list[dict[str, Any]]) -> bytes:
+    buffer = io.StringIO()
+    pd.DataFrame(rows).to_csv(buffer, index=False, lineterminator="\n")
+    return buffer.getvalue().encode()

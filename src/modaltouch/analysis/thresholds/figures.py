@@ -1,0 +1,152 @@
+"""Figures of adaptive runs: the track of levels with the fitted function beside it, and the thresholds of all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+from modaltouch.adaptive.levels import to_dB
+from modaltouch.analysis.style import CONDITION_COLOURS, FAINT, INK, house_style, new_figure, quiet_grid
+from modaltouch.analysis.thresholds.psychometric import Estimate
+from modaltouch.analysis.thresholds.runs import Run
+
+BLUE = CONDITION_COLOURS[0]
+_ROW = 2.5
+"""Height of a run [inch]."""
+
+
+def draw_runs(runs: Sequence[Run], bounds: tuple[float, float]) -> Figure:
+    """Return the runs of a session, one below the other: track on the left, fitted function on the right.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        Of one session.
+    bounds : (float, float)
+        Lowest and highest level that a run may reach [mm/s].
+    """
+    with house_style():
+        figure = new_figure(7.4, _ROW * len(runs) + 0.5)
+        rows = figure.subplots(len(runs), 2, squeeze=False, width_ratios=[1.35, 1])
+        for (track, function), run in zip(rows, runs, strict=True):
+            _draw_track(track, run, bounds)
+            _draw_function(function, run, bounds)
+        rows[-1][0].set_xlabel("trial of the run")
+        rows[-1][1].set_xlabel("level [mm/s]")
+        rows[0][0].legend(loc="upper right", frameon=False, ncols=2)
+        figure.suptitle(f"Participant {runs[0].participant}, session {runs[0].session}", fontsize=10)
+    return figure
+
+
+def _draw_track(axes: Axes, run: Run, bounds: tuple[float, float]) -> None:
+    trials = np.arange(1, len(run.levels) + 1)
+    axes.plot(trials, run.levels, color=FAINT, linewidth=0.8, zorder=1)
+    _band(axes.axhspan, axes.axhline, run.fitted.threshold, bounds)
+    for success, marker, face, label in ((True, "o", BLUE, "success"), (False, "o", "white", "no success")):
+        chosen = run.successes == success
+        axes.scatter(
+            trials[chosen], run.levels[chosen], s=20, marker=marker, color=face, edgecolor=BLUE, linewidth=0.9,
+            zorder=2, label=label,
+        )  # fmt: skip
+    axes.set_yscale("log")
+    axes.set_ylim(bounds[0] / 1.25, bounds[1] * 1.9)
+    _mark_levels(axes.yaxis)
+    axes.set_ylabel("level [mm/s]")
+    axes.set_title(f"{run.finger_condition}, {run.pair}", loc="left", fontsize=9)
+    quiet_grid(axes)
+
+
+def _draw_function(axes: Axes, run: Run, bounds: tuple[float, float]) -> None:
+    levels, places = np.unique(run.levels, return_inverse=True)
+    tries = np.bincount(places)
+    shares = np.bincount(places, weights=run.successes.astype(float)) / tries
+    _band(axes.axvspan, axes.axvline, run.fitted.threshold, bounds)
+    axes.scatter(levels, shares, s=10 + 9 * tries, color=BLUE, alpha=0.75, edgecolor="white", linewidth=0.5, zorder=3)
+    fine = np.geomspace(*bounds, 200)
+    curve = run.fitted.probability(np.array([to_dB(each) for each in fine]))
+    if curve is not None:
+        axes.plot(fine, curve, color=INK, linewidth=1.3, zorder=2)
+    axes.set_xscale("log")
+    axes.set_xlim(bounds[0] / 1.15, bounds[1] * 1.15)
+    _mark_levels(axes.xaxis)
+    axes.set_ylim(-0.06, 1.06)
+    axes.set_ylabel("share of successes")
+    title = "no threshold can be told" if run.fitted.threshold is None else _title(run.fitted.threshold)
+    axes.set_title(title, loc="left", fontsize=9)
+    quiet_grid(axes)
+
+
+def _mark_levels(axis: Axis) -> None:
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_locator(NullLocator())
+
+
+def _title(threshold: Estimate) -> str:
+    value, low, high = (None if v is None else 10 ** (v / 20) for v in (threshold.value, threshold.low, threshold.high))
+    words = [f"{bound:.3g}" if bound is not None else "no bound" for bound in (low, high)]
+    return f"threshold {value:.3g} mm/s ({words[0]} to {words[1]})"
+
+
+def _band(span: object, line: object, threshold: Estimate | None, bounds: tuple[float, float]) -> None:
+    """Draw a threshold and its interval across a picture."""
+    if threshold is None or not (callable(span) and callable(line)):
+        return
+    low = bounds[0] / 10 if threshold.low is None else 10 ** (threshold.low / 20)
+    high = bounds[1] * 10 if threshold.high is None else 10 ** (threshold.high / 20)
+    span(low, high, color="#e6ecf6", zorder=0, linewidth=0)
+    line(10 ** (threshold.value / 20), color=INK, linewidth=0.9, linestyle=(0, (4, 2)), zorder=1)
+
+
+def draw_thresholds(runs: Sequence[Run], bounds: tuple[float, float]) -> Figure:
+    """Return the thresholds of all runs with their intervals; those that tell none stand at the edge as crosses.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        All runs.
+    bounds : (float, float)
+        Lowest and highest level that a run may reach [mm/s].
+    """
+    kinds = list(dict.fromkeys((run.finger_condition, run.pair) for run in runs))
+    people = list(dict.fromkeys((run.participant, run.session) for run in runs))
+    with house_style():
+        figure = new_figure(6.4, min(1.4 + 0.17 * len(people) * len(kinds), 40.0))
+        axes = figure.subplots()
+        for k, kind in enumerate(kinds):
+            own = [run for run in runs if (run.finger_condition, run.pair) == kind]
+            heights = np.array([people.index((run.participant, run.session)) for run in own], dtype=float)
+            heights += 0.62 * (k + 0.5) / len(kinds) - 0.31
+            _draw_kind(axes, own, heights, k, bounds)
+        axes.set_xscale("log")
+        axes.set_xlim(bounds[0] / 1.3, bounds[1] * 1.3)
+        _mark_levels(axes.xaxis)
+        axes.set_yticks(range(len(people)), [f"{name} ({number})" for name, number in people])
+        axes.set_ylim(len(people) - 0.4, -0.6)
+        axes.set_xlabel("threshold [mm/s]")
+        axes.set_ylabel("participant (session)")
+        axes.grid(axis="x", color="#e3e7ec", linewidth=0.7)
+        axes.set_axisbelow(True)
+        figure.legend(loc="outside upper center", frameon=False, ncols=min(len(kinds), 3))
+    return figure
+
+
+def _draw_kind(axes: Axes, runs: Sequence[Run], heights: np.ndarray, k: int, bounds: tuple[float, float]) -> None:
+    colour, marker = CONDITION_COLOURS[k % 4], "os^D"[k % 4]
+    label: str | None = f"{runs[0].finger_condition} {runs[0].pair}"
+    for run, height in zip(runs, heights, strict=True):
+        threshold = run.fitted.threshold
+        if threshold is None:
+            succeeded = run.fitted.n_successes == run.fitted.n_trials
+            axes.plot(bounds[0] / 1.2 if succeeded else bounds[1] * 1.2, height, marker="x", color=colour, ms=5)
+            continue
+        low = bounds[0] / 10 if threshold.low is None else 10 ** (threshold.low / 20)
+        high = bounds[1] * 10 if threshold.high is None else 10 ** (threshold.high / 20)
+        axes.plot([low, high], [height, height], color=colour, linewidth=1.2, alpha=0.8)
+        axes.plot(10 ** (threshold.value / 20), height, marker=marker, color=colour, ms=5, linestyle="", label=label)
+        label = None

@@ -1,0 +1,188 @@
+"""A psychometric function fitted to the answers of one run, or the reason why these answers tell no threshold.
+
+The probability of success at a level x [dB re 1 mm/s] is g + (1 - g - l) Phi((x - m) / s): m is the threshold, halfway
+between guessing and lapsing, s the spread, g the guess rate and l the lapse rate. Everything is read off the
+likelihood on a grid, so nothing diverges where answers are separated; intervals are those of the profile likelihood,
+all levels whose best fit is within 1.92 of the best of all.
+
+References
+----------
+Wichmann and Hill, Perception & Psychophysics 63 (2001) 1293-1313 (the function; lapses held to a small range).
+Venzon and Moolgavkar, J. R. Stat. Soc. C 37 (1988) 87-94 (profile likelihood intervals).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modaltouch.analysis.thresholds.likelihood import Grid
+
+FloatArray = NDArray[np.float64]
+
+DROP = 1.920729
+"""Half the 95 % point of chi-squared with one degree of freedom."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A number with its interval; a bound is None where the answers set none.
+
+    Attributes
+    ----------
+    value : float
+        The likeliest value.
+    low, high : float or None
+        95 % interval by profile likelihood.
+    """
+
+    value: float
+    low: float | None
+    high: float | None
+
+
+@dataclass(frozen=True)
+class Psychometric:
+    """What the answers of a run tell of a psychometric function.
+
+    Attributes
+    ----------
+    n_trials, n_successes : int
+        Trials with a stimulus, and successes among them.
+    n_catch, n_false : int
+        Catch trials, and successes among them.
+    threshold, spread : Estimate or None
+        Threshold and spread [dB re 1 mm/s, dB]; None where these answers tell none.
+    guess_rate, lapse_rate : float
+        The likeliest asymptotes [1].
+    why_not : str
+        Why no threshold can be told; empty where it can.
+    """
+
+    n_trials: int
+    n_successes: int
+    n_catch: int
+    n_false: int
+    threshold: Estimate | None
+    spread: Estimate | None
+    guess_rate: float
+    lapse_rate: float
+    why_not: str = ""
+
+    @property
+    def slope(self) -> float | None:
+        """Rise of the function at the threshold [1/dB]."""
+        if self.spread is None:
+            return None
+        return (1 - self.guess_rate - self.lapse_rate) / (self.spread.value * math.sqrt(2 * math.pi))
+
+    def probability(self, levels: FloatArray) -> FloatArray | None:
+        """Return the fitted probability of success at levels [dB re 1 mm/s]; None where there is no fit."""
+        if self.threshold is None or self.spread is None:
+            return None
+        from scipy.special import ndtr
+
+        rising = ndtr((levels - self.threshold.value) / self.spread.value)
+        return np.asarray(self.guess_rate + (1 - self.guess_rate - self.lapse_rate) * rising)
+
+
+def fit_psychometric(
+    levels: Sequence[float],
+    successes: Sequence[bool],
+    *,
+    guess_rate: float,
+    most_lapse: float,
+    catches: Sequence[bool] = (),
+) -> Psychometric:
+    """Return the psychometric function of a run.
+
+    Parameters
+    ----------
+    levels : sequence of float
+        Level of each trial with a stimulus [dB re 1 mm/s].
+    successes : sequence of bool
+        Whether each of them was a success.
+    guess_rate : float
+        Share of successes where nothing is felt [1]; fitted where there are catch trials.
+    most_lapse : float
+        Largest lapse rate that a fit may find [1].
+    catches : sequence of bool
+        Whether each catch trial was a success.
+
+    Raises
+    ------
+    ValueError
+        If there is no trial, or levels and successes differ in number.
+    """
+    if not levels or len(levels) != len(successes):
+        raise ValueError(f"given {len(levels)} levels and {len(successes)} answers; give one answer to each level")
+    x, places = np.unique(np.round(levels, 6), return_inverse=True)
+    hits: FloatArray = np.bincount(places, weights=np.asarray(successes, dtype=float)).astype(np.float64)
+    tries = np.bincount(places).astype(np.float64)
+    grid = Grid.around(x, guess_rate, most_lapse, fits_guesses=bool(len(catches)))
+    n_false = sum(catches)
+    likelihood = grid.log_likelihood(x, hits, tries) + grid.log_guesses(n_false, len(catches))
+    best = np.unravel_index(int(likelihood.argmax()), likelihood.shape)
+    threshold = _estimate(grid.thresholds, likelihood.max(axis=(1, 2, 3)))
+    spread = _estimate(grid.spreads, likelihood.max(axis=(0, 2, 3)))
+    flat = _log_binomial(hits.sum(), tries.sum()) + _log_binomial(n_false, len(catches))
+    why = _why_not(x, hits, tries, float(likelihood.max()) - flat, threshold.value)
+    return Psychometric(
+        n_trials=int(tries.sum()),
+        n_successes=int(hits.sum()),
+        n_catch=len(catches),
+        n_false=n_false,
+        threshold=None if why else threshold,
+        spread=None if why else spread,
+        guess_rate=float(grid.guesses[best[3]]),
+        lapse_rate=float(grid.lapses[best[2]]),
+        why_not=why,
+    )
+
+
+def _why_not(x: FloatArray, hits: FloatArray, tries: FloatArray, gain: float, threshold: float) -> str:
+    """Return why these answers tell no threshold; empty where they do."""
+    lowest, highest = (10 ** (level / 20) for level in (x[0], x[-1]))
+    if hits.sum() == tries.sum():
+        return f"every answer was a success: the threshold lies below {lowest:.3g} mm/s, or there is none"
+    if hits.sum() == 0:
+        return f"no answer was a success: the threshold lies above {highest:.3g} mm/s, or there is none"
+    if gain < DROP:
+        return "successes do not depend on the level: a constant chance explains the answers as well"
+    if threshold < x[0]:
+        return f"the threshold lies below the levels that were presented, from {lowest:.3g} mm/s"
+    if threshold > x[-1]:
+        return f"the threshold lies above the levels that were presented, up to {highest:.3g} mm/s"
+    return ""
+
+
+def _estimate(values: FloatArray, profile: FloatArray) -> Estimate:
+    """Return where a profile is highest, between the points of the grid, and where it has fallen by `DROP`."""
+    place, bound = int(profile.argmax()), float(profile.max()) - DROP
+    value = float(values[place])
+    if 0 < place < len(values) - 1:
+        before, here, after = (float(each) for each in profile[place - 1 : place + 2])
+        curve = before - 2 * here + after
+        shift = 0.5 * (before - after) / curve if curve < 0 else 0.0
+        value += shift * float(values[place + 1] - values[place])
+    within = np.flatnonzero(profile >= bound)
+    low = _crossing(values, profile, int(within[0]), -1, bound)
+    high = _crossing(values, profile, int(within[-1]), 1, bound)
+    return Estimate(value, low, high)
+
+
+def _crossing(values: FloatArray, profile: FloatArray, inside: int, step: int, bound: float) -> float | None:
+    outside = inside + step
+    if not 0 <= outside < len(values):
+        return None
+    share = (profile[inside] - bound) / (profile[inside] - profile[outside])
+    return float(values[inside] + share * (values[outside] - values[inside]))
+
+
+def _log_binomial(hits: float, tries: float) -> float:
+    """Return the highest log likelihood of a constant probability."""
+    return sum(n * math.log(n / tries) for n in (hits, tries - hits) if n > 0)

@@ -1,0 +1,167 @@
+"""Runs of adaptive sessions, each with its psychometric function; thresholds over participants."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from modaltouch.adaptive.levels import to_dB
+from modaltouch.adaptive.success import is_success
+from modaltouch.analysis.responses import Responses
+from modaltouch.analysis.secondary import student_interval
+from modaltouch.analysis.thresholds.psychometric import Estimate, Psychometric, fit_psychometric
+
+KEYS = ("participant", "session", "finger_condition", "zone_left", "zone_right")
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One adaptive run of one participant.
+
+    Attributes
+    ----------
+    participant : str
+        Participant id.
+    session : int
+        Number of the session.
+    finger_condition : str
+        ``one_hand`` or ``two_hands``.
+    pair : str
+        Zones under the two fingers, such as ``A-C``.
+    levels : (n_trials,) array
+        Level of each trial, in order [mm/s].
+    successes : (n_trials,) array of bool
+        Whether its answer counts as success.
+    fitted : Psychometric
+        What the answers tell.
+    """
+
+    participant: str
+    session: int
+    finger_condition: str
+    pair: str
+    levels: NDArray[np.float64]
+    successes: NDArray[np.bool_]
+    fitted: Psychometric
+
+    @property
+    def name(self) -> str:
+        """Participant, session, finger condition and pair in words."""
+        return f"{self.participant}, session {self.session}, {self.finger_condition} {self.pair}"
+
+    @property
+    def n_reversals(self) -> int:
+        """How often the level turned from falling to rising or back."""
+        turns = np.sign(np.diff(self.levels))
+        moving = turns[turns != 0]
+        return int((moving[1:] != moving[:-1]).sum())
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the run as plain values; what the answers do not tell is null."""
+        fitted = self.fitted
+        threshold, spread = fitted.threshold, fitted.spread
+        return {
+            "participant": self.participant,
+            "session": self.session,
+            "finger_condition": self.finger_condition,
+            "pair": self.pair,
+            "n_trials": fitted.n_trials,
+            "n_successes": fitted.n_successes,
+            "n_catch_trials": fitted.n_catch,
+            "n_catch_successes": fitted.n_false,
+            "n_reversals": self.n_reversals,
+            "threshold_mm_s": _velocity(threshold.value if threshold else None),
+            "threshold_low_mm_s": _velocity(threshold.low if threshold else None),
+            "threshold_high_mm_s": _velocity(threshold.high if threshold else None),
+            "spread_dB": spread.value if spread else None,
+            "spread_low_dB": spread.low if spread else None,
+            "spread_high_dB": spread.high if spread else None,
+            "slope_per_dB": fitted.slope,
+            "guess_rate": fitted.guess_rate if threshold else None,
+            "lapse_rate": fitted.lapse_rate if threshold else None,
+            "why_not": fitted.why_not or None,
+        }
+
+
+def find_runs(responses: Responses) -> tuple[Run, ...]:
+    """Return every run of adaptive sessions with its fit.
+
+    Parameters
+    ----------
+    responses : Responses
+        Answers of adaptive sessions; catch trials are rows at 0 mm/s.
+    """
+    rule = responses.start["design"]["adaptive"]
+    frame = responses.frame.sort_values(["participant", "session", "trial"], kind="stable")
+    return tuple(
+        _run(key, part, rule, responses.focus) for key, part in frame.groupby(list(KEYS), sort=True, observed=True)
+    )
+
+
+def _run(key: tuple[Any, ...], part: pd.DataFrame, rule: dict[str, Any], focus: str) -> Run:
+    participant, session, finger_condition, left, right = key
+    success = np.array([is_success(rule["success"], focus, left, str(answer)) for answer in part["response"]])
+    level = part["velocity_mm_s"].to_numpy(dtype=float)
+    driven = level > 0
+    fitted = fit_psychometric(
+        [to_dB(each) for each in level[driven]],
+        success[driven].tolist(),
+        guess_rate=rule["guess_rate"],
+        most_lapse=rule["lapse_rate"],
+        catches=success[~driven].tolist(),
+    )
+    pair = f"{left}-{right}"
+    return Run(str(participant), int(session), str(finger_condition), pair, level[driven], success[driven], fitted)
+
+
+def over_participants(runs: Sequence[Run]) -> list[dict[str, Any]]:
+    """Return the geometric mean threshold of each finger condition and pair, over participants.
+
+    A participant's sessions are averaged first. Runs that tell no threshold are left out and counted: where there
+    are any, the mean is one of those who have one.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        All runs.
+    """
+    rows = []
+    for condition, pair in dict.fromkeys((run.finger_condition, run.pair) for run in runs):
+        own = [run for run in runs if (run.finger_condition, run.pair) == (condition, pair)]
+        told: dict[str, list[float]] = {}
+        for run in own:
+            if run.fitted.threshold is not None:
+                told.setdefault(run.participant, []).append(run.fitted.threshold.value)
+        means = np.array([np.mean(values) for values in told.values()])
+        interval = student_interval(means) if len(means) > 1 else None
+        rows.append(
+            {
+                "finger_condition": condition,
+                "pair": pair,
+                "n_runs": len(own),
+                "n_without_threshold": sum(run.fitted.threshold is None for run in own),
+                "n_participants": len(means),
+                "threshold_mm_s": _velocity(float(means.mean()) if len(means) else None),
+                "threshold_low_mm_s": _velocity(interval.low if interval else None),
+                "threshold_high_mm_s": _velocity(interval.high if interval else None),
+            }
+        )
+    return rows
+
+
+def in_words(estimate: Estimate) -> str:
+    """Return a threshold with its interval [mm/s], such as ``12.3 (9.1 to 17)``."""
+    low, high = (_velocity(bound) for bound in (estimate.low, estimate.high))
+    bounds = f"{'no bound' if low is None else f'{low:.3g}'} to {'no bound' if high is None else f'{high:.3g}'}"
+    return f"{_velocity(estimate.value):.3g} ({bounds})"
+
+
+def _velocity(level: float | None) -> float | None:
+    """Return a level [dB re 1 mm/s] in mm/s; None where it is none."""
+    return None if level is None or not math.isfinite(level) else float(f"{10 ** (level / 20):.5g}")
