@@ -134,7 +134,7 @@ def test_every_set_reads_the_error_queue(loaded: Generator, heard: Any) -> None:
     """Each message that sets something ends by asking for errors (promise list)."""
     loaded.fire(0.1)
     loaded.stop()
-    sets = [m for m in heard.sent if any(" " in unit.strip() for unit in m.split(";"))]
+    sets = [m for m in heard.sent if any(" " in unit.strip() and "?" not in unit for unit in m.split(";"))]
     assert sets
     assert all(message.endswith("SYST:ERR?") for message in sets)
 
@@ -144,7 +144,7 @@ def test_level_change_sends_no_record(loaded: Generator, heard: Any) -> None:
     for level in LEVELS:
         loaded.fire(level)
         loaded.stop()
-    assert not any("DATA" in message for message in heard.sent)
+    assert not any("DATA" in message.replace("DATA:LOCK:STAT?", "") for message in heard.sent)
 
 
 def test_levels_are_set_while_the_trigger_is_stopped(loaded: Generator, simulator: Simulator) -> None:
@@ -273,10 +273,54 @@ def test_fifty_ohm_load_halves_the_volts_at_the_beam(
         assert generator.fire(0.2).confirmed
 
 
-def test_fire_before_load_is_refused(generator: Generator) -> None:
-    """There is nothing to fire."""
-    with pytest.raises(RigError, match="fire was called before load"):
+def test_fire_before_load_is_refused(generator: Generator, heard: Any) -> None:
+    """There is nothing to fire, and no output goes on."""
+    with pytest.raises(RigError, match="fire was called before a burst was loaded and verified"):
         generator.fire(0.1)
+    assert not any("ON" in message for message in heard.sent)
+
+
+def test_fire_after_a_load_that_failed_is_refused(
+    generator: Generator, simulator: Simulator, burst: Burst, heard: Any
+) -> None:
+    """A record that could not be verified is not there, whatever the caller makes of the error."""
+    simulator.faults.inject("garbled_upload", when="DATA EMEM,", times=99)
+    with pytest.raises(RigError, match="does not hold the record that was sent"):
+        generator.load(burst)
+    with pytest.raises(RigError, match="before a burst was loaded and verified"):
+        generator.fire(0.1)
+    assert not any("OUTP1 ON" in message for message in heard.sent)
+    simulator.faults.clear()
+    generator.load(burst)
+    assert generator.fire(0.1).confirmed
+
+
+@pytest.mark.parametrize("erased", ["nothing", "the memories too"])
+def test_fire_after_a_power_cycle_sends_no_output_on_before_all_is_verified_again(
+    loaded: Generator, simulator: Simulator, heard: Any, erased: str
+) -> None:
+    """The first try is not confirmed, and no output goes on; the records are read back or sent before the next."""
+    simulator.power_cycle()
+    if erased == "the memories too":
+        simulator.front_panel("SYST:SEC:IMM")
+    assert not loaded.fire(0.1).confirmed
+    assert not any("OUTP1 ON" in message for message in heard.sent)
+    assert len(heard.of("record_sent" if erased == "the memories too" else "record_found")) == 2
+    assert loaded.fire(0.1).confirmed
+
+
+def test_memories_are_locked_while_they_are_needed(
+    loaded: Generator, simulator: Simulator, burst: Burst, open_generator: Callable[..., Generator]
+) -> None:
+    """Nobody stores another record over them at the front panel (-221); whoever comes next can."""
+    loaded.fire(0.1)
+    assert simulator.front_panel("*CLS;:DATA:COPY USER1,EMEM;:SYST:ERR?").startswith("-221")
+    assert simulator.afg.user[1] == burst.codes[0].astype(">u2").tobytes()
+    loaded.stop()
+    assert loaded.firing is not None
+    assert loaded.firing.confirmed
+    loaded.close()
+    assert simulator.front_panel("*CLS;:DATA:COPY USER1,EMEM;:SYST:ERR?").startswith("0,")
 
 
 def test_burst_of_one_channel_is_refused(generator: Generator, make: Callable[..., Burst]) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.rig.link import Link, Log, split_reply
-from modaltouch.rig.settings import MAX_POINTS, Setting
+from modaltouch.rig.settings import MAX_POINTS, Setting, lock_setting
 from modaltouch.rig.transport import LinkError
 
 NO_ERROR = 0
@@ -188,6 +188,7 @@ class Controls:
         if not 2 <= codes.size <= MAX_POINTS:
             raise Unconfirmed(f"a record of {codes.size} points: the generator holds 2 to {MAX_POINTS}")
         self._stored.pop(slot, None)
+        self.apply([lock_setting(slot, "OFF")])
         try:
             self._upload_once(slot, codes, block)
         except Unconfirmed as error:
@@ -256,7 +257,7 @@ class Controls:
 
 def _differences(settings: Sequence[Setting], replies: Sequence[str]) -> list[str]:
     return [
-        f"{setting.header} reads {reply}, {setting.value}{setting.unit} was set"
+        f"{setting.query.replace('?', '')} reads {reply}, {setting.value}{setting.unit} was set"
         for setting, reply in zip(settings, replies, strict=False)
         if not setting.confirmed_by(reply)
     ]

@@ -224,6 +224,8 @@ class Generator:
         try:
             self.stop()
             off = True
+            with contextlib.suppress(LinkError, Unconfirmed):
+                self._player.unlock()
         # Whatever fails, a full disk under the log included: the watchdog is left to do it.
         except Exception as error:
             with contextlib.suppress(Exception):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from typing import Literal
 
 from modaltouch.rig.controls import CHANNELS, Controls, Unconfirmed
@@ -18,6 +19,7 @@ from modaltouch.rig.settings import (
     continuous_settings,
     guarded_settings,
     level_setting,
+    lock_setting,
     record_peaks,
     timer_setting,
 )
@@ -77,7 +79,7 @@ class Player:
         settings: list[Setting] = []
         for channel, record in zip(CHANNELS, codes, strict=True):
             slots.append(self._controls.store(record, channel, slots))
-            settings += make(channel, slots[-1], self._burst)
+            settings += [*make(channel, slots[-1], self._burst), lock_setting(slots[-1], "ON")]
         settings += [] if self._continuous else [timer_setting(self._burst)]
         self._controls.apply_each(settings)
         self._settings = (*guarded_settings(self._limits), *settings)
@@ -90,8 +92,11 @@ class Player:
         RigError
             If nothing is loaded, or the level is beyond a limit.
         """
-        if self._burst is None:
-            raise RigError("fire was called before load; the outputs are off; load a burst first")
+        # Settings are there only once every record was verified and every setting read back.
+        if self._burst is None or not self._settings:
+            raise RigError(
+                "fire was called before a burst was loaded and verified; the outputs are off; load a burst first"
+            )
         return amplitudes(self._burst, self._peaks, velocity, self._limits)
 
     def start(self, commanded: tuple[float, ...], *, silent: bool = False) -> Firing:
@@ -152,6 +157,17 @@ class Player:
         """
         self._controls.apply_each(self._trigger(STOPPED))
         self._at_rest = time.perf_counter() + (self._burst.duration if self._burst is not None else 0.0)
+
+    def unlock(self) -> None:
+        """Leave the memories to whoever comes next.
+
+        Raises
+        ------
+        LinkError, Unconfirmed
+            If the instrument does not confirm it.
+        """
+        locks = [setting for setting in self._settings if setting.of]
+        self._controls.apply_each([replace(setting, value="OFF") for setting in locks])
 
     def _trigger(self, setting: Setting) -> tuple[Setting, ...]:
         return () if self._continuous else (setting,)

@@ -43,24 +43,27 @@ class Setting:
         Sent with a number.
     tolerance : float
         Relative difference that a number may have when it is read back [1].
+    of : str
+        What it is a setting of, where the header does not say.
     """
 
     header: str
     value: float | str
     unit: str = ""
     tolerance: float = 1e-4
+    of: str = ""
 
     @property
     def command(self) -> str:
         """What sets it."""
         if isinstance(self.value, str):
-            return f"{self.header} {self.value}"
+            return f"{self.header} {self.of},{self.value}" if self.of else f"{self.header} {self.value}"
         return f"{self.header} {self.value:.12g}{self.unit}"
 
     @property
     def query(self) -> str:
         """What asks for it."""
-        return f"{self.header}?"
+        return f"{self.header}? {self.of}" if self.of else f"{self.header}?"
 
     def confirmed_by(self, reply: str) -> bool:
         """Return whether a reply says what was set."""
@@ -226,6 +229,11 @@ def continuous_settings(channel: int, slot: int, burst: Burst) -> tuple[Setting,
         Setting(f"{source}:FUNC", f"USER{slot}"),
         Setting(f"{source}:BURS:STAT", "OFF"),
     )
+
+
+def lock_setting(slot: int, state: str) -> Setting:
+    """Return whether a USER memory can be overwritten, at the front panel as well."""
+    return Setting("DATA:LOCK:STAT", state, of=f"USER{slot}")
 
 
 def timer_setting(burst: Burst) -> Setting:
