@@ -1,0 +1,85 @@
+"""``modaltouch run`` without its manual: it asks, refuses what exists, shows the check and waits for `start`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from modaltouch.cli.asking import propose_participant
+
+pytestmark = pytest.mark.timeout(180)
+
+
+@pytest.fixture
+def ask(terminal: Callable[..., Any], tmp_path: Path) -> Callable[..., Any]:
+    """Start the demonstration on a terminal, answered by a model."""
+
+    def start(*words: Any) -> Any:
+        return terminal("run", "protocols/demo.yaml", "--answers", "simulated", "--results", tmp_path, *words)
+
+    return start
+
+
+def expect(terminal: Any, words: str, count: int = 1) -> None:
+    """Wait until some words have been written so often."""
+    terminal.wait_until(lambda: terminal.text.count(words) >= count, f"{words!r} ({count})")
+
+
+def test_it_asks_for_what_is_missing_and_waits_for_start(ask: Callable[..., Any], tmp_path: Path) -> None:
+    """Path tricks are refused, names advised against, Enter takes the proposal, and only `start` starts."""
+    session = ask()
+    expect(session, "Participant id (a code of letters and digits, never a name) [p01]: ")
+    session.type("../../etc\r")
+    expect(session, "is not allowed: use 1 to 32 letters and digits")
+    expect(session, "never a name) [p01]: ", 2)
+    session.type("Anna\r")
+    expect(session, "'Anna' looks like a name")
+    session.type("n\r")
+    expect(session, "never a name) [p01]: ", 3)
+    session.type("\r")
+    expect(session, "Type start to begin")
+    for words in ("12 trials", "Largest speed", "Participant p01, session 1, rig simulated (simulated data)"):
+        assert words in session.text
+    assert not list(tmp_path.rglob("session.jsonl"))
+    session.type("yes?\r")
+    expect(session, "Type start to begin", 2)
+    session.type("start\r")
+    assert session.finish() == 0
+    assert "Done: 12 answers" in session.text
+    assert session.is_restored
+
+
+def test_it_says_what_a_participant_has_and_takes_no_session_twice(ask: Callable[..., Any], tmp_path: Path) -> None:
+    """The next free number is proposed; a given one that exists is refused before anything is shown."""
+    assert ask("-p", "p07", "--yes").finish() == 0
+    session = ask("-p", "p07")
+    expect(session, "p07 has session 1: complete")
+    expect(session, "Session number [2]: ")
+    session.type("1\r")
+    expect(session, "allowed: a number from 1 that is not taken")
+    session.type("\r")
+    expect(session, "Participant p07, session 2")
+    session.type("q\r")
+    assert session.finish() == 130
+    assert "not started; nothing was recorded" in session.text
+    assert len(list(tmp_path.rglob("session.jsonl"))) == 1
+    refused = ask("-p", "p07", "-s", "1")
+    assert refused.finish() == 4
+    assert "exists already and is never overwritten" in refused.text.replace("\r\n", "")
+    assert "Type start" not in refused.text
+    proposed = ask()
+    expect(proposed, "never a name) [p08]: ")
+    proposed.type("\x03")
+    assert proposed.finish() == 130
+    assert "not started; nothing was recorded" in proposed.text
+
+
+def test_the_next_participant_follows_the_last_one(tmp_path: Path) -> None:
+    """Letters and width are kept; ids without a number propose none."""
+    assert propose_participant(tmp_path / "absent") == "p01"
+    for name in ("sub-anonymous", "sub-P007", "sub-P012"):
+        (tmp_path / name).mkdir()
+    assert propose_participant(tmp_path) == "P013"
