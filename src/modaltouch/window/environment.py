@@ -2,11 +2,34 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import sys
 import tempfile
+from types import ModuleType
+from typing import Any
 
 from modaltouch.window.interface import WindowError
+
+
+_SELDOM_USED = ("json_tricks", "pandas", "requests", "scipy.interpolate")
+"""What PsychoPy imports before any window and uses for monitor files, spreadsheets and downloaded fonts alone."""
+
+
+class _PutOff(ModuleType):
+    """Stands for a module until something of it is wanted; Python's own lazy loader gives way at a second import."""
+
+    def __getattr__(self, name: str) -> Any:
+        if sys.modules.get(self.__name__) is self:
+            del sys.modules[self.__name__]
+        return getattr(importlib.import_module(self.__name__), name)
+
+
+def put_off_imports() -> None:
+    """Have what PsychoPy seldom uses imported at its first use: half of the time until the window opens."""
+    for name in _SELDOM_USED:
+        if name not in sys.modules:
+            sys.modules[name] = _PutOff(name)
 
 
 def prepare_environment() -> None:
