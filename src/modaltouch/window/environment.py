@@ -11,7 +11,6 @@ from typing import Any
 
 from modaltouch.window.interface import WindowError
 
-
 _SELDOM_USED = ("json_tricks", "pandas", "requests", "scipy.interpolate")
 """What PsychoPy imports before any window and uses for monitor files, spreadsheets and downloaded fonts alone."""
 
