@@ -18,9 +18,16 @@ from modaltouch.window.virtual_display import virtual_display
 
 pytestmark = [pytest.mark.window, pytest.mark.timeout(300)]
 ROOT = Path(__file__).resolve().parents[2]
-TITLE = "Demonstration"
+TITLE = "Differentiated haptic stimulation"
 BUTTONS = {"left": (320, 620), "both": (640, 620), "right": (960, 620)}
 """Middles of the answer buttons in a window of 1280 x 800 pixels, from its top left corner."""
+NOBODY = 65534
+"""The user of no rights, on every Unix."""
+AS_NOBODY = (
+    "setpriv", f"--reuid={NOBODY}", f"--regid={NOBODY}", "--clear-groups", "--bounding-set=-all,+dac_read_search",
+    "--inh-caps=-all,+dac_read_search", "--ambient-caps=-all,+dac_read_search",
+)  # fmt: skip
+"""An ordinary user, who may only read what root may: the interpreter of the tests may lie in root's own folder."""
 
 
 @pytest.fixture(scope="module")
@@ -37,20 +44,47 @@ def outside_hands(empty_display: str, make_hands: Callable[[str], Any]) -> Any:
 
 
 @pytest.fixture
-def process(empty_display: str, tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
-    """Start a session of the demonstration for a person at the window."""
-    command = [sys.executable, "-m", "modaltouch", "run", "protocols/demo.yaml", "-p", "p01", "--yes"]
-    started = subprocess.Popen(
-        [*command, "--results", str(tmp_path), "--json"],
-        cwd=ROOT,
-        env={**os.environ, "DISPLAY": empty_display},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
+def protocol(edit: Callable[..., Path]) -> Path:
+    """Give the paper's 24 trials without the protocol's pauses."""
+    return edit(
+        "differentiated_stimulation.yaml",
+        ("question_delay_s: 0.5", "question_delay_s: 0.1"),
+        ("pause_s: 1.0", "pause_s: 0.1"),
+        ("practice_trials: 3", "practice_trials: 1"),
     )
-    with started:
-        yield started
-        started.kill()
+
+
+@pytest.fixture
+def start(empty_display: str, tmp_path: Path, protocol: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    """Start a session for a person at the window, as the tests' own user or as an ordinary one."""
+    opened: list[subprocess.Popen[str]] = []
+
+    def begin(*, as_nobody: bool = False) -> subprocess.Popen[str]:
+        home, results = tmp_path / "home", tmp_path / "results"
+        for folder in (home, results):
+            folder.mkdir()
+        if as_nobody:
+            for folder in (home, results):
+                os.chown(folder, NOBODY, NOBODY)
+            for folder in (tmp_path, *tmp_path.parents[:2]):
+                folder.chmod(0o755)
+        words = [sys.executable, "-m", "modaltouch", "run", str(protocol), "-p", "p01", "--yes", "--json"]
+        opened.append(
+            subprocess.Popen(
+                [*(AS_NOBODY if as_nobody else ()), *words, "--results", str(results)],
+                cwd=ROOT,
+                env={**os.environ, "DISPLAY": empty_display, **({"HOME": str(home)} if as_nobody else {})},
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+            )
+        )
+        return opened[-1]
+
+    yield begin
+    for process in opened:
+        with process:
+            process.kill()
 
 
 def events(results: Path) -> list[dict[str, Any]]:
@@ -76,14 +110,20 @@ def wait_for_window(hands: Any, process: subprocess.Popen[str]) -> None:
     raise TimeoutError(TITLE)
 
 
+@pytest.mark.parametrize("user", ["tests' own", "ordinary"])
 def test_keys_and_clicks_lead_through_a_whole_session(
-    process: subprocess.Popen[str], outside_hands: Any, tmp_path: Path
+    start: Callable[..., subprocess.Popen[str]], outside_hands: Any, tmp_path: Path, user: str
 ) -> None:
-    """Expected: twelve answers, those given, by key and by mouse in turn; every step by Enter."""
+    """Expected: 24 answers, those given, by key and by mouse in turn; every step by Enter; as any user.
+
+    Whoever is not root is an ordinary user already; root drops its rights for the second run.
+    """
+    as_nobody = user == "ordinary" and os.getuid() == 0
+    process = start(as_nobody=as_nobody)
     wait_for_window(outside_hands, process)
     left, top = outside_hands.origin(TITLE)
     given: list[tuple[str, str]] = []
-    end = time.monotonic() + 150
+    end = time.monotonic() + 200
     while process.poll() is None and time.monotonic() < end:
         answer = ("left", "both", "right")[len(given) % 3]
         n_before = sum(event["event"] == "trial" for event in events(tmp_path))
@@ -103,25 +143,39 @@ def test_keys_and_clicks_lead_through_a_whole_session(
     log = events(tmp_path)
     trials = [event for event in log if event["event"] == "trial"]
     assert [(event["response"]["answer"], event["response"]["device"]) for event in trials] == given
-    assert sum(not event["trial"]["practice"] for event in trials) == 12
+    assert sum(not event["trial"]["practice"] for event in trials) == 24
     assert {event["response"]["answered_by"] for event in trials} == {"participant"}
     assert log[-1]["event"] == "stop"
     assert log[-1]["reason"] == "finished"
     assert json.loads(out)
+    if as_nobody:
+        log_file = next(tmp_path.rglob("session.jsonl"))
+        assert log_file.stat().st_uid == NOBODY
+        assert log_file.stat().st_mode & 0o777 == 0o600
 
 
 @pytest.mark.parametrize(
-    ("way", "returncode", "reason"), [("close button", 130, "window closed"), ("Ctrl-C", 130, "SIGINT")]
+    ("way", "returncode", "reason"),
+    [("close button", 130, "window closed"), ("Ctrl-C", 130, "SIGINT"), ("F12", 130, "emergency stop")],
 )
 def test_a_session_that_is_ended_keeps_what_it_has(
-    process: subprocess.Popen[str], outside_hands: Any, tmp_path: Path, way: str, returncode: int, reason: str
+    start: Callable[..., subprocess.Popen[str]],
+    outside_hands: Any,
+    tmp_path: Path,
+    way: str,
+    returncode: int,
+    reason: str,
 ) -> None:
-    """Expected: exit status 130 and the reason in the log, whether the window is closed or Ctrl-C pressed."""
+    """Expected: exit status 130 and the reason in the log: window closed, Ctrl-C, or the key for emergencies."""
+    process = start()
     wait_for_window(outside_hands, process)
     while not events(tmp_path):
         time.sleep(0.05)
     if way == "Ctrl-C":
         process.send_signal(signal.SIGINT)
+    elif way == "F12":
+        time.sleep(0.5)
+        outside_hands.key("F12")
     else:
         outside_hands.press_close_button(TITLE)
     _, err = process.communicate(timeout=60)
