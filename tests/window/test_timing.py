@@ -10,6 +10,7 @@ import pytest
 from modaltouch.window.timing import WindowTiming, measure_timing
 
 GOOD = WindowTiming(
+    display="the screen",
     n_frames=120,
     n_dropped=0,
     frame_median=1 / 60,

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from modaltouch.cli.faults import RECORD_AT_RISK, RIG_FAILED, print_json, reporting
+from modaltouch.cli.rigs import APPARATUS
+
+if TYPE_CHECKING:
+    from modaltouch.rig.latency import CommandLatency
+    from modaltouch.window.timing import WindowTiming
 
 MARKS = {"ok": ("ok", "green"), "warning": ("warning", "yellow"), "fault": ("FAULT", "red")}
 
@@ -42,7 +48,13 @@ def doctor(
         typer.Option(help="Recover the session into this new results folder.", show_default=False),
     ] = None,
     results: Annotated[Path, typer.Option(help="Folder where sessions would be recorded.")] = Path("results"),
-    timing: Annotated[bool, typer.Option(help="Open the window and measure frames and keys, some seconds.")] = False,
+    timing: Annotated[
+        bool, typer.Option("--timing", help="Measure frames, keys, generator and clock instead, some seconds.")
+    ] = False,
+    rig: Annotated[
+        str, typer.Option(help="For --timing: `simulated`, or the generator's VISA address; nothing is played.")
+    ] = "simulated",
+    apparatus: APPARATUS = Path("protocols/apparatus/beam_100x6x2.yaml"),
     json_output: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
 ) -> None:
     """Look at what this machine has of what a session needs, and say what to do about the rest.
@@ -59,7 +71,7 @@ def doctor(
         if into is not None:
             raise typer.BadParameter("--into needs a session: modaltouch doctor SESSION --into FOLDER")
         if timing:
-            _measure(json_output=json_output)
+            _measure(rig, apparatus, json_output=json_output)
             return
         findings = examine_machine(results)
         if json_output:
@@ -94,7 +106,38 @@ def _examine_record(session: Path, into: Path | None, *, json_output: bool) -> N
         raise typer.Exit(RECORD_AT_RISK)
 
 
-def _measure(*, json_output: bool) -> None:
+def _measure(rig: str, apparatus: Path, *, json_output: bool) -> None:
+    """Say how exactly window, keyboard, generator and clock keep time; one that cannot be reached is a fault."""
+    from modaltouch.clock import measure_clock
+    from modaltouch.rig.interface import RigError
+    from modaltouch.window.interface import WindowError
+
+    figures: dict[str, Any] = {}
+    verdicts: dict[str, str] = {}
+    faults: dict[str, str] = {}
+    for subject, measure in (
+        ("window", _measure_window),
+        ("generator", lambda: _measure_generator(rig, apparatus)),
+        ("clock", measure_clock),
+    ):
+        try:
+            measured = measure()
+        except (WindowError, RigError) as error:
+            faults[subject] = str(error)
+        else:
+            figures[subject], verdicts[subject] = measured.as_dict(), measured.verdict
+    if json_output:
+        print_json({**figures, "verdicts": verdicts, "faults": faults})
+    else:
+        for subject, verdict in verdicts.items():
+            typer.echo(f"{subject:10} {verdict}")
+        for subject, fault in faults.items():
+            typer.echo(f"{subject:10} {typer.style('FAULT', fg='red')} {fault}")
+    if faults:
+        raise typer.Exit(RIG_FAILED)
+
+
+def _measure_window() -> WindowTiming:
     from modaltouch.window.screen import Screen
     from modaltouch.window.timing import measure_timing
     from modaltouch.window.virtual_display import some_display
@@ -102,10 +145,17 @@ def _measure(*, json_output: bool) -> None:
     with some_display() as where:
         screen = Screen(title="modaltouch doctor")
         try:
-            measured = measure_timing(screen)
+            return measure_timing(screen, display=where)
         finally:
             screen.close()
-    if json_output:
-        print_json({"display": where, **measured.as_dict(), "verdict": measured.verdict})
-        return
-    print(f"On {where}: {measured.verdict}")
+
+
+def _measure_generator(rig: str, apparatus: Path) -> CommandLatency:
+    from modaltouch.apparatus import read_apparatus
+    from modaltouch.rig import start_simulator
+    from modaltouch.rig.latency import measure_latency
+
+    parts = read_apparatus(apparatus)
+    with ExitStack() as stack:
+        address = stack.enter_context(start_simulator(parts)).address if rig == "simulated" else rig
+        return measure_latency(address, parts)

@@ -33,6 +33,8 @@ class WindowTiming:
 
     Attributes
     ----------
+    display : str
+        What it was measured on, in words.
     n_frames, n_dropped : int
         Frames shown, and those that took 1.5 times the usual time or more.
     frame_median, frame_p95 : float
@@ -47,6 +49,7 @@ class WindowTiming:
         From the injection of a key to its time stamp [s]; None if no key was seen.
     """
 
+    display: str
     n_frames: int
     n_dropped: int
     frame_median: float
@@ -97,7 +100,9 @@ class WindowTiming:
         return " ".join(lines)
 
 
-def measure_timing(screen: Screen, *, n_frames: int = 120, n_keys: int = 60) -> WindowTiming:
+def measure_timing(
+    screen: Screen, *, n_frames: int = 120, n_keys: int = 60, display: str = "the screen"
+) -> WindowTiming:
     """Return how exactly a window shows pictures and sees keys; takes some seconds.
 
     Parameters
@@ -106,6 +111,8 @@ def measure_timing(screen: Screen, *, n_frames: int = 120, n_keys: int = 60) -> 
         An open window that has the keyboard.
     n_frames, n_keys : int
         How many frames to show, and keys to inject.
+    display : str
+        What the window is on, in words.
 
     Raises
     ------
@@ -120,6 +127,7 @@ def measure_timing(screen: Screen, *, n_frames: int = 120, n_keys: int = 60) -> 
     seen = [delay for delay in delays if delay is not None]
     usual = float(np.median(frames))
     return WindowTiming(
+        display=display,
         n_frames=n_frames,
         n_dropped=int(np.sum(frames > _LATE_FRAME * usual)),
         frame_median=usual,
