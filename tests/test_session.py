@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from modaltouch.adaptive import Levels
+from modaltouch.masking.interface import MaskingError, NoMasking
 from modaltouch.protocol import Experiment, Protocol, read_protocol
 from modaltouch.record.log import SessionLog
 from modaltouch.rig.interface import Firing, RigError
@@ -296,3 +297,45 @@ def test_a_catch_trial_is_asked_like_any_other_and_drives_nothing(sit: Callable[
     assert not any(
         "catch" in event for event in events(sitting, "trial") if event["trial"]["condition"]["velocity_mm_s"]
     )
+
+
+class FragileNoise(NoMasking):
+    """Masking that is lost during the third trial and, where it is demanded, cannot be had again."""
+
+    def __init__(self, *, required: bool) -> None:
+        super().__init__("stands in")
+        object.__setattr__(self, "n_ensured", 0)
+        object.__setattr__(self, "required", required)
+
+    def ensure(self, tick: Callable[[], object]) -> None:
+        object.__setattr__(self, "n_ensured", self.n_ensured + 1)  # type: ignore[attr-defined]
+        if self.n_ensured > 3 and self.required:  # type: ignore[attr-defined]
+            raise MaskingError("no sound device")
+
+    @property
+    def is_on(self) -> bool | None:
+        return bool(self.n_ensured < 3)  # type: ignore[attr-defined]
+
+
+def test_each_trial_says_whether_it_was_masked(sit: Callable[..., Sitting]) -> None:
+    """Expected: two masked trials, then none, where the protocol does not demand the noise; all are answered."""
+    sitting = replace(sit(), masking=FragileNoise(required=False))
+    conduct(sitting)
+    masked = [event["masked"] for event in events(sitting, "trial")]
+    assert masked == [True, True, *([False] * 11)]
+
+
+def test_a_lost_noise_that_is_demanded_ends_the_session_before_the_next_trial(sit: Callable[..., Sitting]) -> None:
+    """Expected: the third answer is kept as not masked, and nothing is fired after it."""
+    sitting = replace(sit(), masking=FragileNoise(required=True))
+    with pytest.raises(MaskingError, match="no sound device"):
+        conduct(sitting)
+    assert [event["masked"] for event in events(sitting, "trial")] == [True, True, False]
+    assert sum(told.startswith("fire") for told in sitting.rig.told) == 3  # type: ignore[attr-defined]
+
+
+def test_a_protocol_without_masking_says_nothing_of_it(sit: Callable[..., Sitting]) -> None:
+    """Expected: no such key in any trial."""
+    sitting = sit()
+    conduct(sitting)
+    assert not any("masked" in event for event in events(sitting, "trial"))

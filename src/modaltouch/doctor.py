@@ -51,7 +51,17 @@ def examine_machine(results: Path) -> tuple[Finding, ...]:
     results : Path
         Where sessions would be recorded.
     """
-    return (_python(), *_packages(), _display(), _opengl(), _virtual_display(), _visa(), _usb(), _disk(results))
+    return (
+        _python(),
+        *_packages(),
+        _display(),
+        _opengl(),
+        _virtual_display(),
+        _sound(),
+        _visa(),
+        _usb(),
+        _disk(results),
+    )
 
 
 def _python() -> Finding:
@@ -105,6 +115,19 @@ def _virtual_display() -> Finding:
     if path:
         return Finding("virtual display", "ok", path)
     return Finding("virtual display", "warning", "Xvfb is absent", "install xvfb to run the demo without a screen")
+
+
+def _sound() -> Finding:
+    from modaltouch.masking.interface import MaskingError
+    from modaltouch.masking.player import default_device
+
+    try:
+        device = default_device()
+    except MaskingError as error:
+        remedy = "needed only where a protocol demands masking noise: connect a sound device, or install libportaudio2"
+        return Finding("sound", "warning", str(error).partition(";")[0], remedy)
+    found = f"{device['name']}, {device['default_samplerate']:g} Hz, {device['max_output_channels']} channels"
+    return Finding("sound", "ok", found)
 
 
 def _visa() -> Finding:

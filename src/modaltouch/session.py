@@ -9,6 +9,7 @@ from typing import Any
 
 from modaltouch.adaptive import Levels
 from modaltouch.console.experimenter import Experimenter
+from modaltouch.masking.interface import Masking, NoMasking
 from modaltouch.practice import expected_answer, judge_round
 from modaltouch.protocol import Protocol, ScheduleSection
 from modaltouch.record.instants import describe_instants
@@ -45,6 +46,8 @@ class Sitting:
         Called between steps; raises when the session was told to end.
     experimenter : Experimenter
         Is told what happens, and asks for repeats and for the end of the session after a block.
+    masking : Masking
+        Noise that masks the sound of the beam.
     """
 
     protocol: Protocol
@@ -58,6 +61,7 @@ class Sitting:
     save_view: Callable[[], None]
     tick: Tick
     experimenter: Experimenter = field(default_factory=Experimenter)
+    masking: Masking = field(default_factory=NoMasking)
 
 
 def conduct(sitting: Sitting) -> None:
@@ -68,7 +72,7 @@ def conduct(sitting: Sitting) -> None:
 
     Raises
     ------
-    SessionStopped, Interrupted, RigError, RecordError, WindowError
+    SessionStopped, Interrupted, RigError, RecordError, WindowError, MaskingError
         Whatever ended the session early; what was answered is kept.
     """
     sitting.window.welcome()
@@ -212,6 +216,7 @@ def present(sitting: Sitting, trial: Trial) -> tuple[Response, Firing, RigError 
             faults.append(error)
 
     while True:
+        sitting.masking.ensure(sitting.tick)
         firing = fire(sitting, trial)
         try:
             # Whatever ends the session now, the record knows that this stimulus had begun.
@@ -254,6 +259,7 @@ def fire(sitting: Sitting, trial: Trial) -> Firing:
 def write_down(sitting: Sitting, trial: Trial, response: Response, firing: Firing) -> None:
     """Put the answer on the disk: planned, commanded, confirmed and answered apart."""
     speed_left, speed_right = sitting.speeds(trial)
+    masked = sitting.masking.is_on
     values, answered = trial.as_dict(), firing.onset + response.counted_from + response.reaction_time
     sitting.log.append(
         "trial",
@@ -261,6 +267,7 @@ def write_down(sitting: Sitting, trial: Trial, response: Response, firing: Firin
         presentation=sum(event["event"] == "fired" and event["trial"] == values for event in sitting.log.events),
         fingers=list(fingers(sitting.protocol, trial)),
         **({"catch": True} if trial.condition.is_catch else {}),
+        **({"masked": masked} if masked is not None else {}),
         planned={
             "velocity_mm_s": trial.condition.velocity_mm_s,
             "speed_left_mm_s": round(speed_left * 1e3, 3),

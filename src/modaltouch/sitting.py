@@ -16,6 +16,7 @@ from modaltouch.console.interface import Console, Silence
 from modaltouch.console.status import Status
 from modaltouch.document import InputError
 from modaltouch.interruption import Interrupted, Interruption
+from modaltouch.masking.interface import Masking, MaskingError, NoMasking
 from modaltouch.preflight import Preflight
 from modaltouch.preflight.figures import estimated_duration
 from modaltouch.protocol.calibration_file import generator_problem
@@ -39,6 +40,9 @@ OpenRig = Callable[[Callable[..., None]], AbstractContextManager[Rig]]
 OpenWindow = Callable[[Tick, Callable[..., None]], AnswerWindow]
 """Opens the answer window, given the tick it must call while it waits and a function that takes its events."""
 
+OpenMasking = Callable[[Callable[..., None]], Masking]
+"""Opens the masking noise, given a function that takes its events."""
+
 
 @dataclass(frozen=True)
 class Setup:
@@ -52,8 +56,8 @@ class Setup:
         The participant's trials.
     place : SessionFolder
         Where it is recorded.
-    open_rig, open_window : callable
-        How the instrument and the window are opened.
+    open_rig, open_window, open_masking : callable
+        How the instrument, the window and the masking noise are opened.
     facts : dict
         What else the start record should say: rig, answers, seed.
     replaces : SessionFolder or None
@@ -72,6 +76,7 @@ class Setup:
     place: SessionFolder
     open_rig: OpenRig
     open_window: OpenWindow
+    open_masking: OpenMasking = lambda log: NoMasking()
     facts: dict[str, Any] = field(default_factory=dict)
     replaces: SessionFolder | None = None
     drawn_as: int | None = None
@@ -215,11 +220,12 @@ def _sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessi
             rig.heartbeat()
             return experimenter.attend()
 
+        masking = stack.enter_context(setup.open_masking(journal.event))
         window = stack.enter_context(setup.open_window(tick, journal.event))
         describe_dataset(setup.place, setup.preflight.experiment.protocol.title)
         with hold_dataset(setup.place):
             setup = _allotted(setup)
-            log = stack.enter_context(open_log(setup.place, _describe(setup, rig, window, first)))
+            log = stack.enter_context(open_log(setup.place, _describe(setup, rig, window, masking, first)))
         journal.open(log)
         for event in log.events:
             experimenter.tell(event)
@@ -227,7 +233,9 @@ def _sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessi
         ending = {"reason": "finished"}
         try:
             list_participants(setup.place)
-            conduct(replace(_sitting(setup, rig, window, log, journal, tick, levels), experimenter=experimenter))
+            masking.start()
+            sitting = _sitting(setup, rig, window, log, journal, tick, levels)
+            conduct(replace(sitting, experimenter=experimenter, masking=masking))
         except BaseException as error:
             ending = _ending(error)
             error.add_note(f"everything answered is kept; go on with `modaltouch resume {setup.place.folder}`")
@@ -298,10 +306,12 @@ def _sitting(
     )
 
 
-def _describe(setup: Setup, rig: Rig, window: AnswerWindow, first: str) -> dict[str, Any]:
+def _describe(setup: Setup, rig: Rig, window: AnswerWindow, masking: Masking, first: str) -> dict[str, Any]:
     experiment, schedule, burst = setup.preflight.experiment, setup.schedule, setup.preflight.stimulus.burst
+    noise = masking.describe()
     about = {
         **setup.facts,
+        **({"masking": noise} if noise is not None else {}),
         "rig": {"identity": rig.identity, "address": rig.address},
         "window": window.describe(),
         "versions": versions(),
@@ -338,8 +348,9 @@ def _ending(error: BaseException) -> dict[str, str]:
         return {"reason": error.reason}
     if isinstance(error, Interrupted):
         return {"reason": error.signal_name}
-    kinds: dict[type[BaseException], Literal["rig fault", "window lost", "record fault"]] = {
+    kinds: dict[type[BaseException], Literal["rig fault", "window lost", "record fault", "masking lost"]] = {
         RigError: "rig fault",
+        MaskingError: "masking lost",
         WindowError: "window lost",
         RecordError: "record fault",
     }

@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from modaltouch.allotment import next_session, recorded_turn
+from modaltouch.masking.interface import Masking, NoMasking
+from modaltouch.masking.player import open_masking
 from modaltouch.observer import Observer
 from modaltouch.observer.felt import Felt
 from modaltouch.preflight import Preflight, examine_findings
@@ -99,6 +101,14 @@ class Wires:
             answerer=None if self._answers == "window" else self._answerer(),
             **self._window_options,
         )
+
+    def open_masking(self, log: Callable[..., None]) -> Masking:
+        """Open the masking noise that the protocol wants, where there is a person to hear it."""
+        experiment = self._preflight.experiment
+        section = experiment.protocol.masking
+        if section is not None and self._answers != "window":
+            return NoMasking("a simulated participant hears nothing")
+        return open_masking(section, experiment.apparatus.sound, log)
 
     def _answerer(self) -> Answerer:
         person = self._observer.draw(random_generator(*self._person, "observer"))
@@ -272,7 +282,7 @@ def _setup(
     facts: dict[str, Any] = {"seed": seed, "rig_choice": rig, "answers_choice": answers}
     if answers != "window":
         facts["observer"] = observer.as_dict()
-    return Setup(preflight, schedule, place, wires.open_rig, wires.open_window, facts)
+    return Setup(preflight, schedule, place, wires.open_rig, wires.open_window, wires.open_masking, facts)
 
 
 def mode_of(rig: str, answers: AnswersBy, *, pilot: bool) -> Mode:

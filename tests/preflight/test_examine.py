@@ -359,3 +359,60 @@ def test_check_loads_neither_screen_nor_instrument_nor_tables() -> None:
     done = subprocess.run([sys.executable, "-c", code, file], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
     assert time.perf_counter() - begin < 20
+
+
+OLD = "answers:\n  given_by"
+
+
+@pytest.mark.parametrize(
+    ("masking", "sound", "fault"),
+    [
+        (
+            "level_dB_FS: -5",
+            "",
+            "masking.level_dB_FS: given -5 dB FS, at which the peaks of the pink noise pass full scale",
+        ),
+        ("noise: white, level_dB_FS: -5", "", "the peaks of the white noise pass full scale; allowed: at most -1"),
+        (
+            "level_dB_SPL: 95",
+            "100",
+            "given 95 dB SPL, at which the peaks of the pink noise pass full scale; allowed: at m",
+        ),
+        ("level_dB_SPL: 60", "", "masking.level_dB_SPL: given 60 dB SPL for a loudspeaker that was not calibrated"),
+        ("noise: pink", "", "masking: given no level; allowed: one of level_dB_FS and level_dB_SPL"),
+        ("level_dB_FS: -20, level_dB_SPL: 60", "100", "masking: given level_dB_FS and level_dB_SPL"),
+        ("noise: brown, level_dB_FS: -20", "", "masking.noise: given 'brown'"),
+    ],
+)
+def test_a_masking_noise_that_cannot_be_played_as_asked_is_a_fault(
+    edit: Callable[..., Path], masking: str, sound: str, fault: str
+) -> None:
+    """Beyond the crest factor, without calibration, with no level or two: told with its place before anybody sits."""
+    file = edit("differentiated_stimulation.yaml", (OLD, f"masking: {{{masking}}}\n{OLD}"))
+    if sound:
+        edit("apparatus/beam_100x6x2.yaml", ("\nsafety:", f"\nsound: {{full_scale_dB_SPL: {sound}}}\nsafety:"))
+    (problem,) = examine(file).problems
+    assert fault in str(problem)
+    assert "differentiated_stimulation.yaml:" in str(problem)
+
+
+@pytest.mark.parametrize(
+    ("masking", "sound", "warning"),
+    [
+        ("level_dB_FS: -20", "", "its level at the ear is unknown"),
+        ("level_dB_SPL: 85", "100", "above 80 dB it may harm hearing"),
+        ("level_dB_SPL: 70", "100", ""),
+    ],
+)
+def test_a_lab_is_told_what_its_noise_does_to_ears(
+    edit: Callable[..., Path], masking: str, sound: str, warning: str
+) -> None:
+    """An unknown level and a loud one are warned of; 70 dB SPL with a calibration is nothing to be told."""
+    file = edit("differentiated_stimulation.yaml", (OLD, f"masking: {{{masking}}}\n{OLD}"))
+    if sound:
+        edit("apparatus/beam_100x6x2.yaml", ("\nsafety:", f"\nsound: {{full_scale_dB_SPL: {sound}}}\nsafety:"))
+    preflight = examine(file)
+    assert preflight.problems == ()
+    said = [each for each in preflight.as_dict()["warnings"] if "masking noise" in each]
+    assert len(said) == bool(warning)
+    assert all(warning in each for each in said)

@@ -18,6 +18,7 @@ FAULTS = {
     "resume": "sessions interrupted and resumed",
     "stop": "sittings ended early",
     "rig": "troubles with the instrument, all overcome or followed by an end",
+    "masking_lost": "losses of the masking noise",
     "torn": "lines cut while they were written",
 }
 
@@ -220,7 +221,7 @@ def _kinds_of_fault(event: dict[str, Any]) -> Iterator[str]:
     if said & RIG_TROUBLES:
         yield "rig"
     # Every sitting ends with a stop; only one before the last trial is a deviation.
-    if kind in ("trial_cut", "unconfirmed", "resume") or (kind == "stop" and not event.get("complete")):
+    if kind in ("trial_cut", "unconfirmed", "resume", "masking_lost") or (kind == "stop" and not event.get("complete")):
         yield kind
 
 
@@ -241,12 +242,23 @@ def _settings_of(start: dict[str, Any]) -> dict[str, object]:
         "rig address": start.get("rig", {}).get("address"),
         "protocol": start.get("protocol"),
         "apparatus": start.get("apparatus"),
+        "masking noise": _masking_in_words(start.get("masking")),
         "study seed": start.get("seed"),
         "burst": str(start.get("stimulus", {}).get("content_hash", ""))[:16],
         "modaltouch": start.get("versions", {}).get("modaltouch"),
         "commit": str(start.get("commit", ""))[:13],
         "python": start.get("versions", {}).get("python"),
     }
+
+
+def _masking_in_words(masking: dict[str, Any] | None) -> str:
+    if not masking:
+        return ""
+    if masking["state"] != "masked":
+        return f"none: {masking['reason']}"
+    at_ear = masking["level_dB_SPL"]
+    level = f"{masking['level_dB_FS']:g} dB FS" + (f", {at_ear:g} dB SPL" if at_ear is not None else "")
+    return f"{masking['noise']}, {level}, on {masking['device']}"
 
 
 def _settings(sessions: Sequence[SessionFacts]) -> dict[str, str]:

@@ -15,6 +15,7 @@ from modaltouch.apparatus.sections import (
     Generator,
     Mode,
     Safety,
+    Sound,
     Zone,
 )
 from modaltouch.apparatus.twin import Fingers, Scope, TrueAmplifier, Twin, UnlistedMode, Vibrometer
@@ -38,6 +39,7 @@ __all__ = [
     "Safety",
     "Scope",
     "Section",
+    "Sound",
     "TrueAmplifier",
     "Twin",
     "UnlistedMode",

@@ -128,6 +128,19 @@ class Acquisition(Section):
     )
 
 
+class Sound(Section):
+    """What plays sound to the participant."""
+
+    device: Text = described("Part of the sound device's name; empty for the system's own choice.", default="")
+    sampling_rate_Hz: Annotated[float, Field(strict=True, ge=8000, le=192_000)] = described(  # noqa: N815
+        "Samples per second [Hz].", default=48_000.0
+    )
+    full_scale_dB_SPL: Annotated[float, Field(strict=True, ge=0, le=200)] | None = described(  # noqa: N815
+        "Sound pressure level at the ear for a sine of full scale [dB SPL]; null where it was not measured.",
+        default=None,
+    )
+
+
 class Apparatus(Section):
     """Everything a lab has on its table."""
 
@@ -146,6 +159,7 @@ class Apparatus(Section):
     generator: Generator = described("The arbitrary function generator.", default=Generator())
     acquisition: Acquisition = described("What velocity and drive are measured with.", default=Acquisition())
     identified: Identified | None = described("The identification that the table of modes comes from.", default=None)
+    sound: Sound = described("What plays sound to the participant.", default=Sound())
     twin: Twin = described("What the simulated rig has and the tables have not.", default=Twin())
 
     def modal_model(self) -> ModalModel:

@@ -56,6 +56,7 @@ class Status:
         self._trials: dict[int, dict[str, Any]] = {}
         self._durations: list[float] = []
         self._answered_at: float | None = None
+        self._unmasked = ""
 
     def take(self, event: dict[str, Any]) -> bool:
         """Take in an event of the record, or one that happens now, and return whether it changed what is shown.
@@ -93,7 +94,10 @@ class Status:
             "answers": dict(answers),
             "elapsed_s": round(self._clock() - self._began, 1),
             "time_left_s": round(left * self._pace(), 1),
-            "warnings": read_signs(list(self._trials.values()), offers_none=self._offers_none),
+            "warnings": [
+                *([self._unmasked] if self._unmasked else []),
+                *read_signs(list(self._trials.values()), offers_none=self._offers_none),
+            ],
         }
 
     def _pace(self) -> float:
@@ -111,6 +115,12 @@ class Status:
         self._facts["generator"]["identity"] = event["rig"]["identity"]
         self._facts |= {"state": "waiting", "stopped_by": ""}
         self._answered_at = None
+
+    def _on_masking(self, event: dict[str, Any]) -> None:
+        self._unmasked = ""
+
+    def _on_masking_lost(self, event: dict[str, Any]) -> None:
+        self._unmasked = f"the beam is not masked: {event['reason']}"
 
     def _on_trial_next(self, event: dict[str, Any]) -> None:
         self._facts |= {"state": "waiting", "trial": event["trial"]}

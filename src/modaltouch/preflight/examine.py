@@ -21,6 +21,7 @@ from modaltouch.preflight.figures import (
 )
 from modaltouch.preflight.ground import Ground, design, find_ground
 from modaltouch.preflight.limits import check_levels, fits_generator
+from modaltouch.preflight.sound import check_masking_level, sound_warnings
 from modaltouch.protocol import Experiment, Findings, Protocol, examine_files
 from modaltouch.schedule import draw_schedule
 from modaltouch.stimulus.design import Stimulus
@@ -170,6 +171,7 @@ class Preflight:
                 *field_warnings(ground, stimulus, self.stimuli),
                 *warnings(ground, stimulus, self.stimuli),
                 *answer_warnings(protocol),
+                *sound_warnings(protocol, self.experiment.apparatus),
                 *default_warnings(values["defaults"]),
             ],
             "contrasts": contrasts(protocol, self.stimuli[-1]["zone_peak_mm_s"]),
@@ -239,7 +241,7 @@ def examine_findings(findings: Findings) -> Preflight:
         except (ValueError, ArithmeticError) as error:
             problems.append(locate(error, findings))
     if findings.protocol is not None and findings.protocol.value is not None:
-        problems += _check_schedule(findings)
+        problems += [*_check_schedule(findings), *check_masking_level(findings)]
     return Preflight(findings, tuple(sorted(set(problems))), ground, stimulus)
 
 

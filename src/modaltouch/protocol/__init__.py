@@ -2,6 +2,7 @@
 
 ``sections``    the protocol file's keys
 ``texts``       the words the participant reads
+``masking``     the keys of the masking noise
 ``adaptive``    the keys of adaptive runs
 ``observers``   the keys of an observer file
 ``keys``        names of the keys that can answer
@@ -24,6 +25,8 @@ from modaltouch.protocol.experiment import (
     restore_experiment,
 )
 from modaltouch.protocol.keys import END_KEY, KEY_NAMES, RESERVED_KEYS
+from modaltouch.protocol.masking import MaskingSection
+from modaltouch.protocol.schemas import write_schemas
 from modaltouch.protocol.sections import (
     AnswersSection,
     CalibrationSection,
@@ -49,6 +52,7 @@ __all__ = [
     "Experiment",
     "Findings",
     "FingerCondition",
+    "MaskingSection",
     "Placement",
     "Protocol",
     "ResumeSection",

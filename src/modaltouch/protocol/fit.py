@@ -8,6 +8,7 @@ from typing import Any
 
 from modaltouch.apparatus import Apparatus
 from modaltouch.document import Problem, Reading, suggest
+from modaltouch.protocol.masking import check_masking
 from modaltouch.protocol.sections import Protocol
 
 LEAST_SAMPLES_PER_CYCLE = 2.5
@@ -21,6 +22,7 @@ def check_fit(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> lis
         *_check_modes(protocol, apparatus),
         *_check_delay(protocol, apparatus),
         *_check_levels(protocol, apparatus),
+        *check_masking(protocol, apparatus),
     ]
 
 

@@ -18,6 +18,7 @@ from modaltouch.document.section import (
     described,
 )
 from modaltouch.protocol.adaptive import AdaptiveSection
+from modaltouch.protocol.masking import MaskingSection
 
 FingerCondition = Literal["one_hand", "two_hands"]
 AnswerWay = Literal["free_hand", "lifting", "foot_switch", "experimenter"]
@@ -253,6 +254,9 @@ class Protocol(Section):
     stimulus: StimulusSection = described("The burst that every trial plays, up to its level.")
     conditions: ConditionsSection = described("The cells of the design.")
     schedule: ScheduleSection = described("How the trials are ordered.", default=ScheduleSection())
+    masking: MaskingSection | None = described(
+        "Noise that keeps the participant from hearing the beam; null for none.", default=None
+    )
     adaptive: AdaptiveSection | None = described(
         "Runs in which the next level follows from the answers; the peak velocities are then their lowest and highest "
         "level. Null for fixed levels.",

@@ -77,6 +77,11 @@ CATCH: dict[str, Any] = {
     "Levels": {"0": "no", "1": "yes"},
 }
 
+MASKED: dict[str, Any] = {
+    "Description": "Masking noise was on and at its level during the whole trial",
+    "Levels": {"0": "no", "1": "yes"},
+}
+
 
 def write_view(place: SessionFolder, session: Session, head: dict[str, Any]) -> None:
     """Write the session's table and its side file from the log.
@@ -119,6 +124,8 @@ def _columns(session: Session) -> dict[str, dict[str, Any]]:
     columns = dict(COLUMNS)
     if design.get("schedule", {}).get("catch_trials"):
         columns["catch"] = CATCH
+    if design.get("masking"):
+        columns["masked"] = MASKED
     if "none" in design.get("answers", {}).get("keys", {}):
         response = columns["response"]
         columns["response"] = {**response, "Levels": {**response["Levels"], "none": "neither finger"}}
@@ -235,6 +242,7 @@ def _row(event: dict[str, Any], columns: dict[str, dict[str, Any]]) -> list[str]
         "finger_right": event["fingers"][1],
         "placement": condition["placement"],
         "velocity_mm_s": f"{condition['velocity_mm_s']:g}",
+        "masked": int(bool(event.get("masked"))),
         "catch": int(condition["velocity_mm_s"] == 0),
         "repetition": trial["repetition"],
         "response": response["answer"],

@@ -1,0 +1,242 @@
+"""Masking noise on a sound device, through PortAudio.
+
+A device that is lost in mid-session (unplugged, taken away by the system) leaves the trial that is on alone: its
+answer is recorded as not masked. Before the next trial the device is opened again; where that fails, a protocol
+that demands masking ends the session in order, and `modaltouch resume` goes on once the device is back; any other
+goes on without, every trial recorded as such.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Self
+
+from modaltouch.masking.interface import Masking, MaskingError, NoMasking
+from modaltouch.masking.noise import SEED, amplitude_at, make_noise
+from modaltouch.masking.playback import Playback
+
+if TYPE_CHECKING:
+    from modaltouch.apparatus import Sound
+    from modaltouch.protocol import MaskingSection
+
+Log = Callable[..., None]
+
+STALE = 1.0
+"""A device that asks for no samples for so long is lost [s]."""
+_HURRY = 0.1
+"""Longest fade where something went wrong [s]."""
+
+
+def open_masking(section: MaskingSection | None, sound: Sound, log: Log) -> Masking:
+    """Return the masking that a protocol wants, silent until `start`.
+
+    Parameters
+    ----------
+    section : MaskingSection or None
+        What the protocol wants.
+    sound : Sound
+        What the apparatus plays it with.
+    log : callable
+        Takes what happens to it for the record.
+
+    Raises
+    ------
+    MaskingError
+        If it cannot be played and the protocol demands it.
+    """
+    if section is None:
+        return NoMasking()
+    try:
+        return NoiseMasking(section, sound, log)
+    except MaskingError as error:
+        if section.required:
+            raise
+        log("masking_lost", reason=str(error))
+        return NoMasking(str(error))
+
+
+def default_device(name: str = "") -> dict[str, Any]:
+    """Return what a device can do, as PortAudio tells it.
+
+    Parameters
+    ----------
+    name : str
+        Part of its name; empty for the system's own choice.
+
+    Raises
+    ------
+    MaskingError
+        If there is none, or no PortAudio.
+    """
+    remedy = "connect one and choose it with sound.device in the apparatus, or set masking.required: false"
+    try:
+        import sounddevice
+    except OSError as error:
+        raise MaskingError(
+            f"no masking noise can be played: {error}; install libportaudio2 (`make install`)"
+        ) from error
+    try:
+        return dict(sounddevice.query_devices(name or None, kind="output"))
+    except (sounddevice.PortAudioError, ValueError) as error:
+        what = f"no sound device like {name!r}" if name else "no sound device"
+        raise MaskingError(f"no masking noise can be played: there is {what} ({error}); {remedy}") from error
+
+
+class NoiseMasking:
+    """Noise on a sound device.
+
+    Parameters
+    ----------
+    section : MaskingSection
+        Which noise, how loud.
+    sound : Sound
+        Device, sampling rate, calibration.
+    log : callable
+        Takes what happens for the record.
+
+    Raises
+    ------
+    MaskingError
+        If the device cannot be opened.
+    """
+
+    def __init__(self, section: MaskingSection, sound: Sound, log: Log) -> None:
+        level = section.level(sound)
+        if level is None:
+            raise MaskingError("the masking noise has no level; give masking.level_dB_FS")
+        self._section, self._sound, self._log, self._level = section, sound, log, level
+        period = make_noise(section.noise, sound.sampling_rate_Hz) * amplitude_at(level)
+        self._playback = Playback(period, round(section.fade_s * sound.sampling_rate_Hz))
+        self._device: dict[str, Any] = {}
+        self._stream: Any = None
+        self._asked = 0.0
+        self._n_underflows = 0
+        self._is_lost = self._given_up = False
+        self._open()
+
+    def describe(self) -> dict[str, Any] | None:
+        """Return noise, level and device for the start record."""
+        full_scale = self._sound.full_scale_dB_SPL
+        return {
+            "state": "masked",
+            "noise": self._section.noise,
+            "level_dB_FS": self._level,
+            "level_dB_SPL": None if full_scale is None else round(self._level + full_scale, 2),
+            "fade_s": self._section.fade_s,
+            "seed": SEED,
+            "device": self._device.get("name"),
+            "sampling_rate_Hz": self._sound.sampling_rate_Hz,
+            "required": self._section.required,
+        }
+
+    def start(self) -> None:
+        """Begin to fade in."""
+        self._playback.fade_in()
+        self._log("masking", state="on")
+
+    def ensure(self, tick: Callable[[], object]) -> None:
+        """See before a trial that the noise is on and at its level; open the device again where it was lost.
+
+        Raises
+        ------
+        MaskingError
+            If it is lost and the protocol demands it.
+        """
+        self._watch()
+        if self._is_lost and not self._given_up:
+            self._reopen()
+        while not (self._is_lost or self._playback.is_full):
+            tick()
+            time.sleep(1e-3)
+            self._watch()
+
+    @property
+    def is_on(self) -> bool | None:
+        """Whether the noise has been on since `ensure`."""
+        self._watch()
+        return not self._is_lost and self._playback.is_full
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        """Fade out, quickly where something went wrong, and let the device go."""
+        self._playback.fade_out()
+        patience = self._section.fade_s + STALE if exc[:1] in ((), (None,)) else _HURRY
+        until = time.perf_counter() + patience
+        while not (self._is_lost or self._playback.is_silent) and time.perf_counter() < until:
+            time.sleep(0.01)
+            self._watch()
+        self._close()
+
+    @property
+    def n_underflows(self) -> int:
+        """How often the device got no samples in time: a click each."""
+        return self._n_underflows
+
+    def _open(self) -> None:
+        self._device = default_device(self._sound.device)
+        import sounddevice
+
+        channels = max(1, min(2, int(self._device["max_output_channels"])))
+        try:
+            self._stream = sounddevice.OutputStream(
+                samplerate=self._sound.sampling_rate_Hz,
+                device=self._sound.device or None,
+                channels=channels,
+                dtype="float32",
+                latency="high",
+                callback=self._fill,
+            )
+            self._asked = time.perf_counter()
+            self._stream.start()
+        except (sounddevice.PortAudioError, ValueError) as error:
+            raise MaskingError(
+                f"no masking noise can be played: the sound device {self._device.get('name')!r} refuses "
+                f"{self._sound.sampling_rate_Hz:g} Hz ({error}); change sound.sampling_rate_Hz or sound.device in the "
+                "apparatus, or set masking.required: false"
+            ) from error
+
+    def _fill(self, out: Any, n_frames: int, moment: Any, status: Any) -> None:
+        """Hand over the next samples; called by PortAudio in a thread of its own."""
+        self._asked = time.perf_counter()
+        self._n_underflows += bool(status.output_underflow)
+        self._playback.fill(out)
+
+    def _watch(self) -> None:
+        """Notice that the device is gone, and write it down once."""
+        if self._is_lost:
+            return
+        stale = time.perf_counter() - self._asked > STALE
+        if stale or self._stream is None or not self._stream.active:
+            self._is_lost = True
+            self._log("masking_lost", reason=f"the sound device {self._device.get('name')!r} takes no more samples")
+
+    def _reopen(self) -> None:
+        self._close()
+        with contextlib.suppress(Exception):
+            import sounddevice
+
+            # PortAudio knows only the devices that were there when it began.
+            sounddevice._terminate()
+            sounddevice._initialize()
+        try:
+            self._open()
+        except MaskingError as error:
+            if self._section.required:
+                raise
+            self._given_up = True
+            self._log("masking_lost", reason=str(error))
+            return
+        self._is_lost = False
+        self._log("masking", state="on again", device=self._device.get("name"))
+
+    def _close(self) -> None:
+        stream, self._stream = self._stream, None
+        if stream is not None:
+            with contextlib.suppress(Exception):
+                stream.abort()
+            with contextlib.suppress(Exception):
+                stream.close()

@@ -1,0 +1,79 @@
+"""The section ``masking``: noise that keeps the participant from hearing the beam."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from modaltouch.apparatus import Apparatus, Sound
+from modaltouch.document import Problem, Reading
+from modaltouch.document.section import Positive, Section, described
+
+Decibels = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-120, le=140)]
+
+
+class MaskingSection(Section):
+    """Noise in the participant's ears, from before the first trial until after the last, without a break."""
+
+    noise: Literal["pink", "white"] = described(
+        "pink: equal power in every octave; white: in every hertz; both from 20 Hz to 20 kHz.", default="pink"
+    )
+    level_dB_FS: Decibels | None = described(  # noqa: N815
+        "Level of the noise against a sine of full scale [dB FS, rms].", default=None
+    )
+    level_dB_SPL: Decibels | None = described(  # noqa: N815
+        "Instead, its level at the ear [dB SPL]; needs sound.full_scale_dB_SPL in the apparatus.", default=None
+    )
+    fade_s: Annotated[Positive, Field(le=60)] = described("Time to fade in, and out [s].", default=2.0)
+    required: bool = Field(
+        strict=True,
+        default=True,
+        description="Whether a session may not begin or go on without it; otherwise the record says where it lacks.",
+    )
+
+    def level(self, sound: Sound) -> float | None:
+        """Return the level against a sine of full scale [dB FS]; None where calibration or level lack.
+
+        Parameters
+        ----------
+        sound : Sound
+            What plays it.
+        """
+        if self.level_dB_FS is not None:
+            return self.level_dB_FS
+        if self.level_dB_SPL is None or sound.full_scale_dB_SPL is None:
+            return None
+        return self.level_dB_SPL - sound.full_scale_dB_SPL
+
+    @property
+    def level_key(self) -> str:
+        """The key that gives the level."""
+        return "level_dB_FS" if self.level_dB_FS is not None else "level_dB_SPL"
+
+
+def check_masking(protocol: Reading[Any], apparatus: Reading[Apparatus]) -> Iterator[Problem]:
+    """Yield what is wrong with the level of the masking noise, as far as the sound parts of both files show it.
+
+    Parameters
+    ----------
+    protocol, apparatus : Reading
+        Both files.
+    """
+    node = protocol.find(("masking",))
+    if node is None or not isinstance(node.content, dict):
+        return
+    given = [key for key in ("level_dB_FS", "level_dB_SPL") if protocol.sound("masking", key) is not None]
+    if any(problem.path.startswith("masking.level") for problem in protocol.problems):
+        return
+    if len(given) != 1:
+        said = " and ".join(given) or "no level"
+        allowed = "one of level_dB_FS and level_dB_SPL"
+        yield protocol.problem(("masking",), said, allowed, "give the noise one level")
+    elif given == ["level_dB_SPL"] and apparatus.sound("sound", "full_scale_dB_SPL") is None:
+        said = f"{protocol.sound('masking', 'level_dB_SPL'):g} dB SPL for a loudspeaker that was not calibrated"
+        remedy = "measure what a sine of full scale gives at the ear, or give level_dB_FS"
+        yield protocol.problem(
+            ("masking", "level_dB_SPL"), said, "with sound.full_scale_dB_SPL in the apparatus alone", remedy
+        )

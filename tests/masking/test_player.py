@@ -1,0 +1,307 @@
+"""Masking noise on a device: ALSA's null device in a process of its own, no device at all, and one that is lost."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import sounddevice
+
+from modaltouch.apparatus import Sound
+from modaltouch.masking import player
+from modaltouch.masking.interface import MaskingError, NoMasking
+from modaltouch.masking.noise import amplitude_at, make_noise
+from modaltouch.masking.player import NoiseMasking, open_masking
+from modaltouch.protocol import MaskingSection
+
+SECTION = MaskingSection(noise="pink", level_dB_FS=-20.0, fade_s=0.05)
+NO_CARD = "pcm.!default { type hw card 31 }\nctl.!default { type null }\n"
+ALSA = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="ALSA is Linux's")
+
+
+def in_a_process(script: str, alsa: Path) -> subprocess.CompletedProcess[str]:
+    """Run a script with an ALSA of its own."""
+    env = {**os.environ, "ALSA_CONFIG_PATH": str(alsa), "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    return subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, env=env, timeout=60, check=False
+    )
+
+
+@pytest.fixture
+def null_device(tmp_path: Path) -> Path:
+    """An ALSA that takes every sample and forgets it."""
+    file = tmp_path / "asound.conf"
+    file.write_text("pcm.!default { type null }\nctl.!default { type null }\n")
+    return file
+
+
+@pytest.fixture
+def no_device(tmp_path: Path) -> Path:
+    """An ALSA whose only device is a card that is not there."""
+    file = tmp_path / "asound.conf"
+    file.write_text(NO_CARD)
+    return file
+
+
+@ALSA
+def test_the_device_gets_the_noise_faded_in_and_out(null_device: Path) -> None:
+    """The very samples: silence, a fade, the period at -20 dB FS, a fade, and the device is let go."""
+    script = """
+import json
+import numpy as np
+from modaltouch.apparatus import Sound
+from modaltouch.masking.noise import amplitude_at, make_noise
+from modaltouch.masking.player import NoiseMasking
+from modaltouch.protocol import MaskingSection
+
+events, blocks = [], []
+section = MaskingSection(noise="pink", level_dB_FS=-20.0, fade_s=0.05)
+masking = NoiseMasking(section, Sound(), lambda event, **facts: events.append((event, facts)))
+fill = masking._playback.fill
+def spy(out):
+    fill(out)
+    if sum(map(len, blocks)) < 96000 and out.any():
+        blocks.append(out.copy())
+masking._playback.fill = spy
+with masking:
+    described = masking.describe()
+    masking.start()
+    masking.ensure(lambda: None)
+    on = masking.is_on
+    while sum(map(len, blocks)) < 96000:
+        masking.ensure(lambda: None)
+played = np.concatenate(blocks)[:96000]
+period = make_noise("pink", 48000.0) * amplitude_at(-20.0)
+print(json.dumps({
+    "described": described, "on": on, "channels": played.shape[1], "events": events,
+    "fade": float(np.abs(played[:2400, 0]).max() <= np.abs(period[:2400]).max()),
+    "same": bool(np.array_equal(played[2400:, 0], period[2400:96000].astype(np.float32))),
+    "peak": float(np.abs(played).max()), "closed": masking._stream is None,
+}))
+"""
+    run = in_a_process(script, null_device)
+    assert run.returncode == 0, run.stderr
+    told = json.loads(run.stdout)
+    assert told["on"] is True
+    assert told["same"] is True
+    assert told["fade"] == 1
+    assert told["channels"] == 2
+    assert told["closed"] is True
+    assert 0 < told["peak"] < 1
+    assert told["described"]["device"] == "default"
+    assert told["described"]["level_dB_FS"] == -20
+    assert told["events"] == [["masking", {"state": "on"}]]
+
+
+@ALSA
+def test_without_a_device_masking_is_refused_or_recorded_as_lacking(no_device: Path) -> None:
+    """A protocol that demands it does not begin; one that does not goes on, its record saying why it is silent."""
+    script = """
+import json
+from modaltouch.apparatus import Sound
+from modaltouch.masking.interface import MaskingError
+from modaltouch.masking.player import open_masking
+from modaltouch.protocol import MaskingSection
+said = {}
+for required in (True, False):
+    section = MaskingSection(noise="white", level_dB_FS=-20.0, required=required)
+    try:
+        masking = open_masking(section, Sound(), lambda event, **facts: None)
+        said[str(required)] = [masking.describe(), masking.is_on]
+    except MaskingError as error:
+        said[str(required)] = str(error)
+print(json.dumps(said))
+"""
+    run = in_a_process(script, no_device)
+    assert run.returncode == 0, run.stderr
+    told = json.loads(run.stdout.splitlines()[-1])
+    assert "there is no sound device" in told["True"]
+    assert "masking.required: false" in told["True"]
+    (described, is_on) = told["False"]
+    assert described["state"] == "not masked"
+    assert "no sound device" in described["reason"]
+    assert is_on is False
+
+
+@ALSA
+@pytest.mark.parametrize(("there", "state"), [(True, "ok"), (False, "warning")])
+def test_the_doctor_says_whether_there_is_a_sound_device(
+    tmp_path: Path,
+    null_device: Path,
+    there: bool,  # noqa: FBT001
+    state: str,
+) -> None:
+    """Never a fault: only a protocol that demands noise needs it."""
+    if not there:
+        null_device.write_text(NO_CARD)
+    script = """
+import json
+from pathlib import Path
+from modaltouch.doctor import examine_machine
+(sound,) = [finding for finding in examine_machine(Path(".")) if finding.subject == "sound"]
+print(json.dumps(sound.as_dict()))
+"""
+    run = in_a_process(script, null_device)
+    assert run.returncode == 0, run.stderr
+    told = json.loads(run.stdout.splitlines()[-1])
+    assert told["state"] == state
+    assert ("default" in told["found"]) == there
+    assert bool(told["remedy"]) != there
+
+
+@ALSA
+def test_a_session_that_demands_noise_does_not_begin_without(tmp_path: Path, no_device: Path, edit: Any) -> None:
+    """Exit status 3 with the remedy, before any window or record; `required: false` gets past the sound device."""
+    old = "answers:\n  given_by"
+    protocol = edit("demo.yaml", (old, "masking: {noise: pink, level_dB_FS: -20}\n" + old))
+    words = ["run", str(protocol), "-p", "p01", "--yes", "--results", str(tmp_path / "results")]
+    script = f"import sys; from modaltouch.__main__ import main; sys.argv = ['modaltouch']; main({words!r})"
+    run = in_a_process(script, no_device)
+    assert run.returncode == 3
+    assert "there is no sound device" in run.stderr
+    assert "required: false" in run.stderr
+    assert not list((tmp_path / "results").rglob("session.jsonl"))
+
+
+class Device:
+    """Stands at the boundary of PortAudio: a stream that asks for samples when told to, and can be unplugged."""
+
+    def __init__(self, **options: Any) -> None:
+        self.options, self.active = options, False
+
+    def start(self) -> None:
+        self.active = True
+
+    def ask(self, n: int) -> Any:
+        out = np.empty((n, self.options["channels"]), dtype=np.float32)
+        self.options["callback"](out, n, None, type("Status", (), {"output_underflow": False}))
+        return out
+
+    def abort(self) -> None:
+        self.active = False
+
+    close = abort
+
+
+@pytest.fixture
+def devices(monkeypatch: pytest.MonkeyPatch) -> list[Device]:
+    """The streams that were opened, newest last; `default_device` finds one as long as the list is not frozen."""
+    opened: list[Device] = []
+
+    def open_stream(**options: Any) -> Device:
+        opened.append(Device(**options))
+        return opened[-1]
+
+    monkeypatch.setattr(sounddevice, "OutputStream", open_stream)
+    monkeypatch.setattr(sounddevice, "_terminate", lambda: None)
+    monkeypatch.setattr(sounddevice, "_initialize", lambda: None)
+    monkeypatch.setattr(player, "default_device", lambda name="": {"name": "earphones", "max_output_channels": 8})
+    return opened
+
+
+def unplug(monkeypatch: pytest.MonkeyPatch, device: Device) -> None:
+    """Take the device away, now and for whoever looks for one."""
+    device.active = False
+
+    def nothing(name: str = "") -> dict[str, Any]:
+        raise MaskingError("no masking noise can be played: there is no sound device")
+
+    monkeypatch.setattr(player, "default_device", nothing)
+
+
+def events_of(log: list[tuple[str, dict[str, Any]]]) -> list[str]:
+    """Return what was told, in words."""
+    return [f"{name} {facts.get('state', '')}".strip() for name, facts in log]
+
+
+def make(section: MaskingSection) -> tuple[NoiseMasking, list[tuple[str, dict[str, Any]]]]:
+    """Return masking and what it tells."""
+    log: list[tuple[str, dict[str, Any]]] = []
+    return NoiseMasking(section, Sound(full_scale_dB_SPL=100.0), lambda event, **facts: log.append((event, facts))), log
+
+
+def test_a_trial_waits_for_the_noise_to_be_at_its_level(devices: list[Device]) -> None:
+    """Before the first trial the fade is over: 50 ms of samples, asked for by the device while the session ticks."""
+    masking, _ = make(SECTION)
+    assert masking.is_on is False
+    masking.start()
+    ticks = []
+
+    def tick() -> None:
+        ticks.append(1)
+        devices[0].ask(240)
+
+    masking.ensure(tick)
+    assert len(ticks) == 10
+    assert masking.is_on
+    period = make_noise("pink", 48_000.0) * amplitude_at(-20.0)
+    assert np.array_equal(devices[0].ask(100)[:, 1], period[2400:2500].astype(np.float32))
+
+
+def test_the_level_at_the_ear_follows_from_the_calibration() -> None:
+    """60 dB SPL where a sine of full scale gives 100 dB SPL: -40 dB FS."""
+    section = MaskingSection(noise="pink", level_dB_SPL=60.0)
+    assert section.level(Sound(full_scale_dB_SPL=100.0)) == -40
+    assert section.level(Sound()) is None
+
+
+def test_a_device_that_comes_back_goes_on(devices: list[Device]) -> None:
+    """Lost during a trial, which is then not masked; before the next one it is opened again."""
+    masking, log = make(SECTION)
+    masking.start()
+    masking.ensure(lambda: devices[-1].ask(2400))
+    devices[0].active = False
+    assert masking.is_on is False
+    masking.ensure(lambda: devices[-1].ask(2400))
+    assert masking.is_on
+    assert len(devices) == 2
+    assert events_of(log) == ["masking on", "masking_lost", "masking on again"]
+
+
+@pytest.mark.parametrize("required", [True, False])
+def test_a_device_that_stays_away_ends_the_session_or_is_recorded(
+    devices: list[Device],
+    monkeypatch: pytest.MonkeyPatch,
+    required: bool,  # noqa: FBT001
+) -> None:
+    """Demanded: MaskingError before the next trial. Not demanded: told once more, and never on again."""
+    masking, log = make(SECTION.model_copy(update={"required": required}))
+    masking.start()
+    masking.ensure(lambda: devices[-1].ask(2400))
+    unplug(monkeypatch, devices[0])
+    assert masking.is_on is False
+    if required:
+        with pytest.raises(MaskingError, match="there is no sound device"):
+            masking.ensure(lambda: None)
+        assert events_of(log) == ["masking on", "masking_lost"]
+        return
+    masking.ensure(lambda: None)
+    masking.ensure(lambda: None)
+    assert masking.is_on is False
+    assert events_of(log) == ["masking on", "masking_lost", "masking_lost"]
+
+
+def test_a_device_that_asks_for_nothing_is_lost(devices: list[Device], monkeypatch: pytest.MonkeyPatch) -> None:
+    """PortAudio calls some lost devices active; one that takes no samples for a second plays nothing."""
+    masking, log = make(SECTION)
+    masking.start()
+    masking.ensure(lambda: devices[-1].ask(2400))
+    now = time.perf_counter()
+    monkeypatch.setattr(player.time, "perf_counter", lambda: now + 1.5)
+    assert masking.is_on is False
+    assert events_of(log) == ["masking on", "masking_lost"]
+
+
+def test_no_masking_is_wanted_where_the_protocol_has_none() -> None:
+    """Nothing is opened, nothing recorded."""
+    masking = open_masking(None, Sound(), lambda event, **facts: pytest.fail(event))
+    assert isinstance(masking, NoMasking)
+    assert masking.describe() is None
+    assert masking.is_on is None
