@@ -26,7 +26,6 @@ from modaltouch.protocol.experiment import (
 )
 from modaltouch.protocol.keys import END_KEY, KEY_NAMES, RESERVED_KEYS
 from modaltouch.protocol.masking import MaskingSection
-from modaltouch.protocol.schemas import write_schemas
 from modaltouch.protocol.sections import (
     AnswersSection,
     CalibrationSection,
