@@ -8,6 +8,7 @@ from modaltouch.document import Problem
 from modaltouch.protocol import Findings
 
 _PLACES: tuple[tuple[str, str], ...] = (
+    (r"sampled field", "field"),
     (r"projects to|centred at", "focus"),
     (r"decomposed on", "decomposed_modes"),
     (r"selected", "selected_modes"),

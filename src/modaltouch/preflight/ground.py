@@ -16,6 +16,7 @@ from modaltouch.stimulus.drive import Law, Release
 
 if TYPE_CHECKING:
     from modaltouch.protocol.calibration_sections import CalibrationFile
+from modaltouch.protocol.wished import Points, read_points
 
 _NEEDED = ("stimulus", "beam", "actuator_sets", "modes", "amplifier", "generator")
 
@@ -41,6 +42,8 @@ class Ground:
         Safety limit [mm/s]; infinite where it is not sound.
     correction : Correction or None
         What a calibration makes of the targets.
+    points : tuple of (float, float)
+        Positions [mm] and relative velocities of a sampled field.
     """
 
     section: StimulusSection
@@ -49,6 +52,7 @@ class Ground:
     levels: dict[int, float]
     velocity_limit: float
     correction: Correction | None = None
+    points: Points = ()
 
     @property
     def reference(self) -> float:
@@ -82,8 +86,13 @@ def find_ground(findings: Findings) -> Ground | None:
     if section is None or any(part is None for part in parts.values()):
         return None
     zones = dict(apparatus.items("zones"))
-    if section.focus not in zones:
+    if any(zone not in zones for zone in (section.focus, *section.further_foci)):
         return None
+    points = section.field.points or ()
+    if section.field.shape == "sampled" and findings.field is not None:
+        points, faults = read_points(findings.field)
+        if faults:
+            return None
     limit = apparatus.sound("safety", "velocity_limit_mm_s")
     used = Apparatus.model_construct(apparatus="", zones=zones, **parts)
     calibration = findings.calibration.value if findings.calibration is not None else None
@@ -96,6 +105,7 @@ def find_ground(findings: Findings) -> Ground | None:
         levels=dict(protocol.items("conditions", "peak_velocities_mm_s")),
         velocity_limit=float("inf") if limit is None else limit,
         correction=None if calibration is None else correction_of(calibration),
+        points=points,
     )
 
 
@@ -145,6 +155,8 @@ def design(ground: Ground, *, law: Law | None = None, release: Release | None = 
         velocity=reference * 1e-3,
         n_decomposed=section.decomposed_modes,
         selection=section.selected_modes,
+        further_centres=tuple(ground.apparatus.zones[name].centre_mm * 1e-3 for name in section.further_foci),
+        points=tuple((position * 1e-3, velocity) for position, velocity in ground.points),
     )
     timing = Timing(
         n_samples=section.n_samples,

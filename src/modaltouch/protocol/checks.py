@@ -8,6 +8,7 @@ from modaltouch.document import Problem, Reading, suggest
 from modaltouch.protocol.adaptive_checks import check_adaptive
 from modaltouch.protocol.keys import END_KEY, KEY_ALIASES, KEY_NAMES, RESERVED_KEYS
 from modaltouch.protocol.sections import Protocol
+from modaltouch.protocol.wished import check_wished
 
 TRIAL_LIMIT = 10_000
 """Most trials of a session: a day of them."""
@@ -20,6 +21,7 @@ def check_protocol(reading: Reading[Protocol]) -> list[Problem]:
     """Return the faults between the keys of a protocol, as far as its sound parts show them."""
     return [
         *_check_stimulus(reading),
+        *check_wished(reading),
         *_check_doubles(reading),
         *_check_schedule(reading),
         *check_adaptive(reading),

@@ -14,6 +14,7 @@ from modaltouch.protocol.checks import check_protocol
 from modaltouch.protocol.fit import check_fit
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.texts import Texts, check_words
+from modaltouch.protocol.wished import read_points
 
 if TYPE_CHECKING:
     from modaltouch.protocol.calibration_sections import CalibrationFile
@@ -29,16 +30,19 @@ class Sources:
         Path, text and hash of each.
     calibration : Source or None
         Path, text and hash of the calibration, where there is one.
+    field : Source or None
+        The same of the points of the wished field, where they stand in a file.
     """
 
     protocol: Source
     apparatus: Source
     texts: Source
     calibration: Source | None = None
+    field: Source | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Return path, hash and text of each file for the record."""
-        named = {name: getattr(self, name) for name in ("protocol", "apparatus", "texts", "calibration")}
+        named = {name: getattr(self, name) for name in ("protocol", "apparatus", "texts", "calibration", "field")}
         return {name: source.as_dict() for name, source in named.items() if source is not None}
 
     @classmethod
@@ -81,6 +85,8 @@ class Findings:
         Every fault of all of them.
     calibration : Reading or None
         The calibration file, where there is one.
+    field : Source or None
+        The file of the wished field's points, where there is one.
     """
 
     protocol: Reading[Protocol] | None
@@ -88,6 +94,7 @@ class Findings:
     texts: Reading[Texts] | None
     problems: tuple[Problem, ...]
     calibration: Reading[CalibrationFile] | None = None
+    field: Source | None = None
 
     def experiment(self) -> Experiment:
         """Return the experiment.
@@ -103,7 +110,7 @@ class Findings:
         if protocol is None or apparatus is None or texts is None:
             raise InputError(self.problems)
         calibration = None if self.calibration is None else self.calibration.source
-        sources = Sources(self.protocol.source, self.apparatus.source, self.texts.source, calibration)
+        sources = Sources(self.protocol.source, self.apparatus.source, self.texts.source, calibration, self.field)
         return Experiment(protocol, apparatus, texts, sources)
 
 
@@ -156,7 +163,9 @@ def examine_sources(sources: Sources) -> Findings:
         # However old it has become since: a record keeps what it was begun with.
         calibration = examine_calibration(sources.calibration)
         problems += [*calibration.problems, *check_calibration(calibration, protocol, apparatus)]
-    return Findings(protocol, apparatus, texts, tuple(problems), calibration)
+    if sources.field is not None:
+        problems += read_points(sources.field)[1]
+    return Findings(protocol, apparatus, texts, tuple(problems), calibration, sources.field)
 
 
 def examine_files(path: Path, calibration: Path | None = None, *, uncalibrated: bool = False) -> Findings:
@@ -187,7 +196,10 @@ def examine_files(path: Path, calibration: Path | None = None, *, uncalibrated: 
         texts = read(named, Texts)
         problems += [*texts.problems, *check_words(protocol, texts)]
     calibrated = None if uncalibrated else _examine_calibration(protocol, apparatus, calibration, problems)
-    return Findings(protocol, apparatus, texts, tuple(sorted(set(problems))), calibrated)
+    field = _load_named(protocol, ("stimulus", "field", "file"), problems)
+    if field is not None:
+        problems += read_points(field)[1]
+    return Findings(protocol, apparatus, texts, tuple(sorted(set(problems))), calibrated, field)
 
 
 def _examine_calibration(
@@ -208,6 +220,10 @@ def _examine_calibration(
             problems.append(protocol.problem(("calibration", "required"), given, "a calibration", remedy))
     if source is None:
         return None
+    if protocol.sound("stimulus", "field", "file") is not None:
+        given = "a file, which a calibration does not hold"
+        remedy = "write the points into the protocol, under `points`"
+        problems.append(protocol.problem(("stimulus", "field", "file"), given, "points, with a calibration", remedy))
     reading = examine_calibration(source)
     problems += [*reading.problems, *check_calibration(reading, protocol, apparatus), *check_age(reading, protocol)]
     return reading

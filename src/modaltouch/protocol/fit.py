@@ -38,6 +38,9 @@ def _check_zones(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> 
     focus = protocol.sound("stimulus", "focus")
     if focus is not None and focus not in zones:
         yield _unknown_zone(protocol, ("stimulus", "focus"), focus, zones)
+    for index, further in protocol.items("stimulus", "further_foci"):
+        if further not in zones:
+            yield _unknown_zone(protocol, ("stimulus", "further_foci", index), further, zones)
     pairs = protocol.find(("conditions", "zone_pairs"))
     n_pairs = len(pairs.content) if pairs is not None and isinstance(pairs.content, list) else 0
     for index in range(n_pairs):

@@ -11,6 +11,7 @@ from modaltouch.document.section import (
     FileName,
     Label,
     NotNegative,
+    Number,
     Positive,
     Section,
     Text,
@@ -35,11 +36,20 @@ _UNIQUE = {"uniqueItems": True}
 class WishedField(Section):
     """The velocity map wished at the focusing instant."""
 
-    shape: Literal["triangle", "box", "half_cosine", "raised_cosine", "gaussian"] = described(
-        "Shape of the velocity over the beam.", default="triangle"
+    shape: Literal["triangle", "box", "half_cosine", "raised_cosine", "gaussian", "sampled"] = described(
+        "Shape of the velocity over the beam; sampled: straight lines between points.", default="triangle"
     )
     base_mm: Positive = described(
         "Width of its base; for the gaussian, its full width at half maximum [mm].", default=56.0
+    )
+    points: Annotated[tuple[tuple[Number, Number], ...], Field(min_length=2, max_length=10_000)] | None = described(
+        "Points of a sampled field: position [mm from mid-beam] and velocity, in any unit, since the level is what the "
+        "centre of the focus zone reaches.",
+        default=None,
+    )
+    file: Text | None = described(
+        "File of the points of a sampled field, with the columns position_mm and velocity, seen from this file.",
+        default=None,
     )
 
 
@@ -61,6 +71,9 @@ class StimulusSection(Section):
         default="exact",
     )
     focus: ZoneName = described("Zone whose centre reaches the peak velocity.")
+    further_foci: Annotated[tuple[ZoneName, ...], Field(max_length=20)] = described(
+        "Zones at whose centres the same shape is wished at the same time.", default=()
+    )
     field: WishedField = described("The velocity map wished at the focusing instant.", default=WishedField())
     decomposed_modes: Annotated[Count, Field(le=1000)] = described(
         "Number of modes on which the wished field is projected.", default=50

@@ -1,0 +1,112 @@
+"""Any achievable focus: two zones at once, points, or a CSV, with every fault in its place (issue: any focus)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from modaltouch.preflight import examine
+from modaltouch.protocol import Sources, examine_sources
+from modaltouch.simulation import simulate_session
+from modaltouch.verification import verify_session
+
+Edit = Callable[..., Path]
+FILE = "differentiated_stimulation.yaml"
+FIELD = "field: {shape: triangle, base_mm: 56}"
+FOCUS = "focus: C  "
+TRIANGLE = "[[-28, 0], [0, 7], [28, 0]]"
+
+
+def faults(file: Path) -> list[str]:
+    """Return what the whole check says of a protocol."""
+    return [str(problem).replace(f"{file.parent}/", "") for problem in examine(file).problems]
+
+
+def sampled(edit: Edit, what: str) -> Path:
+    """Return the paper's protocol with a sampled field."""
+    return edit(FILE, (FIELD, f"field: {{shape: sampled, {what}}}"))
+
+
+@pytest.mark.parametrize("way", ["points", "file"])
+def test_points_of_a_triangle_are_the_triangle(edit: Edit, way: str) -> None:
+    """Straight lines through its corners, in any unit, give the shipped stimulus."""
+    shipped = examine(edit(FILE)).stimulus
+    file = sampled(edit, f"points: {TRIANGLE}" if way == "points" else "file: field.csv")
+    (file.parent / "field.csv").write_text("velocity,position_mm\n0,-28\n3,0\n0,28\n", encoding="utf-8")
+    assert examine(file).stimulus.target == pytest.approx(shipped.target, rel=1e-9, abs=1e-12)
+
+
+def test_two_zones_at_once_reach_the_level_together(edit: Edit) -> None:
+    """B and D are driven alike by symmetric wiring: both centres reach the level at the focusing instant."""
+    file = edit(FILE, (FOCUS, "focus: B\n  further_foci: [D]  "), ("[80, 100, 150, 200]", "[80, 100]"))
+    stimulus = examine(file).stimulus
+    reached = stimulus.velocity_at_focus(np.array([-0.02, 0.02]), 0.1)
+    assert reached == pytest.approx([0.1, 0.1], rel=1e-6)
+
+
+def test_what_symmetric_wiring_cannot_reach_is_said_with_the_residual(edit: Edit) -> None:
+    """A field at B alone: the even modes have no gain, so the other half mirrors it."""
+    file = edit(FILE, (FOCUS, "focus: B  "), ("[80, 100, 150, 200]", "[80]"))
+    warned = " ".join(examine(file).as_dict()["warnings"])
+    assert "mode" in warned
+    assert "%" in warned
+
+
+def test_a_record_keeps_the_points_of_its_field(edit: Edit, tmp_path: Path) -> None:
+    """The drive is computed again from the record alone, when the file is gone."""
+    file = sampled(edit, "file: field.csv")
+    points = file.parent / "field.csv"
+    points.write_text("position_mm,velocity\n-28,0\n0,3\n28,0\n", encoding="utf-8")
+    session = simulate_session(file, "p01", tmp_path / "results")
+    points.unlink()
+    assert examine_sources(Sources.from_dict(session.start["sources"])).problems == ()
+    assert verify_session(session.path).problems == ()
+
+
+@pytest.mark.parametrize(
+    ("what", "said"),
+    [
+        ("base_mm: 30", "stimulus.field.shape: given a sampled field with neither points nor a file"),
+        (f"points: {TRIANGLE}, file: f.csv", "given a sampled field with points and a file"),
+        ("points: [[0, 1]]", "stimulus.field.points: given a list of 1"),
+        ("points: [[0, 1], [0, 2]]", "stimulus.field.points[1]: given 0 mm after 0 mm"),
+        (
+            "points: [[-9, 0], [0, -1], [9, 0]]",
+            "stimulus.field: given a stimulus that cannot be made, the sampled field",
+        ),
+        ("file: nowhere.csv", "stimulus.field.file: given 'nowhere.csv', a file that does not exist"),
+    ],
+)
+def test_points_that_are_no_field_are_refused_in_their_place(edit: Edit, what: str, said: str) -> None:
+    """Missing, doubled, too few, out of order, of the wrong sign, elsewhere."""
+    told = faults(sampled(edit, what))
+    assert any(said in each for each in told), told
+    assert all(each.startswith(FILE) for each in told)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "field.csv:1:1: given the columns of an empty file"),
+        ("place,speed\n0,1\n", "field.csv:1:1: given the columns place, speed; allowed: position_mm, velocity"),
+        ("position_mm,velocity\n0,1\nx,2\n", "field.csv:3:1: given 'x,2'; allowed: two finite numbers"),
+        ("position_mm,velocity\n0,1\n1,nan\n", "field.csv:3:1: given '1,nan'"),
+        ("position_mm,velocity\n0,1\n", "field.csv:1:1: given 1 points; allowed: at least 2"),
+        ("position_mm,velocity\n0,1\n\n-1,2\n", "field.csv:4:1: given -1 mm after 0 mm"),
+    ],
+)
+def test_a_spoilt_csv_is_told_by_its_line(edit: Edit, text: str, said: str) -> None:
+    """Every line that is no point."""
+    file = sampled(edit, "file: field.csv")
+    (file.parent / "field.csv").write_text(text, encoding="utf-8")
+    assert any(each.startswith(said) for each in faults(file)), faults(file)
+
+
+def test_foci_are_zones_each_once(edit: Edit) -> None:
+    """An unknown zone and a doubled one."""
+    told = faults(edit(FILE, (FOCUS, "focus: B\n  further_foci: [F, B]  ")))
+    assert any("further_foci[0]: given 'F', which is not a zone of this beam" in each for each in told)
+    assert any("further_foci[1]: given B, a focus already" in each for each in told)
