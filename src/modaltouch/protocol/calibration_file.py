@@ -146,7 +146,7 @@ def _serial(identity: str) -> tuple[str, ...]:
 
 def _words(value: object) -> str:
     if isinstance(value, dict):
-        return " ".join(_words(each) for each in value.values())
+        return " ".join(_words(each) for each in value.values() if each is not None)
     if isinstance(value, tuple | list):
         return ", ".join(map(str, value))
     return f"{value:g}" if isinstance(value, float) else str(value)
