@@ -101,3 +101,34 @@ def test_a_view_behind_its_log_is_said_to_be_behind(folder):
     verdict = verify_session(folder)
     assert verdict.problems == ()
     assert any("lines behind the log" in line for line in verdict.lines)
+
+
+def test_a_trial_that_was_repeated_later_does_not_unsettle_the_levels(tmp_path):
+    """The level after a trial followed from its first answer, though a second one replaced it afterwards."""
+    from dataclasses import replace
+
+    from modaltouch.adaptive import Levels
+    from modaltouch.record.log import Session
+    from modaltouch.schedule import draw_schedule
+    from modaltouch.verification import _check_levels
+
+    experiment = examine(PROTOCOL.with_name("threshold.yaml")).experiment
+    levels, order = Levels(experiment.protocol), draw_schedule(experiment.protocol, "p01", 1).trials
+    driven = [trial for trial in order if not trial.condition.is_catch][:4]
+    start = {"event": "start", "n": 1, "sources": experiment.sources.as_dict()}
+    session = Session(tmp_path / "session.jsonl", (start,), ())
+
+    def add(**event):
+        return replace(session, events=(*session.events, {"n": len(session.events) + 1, **event}))
+
+    def answer(trial, word):
+        return add(event="trial", trial=trial.as_dict(), confirmed={"confirmed": True}, response={"answer": word})
+
+    first = levels.settle(driven[0], session.trials)
+    session = answer(first, "right")
+    session = answer(levels.settle(driven[1], session.trials), "none")
+    session = add(event="withdrawn", lines=[2])
+    session = answer(first, "none")
+    session = answer(levels.settle(driven[2], session.trials), "right")
+    assert [event["n"] for event in session.trials] == [3, 5, 6]
+    assert _check_levels(session) == (True, "levels of 3 trials follow from the answers before them")

@@ -10,12 +10,17 @@ from modaltouch.protocol.sections import Protocol
 
 def check_adaptive(reading: Reading[Protocol]) -> Iterator[Problem]:
     """Yield the faults between the section ``adaptive`` and the others, as far as its sound parts show them."""
-    node = reading.find(("adaptive",))
-    if node is None or not isinstance(node.content, dict):
+    if not is_adaptive(reading):
         return
     yield from _check_levels(reading)
     yield from _check_order(reading)
     yield from _check_success(reading)
+
+
+def is_adaptive(reading: Reading[Protocol]) -> bool:
+    """Return whether a protocol has a section ``adaptive``, sound or not."""
+    node = reading.find(("adaptive",))
+    return node is not None and isinstance(node.content, dict)
 
 
 def _check_levels(reading: Reading[Protocol]) -> Iterator[Problem]:

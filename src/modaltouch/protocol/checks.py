@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from modaltouch.document import Problem, Reading, suggest
-from modaltouch.protocol.adaptive_checks import check_adaptive
+from modaltouch.protocol.adaptive_checks import check_adaptive, is_adaptive
 from modaltouch.protocol.keys import END_KEY, KEY_ALIASES, KEY_NAMES, RESERVED_KEYS
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.wished import check_wished
@@ -105,8 +105,10 @@ def _check_schedule(reading: Reading[Protocol]) -> Iterator[Problem]:
     running = reading.sound("schedule", "max_same_pair_running")
     if repetitions is None or not n_pairs or not n_levels:
         return
-    n_runs = reading.sound("adaptive", "trials")
-    n_driven = n_pairs * (n_runs or n_levels * repetitions)
+    n_in_run = reading.sound("adaptive", "trials") if is_adaptive(reading) else n_levels * repetitions
+    if n_in_run is None:
+        return
+    n_driven = n_pairs * n_in_run
     n_catch = reading.sound("schedule", "catch_trials") or 0
     if n_catch > n_driven:
         given = f"{n_catch} where {n_driven} trials of a finger condition have a stimulus"

@@ -1,0 +1,49 @@
+"""Faults of adaptive protocols, each in its place with what is allowed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from modaltouch.preflight import examine
+
+SHIPPED = Path(__file__).parents[2] / "protocols" / "threshold.yaml"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "place", "words"),
+    [
+        ("[2, 200]", "[2, 80, 200]", "conditions.peak_velocities_mm_s", "3 levels where runs are adaptive"),
+        ("[2, 200]", "[200, 2]", "conditions.peak_velocities_mm_s", "the lowest level first"),
+        ("start_mm_s: 60", "start_mm_s: 600", "adaptive.start_mm_s", "2 to 200 mm/s"),
+        ("[[A, C], [C, E]]", "[[A, C], [B, D]]", "conditions.zone_pairs[1]", "neither of which is in focus"),
+        ("order: by_pair", "order: latin_square", "schedule.order", "shuffled or by_pair"),
+        ("order: by_pair", "order: by_pair\n  repetitions: 3", "schedule.repetitions", "adaptive.trials says"),
+        ("    none: [down, num_2]\n", "", "adaptive.success", "no answer says that nothing was felt"),
+        ("[2, 200]", "[0.5, 200]", "conditions.peak_velocities_mm_s[0]", "the generator's smallest amplitude"),
+        ("method: quest_plus", "method: quest", "adaptive.method", "quest_plus"),
+        ("trials: 40", "trials: 4", "adaptive.trials", "8"),
+        ("lapse_rate: 0.06", "lapse_rate: 0.5", "adaptive.lapse_rate", "0.2"),
+    ],
+)
+def test_each_fault_is_told_in_its_place(tmp_path: Path, old: str, new: str, place: str, words: str) -> None:
+    """Issue: what was given, what is allowed, with file, line and column."""
+    text = SHIPPED.read_text(encoding="utf-8").replace(old, new)
+    for name in ("apparatus/", "texts/"):
+        text = text.replace(f": {name}", f": {SHIPPED.parent / name}/")
+    if place == "adaptive.success":
+        text = text.replace("success: focus_named", "success: felt")
+    file = tmp_path / "threshold.yaml"
+    file.write_text(text, encoding="utf-8")
+    problems = [str(problem) for problem in examine(file).problems]
+    assert len(problems) == 1, problems
+    assert f" {place}: " in problems[0]
+    assert words in problems[0]
+
+
+def test_the_shipped_protocol_is_sound() -> None:
+    """Two runs of 40 trials and ten catch trials."""
+    preflight = examine(SHIPPED).require()
+    assert preflight.experiment.protocol.n_trials == 90
+    assert [each["velocity_mm_s"] for each in preflight.stimuli] == [2, 200]
