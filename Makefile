@@ -80,7 +80,8 @@ results: install
 ## bench: run time against error, beside the peers, into results/benchmarks
 .PHONY: bench
 bench: install
-	for script in tests/benchmarks/bench_*.py; do $(PYTHON) $$script || exit 1; done
+	for script in tests/benchmarks/bench_*.py; do echo $$script; $(PYTHON) $$script || exit 1; done
+	$(PYTHON) tests/benchmarks/bars.py
 
 ## soak: sessions cut short at 1,200 seeded points; what came of them goes into results/benchmarks/soak.json
 .PHONY: soak

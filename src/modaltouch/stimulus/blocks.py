@@ -6,6 +6,7 @@ block's inputs and the states at its start; those follow from the blocks' pushes
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -21,6 +22,9 @@ FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 __all__ = ["SHORT", "BlockKernel", "filled_blocks"]
+
+_CHUNK = 32_768
+"""Samples per chunk: bounds the memory, and keeps a chunk of voltages in the second-level cache."""
 
 LIKELIEST = 64
 """Blocks looked at first where a peak is sought: what they reach spares most of the others."""
@@ -114,6 +118,23 @@ class BlockKernel:
             right = np.concatenate([hears[inputs].reshape(-1, SHORT), weighted.real, -weighted.imag])
             tables.append((tuple(inputs.tolist()), tuple(states.tolist()), right))
         return tables
+
+    def write(self, inputs: Callable[[int, int], FloatArray], out: FloatArray) -> None:
+        """Write the outputs at the starts of the samples from rest, chunk by chunk: no memory grows with their number.
+
+        Parameters
+        ----------
+        inputs : callable
+            Returns the inputs of the samples from a first one up to, without it, a last, (n_inputs, n) array.
+        out : (n_outputs, n_samples) array
+            Where they go; each row contiguous.
+        """
+        state = np.zeros(self.exponent.size, dtype=complex)
+        for start in range(0, out.shape[1], _CHUNK):
+            stop = min(start + _CHUNK, out.shape[1])
+            blocks = filled_blocks(inputs(start, stop))
+            begin, state = self.states(blocks, state)
+            self.respond(blocks, begin, out[:, start:stop])
 
     def states(self, blocks: FloatArray, state: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
         """Return the states at the starts of the blocks, and after the last.

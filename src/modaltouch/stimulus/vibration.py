@@ -12,19 +12,16 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from modaltouch.stimulus.blocks import BlockKernel, filled_blocks
+from modaltouch.stimulus.blocks import BlockKernel
 from modaltouch.stimulus.course import Course
 from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem, modal_system
 from modaltouch.stimulus.lateness import clock_inputs, clock_pushes, late_gains, late_steps
 from modaltouch.stimulus.modes import ModalModel
-from modaltouch.stimulus.synthesis import BLOCK, ladders
+from modaltouch.stimulus.synthesis import BLOCK, CHUNK, decay, ladders
 from modaltouch.stimulus.timing import Timing
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-
-_CHUNK = 32_768
-"""Samples per chunk: bounds the memory, and keeps a chunk of voltages in the second-level cache."""
 
 
 def moments(
@@ -48,6 +45,18 @@ def moments(
     (n_channels, n_states) complex array
         The sums [V]; 0 where not asked for.
     """
+    n_samples = voltage.shape[1]
+    sums = np.zeros((voltage.shape[0], exponent.size), dtype=complex)
+    for stop in range(n_samples, 0, -CHUNK * BLOCK):
+        part = _chunk_moments(voltage[:, max(0, stop - CHUNK * BLOCK) : stop], exponent, hold, driven)
+        sums += part if stop == n_samples else part * decay(exponent, hold, np.array([n_samples - stop]))[:, 0]
+    return sums
+
+
+def _chunk_moments(
+    voltage: FloatArray, exponent: ComplexArray, hold: float, driven: NDArray[np.bool_] | None
+) -> ComplexArray:
+    """Return the moments of so many samples that their blocks' sums may all be kept."""
     n_blocks, head = divmod(voltage.shape[1], BLOCK)
     fine, coarse = ladders(exponent, hold, n_blocks)
     sums = np.zeros((voltage.shape[0], exponent.size), dtype=complex)
@@ -211,11 +220,7 @@ def _checked(voltage: FloatArray, model: ModalModel) -> FloatArray:
 def _history(system: DiagonalSystem, output: ComplexArray, voltage: FloatArray, timing: Timing) -> FloatArray:
     """Return the outputs at the starts of the samples, (n_outputs, n_samples) array [m/s]."""
     kernel = BlockKernel(system.exponent, clock_pushes(system, timing), output, timing.hold)
+    n_inputs = kernel.push.shape[1]
     history = np.empty((output.shape[0], voltage.shape[1]))
-    state = np.zeros(system.exponent.size, dtype=complex)
-    for start in range(0, voltage.shape[1], _CHUNK):
-        stop = min(start + _CHUNK, voltage.shape[1])
-        blocks = filled_blocks(clock_inputs(voltage, timing, start, stop, kernel.push.shape[1]))
-        begin, state = kernel.states(blocks, state)
-        kernel.respond(blocks, begin, history[:, start:stop])
+    kernel.write(lambda start, stop: clock_inputs(voltage, timing, start, stop, n_inputs), history)
     return history

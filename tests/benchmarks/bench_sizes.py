@@ -1,0 +1,123 @@
+"""Cost against size, on the kernels: modes 6 to 200, samples 2^10 to 2^22, positions 1 to 10^5; memory at the end.
+
+Writes ``results/benchmarks/sizes.json``. One BLAS thread, best of the repetitions. Exponents are slopes of log time
+against log size over the upper half of the sizes. Memory is what a call takes beside its result.
+"""
+
+import sys
+import tracemalloc
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from bars import at_most, write
+from bench_synthesis import undying
+from peers import design, many_modes, milliseconds, shipped_model
+from threadpoolctl import threadpool_limits
+
+from modaltouch.stimulus.blocks import BlockKernel
+from modaltouch.stimulus.design import Timing
+from modaltouch.stimulus.dynamics import modal_system
+from modaltouch.stimulus.synthesis import synthesise
+from modaltouch.stimulus.vibration import modal_history, moments, peak_velocity
+
+MODES = (6, 12, 25, 50, 100, 200)
+SAMPLES = tuple(2**power for power in range(10, 23, 2))
+POSITIONS = (1, 10, 100, 1000, 10_000, 100_000)
+HOLD = 4e-7
+Works = dict[str, Callable[[], object]]
+
+
+def mode_works(n_modes: int) -> Works:
+    """Return what is run for so many modes, each on both channels."""
+    model, timing = many_modes(n_modes), Timing(n_samples=65_536)
+    amplitude, s = np.ones((2, n_modes), dtype=complex), undying(model.exponent)
+    out, voltage = np.empty((2, 65_536)), np.ones((2, 65_536))
+    return {
+        "synthesis": lambda: synthesise(amplitude, s, timing.hold, out),
+        "response": lambda: modal_history(model, voltage, timing),
+        "state": lambda: moments(voltage, model.exponent, timing.hold),
+    }
+
+
+def sample_works(n_samples: int) -> Works:
+    """Return what is run for so many samples, of nine modes on two channels."""
+    model = shipped_model()
+    s, amplitude, out = undying(model.exponent), np.ones((2, 9), dtype=complex), np.ones((2, n_samples))
+    zones = model.shapes([-0.04, 0.0]).T @ modal_system(model).velocity
+    voltage, velocity = np.ones((2, n_samples)), np.ones((2, n_samples))
+
+    def respond() -> None:
+        BlockKernel.of(modal_system(model), zones, HOLD).write(lambda start, stop: voltage[:, start:stop], velocity)
+
+    return {
+        "synthesis": lambda: synthesise(amplitude, s, HOLD, out),
+        "response_at_two_zones": respond,
+        "state": lambda: moments(voltage, model.exponent, HOLD),
+    }
+
+
+def position_works(n_positions: int) -> Works:
+    """Return what is run for so many positions."""
+    stimulus, place = design(shipped_model()), np.linspace(-0.05, 0.05, n_positions)
+    model, target, voltage = stimulus.model, stimulus.target, stimulus.voltage_played(0.2)
+    return {
+        "field_at_focus": lambda: model.field(target, place),
+        "peaks": lambda: peak_velocity(model, voltage, stimulus.timing, place),
+    }
+
+
+def sweep(sizes: tuple[int, ...], works: Callable[[int], Works]) -> dict[int, dict[str, float]]:
+    """Return the run time of everything at every size [ms]."""
+    return {n: {f"{k}_ms": milliseconds(work, 0.15, 2) for k, work in works(n).items()} for n in sizes}
+
+
+def exponents(rows: dict[int, dict[str, float]]) -> dict[str, float]:
+    """Return the slope of log time against log size over the upper half of the sizes."""
+    size = sorted(rows)[len(rows) // 2 :]
+    return {
+        key.removesuffix("_ms"): float(np.polyfit(np.log(size), np.log([rows[n][key] for n in size]), 1)[0])
+        for key in rows[size[0]]
+    }
+
+
+def memory(works: Callable[[int], Works], sizes: tuple[int, int], result: int) -> dict[str, list[float]]:
+    """Return the most memory taken beside results of so many bytes to each, at two sizes [bytes]."""
+    taken: dict[str, list[float]] = {}
+    for size in sizes:
+        for name, work in works(size).items():
+            work()
+            tracemalloc.start()
+            work()
+            taken.setdefault(name, []).append(tracemalloc.get_traced_memory()[1] - result * size)
+            tracemalloc.stop()
+    return taken
+
+
+def main() -> int:
+    """Run the benchmark and write its figures."""
+    with threadpool_limits(1):
+        rows = {
+            "modes": sweep(MODES, mode_works),
+            "samples": sweep(SAMPLES, sample_works),
+            "positions": sweep(POSITIONS, position_works),
+        }
+        taken = {
+            "samples": memory(sample_works, (2**17, 2**22), 0),
+            "positions": memory(position_works, (10_000, 100_000), 8),
+        }
+    fitted = {what: exponents(each) for what, each in rows.items()}
+    bars: list[dict[str, Any]] = []
+    for what, each in fitted.items():
+        print("  " + ", ".join(f"{name} grows with {what}^{value:.2f}" for name, value in each.items()))
+    for name, (small, large) in taken["samples"].items():
+        bars.append(at_most(f"{name}: memory for 2^22 samples over that for 2^17", large / small, 1.05))
+    (small, large) = taken["positions"]["field_at_focus"]
+    bars.append(at_most("field_at_focus: memory for 1e5 positions over that for 1e4", large / small, 1.05))
+    peaks = taken["positions"]["peaks"][1] / 1e6
+    bars.append(at_most("peaks: memory for 1e5 positions", peaks, 100, "MB"))
+    return write("sizes", {"run_time": rows, "exponents": fitted, "memory_bytes": taken}, bars)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

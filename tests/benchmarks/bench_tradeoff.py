@@ -1,0 +1,166 @@
+"""Run time against error at the focusing instant: samples x modes x bits x law, this engine beside its peers.
+
+Writes ``results/benchmarks/tradeoff.json``, ``stimulus.svg`` and ``stimulus.png``. One BLAS thread, best of the
+repetitions, taken in turns. An error is the largest of any modelled mode over the wished peak: for making a stimulus
+of its velocity and of its displacement (as w eta) from their targets, for predicting one of its velocity from 80-bit
+steps of the same voltages.
+"""
+
+import math
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import control
+import numpy as np
+from bars import at_most, write
+from peers import (
+    design,
+    eighty_bits,
+    forced_response,
+    lsim,
+    nine_lfilters,
+    plain_prediction,
+    race,
+    shipped_model,
+    state_space,
+)
+from threadpoolctl import threadpool_limits
+from tradeoff_figure import draw
+
+from modaltouch.stimulus.design import ModalModel, Stimulus, Timing, Wish
+from modaltouch.stimulus.vibration import modal_history, states_by_channel
+
+SAMPLES = (12_500, 25_000, 62_500, 125_000)
+MODES = (3, 6, 9)
+BITS = ("10 bits", "12 bits", "14 bits", "14 bits, settled", "before rounding")
+PEAK = 0.2
+Point = dict[str, Any]
+
+
+def made(model: ModalModel, n_samples: int, n_modes: int, law: str, bits: str) -> Stimulus:
+    """Return a stimulus, of which nothing but its design is computed yet."""
+    rounding = "settled" if bits == "14 bits, settled" else "plain"
+    timing, wish = Timing(n_samples=n_samples), Wish(selection=n_modes)
+    return design(model, timing=timing, wish=wish, law=law, rounding=rounding)
+
+
+def finish(stimulus: Stimulus, bits: str) -> Any:
+    """Compute the voltages of a stimulus, rounded to so many bits; return those of 10 and 12 bits."""
+    if bits == "before rounding":
+        return stimulus.drive
+    if bits.startswith("14"):
+        return stimulus.burst
+    # Coarser codes than the generator's, at full scale.
+    unit = stimulus.peak_voltage / (2 ** (int(bits[:2]) - 1) - 1)
+    return np.rint(stimulus.voltage / unit[:, None]) * unit[:, None]
+
+
+def making_error(stimulus: Stimulus, bits: str) -> float:
+    """Return the largest modal error at the focusing instant over the peak [1]."""
+    if bits.startswith("14"):
+        return stimulus.worst_modal_error(PEAK) / PEAK
+    voltage = stimulus.voltage if bits == "before rounding" else finish(stimulus, bits)
+    state = states_by_channel(stimulus.system, voltage, stimulus.timing, 0.025).sum(axis=0)
+    velocity, displacement = (stimulus.system.velocity @ state).real, (stimulus.system.displacement @ state).real
+    return float(max(np.abs(velocity - stimulus.target).max(), np.abs(displacement).max())) / PEAK
+
+
+def making(model: ModalModel) -> list[Point]:
+    """Return time and error of making the voltages of a stimulus, or its codes."""
+    cases = [
+        (n_samples, n_modes, law, bits)
+        for n_samples in SAMPLES
+        for n_modes in MODES
+        for law in ("exact", "paper")
+        for bits in BITS
+        if (law, bits) != ("paper", "14 bits, settled")
+    ]
+    times = race({str(case): lambda case=case: finish(made(model, *case), case[3]) for case in cases}, 25.0, 3)
+    return [
+        {
+            "task": "making",
+            "n_samples": case[0],
+            "n_modes": case[1],
+            "law": case[2],
+            "bits": case[3],
+            "time_ms": times[str(case)],
+            "error": making_error(made(model, *case), case[3]),
+        }
+        for case in cases
+    ]
+
+
+def predicting(model: ModalModel, n_samples: int) -> list[Point]:
+    """Return time and error of predicting the modal velocities at t_F from the voltages, by every means."""
+    timing, whole = Timing(n_samples=n_samples), state_space(model)
+    whole_system, stimulus = control.ss(*whole), design(model, timing=timing)
+    system, hold = stimulus.system, timing.hold
+    # A sample more, whose start is the focusing instant: histories are read there.
+    voltage = np.ascontiguousarray(stimulus.voltage[:, : stimulus.drive.n_before + 1])
+    quick: dict[str, Callable[[], Any]] = {
+        "engine, state at t_F": lambda: (
+            (system.velocity @ states_by_channel(system, voltage, timing, 0.025).sum(axis=0)).real
+        ),
+        "engine, whole history": lambda: modal_history(model, voltage, timing)[:, -1],
+        "plain NumPy": lambda: plain_prediction(model, voltage[:, :-1], hold),
+        "lfilter, nine calls": lambda: nine_lfilters(model, voltage, hold)[:, -1],
+    }
+    slow: dict[str, Callable[[], Any]] = {
+        "lsim, one call": lambda: lsim([whole], voltage, hold)[:, -1],
+        "forced_response, one call": lambda: forced_response([whole_system], voltage, hold)[:, -1],
+    }
+    times, exact = {**race(quick, 1.5), **race(slow, 1.5, 2)}, eighty_bits(model, voltage, hold)[:, -1]
+    return [
+        {
+            "task": "predicting",
+            "who": who,
+            "n_samples": n_samples,
+            "n_modes": model.n_modes,
+            "time_ms": times[who],
+            "error": float(np.abs(work() - exact).max()) / PEAK,
+        }
+        for who, work in {**quick, **slow}.items()
+    ]
+
+
+def mark_fronts(points: list[Point]) -> None:
+    """Mark the points that no other of their task and number of modes beats in both time and error.
+
+    Voltages before rounding are no stimulus yet: no generator plays them, and they are in no front.
+    """
+    best: dict[tuple[Any, ...], float] = {}
+    for point in sorted(points, key=lambda each: (each["time_ms"], each["error"])):
+        group = (point["task"], point["n_modes"])
+        playable = point.get("bits") != "before rounding"
+        point["front"] = playable and point["error"] < best.get(group, math.inf)
+        if point["front"]:
+            best[group] = point["error"]
+
+
+def main() -> int:
+    """Run the benchmark, write its figures and draw them."""
+    model = shipped_model()
+    with threadpool_limits(1):
+        points = making(model)
+        for n_samples in SAMPLES:
+            points += predicting(model, n_samples)
+    mark_fronts(points)
+    draw(points)
+
+    def worst(task: str, **like: Any) -> float:
+        some = [each for each in points if each["task"] == task and like.items() <= each.items()]
+        return max(each["error"] for each in some)
+
+    bars = [
+        at_most(
+            "exact law before rounding: error over the peak", worst("making", law="exact", bits=BITS[4]), 1e-13, ""
+        ),
+        at_most("exact law, settled codes: error over the peak", worst("making", law="exact", bits=BITS[3]), 1e-6, ""),
+        at_most("state at t_F: error over the peak", worst("predicting", who="engine, state at t_F"), 1e-14, ""),
+    ]
+    return write("tradeoff", {"points": points}, bars)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
