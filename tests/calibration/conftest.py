@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from modaltouch.apparatus import Apparatus, TrueAmplifier
-from modaltouch.calibration.loop import Outcome, aimed_ground, calibrate
+from modaltouch.calibration.loop import calibrate
+from modaltouch.calibration.outcome import Outcome
+from modaltouch.calibration.refining import aimed_ground
 from modaltouch.preflight import Preflight, examine
 from modaltouch.preflight.examine import design_to_fit
 from modaltouch.rig.acquisition import Acquisition, Recording

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from modaltouch.apparatus import Apparatus
-from modaltouch.calibration.loop import Progress, Turn, calibrate, ground_of, significant
+from modaltouch.calibration.loop import calibrate
+from modaltouch.calibration.outcome import Progress, Turn
 from modaltouch.calibration.plant import ModalState
+from modaltouch.calibration.refining import ground_of, significant
 from modaltouch.calibration.taking import measuring_points
 from modaltouch.document import InputError
 from modaltouch.interruption import Interrupted

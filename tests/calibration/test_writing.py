@@ -8,7 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from modaltouch.calibration.loop import Outcome, aimed_ground, calibrate
+from modaltouch.calibration.loop import calibrate
+from modaltouch.calibration.outcome import Outcome
+from modaltouch.calibration.refining import aimed_ground
 from modaltouch.calibration.writing import Circumstances, calibration_of, calibration_text, write_calibration
 from modaltouch.document import Source
 from modaltouch.preflight import Preflight, examine

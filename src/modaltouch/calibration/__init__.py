@@ -1,1 +1,16 @@
-"""Calibration: the loop that makes the stimulus true on the very beam it is played on."""
+"""Calibration: what the stimulus really does at the focusing instant, and targets that make it what was wished.
+
+``bursts``    what is played to identify the rig
+``taking``    records with ranges that fit
+``lag``       gain, delay and lag of the drive; the scope's clock; delay and lag of the vibrometer
+``decay``     poles and residues of free decays, unlisted modes included
+``plant``     the identified rig, and states read off decays
+``doubts``    what is not believed
+``refining``  from what was measured to what is aimed at
+``loop``      identify, aim, measure, correct, verify
+``outcome``   what comes of it
+``writing``   the file that the session reads
+
+What stays unknown is the time from the generator's first sample to the scope's, its trigger latency: 0.05 us of it
+leave 0.05 mm/s in the displacement of the shipped stimulus.
+"""

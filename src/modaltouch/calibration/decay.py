@@ -83,7 +83,6 @@ def fit_poles(time: FloatArray, records: FloatArray, pole: ComplexArray) -> Deca
     pole : (n_poles,) complex array
         Where the fit begins [1/s].
     """
-    first = pole.copy()
     best = _Projection(time, records, pole)
     for _ in range(_STEPS):
         step = best.newton_step()
@@ -100,10 +99,6 @@ def fit_poles(time: FloatArray, records: FloatArray, pole: ComplexArray) -> Deca
         best = tried
         if float((np.abs(step) / -best.pole.real).max()) < _SETTLED:
             break
-    lost = np.abs(best.pole - first) > 5 * -first.real
-    if lost.any():
-        # What is hardly excited may wander off: it stays where it was listed.
-        best = _Projection(time, records, np.where(lost, first, best.pole))
     return best.decay()
 
 
@@ -145,6 +140,8 @@ def _next_line(time: FloatArray, records: FloatArray, decay: Decay) -> complex |
         frequency = np.fft.rfftfreq(length, step)
         # Without a line the power is a chi-square of two degrees a record; the median tells its scale.
         scale = float(np.median(power)) / n_records
+        if scale == 0:
+            continue
         highest = scale * (n_records + 2 * np.sqrt(n_records * np.log(power.size)) + 2 * np.log(power.size))
         for place in np.argsort(-power)[:20]:
             excess = float(power[place]) / highest

@@ -19,7 +19,7 @@ from modaltouch.stimulus.timing import Timing
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-LONGEST = 50e-6
+LONGEST = 100e-6
 """Longest delay, and lag, that is looked for [s]."""
 
 FORGOTTEN = 30.0
@@ -76,6 +76,8 @@ def fit_drive(recordings: list[Recording], commanded: FloatArray, timing: Timing
     measured = [recording.drive.mean(axis=0) for recording in recordings]
     size = np.concatenate([each.ravel() for each in measured])
     scale = float(np.sqrt(np.mean(size**2)))
+    if scale == 0:
+        return DriveLag((0.0,) * commanded.shape[0], 0.0, 0.0, 0.0, 1.0)
 
     @lru_cache(maxsize=1)
     def lagged(lag: float) -> _Lagged:
@@ -95,7 +97,9 @@ def fit_drive(recordings: list[Recording], commanded: FloatArray, timing: Timing
         gain = gains(courses)[:, None]
         return np.concatenate([(each - gain * c).ravel() for c, each in zip(courses, measured, strict=True)]) / scale
 
-    tried = [(float(np.sum(rest(np.array([delay, 0.5, 0.0])) ** 2)), delay) for delay in np.arange(-1.0, 51.0, 1.0)]
+    tried = [
+        (float(np.sum(rest(np.array([delay, 0.5, 0.0])) ** 2)), delay) for delay in np.arange(-1.0, LONGEST * 1e6, 1.0)
+    ]
     begin = np.array([min(tried)[1], 0.5, 0.0])
     found = least_squares(rest, begin, diff_step=1e-3, x_scale=[1.0, 1.0, 5.0], xtol=1e-9, ftol=1e-12)
     delay, lag, clock = found.x[0] * 1e-6, abs(found.x[1]) * 1e-6, found.x[2] * 1e-6
@@ -169,7 +173,7 @@ def fit_sight(pole: ComplexArray, ratio: ComplexArray, spread: FloatArray, sign:
     """
     from scipy.optimize import least_squares
 
-    size = np.abs(ratio)
+    size = np.maximum(np.abs(ratio), 1e-30)
     # No response is known better than a thousandth: what the fit leaves out is larger.
     weight = 1 / np.hypot(spread, 1e-3 * size + 1e-30)
 
@@ -181,7 +185,9 @@ def fit_sight(pole: ComplexArray, ratio: ComplexArray, spread: FloatArray, sign:
         return np.asarray((turned(values).imag * weight).ravel())
 
     def astray(delay: float) -> float:
+        # A signal that is inverted as a whole is no later for it.
         straight = turned(np.array([delay, 0.0]))
+        straight = straight * np.sign(np.sum(np.where(sign != 0, sign * straight.real / size, 0.0)))
         known = sign != 0
         return float(np.sum((np.abs(straight - sign * np.abs(straight)) / size)[known] ** 2))
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,11 +10,13 @@ from numpy.typing import NDArray
 from modaltouch.apparatus import Apparatus
 from modaltouch.calibration.bursts import commanded_voltage, identifying_burst, probe_voltage, timing_voltage
 from modaltouch.calibration.decay import find_poles, fit_residues
+from modaltouch.calibration.doubts import refuse_doubtful_drive, refuse_doubtful_plant
 from modaltouch.calibration.lag import fit_drive
-from modaltouch.calibration.plant import ModalState, Plant, identify_plant
+from modaltouch.calibration.outcome import Level, Outcome, Progress, Turn
+from modaltouch.calibration.plant import Plant, identify_plant
+from modaltouch.calibration.refining import DIGITS, aimed_ground, refined_apparatus, significant
 from modaltouch.calibration.taking import Bench, Taking, measuring_points
-from modaltouch.document import InputError
-from modaltouch.preflight.examine import Preflight, design_to_fit
+from modaltouch.preflight.examine import design_to_fit
 from modaltouch.preflight.ground import Ground
 from modaltouch.rig.interface import RigError
 from modaltouch.stimulus.burst import Burst
@@ -27,132 +28,11 @@ FloatArray = NDArray[np.float64]
 MOST_ITERATIONS = 4
 """Turns of the loop at most; two settle it."""
 
-CERTAIN = 3.0
-"""Standard errors below which a deviation may be noise, and is not corrected [1]."""
-
 LEAST_CHANGE = 2e-4
 """Correction, as a part of the reference level, that is not worth another turn [1]."""
 
-DIGITS = 6
-"""Decimals of a target in mm/s that the file keeps: a thousandth of what noise leaves."""
-
 LEAST_TRIM = 2e-3
 """Deviation of a level below which its amplitude is left as it is [1]."""
-
-
-@dataclass(frozen=True)
-class Turn:
-    """What one turn of the loop measured at the reference level.
-
-    Attributes
-    ----------
-    number : int
-        0 is the stimulus as the apparatus file gives it.
-    state : ModalState
-        Of the modes at the focusing instant.
-    errors : (float, float)
-        Largest of velocity, and of w eta [m/s].
-    peak_voltage : float
-        Highest voltage at the beam [V].
-    """
-
-    number: int
-    state: ModalState
-    errors: tuple[float, float]
-    peak_voltage: float
-
-    @property
-    def worst(self) -> float:
-        """The larger of both errors [m/s]."""
-        return max(self.errors)
-
-
-@dataclass(frozen=True)
-class Level:
-    """A level as measured at the centre of the focus zone.
-
-    Attributes
-    ----------
-    velocity : float
-        The level [m/s].
-    factor : float
-        Of its amplitude [1].
-    amplitude : tuple of float
-        Of each output [V peak to peak, open circuit].
-    at_focus : float
-        Velocity at the focusing instant [m/s].
-    spread : float
-        Its standard error [m/s].
-    highest : float
-        Highest speed over the burst [m/s].
-    """
-
-    velocity: float
-    factor: float
-    amplitude: tuple[float, ...]
-    at_focus: float
-    spread: float
-    highest: float
-
-
-@dataclass(frozen=True, eq=False)
-class Outcome:
-    """A finished calibration.
-
-    Attributes
-    ----------
-    plant : Plant
-        The identified rig.
-    refined : Apparatus
-        The apparatus with modes and amplifier as identified, in the units and digits of its file.
-    target : (n_modes,) array
-        Modal velocities wished at the reference level [m/s].
-    correction : Correction
-        Targets to aim at, and factors of the levels.
-    points : (n_points,) array
-        Where the beam was measured [m].
-    turns : tuple of Turn
-        All turns, the first before any correction.
-    best : Turn
-        The one whose targets are kept.
-    levels : tuple of Level
-        As verified.
-    """
-
-    plant: Plant
-    refined: Apparatus
-    target: FloatArray
-    correction: Correction
-    points: FloatArray
-    turns: tuple[Turn, ...]
-    best: Turn
-    levels: tuple[Level, ...]
-
-
-def _quiet(*_: object) -> None:
-    """Say nothing, stop at no moment."""
-
-
-@dataclass(frozen=True)
-class Progress:
-    """Whom to tell what the loop does.
-
-    Attributes
-    ----------
-    check : callable
-        Called before each record; raises where a signal has come.
-    step : callable
-        Called with what begins, in words, and how many records it takes.
-    advance : callable
-        Called after each record.
-    turn : callable
-        Called with each `Turn` as soon as it is measured.
-    """
-
-    check: Callable[[], None] = _quiet
-    step: Callable[[str, int], None] = _quiet
-    advance: Callable[[], None] = _quiet
-    turn: Callable[[Turn], None] = _quiet
 
 
 def calibrate(bench: Bench, apparatus: Apparatus, ground: Ground, progress: Progress | None = None) -> Outcome:
@@ -255,6 +135,8 @@ class _Loop:
         burst = burst_of(timing_voltage(listed.model, timing))
         commanded = commanded_voltage(burst, to_beam)
         drive = fit_drive(self._taking.drive(burst, float(np.abs(commanded).max())), commanded, timing)
+        refuse_doubtful_drive(drive)
+        self._taking.wait_for(drive)
         rows, voltages, time = [], [], np.zeros(0)
         for channel in range(n_channels):
             self._progress.step(f"modes, by output {channel + 1}", self._points.size)
@@ -264,7 +146,9 @@ class _Loop:
             rows.append(decay)
         since = time / (1 + drive.clock) - timing.focusing_instant
         decays = find_poles(since, np.concatenate(rows), listed.model.exponent)
-        return identify_plant(listed.model, listed.amplifier, drive, decays, self._shapes, voltages, timing)
+        plant = identify_plant(listed.model, listed.amplifier, drive, decays, self._shapes, voltages, timing)
+        refuse_doubtful_plant(plant, listed.model, self._taking.margin)
+        return plant
 
     def _aimed(self, refined: Apparatus, correction: Correction) -> Stimulus:
         return design_to_fit(aimed_ground(self._ground, refined, correction), release="free")
@@ -325,76 +209,6 @@ class _Loop:
             spread=float(np.sqrt(np.sum((fitted.spread / np.abs(sight)) ** 2))),
             highest=highest,
         )
-
-
-def ground_of(preflight: Preflight) -> Ground:
-    """Return what the stimulus of a checked protocol is designed from.
-
-    Raises
-    ------
-    InputError
-        If anything is wrong with the files, or the stimulus has no targets that could be corrected.
-    """
-    preflight.require()
-    ground, reading = preflight.ground, preflight.findings.protocol
-    if ground is None or reading is None:
-        raise InputError(preflight.problems)
-    if ground.section.law != "exact":
-        given = f"{ground.section.law}, a law without targets that could be corrected"
-        raise InputError([reading.problem(("stimulus", "law"), given, "exact", "calibrate the exact law")])
-    return ground
-
-
-def significant(state: ModalState, target: FloatArray) -> FloatArray:
-    """Return how far the states are from their targets, less what may be noise, (2, n_modes) array [m/s].
-
-    A deviation of a few standard errors is corrected in part, a smaller one not at all, so that the loop does not
-    chase the noise of its own measurements.
-
-    Parameters
-    ----------
-    state : ModalState
-        As measured.
-    target : (n_modes,) array
-        Modal velocities wished [m/s].
-    """
-    error = np.stack([state.velocity - target, state.displacement])
-    doubt = CERTAIN * state.spread / np.maximum(np.abs(error), 1e-30)
-    return np.asarray(error * np.maximum(1 - doubt**2, 0.0))
-
-
-def aimed_ground(ground: Ground, refined: Apparatus, correction: Correction) -> Ground:
-    """Return what a stimulus is designed from on an identified rig."""
-    used = ground.apparatus.model_copy(update={"modes": refined.modes, "amplifier": refined.amplifier})
-    return replace(ground, apparatus=used, correction=correction)
-
-
-def refined_apparatus(apparatus: Apparatus, plant: Plant) -> Apparatus:
-    """Return an apparatus with modes and amplifier as identified, with the digits that the calibration file keeps."""
-    channel = {name: actuators.channel - 1 for name, actuators in apparatus.actuator_sets.items()}
-    modes = []
-    for row, mode in enumerate(apparatus.modes):
-        gains = {name: _digits(plant.model.modal_gain[row, place] * 1e3) for name, place in channel.items()}
-        update = {
-            "natural_frequency_Hz": _digits(plant.model.natural_frequency[row]),
-            "damping_ratio": _digits(plant.model.damping_ratio[row]),
-            "gain_mm_s2_per_V": gains,
-            "assumed": (),
-        }
-        modes.append(mode.model_copy(update=update))
-    bandwidth = plant.amplifier.bandwidth
-    amplifier = apparatus.amplifier.model_copy(
-        update={
-            "gain_V_per_V": _digits(plant.amplifier.gain),
-            "bandwidth_kHz": None if bandwidth is None else _digits(bandwidth * 1e-3),
-            "delay_us": _digits(plant.amplifier.delay * 1e6),
-        }
-    )
-    return apparatus.model_copy(update={"modes": tuple(modes), "amplifier": amplifier})
-
-
-def _digits(value: float) -> float:
-    return float(f"{value:.9g}")
 
 
 def _trim(level: Level) -> float:

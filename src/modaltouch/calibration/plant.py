@@ -57,6 +57,8 @@ class Plant:
         How the vibrometer follows the motion.
     unlisted : (n_unlisted,) complex array
         Poles of modes that the table lacks [1/s].
+    certainty : (n_modes,) array
+        How far each mode's swing stood out of the noise when it was identified, in standard errors [1].
     """
 
     model: ModalModel
@@ -64,6 +66,7 @@ class Plant:
     drive: DriveLag
     sight: SightLag
     unlisted: ComplexArray
+    certainty: FloatArray
 
     @property
     def pole(self) -> ComplexArray:
@@ -181,4 +184,5 @@ def identify_plant(
         drive=drive,
         sight=sight,
         unlisted=decay.pole[n_modes:],
+        certainty=np.asarray((np.abs(ratio) / np.maximum(spread, 1e-300)).max(axis=1)),
     )

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.calibration.bursts import SWEEP
+from modaltouch.calibration.lag import DriveLag
 from modaltouch.rig.acquisition import Acquisition, Recording
 from modaltouch.rig.interface import RigError
 from modaltouch.stimulus.burst import Burst
@@ -90,6 +91,8 @@ class Taking:
         Called before each record; raises where a signal has come.
     advance : callable
         Called after each record.
+    margin : float
+        From the focusing instant to the first sample of a decay [s].
     """
 
     bench: Bench
@@ -98,12 +101,17 @@ class Taking:
     highest_velocity: float
     check: Callable[[], None]
     advance: Callable[[], None]
+    margin: float = field(default=MARGIN, init=False)
     _forth: bool = field(default=False, init=False)
 
     @property
     def rate(self) -> float:
         """Samples per second [Hz]."""
         return PER_CYCLE * float(self.model.natural_frequency.max())
+
+    def wait_for(self, drive: DriveLag) -> None:
+        """Begin the records of decays late enough for the drive to have ended at the beam."""
+        self.margin = max(MARGIN, drive.delay + 10 * drive.lag + MARGIN / 2)
 
     def decays(self, burst: Burst, level: float, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the free decay after the focusing instant.
@@ -147,7 +155,7 @@ class Taking:
             n_samples=max(256, int(length * self.rate)),
             n_records=n_records,
             drives=(),
-            start=self.timing.focusing_instant + MARGIN,
+            start=self.timing.focusing_instant + self.margin,
         )
 
     def at_level(self, level: float, point: float) -> tuple[FloatArray, FloatArray, float]:
@@ -200,7 +208,7 @@ class Taking:
 
     def _within(self, point: float, level: float, asked: Acquisition, highest: float | None) -> Recording:
         """Return a record that nothing overloads; ranges are widened as far as it takes."""
-        if highest is not None:
+        if highest:
             asked = replace(asked, velocity_range=min(HEADROOM * highest, self.highest_velocity))
         for _ in range(6):
             self.check()

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from modaltouch.apparatus import Apparatus
-from modaltouch.calibration.loop import DIGITS, Level, Outcome, Turn
+from modaltouch.calibration.outcome import Level, Outcome, Turn
+from modaltouch.calibration.refining import DIGITS
 from modaltouch.measurement.scanning import save_bytes
 from modaltouch.preflight.ground import Ground
 from modaltouch.protocol.calibration_file import apparatus_hash

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import datetime
@@ -12,10 +13,10 @@ import typer
 
 from modaltouch.cli.checking import PROTOCOL
 from modaltouch.cli.faults import print_json, reporting
-from modaltouch.cli.running import RIG
+from modaltouch.cli.measuring import RIG, ask_to_aim
 
 if TYPE_CHECKING:
-    from modaltouch.calibration.loop import Progress, Turn
+    from modaltouch.calibration.outcome import Progress, Turn
     from modaltouch.protocol.calibration_sections import CalibrationFile
 
 
@@ -33,7 +34,7 @@ def calibrate(
     noise does not explain. Last, every velocity level is verified at the focus. Nothing is written before the end.
     """
     from modaltouch.calibration.loop import calibrate as run_loop
-    from modaltouch.calibration.loop import ground_of
+    from modaltouch.calibration.refining import ground_of
     from modaltouch.calibration.writing import Circumstances, calibration_of, refuse_overwriting, write_calibration
     from modaltouch.interruption import Interruption
     from modaltouch.measurement import open_laboratory
@@ -74,7 +75,7 @@ def _showing(check: Callable[[], None], *, by_hand: bool) -> Iterator[tuple[Prog
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Bars
 
-    from modaltouch.calibration.loop import Progress
+    from modaltouch.calibration.outcome import Progress
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     console = Console(stderr=True)
@@ -97,9 +98,12 @@ def _showing(check: Callable[[], None], *, by_hand: bool) -> Iterator[tuple[Prog
             if not by_hand or aimed[-1:] == [position]:
                 return
             bars.stop()
-            console.print(f"Aim the vibrometer at {position * 1e3:+.1f} mm from mid-beam, then press Enter")
-            typer.get_text_stream("stdin").readline()
-            check()
+            # The outputs are off while somebody aims: here Ctrl-C may end it at once.
+            noting = signal.signal(signal.SIGINT, signal.default_int_handler)
+            try:
+                ask_to_aim(position)
+            finally:
+                signal.signal(signal.SIGINT, noting)
             aimed.append(position)
             bars.start()
 

@@ -1,0 +1,120 @@
+"""What a calibration refuses to believe: each fault of a rig said in words, with what to look at."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from modaltouch.apparatus import Apparatus, TrueAmplifier, Vibrometer
+from modaltouch.calibration.loop import calibrate
+from modaltouch.preflight import Preflight
+from modaltouch.rig.acquisition import Acquisition, Recording
+from modaltouch.rig.interface import RigError
+
+
+class Spoilt:
+    """A bench whose recordings are changed on their way."""
+
+    def __init__(self, bench, change: Callable[[Recording], Recording]) -> None:
+        self.load = bench.load
+        self._bench = bench
+        self._change = change
+
+    def record(self, position: float, velocity: float, acquisition: Acquisition) -> Recording:
+        return self._change(self._bench.record(position, velocity, acquisition))
+
+
+def changed(**factors: float) -> Callable[[Recording], Recording]:
+    """Return what multiplies velocity or drive."""
+
+    def change(recording: Recording) -> Recording:
+        return replace(recording, **{name: getattr(recording, name) * factor for name, factor in factors.items()})
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (changed(velocity=0.0), r"mode 1 at 229 Hz is not seen: it stands out of the noise by 0\.0 standard errors"),
+        (changed(velocity=-1.0), r"every mode moves against the sign of its listed gain"),
+        (changed(velocity=4.0), r"the gain of mode \d+ by output [12] was found as .* allowed 0\.4 to 2\.5 times"),
+        (changed(drive=0.1), r"the drive measured at the beam is 0\.10 times what output 1 commands: allowed 0\.67"),
+        (changed(drive=0.0), r"the drive measured at the beam is 0\.00 times what output 1 commands"),
+    ],
+    ids=["dead vibrometer", "inverted vibrometer", "wrong sensitivity", "wrong probe", "no drive"],
+)
+def test_fault_of_a_rig_is_told(
+    preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable, change: Callable, said: str
+) -> None:
+    """Before anything is corrected."""
+    bench = Spoilt(make_bench(shipped_apparatus, 1), change)
+    with pytest.raises(RigError, match=said):
+        calibrate(bench, shipped_apparatus, preflight.ground)
+
+
+def test_drive_that_is_another_is_told(
+    preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable
+) -> None:
+    """A probe that picks up hum of its own."""
+
+    def hum(recording: Recording) -> Recording:
+        drive = recording.drive + 20 * np.sin(2 * np.pi * 31e3 * recording.time)
+        return replace(recording, drive=drive)
+
+    bench = Spoilt(make_bench(shipped_apparatus, 1), hum)
+    with pytest.raises(RigError, match=r"of the drive measured at the beam, \d+% is not the commanded one"):
+        calibrate(bench, shipped_apparatus, preflight.ground)
+
+
+def test_a_late_vibrometer_is_told(preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable) -> None:
+    """45 us: the records would begin before its signal."""
+    late = shipped_apparatus.twin.model_copy(update={"vibrometer": Vibrometer(delay_us=45.0)})
+    bench = make_bench(shipped_apparatus.model_copy(update={"twin": late}), 1)
+    with pytest.raises(RigError, match=r"the vibrometer is 4\d us late"):
+        calibrate(bench, shipped_apparatus, preflight.ground)
+
+
+def test_a_tripped_amplifier_is_told(preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable) -> None:
+    """Nothing reaches the beam."""
+    bench = make_bench(shipped_apparatus, 1)
+    bench.twin.tripped = True
+    with pytest.raises(RigError, match="see whether the amplifier is on"):
+        calibrate(bench, shipped_apparatus, preflight.ground)
+
+
+def test_another_beam_is_told(preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable) -> None:
+    """Every natural frequency 7 % higher than listed."""
+    higher = tuple(
+        mode.model_copy(update={"natural_frequency_Hz": 1.07 * mode.natural_frequency_Hz})
+        for mode in shipped_apparatus.modes
+    )
+    bench = make_bench(shipped_apparatus.model_copy(update={"modes": higher}), 1)
+    with pytest.raises(RigError, match=r"mode \d+ .*; the outputs are off"):
+        calibrate(bench, shipped_apparatus, preflight.ground)
+
+
+def test_a_range_too_small_is_told(preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable) -> None:
+    """A vibrometer set to 100 mm/s: 200 mm/s cannot be seen."""
+    small = shipped_apparatus.model_copy(
+        update={"acquisition": shipped_apparatus.acquisition.model_copy(update={"range_mm_s": 100.0})}
+    )
+    bench = make_bench(small, 1)
+    with pytest.raises(RigError, match=r"velocity is overloaded at .* in the widest range; choose a wider one"):
+        calibrate(bench, small, preflight.ground)
+
+
+@pytest.mark.parametrize("microseconds", [30.0, 60.0])
+def test_a_slow_amplifier_is_waited_for(
+    preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable, judge: Callable, microseconds: float
+) -> None:
+    """A delay of the amplifier longer than the usual margin is found, waited for and corrected."""
+    slow = shipped_apparatus.twin.model_copy(
+        update={"amplifier": TrueAmplifier(bandwidth_kHz=100.0, delay_us=microseconds)}
+    )
+    bench = make_bench(shipped_apparatus.model_copy(update={"twin": slow}), 1)
+    velocity, displacement, _ = judge(bench, calibrate(bench, shipped_apparatus, preflight.ground))
+    assert max(velocity, displacement) < 0.3e-3
