@@ -7,16 +7,20 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from modaltouch.__main__ import main
-from modaltouch.measurement import open_laboratory
+from modaltouch.cli import calibrating
+from modaltouch.measurement import Laboratory, open_laboratory
 from modaltouch.preflight import examine
 from modaltouch.record.chain import read_chain
+from modaltouch.rig.acquisition import Recording
 
 N_BEAMS = int(os.environ.get("MODALTOUCH_CALIBRATED_BEAMS", "1"))
 
@@ -113,3 +117,37 @@ def test_calibrate_needs_a_sound_protocol(edit: Callable, tmp_path: Path) -> Non
     path = edit("demo.yaml", ("focus: C", "focus: Q"))
     assert command("calibrate", path, "--out", tmp_path / "c.yaml") == 2
     assert not (tmp_path / "c.yaml").exists()
+
+
+def test_a_signal_ends_it_with_the_outputs_off_and_nothing_written(
+    shipped: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """SIGINT while the fourth record is taken: exit 130 before a fifth, outputs off, no file, one JSON object."""
+    records, outputs = [], []
+    genuine = Laboratory.record
+
+    def record(self: Laboratory, *asked: Any) -> Recording:
+        records.append(asked)
+        if len(records) == 4:
+            os.kill(os.getpid(), signal.SIGINT)
+        recording = genuine(self, *asked)
+        assert self.simulator is not None
+        outputs.append(self.simulator.outputs)
+        return recording
+
+    monkeypatch.setattr(Laboratory, "record", record)
+    assert command("calibrate", shipped / "demo.yaml", "--out", tmp_path / "c.yaml", "--json") == 130
+    assert len(records) == 4
+    assert outputs[-1] == (False, False)
+    assert "the outputs are off" in json.loads(capsys.readouterr().out)["error"]
+    assert list(tmp_path.glob("*.yaml")) == []
+
+
+def test_a_spot_moved_by_hand_is_asked_for_once_a_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same place twice in a row: one question."""
+    asked: list[float] = []
+    monkeypatch.setattr(calibrating, "ask_to_aim", asked.append)
+    with calibrating._showing(lambda: None, by_hand=True) as (_, aim):
+        for position in (0.01, 0.01, -0.01, 0.01):
+            aim(position)
+    assert asked == [0.01, -0.01, 0.01]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -10,8 +11,8 @@ import pytest
 
 from modaltouch.apparatus import read_apparatus
 from modaltouch.document import Source, load_source, read
-from modaltouch.preflight import examine
-from modaltouch.protocol import Protocol
+from modaltouch.preflight import examine, examine_findings
+from modaltouch.protocol import Protocol, Sources, examine_sources
 from modaltouch.protocol.calibration_file import apparatus_hash, check_age, examine_calibration, generator_problem
 
 IDENTITY = "TEKTRONIX,AFG3022B,C012345,SCPI:99.0 FV:3.2.2"
@@ -209,3 +210,17 @@ def test_faults_of_the_file_have_their_place(calibrate: Callable) -> None:
     said = problems(protocol, path)
     assert "focus_centre_mm" in said
     assert "calibration.yaml:11:17: reference_mm_s" in said
+
+
+def test_a_record_is_restored_with_its_calibration_however_old(calibrate: Callable) -> None:
+    """As `resume` and `verify` do: the same codes from the recorded texts, though a new session would be refused."""
+    made = (datetime.now(UTC) - timedelta(days=400)).isoformat(timespec="seconds")
+    limit = ("title: Demonstration", "title: Demonstration\ncalibration: {required: true, max_age_days: 500}")
+    protocol, path = calibrate(limit, made=made)
+    begun = examine(protocol, path).require()
+    recorded = json.loads(json.dumps(begun.experiment.sources.as_dict()))
+    recorded["protocol"]["text"] = recorded["protocol"]["text"].replace("500}", "5}")
+    restored = examine_findings(examine_sources(Sources.from_dict(recorded))).require()
+    assert restored.stimulus.burst.content_hash == begun.stimulus.burst.content_hash
+    plain = examine(protocol, uncalibrated=True).stimulus.burst.content_hash
+    assert restored.stimulus.burst.content_hash != plain
