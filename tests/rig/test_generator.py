@@ -221,6 +221,20 @@ def test_log_holds_every_exchange_but_no_record(generator: Generator, burst: Bur
     assert all(f"<{2 * burst.codes.shape[1]} bytes, blake2b " in sent for sent in uploads)
 
 
+@pytest.mark.parametrize(("end", "code"), [(0, 8191 + 100), (-1, 8191 - 100)])
+def test_burst_that_begins_or_ends_with_a_step_is_refused(
+    loaded: Generator, simulator: Simulator, burst: Burst, end: int, code: int
+) -> None:
+    """Ramp on, ramp off: the outputs rest at a record's ends, at most 1 % of full scale from 0 V; none is loaded."""
+    codes = burst.codes.copy()
+    codes[1, end] = code
+    with pytest.raises(RigError, match="output 2 begins or ends at 1.2% of its full scale: at most 1% is allowed"):
+        loaded.load(replace(burst, codes=codes))
+    with pytest.raises(RigError, match="before a burst was loaded"):
+        loaded.fire(0.1)
+    assert simulator.outputs == (False, False)
+
+
 def test_silent_channel_plays_nothing(generator: Generator, simulator: Simulator, burst: Burst) -> None:
     """A channel without drive keeps a low amplitude and a record of zero volts."""
     codes = burst.codes.copy()

@@ -21,6 +21,7 @@ from modaltouch.rig.settings import (
     level_setting,
     lock_setting,
     record_peaks,
+    refuse_steps,
     timer_setting,
 )
 from modaltouch.stimulus.burst import Burst
@@ -59,7 +60,15 @@ class Player:
         return (*self._settings, *self._levels, *self._trigger(self._let_go))
 
     def take(self, burst: Burst) -> None:
-        """Make a burst the one to be played; `replay` brings it into the instrument."""
+        """Make a burst the one to be played; `replay` brings it into the instrument.
+
+        Raises
+        ------
+        RigError
+            If it does not begin and end at rest.
+        """
+        self._burst, self._settings, self._levels = None, (), ()
+        refuse_steps(burst)
         self._burst, self._peaks = burst, record_peaks(burst)
 
     def replay(self) -> None:

@@ -25,6 +25,9 @@ MAX_POINTS = 131_072
 HIGHEST_LEVEL = 10.0
 """Highest output of an AFG3022B into an open circuit [V]."""
 
+LARGEST_STEP = 0.01
+"""How far from zero a record may begin and end, as a part of its full scale [1]."""
+
 KNOWN_MODELS = ("AFG3022B", "AFG3022C")
 """Models whose commands and limits are those above; any other is taken only if the apparatus file names it."""
 
@@ -129,6 +132,24 @@ def record_peaks(burst: Burst) -> tuple[float, ...]:
     """Return the highest value of each channel's record, as a part of half its amplitude [1]."""
     peaks = np.abs(burst.codes.astype(np.int32) - MID_CODE).max(axis=1) / MID_CODE
     return tuple(float(peak) for peak in peaks)
+
+
+def refuse_steps(burst: Burst) -> None:
+    """Refuse a burst that does not rise from zero and fall back to it.
+
+    Raises
+    ------
+    RigError
+        If a record begins or ends further from zero than `LARGEST_STEP`.
+    """
+    ends = np.abs(burst.codes[:, [0, -1]].astype(np.int32) - MID_CODE).max(axis=1) / MID_CODE
+    for number, end in enumerate(ends, start=1):
+        if end > LARGEST_STEP:
+            raise RigError(
+                f"the record of output {number} begins or ends at {end:.1%} of its full scale: at most "
+                f"{LARGEST_STEP:.0%} is allowed, for the outputs rest there between bursts; the outputs are off; "
+                "ramp it on and off"
+            )
 
 
 def amplitudes(burst: Burst, peaks: tuple[float, ...], velocity: float, limits: Limits) -> tuple[float, ...]:
