@@ -210,6 +210,40 @@ def test_two_bursts_share_the_memories(
         assert simulator.afg.user[int(channel.function[4:])] == codes.astype(">u2").tobytes()
 
 
+def test_bursts_change_places_without_an_upload(
+    generator: Generator, simulator: Simulator, burst: Burst, make: Callable[..., Burst], heard: Any
+) -> None:
+    """Two bursts of four records fill the memories; firing one or the other sends settings alone, in any order."""
+    other = replace(make(seed=1), repetition_rate=5.0, amplitude=(6.0, 3.0))
+    generator.load(burst, other)
+    assert len(heard.of("record_sent")) == 4
+    heard.clear()
+    for which in (0, 1, 1, 0):
+        chosen = (burst, other)[which]
+        firing = generator.fire(0.1, which=which)
+        assert firing.confirmed
+        assert firing.commanded_amplitude == tuple(a / 2 for a in chosen.amplitude)
+        for channel, codes in zip(simulator.afg.channels.values(), chosen.codes, strict=True):
+            assert simulator.afg.user[int(channel.function[4:])] == codes.astype(">u2").tobytes()
+        assert simulator.afg.timer == pytest.approx(1 / chosen.repetition_rate, rel=5e-4)
+        generator.stop()
+        assert generator.firing is not None
+        assert generator.firing.confirmed
+    assert heard.of("record_sent") == []
+    with pytest.raises(RigError, match="burst 2 was asked for: 0 to 1 are loaded"):
+        generator.fire(0.1, which=2)
+
+
+def test_more_records_than_memories_are_refused(generator: Generator, make: Callable[..., Burst]) -> None:
+    """Six different records do not fit into four memories; three bursts that share one channel's do."""
+    bursts = [make(seed=seed) for seed in (1, 2, 3)]
+    with pytest.raises(RigError, match="the bursts have 6 records: the generator has 4 memories"):
+        generator.load(*bursts)
+    shared = [replace(each, codes=np.stack([each.codes[0], bursts[0].codes[1]])) for each in bursts]
+    generator.load(*shared)
+    assert generator.fire(0.1, which=2).confirmed
+
+
 def test_log_holds_every_exchange_but_no_record(generator: Generator, burst: Burst, heard: Any) -> None:
     """Commands come with reply and time; a record is named by its length and hash."""
     generator.load(burst)

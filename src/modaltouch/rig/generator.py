@@ -114,33 +114,37 @@ class Generator:
         """
         return self._player.set_levels(amplitudes)
 
-    def load(self, burst: Burst) -> None:
+    def load(self, burst: Burst, *further: Burst) -> None:
         """Have both channels' records in the instrument, verified, and set everything but the level.
 
         Parameters
         ----------
         burst : Burst
             One record for each of the two outputs.
+        *further : Burst
+            More bursts to choose from when firing, as many as the memories hold: two where all records differ.
 
         Raises
         ------
         RigError
             If the instrument does not confirm it; the outputs are off.
         """
-        if burst.codes.shape[0] != len(CHANNELS):
+        bursts = (burst, *further)
+        odd = next((each for each in bursts if each.codes.shape[0] != len(CHANNELS)), None)
+        if odd is not None:
             raise RigError(
-                f"the burst has {burst.codes.shape[0]} channels: the generator has {len(CHANNELS)}; the "
+                f"the burst has {odd.codes.shape[0]} channels: the generator has {len(CHANNELS)}; the "
                 "outputs are off; give each output an actuator set in the apparatus file"
             )
         self.stop()
         with self._off_after_a_failure("loading the stimulus"):
-            self._player.take(burst)
+            self._player.take(bursts)
             try:
                 self._player.replay()
             except LinkError:
                 self._connection.restore("loading the stimulus", (), self._player.replay)
 
-    def fire(self, velocity: float, *, silent: bool = False) -> Firing:
+    def fire(self, velocity: float, *, silent: bool = False, which: int = 0) -> Firing:
         """Set the level, switch the outputs on and repeat the burst until `stop`.
 
         Parameters
@@ -149,6 +153,8 @@ class Generator:
             Peak velocity at the focus [m/s].
         silent : bool
             Whether no burst is let go, in a catch trial: the outputs are on, at the level's amplitude, and rest.
+        which : int
+            Which of the bursts that were loaded, from 0.
 
         Returns
         -------
@@ -161,13 +167,14 @@ class Generator:
         RigError
             If nothing is loaded, the level is beyond a limit, or the instrument is lost; the outputs are off.
         """
-        commanded = self._player.amplitudes(velocity)
+        commanded = self._player.amplitudes(velocity, which)
         if self._on:
             self.stop()
         with self._off_after_a_failure("starting the stimulus"):
             self._on = True
             try:
                 self._connection.guard.arm()
+                self._player.choose(which)
                 firing = self._player.start(commanded, silent=silent)
             except (Unconfirmed, LinkError) as error:
                 firing = _unconfirmed(commanded, error)

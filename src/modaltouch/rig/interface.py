@@ -60,10 +60,10 @@ class Rig(typing.Protocol):
     def firing(self) -> Firing | None:
         """The latest firing; `stop` makes it unconfirmed if the settings or outputs were no longer as set."""
 
-    def load(self, burst: Burst) -> None:
-        """Upload both channels' records and verify them, outputs off."""
+    def load(self, burst: Burst, *further: Burst) -> None:
+        """Upload both channels' records of each burst and verify them, outputs off."""
 
-    def fire(self, velocity: float, *, silent: bool = False) -> Firing:
+    def fire(self, velocity: float, *, silent: bool = False, which: int = 0) -> Firing:
         """Set the level [m/s], switch the outputs on and repeat the burst until `stop`.
 
         With `silent` everything is the same but that no burst is let go: the outputs are on at rest.

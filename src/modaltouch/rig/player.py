@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal
 
-from modaltouch.rig.controls import CHANNELS, Controls, Unconfirmed
+import numpy as np
+from numpy.typing import NDArray
+
+from modaltouch.rig.controls import CHANNELS, USER_MEMORIES, Controls, Unconfirmed
 from modaltouch.rig.interface import Firing, RigError
 from modaltouch.rig.settings import (
     ARMED,
@@ -31,7 +35,7 @@ Repetition = Literal["burst", "continuous"]
 
 
 class Player:
-    """Plays one burst at a time.
+    """Plays one burst at a time, of those whose records lie in the instrument.
 
     Parameters
     ----------
@@ -47,8 +51,10 @@ class Player:
         self._controls = controls
         self._limits = limits
         self._continuous = repetition == "continuous"
-        self._burst: Burst | None = None
-        self._peaks: tuple[float, ...] = ()
+        self._bursts: tuple[Burst, ...] = ()
+        self._peaks: tuple[tuple[float, ...], ...] = ()
+        self._chosen = 0
+        self._by_burst: tuple[tuple[Setting, ...], ...] = ()
         self._settings: tuple[Setting, ...] = ()
         self._let_go = ARMED
         self._at_rest = 0.0
@@ -59,17 +65,25 @@ class Player:
         """Every setting that must read back while the burst plays."""
         return (*self._settings, *self._levels, *self._trigger(self._let_go))
 
-    def take(self, burst: Burst) -> None:
-        """Make a burst the one to be played; `replay` brings it into the instrument.
+    def take(self, bursts: Sequence[Burst]) -> None:
+        """Make bursts those that can be played, the first of them chosen; `replay` brings them into the instrument.
 
         Raises
         ------
         RigError
-            If it does not begin and end at rest.
+            If one does not begin and end at rest, or they have more records than the instrument has memories.
         """
-        self._burst, self._settings, self._levels = None, (), ()
-        refuse_steps(burst)
-        self._burst, self._peaks = burst, record_peaks(burst)
+        self._bursts, self._settings, self._levels = (), (), ()
+        for burst in bursts:
+            refuse_steps(burst)
+        records = {codes.tobytes() for burst in bursts for codes in self._records(burst)}
+        if len(records) > len(USER_MEMORIES):
+            raise RigError(
+                f"the bursts have {len(records)} records: the generator has {len(USER_MEMORIES)} memories; the outputs "
+                "are off; load fewer bursts"
+            )
+        self._bursts, self._chosen = tuple(bursts), 0
+        self._peaks = tuple(record_peaks(burst) for burst in bursts)
 
     def replay(self) -> None:
         """Have the records in the instrument and make every setting but the level.
@@ -80,21 +94,44 @@ class Player:
             If the instrument does not confirm it.
         """
         self._settings = self._levels = ()
-        if self._burst is None:
+        if not self._bursts:
             return
-        codes = continuous_codes(self._burst) if self._continuous else self._burst.codes
         make = continuous_settings if self._continuous else burst_settings
         slots: list[int] = []
-        settings: list[Setting] = []
-        for channel, record in zip(CHANNELS, codes, strict=True):
-            slots.append(self._controls.store(record, channel, slots))
-            settings += [*make(channel, slots[-1], self._burst), lock_setting(slots[-1], "ON")]
-        settings += [] if self._continuous else [timer_setting(self._burst)]
-        self._controls.apply_each(settings)
-        self._settings = (*guarded_settings(self._limits), *settings)
+        by_burst: list[list[Setting]] = []
+        for burst in self._bursts:
+            by_burst.append([])
+            for channel, record in zip(CHANNELS, self._records(burst), strict=True):
+                slots.append(self._controls.store(record, channel, slots))
+                by_burst[-1] += make(channel, slots[-1], burst)
+            by_burst[-1] += [] if self._continuous else [timer_setting(burst)]
+        locks = [lock_setting(slot, "ON") for slot in dict.fromkeys(slots)]
+        self._controls.apply_each([*by_burst[self._chosen], *locks])
+        guarded = guarded_settings(self._limits)
+        self._by_burst = tuple((*guarded, *settings, *locks) for settings in by_burst)
+        self._settings = self._by_burst[self._chosen]
 
-    def amplitudes(self, velocity: float) -> tuple[float, ...]:
-        """Return the amplitude of each channel at a level [m/s], open circuit [V peak to peak].
+    def choose(self, which: int) -> None:
+        """Play one of the bursts from now on; its records are there, so that settings alone change.
+
+        Raises
+        ------
+        LinkError, Unconfirmed
+            If the instrument does not confirm it.
+        """
+        if which == self._chosen or not self._settings:
+            self._chosen = which
+            return
+        self._chosen, before = which, set(self._settings)
+        # First the settings that will be: what fails on the way is found to differ, and made again.
+        self._settings = self._by_burst[which]
+        self._controls.apply_each([setting for setting in self._settings if setting not in before])
+
+    def _records(self, burst: Burst) -> NDArray[np.uint16]:
+        return continuous_codes(burst) if self._continuous else burst.codes
+
+    def amplitudes(self, velocity: float, which: int = 0) -> tuple[float, ...]:
+        """Return the amplitude of each channel at a level [m/s] of a burst, open circuit [V peak to peak].
 
         Raises
         ------
@@ -102,11 +139,16 @@ class Player:
             If nothing is loaded, or the level is beyond a limit.
         """
         # Settings are there only once every record was verified and every setting read back.
-        if self._burst is None or not self._settings:
+        if not self._bursts or not self._settings:
             raise RigError(
                 "fire was called before a burst was loaded and verified; the outputs are off; load a burst first"
             )
-        return amplitudes(self._burst, self._peaks, velocity, self._limits)
+        if not 0 <= which < len(self._bursts):
+            raise RigError(
+                f"burst {which} was asked for: 0 to {len(self._bursts) - 1} are loaded; the outputs are off; load it "
+                "with the others"
+            )
+        return amplitudes(self._bursts[which], self._peaks[which], velocity, self._limits)
 
     def start(self, commanded: tuple[float, ...], *, silent: bool = False) -> Firing:
         """Set both levels with the trigger stopped, see that nothing else changed, switch on, let the trigger go.
@@ -141,7 +183,7 @@ class Player:
             started = time.perf_counter()
             self._controls.apply([self._let_go])
         took = time.perf_counter() - started
-        period = 1 / self._burst.repetition_rate if self._burst is not None else 0.0
+        period = 1 / self._bursts[self._chosen].repetition_rate if self._bursts else 0.0
         return Firing(commanded, numbers(read_back), True, started, took + period)
 
     def set_levels(self, commanded: tuple[float, ...]) -> tuple[str, ...]:
@@ -165,7 +207,7 @@ class Player:
             If the instrument does not confirm it.
         """
         self._controls.apply_each(self._trigger(STOPPED))
-        self._at_rest = time.perf_counter() + (self._burst.duration if self._burst is not None else 0.0)
+        self._at_rest = time.perf_counter() + max((burst.duration for burst in self._bursts), default=0.0)
 
     def unlock(self) -> None:
         """Leave the memories to whoever comes next.
