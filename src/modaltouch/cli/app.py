@@ -7,7 +7,18 @@ from typing import Annotated
 import typer
 
 from modaltouch import __version__
-from modaltouch.cli import analysing, calibrating, checking, fitting, looking, planning, rigs, running, validating
+from modaltouch.cli import (
+    analysing,
+    calibrating,
+    checking,
+    comparing,
+    fitting,
+    looking,
+    planning,
+    rigs,
+    running,
+    validating,
+)
 
 app = typer.Typer(
     name="modaltouch",
@@ -47,6 +58,7 @@ app.command("analyse")(analysing.analyse)
 app.command("power")(planning.power)
 app.command("fit")(fitting.fit)
 app.command("validate")(validating.validate)
+app.command("compare")(comparing.compare)
 app.command("verify")(looking.verify)
 app.command("doctor")(looking.doctor)
 app.add_typer(rigs.app, name="rig")

@@ -1,0 +1,205 @@
+"""What every method may know of the beam: its responses as recorded, and the modes identified from them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from modaltouch.stimulus.dynamics import Amplifier
+from modaltouch.stimulus.modes import ModalModel
+from modaltouch.stimulus.timing import Timing
+from modaltouch.stimulus.wish import Wish
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+STEP = 0.8e-6
+"""How long rivals hold a voltage at least: 14 steps to a period of the highest mode of Table I [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Responses:
+    """Frequency responses of points of the beam to each generator output.
+
+    Attributes
+    ----------
+    frequency : (n_bins,) array
+        Evenly spaced, increasing [Hz].
+    response : (n_channels, n_points, n_bins) complex array
+        Velocity per volt at the beam, 0 outside the band that was excited [m/s per V].
+    position : (n_points,) array
+        Control points, origin at mid-beam [m].
+    variance : (n_channels, n_bins) array
+        Of the noise in `response` [(m/s per V)^2].
+    """
+
+    frequency: FloatArray
+    response: ComplexArray
+    position: FloatArray
+    variance: FloatArray
+
+    @property
+    def spacing(self) -> float:
+        """Distance of two bins [Hz]."""
+        return float(self.frequency[1] - self.frequency[0])
+
+    def in_time(self, spectrum: ComplexArray, first: float, step: float, n: int) -> FloatArray:
+        r"""Return the real signal of a one-sided spectrum at evenly spaced instants.
+
+        :math:`h(t) = 2 \Delta f \,\mathrm{Re} \sum_b H_b e^{i 2 \pi f_b t}`, by the chirp z-transform: the instants
+        need not divide the period of the bins.
+
+        Parameters
+        ----------
+        spectrum : (..., n_bins) complex array
+            On `frequency` [unit per Hz].
+        first, step : float
+            First instant, and from one to the next [s].
+        n : int
+            Instants.
+        """
+        from scipy.signal import CZT
+
+        turn = 2 * np.pi * self.spacing
+        transform = CZT(self.frequency.size, n, w=np.exp(1j * turn * step), a=np.exp(-1j * turn * first))
+        carrier = np.exp(2j * np.pi * self.frequency[0] * (first + step * np.arange(n)))
+        return np.asarray(2 * self.spacing * (carrier * transform(spectrum)).real)
+
+    def towards(self, instant: float, step: float) -> FloatArray:
+        """Return what a volt held for a step leaves at the focusing instant, by how long ago it was.
+
+        Parameters
+        ----------
+        instant : float
+            How far back [s].
+        step : float
+            How long each voltage is held [s].
+
+        Returns
+        -------
+        (n_channels, n_points, n_steps) array
+            The latest step first [m/s per V]: the impulse response at the middle of each step, times the step.
+        """
+        return self.in_time(self.response, step / 2, step, round(instant / step)) * step
+
+    def noise_towards(self, instant: float, step: float) -> FloatArray:
+        """Return the mean square of what noise adds to each number of `towards`, (n_channels,) array."""
+        return np.asarray(2 * self.spacing**2 * self.variance.sum(axis=1) * step**2)
+
+    def nearest(self, place: float) -> int:
+        """Return which control point lies nearest to a place [m]."""
+        return int(np.abs(self.position - place).argmin())
+
+
+@dataclass(frozen=True, eq=False)
+class Knowledge:
+    """All that a method is given.
+
+    Attributes
+    ----------
+    model : ModalModel
+        The modes, identified from the same recordings as `responses`.
+    responses : Responses
+        The recordings.
+    wish : Wish
+        The wished field; its velocity is the level.
+    timing : Timing
+        Clock of the burst.
+    amplifier : Amplifier
+        Its limit holds for all.
+    """
+
+    model: ModalModel
+    responses: Responses
+    wish: Wish
+    timing: Timing
+    amplifier: Amplifier
+
+    @property
+    def stride(self) -> int:
+        """Samples for which rivals hold a voltage, such that the focusing instant is the end of one."""
+        return max(1, round(STEP / self.timing.hold))
+
+    @property
+    def step(self) -> float:
+        """How long rivals hold a voltage [s]."""
+        return self.stride * self.timing.hold
+
+    @property
+    def n_before(self) -> int:
+        """Steps before the focusing instant."""
+        return self.timing.samples_until(self.timing.focusing_instant)[0] // self.stride
+
+    @cached_property
+    def towards(self) -> FloatArray:
+        """What a volt of each step before the focus leaves at the control points, the latest step first [m/s per V]."""
+        return self.responses.towards(self.n_before * self.step, self.step)
+
+    @property
+    def focus(self) -> int:
+        """The control point at the focus."""
+        return self.responses.nearest(self.wish.centre)
+
+    def wished(self) -> FloatArray:
+        """Return the wished field at the control points, (n_points,) array [m/s]."""
+        return self.wish.velocity * self.wish.profile(self.responses.position)
+
+    def expected(self, steps: FloatArray) -> FloatArray:
+        """Return the field that voltages are to leave at the focusing instant by the recordings, (n_points,) array.
+
+        Parameters
+        ----------
+        steps : (n_channels, n_before) array
+            Voltages before the focusing instant, in the order in which they are played [V].
+        """
+        return np.asarray(np.einsum("cmj,cj->m", self.towards, steps[:, ::-1]))
+
+    def to_level(self, steps: FloatArray, after: FloatArray | None = None) -> FloatArray:
+        """Return voltages of the whole burst that reach the level at the focus by the recordings, or the limit.
+
+        Parameters
+        ----------
+        steps : (n_channels, n_before) array
+            Voltages before the focusing instant, of any size [V].
+        after : (n_channels, n_after) array, optional
+            Those after it, of the same size; none, if not given [V].
+
+        Returns
+        -------
+        (n_channels, n_samples) array
+            At the beam; 0 V in the first and last sample, where the generator idles [V].
+        """
+        whole = steps if after is None else np.concatenate([steps, after], axis=1)
+        reached = float(self.expected(steps)[self.focus])
+        highest = float(np.abs(whole).max())
+        if reached == 0 or highest == 0:
+            raise ValueError("a drive moves nothing at the focus: record a point that moves, or choose another focus")
+        factor = self.wish.velocity / reached
+        factor = float(np.sign(factor)) * min(abs(factor), self.amplifier.limit / highest)
+        voltage = np.zeros((whole.shape[0], self.timing.n_samples))
+        held = np.repeat(whole * factor, self.stride, axis=1)[:, : self.timing.n_samples]
+        # The steps end at the focusing instant, whatever is left over before the first.
+        start = max(0, self.timing.samples_until(self.timing.focusing_instant)[0] - self.n_before * self.stride)
+        held = held[:, : self.timing.n_samples - start]
+        voltage[:, start : start + held.shape[1]] = held
+        voltage[:, 0] = voltage[:, -1] = 0.0
+        return voltage
+
+
+def band(frequency: ArrayLike, lowest: float, highest: float) -> FloatArray:
+    """Return a window over frequency that rises from half the lowest to it, and falls from the highest by a tenth [1].
+
+    Parameters
+    ----------
+    frequency : array_like
+        Where [Hz].
+    lowest, highest : float
+        Between which it is 1 [Hz].
+    """
+    f = np.asarray(frequency, dtype=float)
+    rise = np.clip((f - lowest / 2) / (lowest / 2), 0, 1)
+    fall = np.clip((1.1 * highest - f) / (0.1 * highest), 0, 1)
+    return np.asarray((0.5 - 0.5 * np.cos(np.pi * rise)) * (0.5 - 0.5 * np.cos(np.pi * fall)))

@@ -1,0 +1,171 @@
+"""The rivals do what their inventors say: reversal focuses, the inverse hits, regularisation trades."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from modaltouch.comparison.inverse import (
+    inverse_filter,
+    inverse_filter_at_instant,
+    least_energy,
+    regularised_inverse,
+)
+from modaltouch.comparison.learned import Knowledge, Responses
+from modaltouch.comparison.reversal import one_bit_reversal, time_reversal
+from modaltouch.stimulus.dynamics import Amplifier
+from modaltouch.stimulus.modes import ModalModel
+from modaltouch.stimulus.timing import Timing
+from modaltouch.stimulus.vibration import velocity_history
+from modaltouch.stimulus.wish import Wish
+
+
+@dataclass(frozen=True, eq=False)
+class InTime(Responses):
+    """Responses that are known in time: those of modes without damping have no spectrum on a grid."""
+
+    given: np.ndarray
+
+    def towards(self, instant: float, step: float) -> np.ndarray:
+        return self.given
+
+
+def lossless(source: float = 0.031) -> tuple[ModalModel, Knowledge]:
+    """Return twelve almost undamped modes driven by a force at one point, so that reciprocity holds."""
+    label = tuple(range(1, 13))
+    frequency = 180.0 * (np.arange(12) + 1.7) ** 1.6
+    bare = ModalModel(label, frequency, np.full(12, 1e-9), np.zeros((12, 1)), 0.1)
+    model = replace(bare, modal_gain=bare.shapes([source]) * 1.0)
+    timing = Timing(n_samples=12_500, duration=0.05, focusing_instant=0.05, repetition_rate=7.0)
+    places = np.linspace(-0.05, 0.05, 41)
+    ago = (np.arange(12_500) + 0.5) * timing.hold
+    # Undamped: eta' after an impulse is G cos(w t).
+    courses = model.modal_gain[:, 0, None] * np.cos(model.angular_frequency[:, None] * ago)
+    given = (model.shapes(places).T @ courses)[None] * timing.hold
+    responses = InTime(np.array([1.0, 2.0]), np.zeros((1, 41, 2), complex), places, np.zeros((1, 2)), given)
+    return model, Knowledge(model, responses, Wish(centre=-0.02), timing, Amplifier(1.0, 1e9))
+
+
+def test_reversal_focuses_in_time_and_space_on_a_lossless_reciprocal_beam():
+    """Autocorrelation: at the focus nothing is as high as at the focusing instant; elsewhere then all is lower.
+
+    Twelve modes and one source leave side lobes, highest at the end of the beam, which moves twice as much.
+    """
+    model, known = lossless()
+    voltage = time_reversal(known)
+    places = known.responses.position
+    history = velocity_history(model, voltage, known.timing, [-0.02])[0]
+    field = velocity_history(model, voltage, known.timing, places)[:, -1]
+    assert int(np.abs(history).argmax()) >= known.timing.n_samples - 2
+    # The last value of the history is a step before the focusing instant.
+    assert history[-1] == pytest.approx(0.2, rel=0.02)
+    assert places[int(np.abs(field).argmax())] == pytest.approx(-0.02)
+    assert np.abs(field[np.abs(places + 0.02) > 0.01]).max() < 0.8 * 0.2
+
+
+def test_reversal_is_the_autocorrelation_of_the_impulse_response():
+    """Field at t_F = A sum of h(x) h(x0): by numpy's own correlation of the two impulse responses at lag zero."""
+    _, known = lossless()
+    steps = time_reversal(known)
+    amplitude = steps[0, -2] / known.towards[0, known.focus, 1]
+    for point in (0, 7, known.focus):
+        at_zero = np.correlate(known.towards[0, point], known.towards[0, known.focus], "valid")[0]
+        assert known.expected(steps)[point] == pytest.approx(amplitude * at_zero, rel=2e-3, abs=1e-6)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_no_drive_of_equal_energy_moves_the_focus_more_than_reversal(seed):
+    """Cauchy and Schwarz: the matched filter."""
+    _, known = lossless()
+    steps = time_reversal(known)
+    other = np.random.default_rng(seed).normal(size=steps.shape) + steps * np.random.default_rng(seed).normal()
+    other *= np.linalg.norm(steps) / np.linalg.norm(other)
+    best = known.expected(steps)[known.focus]
+    assert known.expected(other)[known.focus] <= best * (1 + 2e-3)
+
+
+def test_one_bit_reversal_has_one_size_and_needs_less_peak(known):
+    """Derode et al.: signs alone give more at the focus for each volt of peak."""
+    bits, full = one_bit_reversal(known), time_reversal(known)
+    sizes = np.unique(np.abs(bits[np.abs(bits) > 0]))
+    assert sizes.size == 1
+    assert np.abs(bits).max() < np.abs(full).max()
+    for drive in (bits, full):
+        steps = drive[:, : known.n_before * known.stride : known.stride]
+        assert known.expected(steps)[known.focus] == pytest.approx(0.2, rel=2e-3)
+
+
+def test_inverse_without_regularisation_hits_a_square_problem():
+    """As many points as outputs, no noise: H V = U at every frequency."""
+    rng = np.random.default_rng(5)
+    H = rng.normal(size=(3, 3, 50)) + 1j * rng.normal(size=(3, 3, 50))
+    wished = rng.normal(size=(3, 50)) + 1j * rng.normal(size=(3, 50))
+    drive = regularised_inverse(H, wished, 0.0)
+    assert np.einsum("cmf,cf->mf", H, drive) == pytest.approx(wished, abs=1e-9)
+
+
+def test_regularisation_trades_distance_for_energy():
+    """Tikhonov: the more of it, the less drive and the greater the distance."""
+    rng = np.random.default_rng(6)
+    H = rng.normal(size=(2, 9, 40)) + 1j * rng.normal(size=(2, 9, 40))
+    wished = rng.normal(size=(9, 40)) + 0j
+    drives = [regularised_inverse(H, wished, strength) for strength in (0, 1e-3, 1e-2, 1e-1, 1)]
+    energy = [float((np.abs(drive) ** 2).sum()) for drive in drives]
+    missed = [float((np.abs(np.einsum("cmf,cf->mf", H, drive) - wished) ** 2).sum()) for drive in drives]
+    assert energy == sorted(energy, reverse=True)
+    assert missed == sorted(missed)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_least_energy_hits_the_field_and_nothing_that_does_is_cheaper(seed):
+    """Moore and Penrose: any other drive that makes the field is it plus what makes nothing."""
+    rng = np.random.default_rng(seed)
+    towards, wished = rng.normal(size=(2, 7, 60)), rng.normal(size=7)
+    drive = least_energy(towards, wished, 0.0)
+    assert np.einsum("cmj,cj->m", towards, drive) == pytest.approx(wished, abs=1e-9)
+    flat = towards.transpose(1, 0, 2).reshape(7, -1)
+    other = rng.normal(size=120)
+    silent = other - np.linalg.pinv(flat) @ (flat @ other)
+    assert np.linalg.norm(drive.ravel() + silent) >= np.linalg.norm(drive) - 1e-9
+
+
+def test_impulse_responses_are_those_of_the_modes(known):
+    """Closed form, G phi e^{-at} (cos bt - a/b sin bt), from 100 us on; the band costs under 1 %."""
+    model, step = known.model, known.step
+    ago = (np.arange(known.n_before) + 0.5) * step
+    a, b = -model.exponent.real[:, None], model.exponent.imag[:, None]
+    courses = np.exp(-a * ago) * (np.cos(b * ago) - a / b * np.sin(b * ago))
+    exact = np.einsum("kc,kp,kj->cpj", model.modal_gain, model.shapes(known.responses.position), courses) * step
+    late = slice(125, None)
+    assert np.abs(known.towards - exact)[..., late].max() < 0.01 * np.abs(exact).max()
+
+
+def test_inverse_at_the_instant_makes_the_wished_field(known):
+    """Without noise to speak of it comes as close as the modes of the beam allow: 5 mm/s rms of 200."""
+    quiet = replace(known, responses=replace(known.responses, variance=known.responses.variance * 1e-6))
+    drive = inverse_filter_at_instant(quiet)
+    field = velocity_history(known.model, drive, known.timing, known.responses.position)[:, 62_500]
+    assert np.sqrt(np.mean((field - known.wished()) ** 2)) < 8e-3
+    assert np.abs(drive).max() <= known.amplifier.limit * (1 + 1e-12)
+    assert (drive[:, 62_500:] == 0).all()
+
+
+def test_every_rival_keeps_the_voltage_limit(known):
+    """With a twentieth of the limit each plays at the limit, not beyond, and says so by what it expects."""
+    poor = replace(known, amplifier=replace(known.amplifier, limit=2.0))
+    for way in (time_reversal, one_bit_reversal, inverse_filter, inverse_filter_at_instant):
+        drive = way(poor)
+        assert np.abs(drive).max() == pytest.approx(2.0, rel=1e-3), way.__name__
+        steps = drive[:, : poor.n_before * poor.stride : poor.stride]
+        assert poor.expected(steps)[poor.focus] < 0.1, way.__name__
+
+
+def test_a_focus_that_does_not_move_is_refused(known):
+    """A node of every mode cannot be a focus: said, not divided by zero."""
+    still = replace(known.responses, response=known.responses.response * 0)
+    with pytest.raises(ValueError, match="moves nothing at the focus"):
+        time_reversal(replace(known, responses=still))
