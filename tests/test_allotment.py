@@ -198,3 +198,19 @@ def test_a_session_begun_anew_counts_once(tmp_path: Path) -> None:
     sit(place_of(tmp_path, "p1", 2), FOUR, complete=True, drawn_as=1)[1].close()
     following, drawn_as = next_session(place, 2)
     assert (following.session, drawn_as) == (3, 2)
+
+
+def test_completeness_is_read_from_the_last_line_or_else_from_all_of_them(tmp_path: Path) -> None:
+    """A stop that says complete; a stop that does not; a kill after the last answer; a cut line at the end."""
+    logs = {}
+    for name, complete in (("done", False), ("left", False), ("killed", True), ("torn", True)):
+        _, log = sit(place_of(tmp_path, name), FOUR, complete=complete)
+        if name in ("done", "left"):
+            log.append("stop", reason="finished", complete=name == "done")
+        log.close()
+        logs[name] = log.path
+    with logs["torn"].open("ab") as file:
+        file.write(b'{"n":2,"event":"st')
+    seen = allot(place_of(tmp_path, "new"), FOUR, 1)
+    assert sum(seen.filled.values()) == 3
+    assert sum(seen.left.values()) == 1

@@ -292,6 +292,7 @@ def test_a_catch_trial_is_asked_like_any_other_and_drives_nothing(sit: Callable[
     caught = [event for event in events(sitting, "trial") if event.get("catch")]
     assert [event["response"]["answer"] for event in caught] == ["none"] * 4
     assert [event["trial"]["condition"]["velocity_mm_s"] for event in caught] == [0.0] * 4
+    assert [event["instants"]["first_burst"] for event in caught] == [None] * 4
     asked = [name for name in seen(sitting) if name.startswith("trial ")]
     assert asked == [f"trial {index}" for index in range(1, 17)]
     assert not any(

@@ -9,6 +9,7 @@ otherwise filled alike, since it may still be resumed.
 
 from __future__ import annotations
 
+import json
 import os
 from collections import Counter
 from collections.abc import Iterator
@@ -22,6 +23,9 @@ from modaltouch.record.folders import LOG_NAME, SessionFolder
 from modaltouch.record.locking import lock
 from modaltouch.record.log import Session, read_session
 from modaltouch.schedule import Turn, period_of_turns, turn_of
+
+_TAIL = 4096
+"""Bytes at the end of a log that hold its last line, if that is a stop."""
 
 
 @dataclass(frozen=True)
@@ -76,12 +80,12 @@ def allot(place: SessionFolder, protocol: Protocol, drawn_as: int) -> Allotment:
     filled: Counter[int] = Counter()
     left: Counter[int] = Counter()
     own: int | None = None
-    for participant, sessions in _by_participant(place.dataset):
-        base = _first_turn(sessions[0]) % n_turns
+    for participant, first, latest in _participants(place.dataset):
+        base = _first_turn(first) % n_turns
         if participant == place.participant:
             own = base
         else:
-            counter = filled if sessions[-1].complete or _is_running(sessions[-1].path) else left
+            counter = filled if _is_complete(latest) or _is_running(latest) else left
             counter[base] += 1
     if own is not None:
         reason = "the participant's earlier sessions"
@@ -120,7 +124,8 @@ def next_session(place: SessionFolder, n_sessions: int) -> tuple[SessionFolder, 
     RecordError
         If the latest session is not complete, or there are as many as the protocol has.
     """
-    sessions = _sessions_of(place.dataset / f"sub-{place.participant}")
+    every = map(read_session, _logs_of(place.dataset / f"sub-{place.participant}"))
+    sessions = [session for session in every if session.start]
     if not sessions:
         return replace(place, session=1), 1
     latest = sessions[-1]
@@ -141,18 +146,40 @@ def next_session(place: SessionFolder, n_sessions: int) -> tuple[SessionFolder, 
     return replace(place, session=number), len(held) + 1
 
 
-def _by_participant(dataset: Path) -> Iterator[tuple[str, list[Session]]]:
-    """Yield every participant of a dataset who has a readable start record, with their sessions in order."""
+def _participants(dataset: Path) -> Iterator[tuple[str, Session, Path]]:
+    """Yield every participant with a start record: the beginning of their first session, and the log of their latest.
+
+    Of a thousand participants only the first and last lines are read, as the dataset is held meanwhile.
+    """
     for folder in sorted(dataset.glob("sub-*")):
-        sessions = _sessions_of(folder)
-        if sessions:
-            yield folder.name.removeprefix("sub-"), sessions
+        logs = _logs_of(folder)
+        begun = [Session(log, _first_line(log), ()) for log in logs[:1]]
+        if begun and begun[0].start:
+            yield folder.name.removeprefix("sub-"), begun[0], logs[-1]
 
 
-def _sessions_of(folder: Path) -> list[Session]:
-    """Return a participant's sessions that have a start record, in order of their numbers."""
-    logs = sorted(folder.glob(f"ses-*/beh/{LOG_NAME}"), key=_number)
-    return [session for session in map(read_session, logs) if session.start]
+def _first_line(log: Path) -> tuple[dict[str, Any], ...]:
+    try:
+        with log.open("rb") as file:
+            return (json.loads(file.readline()),)
+    except (OSError, ValueError):
+        return ()
+
+
+def _is_complete(log: Path) -> bool:
+    """Return whether no answer is missing: its last line says so, or else all of them together."""
+    try:
+        with log.open("rb") as file:
+            file.seek(max(file.seek(0, os.SEEK_END) - _TAIL, 0))
+            last = json.loads(file.read().rstrip(b"\n").rsplit(b"\n", 1)[-1])
+    except (OSError, ValueError):
+        last = {}
+    return bool(last.get("event") == "stop" and last.get("complete")) or read_session(log).complete
+
+
+def _logs_of(folder: Path) -> list[Path]:
+    """Return the logs of a participant's sessions in order of their numbers."""
+    return sorted(folder.glob(f"ses-*/beh/{LOG_NAME}"), key=_number)
 
 
 def _number(log: Path) -> int:

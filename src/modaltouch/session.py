@@ -284,6 +284,7 @@ def write_down(sitting: Sitting, trial: Trial, response: Response, firing: Firin
             answer_uncertainty=response.time_uncertainty,
             question=None if response.question_after is None else firing.onset + response.question_after,
             question_uncertainty=response.question_uncertainty,
+            silent=trial.condition.is_catch,
         ),
         supersedes=_superseded(sitting.log, trial),
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import AbstractContextManager, ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from typing import Any, Literal
@@ -243,6 +243,8 @@ def _sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessi
         finally:
             # Off first, then written down: nothing on disk is worth a beam that still moves.
             rig.close()
+            with suppress(RecordError):  # told where it came up first
+                masking.stop(hurry=ending["reason"] != "finished")
             _conclude(setup, log, journal, ending)
     return read_session(setup.place.log)
 

@@ -77,6 +77,8 @@ with masking:
     on = masking.is_on
     while sum(map(len, blocks)) < 96000:
         masking.ensure(lambda: None)
+    masking.stop(hurry=False)
+    masking.stop(hurry=False)
 played = np.concatenate(blocks)[:96000]
 period = make_noise("pink", 48000.0) * amplitude_at(-20.0)
 print(json.dumps({
@@ -97,7 +99,7 @@ print(json.dumps({
     assert 0 < told["peak"] < 1
     assert told["described"]["device"] == "default"
     assert told["described"]["level_dB_FS"] == -20
-    assert told["events"] == [["masking", {"state": "on"}]]
+    assert told["events"] == [["masking", {"state": "on"}], ["masking", {"state": "off", "n_underflows": 0}]]
 
 
 @ALSA

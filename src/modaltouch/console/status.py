@@ -117,7 +117,7 @@ class Status:
         self._answered_at = None
 
     def _on_masking(self, event: dict[str, Any]) -> None:
-        self._unmasked = ""
+        self._unmasked = self._unmasked if event["state"] == "off" else ""
 
     def _on_masking_lost(self, event: dict[str, Any]) -> None:
         self._unmasked = f"the beam is not masked: {event['reason']}"

@@ -36,6 +36,9 @@ class Masking(typing.Protocol):
     def is_on(self) -> bool | None:
         """Whether it has been on since `ensure`; None where the protocol wants no masking."""
 
+    def stop(self, *, hurry: bool) -> None:
+        """Fade out, in an instant where something went wrong, and let the device go; a second call does nothing."""
+
     def __enter__(self) -> Self: ...
 
     def __exit__(self, *exc: object) -> None: ...
@@ -67,6 +70,9 @@ class NoMasking:
     def is_on(self) -> bool | None:
         """It is not."""
         return False if self.reason else None
+
+    def stop(self, *, hurry: bool) -> None:
+        """There is nothing to stop."""
 
     def __enter__(self) -> Self:
         return self

@@ -162,19 +162,23 @@ class NoiseMasking:
         return self
 
     def __exit__(self, *exc: object) -> None:
-        """Fade out, quickly where something went wrong, and let the device go."""
+        """Let the device go, whatever happened."""
+        self._close()
+
+    def stop(self, *, hurry: bool) -> None:
+        """Fade out, in an instant where something went wrong, and let the device go.
+
+        How often the device got no samples in time, a click each, goes into the record.
+        """
+        if self._stream is None:
+            return
         self._playback.fade_out()
-        patience = self._section.fade_s + STALE if exc[:1] in ((), (None,)) else _HURRY
-        until = time.perf_counter() + patience
+        until = time.perf_counter() + (_HURRY if hurry else self._section.fade_s + STALE)
         while not (self._is_lost or self._playback.is_silent) and time.perf_counter() < until:
             time.sleep(0.01)
             self._watch()
         self._close()
-
-    @property
-    def n_underflows(self) -> int:
-        """How often the device got no samples in time: a click each."""
-        return self._n_underflows
+        self._log("masking", state="off", n_underflows=self._n_underflows)
 
     def _open(self) -> None:
         self._device = default_device(self._sound.device)
