@@ -6,13 +6,17 @@ import importlib
 import os
 import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import ModuleType
 from typing import Any
 
 from modaltouch.window.interface import WindowError
 
 _SELDOM_USED = ("json_tricks", "pandas", "requests", "scipy.interpolate")
-"""What PsychoPy imports before any window and uses for monitor files, spreadsheets and downloaded fonts alone."""
+"""What PsychoPy imports before any window, and uses for monitor files, spreadsheets and downloaded fonts alone."""
+_NOT_NEEDED = ("matplotlib", "openpyxl")
+"""What PsychoPy does without where it is not installed: it is for points in polygons and for Excel."""
 
 
 class _PutOff(ModuleType):
@@ -24,11 +28,23 @@ class _PutOff(ModuleType):
         return getattr(importlib.import_module(self.__name__), name)
 
 
-def put_off_imports() -> None:
-    """Have what PsychoPy seldom uses imported at its first use: half of the time until the window opens."""
+@contextmanager
+def few_imports() -> Iterator[None]:
+    """Import PsychoPy without what no window needs: half of the time until one opens.
+
+    What PsychoPy seldom uses is imported at its first use, and what it can do without is not to be had meanwhile.
+    """
     for name in _SELDOM_USED:
         if name not in sys.modules:
             sys.modules[name] = _PutOff(name)
+    hidden = [name for name in _NOT_NEEDED if name not in sys.modules]
+    # What is None there cannot be imported, by the language's own rule.
+    sys.modules.update(dict.fromkeys(hidden))  # type: ignore[arg-type]
+    try:
+        yield
+    finally:
+        for name in hidden:
+            sys.modules.pop(name, None)
 
 
 def prepare_environment() -> None:

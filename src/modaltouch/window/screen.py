@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from modaltouch.window.environment import explain, fit, prepare_environment, put_off_imports
+from modaltouch.window.environment import explain, few_imports, fit, prepare_environment
 from modaltouch.window.events import Event, EventTap
 from modaltouch.window.interface import WindowError
 from modaltouch.window.marks import Mark, Picture, Shape, Words
@@ -241,12 +241,12 @@ def _import_psychopy() -> tuple[Any, Any]:
         If there is no display, or no PsychoPy.
     """
     prepare_environment()
-    put_off_imports()
     try:
-        from psychopy import logging
+        with few_imports():
+            from psychopy import logging
 
-        logging.console.setLevel(logging.ERROR)
-        from psychopy import monitors, visual
+            logging.console.setLevel(logging.ERROR)
+            from psychopy import monitors, visual
     except ImportError as error:
         raise WindowError(
             f"PsychoPy cannot be imported ({error}); install the project's environment again (`make install`), "
