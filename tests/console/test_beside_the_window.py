@@ -1,0 +1,99 @@
+"""The console in a terminal beside the real window: each does what the other asks, with real keys on both."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from Xlib import XK, X
+from Xlib.display import Display
+from Xlib.ext import xtest
+
+from modaltouch.window.virtual_display import virtual_display
+
+pytestmark = [pytest.mark.window, pytest.mark.timeout(180)]
+
+
+@pytest.fixture
+def press() -> Iterator[Callable[[str], None]]:
+    """Press keys of a display of the test's own; its name is the function's attribute."""
+    with virtual_display((1280, 800)) as name:
+        display = Display(name)
+
+        def type_key(key: str) -> None:
+            code = display.keysym_to_keycode(XK.string_to_keysym(key))
+            for kind in (X.KeyPress, X.KeyRelease):
+                xtest.fake_input(display, kind, code)
+                display.sync()
+                time.sleep(0.02)
+
+        type_key.display = name  # type: ignore[attr-defined]
+        yield type_key
+        display.close()
+
+
+def named(events: list[dict[str, Any]], name: str) -> list[dict[str, Any]]:
+    """Return the events of one kind."""
+    return [event for event in events if event["event"] == name]
+
+
+def test_the_experimenter_pauses_what_the_participant_sees_and_the_key_for_emergencies_ends_it(
+    terminal: Callable[..., Any],
+    press: Any,
+    tmp_path: Path,
+    events_of: Callable[[Path], list[dict[str, Any]]],
+) -> None:
+    """P cuts the trial that is on and holds the window, P again goes on; F12 in the window switches off at once."""
+    session = terminal("run", "protocols/demo.yaml", "-p", "p01", "--yes", "--results", tmp_path, DISPLAY=press.display)
+    session.wait_for("between trials", 90)
+
+    def answer_until(holds: Callable[[], bool], what: str) -> None:
+        end = time.monotonic() + 60
+        while not holds():
+            assert time.monotonic() < end, f"{what} did not come:\n" + "\n".join(session.picture)
+            press("space")
+            press("Left")
+            time.sleep(0.1)
+
+    answer_until(lambda: len(named(events_of(tmp_path), "trial")) >= 2, "two answers")
+    session.wait_for("left, ")
+    press("space")
+    session.wait_until(lambda: _plays(events_of(tmp_path), press), "a stimulus")
+    session.type("p")
+    session.wait_for("PAUSED")
+    events = events_of(tmp_path)
+    assert named(events, "pause")[-1]["by"] == "experimenter"
+    n_fired = len(named(events, "fired"))
+    session.type("n")
+    session.type("a pause\r")
+    session.wait_for("1 note kept")
+    press("Left")
+    assert len(named(events_of(tmp_path), "fired")) == n_fired, "an answer key does not end a pause"
+    session.type("p")
+    session.wait_until(lambda: len(named(events_of(tmp_path), "fired")) > n_fired, "the trial once more")
+    events = events_of(tmp_path)
+    cut = named(events, "trial_cut")[-1]
+    assert cut["reason"] == "experimenter"
+    assert named(events, "fired")[-1]["trial"] == cut["trial"]
+    pressed = time.perf_counter()
+    press("F12")
+    assert session.finish() == 130
+    assert session.is_restored
+    stop = named(events_of(tmp_path), "stop")[-1]
+    assert stop["reason"] == "emergency stop"
+    exchanges = [each for event in named(events_of(tmp_path), "rig") for each in event["exchanges"]]
+    assert "OUTP1 OFF" in " ".join(each.get("sent", "") for each in exchanges[-12:])
+    # Both clocks are the machine's monotonic one; 20 ms of it is the key's own way up.
+    assert stop["clock"] - pressed < 1.0
+
+
+def _plays(events: list[dict[str, Any]], press: Callable[[str], None]) -> bool:
+    """Return whether a stimulus plays that nobody has answered yet; else place the fingers."""
+    last = next((event for event in reversed(events) if event["event"] in ("fired", "trial", "trial_cut")), None)
+    if last is not None and last["event"] == "fired":
+        return True
+    press("space")
+    return False
