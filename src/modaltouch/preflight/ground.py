@@ -173,6 +173,7 @@ def design(ground: Ground, *, law: Law | None = None, release: Release | None = 
         release=release or section.release,
         levels=tuple(level * 1e-3 for level in levels) if on_grid else None,
         load_factor=ground.apparatus.generator.load_factor,
+        design=section.design if (law or section.law) == "exact" else "least_energy",
         correction=ground.correction,
     )
 

@@ -57,6 +57,10 @@ def _check_stimulus(reading: Reading[Protocol]) -> Iterator[Problem]:
                 f"at least {duration / n_samples:g} ms",
                 "move it later",
             )
+    design = reading.sound(*section, "design")
+    if reading.sound(*section, "law") == "paper" and design not in (None, "least_energy"):
+        given = f"{design}, which the paper's law does not know"
+        yield reading.problem((*section, "design"), given, "least_energy, or the law exact", "leave it out")
     yield from _doubled(reading, (*section, "selected_modes"), "mode")
     n_decomposed = reading.sound(*section, "decomposed_modes")
     for index, label in reading.items(*section, "selected_modes"):

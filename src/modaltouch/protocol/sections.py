@@ -70,6 +70,11 @@ class StimulusSection(Section):
         "Drive law: exact (least energy, every modelled mode met) or paper (its equations 6 and 7).",
         default="exact",
     )
+    design: Literal["least_energy", "norm_4", "norm_8", "least_peak"] = described(
+        "Which of the exact law's voltages: of least energy, or of less peak voltage for more energy, down to the "
+        "least peak, which jumps from end to end and shakes what is not modelled.",
+        default="least_energy",
+    )
     focus: ZoneName = described("Zone whose centre reaches the peak velocity.")
     further_foci: Annotated[tuple[ZoneName, ...], Field(max_length=20)] = described(
         "Zones at whose centres the same shape is wished at the same time.", default=()

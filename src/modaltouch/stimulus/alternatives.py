@@ -7,19 +7,19 @@ peak is a linear programme. Either is polished by the least energy that takes th
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.stimulus.design import Stimulus
-from modaltouch.stimulus.drive import steering
+from modaltouch.stimulus.drive import Drive, brake, steering
 from modaltouch.stimulus.dynamics import modal_system
 from modaltouch.stimulus.gramian import GramianSolver, Reach
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.synthesis import decay
 from modaltouch.stimulus.vibration import states_by_channel
+from modaltouch.stimulus.voltages import Voltages
 
 FloatArray = NDArray[np.float64]
 
@@ -66,12 +66,34 @@ class Alternative:
         return float((self.voltage**2).sum() * hold)
 
 
-def least_norm(stimulus: Stimulus, p: float = 4.0) -> Alternative:
+def alternative_drive(stimulus: Voltages) -> Drive:
+    """Return the voltages of a design that is not that of least energy, braked as the exact law brakes.
+
+    Parameters
+    ----------
+    stimulus : Voltages
+        With a `design` other than ``least_energy``.
+    """
+    orders = {"norm_4": 4.0, "norm_8": 8.0}
+    found = least_peak(stimulus) if stimulus.design == "least_peak" else least_norm(stimulus, orders[stimulus.design])
+    model, system, timing = stimulus.model, stimulus.system, stimulus.timing
+    reach, _, _, braked_from = steering(model, system, timing, *stimulus.aim)
+    n_before = reach.taper.n_samples
+    voltage = np.zeros((model.n_channels, timing.n_samples))
+    voltage[:, :n_before] = found.voltage
+    if stimulus.release == "braked":
+        state = states_by_channel(system, found.voltage, timing, timing.focusing_instant).sum(axis=0)
+        ahead = braked_from * timing.hold + system.delay - timing.focusing_instant
+        brake(model, system, timing, voltage, braked_from, state * np.exp(system.exponent * ahead))
+    return Drive(voltage, GramianSolver.of(reach.gramian()).condition_number, found.residual, n_before)
+
+
+def least_norm(stimulus: Voltages, p: float = 4.0) -> Alternative:
     """Return the voltages of least weighted p-norm that meet every modelled mode.
 
     Parameters
     ----------
-    stimulus : Stimulus
+    stimulus : Voltages
         The design whose targets, timing and taper are kept.
     p : float
         Order of the norm, from 2 (the exact law) to about 8; higher flattens the peaks [1].
@@ -133,14 +155,14 @@ def _step_length(
     return length
 
 
-def least_peak(stimulus: Stimulus, held_steps: int = 1024) -> Alternative:
+def least_peak(stimulus: Voltages, held_steps: int = 1024) -> Alternative:
     """Return the voltages of least peak that meet every modelled mode: a linear programme on held steps.
 
     They jump between the peak and its negative, and shake whatever the model leaves out.
 
     Parameters
     ----------
-    stimulus : Stimulus
+    stimulus : Voltages
         The design whose targets and timing are kept.
     held_steps : int
         Steps of equal length until the focusing instant, at most 8192; each holds several samples.
@@ -167,7 +189,7 @@ def least_peak(stimulus: Stimulus, held_steps: int = 1024) -> Alternative:
     scale = 1 / np.sqrt((held**2).sum(axis=(1, 2)))
     flat = held.reshape(wished.size, -1) * scale[:, None]
     n = flat.shape[1]
-    unit = float(np.abs(stimulus.voltage).max())
+    unit = float(np.abs(replace(stimulus, design="least_energy").voltage).max())
     identity = np.concatenate([flat * unit, np.zeros((wished.size, 1))], axis=1)
     bound = _peak_bounds(n)
     solved = linprog(
@@ -196,9 +218,9 @@ def _peak_bounds(n: int) -> Any:
     return vstack([hstack([eye(n), -ones]), hstack([-eye(n), -ones])]).tocsr()
 
 
-def _problem(stimulus: Stimulus) -> tuple[Reach, FloatArray]:
+def _problem(stimulus: Voltages) -> tuple[Reach, FloatArray]:
     """Return how the samples before the focus reach the states of the driven modes, and the states wished."""
-    reach, _, wished, _ = steering(stimulus.model, stimulus.system, stimulus.timing, stimulus.target)
+    reach, _, wished, _ = steering(stimulus.model, stimulus.system, stimulus.timing, *stimulus.aim)
     return reach, wished
 
 
@@ -210,10 +232,10 @@ def _rows(reach: Reach) -> FloatArray:
     return np.asarray(rows.reshape(*reach.row.shape[:2], -1))
 
 
-def _polished(stimulus: Stimulus, reach: Reach, voltage: FloatArray, wished: FloatArray, name: str) -> Alternative:
+def _polished(stimulus: Voltages, reach: Reach, voltage: FloatArray, wished: FloatArray, name: str) -> Alternative:
     """Return the voltages with the least energy added that takes their residual out."""
     timing, system = stimulus.timing, stimulus.system
-    read = steering(stimulus.model, system, timing, stimulus.target)[1]
+    read = steering(stimulus.model, system, timing, *stimulus.aim)[1]
     solver = GramianSolver.of(reach.gramian())
     change = np.empty_like(voltage)
     residual = np.inf
@@ -230,13 +252,13 @@ def _polished(stimulus: Stimulus, reach: Reach, voltage: FloatArray, wished: Flo
     return Alternative(name, voltage, float(np.abs(wished - (read @ state).real).max()))
 
 
-def trade(stimulus: Stimulus, alternatives: list[Alternative], unmodelled: ModalModel) -> list[dict[str, float | str]]:
+def trade(stimulus: Voltages, alternatives: list[Alternative], unmodelled: ModalModel) -> list[dict[str, float | str]]:
     """Return what each set of voltages costs, and how fast it leaves a mode that the model lacks.
 
     Parameters
     ----------
-    stimulus : Stimulus
-        The design; its own voltages make the first row.
+    stimulus : Voltages
+        The design; the voltages of least energy make the first row.
     alternatives : list of Alternative
         Others for the same targets.
     unmodelled : ModalModel
@@ -249,7 +271,8 @@ def trade(stimulus: Stimulus, alternatives: list[Alternative], unmodelled: Modal
         largest of |velocity| and |w eta| of those modes at the focusing instant [m/s].
     """
     timing = stimulus.timing
-    own = Alternative("exact", stimulus.voltage[:, : stimulus.drive.n_before], stimulus.drive.residual)
+    exact = replace(stimulus, design="least_energy").drive
+    own = Alternative("exact", exact.voltage[:, : exact.n_before], exact.residual)
     system = modal_system(unmodelled, stimulus.amplifier)
     rows: list[dict[str, float | str]] = []
     for one in (own, *alternatives):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import get_args
+
 from modaltouch.stimulus.bounds import require_positive
 from modaltouch.stimulus.burst import Burst
 from modaltouch.stimulus.correction import Correction
@@ -10,6 +12,7 @@ from modaltouch.stimulus.drive import Law, Release, check_drivable
 from modaltouch.stimulus.dynamics import Amplifier
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.timing import Timing
+from modaltouch.stimulus.voltages import Design
 from modaltouch.stimulus.wish import Wish
 
 __all__ = ["Amplifier", "Burst", "Correction", "ModalModel", "Stimulus", "Timing", "Wish", "design_stimulus"]
@@ -26,6 +29,7 @@ def design_stimulus(
     levels: tuple[float, ...] | None = None,
     load_factor: float = 1.0,
     rounding: Rounding = "settled",
+    design: Design = "least_energy",
     correction: Correction | None = None,
 ) -> Stimulus:
     """Return the stimulus that makes a wished field at the focusing instant.
@@ -51,6 +55,8 @@ def design_stimulus(
     rounding : str
         ``settled`` (single codes changed so that rounding costs the exact law next to nothing at the focus) or
         ``plain``.
+    design : str
+        Of the exact law: ``least_energy``, or ``norm_4``, ``norm_8`` or ``least_peak`` for less peak voltage.
     correction : Correction, optional
         What a calibration makes of the targets of the exact law and of the amplitudes.
 
@@ -61,15 +67,17 @@ def design_stimulus(
         remedy.
     """
     played = (wish.velocity,) if levels is None else tuple(levels)
-    _check_options(law, release, rounding)
+    _check_options(law, release, rounding, design)
     _check_levels(played, wish.velocity)
     require_positive("the load factor", load_factor, "", "1 into high impedance, 0.5 into 50 ohm")
-    stimulus = Stimulus(model, wish, timing, amplifier, law, release, played, load_factor, rounding, correction)
+    stimulus = Stimulus(
+        model, wish, timing, amplifier, law, release, played, load_factor, rounding, correction, design=design
+    )
     check_drivable(model, stimulus.target, timing)
     return stimulus
 
 
-def _check_options(law: str, release: str, rounding: str) -> None:
+def _check_options(law: str, release: str, rounding: str, design: str) -> None:
     """Refuse words that mean nothing here."""
     if law not in ("exact", "paper"):
         raise ValueError(f"the drive law {law!r} is unknown; allowed: exact, paper")
@@ -77,6 +85,10 @@ def _check_options(law: str, release: str, rounding: str) -> None:
         raise ValueError(f"the release {release!r} is unknown; allowed: braked, free")
     if rounding not in ("settled", "plain"):
         raise ValueError(f"the rounding {rounding!r} is unknown; allowed: settled, plain")
+    if design not in get_args(Design):
+        raise ValueError(f"the design {design!r} is unknown; allowed: {', '.join(get_args(Design))}")
+    if law == "paper" and design != "least_energy":
+        raise ValueError(f"the paper's law has no design of {design!r}; allowed: least_energy, or the law exact")
 
 
 def _check_levels(levels: tuple[float, ...], reference: float) -> None:

@@ -121,7 +121,7 @@ class Stimulus(Voltages):
         law : str
             ``exact`` or ``paper``.
         """
-        other = replace(self, law=law)
+        other = replace(self, law=law, design=self.design if law == "exact" else "least_energy")
         vars(other).update({name: getattr(self, name) for name in (*LAWLESS, "_shapes")})
         return other
 

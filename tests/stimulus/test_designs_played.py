@@ -1,0 +1,55 @@
+"""Designs of less peak voltage, as they are played: codes, brake and repeated bursts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from modaltouch.preflight import examine
+from modaltouch.stimulus.burst import MID_CODE
+
+Edit = Callable[..., Path]
+LAW = "law: exact                # exact or paper (the paper's equations 6 and 7)"
+
+
+def protocol(edit: Edit, design: str, law: str = "exact") -> Path:
+    """Return the paper's protocol at 100 mm/s with a design."""
+    levels = ("[80, 100, 150, 200]", "[100]")
+    return edit("differentiated_stimulation.yaml", (LAW, f"law: {law}\n  design: {design}"), levels)
+
+
+@pytest.mark.parametrize("design", ["least_energy", "norm_4", "norm_8", "least_peak"])
+def test_every_design_meets_every_mode_in_the_first_and_in_every_later_burst(edit: Edit, design: str) -> None:
+    """Worst modal error of the rounded codes below 1e-4 of the peak, from rest and after many bursts."""
+    stimulus = examine(protocol(edit, design)).stimulus
+    assert stimulus.worst_modal_error(0.1) < 1e-5
+    first, steady = stimulus.achieved(0.1), stimulus.achieved_steady(0.1)
+    assert np.abs(np.array(first) - np.array(steady)).max() < 1e-5
+
+
+@pytest.mark.parametrize("design", ["norm_4", "norm_8", "least_peak"])
+def test_every_design_begins_and_ends_at_mid_scale(edit: Edit, design: str) -> None:
+    """The generator rests at the first code between bursts."""
+    codes = examine(protocol(edit, design)).stimulus.burst.codes
+    assert set(codes[:, 0]) == set(codes[:, -1]) == {MID_CODE}
+
+
+def test_peaks_fall_as_the_table_of_designs_says(edit: Edit) -> None:
+    """physics.md section 4: the fourth norm has about half the peak voltage, the eighth and the least peak less."""
+    shipped = examine(edit("differentiated_stimulation.yaml")).stimulus
+    highest = [
+        float(replace(shipped, design=design).peak_voltage.max())
+        for design in ("least_energy", "norm_4", "norm_8", "least_peak")
+    ]
+    assert highest == sorted(highest, reverse=True)
+    assert highest[1] < 0.65 * highest[0]
+
+
+def test_the_papers_law_has_no_designs(edit: Edit) -> None:
+    """Told at the key, with what to do."""
+    (problem,) = examine(protocol(edit, "norm_4", law="paper")).problems
+    assert "stimulus.design: given norm_4, which the paper's law does not know" in str(problem)
