@@ -7,13 +7,13 @@ peak is a linear programme. Either is polished by the least energy that takes th
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.stimulus.drive import Drive, brake, steering
+from modaltouch.stimulus.drive import Drive, brake, exact_drive, steering
 from modaltouch.stimulus.dynamics import modal_system
 from modaltouch.stimulus.gramian import GramianSolver, Reach
 from modaltouch.stimulus.modes import ModalModel
@@ -66,16 +66,20 @@ class Alternative:
         return float((self.voltage**2).sum() * hold)
 
 
-def alternative_drive(stimulus: Voltages) -> Drive:
-    """Return the voltages of a design that is not that of least energy, braked as the exact law brakes.
+def alternative_drive(stimulus: Voltages, design: str) -> Drive:
+    """Return the voltages of a design, braked as the exact law brakes.
 
     Parameters
     ----------
     stimulus : Voltages
-        With a `design` other than ``least_energy``.
+        The wish, its timing and release.
+    design : str
+        Which voltages.
     """
+    if design == "least_energy":
+        return _least_energy(stimulus)
     orders = {"norm_4": 4.0, "norm_8": 8.0}
-    found = least_peak(stimulus) if stimulus.design == "least_peak" else least_norm(stimulus, orders[stimulus.design])
+    found = least_peak(stimulus) if design == "least_peak" else least_norm(stimulus, orders[design])
     model, system, timing = stimulus.model, stimulus.system, stimulus.timing
     reach, _, _, braked_from = steering(model, system, timing, *stimulus.aim)
     n_before = reach.taper.n_samples
@@ -189,7 +193,7 @@ def least_peak(stimulus: Voltages, held_steps: int = 1024) -> Alternative:
     scale = 1 / np.sqrt((held**2).sum(axis=(1, 2)))
     flat = held.reshape(wished.size, -1) * scale[:, None]
     n = flat.shape[1]
-    unit = float(np.abs(replace(stimulus, design="least_energy").voltage).max())
+    unit = float(np.abs(_least_energy(stimulus).voltage).max())
     identity = np.concatenate([flat * unit, np.zeros((wished.size, 1))], axis=1)
     bound = _peak_bounds(n)
     solved = linprog(
@@ -216,6 +220,12 @@ def _peak_bounds(n: int) -> Any:
 
     ones = csr_matrix(np.ones((n, 1)))
     return vstack([hstack([eye(n), -ones]), hstack([-eye(n), -ones])]).tocsr()
+
+
+def _least_energy(stimulus: Voltages) -> Drive:
+    """Return the voltages of the exact law."""
+    velocity, displacement = stimulus.aim
+    return exact_drive(stimulus.model, stimulus.system, stimulus.timing, velocity, stimulus.release, displacement)
 
 
 def _problem(stimulus: Voltages) -> tuple[Reach, FloatArray]:
@@ -271,7 +281,7 @@ def trade(stimulus: Voltages, alternatives: list[Alternative], unmodelled: Modal
         largest of |velocity| and |w eta| of those modes at the focusing instant [m/s].
     """
     timing = stimulus.timing
-    exact = replace(stimulus, design="least_energy").drive
+    exact = _least_energy(stimulus)
     own = Alternative("exact", exact.voltage[:, : exact.n_before], exact.residual)
     system = modal_system(unmodelled, stimulus.amplifier)
     rows: list[dict[str, float | str]] = []

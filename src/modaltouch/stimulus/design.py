@@ -7,12 +7,11 @@ from typing import get_args
 from modaltouch.stimulus.bounds import require_positive
 from modaltouch.stimulus.burst import Burst
 from modaltouch.stimulus.correction import Correction
-from modaltouch.stimulus.designed import Rounding, Stimulus
+from modaltouch.stimulus.designed import Design, Rounding, Stimulus
 from modaltouch.stimulus.drive import Law, Release, check_drivable
 from modaltouch.stimulus.dynamics import Amplifier
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.timing import Timing
-from modaltouch.stimulus.voltages import Design
 from modaltouch.stimulus.wish import Wish
 
 __all__ = ["Amplifier", "Burst", "Correction", "ModalModel", "Stimulus", "Timing", "Wish", "design_stimulus"]

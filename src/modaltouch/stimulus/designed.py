@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from modaltouch.stimulus.bounds import require_positive
 from modaltouch.stimulus.burst import MID_CODE, Burst, amplitudes_at
 from modaltouch.stimulus.correction import Correction, Trims, trimmed
-from modaltouch.stimulus.drive import Law
+from modaltouch.stimulus.drive import Drive, Law
 from modaltouch.stimulus.played import Played
 from modaltouch.stimulus.quantise import full_scale, round_to_codes, unsigned_codes
 from modaltouch.stimulus.settling import settle
@@ -22,6 +22,7 @@ from modaltouch.stimulus.voltages import LAWLESS, Voltages
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Rounding = Literal["settled", "plain"]
+Design = Literal["least_energy", "norm_4", "norm_8", "least_peak"]
 
 _FEW = 1024
 """Points up to which mode shapes are kept for the next question."""
@@ -45,12 +46,25 @@ class Stimulus(Voltages):
         which misses by far more, is left alone) or ``plain``.
     correction : Correction, optional
         What a calibration makes of the targets of the exact law and of the amplitudes.
+    design : str
+        Of the exact law: ``least_energy``; ``norm_4`` or ``norm_8``, of less peak voltage for more energy; or
+        ``least_peak``, which jumps from end to end and shakes what is not modelled.
     """
 
     levels: tuple[float, ...]
     load_factor: float
     rounding: Rounding = "settled"
     correction: Correction | None = None
+    design: Design = "least_energy"
+
+    @cached_property
+    def drive(self) -> Drive:
+        """Voltages before rounding, and how well they were solved for."""
+        if self.law == "paper" or self.design == "least_energy":
+            return super().drive
+        from modaltouch.stimulus.alternatives import alternative_drive
+
+        return alternative_drive(self, self.design)
 
     @cached_property
     def aim(self) -> tuple[FloatArray, FloatArray]:

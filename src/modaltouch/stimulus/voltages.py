@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +17,6 @@ from modaltouch.stimulus.timing import Timing
 from modaltouch.stimulus.wish import Wish
 
 FloatArray = NDArray[np.float64]
-
-Design = Literal["least_energy", "norm_4", "norm_8", "least_peak"]
-"""Which of the voltages that meet every mode the exact law takes."""
 
 LAWLESS = ("projection", "system", "fwhm", "width_80", "reconstruction_error")
 """What is computed and does not depend on the drive law."""
@@ -44,9 +40,6 @@ class Voltages:
         ``exact`` or ``paper``.
     release : str
         ``braked`` or ``free``.
-    design : str
-        Of the exact law: ``least_energy``; ``norm_4`` or ``norm_8``, of less peak voltage for more energy; or
-        ``least_peak``, which jumps from end to end and shakes what is not modelled.
     """
 
     model: ModalModel
@@ -55,7 +48,6 @@ class Voltages:
     amplifier: Amplifier
     law: Law
     release: Release
-    design: Design = field(default="least_energy", kw_only=True)
 
     @cached_property
     def projection(self) -> Projection:
@@ -90,10 +82,6 @@ class Voltages:
         """Voltages before rounding, and how well they were solved for."""
         if self.law == "paper":
             return paper_drive(self.model, self.system, self.timing, self.target, self.release)
-        if self.design != "least_energy":
-            from modaltouch.stimulus.alternatives import alternative_drive
-
-            return alternative_drive(self)
         velocity, displacement = self.aim
         return exact_drive(self.model, self.system, self.timing, velocity, self.release, displacement)
 
