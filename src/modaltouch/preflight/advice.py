@@ -18,6 +18,10 @@ _UNREACHED = 0.25
 """Share of the wish, as root mean square, from which it counts as missed: the paper's six modes miss 0.06 [1]."""
 
 
+_PRESENTED = ("stimulus.", "conditions.", "schedule.order")
+"""Keys whose defaults are told in `check`."""
+
+
 def field_warnings(ground: Ground, stimulus: Stimulus, figures: list[dict[str, Any]]) -> list[str]:
     """Return where the field does not do what its focus says.
 
@@ -96,14 +100,16 @@ def _absent(section: type[Section], node: Node | None, prefix: str) -> list[dict
 
 
 def default_warnings(taken: list[dict[str, Any]]) -> list[str]:
-    """Return one line on the defaults that do something; those that leave a feature off are not worth a line.
+    """Return one line on the defaults of what is presented; those that leave a feature off are not worth a line.
+
+    How it is asked and ordered stands in the schema, and in the list of all defaults.
 
     Parameters
     ----------
     taken : list of dict
         As `taken_defaults` returns them.
     """
-    acting = [each for each in taken if not _is_off(each["value"])]
+    acting = [each for each in taken if each["key"].startswith(_PRESENTED) and not _is_off(each["value"])]
     told = ", ".join(f"{each['key']} {_in_words(each['value'])}" for each in acting)
     return [f"taken by default: {told}"] if told else []
 
