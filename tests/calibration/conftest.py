@@ -15,7 +15,7 @@ from modaltouch.calibration.refining import aimed_ground
 from modaltouch.preflight import Preflight, examine
 from modaltouch.preflight.examine import design_to_fit
 from modaltouch.rig.acquisition import Acquisition, Recording
-from modaltouch.rig.simulator.afg import Playback
+from modaltouch.rig.simulator.channel import Playback
 from modaltouch.rig.simulator.scope import SimulatedScope
 from modaltouch.rig.simulator.twin import TrueState, Twin
 from modaltouch.stimulus.burst import Burst

@@ -14,6 +14,7 @@ from modaltouch.apparatus import Apparatus, read_apparatus
 from modaltouch.rig.connection import Patience
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.simulator import Simulator
+from modaltouch.rig.simulator.behaviour import Behaviour
 from modaltouch.rig.visa import VisaSession
 from modaltouch.stimulus.burst import Burst
 
@@ -89,6 +90,13 @@ def simulator(apparatus: Apparatus) -> Iterator[Simulator]:
     """Return a running simulator."""
     with Simulator(apparatus) as running:
         yield running
+
+
+@pytest.fixture
+def single_link(apparatus: Apparatus) -> Iterator[Simulator]:
+    """Return an instrument that admits one session."""
+    with Simulator(apparatus, behaviour=Behaviour(max_sessions=1)) as simulator:
+        yield simulator
 
 
 @pytest.fixture

@@ -10,23 +10,14 @@ import signal
 import subprocess
 import sys
 import textwrap
-import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from modaltouch.apparatus import Apparatus
-from modaltouch.rig.connection import Patience
-from modaltouch.rig.generator import Generator
-from modaltouch.rig.guard import Watchdog
-from modaltouch.rig.interface import RigError
 from modaltouch.rig.simulator import Simulator
-from modaltouch.rig.simulator.behaviour import Behaviour
 from modaltouch.rig.watchdog import LIMIT
-from modaltouch.stimulus.burst import Burst
 
 APPARATUS = Path(__file__).parents[2] / "protocols" / "apparatus" / "beam_100x6x2.yaml"
 
@@ -114,13 +105,6 @@ SLOW = 0.4
 """How long the instrument takes over the message at which a phase is met [s]."""
 
 PHASES = {"connect": r"\*RST", "upload": "COPY USER", "arm": "SOUR TIM", "trial": None, "stop": r"OUTP1\?;:OUTP2\?"}
-
-
-@pytest.fixture
-def single_link(apparatus: Apparatus) -> Iterator[Simulator]:
-    """Return an instrument that admits one session."""
-    with Simulator(apparatus, behaviour=Behaviour(max_sessions=1)) as simulator:
-        yield simulator
 
 
 @pytest.fixture(scope="module")
@@ -252,131 +236,3 @@ def test_session_that_wakes_up_again_is_told_what_happened(start: Start, single_
     session.signal(signal.SIGUSR1)
     assert session.wait() == 1
     assert single_link.outputs == (False, False)
-
-
-def small_burst() -> Burst:
-    """Return a burst of a hundred points."""
-    codes = np.full((2, 100), 8191, dtype=np.uint16)
-    codes[:, 50] = 9000
-    return Burst(codes, 0.05, 7.0, 0.2, (10.0, 10.0))
-
-
-@pytest.fixture
-def dogs() -> list[Watchdog]:
-    """Return the list that watchdogs are entered in."""
-    return []
-
-
-@pytest.fixture
-def rig(apparatus: Apparatus, single_link: Simulator, dogs: list[Watchdog]) -> Iterator[Generator]:
-    """Return a driver behind a real watchdog, loaded."""
-
-    def begin(address: str) -> Watchdog:
-        dogs.append(Watchdog(address))
-        return dogs[-1]
-
-    patience = Patience(reply=0.5)
-    with Generator(single_link.address, apparatus, start_guard=begin, patience=patience) as generator:
-        generator.load(small_burst())
-        yield generator
-    assert single_link.outputs == (False, False)
-
-
-def test_slow_instrument_is_no_stalled_session(apparatus: Apparatus, single_link: Simulator) -> None:
-    """Every exchange is a sign of life: 0.3 s a reply makes starting take more than the limit, and nothing trips."""
-    with Generator(single_link.address, apparatus) as rig:
-        rig.load(small_burst())
-        rig.fire(0.1)
-        rig.stop()
-        single_link.faults.inject("delayed_reply", value=0.3, times=99)
-        started = time.monotonic()
-        assert rig.fire(0.1).confirmed
-        assert time.monotonic() - started > LIMIT
-        assert single_link.outputs == (True, True)
-        single_link.faults.clear()
-        rig.stop()
-        assert rig.firing is not None
-        assert rig.firing.confirmed
-
-
-def test_exchange_longer_than_the_limit_is_no_stall(rig: Generator, single_link: Simulator) -> None:
-    """While the instrument is slow over one message, it is the instrument that is waited for."""
-    rig.fire(0.1)
-    single_link.faults.inject("slow_command", when="IDN", value=LIMIT + 0.4)
-    rig._connection.link.ask("*IDN?", timeout=3)
-    assert single_link.outputs == (True, True)
-
-
-def test_watchdog_that_is_gone_stops_the_stimulus_and_is_replaced(
-    rig: Generator, single_link: Simulator, dogs: list[Watchdog]
-) -> None:
-    """Nothing plays without one: the heartbeat raises, a new one has switched off, and the next trial can come."""
-    rig.fire(0.1)
-    dogs[0]._process.kill()
-    dogs[0]._process.wait()
-    time.sleep(0.15)
-    with pytest.raises(RigError, match="watchdog process .* is gone.*the outputs are off"):
-        rig.heartbeat()
-    assert single_link.outputs == (False, False)
-    assert rig.fire(0.1).confirmed
-    assert single_link.outputs == (True, True)
-
-
-def test_watchdog_that_is_stuck_is_ended_and_replaced(
-    rig: Generator, single_link: Simulator, dogs: list[Watchdog], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """One that is stopped does not answer: ended after the times that it was given, and the outputs go off."""
-    monkeypatch.setattr("modaltouch.rig.guard.OVERHEAD", 0.5)
-    rig.fire(0.1)
-    stuck = dogs[0]._process
-    os.kill(stuck.pid, signal.SIGSTOP)
-    rig.stop()
-    assert stuck.poll() == -signal.SIGKILL
-    assert single_link.outputs == (False, False)
-    assert rig.fire(0.1).confirmed
-
-
-def test_signal_in_the_midst_of_an_exchange_mixes_up_no_answers(rig: Generator, single_link: Simulator) -> None:
-    """A handler that raises while an answer is awaited: the late answer is not the next question's."""
-
-    def raise_it(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    link = rig._connection.link
-    before = signal.signal(signal.SIGUSR2, raise_it)
-    try:
-        single_link.faults.inject("delayed_reply", when="IDN", value=0.3)
-        threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGUSR2)).start()
-        with pytest.raises(KeyboardInterrupt):
-            link.ask("*IDN?")
-    finally:
-        signal.signal(signal.SIGUSR2, before)
-    link.open()
-    assert link.ask("*OPC?") == "1"
-    assert link.ask("*IDN?").startswith("TEKTRONIX")
-
-
-def test_level_change_through_the_watchdog_takes_at_most_two_milliseconds(rig: Generator) -> None:
-    """The pipe costs tenths of a millisecond: two amplitudes set, read back, free of errors (fastest of 50)."""
-    took = []
-    for step in range(50):
-        started = time.perf_counter()
-        rig.set_levels((1 + step / 1000, 2.0))
-        took.append(time.perf_counter() - started)
-    assert min(took) < 2e-3
-
-
-def test_heartbeat_costs_microseconds_and_writes_ten_times_a_second(
-    rig: Generator, dogs: list[Watchdog], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Called every millisecond it must cost next to nothing: under 5 us a call, at most 11 letters a second."""
-    rig.fire(0.1)
-    sent: list[bytes] = []
-    send = dogs[0]._send
-    monkeypatch.setattr(dogs[0], "_send", lambda data: (sent.append(data), send(data)))
-    calls, started = 0, time.perf_counter()
-    while time.perf_counter() < started + 0.55:
-        rig.heartbeat()
-        calls += 1
-    assert 0.55 / calls < 5e-6
-    assert 3 <= len(sent) <= 6

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from modaltouch.apparatus import Apparatus, TrueAmplifier
-from modaltouch.rig.simulator.afg import Playback
+from modaltouch.rig.simulator.channel import Playback
 from modaltouch.rig.simulator.twin import Twin
 from modaltouch.stimulus.design import design_stimulus
 from modaltouch.stimulus.timing import Timing

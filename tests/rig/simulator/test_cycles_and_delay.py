@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from modaltouch.rig.simulator import Simulator
-from modaltouch.rig.simulator.afg import Playback
+from modaltouch.rig.simulator.channel import Playback
 from modaltouch.rig.simulator.twin import MOST_SAMPLES, Twin
 
 Play = Callable[..., Playback]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from modaltouch.apparatus import Apparatus, Fingers, TrueAmplifier, UnlistedMode
-from modaltouch.rig.simulator.afg import Playback
+from modaltouch.rig.simulator.channel import Playback
 from modaltouch.rig.simulator.true_beam import generator_gains, true_beam
 from modaltouch.rig.simulator.twin import Twin
 

@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.apparatus import Apparatus
-from modaltouch.rig.simulator.afg import Afg, Playback
+from modaltouch.rig.simulator.afg import Afg
 from modaltouch.rig.simulator.behaviour import Behaviour
+from modaltouch.rig.simulator.channel import Playback
 from modaltouch.rig.simulator.faults import Faults
 from modaltouch.rig.simulator.instrument import Instrument
 from modaltouch.rig.simulator.scope import SimulatedScope

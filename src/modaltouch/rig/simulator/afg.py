@@ -12,81 +12,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from modaltouch.rig.simulator.behaviour import Behaviour
+from modaltouch.rig.simulator.channel import MID_CODE, Channel, Playback
 from modaltouch.rig.simulator.scpi import ScpiError
 
 MAX_CODE = 16382
 """Highest code of a point."""
 
-MID_CODE = 8191
-"""Code of zero volts."""
-
 MEMORIES = ("USER1", "USER2", "USER3", "USER4")
 """Non-volatile memories, common to both channels."""
-
-OPEN = math.inf
-"""Load impedance of an open circuit [ohm]."""
-
-SOURCE_IMPEDANCE = 50.0
-"""Output impedance of every channel [ohm]."""
-
-
-@dataclass
-class Channel:
-    """Settings of one output; levels are kept as open-circuit volts, whatever load is configured."""
-
-    function: str = "SIN"
-    frequency: float = 1e6
-    phase: float = 0.0
-    amplitude: float = 2.0
-    offset: float = 0.0
-    unit: str = "VPP"
-    limit_high: float = 10.0
-    limit_low: float = -10.0
-    load: float = SOURCE_IMPEDANCE
-    polarity: str = "NORM"
-    output: bool = False
-    burst: bool = False
-    burst_mode: str = "TRIG"
-    n_cycles: float = 5.0
-    delay: float = 0.0
-    range_switches: int = 0
-
-    @property
-    def load_factor(self) -> float:
-        """Volts at the configured load per open-circuit volt [1]."""
-        return 1.0 if math.isinf(self.load) else self.load / (self.load + SOURCE_IMPEDANCE)
-
-
-@dataclass(frozen=True)
-class Playback:
-    """What one output is sending.
-
-    Attributes
-    ----------
-    record : bytes
-        Codes of one cycle, two bytes each, big-endian.
-    amplitude, offset : float
-        Of the record's full scale, open circuit [V peak to peak, V].
-    duration : float
-        Length of one cycle [s].
-    period : float
-        Time from one trigger to the next [s], or one cycle without; infinite for a single trigger.
-    idle_code : int
-        Code at which the output rests between bursts.
-    n_cycles : int
-        Cycles of one burst.
-    delay : float
-        From a trigger to its burst [s].
-    """
-
-    record: bytes
-    amplitude: float
-    offset: float
-    duration: float
-    period: float
-    idle_code: int
-    n_cycles: int = 1
-    delay: float = 0.0
 
 
 @dataclass
@@ -284,20 +217,15 @@ class Afg:
             idle = {"first": record[:2], "last": record[-2:]}.get(self.behaviour.idle_level)
             idle_code = MID_CODE if idle is None else int.from_bytes(idle, "big")
             level = sign * channel.amplitude, channel.offset
-            if math.isinf(self._burst_length(channel, duration)) or not channel.burst:
+            if math.isinf(channel.burst_length) or not channel.burst:
                 return Playback(record, *level, duration, period, idle_code)
             return Playback(record, *level, duration, period, idle_code, int(channel.n_cycles), channel.delay)
-
-    @staticmethod
-    def _burst_length(channel: Channel, duration: float) -> float:
-        """Return the time from a trigger to the end of its burst [s]."""
-        return channel.delay + duration * channel.n_cycles
 
     def _burst_period(self, channel: Channel, duration: float) -> float | None:
         """Return the time between bursts [s], None where no trigger comes."""
         if not channel.burst:
             return duration
-        length = self._burst_length(channel, duration)
+        length = channel.burst_length
         if self.trigger_source == "TIM":
             # A burst without end has one trigger, the first.
             return duration if math.isinf(length) else self.timer

@@ -7,7 +7,7 @@ from collections import ChainMap
 from collections.abc import Callable
 from typing import Any
 
-from modaltouch.rig.simulator.afg import MEMORIES, OPEN, SOURCE_IMPEDANCE, Afg, Channel
+from modaltouch.rig.simulator.afg import MEMORIES, Afg
 from modaltouch.rig.simulator.arguments import (
     Arguments,
     asked,
@@ -20,6 +20,7 @@ from modaltouch.rig.simulator.arguments import (
     read_choice,
     whole,
 )
+from modaltouch.rig.simulator.channel import OPEN, SOURCE_IMPEDANCE, Channel
 from modaltouch.rig.simulator.command_table import Command, CommandTable
 from modaltouch.rig.simulator.levels import HIGHEST, LOWEST, amplitude_in_unit, amplitude_in_vpp
 from modaltouch.rig.simulator.memory_commands import memory_commands

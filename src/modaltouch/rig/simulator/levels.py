@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import re
 
-from modaltouch.rig.simulator.afg import Channel
 from modaltouch.rig.simulator.arguments import read_number
+from modaltouch.rig.simulator.channel import Channel
 from modaltouch.rig.simulator.scpi import Argument, ScpiError
 
 LOWEST, HIGHEST, DEFAULT = 20e-3, 20.0, 2.0

@@ -1,0 +1,130 @@
+"""The records in the instrument's memories: sent once, verified, recognised, locked."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from modaltouch.rig.generator import Generator
+from modaltouch.rig.interface import RigError
+from modaltouch.rig.settings import continuous_codes
+from modaltouch.rig.simulator import Simulator
+from modaltouch.stimulus.burst import Burst
+
+
+def test_memories_hold_the_codes(loaded: Generator, simulator: Simulator, burst: Burst) -> None:
+    """USER1 and USER2 hold the burst's codes, two bytes each, big-endian (instruments.md, arbitrary waveforms)."""
+    for number, codes in enumerate(burst.codes, start=1):
+        assert simulator.afg.user[number] == codes.astype(">u2").tobytes()
+
+
+def test_record_already_there_is_not_sent_again(
+    open_generator: Callable[..., Generator], burst: Burst, heard: Any
+) -> None:
+    """A second session reads the memories back, finds the record right and sends none (promise list)."""
+    with open_generator() as first:
+        first.load(burst)
+    assert len(heard.of("record_sent")) == 2
+    heard.clear()
+    open_generator().load(burst)
+    assert heard.of("record_sent") == []
+    assert len(heard.of("record_found")) == 2
+
+
+def test_record_with_one_wrong_code_is_sent_again(
+    open_generator: Callable[..., Generator], simulator: Simulator, burst: Burst, heard: Any
+) -> None:
+    """A memory that differs in a single code is not taken for the record."""
+    with open_generator() as first:
+        first.load(burst)
+    simulator.front_panel("DATA:COPY EMEM,USER2;:DATA:DATA:VAL EMEM,1000,8192;:DATA:COPY USER2,EMEM")
+    heard.clear()
+    open_generator().load(burst)
+    assert [facts["memory"] for facts in heard.of("record_sent")] == ["USER2"]
+    assert simulator.afg.user[2] == burst.codes[1].astype(">u2").tobytes()
+
+
+def test_two_bursts_share_the_memories(
+    loaded: Generator, simulator: Simulator, burst: Burst, make: Callable[..., Burst], heard: Any
+) -> None:
+    """Loading another burst and the first again plays the first one's records."""
+    other = make(seed=1)
+    loaded.load(other)
+    loaded.load(burst)
+    loaded.fire(0.1)
+    for channel, codes in zip(simulator.afg.channels.values(), burst.codes, strict=True):
+        assert simulator.afg.user[int(channel.function[4:])] == codes.astype(">u2").tobytes()
+
+
+def test_bursts_change_places_without_an_upload(
+    generator: Generator, simulator: Simulator, burst: Burst, make: Callable[..., Burst], heard: Any
+) -> None:
+    """Two bursts of four records fill the memories; firing one or the other sends settings alone, in any order."""
+    other = replace(make(seed=1), repetition_rate=5.0, amplitude=(6.0, 3.0))
+    generator.load(burst, other)
+    assert len(heard.of("record_sent")) == 4
+    heard.clear()
+    for which in (0, 1, 1, 0):
+        chosen = (burst, other)[which]
+        firing = generator.fire(0.1, which=which)
+        assert firing.confirmed
+        assert firing.commanded_amplitude == tuple(a / 2 for a in chosen.amplitude)
+        for channel, codes in zip(simulator.afg.channels.values(), chosen.codes, strict=True):
+            assert simulator.afg.user[int(channel.function[4:])] == codes.astype(">u2").tobytes()
+        assert simulator.afg.timer == pytest.approx(1 / chosen.repetition_rate, rel=5e-4)
+        generator.stop()
+        assert generator.firing is not None
+        assert generator.firing.confirmed
+    assert heard.of("record_sent") == []
+    with pytest.raises(RigError, match="burst 2 was asked for: 0 to 1 are loaded"):
+        generator.fire(0.1, which=2)
+
+
+def test_more_records_than_memories_are_refused(generator: Generator, make: Callable[..., Burst]) -> None:
+    """Six different records do not fit into four memories; three bursts that share one channel's do."""
+    bursts = [make(seed=seed) for seed in (1, 2, 3)]
+    with pytest.raises(RigError, match="the bursts have 6 records: the generator has 4 memories"):
+        generator.load(*bursts)
+    shared = [replace(each, codes=np.stack([each.codes[0], bursts[0].codes[1]])) for each in bursts]
+    generator.load(*shared)
+    assert generator.fire(0.1, which=2).confirmed
+
+
+def test_log_holds_every_exchange_but_no_record(generator: Generator, burst: Burst, heard: Any) -> None:
+    """Commands come with reply and time; a record is named by its length and hash."""
+    generator.load(burst)
+    exchanges = heard.of("scpi")
+    assert all(facts["seconds"] >= 0 for facts in exchanges)
+    assert max(len(str(facts)) for facts in exchanges) < 1000
+    uploads = [facts["sent"] for facts in exchanges if facts["sent"].startswith("DATA:DATA EMEM,")]
+    assert len(uploads) == 2
+    assert all(f"<{2 * burst.codes.shape[1]} bytes, blake2b " in sent for sent in uploads)
+
+
+def test_memories_are_locked_while_they_are_needed(
+    loaded: Generator, simulator: Simulator, burst: Burst, open_generator: Callable[..., Generator]
+) -> None:
+    """Nobody stores another record over them at the front panel (-221); whoever comes next can."""
+    loaded.fire(0.1)
+    assert simulator.front_panel("*CLS;:DATA:COPY USER1,EMEM;:SYST:ERR?").startswith("-221")
+    assert simulator.afg.user[1] == burst.codes[0].astype(">u2").tobytes()
+    loaded.stop()
+    assert loaded.firing is not None
+    assert loaded.firing.confirmed
+    loaded.close()
+    assert simulator.front_panel("*CLS;:DATA:COPY USER1,EMEM;:SYST:ERR?").startswith("0,")
+
+
+def test_continuous_codes_hold_the_burst_and_then_rest(burst: Burst) -> None:
+    """Point n of 131072 lies at (n + 1/2) / (7 Hz * 131072): the burst's sample of that instant, else 0 V."""
+    codes = continuous_codes(burst)
+    n_points = 131_072
+    assert codes.shape == (2, n_points)
+    for n in (0, 1, 1000, 30_000, 45_874):
+        sample = int((n + 0.5) / (7 * n_points) / (0.05 / burst.codes.shape[1]))
+        assert codes[0, n] == burst.codes[0, sample]
+    assert (codes[:, 45_876:] == 8191).all()

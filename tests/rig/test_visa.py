@@ -1,0 +1,50 @@
+"""What is found, and by which backend it is reached."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import pyvisa
+from pyvisa.ctwrapper import IVIVisaLibrary
+
+from modaltouch.apparatus import Apparatus
+from modaltouch.rig.generator import Generator
+from modaltouch.rig.interface import RigError
+from modaltouch.rig.simulator import Simulator
+from modaltouch.rig.visa import find_by, find_instruments
+
+
+def test_found_instruments_are_no_serial_ports(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The AFG3022B has USB, LAN and GPIB; what a backend warns of while it searches is kept from the user."""
+
+    class Manager:
+        def __init__(self, library: str) -> None:
+            pass
+
+        def list_resources(self, query: str) -> tuple[str, ...]:
+            warnings.warn("discovery needs another package", stacklevel=1)
+            return ("ASRL/dev/ttyS0::INSTR", "USB0::0x0699::0x0347::C012345::INSTR", "TCPIP::10.0.0.7::INSTR")
+
+    monkeypatch.setattr(pyvisa, "ResourceManager", Manager)
+    assert find_instruments() == ("USB0::0x0699::0x0347::C012345::INSTR", "TCPIP::10.0.0.7::INSTR")
+    monkeypatch.setattr(IVIVisaLibrary, "get_library_paths", lambda: ("/usr/lib/libvisa.so",))
+    assert find_instruments()[2] == "USB0::0x0699::0x0347::C012345::INSTR@ivi"
+
+
+def test_backend_that_is_not_there_is_reported() -> None:
+    """A VISA library that does not exist: said, and that an address needs no listing."""
+    with pytest.raises(RigError, match="VISA backend '/nowhere/libvisa.so' cannot list instruments .*works without"):
+        find_by("/nowhere/libvisa.so")
+
+
+def test_backend_is_chosen_by_the_address(
+    simulator: Simulator, open_generator: Callable[..., Generator], apparatus: Apparatus, guard: Any
+) -> None:
+    """`@py` after an address is what none means; `@ivi` wants a vendor's library, and says so where there is none."""
+    with Generator(f"{simulator.address}@py", apparatus, start_guard=guard) as generator:
+        assert generator.address.endswith("INSTR@py")
+    with pytest.raises(RigError, match="no generator answers .*Could not open VISA library"):
+        Generator(f"{simulator.address}@ivi", apparatus, start_guard=guard)
