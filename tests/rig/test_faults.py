@@ -102,6 +102,7 @@ DISTURBANCES: list[tuple[str, str, bool, str]] = [
     ("front panel", "TRIG:SOUR EXT", False, "TRIG:SOUR reads EXT, TIM was set"),
     ("front panel", "SOUR1:FUNC USER2", False, "SOUR1:FUNC reads USER2, USER1 was set"),
     ("front panel", "DATA:LOCK USER1,OFF;:DATA:COPY USER1,EMEM", False, "DATA:LOCK:STAT USER1 reads 0, ON was set"),
+    ("front panel", "SOUR1:PHAS 90DEG", False, "SOUR1:PHAS reads 1.5"),
     ("front panel", "SOUR2:FREQ 19", False, "SOUR2:FREQ reads 1.9"),
     ("front panel", "OUTP1:POL INV", False, "OUTP1:POL reads INV"),
     ("power cycle", "power cycle", False, "output 1 was off; output 2 was off"),

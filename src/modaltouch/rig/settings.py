@@ -238,6 +238,7 @@ def burst_settings(channel: int, slot: int, burst: Burst) -> tuple[Setting, ...]
         Setting(f"{source}:BURS:MODE", "TRIG"),
         Setting(f"{source}:BURS:NCYC", 1.0),
         Setting(f"{source}:BURS:TDEL", 0.0, "S"),
+        Setting(f"{source}:PHAS", 0.0, "RAD"),
         Setting(f"{source}:BURS:STAT", "ON"),
     )
 
@@ -248,6 +249,7 @@ def continuous_settings(channel: int, slot: int, burst: Burst) -> tuple[Setting,
     return (
         Setting(f"{source}:FREQ", burst.repetition_rate, "HZ", tolerance=1e-6),
         Setting(f"{source}:FUNC", f"USER{slot}"),
+        Setting(f"{source}:PHAS", 0.0, "RAD"),
         Setting(f"{source}:BURS:STAT", "OFF"),
     )
 

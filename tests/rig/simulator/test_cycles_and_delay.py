@@ -102,6 +102,19 @@ def test_instrument_plays_its_cycles_and_delay(simulator: Simulator) -> None:
     assert (sent.duration, sent.period, sent.n_cycles, sent.delay) == (0.05, 0.05, 1, 0)
 
 
+def test_edit_memory_and_phase_are_played(simulator: Simulator) -> None:
+    """EMEM is a waveform as the USER memories are; a quarter of a turn begins a quarter into the record."""
+    simulator.front_panel("DATA:DEF EMEM,1000;:DATA:DATA:LINE EMEM,1,0,1000,9990;:SOUR2:FUNC EMEM;:OUTP2 ON")
+    sent = simulator.playbacks[1]
+    assert sent is not None
+    straight = np.frombuffer(sent.record, ">u2")
+    assert straight.tolist() == list(range(0, 10_000, 10))
+    simulator.front_panel("SOUR2:PHAS 90DEG")
+    sent = simulator.playbacks[1]
+    assert sent is not None
+    np.testing.assert_array_equal(np.frombuffer(sent.record, ">u2"), np.roll(straight, -250))
+
+
 def test_forced_trigger_plays_until_its_last_cycle_ends(simulator: Simulator) -> None:
     """*TRG: 10 ms of delay and three cycles of 50 ms, nothing before it and nothing after 160 ms."""
     clock = [100.0]

@@ -206,13 +206,16 @@ class Afg:
         """Return what a channel sends, None where its output is off or no arbitrary record is playing."""
         with self.lock:
             channel = self.channels[number]
-            if not channel.output or not channel.function.startswith("USER"):
+            if not channel.output or not channel.function.startswith(("USER", "EMEM")):
                 return None
-            record = self.user[int(channel.function[4:])]
+            record = self.edit if channel.function == "EMEM" else self.user[int(channel.function[4:])]
             duration = 1 / channel.frequency
             period = self._burst_period(channel, duration)
             if record is None or period is None:
                 return None
+            # A phase is where in its record a channel begins.
+            first = 2 * round(channel.phase / (2 * math.pi) * (len(record) // 2)) % len(record)
+            record = record[first:] + record[:first]
             sign = -1.0 if channel.polarity == "INV" else 1.0
             idle = {"first": record[:2], "last": record[-2:]}.get(self.behaviour.idle_level)
             idle_code = MID_CODE if idle is None else int.from_bytes(idle, "big")
