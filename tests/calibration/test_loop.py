@@ -164,3 +164,17 @@ def test_the_papers_law_has_no_targets(edit: Callable) -> None:
     path = edit("differentiated_stimulation.yaml", ("law: exact  ", "law: paper  "))
     with pytest.raises(InputError, match=r":10:8: stimulus.law: given paper, a law without targets"):
         ground_of(examine(path))
+
+
+def test_a_trigger_latency_that_is_told_is_taken_out(
+    preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable, judge: Callable
+) -> None:
+    """Half a microsecond leaves 0.8 mm/s in a displacement where the apparatus file does not say it, and else none."""
+    late = shipped_apparatus.twin.scope.model_copy(update={"trigger_latency_us": 0.5})
+    true = shipped_apparatus.model_copy(update={"twin": shipped_apparatus.twin.model_copy(update={"scope": late})})
+    told = true.model_copy(update={"acquisition": true.acquisition.model_copy(update={"trigger_latency_us": 0.5})})
+    missed, met = (
+        judge(bench := make_bench(each, 1), calibrate(bench, each, preflight.ground)) for each in (true, told)
+    )
+    assert missed[1] > 0.5e-3
+    assert max(met[:2]) < 0.15e-3

@@ -202,6 +202,22 @@ def test_another_serial_number_is_refused(shipped: Path) -> None:
     assert str(found).startswith("c.yaml:6:26: instruments.generator: given TEKTRONIX,AFG3022B,C012345")
 
 
+def test_an_edited_file_is_refused_and_never_a_crash(calibrate: Callable) -> None:
+    """A set that the apparatus has not, a mode left out, and a faulty apparatus beside: problems, no exception."""
+    protocol, path = calibrate()
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace("side: ", "rim: ", 1), encoding="utf-8")
+    assert "modes[0].gain_mm_s2_per_V: given gains by centre, rim; allowed: one by each of centre, side" in problems(
+        protocol, path
+    )
+    lines = [line for line in text.splitlines() if "label: 9," not in line]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    assert "given modes 1, 3, 5, 7, 11" in problems(protocol, path)
+    apparatus = protocol.parent / "apparatus" / "beam_100x6x2.yaml"
+    apparatus.write_text(apparatus.read_text(encoding="utf-8").replace("width_mm: 6", "width_mm: -6"), "utf-8")
+    assert "width_mm" in problems(protocol, path)
+
+
 def test_faults_of_the_file_have_their_place(calibrate: Callable) -> None:
     """A value that is no number, a key that is missing: told like those of any other file, all at once."""
     protocol, path = calibrate()

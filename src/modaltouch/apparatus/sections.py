@@ -126,6 +126,11 @@ class Acquisition(Section):
     probe_attenuation: Positive = described(
         "Volts at the beam per volt at the scope's drive inputs [V/V].", default=100.0
     )
+    trigger_latency_us: NotNegative = described(
+        "From the generator's first sample to the scope's, as the generator wired straight to the scope shows it; "
+        "what is not known of it shifts the focus in time [us].",
+        default=0.0,
+    )
 
 
 class Sound(Section):

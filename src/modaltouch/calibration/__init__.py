@@ -11,6 +11,6 @@
 ``outcome``   what comes of it
 ``writing``   the file that the session reads
 
-What stays unknown is the time from the generator's first sample to the scope's, its trigger latency: 0.05 us of it
-leave 0.05 mm/s in the displacement of the shipped stimulus.
+No record tells the time from the generator's first sample to the scope's, its trigger latency: of the shipped stimulus
+every 0.05 us that `acquisition.trigger_latency_us` misses of it leave 0.08 mm/s in a displacement.
 """

@@ -31,7 +31,7 @@ MOST_ITERATIONS = 4
 LEAST_CHANGE = 2e-4
 """Correction, as a part of the reference level, that is not worth another turn [1]."""
 
-LEAST_TRIM = 2e-3
+LEAST_TRIM = 5e-3
 """Deviation of a level below which its amplitude is left as it is [1]."""
 
 
@@ -75,6 +75,7 @@ class _Loop:
             model=model,
             timing=self._timing,
             highest_velocity=apparatus.acquisition.range_mm_s * 1e-3,
+            latency=apparatus.acquisition.trigger_latency_us * 1e-6,
             check=progress.check,
             advance=progress.advance,
         )
@@ -213,11 +214,12 @@ class _Loop:
 
 def _trim(level: Level) -> float:
     """Return the factor of a level's amplitude: 1 where the noise may explain the deviation."""
+    if abs(level.at_focus - level.velocity) < max(LEAST_TRIM * level.velocity, 3 * level.spread):
+        return 1.0
     factor = level.velocity / level.at_focus if level.at_focus > 0 else float("inf")
     if not 0.5 < factor < 2:
         raise RigError(
             f"the level of {level.velocity * 1e3:g} mm/s reaches {level.at_focus * 1e3:.1f} mm/s at the focus: the rig "
             "does not follow its amplitude; the outputs are off; see whether the amplifier saturates"
         )
-    within = abs(level.at_focus - level.velocity) < max(LEAST_TRIM * level.velocity, 3 * level.spread)
-    return 1.0 if within else round(factor, 6)
+    return round(factor, 6)

@@ -87,6 +87,8 @@ class Taking:
         Clock of the burst.
     highest_velocity : float
         End of the vibrometer's range [m/s].
+    latency : float
+        From the generator's first sample to the scope's [s].
     check : callable
         Called before each record; raises where a signal has come.
     advance : callable
@@ -99,6 +101,7 @@ class Taking:
     model: ModalModel
     timing: Timing
     highest_velocity: float
+    latency: float
     check: Callable[[], None]
     advance: Callable[[], None]
     margin: float = field(default=MARGIN, init=False)
@@ -215,7 +218,7 @@ class Taking:
             recording = self.bench.record(point, level, asked)
             if not recording.overloaded:
                 self.advance()
-                return recording
+                return replace(recording, time=recording.time + self.latency)
             wide = asked.velocity_range is None or asked.velocity_range >= self.highest_velocity
             if "velocity" in recording.overloaded and wide:
                 break

@@ -96,7 +96,7 @@ def find_ground(findings: Findings) -> Ground | None:
     limit = apparatus.sound("safety", "velocity_limit_mm_s")
     used = Apparatus.model_construct(apparatus="", zones=zones, **parts)
     calibration = findings.calibration.value if findings.calibration is not None else None
-    if calibration is not None and not _fits(findings):
+    if calibration is not None and (apparatus.value is None or not _fits(findings)):
         return None
     return Ground(
         section=section,

@@ -52,6 +52,11 @@ def _check_apparatus(
     elif [mode.label for mode in calibration.modes] != labels:
         given = f"modes {', '.join(str(mode.label) for mode in calibration.modes)}"
         yield reading.problem(("modes",), given, ", ".join(map(str, labels)), AGAIN)
+    for index, mode in enumerate(calibration.modes):
+        if set(mode.gain_mm_s2_per_V) != set(apparatus.actuator_sets):
+            given = f"gains by {', '.join(mode.gain_mm_s2_per_V) or 'no set'}"
+            allowed = f"one by each of {', '.join(apparatus.actuator_sets)}"
+            yield reading.problem(("modes", index, "gain_mm_s2_per_V"), given, allowed, AGAIN)
 
 
 def _check_stimulus(
