@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.rig.simulator.afg import Playback
+from modaltouch.rig.simulator.channel import Playback
 from modaltouch.rig.simulator.twin import Twin
 from modaltouch.stimulus.wish import Wish
 from modaltouch.validation.measures import contrast, root_mean_square, spot_width
