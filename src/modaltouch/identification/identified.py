@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,9 @@ FloatArray = NDArray[np.float64]
 
 NORMAL_95 = 1.959963984540054
 """Half-width of a 95 % interval in standard deviations."""
+
+WINDOW, FEWEST_IN_WINDOW = 10.0, 12
+"""Half-width of a window about a lone peak, in half-power half-bandwidths, and in bins at least [1]."""
 
 MOST_ADDED = 20
 """Poles that may be added to those of the first peaks."""
@@ -153,6 +156,51 @@ def identify(
     if most:
         poles, problem, fit = find_more(responses, poles, problem, fit, most)
     return _Reading(responses, length, problem, fit).identification()
+
+
+def identify_each(responses: FrequencyResponses) -> Identification:
+    """Return the modes that responses show, each fitted in a window about its own peak.
+
+    For files that do not say where their responses were measured, and may hold other motions of the structure: there
+    no shape tells one from another, and no delay is common to all. Within a window the delay stands for any phase.
+
+    Parameters
+    ----------
+    responses : FrequencyResponses
+        Of the velocity.
+
+    Raises
+    ------
+    ValueError
+        If nothing stands out, or the responses cannot be those of a velocity.
+    """
+    poles = first_poles(responses, None)
+    middle = (poles.natural_frequency[1:] + poles.natural_frequency[:-1]) / 2
+    left = np.append(responses.frequency[0], middle)
+    right = np.append(middle, responses.frequency[-1])
+    modes = []
+    misfit = []
+    for own, ratio, low, high in zip(poles.natural_frequency, poles.damping_ratio, left, right, strict=True):
+        reach = max(WINDOW * ratio * own, FEWEST_IN_WINDOW * responses.spacing)
+        window = responses.between(max(low, own - reach), min(high, own + reach))
+        at_peak = int(np.abs(window.frequency - own).argmin())
+        phase = float(np.angle((window.response[..., at_peak] ** 2).sum())) / 2
+        start = Poles(np.array([own]), np.array([ratio]), -phase / (2 * np.pi * float(own)))
+        found = identify(window, start=start, most=0)
+        mode = found.modes[0]
+        near = mode.natural_frequency.value
+        if not low <= near <= high:
+            continue
+        magnitude = np.abs(responses.response).reshape(-1, responses.frequency.size)
+        at_peak = int(np.abs(responses.frequency - own).argmin())
+        strongest = magnitude[int(magnitude[:, at_peak].argmax())]
+        peak = half_power(responses.frequency, strongest, float(own), float(ratio * own))
+        modes.append(replace(mode, half_power=peak))
+        misfit.append(found.misfit)
+    if not modes:
+        raise ValueError("no peak of the responses can be fitted by a resonance: measure with finer bins")
+    unknown = Estimate(float("nan"), float("nan"), float("nan"))
+    return Identification(tuple(modes), unknown, float(np.median(misfit)), responses, None)
 
 
 @dataclass(frozen=True, eq=False)

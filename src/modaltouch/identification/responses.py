@@ -186,13 +186,14 @@ def as_velocity(frequency: FloatArray, response: ComplexArray, quantity: Quantit
     Parameters
     ----------
     frequency : (n_bins,) array
-        Above 0 [Hz].
+        A response at 0 Hz is not to be used [Hz].
     response : (..., n_bins) complex array
         In SI units.
     quantity : str
         ``velocity``, ``displacement`` or ``acceleration``.
     """
-    turn = 2j * np.pi * frequency
-    if quantity == "displacement":
-        return np.asarray(response * turn)
-    return np.asarray(response / turn) if quantity == "acceleration" else response
+    with np.errstate(divide="ignore", invalid="ignore"):
+        turn = 2j * np.pi * frequency
+        if quantity == "displacement":
+            return np.asarray(response * turn)
+        return np.asarray(response / turn) if quantity == "acceleration" else response

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from modaltouch.identification.halfpower import FEWEST_BINS
 from modaltouch.identification.kernel import Bins, Evaluation, Problem, evaluate
 from modaltouch.identification.responses import FrequencyResponses
 from modaltouch.stimulus.shapes import mode_shapes
@@ -32,6 +33,9 @@ FEWEST_LABELS = 6
 
 FEWEST_PHASES = 3
 """Resonances from which their phases tell what was measured."""
+
+LEAST_ROTATION = 0.8
+"""Phase that a resonance turns through its half-power bandwidth at least, a half pi without noise [rad]."""
 
 WRONG_QUANTITY = 0.15
 """How much better the phases must fit another quantity than a velocity [mean cosine of twice the phase]."""
@@ -167,7 +171,8 @@ def first_poles(responses: FrequencyResponses, length: float | None) -> Poles:
     shares = _shares(responses, length)
     peaks: list[_Peak] = []
     for share in shares:
-        peaks += _peaks(responses.frequency, share, several=len(shares) == 1)
+        alone = len(shares) == 1
+        peaks += _several_peaks(responses, share) if alone else _highest_peak(responses.frequency, share)
     kept: list[_Peak] = []
     for peak in sorted(peaks, key=lambda each: -each.height):
         # A peak on the flank of a higher one is its leakage into another share.
@@ -195,11 +200,17 @@ class _Peak:
     ratio: float
     height: float
     share: ComplexArray
+    rotation: float
 
     @property
     def width(self) -> float:
         """Half its half-power bandwidth [Hz]."""
         return self.ratio * self.frequency
+
+    @property
+    def rotates(self) -> bool:
+        """Whether the phase turns through it as through a resonance, in either direction; a mere bump's does not."""
+        return abs(self.rotation) > LEAST_ROTATION
 
 
 def _shares(responses: FrequencyResponses, length: float | None) -> list[ComplexArray]:
@@ -215,29 +226,53 @@ def _shares(responses: FrequencyResponses, length: float | None) -> list[Complex
     return list(np.stack([inverse @ each for each in white], axis=1))
 
 
-def _peaks(frequency: FloatArray, share: ComplexArray, *, several: bool) -> list[_Peak]:
-    """Return the peaks of the power of a share over its noise: all of them, or the highest."""
+def _highest_peak(frequency: FloatArray, share: ComplexArray) -> list[_Peak]:
+    """Return the highest peak of the power of a share over its noise, if it stands out."""
+    power = (np.abs(share) ** 2).mean(axis=0)
+    return _found(frequency, share, power, prominence=0.7, least=1 + SIGNIFICANT**2)[:1]
+
+
+def _several_peaks(responses: FrequencyResponses, share: ComplexArray) -> list[_Peak]:
+    """Return all peaks of the power of all responses, through which the phase turns as through a resonance."""
+    flat = responses.response.reshape(share.shape)
+    # Each response counts alike, whatever its level.
+    curve = (np.abs(flat) ** 2 / np.median(np.abs(flat) ** 2, axis=1)[:, None]).mean(axis=0)
+    least = 1 + 3 * SIGNIFICANT / np.sqrt(share.shape[0])
+    found = _found(responses.frequency, share, curve, prominence=0.9, least=0.0)
+    return [peak for peak in found if peak.rotates and peak.height > least]
+
+
+def _found(
+    frequency: FloatArray, share: ComplexArray, curve: FloatArray, *, prominence: float, least: float
+) -> list[_Peak]:
+    """Return the peaks of a curve, the highest first, above a least height and by a prominence of its logarithm."""
     from scipy.signal import find_peaks, peak_widths
 
-    n_averaged = share.shape[0]
-    power = np.maximum((np.abs(share) ** 2).mean(axis=0), 1e-12)
-    threshold = 1 + (SIGNIFICANT**2 if n_averaged <= 4 else 3 * SIGNIFICANT / np.sqrt(n_averaged))
-    places, about = find_peaks(np.log(power), height=np.log(threshold), prominence=1.0 if several else 0.7)
+    curve = np.maximum(curve, 1e-12)
+    height = np.log(least) if least > 0 else None
+    places = find_peaks(np.log(curve), height=height, prominence=prominence)[0]
     if places.size == 0:
         return []
-    if not several:
-        places = places[[int(about["peak_heights"].argmax())]]
-    widths = peak_widths(power, places, rel_height=0.5)[0]
+    widths = peak_widths(curve, places, rel_height=0.5)[0]
+    power = (np.abs(share) ** 2).mean(axis=0)
     spacing = float(frequency[1] - frequency[0])
-    return [
+    peaks = [
         _Peak(
             frequency=float(frequency[place]),
             ratio=_ratio(float(width), float(frequency[place]), spacing),
             height=float(power[place]),
             share=share,
+            rotation=_rotation(share, int(place), max(round(float(width) / 2), 2)),
         )
         for place, width in zip(places, widths, strict=True)
     ]
+    return sorted(peaks, key=lambda peak: -peak.height)
+
+
+def _rotation(share: ComplexArray, place: int, reach: int) -> float:
+    """Return how far the phase turns through a peak, from some bins before it to some after it [rad]."""
+    band = share[:, max(0, place - reach) : place + reach + 1]
+    return float(np.angle((np.conj(band[:, :-1]) * band[:, 1:]).sum(axis=0)).sum())
 
 
 def _ratio(width: float, frequency: float, spacing: float) -> float:
@@ -258,22 +293,25 @@ def first_delay(responses: FrequencyResponses, peaks: Sequence[_Peak]) -> float:
     ValueError
         If the phases turn the other way through the peaks, or are those of another quantity than a velocity.
     """
-    frequency = np.array([peak.frequency for peak in peaks])
-    twice, turning = [], 0.0
-    for peak in peaks:
+    turning = [np.sign(peak.rotation) for peak in peaks if peak.rotates]
+    if sum(turning) > 0:
+        raise ValueError(
+            "the phase of the responses rises through their resonances, where that of a beam falls: they are "
+            "conjugated, as by the time law exp(-i w t); say so with --conjugated, or export them by exp(+i w t)"
+        )
+    spacing = responses.spacing
+    resolved = [peak for peak in peaks if peak.rotates and 2 * peak.width >= FEWEST_BINS * spacing]
+    if not resolved:
+        return 0.0
+    frequency = np.array([peak.frequency for peak in resolved])
+    twice = []
+    for peak in resolved:
         low, high = np.searchsorted(responses.frequency, [peak.frequency - peak.width, peak.frequency + peak.width])
         band = slice(max(0, int(low) - 1), int(high) + 1)
         own = peak.share[:, band]
         if responses.bandwidth is not None:
             own = own * (1 + 1j * responses.frequency[band] / responses.bandwidth)
-        size = max(float((np.abs(own) ** 2).sum()), 1e-300)
-        twice.append(complex((own**2).sum()) / size)
-        turning += float((np.conj(own[:, :-1]) * own[:, 1:]).imag.sum()) / size
-    if turning > 0:
-        raise ValueError(
-            "the phase of the responses rises through their resonances, where that of a beam falls: they are "
-            "conjugated, as by the time law exp(-i w t); say so with --conjugated, or export them by exp(+i w t)"
-        )
+        twice.append(complex((own**2).sum()) / max(float((np.abs(own) ** 2).sum()), 1e-300))
     # Beyond a cycle of the lowest frequency nothing is unique; a step is a sixteenth of a cycle of the highest.
     step = 1 / (16 * frequency.max())
     reach = min(0.5 / frequency.min(), 200e-6 + 1 / frequency.max())

@@ -1,0 +1,379 @@
+"""Frequency responses from files of other programs: UFF (data set 58), CSV, NPZ, LVM, and plain complex numbers."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modaltouch.identification.responses import QUANTITIES, FrequencyResponses, Quantity, as_velocity
+from modaltouch.identification.universal import read_universal
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+UNITS: dict[str, tuple[Quantity, float]] = {
+    "m/s^2": ("acceleration", 1.0),
+    "m/s2": ("acceleration", 1.0),
+    "mm/s^2": ("acceleration", 1e-3),
+    "g": ("acceleration", 9.80665),
+    "m/s": ("velocity", 1.0),
+    "mm/s": ("velocity", 1e-3),
+    "um/s": ("velocity", 1e-6),
+    "m": ("displacement", 1.0),
+    "mm": ("displacement", 1e-3),
+    "um": ("displacement", 1e-6),
+}
+"""Units of motion: what they are of, and their size in SI."""
+
+DRIVES = {"v": 1.0, "volt": 1.0, "volts": 1.0, "mv": 1e-3, "n": 1.0, "newton": 1.0, "newtons": 1.0, "kn": 1e3}
+"""Units of excitation and their size in SI, folded to small letters."""
+
+CSV_COLUMNS = ("frequency_Hz", "set", "position_mm", "real", "imag")
+"""Columns of responses as CSV; ``coherence`` may follow."""
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How a file is to be read where it does not say so itself.
+
+    Attributes
+    ----------
+    quantity : str or None
+        ``velocity``, ``displacement`` or ``acceleration``; None takes the file's word.
+    conjugated : bool
+        Whether the responses follow the time law exp(-i w t).
+    spacing : float or None
+        Distance of two bins of a file that holds bare numbers [Hz].
+    n_averages : int
+        Records behind each response, where there is a coherence.
+    """
+
+    quantity: Quantity | None = None
+    conjugated: bool = False
+    spacing: float | None = None
+    n_averages: int = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """The responses of one file.
+
+    Attributes
+    ----------
+    frequency : (n_bins,) array
+        [Hz].
+    response : dict of (str, float or None) to (n_bins,) complex array
+        By excitation and position [m], in SI units of the quantity.
+    coherence : dict of (str, float or None) to (n_bins,) array
+        Where the file has it.
+    quantity : str or None
+        As the file says.
+    """
+
+    frequency: FloatArray
+    response: dict[tuple[str, float | None], ComplexArray]
+    coherence: dict[tuple[str, float | None], FloatArray]
+    quantity: Quantity | None
+
+
+def read_responses(paths: Sequence[Path], how: Reading | None = None) -> FrequencyResponses:
+    """Return the velocity responses of files, all of one frequency axis.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        By their ending: ``.uff`` or ``.unv``, ``.csv``, ``.npz``, ``.lvm``, or ``.txt`` with a complex number a line.
+    how : Reading, optional
+        What the files do not say.
+
+    Raises
+    ------
+    ValueError
+        If a file cannot be read, does not say what it holds, or does not fit the others; the message begins with its
+        path.
+    """
+    how = how or Reading()
+    if not paths:
+        raise ValueError("no file is given: name at least one")
+    parts = [(path, _read(path, how)) for path in paths]
+    first_path, first = parts[0]
+    response: dict[tuple[str, float | None], ComplexArray] = {}
+    coherence: dict[tuple[str, float | None], FloatArray] = {}
+    for path, part in parts:
+        if part.frequency.shape != first.frequency.shape or not np.allclose(part.frequency, first.frequency):
+            raise ValueError(f"{path}: has other frequencies than {first_path}; give files of one measurement")
+        quantity = _quantity(path, part, how)
+        for key, values in part.response.items():
+            name = key if key not in response else (f"{path.stem} {key[0]}", key[1])
+            if name in response:
+                raise ValueError(f"{path}: has {key[0]} at {key[1]} again; give each response once")
+            response[name] = as_velocity(part.frequency, np.conj(values) if how.conjugated else values, quantity)
+            if key in part.coherence:
+                coherence[name] = part.coherence[key]
+    return _assemble(first_path, first.frequency, response, coherence, how.n_averages)
+
+
+def _quantity(path: Path, part: Part, how: Reading) -> Quantity:
+    said, found = how.quantity, part.quantity
+    if said is None and found is None:
+        raise ValueError(f"{path}: does not say whether it holds a velocity, a displacement or an acceleration; say so "
+                         "with --quantity")  # fmt: skip
+    if said is not None and found is not None and said != found:
+        raise ValueError(f"{path}: holds a {found} by its own word, --quantity says {said}; leave that out")
+    return said or found  # type: ignore[return-value]
+
+
+def _assemble(
+    path: Path,
+    frequency: FloatArray,
+    response: dict[tuple[str, float | None], ComplexArray],
+    coherence: dict[tuple[str, float | None], FloatArray],
+    n_averages: int,
+) -> FrequencyResponses:
+    """Return responses as a whole: sets by positions where every set is measured everywhere, else one by one."""
+    _check_axis(path, frequency)
+    usable = frequency > 0
+    for (name, place), values in response.items():
+        if not np.isfinite(values[usable]).all():
+            where = "" if place is None else f" at {place * 1e3:g} mm"
+            raise ValueError(f"{path}: the response to {name}{where} holds what is no finite number; measure it again")
+    sets = tuple(dict.fromkeys(name for name, _ in response))
+    places = sorted({place for _, place in response if place is not None})
+    whole = bool(places) and all((name, place) in response for name in sets for place in places)
+    if not whole and places and len(places) > 1:
+        name, place = next((s, p) for s in sets for p in places if (s, p) not in response)
+        raise ValueError(
+            f"{path}: {name} has no response at {place * 1e3:g} mm, where another has; give every excitation at every "
+            "position"
+        )
+    keys = [[(name, place) for place in places] for name in sets] if whole else [[key] for key in response]
+    known = n_averages > 1 and all(key in coherence for row in keys for key in row)
+    return FrequencyResponses(
+        frequency=frequency[usable],
+        response=np.array([[response[key][usable] for key in row] for row in keys]),
+        positions=np.array(places) if whole else None,
+        sets=sets if whole else tuple(row[0][0] for row in keys),
+        coherence=np.array([[coherence[key][usable] for key in row] for row in keys]) if known else None,
+        n_averages=n_averages if known else 1,
+    )
+
+
+def _check_axis(path: Path, frequency: FloatArray) -> None:
+    step = np.diff(frequency)
+    if frequency.size < 32:
+        raise ValueError(f"{path}: holds {frequency.size} bins; at least 32 are needed")
+    if not np.isfinite(frequency).all() or (step <= 0).any() or np.ptp(step) > 1e-3 * step.mean():
+        raise ValueError(f"{path}: its frequencies are not evenly spaced and increasing; export them so")
+
+
+def _read(path: Path, how: Reading) -> Part:
+    if not path.is_file():
+        raise ValueError(f"{path}: there is no such file")
+    readers: dict[str, Callable[[Path, Reading], Part]] = {
+        ".uff": _read_universal,
+        ".unv": _read_universal,
+        ".csv": _read_csv,
+        ".npz": _read_npz,
+        ".lvm": _read_lvm,
+        ".txt": _read_text,
+    }
+    reader = readers.get(path.suffix.lower())
+    if reader is None:
+        raise ValueError(f"{path}: files that end in '{path.suffix}' are not read; allowed: {', '.join(readers)}")
+    try:
+        return reader(path, how)
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path}: is no text in UTF-8 (byte {error.start}); export it again") from None
+
+
+def _read_universal(path: Path, how: Reading) -> Part:
+    frequency, response, quantity = read_universal(path)
+    return Part(frequency, response, {}, quantity)
+
+
+def _read_csv(path: Path, how: Reading) -> Part:
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        rows = list(csv.reader(file))
+    header = [cell.strip() for cell in rows[0]] if rows else []
+    missing = [name for name in CSV_COLUMNS if name not in header]
+    if missing:
+        raise ValueError(f"{path}:1: lacks the column {missing[0]}; needed are {', '.join(CSV_COLUMNS)}")
+    at = {name: header.index(name) for name in header}
+    frequency: dict[tuple[str, float | None], list[float]] = {}
+    values: dict[tuple[str, float | None], list[complex]] = {}
+    certain: dict[tuple[str, float | None], list[float]] = {}
+    for line, row in enumerate(rows[1:], start=2):
+        if not row:
+            continue
+        try:
+            cells = {name: row[index].strip() for name, index in at.items()}
+            key = (cells["set"], float(cells["position_mm"]) * 1e-3 if cells["position_mm"] else None)
+            number = complex(float(cells["real"]), float(cells["imag"]))
+            frequency.setdefault(key, []).append(float(cells["frequency_Hz"]))
+            values.setdefault(key, []).append(number)
+            if "coherence" in cells:
+                certain.setdefault(key, []).append(float(cells["coherence"]))
+        except (ValueError, IndexError):
+            raise ValueError(f"{path}:{line}: {','.join(row)!r} is not a line of numbers under the header") from None
+    if not values:
+        raise ValueError(f"{path}: no line below the header")
+    first = next(iter(frequency.values()))
+    odd = next((key for key, each in frequency.items() if each != first), None)
+    if odd is not None:
+        raise ValueError(f"{path}: the set {odd[0]} at {odd[1]} m has other frequencies than the first response")
+    return Part(
+        np.array(first),
+        {key: np.array(each) for key, each in values.items()},
+        {key: np.array(each) for key, each in certain.items()},
+        None,
+    )
+
+
+def _read_npz(path: Path, how: Reading) -> Part:
+    try:
+        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
+            arrays = dict(file)
+        frequency = np.asarray(arrays["frequency"], dtype=float)
+        response = np.asarray(arrays["response"], dtype=complex)
+        sets = [str(name) for name in arrays["sets"]]
+        places = [float(each) for each in arrays["positions"]] if "positions" in arrays else [None] * response.shape[1]
+        if response.shape != (len(sets), len(places), frequency.size):
+            raise ValueError(f"response has the form {response.shape}")
+    # numpy and zipfile raise whatever damage makes them meet.
+    except Exception as error:
+        raise ValueError(
+            f"{path}: cannot be read ({error}); needed are frequency [Hz], response (sets, positions, bins), sets, and "
+            "positions [m]"
+        ) from None
+    keys = [[(name, place) for place in places] for name in sets]
+    cells = [(key, s, p) for s, row in enumerate(keys) for p, key in enumerate(row)]
+    coherence = arrays.get("coherence")
+    quantity = str(arrays["quantity"]) if "quantity" in arrays else None
+    if quantity is not None and quantity not in QUANTITIES:
+        raise ValueError(f"{path}: the quantity is '{quantity}'; allowed: {', '.join(QUANTITIES)}")
+    return Part(
+        frequency,
+        {key: response[s, p] for key, s, p in cells},
+        {} if coherence is None else {key: np.asarray(coherence[s, p], dtype=float) for key, s, p in cells},
+        quantity,  # type: ignore[arg-type]
+    )
+
+
+def _read_text(path: Path, how: Reading) -> Part:
+    """Read one complex number a line, as Python prints it, from 0 Hz on."""
+    if how.spacing is None:
+        raise ValueError(f"{path}: holds bare numbers; say how far its bins are apart with --spacing-Hz")
+    values = []
+    for line, text in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
+        if not text.strip():
+            continue
+        try:
+            values.append(complex(re.sub(r"\s", "", text).replace("i", "j")))
+        except ValueError:
+            raise ValueError(f"{path}:{line}: {text[:40]!r} is no complex number such as (1.5-0.2j)") from None
+    frequency = np.arange(len(values)) * how.spacing
+    return Part(frequency, {(path.stem, None): np.array(values)}, {}, None)
+
+
+def _read_lvm(path: Path, how: Reading) -> Part:
+    """Read a LabVIEW measurement: one motion and one excitation over time, of which one record is one response."""
+    text = path.read_text(encoding="utf-8-sig")
+    head, mark, body = text.rpartition("***End_of_Header***")
+    if not mark:
+        raise ValueError(f"{path}: has no ***End_of_Header***; export a LabVIEW measurement (LVM) with its header")
+    comma = re.search(r"^Decimal_Separator\t,", head, re.MULTILINE) is not None
+    fields = {row[0]: row[1:] for row in (line.split("\t") for line in head.splitlines()) if row}
+    units = [unit.strip() for unit in fields.get("Y_Unit_Label", ()) if unit.strip()]
+    motion = [index for index, unit in enumerate(units) if unit in UNITS]
+    drive = [index for index, unit in enumerate(units) if unit.casefold() in DRIVES]
+    if len(motion) != 1 or len(drive) != 1:
+        raise ValueError(
+            f"{path}: its channels are in {', '.join(units) or 'no unit'}; needed are one motion (in "
+            f"{', '.join(UNITS)}) and one excitation (in V or N)"
+        )
+    number = _number_reader(comma)
+    rows: list[list[float]] = []
+    first_line = head.count("\n") + 1
+    for line, cells in enumerate((row.split("\t") for row in body.splitlines()), start=first_line):
+        wanted = [cell for cell in cells[1 : len(units) + 1] if cell.strip()]
+        if len(wanted) != len(units) or wanted[0][:1].isalpha():
+            continue
+        try:
+            rows.append([number(cell) for cell in wanted])
+        except ValueError:
+            raise ValueError(f"{path}:{line}: {wanted} are no numbers") from None
+    if len(rows) < 64:
+        raise ValueError(f"{path}: holds {len(rows)} samples; at least 64 are needed")
+    record = np.array(rows).T
+    quantity, size = UNITS[units[motion[0]]]
+    _refuse_cut(path, record, units)
+    step = number(fields["Delta_X"][motion[0]])
+    frequency, response = transfer(
+        record[motion[0]] * size, record[drive[0]] * DRIVES[units[drive[0]].casefold()], step
+    )
+    return Part(frequency, {(units[drive[0]], None): response}, {}, quantity)
+
+
+def _number_reader(comma: bool) -> Callable[[str], float]:
+    return lambda cell: float(cell.replace(",", ".") if comma else cell)
+
+
+def _refuse_cut(path: Path, record: FloatArray, units: Sequence[str]) -> None:
+    """Refuse a record that stays at its highest or lowest value, as a converter at its end does."""
+    for row, unit in zip(record, units, strict=True):
+        for end in (row.max(), row.min()):
+            run = int((row == end).sum())
+            if run > 3 and abs(end) > 0.5 * np.abs(row).max():
+                raise ValueError(
+                    f"{path}: the channel in {unit} stays at {end:g} for {run} samples: it was saturated; measure "
+                    "again with a wider range"
+                )
+
+
+def transfer(motion: FloatArray, drive: FloatArray, step: float) -> tuple[FloatArray, ComplexArray]:
+    """Return the response of one record that begins and ends at rest.
+
+    Parameters
+    ----------
+    motion, drive : (n_samples,) array
+        Over time; their first samples, before the blow, count as zero.
+    step : float
+        Between samples [s].
+
+    Returns
+    -------
+    frequency : (n_bins,) array
+        As far as the drive has a hundredth of its highest spectral density [Hz].
+    response : (n_bins,) complex array
+        Spectrum over spectrum.
+    """
+    quiet = max(8, motion.size // 2500)
+    motion, drive = motion - motion[:quiet].mean(), drive - drive[:quiet].mean()
+    spectrum = np.fft.rfft(drive)
+    frequency = np.fft.rfftfreq(drive.size, step)
+    level = np.convolve(np.abs(spectrum), np.ones(25) / 25, "same")
+    weak = np.flatnonzero(level < 0.05 * level.max())
+    end = int(weak[weak > level.argmax()][0]) if (weak > level.argmax()).any() else frequency.size
+    return frequency[:end], np.asarray(np.fft.rfft(motion)[:end] / spectrum[:end])
+
+
+def write_npz(path: Path, responses: FrequencyResponses, save: Callable[[Path, dict[str, Any]], None]) -> None:
+    """Write velocity responses as a file that `read_responses` reads."""
+    arrays: dict[str, Any] = {
+        "frequency": responses.frequency,
+        "response": responses.response,
+        "sets": np.array(responses.sets),
+        "quantity": np.array("velocity"),
+    }
+    if responses.positions is not None:
+        arrays["positions"] = responses.positions
+    if responses.coherence is not None:
+        arrays["coherence"] = responses.coherence
+    save(path, arrays)
