@@ -13,6 +13,7 @@ from modaltouch.cli import (
     checking,
     comparing,
     fitting,
+    identifying,
     looking,
     planning,
     rigs,
@@ -57,6 +58,7 @@ app.command("simulate")(running.simulate)
 app.command("analyse")(analysing.analyse)
 app.command("power")(planning.power)
 app.command("fit")(fitting.fit)
+app.command("identify")(identifying.identify)
 app.command("validate")(validating.validate)
 app.command("compare")(comparing.compare)
 app.command("verify")(looking.verify)

@@ -51,6 +51,9 @@ LEVEL = 0.1
 Excitation = Literal["multisine", "chirp"]
 EXCITATIONS: tuple[Excitation, ...] = ("multisine", "chirp")
 
+CLOCK_TOLERANCE = 20e-6
+"""How far the clocks of scope and generator may differ, by their data sheets [1]."""
+
 HEADROOM = 1.5
 """Range of the vibrometer's input over what the end of the beam, which moves most, shows [1]."""
 

@@ -7,7 +7,6 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -243,7 +242,8 @@ def _read_npz(path: Path, how: Reading) -> Part:
         frequency = np.asarray(arrays["frequency"], dtype=float)
         response = np.asarray(arrays["response"], dtype=complex)
         sets = [str(name) for name in arrays["sets"]]
-        places = [float(each) for each in arrays["positions"]] if "positions" in arrays else [None] * response.shape[1]
+        n_points = response.shape[1]
+        places = [float(each) for each in arrays["positions"]] if "positions" in arrays else [None] * n_points
         if response.shape != (len(sets), len(places), frequency.size):
             raise ValueError(f"response has the form {response.shape}")
     # numpy and zipfile raise whatever damage makes them meet.
@@ -252,7 +252,11 @@ def _read_npz(path: Path, how: Reading) -> Part:
             f"{path}: cannot be read ({error}); needed are frequency [Hz], response (sets, positions, bins), sets, and "
             "positions [m]"
         ) from None
-    keys = [[(name, place) for place in places] for name in sets]
+    # Without positions the points are told apart by their number.
+    keys = [
+        [(name if place is not None else f"{name} {point}", place) for point, place in enumerate(places, start=1)]
+        for name in sets
+    ]
     cells = [(key, s, p) for s, row in enumerate(keys) for p, key in enumerate(row)]
     coherence = arrays.get("coherence")
     quantity = str(arrays["quantity"]) if "quantity" in arrays else None
@@ -262,7 +266,7 @@ def _read_npz(path: Path, how: Reading) -> Part:
         frequency,
         {key: response[s, p] for key, s, p in cells},
         {} if coherence is None else {key: np.asarray(coherence[s, p], dtype=float) for key, s, p in cells},
-        quantity,  # type: ignore[arg-type]
+        quantity,
     )
 
 
@@ -278,7 +282,7 @@ def _read_text(path: Path, how: Reading) -> Part:
             values.append(complex(re.sub(r"\s", "", text).replace("i", "j")))
         except ValueError:
             raise ValueError(f"{path}:{line}: {text[:40]!r} is no complex number such as (1.5-0.2j)") from None
-    frequency = np.arange(len(values)) * how.spacing
+    frequency = np.arange(len(values), dtype=float) * how.spacing
     return Part(frequency, {(path.stem, None): np.array(values)}, {}, None)
 
 
@@ -361,19 +365,4 @@ def transfer(motion: FloatArray, drive: FloatArray, step: float) -> tuple[FloatA
     level = np.convolve(np.abs(spectrum), np.ones(25) / 25, "same")
     weak = np.flatnonzero(level < 0.05 * level.max())
     end = int(weak[weak > level.argmax()][0]) if (weak > level.argmax()).any() else frequency.size
-    return frequency[:end], np.asarray(np.fft.rfft(motion)[:end] / spectrum[:end])
-
-
-def write_npz(path: Path, responses: FrequencyResponses, save: Callable[[Path, dict[str, Any]], None]) -> None:
-    """Write velocity responses as a file that `read_responses` reads."""
-    arrays: dict[str, Any] = {
-        "frequency": responses.frequency,
-        "response": responses.response,
-        "sets": np.array(responses.sets),
-        "quantity": np.array("velocity"),
-    }
-    if responses.positions is not None:
-        arrays["positions"] = responses.positions
-    if responses.coherence is not None:
-        arrays["coherence"] = responses.coherence
-    save(path, arrays)
+    return np.asarray(frequency[:end], dtype=float), np.asarray(np.fft.rfft(motion)[:end] / spectrum[:end])

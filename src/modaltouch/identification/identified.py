@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -19,8 +20,8 @@ FloatArray = NDArray[np.float64]
 NORMAL_95 = 1.959963984540054
 """Half-width of a 95 % interval in standard deviations."""
 
-WINDOW, FEWEST_IN_WINDOW = 10.0, 12
-"""Half-width of a window about a lone peak, in half-power half-bandwidths, and in bins at least [1]."""
+WINDOW, FEWEST_IN_WINDOW = 10.0, 20
+"""Half-width of a window about a lone peak, in half-power half-bandwidths, and the least bins of one [1]."""
 
 MOST_ADDED = 20
 """Poles that may be added to those of the first peaks."""
@@ -130,7 +131,13 @@ class Identification:
 
 
 def identify(
-    responses: FrequencyResponses, length: float | None = None, *, start: Poles | None = None, most: int = MOST_ADDED
+    responses: FrequencyResponses,
+    length: float | None = None,
+    *,
+    start: Poles | None = None,
+    most: int = MOST_ADDED,
+    clock_tolerance: float = 0.0,
+    phase_at: float | None = None,
 ) -> Identification:
     """Return the modes that responses show.
 
@@ -144,6 +151,10 @@ def identify(
         Where the search begins; at the peaks if not given.
     most : int
         Poles that may be added while something is left that noise does not explain.
+    clock_tolerance : float
+        How far the clock of the scope may be wrong, as the half-width of a 95 % interval [1].
+    phase_at : float, optional
+        Where the delay stands for a phase that is the same at all frequencies [Hz]: for a narrow band.
 
     Raises
     ------
@@ -151,18 +162,18 @@ def identify(
         If nothing stands out, or the responses cannot be those of a velocity.
     """
     poles = first_poles(responses, length) if start is None else start
-    problem = make_problem(responses, poles)
+    problem = make_problem(responses, poles, phase_at)
     poles, fit = refine(problem, poles)
     if most:
         poles, problem, fit = find_more(responses, poles, problem, fit, most)
-    return _Reading(responses, length, problem, fit).identification()
+    return _Reading(responses, length, problem, fit, clock_tolerance).identification()
 
 
 def identify_each(responses: FrequencyResponses) -> Identification:
     """Return the modes that responses show, each fitted in a window about its own peak.
 
     For files that do not say where their responses were measured, and may hold other motions of the structure: there
-    no shape tells one from another, and no delay is common to all. Within a window the delay stands for any phase.
+    no shape tells one from another, and no delay is common to all. Each window has a phase of its own.
 
     Parameters
     ----------
@@ -181,15 +192,18 @@ def identify_each(responses: FrequencyResponses) -> Identification:
     modes = []
     misfit = []
     for own, ratio, low, high in zip(poles.natural_frequency, poles.damping_ratio, left, right, strict=True):
-        reach = max(WINDOW * ratio * own, FEWEST_IN_WINDOW * responses.spacing)
-        window = responses.between(max(low, own - reach), min(high, own + reach))
+        reach = max(WINDOW * ratio * own, 0.6 * FEWEST_IN_WINDOW * responses.spacing)
+        inside = (max(low, own - reach), min(high, own + reach))
+        if inside[1] - inside[0] < FEWEST_IN_WINDOW * responses.spacing:
+            continue
+        window = responses.between(*inside)
         at_peak = int(np.abs(window.frequency - own).argmin())
         phase = float(np.angle((window.response[..., at_peak] ** 2).sum())) / 2
         start = Poles(np.array([own]), np.array([ratio]), -phase / (2 * np.pi * float(own)))
-        found = identify(window, start=start, most=0)
+        found = identify(window, start=start, most=0, phase_at=float(own))
         mode = found.modes[0]
-        near = mode.natural_frequency.value
-        if not low <= near <= high:
+        # What drifts out of its window, or has a damping that could be none, is no resonance.
+        if not low <= mode.natural_frequency.value <= high or mode.damping_ratio.low <= 0:
             continue
         magnitude = np.abs(responses.response).reshape(-1, responses.frequency.size)
         at_peak = int(np.abs(responses.frequency - own).argmin())
@@ -211,6 +225,7 @@ class _Reading:
     length: float | None
     problem: Problem
     fit: Evaluation
+    clock_tolerance: float
 
     def identification(self) -> Identification:
         fit = self.fit
@@ -256,7 +271,9 @@ class _Reading:
         peak = half_power(self.responses.frequency, magnitude, frequency, ratio * frequency)
         return IdentifiedMode(
             label=label,
-            natural_frequency=Estimate.of(frequency, float(deviation[k]) * ratio * frequency * local),
+            natural_frequency=Estimate.of(
+                frequency, frequency * math.hypot(float(deviation[k]) * ratio * local, self.clock_tolerance / NORMAL_95)
+            ),
             damping_ratio=Estimate.of(ratio, float(deviation[n + k]) * ratio * local),
             gain=gain,
             shape=shape,

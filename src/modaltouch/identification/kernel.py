@@ -82,12 +82,15 @@ class Problem:
         What the columns are multiplied by likewise; a response's own scale is in its residues.
     bandwidth : float or None
         Corner of the known low-pass [Hz].
+    phase_at : float or None
+        Where the delay stands for a phase that is the same at all frequencies [Hz]; None for a true delay.
     """
 
     bins: Bins
     response: ComplexArray
     weight: FloatArray
     bandwidth: float | None
+    phase_at: float | None = None
 
     @cached_property
     def stacked(self) -> FloatArray:
@@ -98,6 +101,11 @@ class Problem:
     def omega(self) -> FloatArray:
         """Angular frequency of every bin, (n_bins,) array [rad/s]."""
         return 2 * np.pi * self.bins.frequency
+
+    @cached_property
+    def turning(self) -> FloatArray:
+        """What a delay is multiplied by for its phase, (n_bins,) array [rad/s]."""
+        return self.omega if self.phase_at is None else np.full(self.omega.size, 2 * np.pi * self.phase_at)
 
     @cached_property
     def low_pass(self) -> ComplexArray:
@@ -208,7 +216,7 @@ def evaluate(
     omega, n_modes = problem.omega, natural_frequency.size
     own = 2 * np.pi * natural_frequency[:, None]
     ratio = damping_ratio[:, None]
-    turn = problem.low_pass * np.exp(-1j * omega * delay)
+    turn = problem.low_pass * np.exp(-1j * problem.turning * delay)
     dynamic = 1 / (own**2 - omega**2 + 2j * ratio * own * omega)
     driven = 1j * omega * dynamic * turn
     by_frequency = -driven * dynamic * (2 * own + 2j * ratio * omega) * (own * ratio)
@@ -217,7 +225,7 @@ def evaluate(
     rest = np.stack([turn, 1j * turn, relative * turn, 1j * relative * turn])
     columns = np.concatenate([driven * own * ratio, rest])
     slopes = np.concatenate([by_frequency, by_damping]) * np.concatenate([own * ratio] * 2)
-    everything = np.concatenate([columns, slopes, -1j * omega * scale * columns])
+    everything = np.concatenate([columns, slopes, -1j * problem.turning * scale * columns])
     grouped = problem.bins.mean(everything) * problem.weight
     real = np.concatenate([grouped.real, grouped.imag], axis=1).T
     n_columns = n_modes + N_REST

@@ -72,7 +72,8 @@ class FrequencyResponses:
         r"""Variance of the responses' estimates, pooled over points and neighbours, (n_sets, n_bins) array.
 
         Of n averaged records the residual power :math:`|H|^2 (1 - \gamma^2) / \gamma^2` has n - 1 degrees of freedom,
-        and the mean has 1/n of it. Without a coherence it is the scatter of the second difference from bin to bin.
+        and the mean has 1/n of it. Without a coherence it is the scatter of the
+        second difference from bin to bin, taken as equal over the band.
         """
         if self.coherence is not None and self.n_averages > 1:
             gamma = np.clip(self.coherence, 1e-9, 1.0)
@@ -85,6 +86,9 @@ class FrequencyResponses:
             n_free, variance = 1, np.abs(second) ** 2 / 6
         pooled = np.median(variance, axis=1) if self.n_points >= FEW_POINTS else variance.mean(axis=1)
         smooth = np.array([_running_median(row, NOISE_WINDOW) for row in pooled])
+        if self.coherence is None or self.n_averages < 2:
+            # At a resonance the second difference is of the course itself: what is quiet elsewhere counts.
+            smooth[:] = np.percentile(smooth, 25, axis=1)[:, None]
         # Mean over median of a gamma law of n degrees of freedom: 1/ln 2 for one.
         scale = n_free / (n_free - 1 / 3 + 0.024 / n_free)
         floor = (1e-7 * np.abs(self.response).max(axis=(1, 2))) ** 2

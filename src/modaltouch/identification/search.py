@@ -75,7 +75,7 @@ class Poles:
         return Poles(np.delete(self.natural_frequency, index), np.delete(self.damping_ratio, index), self.delay)
 
 
-def make_problem(responses: FrequencyResponses, poles: Poles) -> Problem:
+def make_problem(responses: FrequencyResponses, poles: Poles, phase_at: float | None = None) -> Problem:
     """Return the least-squares problem of responses, binned for poles that are roughly known."""
     bins = Bins.near(responses.frequency, poles.natural_frequency, poles.damping_ratio)
     noise = responses.noise
@@ -86,7 +86,7 @@ def make_problem(responses: FrequencyResponses, poles: Poles) -> Problem:
     scaled = responses.response / np.sqrt(level)[:, None, None]
     flat = scaled.reshape(-1, scaled.shape[-1])
     grouped = bins.mean(flat) * weight
-    return Problem(bins, np.asarray(grouped.T), weight, responses.bandwidth)
+    return Problem(bins, np.asarray(grouped.T), weight, responses.bandwidth, phase_at)
 
 
 def refine(problem: Problem, poles: Poles, *, tolerance: float = 1e-5, most: int = 60) -> tuple[Poles, Evaluation]:
@@ -293,8 +293,8 @@ def first_delay(responses: FrequencyResponses, peaks: Sequence[_Peak]) -> float:
     ValueError
         If the phases turn the other way through the peaks, or are those of another quantity than a velocity.
     """
-    turning = [np.sign(peak.rotation) for peak in peaks if peak.rotates]
-    if sum(turning) > 0:
+    turning = sum(np.sign(peak.rotation) * np.sqrt(peak.height) for peak in peaks if peak.rotates)
+    if turning > 0:
         raise ValueError(
             "the phase of the responses rises through their resonances, where that of a beam falls: they are "
             "conjugated, as by the time law exp(-i w t); say so with --conjugated, or export them by exp(+i w t)"

@@ -56,7 +56,7 @@ def read_universal(
         key = (f"reference {int(each['ref_node'])}", places.get(node))
         if key in found:
             key = (f"{key[0]} node {node} direction {int(each['rsp_dir'])}", key[1])
-        found[key] = np.asarray(each["data"], dtype=complex) / size
+        found[key] = np.asarray(np.asarray(each["data"], dtype=complex) / size, dtype=complex)
     return frequency, found, _QUANTITIES.get(next(iter(kinds)))
 
 

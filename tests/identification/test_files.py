@@ -1,0 +1,272 @@
+"""Files of other programs: what they say is taken, what they do not say is asked for, what is wrong is named."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from modaltouch.identification.files import Reading, read_responses
+from modaltouch.identification.freefree import recognise, roots
+from modaltouch.identification.halfpower import half_power
+from modaltouch.identification.identified import identify_each
+
+POLES = ((120.0, 0.012), (330.0, 0.008), (640.0, 0.006))
+RESIDUES = np.array([[1.0, 0.6, -0.4], [0.7, -1.0, 0.9]])
+
+
+def accelerance(frequency: np.ndarray, residue: np.ndarray) -> np.ndarray:
+    """Return the acceleration per newton of three modes."""
+    omega = 2 * np.pi * frequency
+    total = np.zeros(frequency.size, dtype=complex)
+    for (own, ratio), size in zip(POLES, residue, strict=True):
+        pole = 2 * np.pi * own
+        total += -(omega**2) * size / (pole**2 - omega**2 + 2j * ratio * pole * omega)
+    return total
+
+
+@pytest.fixture
+def frequency() -> np.ndarray:
+    """Return an axis from 0, half a hertz apart."""
+    return np.arange(0, 1600) * 0.5
+
+
+def noisy(values: np.ndarray, seed: int = 0) -> np.ndarray:
+    """Return values with noise a thousandth of their largest."""
+    rng = np.random.default_rng(seed)
+    size = 1e-3 * np.abs(values).max()
+    return values + size * (rng.standard_normal(values.shape) + 1j * rng.standard_normal(values.shape))
+
+
+def write_uff(path: Path, frequency: np.ndarray, *, kind: int = 12) -> Path:
+    """Write two responses as data sets 58, 164 and 15."""
+    import pyuff
+
+    file = pyuff.UFF(str(path))
+    nodes = {"node_nums": [1, 2], "x": [0.0, 0.3], "y": [0, 0], "z": [0, 0]}
+    extra = dict.fromkeys(("def_cs", "disp_cs", "color"), [0, 0])
+    sets: list[dict[str, Any]] = [{"type": 15, **nodes, **extra}]
+    for node, residue in enumerate(RESIDUES, start=1):
+        sets.append(
+            {
+                "type": 58,
+                "func_type": 4,
+                "rsp_node": node,
+                "rsp_dir": 3,
+                "ref_node": 1,
+                "ref_dir": 3,
+                "rsp_ent_name": "NONE",
+                "ref_ent_name": "NONE",
+                "data": noisy(accelerance(frequency, residue), node),
+                "x": frequency,
+                "id1": "test",
+                "ordinate_spec_data_type": kind,
+                "orddenom_spec_data_type": 13,
+                "abscissa_spec_data_type": 18,
+                "abscissa_spacing": 1,
+                "binary": 0,
+            }
+        )
+    for each in sets:
+        file.write_sets(each, "add")
+    return path
+
+
+def write_csv(path: Path, frequency: np.ndarray, *, conjugated: bool = False) -> Path:
+    """Write two responses in the long form."""
+    lines = ["frequency_Hz,set,position_mm,real,imag"]
+    for place, residue in zip((-20, 20), RESIDUES, strict=True):
+        values = noisy(accelerance(frequency, residue))
+        values = np.conj(values) if conjugated else values
+        lines += [
+            f"{f!r},hammer,{place},{v.real!r},{v.imag!r}"
+            for f, v in zip(frequency.tolist(), values.tolist(), strict=True)
+        ]
+    path.write_text("\n".join(lines))
+    return path
+
+
+def write_npz(path: Path, frequency: np.ndarray) -> Path:
+    """Write two responses as arrays that say what they are of."""
+    values = np.array([[noisy(accelerance(frequency, residue)) for residue in RESIDUES]])
+    np.savez(path, frequency=frequency, response=values, sets=["hammer"], quantity="acceleration")
+    return path
+
+
+def write_lvm(path: Path, *, unit: str = "g", clipped: bool = False) -> Path:
+    """Write a blow and its decay as LabVIEW does, with decimal commas."""
+    rate, n = 4096.0, 8192
+    time = np.arange(n) / rate - 0.01
+    force = np.where((time > 0) & (time < 5e-4), 200 * np.sin(np.pi * time / 5e-4), 0.0)
+    motion = np.zeros(n)
+    for (own, ratio), size in zip(POLES, RESIDUES[0], strict=True):
+        pole = 2 * np.pi * own
+        damped = pole * np.sqrt(1 - ratio**2)
+        since = np.arange(n) / rate
+        decay = np.exp(-ratio * pole * since) * np.sin(damped * since)
+        # Displacement by convolution, acceleration by its second difference: exact enough for natural frequencies.
+        displacement = np.convolve(force, decay)[:n] * size / damped / rate
+        motion += np.gradient(np.gradient(displacement, 1 / rate), 1 / rate)
+    motion = motion / 9.80665
+    motion += 3e-4 * motion.max() * np.random.default_rng(2).standard_normal(n)
+    if clipped:
+        motion = np.clip(motion, -0.5 * motion.max(), 0.5 * motion.max())
+    head = [
+        "LabVIEW Measurement\t", "Separator\tTab", "Decimal_Separator\t,", "***End_of_Header***\t", "\t",
+        "Channels\t2\t\t", f"Y_Unit_Label\t{unit}\tNewtons\t", f"Delta_X\t{1 / rate:.9E}\t{1 / rate:.9E}\t",
+        "***End_of_Header***\t\t", "X_Value\tAcceleration\tForce\tComment",
+    ]  # fmt: skip
+    head = [line.replace(".", ",") if line.startswith("Delta") else line for line in head]
+    rows = [f"\t{a:.6f}\t{f:.6f}".replace(".", ",") for a, f in zip(motion, force, strict=True)]
+    path.write_text("\n".join(head + rows))
+    return path
+
+
+WRITERS: dict[str, tuple[Callable[..., Path], Reading]] = {
+    "modes.uff": (write_uff, Reading()),
+    "modes.csv": (write_csv, Reading("acceleration")),
+    "modes.npz": (write_npz, Reading()),
+}
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_every_format_gives_the_modes(tmp_path: Path, frequency: np.ndarray, name: str) -> None:
+    """Natural frequencies within 0.02 %, damping ratios within 2 %, and the first mode's height in m/s per N."""
+    write, how = WRITERS[name]
+    responses = read_responses([write(tmp_path / name, frequency)], how)
+    found = identify_each(responses)
+    assert [mode.natural_frequency.value for mode in found.modes] == pytest.approx([own for own, _ in POLES], rel=2e-4)
+    assert [mode.damping_ratio.value for mode in found.modes] == pytest.approx([ratio for _, ratio in POLES], rel=0.02)
+    at = int(np.abs(responses.frequency - 120).argmin())
+    highest = np.abs(responses.response[..., at]).max()
+    assert highest == pytest.approx(1.0 / (2 * 0.012 * 2 * np.pi * 120), rel=0.01)
+
+
+def test_positions_of_a_universal_file_are_from_the_middle(tmp_path: Path, frequency: np.ndarray) -> None:
+    """Nodes 0.3 m apart: -0.15 and 0.15 m."""
+    responses = read_responses([write_uff(tmp_path / "modes.uff", frequency)])
+    assert responses.positions == pytest.approx([-0.15, 0.15])
+
+
+def test_hammer_record_gives_its_modes(tmp_path: Path) -> None:
+    """One blow in LabVIEW's text, decimal commas, g and N: within 0.05 %, damping within 5 %."""
+    found = identify_each(read_responses([write_lvm(tmp_path / "blow.lvm")]).between(60, 900))
+    assert [mode.natural_frequency.value for mode in found.modes] == pytest.approx([own for own, _ in POLES], rel=5e-4)
+    assert [mode.damping_ratio.value for mode in found.modes] == pytest.approx([ratio for _, ratio in POLES], rel=0.05)
+
+
+def test_plain_numbers_need_their_spacing(tmp_path: Path, frequency: np.ndarray) -> None:
+    """One complex number a line, as Python prints it; without the spacing nobody knows the frequencies."""
+    path = tmp_path / "point.txt"
+    path.write_text("\n".join(str(value) for value in noisy(accelerance(frequency, RESIDUES[0]))))
+    with pytest.raises(ValueError, match=r"point.txt: holds bare numbers.*--spacing-Hz"):
+        read_responses([path], Reading("acceleration"))
+    found = identify_each(read_responses([path], Reading("acceleration", spacing=0.5)))
+    assert found.modes[0].natural_frequency.value == pytest.approx(120, rel=1e-3)
+
+
+def test_conjugated_file_is_refused_until_it_is_said(tmp_path: Path, frequency: np.ndarray) -> None:
+    """By exp(-i w t): refused with the option, and read right with it."""
+    path = write_csv(tmp_path / "modes.csv", frequency, conjugated=True)
+    with pytest.raises(ValueError, match="conjugated.*--conjugated"):
+        identify_each(read_responses([path], Reading("acceleration")))
+    found = identify_each(read_responses([path], Reading("acceleration", conjugated=True)))
+    assert found.modes[1].natural_frequency.value == pytest.approx(330, rel=2e-4)
+
+
+def test_wrong_quantity_is_refused(tmp_path: Path, frequency: np.ndarray) -> None:
+    """An acceleration taken for a velocity is imaginary at its resonances."""
+    path = write_csv(tmp_path / "modes.csv", frequency)
+    with pytest.raises(ValueError, match="imaginary at their resonances.*--quantity"):
+        identify_each(read_responses([path], Reading("velocity")))
+    with pytest.raises(ValueError, match="does not say whether it holds a velocity.*--quantity"):
+        read_responses([path])
+    named = write_uff(tmp_path / "modes.uff", frequency)
+    with pytest.raises(ValueError, match="holds a acceleration by its own word, --quantity says velocity"):
+        read_responses([named], Reading("velocity"))
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("a.xyz", "", "files that end in '.xyz' are not read; allowed: .uff"),
+        ("a.csv", "frequency,re\n1,2", "a.csv:1: lacks the column frequency_Hz"),
+        ("a.csv", "frequency_Hz,set,position_mm,real,imag\n1,s,0,x,2", "a.csv:2: '1,s,0,x,2' is not a line of numbers"),
+        ("a.csv", "frequency_Hz,set,position_mm,real,imag\n", "no line below the header"),
+        ("a.txt", "(1+2j)\nhello", "a.txt:2: 'hello' is no complex number"),
+        ("a.lvm", "nothing", r"has no \*\*\*End_of_Header\*\*\*"),
+        ("a.npz", "nothing", "cannot be read .* needed are frequency"),
+        ("a.uff", "nothing", "universal file|no frequency response"),
+    ],
+)
+def test_damaged_files_are_named(tmp_path: Path, name: str, content: str, words: str) -> None:
+    """Path, line where there is one, and what is needed."""
+    path = tmp_path / name
+    path.write_text(content)
+    with pytest.raises(ValueError, match=words):
+        read_responses([path], Reading("velocity", spacing=1.0))
+
+
+def test_missing_file_and_uneven_axis_are_refused(tmp_path: Path) -> None:
+    """No such file; frequencies that jump."""
+    with pytest.raises(ValueError, match="there is no such file"):
+        read_responses([tmp_path / "none.csv"])
+    frequency = np.append(np.arange(40.0), 99.0)
+    np.savez(tmp_path / "a.npz", frequency=frequency, response=np.ones((1, 1, 41)), sets=["v"], quantity="velocity")
+    with pytest.raises(ValueError, match="not evenly spaced"):
+        read_responses([tmp_path / "a.npz"])
+
+
+def test_unknown_units_and_saturated_records_are_refused(tmp_path: Path) -> None:
+    """Mils are no unit here; a record that stays at its end was cut."""
+    with pytest.raises(ValueError, match="its channels are in mil, Newtons; needed are one motion"):
+        read_responses([write_lvm(tmp_path / "a.lvm", unit="mil")])
+    with pytest.raises(ValueError, match="the channel in g stays at .* it was saturated; measure again"):
+        read_responses([write_lvm(tmp_path / "b.lvm", clipped=True)])
+
+
+def test_set_missing_at_a_position_is_named(tmp_path: Path, frequency: np.ndarray) -> None:
+    """Two excitations, one of them at one position only."""
+    path = write_csv(tmp_path / "modes.csv", frequency)
+    other = [line.replace("hammer", "shaker") for line in path.read_text().splitlines() if ",-20," in line]
+    path.write_text(path.read_text() + "\n" + "\n".join(other))
+    with pytest.raises(ValueError, match="shaker has no response at 20 mm, where another has"):
+        read_responses([path], Reading("acceleration"))
+
+
+def test_half_power_of_one_mode_is_its_damping() -> None:
+    """A single lightly damped velocity response: bandwidth over twice the frequency is the damping ratio, in 0.1 %."""
+    frequency = np.arange(900, 1100, 0.02)
+    omega, own = 2 * np.pi * frequency, 2 * np.pi * 1000
+    response = np.abs(1j * omega / (own**2 - omega**2 + 2j * 0.005 * own * omega))
+    peak = half_power(frequency, response, 1000, 10)
+    assert peak.damping_ratio == pytest.approx(0.005, rel=1e-3)
+    assert peak.resolved
+    assert peak.verdict == ""
+
+
+def test_resolution_guard_fires_below_five_bins() -> None:
+    """Of a mode 10 Hz wide, bins 4 Hz apart give a damping that is not to be believed, and say so."""
+    frequency = np.arange(900, 1100, 4.0)
+    omega, own = 2 * np.pi * frequency, 2 * np.pi * 1001
+    response = np.abs(1j * omega / (own**2 - omega**2 + 2j * 0.005 * own * omega))
+    peak = half_power(frequency, response, 1001, 10)
+    assert not peak.resolved
+    assert "bins across the peak, at least 5 are needed" in peak.verdict
+
+
+def test_free_free_ratios_are_recognised() -> None:
+    """Euler and Bernoulli's own, one of torsion among them, and a cantilever, which is none."""
+    bending = roots(6) ** 2
+    assert roots(1)[0] == pytest.approx(4.730040744862704, rel=1e-12)
+    found = recognise([*bending[:3], 1.3 * bending[2], *bending[3:]])
+    assert found is not None
+    assert found.recognised
+    assert found.mode == (1, 2, 3, None, 4, 5, 6)
+    cantilever = recognise(np.array([1.8751, 4.6941, 7.8548, 10.9955]) ** 2)
+    assert cantilever is not None
+    assert cantilever.mode[0] is None or not cantilever.recognised
+    assert recognise([1.0, 2.0]) is None
