@@ -277,3 +277,12 @@ def test_catch_trials_and_keys_beyond_reason_are_faults(edit: Edit, changes: lis
     """A catch trial follows a driven one, so there are at most as many; a key gives one answer."""
     (found,) = faults(edit(FILE, *changes))
     assert fault in found
+
+
+def test_catch_trials_need_the_burst_mode(edit: Edit) -> None:
+    """A continuous record has no trigger to stop: said before a participant sits down, not at the first catch trial."""
+    edit(BEAM, ("load: high_impedance", "repetition: continuous\n  load: high_impedance"))
+    assert faults(edit(FILE)) == []
+    (found,) = faults(edit(FILE, ("practice_trials: 3", "catch_trials: 2\n  practice_trials: 3")))
+    assert "catch_trials: given 2, where the generator of the apparatus repeats a continuous record" in found
+    assert "set generator.repetition to burst" in found

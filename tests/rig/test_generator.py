@@ -183,6 +183,16 @@ def test_onset_bounds_the_first_burst(loaded: Generator) -> None:
     assert 1 / 7 < firing.onset_uncertainty < 1 / 7 + (after - before)
 
 
+def test_repetition_is_the_apparatus_s(simulator: Simulator, apparatus: Apparatus, guard: Any, burst: Burst) -> None:
+    """`generator.repetition: continuous` makes the driver play one record of 1/7 s, without trigger."""
+    lasting = apparatus.generator.model_copy(update={"repetition": "continuous"})
+    with Generator(simulator.address, apparatus.model_copy(update={"generator": lasting}), start_guard=guard) as rig:
+        rig.load(burst)
+        assert rig.fire(0.1).confirmed
+        assert not simulator.afg.channels[1].burst
+        assert simulator.afg.channels[1].frequency == pytest.approx(7)
+
+
 def test_continuous_record_repeats_without_trigger(
     open_generator: Callable[..., Generator], simulator: Simulator, make: Callable[..., Burst]
 ) -> None:

@@ -105,6 +105,11 @@ class Generator(Section):
     load: Literal["high_impedance", "50_ohm"] = described(
         "What its outputs see: high_impedance or 50_ohm.", default="high_impedance"
     )
+    repetition: Literal["burst", "continuous"] = described(
+        "burst: one record at each tick of the trigger timer; continuous: one record that holds burst and silence, for "
+        "a generator whose burst mode cannot be used (it cannot be exact: check --compare says by how much).",
+        default="burst",
+    )
 
     @property
     def load_factor(self) -> float:

@@ -42,10 +42,8 @@ class Generator:
         ``log(event, **facts)`` takes every exchange and event.
     patience : Patience
         How long to wait.
-    repetition : str
-        ``burst``: one record at each tick of the trigger timer; ``continuous``: one record that holds burst and
-        silence, for an instrument whose burst mode cannot be used; it cannot be exact, `check --compare` says by
-        how much.
+    repetition : str, optional
+        ``burst`` or ``continuous``, instead of what the apparatus says.
     start_guard : callable
         Starts the watchdog for an address.
 
@@ -62,7 +60,7 @@ class Generator:
         *,
         log: Log = _ignore,
         patience: Patience | None = None,
-        repetition: Repetition = "burst",
+        repetition: Repetition | None = None,
         start_guard: Callable[[str], Guard] = Watchdog,
     ) -> None:
         self._log = log
@@ -76,6 +74,7 @@ class Generator:
             log=log,
             patience=patience or Patience(),
         )
+        repetition = repetition or apparatus.generator.repetition
         self._player = Player(self._connection.controls, self._connection.limits, repetition)
         try:
             self._connection.open()
