@@ -156,6 +156,53 @@ def test_no_number_that_is_none_gets_into_the_engine(model, part, name, bad):
         design()
 
 
+STRANGE = st.sampled_from([0.0, -1.0, math.nan, math.inf, 1e-300, 1e-30, 1e-9, 1e-3, 1.0, 1e3, 1e9, 1e30, 1e300])
+
+
+def mostly(usual):
+    """Return a usual value most of the time, a strange one otherwise."""
+    return st.one_of(*[st.just(usual)] * 9, STRANGE)
+
+
+@settings(max_examples=400, deadline=None)
+@given(data=st.data(), law=st.sampled_from(["exact", "paper"]), release=st.sampled_from(["braked", "free"]))
+def test_whatever_is_asked_is_finite_or_a_clear_error(data, law, release):
+    """Issue 3: no NaN ever leaves the engine; what it cannot do is a ValueError in words, not one of a library."""
+    several = [data.draw(mostly(each)) for each in (229.0, 2553.0, 7137.0, 0.02, 0.02, 0.02, 0.1, -0.2, 0.3)]
+    beam = {"length": data.draw(mostly(0.1)), "modal_gain": [[each, 0.5] for each in several[6:]]}
+    times = {"duration": 0.05, "focusing_instant": 0.025, "repetition_rate": 7.0}
+    wished = {"base": 0.056, "centre": 0.0, "velocity": 0.2}
+    behind = {"gain": 25.0, "limit": 250.0, "bandwidth": 1e5, "delay": 0.0}
+    try:
+        model = ModalModel((1, 3, 5), several[:3], several[3:6], **beam)
+        timing = Timing(
+            data.draw(st.sampled_from([2, 20, 1000])), **{k: data.draw(mostly(v)) for k, v in times.items()}
+        )
+        wish = Wish(selection=2, **{k: data.draw(mostly(v)) for k, v in wished.items()})
+        amplifier = Amplifier(**{k: data.draw(mostly(v)) for k, v in behind.items()})
+        stimulus = design_stimulus(model, wish, timing, amplifier, law=law, release=release)
+        level = wish.velocity
+        found = [stimulus.voltage, *stimulus.achieved(level), *stimulus.achieved_steady(level)]
+        found += [stimulus.peak_velocity([0.0], level), stimulus.velocity_at_focus([0.0], level)]
+        found += [stimulus.fwhm, stimulus.reconstruction_error, stimulus.burst.amplitude]
+    except ValueError as error:
+        refusal: ValueError | None = error
+    else:
+        refusal = None
+        assert all(np.isfinite(each).all() for each in found)
+    assert not isinstance(refusal, np.linalg.LinAlgError)
+    assert refusal is None or any(letter.isdigit() for letter in str(refusal))
+
+
+def test_a_gain_lost_in_rounding_is_named():
+    """A mode so slow and weak that its motion is rounding: the message names it, its value and the remedy."""
+    with pytest.raises(ValueError, match=r"modal gain of mode 3 is 1e-40 m/s\^2 per V; its magnitude must lie between"):
+        ModalModel((1, 3), [229.0, 2553.0], [0.02, 0.02], [[0.1], [1e-40]], 0.1)
+    model = ModalModel((1, 3), [1e-20, 2553.0], [0.02, 0.02], [[0.1], [0.1]], 0.1)
+    with pytest.raises(ValueError, match=r"mode 1 has .* on the diagonal of the Gramian, which must be above 0"):
+        _ = design_stimulus(model, Wish(selection=2), Timing(1000), Amplifier(gain=25.0, limit=250.0)).voltage
+
+
 @pytest.mark.parametrize("factor", [0.5, 2.0, 1024.0])
 def test_scaling_a_field_by_two_scales_every_state_exactly(design, factor):
     """Powers of two pass through every product and sum without rounding."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import types
 import typing
 from collections.abc import Iterable
@@ -13,6 +14,7 @@ from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from modaltouch.document.allowed import Step, describe, keys_of, number_meant
 from modaltouch.document.problems import Problem, format_path, suggest
+from modaltouch.document.section import LARGEST, SMALLEST
 from modaltouch.document.source import Source
 from modaltouch.document.tree import Node, parse_tree
 
@@ -171,7 +173,17 @@ def _translate(reading: Reading[Any], details: Any) -> Problem:
         path = path[:-1]
     node = reading.find(path)
     given = _in_words(node) + (", which is not finite" if kind == "finite_number" else "")
-    return reading.problem(path, given, describe(reading.model, path), _remedy(reading, path, node))
+    allowed = describe(reading.model, path) + _beyond_all(details["input"])
+    return reading.problem(path, given, allowed, _remedy(reading, path, node))
+
+
+def _beyond_all(value: object) -> str:
+    """Return the bound of all quantities, unsaid elsewhere, where a value passes it."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        return ""
+    if abs(value) > LARGEST:
+        return f", of at most {LARGEST:g} either way"
+    return f", not that small: at least {SMALLEST:g}" if 0 < value < SMALLEST else ""
 
 
 def _real_path(reading: Reading[Any], details: Any) -> tuple[Step, ...]:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import math
 
+EXTREME = 1e30
+"""Beyond it, or below its inverse, no quantity lies in SI units; within, nothing overflows where it is squared."""
+
 
 def require_positive(name: str, value: float, unit: str, remedy: str) -> None:
     """Refuse a quantity that is not a finite number above zero.
@@ -22,10 +25,14 @@ def require_positive(name: str, value: float, unit: str, remedy: str) -> None:
     Raises
     ------
     ValueError
-        If the value is not finite, or zero or below.
+        If the value is not finite, or zero or below, or beyond all that a beam could be.
     """
     if not (math.isfinite(value) and value > 0):
         raise ValueError(f"{name} is {value} {unit}; it must be a finite number above 0 {unit}: {remedy}")
+    if not 1 / EXTREME <= value <= EXTREME:
+        raise ValueError(
+            f"{name} is {value} {unit}; it must lie between {1 / EXTREME:g} and {EXTREME:g} {unit}: {remedy}"
+        )
 
 
 def require_finite(name: str, value: float, unit: str, remedy: str) -> None:

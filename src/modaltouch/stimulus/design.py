@@ -69,6 +69,7 @@ def design_stimulus(
     _check_options(law, release, rounding, design)
     _check_levels(played, wish.velocity)
     require_positive("the load factor", load_factor, "", "1 into high impedance, 0.5 into 50 ohm")
+    _check_arrival(amplifier, timing)
     stimulus = Stimulus(
         model, wish, timing, amplifier, law, release, played, load_factor, rounding, correction, design=design
     )
@@ -88,6 +89,15 @@ def _check_options(law: str, release: str, rounding: str, design: str) -> None:
         raise ValueError(f"the design {design!r} is unknown; allowed: {', '.join(get_args(Design))}")
     if law == "paper" and design != "least_energy":
         raise ValueError(f"the paper's law has no design of {design!r}; allowed: least_energy, or the law exact")
+
+
+def _check_arrival(amplifier: Amplifier, timing: Timing) -> None:
+    """Refuse a delay after which nothing would arrive by the focusing instant."""
+    if amplifier.delay >= timing.focusing_instant:
+        raise ValueError(
+            f"the delay of the amplifier is {amplifier.delay:g} s, past the focusing instant of "
+            f"{timing.focusing_instant:g} s; it must be shorter: focus later, or check the delay"
+        )
 
 
 def _check_levels(levels: tuple[float, ...], reference: float) -> None:

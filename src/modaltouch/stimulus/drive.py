@@ -123,7 +123,7 @@ def exact_drive(
     reach, read, wished, braked_from = steering(model, system, timing, target, displacement)
     n_before = reach.taper.n_samples
     voltage = np.zeros((model.n_channels, timing.n_samples))
-    condition, residual, state = _steer(system, timing, reach, (read, wished), voltage[:, :n_before])
+    condition, residual, state = _steer(system, timing, reach, (read, wished), voltage[:, :n_before], _driven(model))
     if release == "braked":
         # No sample acts between the focusing instant and the arrival of the first that brakes.
         ahead = braked_from * timing.hold + system.delay - timing.focusing_instant
@@ -193,6 +193,7 @@ def _steer(
     reach: Reach,
     goal: tuple[ComplexArray, FloatArray],
     voltage: FloatArray,
+    label: list[int],
 ) -> tuple[float, float, ComplexArray]:
     """Write the voltages that read the goal at the focusing instant; return condition number, residual and state.
 
@@ -200,7 +201,7 @@ def _steer(
     that takes the rounding of the closed-form Gramian and the unevenness of the clock out of the result.
     """
     read, wished = goal
-    solver = GramianSolver.of(reach.gramian())
+    solver = GramianSolver.of(reach.gramian(), label)
     weight = np.zeros_like(wished)
     best, kept, kept_state = np.inf, weight, np.zeros(system.exponent.size, dtype=complex)
     short = wished
@@ -265,8 +266,13 @@ def brake(
         taper=Taper.fitting(n_left, RISE * timing.sampling_rate, RISE * timing.sampling_rate),
     )
     left = state * np.exp(system.exponent * (timing.duration - start * timing.hold))
-    weight = GramianSolver.of(reach.gramian()).solve(-(read @ left).real)
+    weight = GramianSolver.of(reach.gramian(), _driven(model)).solve(-(read @ left).real)
     reach.write(reach.amplitudes(weight), voltage[:, start:])
+
+
+def _driven(model: ModalModel) -> list[int]:
+    """Return the labels of the modes that any channel drives."""
+    return [label for label, gain in zip(model.label, model.modal_gain, strict=True) if gain.any()]
 
 
 def _check_enough(gain: FloatArray, n_samples: int, timing: Timing, where: str) -> None:

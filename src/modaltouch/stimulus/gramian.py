@@ -8,6 +8,7 @@ built.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -187,15 +188,30 @@ class GramianSolver:
     eigenvector: FloatArray
 
     @classmethod
-    def of(cls, gramian: FloatArray) -> GramianSolver:
+    def of(cls, gramian: FloatArray, label: Sequence[int] = ()) -> GramianSolver:
         """Return the solver of a Gramian with a positive diagonal.
 
         Parameters
         ----------
         gramian : (n, n) array
             Symmetric, from `Reach.gramian`.
+        label : sequence of int, optional
+            Modes of the conditions, over and over, for the message.
+
+        Raises
+        ------
+        ValueError
+            If a condition answers to no voltage in double precision.
         """
-        scale = 1 / np.sqrt(np.diag(gramian))
+        diagonal = np.diag(gramian)
+        lost = np.flatnonzero(~((diagonal > 0) & np.isfinite(gramian).all(axis=1)))
+        if lost.size:
+            who = f"mode {label[lost[0] % len(label)]}" if label else f"condition {lost[0] + 1}"
+            raise ValueError(
+                f"{who} has {diagonal[lost[0]]:.3g} on the diagonal of the Gramian, which must be above 0: its motion "
+                f"under the drive is lost in rounding; leave the mode out, or check its frequency, damping and gain"
+            )
+        scale = 1 / np.sqrt(diagonal)
         eigenvalue, eigenvector = np.linalg.eigh(gramian * scale[:, None] * scale)
         return cls(scale, eigenvalue, eigenvector)
 

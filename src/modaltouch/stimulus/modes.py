@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from modaltouch.stimulus.bounds import require_positive
+from modaltouch.stimulus.bounds import EXTREME, require_positive
 from modaltouch.stimulus.measured import MeasuredShapes
 from modaltouch.stimulus.shapes import mode_shapes
 from modaltouch.stimulus.timoshenko import TimoshenkoBeam
@@ -180,4 +180,10 @@ def _check_mode(label: int, frequency: float, ratio: float, gain: FloatArray) ->
         raise ValueError(
             f"a modal gain of mode {label} is {gain[~np.isfinite(gain)][0]} m/s^2 per V; it must be a finite "
             f"number: give 0 where a channel does not drive the mode"
+        )
+    lost = gain[(gain != 0) & ~((np.abs(gain) >= 1 / EXTREME) & (np.abs(gain) <= EXTREME))]
+    if lost.size:
+        raise ValueError(
+            f"a modal gain of mode {label} is {lost[0]:g} m/s^2 per V; its magnitude must lie between "
+            f"{1 / EXTREME:g} and {EXTREME:g}: give 0 where a channel does not drive the mode"
         )

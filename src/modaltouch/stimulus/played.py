@@ -67,8 +67,8 @@ class Played:
         end = timing.duration + self.system.delay
         left = unit @ states_by_channel(self.system, self.codes, timing, end)
         period = 1 / timing.repetition_rate
-        carried = np.exp(exponent * (period - end)) / -np.expm1(exponent * period)
-        return np.asarray(self.states_at_focus(unit) + left * carried * np.exp(exponent * timing.focusing_instant))
+        carried = np.exp(exponent * (period - end + timing.focusing_instant)) / -np.expm1(exponent * period)
+        return np.asarray(self.states_at_focus(unit) + left * carried)
 
     @cached_property
     def _courses(self) -> dict[tuple[float, ...], tuple[Course, dict[float, float]]]:
@@ -80,7 +80,7 @@ class Played:
 
         Levels that keep the channels' ratio only scale: one course serves them all.
         """
-        largest = float(unit.max())
+        largest = float(unit.max()) or 1.0
         ratio = tuple(round(float(u), 12) for u in unit / largest)
         if ratio not in self._courses:
             # Codes for volts: what a code is worth goes into the gains, and no voltages are written out.

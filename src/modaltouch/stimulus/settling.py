@@ -97,7 +97,9 @@ class _Walk:
         step = np.abs(effect[: system.n_modes]).max(axis=1)
         rate = -system.exponent.real[: system.n_modes] * timing.hold
         urgent = step > goal
-        span = np.max(np.log(step[urgent] / goal) / rate[urgent], initial=float(n_visits))
+        with np.errstate(over="ignore", divide="ignore"):
+            # A mode that hardly decays feels every sample.
+            span = np.max(np.log(step[urgent] / goal) / rate[urgent], initial=float(n_visits))
         span = max(2, int(min(span, n_before - 2)))
         # Equal neighbours after rounding down are dropped; the first sample keeps its code.
         ago = np.geomspace(1, span, n_visits).astype(np.int64)

@@ -170,6 +170,8 @@ def _life(size: float, threshold: float, rate: float, longest: int) -> int:
     """Return for how many blocks before the end an exponential matters, in steps of those a product takes at once."""
     if size <= threshold:
         return 0
+    if threshold == 0.0:
+        return longest
     loudness = math.log(size / threshold)
     return longest if loudness >= rate * longest else min(longest, (int(loudness / rate) // _STEP + 1) * _STEP)
 

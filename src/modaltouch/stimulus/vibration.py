@@ -92,6 +92,9 @@ def states_by_channel(system: DiagonalSystem, voltage: FloatArray, timing: Timin
     (n_channels, n_states) complex array
         States of `system`; their sum over the channels is the state of the beam.
     """
+    if instant <= system.delay:
+        # Nothing has arrived yet.
+        return np.zeros((voltage.shape[0], system.exponent.size), dtype=complex)
     n_whole, remainder = timing.samples_until(instant - system.delay)
     n_whole = min(n_whole, voltage.shape[1])
     hold = timing.hold
