@@ -178,3 +178,15 @@ def test_a_trigger_latency_that_is_told_is_taken_out(
     )
     assert missed[1] > 0.5e-3
     assert max(met[:2]) < 0.15e-3
+
+
+def test_every_level_is_verified_whatever_the_amplitude_grid(
+    preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable
+) -> None:
+    """Full scale above what the generator may be set to, so that levels lie off its grid: all four are measured."""
+    ground = preflight.ground
+    tight = ground.apparatus.amplifier.model_copy(update={"limit_V": 187.0})
+    ground = replace(ground, apparatus=ground.apparatus.model_copy(update={"amplifier": tight}))
+    apparatus = shipped_apparatus.model_copy(update={"amplifier": tight})
+    outcome = calibrate(make_bench(apparatus, 1), apparatus, ground)
+    assert [level.velocity for level in outcome.levels] == pytest.approx([0.08, 0.1, 0.15, 0.2])

@@ -84,18 +84,23 @@ class _Loop:
         """Identify, correct, verify."""
         plant = self._identify()
         refined = refined_apparatus(self._apparatus, plant)
+        # What is listed commands volts of the listed amplifier.
+        self._refuse_beyond_limit(float(self._listed.peak_voltage.max()) * max(plant.drive.gain))
         turns = [self._measure(0, self._listed, plant)]
         aim = np.stack([self._target, np.zeros_like(self._target)])
-        best, kept = self._measure_aimed(1, plant, refined, aim), aim
+        stimulus = self._aimed(refined, self._correction(aim))
+        self._refuse_beyond_limit(float(stimulus.peak_voltage.max()))
+        best, kept = self._measure(1, stimulus, plant), aim
         turns.append(best)
         for number in range(2, MOST_ITERATIONS + 1):
             change = significant(turns[-1].state, self._target)
             if np.abs(change).max() < LEAST_CHANGE * self._reference:
                 break
             aim = aim - change
-            if self._excess(refined, aim):
+            stimulus = self._aimed(refined, self._correction(aim))
+            if float(stimulus.peak_voltage.max()) > refined.amplifier.limit_V:
                 break
-            turns.append(self._measure_aimed(number, plant, refined, aim))
+            turns.append(self._measure(number, stimulus, plant))
             if turns[-1].worst >= best.worst:
                 break
             best, kept = turns[-1], aim
@@ -112,6 +117,14 @@ class _Loop:
             best=best,
             levels=levels,
         )
+
+    def _refuse_beyond_limit(self, needed: float) -> None:
+        limit = self._apparatus.amplifier.limit_V
+        if needed > limit:
+            raise RigError(
+                f"{self._reference * 1e3:g} mm/s needs {needed:.0f} V at the beam on this rig: allowed are {limit:g} V; "
+                "the outputs are off; lower the highest level of the protocol"
+            )
 
     def _identify(self) -> Plant:
         """Identify amplifier and clock by the drive, modes and vibrometer by the decays after a probe of each output.
@@ -159,20 +172,6 @@ class _Loop:
         velocity, displacement = (np.round(each * 1e3, DIGITS) * 1e-3 for each in aim)
         return Correction(velocity, displacement, self._reference)
 
-    def _excess(self, refined: Apparatus, aim: FloatArray) -> float:
-        """Return the voltage that targets need, where the amplifier does not give it; else 0 [V]."""
-        highest = float(self._aimed(refined, self._correction(aim)).peak_voltage.max())
-        return highest if highest > refined.amplifier.limit_V else 0.0
-
-    def _measure_aimed(self, number: int, plant: Plant, refined: Apparatus, aim: FloatArray) -> Turn:
-        needed = self._excess(refined, aim)
-        if needed:
-            raise RigError(
-                f"{self._reference * 1e3:g} mm/s needs {needed:.0f} V at the beam on this rig: allowed are "
-                f"{refined.amplifier.limit_V:g} V; the outputs are off; lower the highest level of the protocol"
-            )
-        return self._measure(number, self._aimed(refined, self._correction(aim)), plant)
-
     def _measure(self, number: int, stimulus: Stimulus, plant: Plant) -> Turn:
         """Play a stimulus at the reference level and return what the modes do at the focusing instant."""
         self._progress.step("before" if number == 0 else f"iteration {number}", self._points.size)
@@ -187,15 +186,16 @@ class _Loop:
         """Measure every level at the focus, with amplitudes in proportion and then, where that is off, as measured."""
         stimulus = self._aimed(refined, correction)
         self._bench.load(stimulus.burst)
-        self._progress.step("levels", 2 * len(stimulus.levels))
-        first = [self._level(plant, stimulus, level, 1.0) for level in stimulus.levels]
+        asked = sorted({level * 1e-3 for level in self._ground.levels.values()})
+        self._progress.step("levels", 2 * len(asked))
+        first = [self._level(plant, stimulus, level, 1.0) for level in asked]
         factors = [_trim(level) for level in first]
         if all(factor == 1.0 for factor in factors):
             return tuple(first)
         trims = tuple((level.velocity, factor) for level, factor in zip(first, factors, strict=True))
         trimmed = self._aimed(refined, replace(correction, trims=trims))
         self._bench.load(trimmed.burst)
-        self._progress.step("levels again", 2 * len(stimulus.levels))
+        self._progress.step("levels again", 2 * len(asked))
         return tuple(self._level(plant, trimmed, level, factor) for level, factor in trims)
 
     def _level(self, plant: Plant, stimulus: Stimulus, level: float, factor: float) -> Level:
