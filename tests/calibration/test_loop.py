@@ -12,11 +12,12 @@ from modaltouch.apparatus import Apparatus
 from modaltouch.calibration.loop import calibrate
 from modaltouch.calibration.outcome import Progress, Turn
 from modaltouch.calibration.plant import ModalState
-from modaltouch.calibration.refining import ground_of, significant
+from modaltouch.calibration.refining import aimed_ground, ground_of, significant
 from modaltouch.calibration.taking import measuring_points
 from modaltouch.document import InputError
 from modaltouch.interruption import Interrupted
 from modaltouch.preflight import Preflight, examine
+from modaltouch.preflight.examine import design_to_fit
 from modaltouch.preflight.ground import design
 from modaltouch.rig.interface import RigError
 from modaltouch.stimulus.correction import Correction
@@ -185,8 +186,9 @@ def test_every_level_is_verified_whatever_the_amplitude_grid(
 ) -> None:
     """Full scale above what the generator may be set to, so that levels lie off its grid: all four are measured."""
     ground = preflight.ground
-    tight = ground.apparatus.amplifier.model_copy(update={"limit_V": 187.0})
+    tight = ground.apparatus.amplifier.model_copy(update={"limit_V": 186.4})
     ground = replace(ground, apparatus=ground.apparatus.model_copy(update={"amplifier": tight}))
     apparatus = shipped_apparatus.model_copy(update={"amplifier": tight})
     outcome = calibrate(make_bench(apparatus, 1), apparatus, ground)
+    assert design_to_fit(aimed_ground(ground, outcome.refined, outcome.correction)).levels == (0.2,)
     assert [level.velocity for level in outcome.levels] == pytest.approx([0.08, 0.1, 0.15, 0.2])
