@@ -41,3 +41,18 @@ def test_a_session_does_not_go_on_as_another_kind(preflight, tmp_path):
     session = begin(wire_run(preflight, "p01", answers="simulated", results=tmp_path))
     with pytest.raises(RecordError, match="would go on as another kind"):
         wire_resume(session.path, rig=ADDRESS, answers="window")
+
+
+def test_a_simulated_participant_is_not_masked_and_the_record_says_so(edit, tmp_path):
+    """Nobody hears the noise, so no sound device is needed to simulate a protocol that demands it."""
+    old = "answers:\n  given_by"
+    demanding = examine(edit("demo.yaml", (old, f"masking: {{level_dB_FS: -20}}\n{old}"))).require()
+    for answers in ("simulated", "robot"):
+        with wire_run(demanding, "p01", answers=answers).open_masking(lambda event, **facts: None) as masking:
+            assert masking.describe() == {"state": "not masked", "reason": "a simulated participant hears nothing"}
+    session = begin(wire_run(demanding, "p01", answers="simulated", results=tmp_path))
+    assert session.start["masking"]["state"] == "not masked"
+    assert {event["masked"] for event in session.trials} == {False}
+    table = next(session.path.parent.glob("*_beh.tsv")).read_text().splitlines()
+    assert table[0].split("\t")[-1] == "masked"
+    assert {row.split("\t")[-1] for row in table[1:]} == {"0"}

@@ -177,3 +177,16 @@ def test_a_turned_beam_is_told_by_zone(record, tmp_path) -> None:
     assert (answers.counts[0] == answers.counts[1]).all()
     assert answers.facing.tolist() == [1, -1]
     assert set(responses.frame["speed_left_mm_s"]) == {40.0}
+
+
+def test_catch_trials_of_a_session_are_counted_apart(record, tmp_path) -> None:
+    """Two catch trials more, answered none and left: no row of the table, and counted with their participant."""
+    for participant in ("p01", "p02"):
+        with SessionLog.reopen(record(participant)) as log:
+            for index, answer in enumerate(("none", "left"), 25):
+                row = {"finger_condition": "one_hand", "zone_left": "A", "zone_right": "C", "velocity_mm_s": 0}
+                log.append("trial", **trial(index, {**row, "response": answer}), catch=True)
+    responses = read_responses(tmp_path / "results")
+    assert len(responses.frame) == 48
+    assert responses.frame["velocity_mm_s"].min() == 80
+    assert responses.catches == {"p01": {"none": 1, "left": 1}, "p02": {"none": 1, "left": 1}}

@@ -418,3 +418,14 @@ def test_a_lab_is_told_what_its_noise_does_to_ears(
     said = [each for each in preflight.as_dict()["warnings"] if "masking noise" in each]
     assert len(said) == bool(warning)
     assert all(warning in each for each in said)
+
+
+def test_catch_trials_are_counted_and_warned_of_where_they_cannot_be_answered(edit: Edit) -> None:
+    """Three to each of two blocks make 30 trials; without the answer none they tell only what is guessed."""
+    file = edit(FILE, ("  practice_trials: 3", "  catch_trials: 3\n  practice_trials: 3"))
+    values = examine(file).as_dict()
+    assert (values["n_trials"], values["n_catch_trials"]) == (30, 6)
+    assert [each for each in values["warnings"] if "no answer none" in each]
+    with_none = examine(file.with_name("with_catch_trials.yaml")).as_dict()
+    assert with_none["n_catch_trials"] == 6
+    assert not [each for each in with_none["warnings"] if "no answer none" in each]

@@ -122,6 +122,7 @@ def run(
             window_options=window_options,
         )
         refuse_existing(setup.place.log)
+        _try_masking(setup)
         if sys.stdin.isatty() and not yes and not json_output:
             wait_for_start(preflight, setup.place, rig)
         from modaltouch.sitting import begin
@@ -129,6 +130,14 @@ def run(
         with open_console(events, _emergency_keys(setup), plain=plain) as console:
             recorded = begin(replace(setup, console=console))
         _finish(recorded, json_output=json_output)
+
+
+def _try_masking(setup: Setup) -> None:
+    """Open the masking noise for a moment, silently, so that what it lacks is told before anything begins."""
+    with setup.open_masking(lambda event, **facts: None) as masking:
+        found = masking.describe()
+    if found is not None and found["state"] != "masked":
+        typer.secho(f"The beam is not masked: {found['reason']}", err=True, fg=typer.colors.YELLOW)
 
 
 def resume(
