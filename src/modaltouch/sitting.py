@@ -44,6 +44,10 @@ OpenMasking = Callable[[Callable[..., None]], Masking]
 """Opens the masking noise, given a function that takes its events."""
 
 
+_UNFORESEEN = ("rig fault", "record fault", "experimenter", "emergency stop")
+"""Endings that the participant has to be told of."""
+
+
 @dataclass(frozen=True)
 class Setup:
     """What a sitting is made of.
@@ -246,6 +250,8 @@ def _sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessi
             with suppress(RecordError):  # told where it came up first
                 masking.stop(hurry=ending["reason"] != "finished")
             _conclude(setup, log, journal, ending)
+            if ending["reason"] in _UNFORESEEN:
+                window.dismiss()
     return read_session(setup.place.log)
 
 

@@ -108,8 +108,9 @@ class Room:
     stopped: list[float] = field(default_factory=list)
     script: list[tuple[str, float, Callable[[], None]]] = field(default_factory=list)
     deadline: float = 0.0
+    wishes: list[Any] = field(default_factory=list)
 
-    def tick(self) -> None:
+    def tick(self) -> Any:
         """Play the script; fail the test instead of hanging it."""
         now = time.perf_counter()
         if now > self.deadline:
@@ -119,6 +120,7 @@ class Room:
             if self.shown[-1][0].startswith(name) and now - self.shown[-1][1] >= after:
                 self.script.pop(0)
                 act()
+        return self.wishes.pop(0) if self.wishes else None
 
     def stop(self) -> None:
         self.stopped.append(time.perf_counter())

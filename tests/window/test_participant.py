@@ -156,6 +156,71 @@ def test_a_cut_trial_is_offered_again_with_time_for_the_fingers(
     assert now - room.shown[-1][1] == pytest.approx(0.2, abs=0.05)
 
 
+def wish(room: Any, what: str) -> Callable[[], None]:
+    """Return a step that lets the experimenter wish something now."""
+    return lambda: room.wishes.append(what)
+
+
+@pytest.mark.parametrize("screen", ["feel", "question"])
+def test_the_experimenter_pauses_a_trial_and_goes_on(paper_room: Callable[..., Any], trial: Trial, screen: str) -> None:
+    """Expected: stop, pause, on again at once however soon that is wished, and the trial offered again."""
+    room = paper_room(answers={"pause_s": 0.2})
+    room.script = [(screen, 0.05, wish(room, "pause")), ("pause", 0.0, wish(room, "continue"))]
+    with pytest.raises(TrialInterrupted, match="experimenter"):
+        ask(room, trial)
+    assert len(room.stopped) == 1
+    assert room.log[0] == ("pause", {"trial": trial.index, "by": "experimenter"})
+    assert room.log[1][0] == "continued"
+    assert room.names[-2:] == ["pause", "ready_one_hand_AC"]
+
+
+def test_a_wish_to_go_on_leads_past_no_other_screen_by_accident(paper_room: Callable[..., Any]) -> None:
+    """Expected: the experimenter's pause on a waiting screen comes back to that screen."""
+    room = paper_room()
+    room.script = [
+        ("rest", 0.1, wish(room, "pause")),
+        ("pause", 0.1, wish(room, "continue")),
+        ("rest", 0.3, send(room, "key", "space")),
+    ]
+    room.window.rest(PROGRESS)
+    assert room.names == ["rest", "pause_between_trials", "rest"]
+
+
+@pytest.mark.parametrize("screen", ["feel", "question", "pause", "answered"])
+def test_the_key_for_emergencies_ends_the_session_on_every_screen(
+    paper_room: Callable[..., Any], trial: Trial, screen: str
+) -> None:
+    """Expected: SessionStopped at the next poll, even where the key came while an answer was being taken."""
+    room = paper_room(answers={"question_delay_s": 0.05})
+    press = send(room, "key", "f12")
+    room.script = [("feel", 0.01, press)] if screen == "feel" else [("question", 0.05, press)]
+    if screen == "pause":
+        room.script = [("question", 0.05, send(room, "key", "escape")), ("pause", 0.05, press)]
+    if screen == "answered":
+        room.script = [("question", 0.05, lambda: (send(room, "key", "left")(), press())[0])]
+
+    def present() -> None:
+        response = ask(room, trial)
+        assert screen == "answered", "an answer that came first counts"
+        room.window.confirm(response)
+        room.window.wait(0.1)
+
+    with pytest.raises(SessionStopped, match="emergency stop"):
+        present()
+
+
+def test_a_session_that_ends_early_is_told_for_a_moment(
+    paper_room: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Expected: one screen of words, no tick, and no error even if the display is gone."""
+    monkeypatch.setattr("modaltouch.window.participant._DISMISSAL", 0.05)
+    room = paper_room(seconds=0.0)
+    room.window.dismiss()
+    assert room.names == ["session_ended"]
+    monkeypatch.setattr(room.display, "flip", lambda screenshot: 1 / 0)
+    room.window.dismiss()
+
+
 def test_a_focus_lost_while_the_fingers_return_pauses_again(paper_room: Callable[..., Any], trial: Trial) -> None:
     """Expected: no stimulus ever starts for a window that does not get the keys."""
     room = paper_room(answers={"pause_s": 0.2})
@@ -240,7 +305,7 @@ def test_escape_on_a_waiting_screen_asks_and_returns_to_it(paper_room: Callable[
     ]
     with pytest.raises(SessionStopped, match="escape"):
         room.window.rest(PROGRESS)
-    assert room.names == ["rest", "pause", "rest", "pause"]
+    assert room.names == ["rest", "pause_between_trials", "rest", "pause_between_trials"]
 
 
 def test_the_chosen_answer_is_marked_and_then_the_screen_rests(paper_room: Callable[..., Any], trial: Trial) -> None:

@@ -163,7 +163,7 @@ def test_the_bar_shows_what_is_done(experiment: Experiment, number: int, share: 
 def test_the_placement_names_fingers_and_zones(experiment: Experiment) -> None:
     """Expected: the words of english.yaml, filled in for the paper's test 2."""
     words = illustrate(experiment).placement(make_trial("CE", "two_hands")).texts[0]
-    assert words == "Rest your left index finger on zone C\nand your right index finger on zone E"
+    assert words == "Rest your left index finger on zone\u00a0C\nand your right index finger on zone\u00a0E"
 
 
 def test_the_pause_says_how_to_go_on_and_how_to_end(experiment: Experiment) -> None:
@@ -173,6 +173,16 @@ def test_the_pause_says_how_to_go_on_and_how_to_end(experiment: Experiment) -> N
     assert "the space bar" in words
     assert "Q" in words
     assert any(isinstance(mark, Shape) and mark.fill == DARK.left for mark in picture.marks)
+
+
+def test_a_pause_between_trials_promises_no_trial_again(experiment: Experiment) -> None:
+    """Expected: the keys, no fingers, and nothing of a vibration that comes again."""
+    picture = illustrate(experiment).pause(None)
+    words = " ".join(picture.texts)
+    assert "the space bar" in words
+    assert "Q" in words
+    assert "again" not in words
+    assert not any(isinstance(mark, Shape) for mark in picture.marks)
 
 
 def test_spaces_that_must_not_break_survive(experiment: Experiment) -> None:

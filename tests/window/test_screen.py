@@ -100,12 +100,14 @@ def every_picture(pictures: Illustrator) -> list[Picture]:
         pictures.page("practice", texts.practice),
         pictures.page("start", texts.start),
         pictures.pause(one),
+        pictures.pause(None),
+        pictures.page("session_ended", texts.session_ended, waits=False),
         pictures.page("goodbye", texts.goodbye, waits=False),
     ]
 
 
 @pytest.mark.parametrize("language", sorted(path.stem for path in (ROOT / "protocols" / "texts").glob("*.yaml")))
-@pytest.mark.parametrize("size", [(800, 600), (768, 1024), (1920, 1080)])
+@pytest.mark.parametrize("size", [(800, 600), (768, 1024), (1080, 1920), (3840, 2160)])
 def test_every_text_fits_its_place(screen: Any, experiment: Experiment, language: str, size: tuple[int, int]) -> None:
     """Expected: no text of a shipped language leaves its box, nor shrinks below 60 % of its size."""
     layout = lay_out(*size, tuple(experiment.apparatus.zones))

@@ -17,6 +17,7 @@ _PLACEHOLDERS: dict[str, frozenset[str]] = {
     "trial_of": frozenset({"number", "total"}),
     "practice_of": frozenset({"number", "total"}),
     "pause": frozenset({"key", "end_key"}),
+    "pause_between_trials": frozenset({"key", "end_key"}),
     "press_to_continue": frozenset({"key"}),
 }
 """Words in braces that a text must contain; every other text must contain none."""
@@ -46,7 +47,9 @@ class Texts(Section):
     trial_of: Text = described("Progress; holds {number} and {total}.")
     practice_of: Text = described("Progress in practice; holds {number} and {total}.")
     rest: Text = described("Shown in a break.")
-    pause: Text = described("Shown in a pause; holds {key} and {end_key}.")
+    pause: Text = described("Shown in a pause that cut a trial; holds {key} and {end_key}.")
+    pause_between_trials: Text = described("Shown in any other pause; holds {key} and {end_key}.")
+    session_ended: Text = described("Shown for a moment where a session ends early, other than by the participant.")
     goodbye: Text = described("Thanks at the end.")
     press_to_continue: Text = described("How to go on; holds {key}.")
     experimenter_answers: Text = described("Says that the experimenter types the spoken answer.")

@@ -113,6 +113,9 @@ class AnswerWindow(typing.Protocol):
     def goodbye(self) -> None:
         """Thank the participant."""
 
+    def dismiss(self) -> None:
+        """Tell for a moment that the session ends early; never raises, and ticks no more."""
+
     def close(self) -> None:
         """Close the window; never raises."""
 

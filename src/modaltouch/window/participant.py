@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -16,7 +17,7 @@ from modaltouch.window.marks import Picture
 from modaltouch.window.pausing import SETTLE, Pauser
 from modaltouch.window.pictures import Illustrator
 from modaltouch.window.reading import Reader, describe_press, is_press
-from modaltouch.window.stage import Display, Moment, Nobody, Sitter, Stage
+from modaltouch.window.stage import POLL_INTERVAL, Display, Moment, Nobody, Sitter, Stage
 from modaltouch.window.theme import Theme
 
 DOUBLE_WINDOW = 0.05
@@ -25,6 +26,8 @@ _CONFIRMATION = 0.4
 """How long the chosen answer stays marked, at most [s]."""
 _FEEDBACK = 1.5
 """How long practice feedback stays [s]."""
+_DISMISSAL = 3.0
+"""How long the screen of a session that ends early stays [s]."""
 _FAREWELL = 8.0
 """How long the last screen stays if nobody presses a key [s]."""
 
@@ -193,6 +196,15 @@ class ParticipantWindow:
             for event in self._stage.poll():
                 if event.kind == "close" or (is_press(event) and event.time > shown + SETTLE):
                     return
+
+    def dismiss(self) -> None:
+        """Tell for a moment that the session ends early; never raises, and ticks no more."""
+        # Whatever ended the session may have taken the display, too, and is what is to be told.
+        with contextlib.suppress(Exception):
+            shown = self._stage.show(self._pictures.page("session_ended", self._texts.session_ended, waits=False))
+            while time.perf_counter() < shown + _DISMISSAL:
+                self._stage.poll_quietly()
+                time.sleep(POLL_INTERVAL)
 
     def close(self) -> None:
         """Close the window; never raises."""

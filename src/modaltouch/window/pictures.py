@@ -155,18 +155,18 @@ class Illustrator:
 
     def pause(self, trial: Trial | None) -> Picture:
         """Return the pause screen, with the fingers' places where a trial is to be repeated."""
-        words = self.texts.pause.format(
-            key=self.key_name(self.answers.continue_keys[0]), end_key=self.key_name(END_KEY)
-        )
+        words = self.texts.pause if trial else self.texts.pause_between_trials
+        words = words.format(key=self.key_name(self.answers.continue_keys[0]), end_key=self.key_name(END_KEY))
+        if trial is None:
+            return self.page("pause_between_trials", words, waits=False)
         title, *rest = _paragraphs(words)
         layout, scale = self.layout, self.layout.type_scale
         below = Box(0, -0.285, layout.headline.width, 0.24)
-        beam = self._beam(trial) if trial else ()
         return Picture(
             "pause",
             (
                 self._headline(title, 0.056),
-                *beam,
+                *self._beam(trial),
                 Words("\n\n".join(rest), below, 0.04 * scale, self.theme.text),
             ),
         )

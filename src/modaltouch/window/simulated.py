@@ -136,6 +136,9 @@ class SimulatedParticipant:
         """Leave."""
         self._tick()
 
+    def dismiss(self) -> None:
+        """Leave."""
+
     def close(self) -> None:
         """Do nothing; there is no window."""
 
