@@ -67,7 +67,7 @@ format: install
 ## results: the reference pictures in results/reference, from a simulated cohort, the demonstration and a scan of the twin
 .PHONY: results
 results: install
-	rm -rf build/results build/analysis build/validation
+	rm -rf build/results build/analysis build/validation build/comparison
 	$(PYTHON) -m modaltouch simulate protocols/differentiated_stimulation.yaml -n 10 --results build/results
 	$(PYTHON) -m modaltouch analyse build/results --out build/analysis
 	$(PYTHON) -m modaltouch demo --results build/results
@@ -75,6 +75,9 @@ results: install
 	cp build/analysis/fig_10.csv build/analysis/fig_10.png build/analysis/fig_11.csv build/analysis/fig_11.png results/reference/
 	$(PYTHON) -m modaltouch validate protocols/differentiated_stimulation.yaml --out build/validation
 	cp build/validation/fig_[25678]*.png build/validation/fig_[25678]*.csv build/validation/validation.json results/reference/
+	$(PYTHON) -m modaltouch compare protocols/differentiated_stimulation.yaml --out build/comparison
+	cp build/comparison/comparison.csv results/reference/
+	for name in fields price robustness drives; do cp build/comparison/$$name.png results/reference/comparison_$$name.png; done
 	cp build/results/simulated/demo/derivatives/sub-demo_ses-1/screenshots/question_one_hand_AC.png results/reference/answer_window.png
 
 ## bench: run time against error, beside the peers, into results/benchmarks

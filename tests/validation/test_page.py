@@ -14,7 +14,7 @@ from modaltouch.validation.key_figures import key_figures
 from modaltouch.validation.page import Occasion, write_evidence
 from modaltouch.validation.words import findings
 
-OCCASION = Occasion("A <title>", "p.yaml", "beam", "simulated", "generator", "scope", 250.0, "abc")
+OCCASION = Occasion("A <title>", "p.yaml", "beam", "simulated", "generator", "scope", 250.0, "", "abc")
 SHIPPED = Path(__file__).parents[2] / "protocols"
 PAIRS = [("A", "C"), ("B", "D"), ("C", "E")]
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from modaltouch.cli.checking import PROTOCOL
+from modaltouch.cli.checking import CALIBRATION, PROTOCOL
 from modaltouch.cli.faults import print_json, reporting
 from modaltouch.cli.measuring import RIG, ask_to_aim, progress
 
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 def validate(
     protocol: PROTOCOL,
+    calibration: CALIBRATION = None,
     rig: RIG = "simulated",
     out: Annotated[
         Path | None, typer.Option(help="Folder for page, figures and tables.", show_default="validation/<protocol>")
@@ -46,7 +47,7 @@ def validate(
     from modaltouch.validation.page import COMMAND, as_dict, write_evidence
 
     with reporting(json_output=json_output):
-        preflight = examine(protocol).require()
+        preflight = examine(protocol, calibration).require()
         experiment = preflight.experiment
         folder = out or Path("validation") / experiment.protocol.protocol
         refuse_other(folder, COMMAND)
@@ -128,8 +129,15 @@ def _observe(
         generator=settings["generator"],
         scope=settings["scope"],
         limit=experiment.apparatus.amplifier.limit_V,
+        calibration=_calibration(preflight),
         commit=commit(),
     )
+
+
+def _calibration(preflight: Preflight) -> str:
+    """Return the name of the calibration that is used; empty without one."""
+    reading = preflight.findings.calibration
+    return "" if reading is None else str(reading.source.path)
 
 
 def tell(figures: list[dict[str, Any]]) -> None:

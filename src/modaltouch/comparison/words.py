@@ -70,8 +70,7 @@ def _changed(rows: Sequence[Row], n_beams: int) -> str:
     return (
         f"Played on {n_beams} other beams, drawn around the one that was learned, the field changes least by the "
         f"{least['name']} ({least['changed_drift_mm_s']:.1f} mm/s rms, median) and most by the {most['name']} "
-        f"({most['changed_drift_mm_s']:.1f} mm/s). Recorded anew, a method that learns from recordings would not "
-        "change; a model would have to be identified anew."
+        f"({most['changed_drift_mm_s']:.1f} mm/s). Nothing was learned anew on them."
     )
 
 

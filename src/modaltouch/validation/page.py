@@ -55,6 +55,8 @@ class Occasion:
         What they call themselves.
     limit : float
         Highest voltage at the beam [V].
+    calibration : str
+        File of the calibration that the exact law was corrected by; empty without one.
     commit : str
         Of the program.
     """
@@ -66,6 +68,7 @@ class Occasion:
     generator: str
     scope: str
     limit: float
+    calibration: str
     commit: str
 
 
@@ -129,6 +132,7 @@ def as_dict(evidences: Sequence[Evidence], figures: Sequence[dict[str, Any]], oc
         "mode": occasion.mode,
         "generator": occasion.generator,
         "scope": occasion.scope,
+        "calibration": occasion.calibration or None,
         "measurement_lag_us": evidences[0].lag * 1e6,
         "laws": list(figures),
     }
