@@ -125,7 +125,7 @@ def _sound() -> Finding:
         device = default_device()
     except MaskingError as error:
         remedy = "needed only where a protocol demands masking noise: connect a sound device, or install libportaudio2"
-        return Finding("sound", "warning", str(error).partition(";")[0], remedy)
+        return Finding("sound", "warning", str(error).partition(": ")[2].partition(";")[0], remedy)
     found = f"{device['name']}, {device['default_samplerate']:g} Hz, {device['max_output_channels']} channels"
     return Finding("sound", "ok", found)
 

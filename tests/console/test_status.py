@@ -101,6 +101,21 @@ def test_a_mirrored_session_leans_the_other_way(answers: list[str]) -> None:
     assert mirrored == swapped
 
 
+def test_a_lost_masking_noise_is_warned_of_until_it_is_back() -> None:
+    """The reason is told as long as it lasts; that the noise ends with the session is no return."""
+    status = Status()
+    status.take(start())
+    status.take({"event": "masking", "state": "on"})
+    assert status.facts()["warnings"] == []
+    status.take({"event": "masking_lost", "reason": "the sound device takes no more samples"})
+    lost = ["the beam is not masked: the sound device takes no more samples"]
+    assert status.facts()["warnings"] == lost
+    status.take({"event": "masking", "state": "off"})
+    assert status.facts()["warnings"] == lost
+    status.take({"event": "masking", "state": "on again"})
+    assert status.facts()["warnings"] == []
+
+
 def test_hasty_answers_doubles_and_missed_catch_trials_are_told() -> None:
     """Each with how often and where last; a catch trial is a trial of no velocity."""
     trials = [
