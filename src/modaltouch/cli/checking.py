@@ -95,6 +95,12 @@ def show(preflight: Preflight, *, compare: bool = False) -> None:
             f"{calibration['worst_modal_error_mm_s']:.2g} mm/s at {calibration['reference_mm_s']:g} mm/s"
         )
     console.print(_level_table(Table, stimuli))
+    if stimuli[-1]["release"] == "free":
+        console.print(
+            f"Released freely, at {stimuli[-1]['velocity_mm_s']:g} mm/s the first burst misses a mode by "
+            f"{stimuli[-1]['worst_modal_error_mm_s']:.1e} mm/s, the later ones, which begin before it has died out, by "
+            f"{stimuli[-1]['worst_modal_error_steady_mm_s']:.1e} mm/s"
+        )
     for stimulus in values.get("comparison", []):
         console.print(
             f"[dim]Law {stimulus['law']} at {stimulus['velocity_mm_s']:g} mm/s on the same rig: worst modal error "

@@ -44,6 +44,7 @@ def stimulus_figures(ground: Ground, stimulus: Stimulus, level: float) -> dict[s
         "achieved_mm_s": _by(labels, reached * 1e3),
         "achieved_displacement_mm_s": _by(labels, displacement * 1e3),
         "worst_modal_error_mm_s": finite(stimulus.worst_modal_error(velocity) * 1e3),
+        "worst_modal_error_steady_mm_s": finite(stimulus.worst_modal_error(velocity, steady=True) * 1e3),
         "peak_drive_V": _by(channels, stimulus.peak_drive(velocity)),
         "amplitude_Vpp": _by(channels, stimulus.amplitude_for(velocity)),
         "n_samples": ground.section.n_samples,

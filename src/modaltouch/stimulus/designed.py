@@ -225,15 +225,17 @@ class Stimulus(Voltages):
         """
         return self._read(self._played.states_steady(self.volts_per_code(velocity)))
 
-    def worst_modal_error(self, velocity: float) -> float:
-        """Return the largest of |velocity - aim| and |w eta - aim| over the modes, as `achieved` [m/s].
+    def worst_modal_error(self, velocity: float, *, steady: bool = False) -> float:
+        """Return the largest of |velocity - aim| and |w eta - aim| over the modes [m/s].
 
         Parameters
         ----------
         velocity : float
             Level [m/s].
+        steady : bool
+            Of the burst repeated for long, as `achieved_steady`; of the first one, as `achieved`, if not.
         """
-        reached, displacement = self.achieved(velocity)
+        reached, displacement = self.achieved_steady(velocity) if steady else self.achieved(velocity)
         share = velocity / self.wish.velocity
         miss = np.concatenate([reached - self.aim[0] * share, displacement - self.aim[1] * share])
         return float(np.abs(miss).max())

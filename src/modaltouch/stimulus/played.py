@@ -45,6 +45,12 @@ class Played:
         """States at the focusing instant for codes worth a volt each, (n_channels, n_states) array."""
         return states_by_channel(self.system, self.codes, self.timing, self.timing.focusing_instant)
 
+    @cached_property
+    def _left_per_volt(self) -> ComplexArray:
+        """States when the burst's end has arrived, for codes worth a volt each, (n_channels, n_states) array."""
+        end = self.timing.duration + self.system.delay
+        return states_by_channel(self.system, self.codes, self.timing, end)
+
     def states_at_focus(self, unit: FloatArray) -> ComplexArray:
         """Return the states at the focusing instant of the first burst, (n_states,) complex array.
 
@@ -65,7 +71,7 @@ class Played:
         """
         timing, exponent = self.timing, self.system.exponent
         end = timing.duration + self.system.delay
-        left = unit @ states_by_channel(self.system, self.codes, timing, end)
+        left = unit @ self._left_per_volt
         period = 1 / timing.repetition_rate
         carried = np.exp(exponent * (period - end + timing.focusing_instant)) / -np.expm1(exponent * period)
         return np.asarray(self.states_at_focus(unit) + left * carried)
