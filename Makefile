@@ -92,6 +92,12 @@ soak: install
 	MODALTOUCH_KILL_POINTS=1200 MODALTOUCH_SOAK_RESULTS=results/benchmarks/soak.json \
 	  $(PYTHON) -m pytest --timeout 7200 tests/sessions/test_durability.py
 
+## soak-identification: intervals judged by 200 seeds, and all nine modes through the whole driver, chirp and multisine
+.PHONY: soak-identification
+soak-identification: install
+	MODALTOUCH_IDENTIFIED_SEEDS=200 MODALTOUCH_SCANNED_POINTS=41 \
+	  $(PYTHON) -m pytest --timeout 3600 tests/identification/test_identify.py tests/identification/test_through_the_driver.py
+
 ## soak-calibration: forty beams calibrated through the whole driver, judged by the twin's true state
 .PHONY: soak-calibration
 soak-calibration: install

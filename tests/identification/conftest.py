@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from modaltouch.apparatus import Apparatus, read_apparatus
+from modaltouch.identification.identified import Identification, identify
 from modaltouch.identification.responses import FrequencyResponses
 from modaltouch.rig.simulator.true_beam import TrueBeam, true_beam
 
@@ -81,3 +82,9 @@ def make(beam: TrueBeam, exact: Callable[..., np.ndarray]) -> MakeResponses:
         )
 
     return responses
+
+
+@pytest.fixture(scope="session")
+def found(make: MakeResponses) -> Identification:
+    """Return the identification from nothing but noisy responses: no poles, no number of modes is given."""
+    return identify(make(0), LENGTH)

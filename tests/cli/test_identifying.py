@@ -1,0 +1,80 @@
+"""``modaltouch identify`` as a user gives it: exit status, words, one JSON object, nothing half-written."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from modaltouch.cli.app import app
+
+APPARATUS = str(Path(__file__).parents[2] / "protocols" / "apparatus" / "beam_100x6x2.yaml")
+RUN = CliRunner()
+
+
+def responses_file(folder: Path) -> Path:
+    """Write one velocity response of two modes."""
+    frequency = np.arange(1, 1200) * 0.5
+    omega = 2 * np.pi * frequency
+    values = np.zeros(frequency.size, dtype=complex)
+    for own, ratio in ((120.0, 0.01), (330.0, 0.01)):
+        pole = 2 * np.pi * own
+        values += 1j * omega / (pole**2 - omega**2 + 2j * ratio * pole * omega)
+    rng = np.random.default_rng(0)
+    values += 1e-5 * (rng.standard_normal(values.size) + 1j * rng.standard_normal(values.size))
+    path = folder / "point.npz"
+    np.savez(path, frequency=frequency, response=values[None, None], sets=["hammer"], quantity="velocity")
+    return path
+
+
+def test_file_becomes_table_and_figures(tmp_path: Path) -> None:
+    """One JSON object on standard output; no apparatus file, since a hammer has no volts."""
+    out = tmp_path / "out"
+    done = RUN.invoke(app, ["identify", str(responses_file(tmp_path)), "--out", str(out), "--json"])
+    assert done.exit_code == 0, done.output
+    result = json.loads(done.stdout)
+    assert [mode["natural_frequency_Hz"]["value"] for mode in result["modes"]] == pytest.approx([120, 330], rel=1e-3)
+    assert result["apparatus_file"] is None
+    assert {path.name for path in out.iterdir()} >= {"table_1.csv", "identification.json", "responses.png"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--points", "15"], "15 points are too few to tell modes 14 and 16 apart"),
+        (["--set", "left"], "'left' is not an actuator set"),
+        (["--modes", "some"], "--modes is 'some': give `listed`, `all`, or labels"),
+        (["--drive-V", "400"], "an excitation of 400 V was asked for: allowed above 0, up to 250 V"),
+        (["--highest-kHz", "500"], "an excitation up to 500 kHz was asked for"),
+        (["nothing.csv"], "nothing.csv: there is no such file"),
+    ],
+)
+def test_bad_input_ends_with_2_and_writes_nothing(tmp_path: Path, arguments: list[str], words: str) -> None:
+    """In words on standard error, in one JSON object with --json; the folder is not even made."""
+    command = ["identify", *arguments, "--apparatus", APPARATUS, "--out", str(tmp_path / "out")]
+    said = RUN.invoke(app, command)
+    assert said.exit_code == 2
+    assert words in " ".join(said.stderr.split())
+    told = RUN.invoke(app, [*command, "--json"])
+    assert told.exit_code == 2
+    assert words in json.loads(told.stdout)["error"]
+    assert not (tmp_path / "out").exists()
+
+
+def test_folder_without_a_set_is_refused(tmp_path: Path) -> None:
+    """A folder that holds no scan of a set: which one, and how to go on without it."""
+    said = RUN.invoke(app, ["identify", str(tmp_path), "--apparatus", APPARATUS, "--out", str(tmp_path / "out")])
+    assert said.exit_code == 2
+    assert "holds no scan of the actuator set centre (scan_centre is missing)" in " ".join(said.stderr.split())
+
+
+def test_folder_of_another_command_is_left_alone(tmp_path: Path) -> None:
+    """A plan lies there already: exit 4, before anything is measured."""
+    manifest = tmp_path / "manifest.json"
+    manifest.write_text(json.dumps({"generated_by": "modaltouch analyse", "command": "power", "files": {}}))
+    said = RUN.invoke(app, ["identify", str(responses_file(tmp_path)), "--out", str(tmp_path)])
+    assert said.exit_code == 4
+    assert "holds the output of another command" in said.stderr
