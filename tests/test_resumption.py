@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from modaltouch.console.interface import Facts, Request, Silence
 from modaltouch.observer import Observer
 from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol import ResumeSection
@@ -172,6 +173,43 @@ def test_a_restart_that_was_itself_killed_takes_the_place_it_had(edit: Edit, tmp
     again = resume(on_paper(wire_resume(log)))
     assert again.path == anew.path
     assert [event["event"] for event in read_chain(log).events].count("closed") == 1
+
+
+class Repeating(Silence):
+    """A console at which somebody has a trial repeated while the next one is on."""
+
+    def __init__(self, index: int) -> None:
+        self._index = index
+        self._asks = False
+
+    def show(self, facts: Facts) -> None:
+        shown = facts["trial"]
+        self._asks = self._asks or bool(
+            facts["state"] == "trial" and shown["number"] == self._index and not shown["practice"]
+        )
+
+    def requests(self) -> list[Request]:
+        if not self._asks:
+            return []
+        self._asks, self._index = False, -1
+        return [Request("repeat")]
+
+
+@pytest.mark.parametrize(("protocol", "lines"), [("demo.yaml", 1), ("threshold.yaml", 2)])
+def test_a_repeated_trial_supersedes_its_answer_and_the_record_stays_sound(
+    edit: Edit, tmp_path: Path, protocol: str, lines: int
+) -> None:
+    """The old answer stays, withdrawn; in an adaptive run the next one goes with it, its level followed from it."""
+    preflight = examine(edit(protocol)).require()
+    setup = wire_run(preflight, "p01", answers="simulated", results=tmp_path)
+    done = begin(replace(on_paper(setup), console=Repeating(6)))
+    assert done.complete
+    withdrawn = [event for event in done.events if event["event"] == "withdrawn"]
+    assert [len(event["lines"]) for event in withdrawn] == [lines]
+    old = [done.events[line - 1] for line in withdrawn[0]["lines"]]
+    assert [event["trial"]["index"] for event in old] == [5, 6][:lines]
+    assert len(asked(done)) == len(done.trials) + lines
+    assert verify_session(done.path).problems == ()
 
 
 def interrupted(hours_ago: float, *, clock: float = 1000.0, boot: str = "one") -> Session:

@@ -15,7 +15,9 @@ from typing import Any
 
 from modaltouch.protocol import ResumeSection
 from modaltouch.record.chain import RecordInputError
-from modaltouch.record.log import Session
+from modaltouch.record.folders import SessionFolder
+from modaltouch.record.log import Session, SessionLog
+from modaltouch.record.view import write_view
 from modaltouch.schedule import Schedule
 
 CLOCK_TOLERANCE = 60.0
@@ -130,6 +132,64 @@ def answers_to_ask_again(session: Session, schedule: Schedule, policy: ResumeSec
     return tuple(
         event["n"] for event in session.trials if not event["trial"]["practice"] and event["trial"]["block"] == cut
     )
+
+
+def go_on(
+    place: SessionFolder, schedule: Schedule, policy: ResumeSection, cut: Interruption, facts: dict[str, Any]
+) -> SessionLog:
+    """Return the open log of an interrupted session, with what the interruption cut and what is asked again.
+
+    Parameters
+    ----------
+    place : SessionFolder
+        Where it is recorded.
+    schedule : Schedule
+        Its trials.
+    policy : ResumeSection
+        How it goes on.
+    cut : Interruption
+        How it was interrupted.
+    facts : dict
+        What else the resume record says.
+
+    Raises
+    ------
+    RecordError
+        If the log is damaged, in use, or cannot be written.
+    """
+    log = SessionLog.reopen(place.log)
+    log.append("resume", at=policy.at, interruption=cut.as_dict(), **facts)
+    if cut.cut_trial is not None:
+        log.append("trial_cut", trial=cut.cut_trial, reason=f"interrupted ({cut.reason})")
+    lines = answers_to_ask_again(Session(log.path, tuple(log.events), ()), schedule, policy)
+    if lines:
+        log.append("withdrawn", lines=list(lines), reason="the block that was interrupted begins anew")
+    return log
+
+
+def begin_anew(old: SessionFolder, place: SessionFolder, cut: Interruption, facts: dict[str, Any]) -> SessionLog:
+    """Close an interrupted session and return the open log of the one that takes its place.
+
+    Parameters
+    ----------
+    old, place : SessionFolder
+        Where the interrupted session is recorded, and where the new one will be.
+    cut : Interruption
+        How the old one was interrupted.
+    facts : dict
+        What else the start record of the new one says.
+
+    Raises
+    ------
+    RecordError
+        If either log cannot be written.
+    """
+    with SessionLog.reopen(old.log) as log:
+        if Session(log.path, tuple(log.events), ()).begun_anew_as is None:
+            log.append("closed", begun_anew_as=place.session, interruption=cut.as_dict())
+        write_view(old, Session(log.path, tuple(log.events), ()), log.head)
+    begun = {"session": old.session, "interruption": cut.as_dict()}
+    return SessionLog.create(place.log, "start", **facts, begins_anew=begun)
 
 
 def _cut_trial(session: Session) -> dict[str, Any] | None:

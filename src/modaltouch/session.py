@@ -7,12 +7,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+from modaltouch.account import describe_answer, describe_placement, describe_trial
 from modaltouch.adaptive import Levels
 from modaltouch.console.experimenter import Experimenter
 from modaltouch.masking.interface import Masking, NoMasking
 from modaltouch.practice import expected_answer, judge_round
 from modaltouch.protocol import Protocol, ScheduleSection
-from modaltouch.record.instants import describe_instants
 from modaltouch.record.log import Session, SessionLog
 from modaltouch.rig.interface import Firing, Rig, RigError
 from modaltouch.trial import Response, Trial
@@ -91,8 +91,7 @@ def conduct(sitting: Sitting) -> None:
             sitting.window.rest(Progress(trial.index, sitting.total))
             rested = time.perf_counter()
         # The record alone decides the next level, so that a session that was killed goes on with the very same one.
-        answered = Session(sitting.log.path, tuple(sitting.log.events), ()).trials
-        settled = sitting.levels.settle(trial, answered)
+        settled = sitting.levels.settle(trial, _counted(sitting))
         run(sitting, settled, previous)
         previous = repeat(sitting, settled)
     sitting.window.goodbye()
@@ -101,14 +100,26 @@ def conduct(sitting: Sitting) -> None:
 def repeat(sitting: Sitting, previous: Trial) -> Trial:
     """Ask again what the experimenter wants repeated, and return the last trial that was run.
 
-    The first answer stays in the record, withdrawn: if nothing comes after it, `resume` asks the trial again.
+    The first answer stays in the record, withdrawn: if nothing comes after it, `resume` asks the trial again. In an
+    adaptive run, what was answered since is asked again too, for its level followed from that answer.
     """
     while (event := sitting.experimenter.take_repeat()) is not None:
-        trial = Trial.from_dict(event["trial"])
-        sitting.log.append("withdrawn", lines=[event["n"]], reason="the experimenter has the trial repeated")
-        run(sitting, trial, previous)
-        previous = trial
+        again = [event]
+        if sitting.protocol.adaptive is not None:
+            first = event["trial"]["index"]
+            again = [e for e in _counted(sitting) if not e["trial"]["practice"] and e["trial"]["index"] >= first]
+        lines = [each["n"] for each in again]
+        sitting.log.append("withdrawn", lines=lines, reason="the experimenter has the trial repeated")
+        for each in again:
+            trial = sitting.levels.settle(Trial.from_dict(each["trial"]), _counted(sitting))
+            run(sitting, trial, previous)
+            previous = trial
     return previous
+
+
+def _counted(sitting: Sitting) -> tuple[dict[str, Any], ...]:
+    """Return the trial events that count so far."""
+    return Session(sitting.log.path, tuple(sitting.log.events), ()).trials
 
 
 def practise(sitting: Sitting) -> Trial | None:
@@ -174,10 +185,12 @@ def run(sitting: Sitting, trial: Trial, previous: Trial | None) -> Response:
         If the outputs could not be switched off, or the instrument changed under every presentation.
     """
     sitting.tick()
-    sitting.experimenter.tell({"event": "trial_next", "trial": _describe_trial(sitting, trial)})
+    sitting.experimenter.tell(
+        {"event": "trial_next", "trial": describe_trial(sitting.protocol, sitting.speeds(trial), trial)}
+    )
     if previous is None or _placement(trial) != _placement(previous):
         sitting.window.place_fingers(trial)
-        sitting.log.append("placement", **_describe_placement(sitting.protocol, trial))
+        sitting.log.append("placement", **describe_placement(sitting.protocol, trial))
     for _ in range(ATTEMPTS):
         response, firing, fault = present(sitting, trial)
         write_down(sitting, trial, response, firing)
@@ -257,50 +270,18 @@ def fire(sitting: Sitting, trial: Trial) -> Firing:
 
 
 def write_down(sitting: Sitting, trial: Trial, response: Response, firing: Firing) -> None:
-    """Put the answer on the disk: planned, commanded, confirmed and answered apart."""
-    speed_left, speed_right = sitting.speeds(trial)
-    masked = sitting.masking.is_on
-    values, answered = trial.as_dict(), firing.onset + response.counted_from + response.reaction_time
-    sitting.log.append(
-        "trial",
-        trial=values,
-        presentation=sum(event["event"] == "fired" and event["trial"] == values for event in sitting.log.events),
-        fingers=list(fingers(sitting.protocol, trial)),
-        **({"catch": True} if trial.condition.is_catch else {}),
-        **({"masked": masked} if masked is not None else {}),
-        planned={
-            "velocity_mm_s": trial.condition.velocity_mm_s,
-            "speed_left_mm_s": round(speed_left * 1e3, 3),
-            "speed_right_mm_s": round(speed_right * 1e3, 3),
-        },
-        commanded={"amplitude_Vpp": list(firing.commanded_amplitude)},
-        confirmed=firing.as_dict(),
-        response=response.as_dict(),
-        instants=describe_instants(
-            onset=firing.onset,
-            onset_uncertainty=firing.onset_uncertainty,
-            period=1 / sitting.protocol.stimulus.repetition_rate_Hz,
-            answered=answered,
-            answer_uncertainty=response.time_uncertainty,
-            question=None if response.question_after is None else firing.onset + response.question_after,
-            question_uncertainty=response.question_uncertainty,
-            silent=trial.condition.is_catch,
-        ),
-        supersedes=_superseded(sitting.log, trial),
+    """Put the answer on the disk."""
+    facts = describe_answer(
+        sitting.protocol,
+        sitting.speeds(trial),
+        trial,
+        response,
+        firing,
+        masked=sitting.masking.is_on,
+        events=sitting.log.events,
     )
+    sitting.log.append("trial", **facts)
     sitting.save_view()
-
-
-def _superseded(log: SessionLog, trial: Trial) -> int | None:
-    """Return the line of the answer that a new one to the same trial replaces, if there is one."""
-    values = trial.as_dict()
-    events = (event for event in reversed(log.events) if event["event"] == "trial")
-    return next((event["n"] for event in events if event["trial"] == values), None)
-
-
-def fingers(protocol: Protocol, trial: Trial) -> tuple[str, str]:
-    """Return the fingers on the left and on the right zone."""
-    return trial.condition.fingers(protocol.conditions.hand)
 
 
 def _rest_is_due(schedule: ScheduleSection, trial: Trial, rested: float) -> bool:
@@ -312,31 +293,3 @@ def _rest_is_due(schedule: ScheduleSection, trial: Trial, rested: float) -> bool
 
 def _placement(trial: Trial) -> tuple[Any, ...]:
     return (trial.condition.finger_condition, *trial.condition.pair, trial.condition.placement)
-
-
-def _describe_trial(sitting: Sitting, trial: Trial) -> dict[str, Any]:
-    """Return what the experimenter should know of a trial."""
-    speed_left, speed_right = sitting.speeds(trial)
-    return {
-        "number": trial.index,
-        "practice": trial.practice,
-        "block": trial.block,
-        "velocity_mm_s": trial.condition.velocity_mm_s,
-        "predicted_left_mm_s": round(speed_left * 1e3, 1),
-        "predicted_right_mm_s": round(speed_right * 1e3, 1),
-        **_describe_placement(sitting.protocol, trial),
-    }
-
-
-def _describe_placement(protocol: Protocol, trial: Trial) -> dict[str, Any]:
-    left, right = fingers(protocol, trial)
-    condition = trial.condition
-    return {
-        "finger_condition": condition.finger_condition,
-        "placement": condition.placement,
-        "way": protocol.answers.way(condition.finger_condition),
-        "zone_left": condition.zone_left,
-        "zone_right": condition.zone_right,
-        "finger_left": left,
-        "finger_right": right,
-    }

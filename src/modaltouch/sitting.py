@@ -16,6 +16,7 @@ from modaltouch.console.interface import Console, Silence
 from modaltouch.console.status import Status
 from modaltouch.document import InputError
 from modaltouch.interruption import Interrupted, Interruption
+from modaltouch.journal import Journal
 from modaltouch.masking.interface import Masking, MaskingError, NoMasking
 from modaltouch.preflight import Preflight
 from modaltouch.preflight.figures import estimated_duration
@@ -26,8 +27,7 @@ from modaltouch.record.folders import SessionFolder
 from modaltouch.record.log import Session, SessionLog, read_session, refuse_existing
 from modaltouch.record.shape import SCHEMA
 from modaltouch.record.view import describe_dataset, hold_dataset, list_participants, write_view
-from modaltouch.resumption import Interruption as Cut
-from modaltouch.resumption import answers_to_ask_again, examine_interruption, refuse_old
+from modaltouch.resumption import begin_anew, examine_interruption, go_on, refuse_old
 from modaltouch.rig import is_simulated
 from modaltouch.rig.interface import Rig, RigError
 from modaltouch.schedule import Schedule, draw_schedule
@@ -88,48 +88,6 @@ class Setup:
     console: Console = field(default_factory=Silence)
 
 
-class Journal:
-    """Carries the events of instrument and window into the session log.
-
-    Events that come before the log exists are kept until it does. What is said to the instrument is gathered
-    and written in one line a step: an fsync for each command would cost more than the command.
-    """
-
-    def __init__(self) -> None:
-        self._log: SessionLog | None = None
-        self._early: list[tuple[str, dict[str, Any]]] = []
-        self._exchanges: list[dict[str, Any]] = []
-        self.listener: Callable[[dict[str, Any]], None] = lambda exchange: None
-        """Hears of each exchange with the instrument as it happens."""
-
-    def open(self, log: SessionLog) -> None:
-        """Write to this log from now on."""
-        self._log = log
-
-    def event(self, event: str, **facts: Any) -> None:
-        """Write an event of the window."""
-        if self._log is None:
-            self._early.append((event, facts))
-        else:
-            self._log.append(event, **facts)
-
-    def exchange(self, event: str, **facts: Any) -> None:
-        """Keep an exchange with the instrument until `flush`."""
-        self._exchanges.append({"what": event, **facts})
-        self.listener({"event": "exchange", "what": event, **facts})
-
-    def flush(self) -> None:
-        """Write everything that was kept."""
-        if self._log is None:
-            return
-        early, self._early = self._early, []
-        for event, facts in early:
-            self._log.append(event, **facts)
-        if self._exchanges:
-            exchanges, self._exchanges = self._exchanges, []
-            self._log.append("rig", exchanges=exchanges)
-
-
 def begin(setup: Setup) -> Session:
     """Run a new session and return it as recorded.
 
@@ -173,35 +131,13 @@ def resume(setup: Setup) -> Session:
         )
 
     cut = examine_interruption(session, now=datetime.now(UTC), clock=time.perf_counter(), boot=boot())
-    if setup.replaces is not None:
-        refuse_existing(setup.place.log)
-        return _sit(setup, lambda place, facts: _begin_anew(setup, cut, facts), "start")
-    refuse_old(session, cut, setup.preflight.experiment.protocol.schedule.resume)
-    return _sit(setup, lambda place, facts: _go_on(setup, cut, facts), "resume")
-
-
-def _go_on(setup: Setup, cut: Cut, facts: dict[str, Any]) -> SessionLog:
-    """Return the log of an interrupted session, with what the interruption cut and what is asked again."""
     policy = setup.preflight.experiment.protocol.schedule.resume
-    log = SessionLog.reopen(setup.place.log)
-    log.append("resume", at=policy.at, interruption=cut.as_dict(), **facts)
-    if cut.cut_trial is not None:
-        log.append("trial_cut", trial=cut.cut_trial, reason=f"interrupted ({cut.reason})")
-    lines = answers_to_ask_again(Session(log.path, tuple(log.events), ()), setup.schedule, policy)
-    if lines:
-        log.append("withdrawn", lines=list(lines), reason="the block that was interrupted begins anew")
-    return log
-
-
-def _begin_anew(setup: Setup, cut: Cut, facts: dict[str, Any]) -> SessionLog:
-    """Close an interrupted session and return the log of the one that takes its place."""
-    old = setup.replaces or setup.place
-    with SessionLog.reopen(old.log) as log:
-        if Session(log.path, tuple(log.events), ()).begun_anew_as is None:
-            log.append("closed", begun_anew_as=setup.place.session, interruption=cut.as_dict())
-        write_view(old, Session(log.path, tuple(log.events), ()), log.head)
-    begun = {"session": old.session, "interruption": cut.as_dict()}
-    return SessionLog.create(setup.place.log, "start", **facts, begins_anew=begun)
+    if setup.replaces is not None:
+        old = setup.replaces
+        refuse_existing(setup.place.log)
+        return _sit(setup, lambda place, facts: begin_anew(old, place, cut, facts), "start")
+    refuse_old(session, cut, policy)
+    return _sit(setup, lambda place, facts: go_on(place, setup.schedule, policy, cut, facts), "resume")
 
 
 def _sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], SessionLog], first: str) -> Session:
