@@ -103,6 +103,8 @@ def _chance(own: Sequence[Finding], answers: AnswerCounts) -> str:
         f"an even split over left, both and right (exact multinomial test ordered by likelihood ratio, Holm-corrected "
         f"over {len(own)} cells, p ≤ {ALPHA:g})."
     )
+    if answers.offers_none:
+        text += " “None” is left out of this test, which asks where something was felt; it counts in every share."
     if rest and beyond:
         text += f" They do not in {_join(rest)}."
     least = own[0].p_min
