@@ -345,10 +345,14 @@ KINDS = (
     "garbled_upload",
     "scpi_error",
     "power_cycle",
+    "wrong_reply",
 )
 
+WRONG = ("", "nonsense", "1", "0", "-1", "9.9E37", "1;1", "0;0;0;0;0", '0,"No error"', "1;1;1;1;0", "nan", "USER1;TRIG")
+"""Replies that belong to other questions, or to none."""
 
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture], derandomize=True)
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture], derandomize=True)
 @given(kind=st.sampled_from(KINDS), nth=st.integers(0, 60), times=st.integers(1, 2))
 def test_no_fault_at_any_message_leaves_outputs_on_or_confirms_a_wrong_stimulus(
     kind: str,
@@ -363,7 +367,7 @@ def test_no_fault_at_any_message_leaves_outputs_on_or_confirms_a_wrong_stimulus(
     simulator.power_cycle()
     simulator.faults.clear()
     refused = "outputs"
-    values = {"delayed_reply": 0.3, "scpi_error": -310}
+    values = {"delayed_reply": 0.3, "scpi_error": -310, "wrong_reply": WRONG[nth % len(WRONG)]}
     with counted(simulator, nth, lambda: simulator.faults.inject(kind, value=values.get(kind, 0), times=times)):
         try:
             with open_generator() as rig:
