@@ -63,7 +63,8 @@ class Guard(Transport, typing.Protocol):
 class Watchdog:
     """A process that holds the VISA session, and switches the outputs off when this one dies or stalls.
 
-    One that dies or gets stuck itself is replaced by the next `open`. Use it from one thread.
+    One that dies or gets stuck itself is replaced by the next `open`. Use it from one thread; a sign of life may come
+    from any.
 
     Parameters
     ----------
