@@ -71,7 +71,7 @@ class Vxi11Server:
     def drop_connections(self) -> None:
         """Reset every open connection, as pulling the plug does."""
         with self._guard:
-            connections = list(self._connections)
+            connections, self._connections = self._connections, set()
         for connection in connections:
             _reset(connection)
 
@@ -100,6 +100,9 @@ class Vxi11Server:
             with connection, connection.makefile("rb") as stream:
                 while True:
                     call = read_record(stream, 4 * LARGEST_MESSAGE)
+                    # What still arrives over a connection that is being reset is not heard.
+                    if connection not in self._connections:
+                        return
                     body = self._answer(call, own)
                     connection.sendall(as_record(body))
         except (HangUp, struct.error, OSError, EOFError, ValueError):
