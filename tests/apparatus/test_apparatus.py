@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modaltouch.apparatus import Apparatus, read_apparatus
+from modaltouch.apparatus import Apparatus, offered_gains, read_apparatus
 from modaltouch.document import InputError
+from modaltouch.stimulus.patches import patch_gains
 
 Edit = Callable[..., Path]
 FILE = "apparatus/beam_100x6x2.yaml"
@@ -205,3 +206,41 @@ def test_an_apparatus_without_a_twin_has_an_ideal_beam(edit: Edit, apparatus: Ap
     assert twin.natural_frequency_mismatch == twin.gain_mismatch == twin.generator_gain_mismatch == 0
     assert (twin.fingers, twin.amplifier.bandwidth_kHz, twin.amplifier.delay_us) == (None, None, None)
     assert apparatus.twin.unlisted_modes != ()
+
+
+def test_patches_offer_the_gains_that_the_table_lacks(edit: Edit) -> None:
+    """Ratios by theory, their common factor by the one gain measured: slope differences of mode 9 over those of 5."""
+    pair = "side: {channel: 2, patches_mm: [[-30, -15], [15, 30]]}"
+    apparatus = read_apparatus(
+        edit(
+            FILE,
+            ("side: {channel: 2}", pair),
+            ("gain_mm_s2_per_V: {side: -8346}", "gain_mm_s2_per_V: {}"),
+        )
+    )
+    unit = patch_gains([5, 7, 9], [(-0.03, -0.015), (0.015, 0.03)], 0.1)
+    offered = {(label, name): gain for label, name, gain in offered_gains(apparatus)}
+    assert offered[7, "side"] == pytest.approx(6500 * unit[1] / unit[0], rel=1e-12)
+    # Mode 9 is in the table, but assumed; what is measured is not offered again.
+    assert offered[9, "side"] == pytest.approx(6500 * unit[2] / unit[0], rel=1e-12)
+    assert (5, "side") not in offered
+    assert (1, "side") not in offered
+
+
+def test_without_patches_nothing_is_offered(apparatus: Apparatus) -> None:
+    """The paper does not say where its patches are."""
+    assert offered_gains(apparatus) == ()
+
+
+@pytest.mark.parametrize(
+    ("ends", "message"),
+    [
+        ("[15, 60]", r"a patch from 15 to 60 mm; allowed: from -50 to 50 mm, where the beam of 100 mm ends"),
+        ("[30, 15]", r"a patch from 30 to 15 mm; allowed: the left end first; exchange the two ends"),
+    ],
+)
+def test_impossible_patches_are_refused_in_their_place(edit: Edit, ends: str, message: str) -> None:
+    """With file, line and column."""
+    file = edit(FILE, ("side: {channel: 2}", f"side: {{channel: 2, patches_mm: [{ends}]}}"))
+    with pytest.raises(InputError, match=r"beam_100x6x2\.yaml:22:35: .*" + message):
+        read_apparatus(file)

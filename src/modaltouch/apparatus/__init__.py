@@ -6,6 +6,7 @@ from pathlib import Path
 
 from modaltouch.apparatus.checks import check_apparatus, zone_edges
 from modaltouch.apparatus.intervals import Identified, Intervals, Provenance
+from modaltouch.apparatus.offered import offered_gains
 from modaltouch.apparatus.sections import (
     Acquisition,
     ActuatorSet,
@@ -49,6 +50,7 @@ __all__ = [
     "examine_apparatus",
     "read_apparatus",
     "zone_edges",
+    "offered_gains",
 ]
 
 

@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Iterator
 
 from modaltouch.apparatus.measured_shapes import check_shapes
+from modaltouch.apparatus.offered import check_patches
 from modaltouch.apparatus.sections import Apparatus, Zone
 from modaltouch.document import Problem, Reading, suggest
 
@@ -18,6 +19,7 @@ def check_apparatus(reading: Reading[Apparatus]) -> list[Problem]:
         *_check_modes(reading),
         *_check_unlisted(reading),
         *check_shapes(reading),
+        *check_patches(reading),
     ]
 
 

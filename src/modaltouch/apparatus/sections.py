@@ -60,6 +60,10 @@ class ActuatorSet(Section):
     """Patches wired together and fed by one generator output."""
 
     channel: Annotated[int, Field(strict=True, ge=1, le=2)] = described("Generator output that feeds the set.")
+    patches_mm: tuple[tuple[Number, Number], ...] = described(
+        "Left and right end of each patch [mm from mid-beam], by which the check offers gains that the table lacks.",
+        default=(),
+    )
 
 
 class Mode(Section):

@@ -9,6 +9,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from modaltouch.apparatus import offered_gains
 from modaltouch.document import InputError, Problem
 from modaltouch.preflight.advice import answer_warnings, default_warnings, field_warnings, taken_defaults
 from modaltouch.preflight.faults import locate
@@ -159,6 +160,7 @@ class Preflight:
             "contrasts": [],
             "unknown_gains": [],
             "assumed_gains": [],
+            "offered_gains": [],
         }
         if reading is not None and reading.value is not None:
             values |= _design_figures(reading.value)
@@ -177,6 +179,9 @@ class Preflight:
             "contrasts": contrasts(protocol, self.stimuli[-1]["zone_peak_mm_s"]),
             "unknown_gains": [{"mode": label, "set": name} for label, name in apparatus.unknown_gains()],
             "assumed_gains": [{"mode": label, "set": name} for label, name in apparatus.assumed_gains()],
+            "offered_gains": [
+                {"mode": label, "set": name, "gain_mm_s2_per_V": gain} for label, name, gain in offered_gains(apparatus)
+            ],
         }
         if compare:
             values |= {"comparison": self.comparison(), "continuous_fallback": self.continuous_fallback()}

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from modaltouch.apparatus import offered_gains
 from modaltouch.preflight.ground import Ground
 from modaltouch.protocol import Protocol
 from modaltouch.stimulus.design import Stimulus
@@ -136,6 +137,9 @@ def warnings(ground: Ground, stimulus: Stimulus, figures: list[dict[str, Any]]) 
     if ground.apparatus.assumed_gains():
         modes = ", ".join(f"{label} ({name})" for label, name in ground.apparatus.assumed_gains())
         said.append(f"the gains of these modes are assumed, not measured: {modes}")
+    if offered := offered_gains(ground.apparatus):
+        gains = ", ".join(f"{label} ({name}) {gain:.4g}" for label, name, gain in offered)
+        said.append(f"the patches offer gains that are not measured, in mm/s^2 per V by mode and set: {gains}")
     if stimulus.condition_number > 1e6:
         said.append(f"the condition number is {stimulus.condition_number:.1e}: two modes are nearly alike")
     worst = max(figures, key=lambda each: each["worst_modal_error_mm_s"] / each["velocity_mm_s"], default=None)
