@@ -54,7 +54,7 @@ def describe_answer(
         "instants": describe_instants(
             onset=firing.onset,
             onset_uncertainty=firing.onset_uncertainty,
-            period=1 / protocol.stimulus.repetition_rate_Hz,
+            period=1 / protocol.stimulus_of(trial.condition.stimulus).repetition_rate_Hz,
             answered=answered,
             answer_uncertainty=response.time_uncertainty,
             question=None if response.question_after is None else firing.onset + response.question_after,

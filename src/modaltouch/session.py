@@ -256,8 +256,10 @@ def fire(sitting: Sitting, trial: Trial) -> Firing:
     # A catch trial does all that one at the lowest level does, but lets no burst go.
     silent = trial.condition.is_catch
     level = min(sitting.protocol.conditions.peak_velocities_mm_s) if silent else trial.condition.velocity_mm_s
+    names = sitting.protocol.stimulus_names
+    which = names.index(trial.condition.stimulus) if trial.condition.stimulus in names else 0
     for attempt in range(1, ATTEMPTS + 1):
-        firing = sitting.rig.fire(level * 1e-3, silent=silent)
+        firing = sitting.rig.fire(level * 1e-3, silent=silent, which=which)
         if firing.confirmed:
             return firing
         sitting.rig.stop()

@@ -153,7 +153,7 @@ def _sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessi
             # An address may lead to a simulator; its data never land among real ones.
             setup = replace(setup, place=replace(setup.place, mode="simulated"))
             refuse_existing(setup.place.log)
-        rig.load(setup.preflight.stimulus.burst)
+        rig.load(*setup.preflight.bursts)
 
         def tick() -> Wish | None:
             interruption.check()
@@ -282,6 +282,7 @@ def _describe(setup: Setup, rig: Rig, window: AnswerWindow, masking: Masking, fi
             "velocity_mm_s": burst.velocity * 1e3,
             "amplitude_Vpp": list(burst.amplitude),
             "stimuli": setup.preflight.as_dict()["stimuli"],
+            **({"content_hashes": setup.preflight.content_hashes} if experiment.protocol.stimuli else {}),
         },
         **about,
     }

@@ -36,6 +36,8 @@ class Condition:
     placement : str
         ``normal``; ``mirrored`` (the beam turned end to end, so that its last zone lies on the left);
         ``swapped`` (the other hand in ``one_hand``, crossed hands in ``two_hands``); ``mirrored_swapped``.
+    stimulus : str
+        Which of the protocol's stimuli; empty where it has one alone, and in a catch trial.
     """
 
     finger_condition: str
@@ -43,6 +45,7 @@ class Condition:
     zone_right: str
     velocity_mm_s: float
     placement: str = "normal"
+    stimulus: str = ""
 
     @property
     def pair(self) -> tuple[str, str]:
@@ -101,7 +104,10 @@ class Trial:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the trial as plain values for the record."""
-        return asdict(self)
+        values = asdict(self)
+        if not self.condition.stimulus:
+            del values["condition"]["stimulus"]
+        return values
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> Trial:

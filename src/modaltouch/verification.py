@@ -100,8 +100,10 @@ def _check_order(session: Session) -> tuple[bool, str]:
 def _check_drive(session: Session) -> tuple[bool, str]:
     preflight = examine_findings(examine_sources(Sources.from_dict(session.start["sources"]))).require()
     found, recorded = preflight.stimulus.burst.content_hash, session.start["stimulus"]["content_hash"]
-    if found == recorded:
-        return True, f"drive computed again: the same codes ({found[:12]})"
+    hashes = session.start["stimulus"].get("content_hashes")
+    if found == recorded and (hashes is None or hashes == preflight.content_hashes):
+        words = f"drives of {len(hashes)} stimuli" if hashes else "drive"
+        return True, f"{words} computed again: the same codes ({found[:12]})"
     return (
         False,
         f"{session.path}: the drive computed again has the hash {found[:12]}, the record says {recorded[:12]}",

@@ -126,19 +126,20 @@ class Wires:
         if self._observer.front_end == "peak" or trial.condition.is_catch:
             return peaks
         # The twin tells peaks; what else is felt follows the predicted history, at the twin's size.
-        level = trial.condition.velocity_mm_s * 1e-3
+        level, sense = trial.condition.velocity_mm_s * 1e-3, self._senses[trial.condition.stimulus]
         left, right = (
-            self._sense.at(zone, level) * peak / expected
+            sense.at(zone, level) * peak / expected
             for zone, peak, expected in zip(trial.condition.pair, peaks, predicted, strict=True)
         )
         return left, right
 
     @cached_property
-    def _sense(self) -> Felt:
-        """What the observer's front end makes of the predicted velocities."""
+    def _senses(self) -> dict[str, Felt]:
+        """What the observer's front end makes of the predicted velocities of each stimulus."""
         zones = self._preflight.experiment.apparatus.zones
         centres = {name: zone.centre_mm * 1e-3 for name, zone in zones.items()}
-        return Felt(self._preflight.stimulus, centres, self._observer.front_end)
+        parts = self._preflight.parts.items()
+        return {name: Felt(part.stimulus, centres, self._observer.front_end) for name, part in parts}
 
 
 def wire_run(

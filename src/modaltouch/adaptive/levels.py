@@ -90,7 +90,7 @@ class Levels:
             condition = Condition(**event["trial"]["condition"])
             counts = event["confirmed"]["confirmed"] and not event["trial"]["practice"] and not condition.is_catch
             if counts and run_of(condition) == run:
-                focus, answer = self._protocol.stimulus.focus, event["response"]["answer"]
+                focus, answer = self._protocol.stimulus_of(condition.stimulus).focus, event["response"]["answer"]
                 success = is_success(self._rule, focus, condition.zone_left, answer)
                 found.append(Presented(event["trial"]["index"], condition.velocity_mm_s, success))
         return sorted(found, key=lambda each: each.index)

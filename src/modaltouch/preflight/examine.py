@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
@@ -22,9 +22,11 @@ from modaltouch.preflight.figures import (
 )
 from modaltouch.preflight.ground import Ground, design, find_ground
 from modaltouch.preflight.limits import check_levels, fits_generator
+from modaltouch.preflight.several import at_stimulus, check_calibrations, check_memories, each_stimulus
 from modaltouch.preflight.sound import check_masking_level, sound_warnings
 from modaltouch.protocol import Experiment, Findings, Protocol, examine_files
 from modaltouch.schedule import draw_schedule
+from modaltouch.stimulus.burst import Burst
 from modaltouch.stimulus.design import Stimulus
 from modaltouch.stimulus.drive import Law, Release
 from modaltouch.trial import Trial
@@ -43,13 +45,16 @@ class Preflight:
     ground : Ground or None
         What the stimulus was designed from; None where the files do not say it.
     designed : Stimulus or None
-        The stimulus of all levels; None where there is none.
+        The stimulus of all levels; None where there is none. Of several, the first.
+    variants : dict of str to Preflight
+        Of several stimuli, the protocol with each of them alone; empty where it has one.
     """
 
     findings: Findings
     problems: tuple[Problem, ...]
     ground: Ground | None
     designed: Stimulus | None
+    variants: dict[str, Preflight] = field(default_factory=dict)
 
     def require(self) -> Self:
         """Return the preflight itself if a session may run.
@@ -88,6 +93,21 @@ class Preflight:
         return self._sound[1]
 
     @property
+    def parts(self) -> dict[str, Preflight]:
+        """The protocol with each of its stimuli alone, by name; itself, without a name, where it has one."""
+        return self.variants or {"": self}
+
+    @property
+    def bursts(self) -> tuple[Burst, ...]:
+        """The burst of each stimulus, in the protocol's order."""
+        return tuple(part.stimulus.burst for part in self.parts.values())
+
+    @property
+    def content_hashes(self) -> dict[str, str]:
+        """Hash of the burst of each stimulus, by name."""
+        return {name: part.stimulus.burst.content_hash for name, part in self.parts.items()}
+
+    @property
     def _sound(self) -> tuple[Ground, Stimulus]:
         if self.problems or self.ground is None or self.designed is None:
             raise InputError(self.problems)
@@ -103,7 +123,7 @@ class Preflight:
         """
         if trial.condition.is_catch:
             return 0.0, 0.0
-        ground, stimulus = self._sound
+        ground, stimulus = self.parts[trial.condition.stimulus]._sound
         peaks = stimulus.peak_velocity(zone_centres(ground), trial.condition.velocity_mm_s * 1e-3)
         by_zone = dict(zip(ground.zones, peaks.tolist(), strict=True))
         return by_zone[trial.condition.zone_left], by_zone[trial.condition.zone_right]
@@ -113,6 +133,8 @@ class Preflight:
         """What each level does to the beam, in the protocol's order; empty where anything is wrong."""
         if self.problems:
             return []
+        if self.variants:
+            return [{"stimulus": name, **each} for name, part in self.parts.items() for each in part.stimuli]
         ground, stimulus = self._sound
         return [stimulus_figures(ground, stimulus, level) for level in ground.levels.values()]
 
@@ -120,6 +142,8 @@ class Preflight:
         """Return what the other drive law would do on the same rig, level by level."""
         if self.problems:
             return []
+        if self.variants:
+            return [{"stimulus": name, **each} for name, part in self.parts.items() for each in part.comparison()]
         ground, stimulus = self._sound
         other: Law = "paper" if stimulus.law == "exact" else "exact"
         compared = stimulus.under_law(other)
@@ -166,17 +190,16 @@ class Preflight:
             values |= _design_figures(reading.value)
         if self.problems:
             return values
-        ground, stimulus = self._sound
+        ground, _ = self._sound
         protocol, apparatus = self.experiment.protocol, ground.apparatus
         values |= {
             "warnings": [
-                *field_warnings(ground, stimulus, self.stimuli),
-                *warnings(ground, stimulus, self.stimuli),
+                *self._stimulus_warnings(),
                 *answer_warnings(protocol),
                 *sound_warnings(protocol, self.experiment.apparatus),
                 *default_warnings(values["defaults"]),
             ],
-            "contrasts": contrasts(protocol, self.stimuli[-1]["zone_peak_mm_s"]),
+            "contrasts": self._contrasts(),
             "unknown_gains": [{"mode": label, "set": name} for label, name in apparatus.unknown_gains()],
             "assumed_gains": [{"mode": label, "set": name} for label, name in apparatus.assumed_gains()],
             "offered_gains": [
@@ -186,6 +209,22 @@ class Preflight:
         if compare:
             values |= {"comparison": self.comparison(), "continuous_fallback": self.continuous_fallback()}
         return values
+
+    def _stimulus_warnings(self) -> list[str]:
+        said = []
+        for name, part in self.parts.items():
+            ground, stimulus = part._sound
+            own = [*field_warnings(ground, stimulus, part.stimuli), *warnings(ground, stimulus, part.stimuli)]
+            said += [f"stimulus {name}: {each}" if name else each for each in own]
+        return said
+
+    def _contrasts(self) -> list[dict[str, Any]]:
+        protocol = self.experiment.protocol
+        return [
+            {**({"stimulus": name} if name else {}), **row}
+            for name, part in self.parts.items()
+            for row in contrasts(protocol, part.stimuli[-1]["zone_peak_mm_s"])
+        ]
 
     def _calibration(self) -> dict[str, Any] | None:
         """Return which calibration is used and how far from the wish it left the beam; None without one."""
@@ -236,6 +275,9 @@ def examine_findings(findings: Findings) -> Preflight:
     findings : Findings
         The files and what is wrong with them.
     """
+    reading = findings.protocol
+    if reading is not None and reading.value is not None and reading.value.stimuli and not findings.problems:
+        return _examine_several(findings)
     problems = list(findings.problems)
     ground, stimulus = find_ground(findings), None
     if ground is not None and findings.protocol is not None:
@@ -248,6 +290,21 @@ def examine_findings(findings: Findings) -> Preflight:
     if findings.protocol is not None and findings.protocol.value is not None:
         problems += [*_check_schedule(findings), *check_masking_level(findings)]
     return Preflight(findings, tuple(sorted(set(problems))), ground, stimulus)
+
+
+def _examine_several(findings: Findings) -> Preflight:
+    """Return the check of a protocol with several stimuli: of each alone, and of all together."""
+    refused = tuple(check_calibrations(findings))
+    if refused:
+        return Preflight(findings, refused, None, None)
+    variants = {name: examine_findings(alone) for name, alone in each_stimulus(findings)}
+    problems = {problem for name, part in variants.items() for problem in at_stimulus(findings, name, part.problems)}
+    first = next(iter(variants.values()))
+    together = Preflight(findings, (), first.ground, first.designed, variants)
+    if not problems:
+        problems.update(check_memories(findings, together.bursts))
+    problems.update([*_check_schedule(findings), *check_masking_level(findings)])
+    return replace(together, problems=tuple(sorted(problems)))
 
 
 def design_to_fit(ground: Ground, *, release: Release | None = None) -> Stimulus:

@@ -3,6 +3,7 @@
 ``sections``    the protocol file's keys
 ``texts``       the words the participant reads
 ``masking``     the keys of the masking noise
+``stimulus_sections``  the keys of the stimulus, and of several
 ``adaptive``    the keys of adaptive runs
 ``observers``   the keys of an observer file
 ``keys``        names of the keys that can answer
@@ -15,6 +16,7 @@
 """
 
 from modaltouch.protocol.adaptive import AdaptiveSection, StaircaseSection
+from modaltouch.protocol.checks import check_protocol
 from modaltouch.protocol.experiment import (
     Experiment,
     Findings,
@@ -24,6 +26,7 @@ from modaltouch.protocol.experiment import (
     read_protocol,
     restore_experiment,
 )
+from modaltouch.protocol.fit import check_fit
 from modaltouch.protocol.keys import END_KEY, KEY_NAMES, RESERVED_KEYS
 from modaltouch.protocol.masking import MaskingSection
 from modaltouch.protocol.sections import (
@@ -35,9 +38,8 @@ from modaltouch.protocol.sections import (
     Protocol,
     ResumeSection,
     ScheduleSection,
-    StimulusSection,
-    WishedField,
 )
+from modaltouch.protocol.stimulus_sections import StimulusSection, StimulusVariant, WishedField
 from modaltouch.protocol.texts import Texts
 
 __all__ = [
@@ -59,8 +61,11 @@ __all__ = [
     "Sources",
     "StaircaseSection",
     "StimulusSection",
+    "StimulusVariant",
     "Texts",
     "WishedField",
+    "check_fit",
+    "check_protocol",
     "examine_files",
     "examine_sources",
     "read_protocol",

@@ -46,6 +46,11 @@ def _check_order(reading: Reading[Protocol]) -> Iterator[Problem]:
         given = f"{repetitions} where runs are adaptive"
         remedy = "remove it; adaptive.trials says how long a run is"
         yield reading.problem(("schedule", "repetitions"), given, "1", remedy)
+    trials, n_stimuli = reading.sound("adaptive", "trials"), len(reading.sound("stimuli") or ()) or 1
+    if trials is not None and trials % n_stimuli:
+        given = f"{trials}, which {n_stimuli} stimuli cannot share"
+        allowed = f"a multiple of {n_stimuli}, such as {trials - trials % n_stimuli + n_stimuli}"
+        yield reading.problem(("adaptive", "trials"), given, allowed)
     if order in ("by_velocity", "latin_square"):
         remedy = "shuffle the runs into each other, or take one after the other"
         given = f"{order}, where the levels are not known beforehand"
@@ -55,7 +60,8 @@ def _check_order(reading: Reading[Protocol]) -> Iterator[Problem]:
 def _check_success(reading: Reading[Protocol]) -> Iterator[Problem]:
     success = reading.sound("adaptive", "success") or "focus_named"
     focus = reading.sound("stimulus", "focus")
-    if success == "focus_named" and focus is not None:
+    # Of several stimuli each is looked at by itself; what they share need not be one of them.
+    if success == "focus_named" and focus is not None and not reading.sound("stimuli"):
         for index, pair in reading.items("conditions", "zone_pairs"):
             if focus not in pair:
                 given = f"[{pair[0]}, {pair[1]}], neither of which is in focus, where success is naming the focus"

@@ -17,7 +17,7 @@ from modaltouch.document.section import (
     Word,
     described,
 )
-from modaltouch.protocol.sections import StimulusSection
+from modaltouch.protocol.stimulus_sections import StimulusSection
 
 Hash = Annotated[Text, Field(pattern=r"^[0-9a-f]{64}$", json_schema_extra={"x-allowed": "64 hexadecimal digits"})]
 

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Discriminator, Field, Tag
+from pydantic import Field
 
 from modaltouch.document.section import (
     Count,
     FileName,
-    Label,
     NotNegative,
-    Number,
     Positive,
     Section,
     Text,
@@ -20,82 +18,16 @@ from modaltouch.document.section import (
 )
 from modaltouch.protocol.adaptive import AdaptiveSection
 from modaltouch.protocol.masking import MaskingSection
+from modaltouch.protocol.stimulus_sections import StimulusSection, StimulusVariant, ZoneName
 
 FingerCondition = Literal["one_hand", "two_hands"]
 AnswerWay = Literal["free_hand", "lifting", "foot_switch", "experimenter"]
 Placement = Literal["normal", "mirrored", "swapped", "mirrored_swapped"]
 OfferedAnswer = Literal["left", "both", "right", "none"]
-ZoneName = Annotated[Word, Field(json_schema_extra={"x-allowed": "the name of a zone of the beam"})]
 ZonePair = tuple[ZoneName, ZoneName]
-SampleCount = Annotated[int, Field(strict=True, ge=2, le=131_072, multiple_of=2)]
 KeyName = Annotated[Text, Field(json_schema_extra={"x-allowed": "the name of a key"})]
 
 _UNIQUE = {"uniqueItems": True}
-
-
-class WishedField(Section):
-    """The velocity map wished at the focusing instant."""
-
-    shape: Literal["triangle", "box", "half_cosine", "raised_cosine", "gaussian", "sampled"] = described(
-        "Shape of the velocity over the beam; sampled: straight lines between points.", default="triangle"
-    )
-    base_mm: Positive = described(
-        "Width of its base; for the gaussian, its full width at half maximum [mm].", default=56.0
-    )
-    points: Annotated[tuple[tuple[Number, Number], ...], Field(min_length=2, max_length=10_000)] | None = described(
-        "Points of a sampled field: position [mm from mid-beam] and velocity, in any unit, since the level is what the "
-        "centre of the focus zone reaches.",
-        default=None,
-    )
-    file: Text | None = described(
-        "File of the points of a sampled field, with the columns position_mm and velocity, seen from this file.",
-        default=None,
-    )
-
-
-def _kind_of_selection(value: object) -> str:
-    return "labels" if isinstance(value, list | tuple) else "number"
-
-
-Selection = Annotated[
-    Annotated[Count, Tag("number")] | Annotated[tuple[Label, ...], Field(min_length=1), Tag("labels")],
-    Discriminator(_kind_of_selection),
-]
-
-
-class StimulusSection(Section):
-    """The burst that every trial plays, up to its level."""
-
-    law: Literal["exact", "paper"] = described(
-        "Drive law: exact (least energy, every modelled mode met) or paper (its equations 6 and 7).",
-        default="exact",
-    )
-    design: Literal["least_energy", "norm_4", "norm_8", "least_peak"] = described(
-        "Which of the exact law's voltages: of least energy, or of less peak voltage for more energy, down to the "
-        "least peak, which jumps from end to end and shakes what is not modelled.",
-        default="least_energy",
-    )
-    focus: ZoneName = described("Zone whose centre reaches the peak velocity.")
-    further_foci: Annotated[tuple[ZoneName, ...], Field(max_length=20)] = described(
-        "Zones at whose centres the same shape is wished at the same time.", default=()
-    )
-    field: WishedField = described("The velocity map wished at the focusing instant.", default=WishedField())
-    decomposed_modes: Annotated[Count, Field(le=1000)] = described(
-        "Number of modes on which the wished field is projected.", default=50
-    )
-    selected_modes: Selection = described(
-        "Number of modelled modes to drive, the strongest first, or a list of their labels.", default=6
-    )
-    focusing_instant_ms: Positive = described("When the field reaches its wish [ms from the start].", default=25.0)
-    duration_ms: Positive = described("Length of a burst [ms].", default=50.0)
-    release: Literal["braked", "free"] = described(
-        "After the focusing instant: braked to rest at the end of the burst, or free to decay.",
-        default="braked",
-    )
-    n_samples: SampleCount = described(
-        "Samples of a burst; 125,000 are held exactly 100 clocks each by the generator.", default=125_000
-    )
-    repetition_rate_Hz: Positive = described("Bursts per second [Hz].", default=7.0)  # noqa: N815
 
 
 class ConditionsSection(Section):
@@ -270,6 +202,11 @@ class Protocol(Section):
     apparatus: Text = described("File of the apparatus, seen from this file.")
     texts: Text = described("File of the participant's texts, seen from this file.")
     stimulus: StimulusSection = described("The burst that every trial plays, up to its level.")
+    stimuli: dict[Word, StimulusVariant] = described(
+        "Several stimuli, by name, that every condition is presented with, each in memories of its own; the section "
+        "stimulus holds what they share. Empty for that one alone.",
+        default={},
+    )
     conditions: ConditionsSection = described("The cells of the design.")
     schedule: ScheduleSection = described("How the trials are ordered.", default=ScheduleSection())
     masking: MaskingSection | None = described(
@@ -291,7 +228,7 @@ class Protocol(Section):
     @property
     def trials_per_block(self) -> int:
         """Number of trials of one finger condition, catch trials with them."""
-        n_cells = len(self.conditions.zone_pairs) * len(self.scheduled_levels)
+        n_cells = len(self.conditions.zone_pairs) * len(self.scheduled_levels) * len(self.stimulus_names)
         return n_cells * self.scheduled_repetitions + self.schedule.catch_trials
 
     @property
@@ -301,5 +238,20 @@ class Protocol(Section):
 
     @property
     def scheduled_repetitions(self) -> int:
-        """How many trials of each pair and scheduled level a block holds."""
-        return self.schedule.repetitions if self.adaptive is None else self.adaptive.trials
+        """How many trials of each pair, scheduled level and stimulus a block holds."""
+        if self.adaptive is not None:
+            return self.adaptive.trials // len(self.stimulus_names)
+        return self.schedule.repetitions
+
+    @property
+    def stimulus_names(self) -> tuple[str, ...]:
+        """Names of the stimuli; one, without a name, where the protocol has no section ``stimuli``."""
+        return tuple(self.stimuli) or ("",)
+
+    def stimulus_of(self, name: str) -> StimulusSection:
+        """Return the stimulus of a name; of a catch trial, which has none, what all share."""
+        return self.stimuli[name].applied(self.stimulus) if name in self.stimuli else self.stimulus
+
+    def with_stimulus(self, name: str) -> Protocol:
+        """Return the protocol with one of its stimuli alone."""
+        return self.model_copy(update={"stimulus": self.stimulus_of(name), "stimuli": {}})

@@ -83,6 +83,9 @@ MASKED: dict[str, Any] = {
 }
 
 
+STIMULUS: dict[str, Any] = {"Description": "Which of the protocol's stimuli; n/a in a catch trial"}
+
+
 def write_view(place: SessionFolder, session: Session, head: dict[str, Any]) -> None:
     """Write the session's table and its side file from the log.
 
@@ -126,6 +129,8 @@ def _columns(session: Session) -> dict[str, dict[str, Any]]:
         columns["catch"] = CATCH
     if design.get("masking"):
         columns["masked"] = MASKED
+    if design.get("stimuli"):
+        columns["stimulus"] = STIMULUS
     if "none" in design.get("answers", {}).get("keys", {}):
         response = columns["response"]
         columns["response"] = {**response, "Levels": {**response["Levels"], "none": "neither finger"}}
@@ -244,6 +249,7 @@ def _row(event: dict[str, Any], columns: dict[str, dict[str, Any]]) -> list[str]
         "velocity_mm_s": f"{condition['velocity_mm_s']:g}",
         "masked": int(bool(event.get("masked"))),
         "catch": int(condition["velocity_mm_s"] == 0),
+        "stimulus": condition.get("stimulus") or "n/a",
         "repetition": trial["repetition"],
         "response": response["answer"],
         "response_time": f"{response['reaction_time']:.4f}",

@@ -10,8 +10,8 @@ from modaltouch.schedule.catches import place_catches
 from modaltouch.schedule.orders import draw_order
 from modaltouch.schedule.streams import Stream
 
-Cell = tuple[tuple[str, str], float]
-"""A pair of zones and a peak velocity [mm/s]."""
+Cell = tuple[tuple[str, str], float, str]
+"""A pair of zones, a peak velocity [mm/s], and the name of a stimulus."""
 
 
 def order_cells(protocol: Protocol, turn: int, stream: Stream) -> list[Cell]:
@@ -41,8 +41,8 @@ def insert_catches(protocol: Protocol, cells: list[Cell], stream: Stream) -> lis
     ----------
     protocol : Protocol
         The design.
-    cells : list of ((str, str), float)
-        Pairs and velocities in order.
+    cells : list of Cell
+        In order.
     stream : Stream
         Where chance comes from.
 
@@ -54,7 +54,7 @@ def insert_catches(protocol: Protocol, cells: list[Cell], stream: Stream) -> lis
     schedule = protocol.schedule
     placed = dict(
         place_catches(
-            [pair for pair, _ in cells],
+            [pair for pair, _, _ in cells],
             schedule.catch_trials,
             schedule.max_same_pair_running,
             stream,
@@ -65,7 +65,7 @@ def insert_catches(protocol: Protocol, cells: list[Cell], stream: Stream) -> lis
     for place, cell in enumerate(cells):
         merged.append(cell)
         if place in placed:
-            merged.append((placed[place], 0.0))
+            merged.append((placed[place], 0.0, ""))
     return merged
 
 
@@ -102,8 +102,9 @@ def period_of_rows(protocol: Protocol) -> int:
     protocol : Protocol
         The design.
     """
-    n_pairs, n_levels = len(protocol.conditions.zone_pairs), len(protocol.conditions.peak_velocities_mm_s)
-    n_kinds = {"by_pair": n_pairs, "by_velocity": n_levels, "latin_square": n_pairs * n_levels}
+    n_pairs, n_levels = len(protocol.conditions.zone_pairs), len(protocol.scheduled_levels)
+    n_cells = n_pairs * n_levels * len(protocol.stimulus_names)
+    n_kinds = {"by_pair": n_pairs, "by_velocity": n_levels, "latin_square": n_cells}
     n_items = n_kinds.get(protocol.schedule.order)
     if n_items is None:
         return 1
@@ -112,6 +113,10 @@ def period_of_rows(protocol: Protocol) -> int:
     period = n_rows * n_rows
     taken = protocol.schedule.repetitions if protocol.schedule.order == "latin_square" else 1
     return period // math.gcd(period, taken)
+
+
+def _levels_and_stimuli(protocol: Protocol) -> list[tuple[float, str]]:
+    return [(level, stimulus) for level in protocol.scheduled_levels for stimulus in protocol.stimulus_names]
 
 
 def _row_of_turn(turn: int, n_rows: int) -> int:
@@ -125,20 +130,20 @@ def _row_of_turn(turn: int, n_rows: int) -> int:
 
 def _shuffled(protocol: Protocol, turn: int, stream: Stream) -> list[Cell]:
     """Draw the order of pairs first, then spread each pair's velocities over its places."""
-    pairs, levels = protocol.conditions.zone_pairs, protocol.scheduled_levels
+    pairs, levels = protocol.conditions.zone_pairs, _levels_and_stimuli(protocol)
     repetitions = protocol.scheduled_repetitions
     counts = [len(levels) * repetitions] * len(pairs)
     order = draw_order(counts, protocol.schedule.max_same_pair_running, stream)
     waiting = [stream.shuffled(levels * repetitions) for _ in pairs]
-    return [(pairs[pair], waiting[pair].pop()) for pair in order]
+    return [(pairs[pair], *waiting[pair].pop()) for pair in order]
 
 
 def _by_pair(protocol: Protocol, turn: int, stream: Stream) -> list[Cell]:
     """Take the pairs one after the other, in this participant's row of a Latin square."""
-    pairs, levels = protocol.conditions.zone_pairs, protocol.scheduled_levels
+    pairs, levels = protocol.conditions.zone_pairs, _levels_and_stimuli(protocol)
     rows = latin_square(len(pairs))
     row = rows[_row_of_turn(turn, len(rows))]
-    return [(pairs[pair], level) for pair in row for level in stream.shuffled(levels * protocol.scheduled_repetitions)]
+    return [(pairs[pair], *level) for pair in row for level in stream.shuffled(levels * protocol.scheduled_repetitions)]
 
 
 def _by_velocity(protocol: Protocol, turn: int, stream: Stream) -> list[Cell]:
@@ -146,13 +151,16 @@ def _by_velocity(protocol: Protocol, turn: int, stream: Stream) -> list[Cell]:
     pairs, levels = protocol.conditions.zone_pairs, protocol.scheduled_levels
     rows = latin_square(len(levels))
     row = rows[_row_of_turn(turn, len(rows))]
-    return [(pair, levels[level]) for level in row for pair in stream.shuffled(pairs * protocol.scheduled_repetitions)]
+    kinds = [
+        (pair, stimulus) for pair in pairs for stimulus in protocol.stimulus_names
+    ] * protocol.scheduled_repetitions
+    return [(pair, levels[level], stimulus) for level in row for pair, stimulus in stream.shuffled(kinds)]
 
 
 def _latin_square(protocol: Protocol, turn: int, stream: Stream) -> list[Cell]:
     """Take all cells in this participant's row of a Latin square, the next row for each repetition."""
     conditions = protocol.conditions
-    cells = [(pair, level) for pair in conditions.zone_pairs for level in protocol.scheduled_levels]
+    cells = [(pair, *level) for pair in conditions.zone_pairs for level in _levels_and_stimuli(protocol)]
     rows = latin_square(len(cells))
     repetitions = protocol.scheduled_repetitions
     turns = range(turn * repetitions, (turn + 1) * repetitions)

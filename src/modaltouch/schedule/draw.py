@@ -197,7 +197,7 @@ def _orders_of_finger_conditions(protocol: Protocol) -> list[tuple[str, ...]]:
 def _place(finger_condition: str, cell: Cell, placement: Placement) -> Condition:
     """Return a cell under a participant's fingers; on a beam turned end to end, left and right change places."""
     left, right = reversed(cell[0]) if placement.startswith("mirrored") else cell[0]
-    return Condition(finger_condition, left, right, cell[1], placement)
+    return Condition(finger_condition, left, right, cell[1], placement, cell[2])
 
 
 def period_of_turns(protocol: Protocol) -> int:
@@ -249,7 +249,12 @@ def _purpose_of_catches(finger_condition: str) -> str:
 def _draw_practice(protocol: Protocol, stream: Stream) -> list[Cell]:
     """Return the cells to practise, none again before all others have come."""
     conditions, n_trials = protocol.conditions, protocol.schedule.all_practice_trials
-    cells = [(pair, level) for pair in conditions.zone_pairs for level in protocol.scheduled_levels]
+    cells = [
+        (pair, level, stimulus)
+        for pair in conditions.zone_pairs
+        for level in protocol.scheduled_levels
+        for stimulus in protocol.stimulus_names
+    ]
     drawn: list[Cell] = []
     while len(drawn) < n_trials:
         drawn += stream.shuffled(cells)
@@ -268,4 +273,5 @@ def _number(conditions: Iterable[Condition], *, block: int, first: int) -> tuple
 
 def _brief(trial: Trial) -> list[Any]:
     condition = trial.condition
-    return [trial.block, condition.finger_condition, *condition.pair, condition.velocity_mm_s, condition.placement]
+    values = [trial.block, condition.finger_condition, *condition.pair, condition.velocity_mm_s, condition.placement]
+    return [*values, condition.stimulus] if condition.stimulus else values

@@ -1,0 +1,103 @@
+"""The keys of the stimulus, and of several stimuli that trials take turns in."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Discriminator, Field, Tag
+
+from modaltouch.document.section import Count, Label, Number, Positive, Section, Text, Word, described
+
+ZoneName = Annotated[Word, Field(json_schema_extra={"x-allowed": "the name of a zone of the beam"})]
+SampleCount = Annotated[int, Field(strict=True, ge=2, le=131_072, multiple_of=2)]
+
+
+class WishedField(Section):
+    """The velocity map wished at the focusing instant."""
+
+    shape: Literal["triangle", "box", "half_cosine", "raised_cosine", "gaussian", "sampled"] = described(
+        "Shape of the velocity over the beam; sampled: straight lines between points.", default="triangle"
+    )
+    base_mm: Positive = described(
+        "Width of its base; for the gaussian, its full width at half maximum [mm].", default=56.0
+    )
+    points: Annotated[tuple[tuple[Number, Number], ...], Field(min_length=2, max_length=10_000)] | None = described(
+        "Points of a sampled field: position [mm from mid-beam] and velocity, in any unit, since the level is what the "
+        "centre of the focus zone reaches.",
+        default=None,
+    )
+    file: Text | None = described(
+        "File of the points of a sampled field, with the columns position_mm and velocity, seen from this file.",
+        default=None,
+    )
+
+
+def _kind_of_selection(value: object) -> str:
+    return "labels" if isinstance(value, list | tuple) else "number"
+
+
+Selection = Annotated[
+    Annotated[Count, Tag("number")] | Annotated[tuple[Label, ...], Field(min_length=1), Tag("labels")],
+    Discriminator(_kind_of_selection),
+]
+
+
+class StimulusSection(Section):
+    """The burst that every trial plays, up to its level."""
+
+    law: Literal["exact", "paper"] = described(
+        "Drive law: exact (least energy, every modelled mode met) or paper (its equations 6 and 7).",
+        default="exact",
+    )
+    design: Literal["least_energy", "norm_4", "norm_8", "least_peak"] = described(
+        "Which of the exact law's voltages: of least energy, or of less peak voltage for more energy, down to the "
+        "least peak, which jumps from end to end and shakes what is not modelled.",
+        default="least_energy",
+    )
+    focus: ZoneName = described("Zone whose centre reaches the peak velocity.")
+    further_foci: Annotated[tuple[ZoneName, ...], Field(max_length=20)] = described(
+        "Zones at whose centres the same shape is wished at the same time.", default=()
+    )
+    field: WishedField = described("The velocity map wished at the focusing instant.", default=WishedField())
+    decomposed_modes: Annotated[Count, Field(le=1000)] = described(
+        "Number of modes on which the wished field is projected.", default=50
+    )
+    selected_modes: Selection = described(
+        "Number of modelled modes to drive, the strongest first, or a list of their labels.", default=6
+    )
+    focusing_instant_ms: Positive = described("When the field reaches its wish [ms from the start].", default=25.0)
+    duration_ms: Positive = described("Length of a burst [ms].", default=50.0)
+    release: Literal["braked", "free"] = described(
+        "After the focusing instant: braked to rest at the end of the burst, or free to decay.",
+        default="braked",
+    )
+    n_samples: SampleCount = described(
+        "Samples of a burst; 125,000 are held exactly 100 clocks each by the generator.", default=125_000
+    )
+    repetition_rate_Hz: Positive = described("Bursts per second [Hz].", default=7.0)  # noqa: N815
+
+
+class StimulusVariant(Section):
+    """One of several stimuli: what it has different from the section ``stimulus``."""
+
+    law: Literal["exact", "paper"] | None = described("As in the section stimulus.", default=None)
+    design: Literal["least_energy", "norm_4", "norm_8", "least_peak"] | None = described(
+        "As in the section stimulus.", default=None
+    )
+    focus: ZoneName | None = described("As in the section stimulus.", default=None)
+    further_foci: Annotated[tuple[ZoneName, ...], Field(max_length=20)] | None = described(
+        "As in the section stimulus.", default=None
+    )
+    field: WishedField | None = described("As in the section stimulus.", default=None)
+    decomposed_modes: Annotated[Count, Field(le=1000)] | None = described("As in the section stimulus.", default=None)
+    selected_modes: Selection | None = described("As in the section stimulus.", default=None)
+    focusing_instant_ms: Positive | None = described("As in the section stimulus.", default=None)
+    duration_ms: Positive | None = described("As in the section stimulus.", default=None)
+    release: Literal["braked", "free"] | None = described("As in the section stimulus.", default=None)
+    n_samples: SampleCount | None = described("As in the section stimulus.", default=None)
+    repetition_rate_Hz: Positive | None = described("As in the section stimulus.", default=None)  # noqa: N815
+
+    def applied(self, base: StimulusSection) -> StimulusSection:
+        """Return a stimulus with what this one has different."""
+        own = {key: getattr(self, key) for key in type(self).model_fields}
+        return base.model_copy(update={key: value for key, value in own.items() if value is not None})
