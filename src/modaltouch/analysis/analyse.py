@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 def analyse(
-    path: Path | str, out: Path | str | None = None, *, mode: str | None = None
+    path: Path | str, out: Path | str | None = None, *, mode: str | None = None, stimulus: str | None = None
 ) -> Analysis | ThresholdAnalysis:
     """Analyse answers and write tables, figures, statistics and a report.
 
@@ -36,6 +36,8 @@ def analyse(
         Folder for what is written; by default ``analysis`` in the tree, or ``<name>_analysis`` beside the CSV.
     mode : {"real", "pilot", "simulated"}, optional
         Which sessions of a tree to take.
+    stimulus : str, optional
+        Whose trials to take, of sessions with several stimuli and fixed levels.
 
     Returns
     -------
@@ -49,8 +51,8 @@ def analyse(
     RecordError
         If a file would be overwritten that this command did not write, or cannot be written.
     """
-    responses = read_responses(path, mode=mode)
-    folder = Path(out) if out is not None else default_folder(Path(path))
+    responses = read_responses(path, mode=mode, stimulus=stimulus)
+    folder = Path(out) if out is not None else default_folder(Path(path), responses.stimulus)
     about = {
         "version": __version__,
         "source": responses.source.path,
@@ -68,16 +70,17 @@ def analyse(
     return replace(analysis, files=write_files(folder, render_files(analysis), about))
 
 
-def default_folder(path: Path) -> Path:
+def default_folder(path: Path, stimulus: str = "") -> Path:
     """Return where an analysis goes if nobody says otherwise; inside a BIDS dataset, its ``derivatives``."""
     if path.suffix != ".jsonl" and not path.is_dir():
         return path.parent / f"{path.stem}_analysis"
     folder = (path if path.is_dir() else path.parent).resolve()
     dataset = next((each for each in (folder, *folder.parents) if (each / "dataset_description.json").exists()), None)
+    chosen = [stimulus] if stimulus else []
     if dataset is None:
-        return (path if path.is_dir() else path.parent) / "analysis"
+        return (path if path.is_dir() else path.parent) / "_".join(["analysis", *chosen])
     names = folder.relative_to(dataset).parts[:2]
-    return dataset / "derivatives" / "_".join(["analysis", *names])
+    return dataset / "derivatives" / "_".join(["analysis", *names, *chosen])
 
 
 def render_files(analysis: Analysis) -> dict[str, bytes]:

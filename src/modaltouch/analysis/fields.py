@@ -16,13 +16,15 @@ from modaltouch.protocol import Sources, examine_sources
 POINTS = 201
 
 
-def draw_fields(start: dict[str, Any]) -> Figure | None:
+def draw_fields(start: dict[str, Any], stimulus: str = "") -> Figure | None:
     """Return the wished and the predicted field at the highest level, and the peak speeds at the zones.
 
     Parameters
     ----------
     start : dict
         Start record of a session.
+    stimulus : str
+        Which of several stimuli; empty where there is one.
 
     Returns
     -------
@@ -35,7 +37,10 @@ def draw_fields(start: dict[str, Any]) -> Figure | None:
         preflight = examine_findings(examine_sources(Sources.from_dict(start["sources"]))).require()
     except (InputError, KeyError, TypeError):
         return None
-    stimuli = start.get("stimulus", {}).get("stimuli", [])
+    if stimulus not in preflight.parts:
+        return None
+    preflight = preflight.parts[stimulus]
+    stimuli = [each for each in start.get("stimulus", {}).get("stimuli", []) if each.get("stimulus", "") == stimulus]
     with house_style():
         figure = new_figure(7.6, 2.9)
         left, right = figure.subplots(1, 2, width_ratios=(3, 2))

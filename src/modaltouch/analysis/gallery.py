@@ -86,7 +86,7 @@ def draw_all(answers: AnswerCounts, responses: Responses) -> tuple[Picture, ...]
     if responses.sessions:
         from modaltouch.analysis.fields import draw_fields
 
-        fields = draw_fields(responses.start)
+        fields = draw_fields(responses.start, responses.stimulus)
         pictures += [Picture("fields", "stimulus", fields, FIELDS)] if fields is not None else []
     pictures += [Picture(name, "further", figure, caption) for name, figure, caption in further if figure is not None]
     return tuple(pictures)

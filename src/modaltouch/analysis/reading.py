@@ -8,7 +8,7 @@ from modaltouch.analysis.responses import Responses
 from modaltouch.document import InputError, Problem
 
 
-def read_responses(path: Path | str, *, mode: str | None = None) -> Responses:
+def read_responses(path: Path | str, *, mode: str | None = None, stimulus: str | None = None) -> Responses:
     """Return the answers in a CSV file, a session log, or a tree of sessions.
 
     Parameters
@@ -18,6 +18,8 @@ def read_responses(path: Path | str, *, mode: str | None = None) -> Responses:
     mode : {"real", "pilot", "simulated"}, optional
         Which sessions of a tree to take. By default the real ones; where there are none, whichever single kind
         there is.
+    stimulus : str, optional
+        Whose trials to take, of sessions with several stimuli.
 
     Raises
     ------
@@ -34,7 +36,10 @@ def read_responses(path: Path | str, *, mode: str | None = None) -> Responses:
     if place.is_dir() or place.suffix == ".jsonl":
         from modaltouch.analysis.results_tree import read_tree
 
-        return read_tree(place, mode)
+        return read_tree(place, mode, stimulus)
+    if stimulus:
+        given, remedy = f"stimulus {stimulus!r} with a CSV file", "leave out its other rows, and the option"
+        raise InputError([Problem(str(place), 1, 1, "", given, "a stimulus only with recorded sessions", remedy)])
     if mode:
         given, remedy = f"mode {mode!r} with a CSV file", "leave the mode out, or give a results folder"
         raise InputError([Problem(str(place), 1, 1, "", given, "a mode only with recorded sessions", remedy)])

@@ -116,7 +116,8 @@ def design_limits(analysis: Analysis) -> list[str]:
 def _title(analysis: Analysis) -> str:
     start = analysis.responses.start
     name = str(start.get("design", {}).get("title") or start.get("protocol", ""))
-    return f"Analysis: {name}" if name else "Analysis of answers"
+    chosen = f", stimulus {analysis.responses.stimulus}" if analysis.responses.stimulus else ""
+    return f"Analysis: {name}{chosen}" if name else "Analysis of answers"
 
 
 def _embed(picture: Picture, svg: bytes) -> dict[str, Any]:

@@ -78,6 +78,10 @@ class Responses:
         Start record of the first session; empty for a CSV.
     catches : dict of str to Counter
         Answers to catch trials by participant, which are not in the table; empty without any.
+    stimulus : str
+        Which of several stimuli the answers are to; empty where there is one.
+    foci : dict of str to str
+        Zone in focus of each of several stimuli.
     """
 
     frame: pd.DataFrame
@@ -87,6 +91,8 @@ class Responses:
     focus: str = ""
     start: dict[str, Any] = field(default_factory=dict)
     catches: dict[str, Counter[str]] = field(default_factory=dict)
+    stimulus: str = ""
+    foci: dict[str, str] = field(default_factory=dict)
 
     @property
     def is_adaptive(self) -> bool:

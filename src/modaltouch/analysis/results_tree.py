@@ -51,6 +51,8 @@ class Found:
         What it tells beside the answers; None where it stays out.
     focus : str
         Zone at which the vibration was focused, if known.
+    foci : dict of str to str
+        Zone in focus of each of several stimuli.
     is_adaptive : bool
         Whether its levels followed from the answers; its rows then hold the catch trials too, at 0 mm/s.
     offers_none : bool
@@ -72,9 +74,10 @@ class Found:
     offers_none: bool = False
     catches: Counter[str] = field(default_factory=Counter)
     is_adaptive: bool = False
+    foci: dict[str, str] = field(default_factory=dict)
 
 
-def read_tree(place: Path, mode: str | None = None) -> Responses:
+def read_tree(place: Path, mode: str | None = None, stimulus: str | None = None) -> Responses:
     """Return the answers of the complete, sound sessions in a folder.
 
     Parameters
@@ -83,6 +86,8 @@ def read_tree(place: Path, mode: str | None = None) -> Responses:
         A results folder, a folder in it, or one session log.
     mode : {"real", "pilot", "simulated"}, optional
         Which sessions to take; by default the real ones, and where there are none the only kind there is.
+    stimulus : str, optional
+        Whose trials to take, of sessions with several stimuli and fixed levels.
 
     Raises
     ------
@@ -109,7 +114,9 @@ def read_tree(place: Path, mode: str | None = None) -> Responses:
         remedy = "finish one with `modaltouch resume`, or choose another mode or folder"
         _refuse(place, f"no session that can be analysed ({listed})", "at least one complete session", remedy)
     frame = unmirror(pd.DataFrame([row for item in taken for row in item.rows], columns=list(COLUMNS)))
+    foci = taken[0].foci
     if not is_adaptive:
+        frame = _choose_stimulus(place, frame, stimulus)
         _refuse_designs(place, frame)
     words = ANSWERS_WITH_NONE if any(item.offers_none for item in taken) else ANSWERS
     frame["response"] = pd.Categorical(frame["response"], categories=list(words))
@@ -117,7 +124,8 @@ def read_tree(place: Path, mode: str | None = None) -> Responses:
     facts = tuple(item.facts for item in taken if item.facts is not None)
     start = read_session(taken[0].path).start
     source = Source(str(place), "results", digest, chosen)
-    return Responses(frame, facts, left_out, source, taken[0].focus, start, _sum_catches(taken))
+    focus = foci.get(stimulus or "", taken[0].focus)
+    return Responses(frame, facts, left_out, source, focus, start, _sum_catches(taken), stimulus or "", foci)
 
 
 def _sum_catches(found: Sequence[Found]) -> dict[str, Counter[str]]:
@@ -158,6 +166,7 @@ COLUMNS = (
     "zone_right",
     "velocity_mm_s",
     "placement",
+    "stimulus",
     "response",
     "n",
     "repetition",
@@ -185,6 +194,7 @@ def _row(session: Session, event: dict[str, Any]) -> tuple[Any, ...]:
         _one(condition["zone_right"]),
         float(condition["velocity_mm_s"]),
         _one(condition.get("placement", "normal")),
+        _one(condition.get("stimulus", "")),
         _one(response["answer"]),
         1,
         trial["repetition"],
@@ -227,6 +237,10 @@ def _open(path: Path) -> Found:
         focus=str(design.get("stimulus", {}).get("focus", "")),
         offers_none="none" in design.get("answers", {}).get("keys", {}),
         is_adaptive=is_adaptive(session),
+        foci={
+            name: str(own.get("focus") or design.get("stimulus", {}).get("focus", ""))
+            for name, own in design.get("stimuli", {}).items()
+        },
         catches=Counter(_one(event["response"]["answer"]) for event in session.trials if event.get("catch")),
     )
 
@@ -257,6 +271,20 @@ def _refuse_protocols(place: Path, protocols: Sequence[str]) -> None:
     if len(names) > 1:
         listed = ", ".join(f"{n} of {name!r}" for name, n in names.most_common())
         _refuse(place, f"sessions of several protocols ({listed})", "one protocol", "give the folder of one of them")
+
+
+def _choose_stimulus(place: Path, frame: pd.DataFrame, stimulus: str | None) -> pd.DataFrame:
+    """Return the trials of one stimulus, as the statistics know no other factor than fingers, pair and level."""
+    names = [name for name in frame["stimulus"].unique().tolist() if name]
+    listed = ", ".join(names) or "sessions have one alone"
+    if stimulus is None and len(names) > 1:
+        remedy = "choose one with --stimulus; each has an analysis of its own"
+        _refuse(place, f"sessions with several stimuli ({listed})", "one stimulus", remedy)
+    if stimulus is not None and stimulus not in names:
+        _refuse(place, f"stimulus {stimulus!r}", listed, "choose one of them, or leave the option out")
+    if stimulus is None:
+        return frame
+    return frame[frame["stimulus"] == stimulus].reset_index(drop=True)
 
 
 def _are_adaptive(place: Path, found: Sequence[Found]) -> bool:

@@ -28,13 +28,16 @@ def analyse(
     mode: Annotated[
         str | None, typer.Option(help="Which sessions of a results folder: real, pilot or simulated.")
     ] = None,
+    stimulus: Annotated[
+        str | None, typer.Option(help="Whose trials to take, of sessions with several stimuli.")
+    ] = None,
     json_output: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
 ) -> None:
     """Write the tables and bars of Fig. 10 and Fig. 11, exact statistics, and an HTML report."""
     from modaltouch.analysis.analyse import analyse as run_analysis
 
     with reporting(json_output=json_output):
-        analysis = run_analysis(source, out, mode=mode)
+        analysis = run_analysis(source, out, mode=mode, stimulus=stimulus)
         if json_output:
             print_json(analysis.as_dict())
         else:

@@ -42,7 +42,7 @@ def calibrate(
 
     with reporting(json_output=json_output):
         refuse_overwriting(out)
-        preflight = examine(protocol, uncalibrated=True).require()
+        preflight = examine(protocol, uncalibrated=True).of_one_stimulus()
         experiment, ground = preflight.experiment, ground_of(preflight)
         with (
             Interruption() as interruption,

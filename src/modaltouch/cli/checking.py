@@ -119,7 +119,7 @@ def _explore(preflight: Preflight, sensitivity: bool, designs: bool, tolerance: 
         return asked
     from modaltouch.preflight.exploration import design_figures, sample_figures, sensitivity_figures
 
-    ground, stimulus = preflight.ground, preflight.stimulus
+    ground, stimulus = preflight.ground, preflight.of_one_stimulus().stimulus
     if sensitivity:
         asked["sensitivity"] = sensitivity_figures(ground, stimulus)
     if designs:
@@ -179,10 +179,12 @@ def _show_explored(asked: dict[str, Any]) -> None:
 def _level_table(table_kind: Any, stimuli: list[dict[str, Any]]) -> Any:
     zones = list(stimuli[0]["zone_peak_mm_s"])
     table = table_kind(title="Largest speed at the centre of each zone, mm/s", title_justify="left")
-    for heading in ("level mm/s", *zones, "modal error mm/s", "peak drive V"):
-        table.add_column(heading, justify="right")
+    several = "stimulus" in stimuli[0]
+    for heading in (*(["stimulus"] if several else []), "level mm/s", *zones, "modal error mm/s", "peak drive V"):
+        table.add_column(heading, justify="left" if heading == "stimulus" else "right")
     for stimulus in stimuli:
         table.add_row(
+            *([stimulus["stimulus"]] if several else []),
             f"{stimulus['velocity_mm_s']:g}",
             *(f"{stimulus['zone_peak_mm_s'][zone]:.0f}" for zone in zones),
             f"{stimulus['worst_modal_error_mm_s']:.1e}",

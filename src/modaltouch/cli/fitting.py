@@ -39,7 +39,7 @@ def fit(
         prior = read_observer(observer)
         if out is not None and out.exists():
             raise RecordError(f"{out}: is there already and is not overwritten; give another file with --out")
-        fitted = fit_answers(examine(protocol, uncalibrated=True).require(), answers, prior, mode=mode)
+        fitted = fit_answers(examine(protocol, uncalibrated=True).of_one_stimulus(), answers, prior, mode=mode)
         if out is not None:
             words = (
                 f"Fitted to {fitted.fit.n_answers} answers of {fitted.n_participants} participants in {answers.name}"

@@ -47,7 +47,7 @@ def validate(
     from modaltouch.validation.page import COMMAND, as_dict, write_evidence
 
     with reporting(json_output=json_output):
-        preflight = examine(protocol, calibration).require()
+        preflight = examine(protocol, calibration).of_one_stimulus()
         experiment = preflight.experiment
         folder = out or Path("validation") / experiment.protocol.protocol
         refuse_other(folder, COMMAND)

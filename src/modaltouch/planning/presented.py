@@ -32,9 +32,7 @@ def design_for(preflight: Preflight, observer: Observer) -> Design:
     if reading is not None and preflight.experiment.protocol.adaptive is not None:
         given, remedy = "adaptive runs, which have no fixed conditions", "plan with a protocol of fixed levels"
         raise InputError([reading.problem(("adaptive",), given, "fixed levels", remedy)])
-    if reading is not None and preflight.variants:
-        given, remedy = f"{len(preflight.variants)} stimuli", "plan with a protocol of each"
-        raise InputError([reading.problem(("stimuli",), given, "one stimulus", remedy)])
+    preflight.of_one_stimulus()
     protocol, apparatus = preflight.experiment.protocol, preflight.experiment.apparatus
     zones = {name: zone.centre_mm * 1e-3 for name, zone in apparatus.zones.items()}
     felt = Felt(preflight.stimulus, zones, observer.front_end)

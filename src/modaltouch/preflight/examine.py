@@ -92,6 +92,20 @@ class Preflight:
         """
         return self._sound[1]
 
+    def of_one_stimulus(self) -> Self:
+        """Return the preflight itself if the protocol has a single stimulus.
+
+        Raises
+        ------
+        InputError
+            If it has several, or with every problem.
+        """
+        self.require()
+        if self.variants and self.findings.protocol is not None:
+            given, remedy = f"{len(self.variants)} stimuli", "make a protocol of each of them for this"
+            raise InputError([self.findings.protocol.problem(("stimuli",), given, "one stimulus", remedy)])
+        return self
+
     @property
     def parts(self) -> dict[str, Preflight]:
         """The protocol with each of its stimuli alone, by name; itself, without a name, where it has one."""
@@ -211,12 +225,13 @@ class Preflight:
         return values
 
     def _stimulus_warnings(self) -> list[str]:
-        said = []
+        said: list[tuple[str, list[str]]] = []
         for name, part in self.parts.items():
             ground, stimulus = part._sound
             own = [*field_warnings(ground, stimulus, part.stimuli), *warnings(ground, stimulus, part.stimuli)]
-            said += [f"stimulus {name}: {each}" if name else each for each in own]
-        return said
+            said.append((name, own))
+        shared = [each for each in said[0][1] if all(each in own for _, own in said)]
+        return [*shared, *(f"stimulus {name}: {each}" for name, own in said for each in own if each not in shared)]
 
     def _contrasts(self) -> list[dict[str, Any]]:
         protocol = self.experiment.protocol

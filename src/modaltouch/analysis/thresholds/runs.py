@@ -99,14 +99,16 @@ def find_runs(responses: Responses) -> tuple[Run, ...]:
     """
     rule = responses.start["design"]["adaptive"]
     frame = responses.frame.sort_values(["participant", "session", "trial"], kind="stable")
-    return tuple(
-        _run(key, part, rule, responses.focus) for key, part in frame.groupby(list(KEYS), sort=True, observed=True)
-    )
+    return tuple(_run(key, part, rule, responses) for key, part in frame.groupby(list(KEYS), sort=True, observed=True))
 
 
-def _run(key: tuple[Any, ...], part: pd.DataFrame, rule: dict[str, Any], focus: str) -> Run:
+def _run(key: tuple[Any, ...], part: pd.DataFrame, rule: dict[str, Any], responses: Responses) -> Run:
     participant, session, finger_condition, left, right = key
-    success = np.array([is_success(rule["success"], focus, left, str(answer)) for answer in part["response"]])
+    # A catch trial has no stimulus: success is what it would be at the focus that all share.
+    foci = [responses.foci.get(name, responses.focus) for name in part["stimulus"]]
+    success = np.array(
+        [is_success(rule["success"], focus, left, str(a)) for focus, a in zip(foci, part["response"], strict=True)]
+    )
     level = part["velocity_mm_s"].to_numpy(dtype=float)
     driven = level > 0
     fitted = fit_psychometric(

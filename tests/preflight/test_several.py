@@ -1,0 +1,166 @@
+"""Several stimuli in one protocol: what is checked, drawn, presented, verified and analysed."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from modaltouch.adaptive import Levels
+from modaltouch.analysis.reading import read_responses
+from modaltouch.document import InputError
+from modaltouch.observer import Observer
+from modaltouch.planning.presented import design_for
+from modaltouch.preflight import Preflight, examine
+from modaltouch.record.log import read_session
+from modaltouch.schedule import draw_schedule
+from modaltouch.sitting import begin
+from modaltouch.verification import verify_session
+from modaltouch.wiring import wire_run
+
+SHIPPED = Path(__file__).parents[2] / "protocols" / "two_fields.yaml"
+
+
+@pytest.fixture(scope="module")
+def preflight() -> Preflight:
+    """The shipped protocol with two stimuli."""
+    return examine(SHIPPED).require()
+
+
+def write(folder: Path, *changes: tuple[str, str], name: str = "two_fields.yaml") -> Path:
+    """Write a shipped protocol with changes and return its file."""
+    text = SHIPPED.with_name(name).read_text(encoding="utf-8")
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    text = _at_home(text)
+    file = folder / "protocol.yaml"
+    file.write_text(text, encoding="utf-8")
+    return file
+
+
+def test_each_stimulus_is_what_it_would_be_alone(preflight: Preflight, tmp_path: Path) -> None:
+    """The burst of `sharp` has the very codes of a protocol whose only stimulus it is."""
+    alone = examine(_sharp_alone(tmp_path)).require()
+    assert preflight.content_hashes["sharp"] == alone.stimulus.burst.content_hash
+    assert preflight.content_hashes["sharp"] != preflight.content_hashes["blunt"]
+    assert [(each["stimulus"], each["velocity_mm_s"]) for each in preflight.stimuli] == [
+        ("sharp", 80), ("sharp", 150), ("blunt", 80), ("blunt", 150),
+    ]  # fmt: skip
+
+
+def _sharp_alone(folder: Path) -> Path:
+    lines = SHIPPED.read_text(encoding="utf-8").split("\n")
+    kept = [line for line in lines if not line.startswith(("stimuli:", "  sharp:", "  blunt:"))]
+    text = "\n".join(kept).replace("  focus: C\n", "  focus: C\n  field: {shape: triangle, base_mm: 56}\n")
+    file = folder / "alone.yaml"
+    file.write_text(_at_home(text), encoding="utf-8")
+    return file
+
+
+def _at_home(text: str) -> str:
+    """Name apparatus and texts where they lie."""
+    home = SHIPPED.parent
+    return text.replace(": apparatus/", f": {home}/apparatus/").replace(": texts/", f": {home}/texts/")
+
+
+@pytest.mark.parametrize("order", ["shuffled", "by_pair", "by_velocity", "latin_square"])
+def test_every_condition_meets_every_stimulus_equally_often(tmp_path: Path, order: str) -> None:
+    """Definition of the design, in every order; catch trials have no stimulus."""
+    limit = "" if order != "shuffled" else "\n  max_same_pair_running: 2"
+    file = write(tmp_path, ("repetitions: 2\n  max_same_pair_running: 2", f"repetitions: 2\n  order: {order}{limit}"))
+    protocol = examine(file).require().experiment.protocol
+    drawn = draw_schedule(protocol, "p03", 5)
+    assert len(drawn.trials) == protocol.n_trials == 32
+    counted = Counter(trial.condition for trial in drawn.trials)
+    assert set(counted.values()) == {2}
+    assert Counter(condition.stimulus for condition in counted) == {"sharp": 8, "blunt": 8}
+    assert [trial.condition.stimulus for trial in drawn.trials[:8]] != ["sharp"] * 8
+
+
+@pytest.mark.parametrize(
+    ("changes", "place", "words"),
+    [
+        ([("blunt: {field", "blunt: {focus: Q, field")], "stimuli.blunt.focus", "'Q', which is not a zone"),
+        ([("blunt: {field: {shape: raised_cosine, base_mm: 100}}", "blunt: {duration_ms: 200}")],
+         "stimuli.blunt.duration_ms", "200 ms at 7 bursts per second (stimulus blunt)"),
+        ([("blunt: {field: {shape: raised_cosine, base_mm: 100}}", "blunt: {selected_modes: [2]}")],
+         "stimuli.blunt.selected_modes", "(stimulus blunt)"),
+        ([("[80, 150]", "[80, 200]")], "conditions.peak_velocities_mm_s[1]", "(stimulus blunt)"),
+        ([("  blunt:", "  third: {field: {shape: triangle, base_mm: 60}}\n  blunt:")], "stimuli", "at most 4"),
+    ],
+)  # fmt: skip
+def test_faults_name_the_stimulus(tmp_path: Path, changes: list[tuple[str, str]], place: str, words: str) -> None:
+    """What was given, what is allowed, at the stimulus' own key where it has one."""
+    problems = [str(problem) for problem in examine(write(tmp_path, *changes)).problems]
+    assert any(f" {place}: " in problem and words in problem for problem in problems), problems
+
+
+def test_a_session_changes_between_them_without_an_upload(preflight: Preflight, tmp_path: Path) -> None:
+    """Four records are sent before the first trial and none after it; verify draws and computes all of it again."""
+    session = begin(wire_run(preflight, "p01", answers="simulated", results=tmp_path))
+    exchanges = [
+        (event["n"], each["what"]) for event in session.events if event["event"] == "rig" for each in event["exchanges"]
+    ]
+    first = next(event["n"] for event in session.events if event["event"] == "fired")
+    assert sum(what == "record_sent" for n, what in exchanges if n < first) == 4
+    assert not any(what == "record_sent" for n, what in exchanges if n > first)
+    rows = [(t["trial"]["condition"]["stimulus"], t["planned"]["speed_left_mm_s"]) for t in session.trials]
+    assert len({name for name, _ in rows}) == 2
+    assert all(event["confirmed"]["confirmed"] for event in session.trials)
+    verdict = verify_session(session.path.parent)
+    assert verdict.problems == ()
+    assert any(line.startswith("drives of 2 stimuli computed again") for line in verdict.lines)
+    table = next(session.path.parent.glob("*_beh.tsv")).read_text(encoding="utf-8").splitlines()
+    assert "stimulus" in table[0].split("\t")
+    with pytest.raises(InputError, match="several stimuli"):
+        read_responses(tmp_path)
+    chosen = read_responses(tmp_path, stimulus="blunt")
+    assert (len(chosen.frame), chosen.focus, set(chosen.frame["stimulus"])) == (16, "C", {"blunt"})
+    with pytest.raises(InputError, match="'round'.*sharp, blunt|'round'.*blunt, sharp"):
+        read_responses(tmp_path, stimulus="round")
+
+
+def test_what_is_felt_follows_the_stimulus(preflight: Preflight) -> None:
+    """A blunt field moves zone A nearly as fast as C, a sharp one does not: on the twin as predicted."""
+    drawn = draw_schedule(preflight.experiment.protocol, "p01", 1)
+    ratio = {}
+    for trial in drawn.trials:
+        slower, faster = sorted(preflight.speeds(trial))
+        ratio[trial.condition.stimulus] = faster / slower
+    assert ratio["sharp"] > 1.5 > 1.2 > ratio["blunt"]
+
+
+def test_plans_take_one_stimulus_at_a_time(preflight: Preflight) -> None:
+    """Refused with a way out rather than planned with the first one alone."""
+    with pytest.raises(InputError, match="2 stimuli; allowed: one stimulus"):
+        design_for(preflight, Observer())
+
+
+def test_an_adaptive_run_shares_its_trials_among_them(tmp_path: Path) -> None:
+    """Forty trials of two stimuli: twenty each, in one run; the focus of each decides what is a success."""
+    stimuli = (
+        "stimuli:\n  sharp: {field: {shape: triangle, base_mm: 56}}\n  slow: {repetition_rate_Hz: 5}\n\nconditions:\n"
+    )
+    file = write(tmp_path, ("conditions:\n", stimuli), name="threshold.yaml")
+    protocol = examine(file).require().experiment.protocol
+    trials = [trial for trial in draw_schedule(protocol, "p01", 1).trials if not trial.condition.is_catch]
+    assert Counter((t.condition.pair, t.condition.stimulus) for t in trials) == {
+        (pair, name): 20 for pair in (("A", "C"), ("C", "E")) for name in ("sharp", "slow")
+    }
+    levels, first = Levels(protocol), trials[0]
+    event = {"trial": first.as_dict(), "confirmed": {"confirmed": True}, "response": {"answer": "none"}}
+    assert levels.settle(trials[1], [event]).condition.velocity_mm_s > 60
+    problems = examine(
+        write(tmp_path, ("conditions:\n", stimuli), ("trials: 40", "trials: 41"), name="threshold.yaml")
+    ).problems
+    assert any("41, which 2 stimuli cannot share" in str(problem) for problem in problems)
+
+
+def test_the_record_of_one_stimulus_has_no_word_of_it(tmp_path: Path) -> None:
+    """Protocols without a section stimuli are recorded as before."""
+    preflight = examine(SHIPPED.with_name("demo.yaml")).require()
+    session = read_session(begin(wire_run(preflight, "p01", answers="simulated", results=tmp_path)).path)
+    assert all("stimulus" not in event["trial"]["condition"] for event in session.trials)
+    assert "content_hashes" not in session.start["stimulus"]
