@@ -40,7 +40,7 @@ class PaperRig:
     def load(self, burst: Any) -> None:
         pass
 
-    def fire(self, velocity: float, *, silent: bool = False) -> Firing:
+    def fire(self, velocity: float, *, silent: bool = False, which: int = 0) -> Firing:
         self.firing = Firing((1.0, 1.0), (1.0, 1.0), True, time.perf_counter(), 0.15)
         return self.firing
 

@@ -31,7 +31,7 @@ class PaperRig:
     unconfirmed: int = 0
     firing: Firing | None = None
 
-    def fire(self, velocity: float, *, silent: bool = False) -> Firing:
+    def fire(self, velocity: float, *, silent: bool = False, which: int = 0) -> Firing:
         self.told.append(f"silent {velocity:g}" if silent else f"fire {velocity:g}")
         confirmed = self.unconfirmed == 0
         self.unconfirmed = max(self.unconfirmed - 1, 0)
