@@ -271,7 +271,7 @@ def test_breaks_come_by_time(sit: Callable[..., Sitting], monkeypatch: pytest.Mo
     now = iter(range(0, 10**6, 70))
     monkeypatch.setattr("modaltouch.session.time.perf_counter", lambda: float(next(now)))
     sitting = sit(break_after_trials=None, break_after_min=5.0, practice_trials=0)
-    sitting.rig.fire = lambda velocity, silent: Firing((1.0,), (1.0,), True, 0.0, 0.1)  # type: ignore[method-assign]
+    sitting.rig.fire = lambda velocity, **_: Firing((1.0,), (1.0,), True, 0.0, 0.1)  # type: ignore[method-assign]
     conduct(sitting)
     assert seen(sitting).count("rest") >= 2
 
