@@ -66,7 +66,7 @@ def write_comparison(folder: Path, contest: Contest, rows: Sequence[Row], about:
     figures = {
         "fields": (
             draw_fields(contest),
-            "The true velocity field at the focusing instant. Bands: the same drives on other beams.",
+            "The true velocity field at the focusing instant, and the wished one.",
         ),
         "price": (draw_price(rows, limit), "What each method pays, and what for. Dark: the exact law."),
         "robustness": (

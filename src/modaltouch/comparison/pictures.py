@@ -19,19 +19,14 @@ COLUMNS = 3
 
 
 def draw_fields(contest: Contest) -> Figure:
-    """Return the true field at the focusing instant of every method, with the wish and what other beams make of it."""
+    """Return the true field at the focusing instant of every method, and the wish."""
     n_rows = -(-len(contest.designed) // COLUMNS)
     with house_style():
         figure = new_figure(7.6, 2.1 * n_rows + 0.5)
         panels = figure.subplots(n_rows, COLUMNS, squeeze=False, sharex=True, sharey=True)
-        for axes, designed, verdict, changed in zip(
-            panels.ravel(), contest.designed, contest.verdicts, contest.changed, strict=False
-        ):
+        for axes, designed, verdict in zip(panels.ravel(), contest.designed, contest.verdicts, strict=False):
             place = verdict.position * 1e3
             wish = contest.task.wish
-            if changed:
-                low, high = np.percentile([each.field for each in changed], [5, 95], axis=0) * 1e3
-                axes.fill_between(place, low, high, color=MIDDLE, linewidth=0, label="other beams, 5 to 95 %")
             axes.plot(place, wish.velocity * 1e3 * wish.profile(verdict.position), color=INK, linestyle="--",
                       linewidth=1, label="wished")  # fmt: skip
             axes.plot(place, verdict.field * 1e3, color=DARK, linewidth=1.2, label="made")

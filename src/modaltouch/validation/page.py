@@ -126,7 +126,7 @@ def write_evidence(
 
 def as_dict(evidences: Sequence[Evidence], figures: Sequence[dict[str, Any]], occasion: Occasion) -> dict[str, Any]:
     """Return everything as plain values, as ``modaltouch validate --json`` prints it."""
-    return {
+    values = {
         "protocol": occasion.protocol,
         "apparatus": occasion.apparatus,
         "mode": occasion.mode,
@@ -136,6 +136,16 @@ def as_dict(evidences: Sequence[Evidence], figures: Sequence[dict[str, Any]], oc
         "measurement_lag_us": evidences[0].lag * 1e6,
         "laws": list(figures),
     }
+    return {key: _plain(value) for key, value in values.items()}
+
+
+def _plain(value: Any) -> Any:
+    """Return plain values with every number to a millionth of its unit: what lies below is no measurement."""
+    if isinstance(value, dict):
+        return {key: _plain(each) for key, each in value.items()}
+    if isinstance(value, list):
+        return [_plain(each) for each in value]
+    return round(value, 6) if isinstance(value, float) else value
 
 
 def _draw(evidences: Sequence[Evidence], occasion: Occasion) -> dict[str, tuple[Figure, str]]:
