@@ -63,6 +63,13 @@ def test_a_killed_session_keeps_its_catch_trials(
     caught = [answer for _, _, condition, answer in answers_of(logs[1]) if condition["velocity_mm_s"] == 0]
     assert caught == ["none"] * 6
     assert finish("verify", logs[1].parent) == 0
+    if n_trials == 24:
+        assert finish("analyse", tmp_path / "b", "--out", tmp_path / "analysis") == 0
+        rates = [
+            row for row in json.loads((tmp_path / "analysis" / "tests.json").read_text()) if row["question"] == "catch"
+        ]
+        assert [row["estimate"] for row in rates[:2]] == [0, 0]
+        assert "0 left, 0 right, 0 both, 6 none" in rates[0]["note"]
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
