@@ -230,7 +230,9 @@ class _Reading:
     def identification(self) -> Identification:
         fit = self.fit
         variance = 2 * fit.cost / max(fit.n_free, 1)
-        deviation = np.sqrt(np.maximum(np.diag(fit.covariance), 0) * variance)
+        # Of scatter that is independent from response to response, or common to all of a bin: the wider of both.
+        moved = fit.scores @ fit.covariance
+        deviation = np.sqrt(np.maximum(np.diag(fit.covariance) * variance, (moved**2).sum(axis=0)))
         scale = 1 / float(self.problem.omega[-1])
         local = np.sqrt(self._local_misfit(variance) / variance)
         residue = self._residue()
@@ -318,8 +320,12 @@ class _Reading:
         for s in range(n_sets):
             own = np.concatenate([on_shape[: fit.n_modes, s]] * 2)
             slope = -np.append(fit.lost[k] * own, fit.lost_turned[k] @ on_shape[:, s])
-            total = (alone + float(slope @ fit.covariance @ slope)) * variance * float(self._level[s])
-            spread.append(column * np.sqrt(max(total, 0.0)))
+            independent = (alone + float(slope @ fit.covariance @ slope)) * variance
+            rest = fit.rest[:, s * n_points : (s + 1) * n_points] @ weight
+            each = inverse[k] @ fit.basis.T * rest
+            n = each.size // 2
+            common = float(((each[:n] + each[n:] + fit.scores @ (fit.covariance @ slope)) ** 2).sum())
+            spread.append(column * np.sqrt(max(independent, common) * float(self._level[s])))
         return np.array(spread)
 
     def _local_misfit(self, variance: float) -> FloatArray:

@@ -134,8 +134,8 @@ class Evaluation:
         what the columns can take; the last is unused.
     turned : (2 n_groups, n_modes + 4) array
         Change of all columns by the delay, likewise.
-    factor : (n_modes + 4, n_modes + 4) array
-        The columns' upper triangular factor.
+    basis, factor : (2 n_groups, n_modes + 4) and (n_modes + 4, n_modes + 4) array
+        The columns' orthonormal and upper triangular factors.
     lost : (n_modes + 4, 2 n_modes) array
         What the columns take of the slopes: how residues follow the poles.
     lost_turned : (n_modes + 4, n_modes + 4) array
@@ -149,6 +149,7 @@ class Evaluation:
     rest: FloatArray
     slope: FloatArray
     turned: FloatArray
+    basis: FloatArray
     factor: FloatArray
     lost: FloatArray
     lost_turned: FloatArray
@@ -190,6 +191,18 @@ class Evaluation:
         result[n, :n] = result[:n, n]
         result[n, n] = float(np.sum((self.turned.T @ self.turned) * mixed))
         return result
+
+    @cached_property
+    def scores(self) -> FloatArray:
+        """What each group of bins adds to the slope of the cost, over all responses, (n_groups, 2 n_modes + 1) array.
+
+        An error that is the same at all points, as one of the measured drive, adds up here.
+        """
+        own = self.slope * (self.rest @ self._own.T)
+        delay = (self.turned * (self.rest @ self.residue.T)).sum(axis=1)
+        both = np.concatenate([own, delay[:, None]], axis=1)
+        n = both.shape[0] // 2
+        return np.asarray(both[:n] + both[n:])
 
     @cached_property
     def covariance(self) -> FloatArray:
@@ -244,6 +257,7 @@ def evaluate(
         rest=problem.stacked - basis @ solved,
         slope=left[:, : 2 * n_modes],
         turned=left[:, 2 * n_modes :],
+        basis=basis,
         factor=factor,
         lost=lost[:, : 2 * n_modes],
         lost_turned=lost[:, 2 * n_modes :],
