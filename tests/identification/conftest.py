@@ -36,8 +36,15 @@ def beam(apparatus: Apparatus) -> TrueBeam:
 @pytest.fixture(scope="session")
 def exact(beam: TrueBeam) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
     """Return the velocity responses in closed form, (n_sets, n_points, n_bins)."""
+    known: dict[tuple[int, int], np.ndarray] = {}
 
     def responses(frequency: np.ndarray, positions: np.ndarray) -> np.ndarray:
+        key = frequency.size, positions.size
+        if key not in known:
+            known[key] = computed(frequency, positions)
+        return known[key]
+
+    def computed(frequency: np.ndarray, positions: np.ndarray) -> np.ndarray:
         omega, own = 2 * np.pi * frequency, 2 * np.pi * beam.natural_frequency[:, None]
         dynamic = 1j * omega / (own**2 - omega**2 + 2j * beam.damping_ratio[:, None] * own * omega)
         dynamic = dynamic * np.exp(-1j * omega * DELAY) / (1 + 1j * frequency / BANDWIDTH)
