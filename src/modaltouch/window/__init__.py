@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from modaltouch.window.interface import AnswerWindow, Log, Tick
 
 if TYPE_CHECKING:
     from modaltouch.protocol import Protocol, Texts
+    from modaltouch.window.screen import Screen
     from modaltouch.window.simulated import Answerer
 
 AnswersBy = Literal["window", "simulated", "robot"]
@@ -75,14 +76,9 @@ def open_window(
         return SimulatedParticipant(answerer, tick=tick, log=log, stimulus_until=protocol.answers.stimulus_until)
     from modaltouch.window.participant import ParticipantWindow
     from modaltouch.window.robot import Robot
-    from modaltouch.window.screen import Screen
     from modaltouch.window.theme import THEMES
 
-    if theme not in THEMES:
-        raise ValueError(f"given the theme {theme!r}; allowed: {', '.join(THEMES)}")
-    display = Screen(
-        size=size, fullscreen=fullscreen, monitor=screen, ground=THEMES[theme].ground, title=protocol.title
-    )
+    display = _open_screen(protocol.title, size=size, fullscreen=fullscreen, monitor=screen, theme=theme)
     try:
         return ParticipantWindow(
             display,
@@ -98,3 +94,13 @@ def open_window(
     except BaseException:
         display.close()
         raise
+
+
+def _open_screen(title: str, *, theme: str, **options: Any) -> Screen:
+    """Return an open window, its ground that of the theme."""
+    from modaltouch.window.screen import Screen
+    from modaltouch.window.theme import THEMES
+
+    if theme not in THEMES:
+        raise ValueError(f"given the theme {theme!r}; allowed: {', '.join(THEMES)}")
+    return Screen(title=title, ground=THEMES[theme].ground, **options)

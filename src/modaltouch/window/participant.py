@@ -10,18 +10,17 @@ from typing import Any, NoReturn, Self
 
 from modaltouch.protocol import Protocol, Texts
 from modaltouch.trial import Answer, Condition, Response, Trial
+from modaltouch.window.answering import AnswerTaker
 from modaltouch.window.events import Event, canonical_key
 from modaltouch.window.interface import Log, Progress, Tick, TrialInterrupted
 from modaltouch.window.layout import lay_out
 from modaltouch.window.marks import Picture
 from modaltouch.window.pausing import SETTLE, Pauser
 from modaltouch.window.pictures import Illustrator
-from modaltouch.window.reading import Reader, describe_press, is_press
+from modaltouch.window.reading import Reader, is_press
 from modaltouch.window.stage import POLL_INTERVAL, Display, Moment, Nobody, Sitter, Stage
 from modaltouch.window.theme import Theme
 
-DOUBLE_WINDOW = 0.05
-"""A different answer this soon after the first flags the trial as double [s]."""
 _CONFIRMATION = 0.4
 """How long the chosen answer stays marked, at most [s]."""
 _FEEDBACK = 1.5
@@ -87,6 +86,7 @@ class ParticipantWindow:
         self._answered_by = "simulated" if robot else ""
         self._reader = Reader.of(protocol.answers, layout)
         self._pauser = Pauser(self._stage, self._pictures, self._reader, protocol.answers.pause_s)
+        self._taker = AnswerTaker(self._stage, self._pictures, self._reader)
         self._current: tuple[Trial, Progress] | None = None
         self._answered = 0.0
         conditions = protocol.conditions
@@ -145,10 +145,14 @@ class ParticipantWindow:
         # What is read now was pressed while the question was being drawn: it cannot answer it.
         for event in self._stage.poll_quietly():
             self._before_question(event, trial, stop)
-        answer, event = self._await_answer(trial, stop)
+
+        def interrupt(event: Event) -> NoReturn:
+            self._interrupt(trial, event, stop)
+
+        answer, event = self._taker.await_answer(trial, interrupt)
         gap = self._stage.poll_gap
         if answers.change_until_confirmed:
-            answer, event = self._await_confirmation(trial, progress, answer, event, stop)
+            answer, event = self._taker.await_confirmation(trial, progress, answer, event, interrupt)
         stop()
         self._answered = time.perf_counter() if answers.change_until_confirmed else event.time
         return Response(
@@ -159,7 +163,7 @@ class ParticipantWindow:
             way=answers.way(trial.condition.finger_condition),
             device="key" if event.kind == "key" else "mouse",
             key=event.key or answer,
-            double=self._watch_double(answer, event),
+            double=self._taker.watch_double(answer, event),
             question_after=asked - onset,
             question_uncertainty=flip_took,
             time_uncertainty=gap,
@@ -277,51 +281,6 @@ class ParticipantWindow:
         if self._reader.interrupts(event):
             self._interrupt(trial, event, stop)
         self._pauser.discard(event, "before the question", trial)
-
-    def _await_answer(self, trial: Trial, stop: Callable[[], None]) -> tuple[Answer, Event]:
-        """Return the first answer and its event; what came after it is left to be read."""
-        while True:
-            events = self._stage.poll()
-            for place, event in enumerate(events):
-                if self._reader.interrupts(event):
-                    self._interrupt(trial, event, stop)
-                answer = self._reader.answer(event)
-                if answer is not None:
-                    self._stage.put_back(events[place + 1 :])
-                    return answer, event
-                if is_press(event):
-                    self._stage.note("ignored", trial=trial.index, **describe_press(event))
-
-    def _await_confirmation(
-        self, trial: Trial, progress: Progress, answer: Answer, event: Event, stop: Callable[[], None]
-    ) -> tuple[Answer, Event]:
-        """Return the answer that is chosen a second time, with the event that chose it first."""
-        while True:
-            picture = self._pictures.question(trial, progress, chosen=answer, confirmed=False)
-            self._stage.show(picture, Moment("confirm", trial))
-            again, press = self._await_answer(trial, stop)
-            if again == answer:
-                return answer, event
-            self._stage.note("changed", trial=trial.index, first=answer, to=again, after_s=press.time - event.time)
-            answer, event = again, press
-
-    def _watch_double(self, answer: Answer, event: Event) -> bool:
-        """Return whether a different answer comes within `DOUBLE_WINDOW`; nothing here may raise."""
-        is_double = False
-        rest: list[Event] = []
-        while True:
-            for other in self._stage.poll_quietly():
-                second = self._reader.answer(other)
-                if second is None:
-                    rest.append(other)
-                elif second != answer and other.time <= event.time + DOUBLE_WINDOW:
-                    is_double = True
-                    after = other.time - event.time
-                    self._stage.note_later("double", first=answer, second=second, after_s=after)
-            if time.perf_counter() > event.time + DOUBLE_WINDOW:
-                self._stage.put_back(rest)
-                return is_double
-            time.sleep(0.002)
 
     def _interrupt(self, trial: Trial, event: Event, stop: Callable[[], None]) -> NoReturn:
         """Stop the stimulus, pause, and have the trial offered again."""

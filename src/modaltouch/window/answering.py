@@ -1,0 +1,106 @@
+"""Takes an answer from what a person does: the first one counts, unless the protocol has it confirmed."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import NoReturn
+
+from modaltouch.trial import Answer, Trial
+from modaltouch.window.events import Event
+from modaltouch.window.interface import Progress
+from modaltouch.window.pictures import Illustrator
+from modaltouch.window.reading import Reader, describe_press, is_press
+from modaltouch.window.stage import Moment, Stage
+
+DOUBLE_WINDOW = 0.05
+"""A different answer this soon after the first flags the trial as double [s]."""
+
+
+class AnswerTaker:
+    """Waits for answers at one window.
+
+    Parameters
+    ----------
+    stage, pictures, reader
+        Where it is shown, what is shown, and what the events mean.
+    """
+
+    def __init__(self, stage: Stage, pictures: Illustrator, reader: Reader) -> None:
+        self._stage = stage
+        self._pictures = pictures
+        self._reader = reader
+
+    def await_answer(self, trial: Trial, interrupt: Callable[[Event], NoReturn]) -> tuple[Answer, Event]:
+        """Return the first answer and its event; what came after it is left to be read.
+
+        Parameters
+        ----------
+        trial : Trial
+            What is asked.
+        interrupt : callable
+            Called with an event that cuts the trial; raises.
+        """
+        while True:
+            events = self._stage.poll()
+            for place, event in enumerate(events):
+                if self._reader.interrupts(event):
+                    interrupt(event)
+                answer = self._reader.answer(event)
+                if answer is not None:
+                    self._stage.put_back(events[place + 1 :])
+                    return answer, event
+                if is_press(event):
+                    self._stage.note("ignored", trial=trial.index, **describe_press(event))
+
+    def await_confirmation(
+        self,
+        trial: Trial,
+        progress: Progress,
+        answer: Answer,
+        event: Event,
+        interrupt: Callable[[Event], NoReturn],
+    ) -> tuple[Answer, Event]:
+        """Return the answer that is chosen a second time, with the event that chose it first.
+
+        Parameters
+        ----------
+        trial, progress
+            What is asked, and where the session stands.
+        answer, event
+            What was chosen first.
+        interrupt : callable
+            Called with an event that cuts the trial; raises.
+        """
+        while True:
+            picture = self._pictures.question(trial, progress, chosen=answer, confirmed=False)
+            self._stage.show(picture, Moment("confirm", trial))
+            again, press = self.await_answer(trial, interrupt)
+            if again == answer:
+                return answer, event
+            self._stage.note("changed", trial=trial.index, first=answer, to=again, after_s=press.time - event.time)
+            answer, event = again, press
+
+    def watch_double(self, answer: Answer, event: Event) -> bool:
+        """Return whether a different answer comes within `DOUBLE_WINDOW`; nothing here may raise.
+
+        Parameters
+        ----------
+        answer, event
+            What was chosen.
+        """
+        is_double = False
+        rest: list[Event] = []
+        while True:
+            for other in self._stage.poll_quietly():
+                second = self._reader.answer(other)
+                if second is None:
+                    rest.append(other)
+                elif second != answer and other.time <= event.time + DOUBLE_WINDOW:
+                    is_double = True
+                    after = other.time - event.time
+                    self._stage.note_later("double", first=answer, second=second, after_s=after)
+            if time.perf_counter() > event.time + DOUBLE_WINDOW:
+                self._stage.put_back(rest)
+                return is_double
+            time.sleep(0.002)
