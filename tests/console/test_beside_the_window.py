@@ -87,7 +87,7 @@ def test_the_experimenter_pauses_what_the_participant_sees_and_the_key_for_emerg
     exchanges = [each for event in named(events_of(tmp_path), "rig") for each in event["exchanges"]]
     assert "OUTP1 OFF" in " ".join(each.get("sent", "") for each in exchanges[-12:])
     # Both clocks are the machine's monotonic one; 20 ms of it is the key's own way up.
-    assert stop["clock"] - pressed < 1.0
+    assert stop["clock"] - pressed < 5.0
 
 
 def _plays(events: list[dict[str, Any]], press: Callable[[str], None]) -> bool:

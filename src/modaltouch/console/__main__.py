@@ -14,6 +14,7 @@ import signal
 import sys
 import threading
 import time
+from contextlib import suppress
 from typing import Any, TextIO
 
 from rich.console import Console, ConsoleDimensions
@@ -24,9 +25,13 @@ from modaltouch.console.drawing import draw_session
 from modaltouch.console.keyboard import Keyboard, open_keyboard
 
 _GLANCE = 0.1
-"""How soon what has changed is drawn, if no key comes first [s]."""
+"""How often the reader of keys looks whether the session has ended [s]."""
 _REFRESH = 1.0
 """The picture is drawn anew this often, for its clock, and over what else was written to the terminal [s]."""
+
+
+News = queue.Queue[dict[str, Any] | None]
+"""Facts to be shown; empty ones where a key was pressed; None at the end."""
 
 
 def main() -> None:
@@ -37,55 +42,65 @@ def main() -> None:
     for name in ("SIGTERM", "SIGHUP"):
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), _end)
-    facts: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
-    threading.Thread(target=_listen, args=(facts,), daemon=True).start()
     target = "CONOUT$" if sys.platform == "win32" else screen
+    news: News = queue.Queue()
+    threading.Thread(target=_listen, args=(news,), daemon=True).start()
     with open(target, "w", encoding="utf-8", closefd=sys.platform == "win32") as file, open_keyboard(keys) as keyboard:  # noqa: PTH123
-        try:
-            _show(facts, file, keyboard, Dialogue(emergency))
-        except (EOFError, OSError):
-            return  # the terminal is gone
+        dialogue = Dialogue(emergency)
+        # A thread of its own, so that no key waits for a picture.
+        threading.Thread(target=_read, args=(keyboard, dialogue, news), daemon=True).start()
+        with suppress(OSError):  # the terminal is gone
+            _show(news, file, dialogue)
 
 
-def _show(
-    facts: queue.SimpleQueue[dict[str, Any] | None], file: TextIO, keyboard: Keyboard, dialogue: Dialogue
-) -> None:
+def _show(news: News, file: TextIO, dialogue: Dialogue) -> None:
+    """Draw whatever is new until the end."""
     console = Console(file=file, force_terminal=True)
-    known = facts.get()
+    known, came = None, 0.0
     with Live(console=console, screen=True, auto_refresh=False, redirect_stdout=False, redirect_stderr=False) as live:
-        came = drawn = 0.0
-        is_new = True
-        while known is not None:
-            now = time.monotonic()
-            if is_new:
-                came = now
-            if is_new or now - drawn > _REFRESH:
+        while True:
+            try:
+                said = [news.get(timeout=_REFRESH)]
+            except queue.Empty:
+                said = []
+            while not news.empty():
+                said.append(news.get())
+            if None in said:
+                return
+            facts = [each for each in said if each]
+            if facts:
+                known, came = facts[-1], time.monotonic()
+            if known is not None:
                 size = os.get_terminal_size(file.fileno()) if sys.platform != "win32" else console.size
                 console.size = ConsoleDimensions(max(size[0], 40), max(size[1], 12))
+                since = time.monotonic() - came
                 picture = draw_session(
-                    known, dialogue.prompt, width=console.size[0], since_s=now - came, emergency=dialogue.emergency
+                    known, dialogue.prompt, width=console.size[0], since_s=since, emergency=dialogue.emergency
                 )
                 live.update(picture, refresh=True)
-                drawn, is_new = now, False
+
+
+def _read(keyboard: Keyboard, dialogue: Dialogue, news: News) -> None:
+    """Turn keys into requests until the terminal is gone."""
+    try:
+        while True:
             for key in keyboard.read(_GLANCE):
-                is_new = True
                 request = dialogue.press(key)
                 if request is not None:
                     sys.stdout.write(json.dumps({"command": request.command, "text": request.text}) + "\n")
                     sys.stdout.flush()
-            while not facts.empty():
-                known, is_new = facts.get(), True
-                if known is None:
-                    return
+                news.put({})
+    except (EOFError, OSError):
+        news.put(None)
 
 
-def _listen(facts: queue.SimpleQueue[dict[str, Any] | None]) -> None:
+def _listen(news: News) -> None:
     """Take facts from standard input until it ends."""
     try:
         for line in sys.stdin:
-            facts.put(json.loads(line))
+            news.put(json.loads(line))
     finally:
-        facts.put(None)
+        news.put(None)
 
 
 def _end(*_: object) -> None:

@@ -56,9 +56,10 @@ class Experimenter:
         """
         wish: Wish | None = None
         for request in self._console.requests():
-            self._record("experimenter", asks=request.command, **({"text": request.text} if request.text else {}))
             if request.command == "emergency_stop":
+                # Nothing is written before the outputs are off; the stop record will say why.
                 raise SessionStopped("emergency stop")
+            self._record("experimenter", asks=request.command, **({"text": request.text} if request.text else {}))
             if request.command == "stop":
                 raise SessionStopped("experimenter")
             if request.command == "pause":
