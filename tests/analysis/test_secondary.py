@@ -53,6 +53,16 @@ def test_reaction_times_are_compared_by_medians_of_participants(build) -> None:
     assert "1 of 240 answers below 0.15 s" in finding.note
 
 
+def test_a_pair_that_everybody_answered_too_early_has_no_time(build) -> None:
+    """Synthetic: all answers to (A, C) below 0.15 s; nothing is compared, and nothing breaks."""
+    frame = build["tidy"](build["paper"]())
+    frame = frame.assign(response_time=np.where(frame["zone_left"] == "A", 0.05, 0.8))
+    found = {f.scope: f for f in time_findings(count_answers(frame), frame)}
+    assert found["one_hand A-C - B-D"].n == 0
+    assert np.isnan(found["one_hand A-C - B-D"].estimate)
+    assert found["one_hand B-D - C-E"].n == 10
+
+
 def test_the_first_finger_condition_is_told_from_the_second(build) -> None:
     """Synthetic: half began with each; the note counts them, the score is first less second."""
     frame = build["tidy"](build["constant"](4, "both"))

@@ -151,7 +151,9 @@ def time_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Findin
     kept = frame[frame["response_time"] >= ANTICIPATION]
     dropped = len(frame) - len(kept)
     for condition in answers.finger_conditions:
-        medians, all_medians = (_medians(table, condition) for table in (kept, frame))
+        # Where every answer to a pair came too early, there is no median to compare.
+        pairs = [pair.label for pair in answers.pairs]
+        medians, all_medians = (_medians(table, condition).reindex(columns=pairs) for table in (kept, frame))
         for first, second in combinations(answers.pairs, 2):
             gap = (medians[first.label] - medians[second.label]).dropna().to_numpy()
             every = (all_medians[first.label] - all_medians[second.label]).dropna().to_numpy()
