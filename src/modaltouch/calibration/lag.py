@@ -191,7 +191,7 @@ def fit_sight(pole: ComplexArray, ratio: ComplexArray, spread: FloatArray, sign:
         known = sign != 0
         return float(np.sum((np.abs(straight - sign * np.abs(straight)) / size)[known] ** 2))
 
-    tried = np.arange(0.0, LONGEST * 1e6, 0.05)
+    tried = np.arange(0.0, LONGEST * 1e6, 0.2)
     together = tried[int(np.argmin([astray(float(delay)) for delay in tried]))]
     # Delay and lag differ in the third power of lag times frequency only: a search from one lag may not see it.
     starts = [(max(together - lag, 0.0), lag) for lag in np.arange(0.05, min(together, 5.0) + 0.1, 0.25)]

@@ -152,7 +152,7 @@ class Taking:
     def _decay(self, n_records: int = N_RECORDS) -> Acquisition:
         slowest = float(-self.model.exponent.real.max())
         silence = 1 / self.timing.repetition_rate - self.timing.focusing_instant
-        length = min(1.5 / slowest, 0.9 * silence)
+        length = min(1.2 / slowest, 0.9 * silence)
         return Acquisition(
             sampling_rate=self.rate,
             n_samples=max(256, int(length * self.rate)),
@@ -181,7 +181,7 @@ class Taking:
             Highest speed, averaged over records [m/s].
         """
         whole = replace(
-            self._decay(N_RECORDS), start=0.0, n_samples=int(self.timing.duration * self.rate), sampling_rate=self.rate
+            self._decay(N_RECORDS // 2), start=0.0, n_samples=int(self.timing.duration * self.rate), sampling_rate=self.rate
         )
         burst = self._within(point, level, whole, 1.2 * level)
         highest = float(np.abs(burst.velocity.mean(axis=0)).max())
