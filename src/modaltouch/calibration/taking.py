@@ -181,7 +181,10 @@ class Taking:
             Highest speed, averaged over records [m/s].
         """
         whole = replace(
-            self._decay(N_RECORDS // 2), start=0.0, n_samples=int(self.timing.duration * self.rate), sampling_rate=self.rate
+            self._decay(N_RECORDS // 2),
+            start=0.0,
+            n_samples=int(self.timing.duration * self.rate),
+            sampling_rate=self.rate,
         )
         burst = self._within(point, level, whole, 1.2 * level)
         highest = float(np.abs(burst.velocity.mean(axis=0)).max())

@@ -186,21 +186,21 @@ def write_calibration(path: Path, calibration: CalibrationFile) -> None:
     RecordError
         If there is a file already, or it cannot be written.
     """
-    refuse_overwriting(path)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RecordError(f"{path.parent}: cannot be made ({error.strerror}); give another file with --out") from error
+    prepare_file(path)
     save_bytes(path, calibration_text(calibration).encode())
 
 
-def refuse_overwriting(path: Path) -> None:
-    """Raise where there is a file already: a calibration that a session began with is kept.
+def prepare_file(path: Path) -> None:
+    """Make the folder of a file that is to be written, and refuse one that is there: a session may have used it.
 
     Raises
     ------
     RecordError
-        If there is one.
+        If there is a file already, or its folder cannot be made.
     """
     if path.exists():
         raise RecordError(f"{path}: is there already and is not overwritten; give another file with --out")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RecordError(f"{path.parent}: cannot be made ({error.strerror}); give another file with --out") from error

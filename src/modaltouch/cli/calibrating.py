@@ -35,15 +35,15 @@ def calibrate(
     """
     from modaltouch.calibration.loop import calibrate as run_loop
     from modaltouch.calibration.refining import ground_of
-    from modaltouch.calibration.writing import Circumstances, calibration_of, refuse_overwriting, write_calibration
+    from modaltouch.calibration.writing import Circumstances, calibration_of, prepare_file, write_calibration
     from modaltouch.interruption import Interruption
     from modaltouch.measurement import open_laboratory
     from modaltouch.preflight import examine
 
     with reporting(json_output=json_output):
-        refuse_overwriting(out)
         preflight = examine(protocol, uncalibrated=True).of_one_stimulus()
         experiment, ground = preflight.experiment, ground_of(preflight)
+        prepare_file(out)
         with (
             Interruption() as interruption,
             _showing(interruption.check, by_hand=rig != "simulated") as (progress, aim),
