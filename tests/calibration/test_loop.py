@@ -167,6 +167,15 @@ def test_the_papers_law_has_no_targets(edit: Callable) -> None:
         ground_of(examine(path))
 
 
+def test_a_field_in_a_file_of_its_own_is_refused(edit: Callable) -> None:
+    """The calibration could not say later whether it still is that field."""
+    field = ("field: {shape: triangle, base_mm: 56}", "field: {shape: sampled, file: field.csv}")
+    path = edit("differentiated_stimulation.yaml", field)
+    (path.parent / "field.csv").write_text("position_mm,velocity\n-20,0\n0,1\n20,0\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"stimulus.field.file: given a file, which a calibration does not hold"):
+        ground_of(examine(path))
+
+
 def test_a_trigger_latency_that_is_told_is_taken_out(
     preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable, judge: Callable
 ) -> None:

@@ -38,6 +38,12 @@ def ground_of(preflight: Preflight) -> Ground:
     if ground.section.law != "exact":
         given = f"{ground.section.law}, a law without targets that could be corrected"
         raise InputError([reading.problem(("stimulus", "law"), given, "exact", "calibrate the exact law")])
+    if ground.section.field.file is not None:
+        given, remedy = (
+            "a file, which a calibration does not hold",
+            "write the points into the protocol, under `points`",
+        )
+        raise InputError([reading.problem(("stimulus", "field", "file"), given, "points", remedy)])
     return ground
 
 
