@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import csv
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from modaltouch.apparatus import read_apparatus
+from modaltouch.cli.app import app
 from modaltouch.document import InputError, load_source
 from modaltouch.identification.apparatus_file import identified_apparatus
 from modaltouch.identification.identified import Estimate, Identification
 from modaltouch.identification.report import check_modes, write_identification
+from modaltouch.rig.simulator.true_beam import TrueBeam
 from modaltouch.stimulus.measured import MeasuredShapes
 
 APPARATUS = Path(__file__).parents[2] / "protocols" / "apparatus" / "beam_100x6x2.yaml"
@@ -94,6 +98,47 @@ def test_missing_and_incoherent_modes_are_all_named(found: Identification) -> No
     with pytest.raises(ValueError, match=r"(?s)mode 3 has a coherence of 0.20 .*--averages.*mode 9 was not found"):
         check_modes(replace(found, modes=modes), LABELS)
     check_modes(found, LABELS)
+
+
+def write_responses(path: Path, exact: Callable[..., np.ndarray], sets: list[str]) -> Path:
+    """Write responses of eight points up to 12 kHz, with a little noise, as another program exports them."""
+    frequency, positions = np.arange(16, 3100) * 3.9, np.linspace(-0.05, 0.05, 8)
+    response = exact(frequency, positions)[: len(sets)]
+    rng = np.random.default_rng(0)
+    response = response + 1e-5 * (rng.standard_normal(response.shape) + 1j * rng.standard_normal(response.shape))
+    np.savez(path, frequency=frequency, response=response, positions=positions, sets=sets, quantity="velocity")
+    return path
+
+
+def test_files_with_positions_give_an_apparatus_file_too(
+    exact: Callable[..., np.ndarray], beam: TrueBeam, tmp_path: Path
+) -> None:
+    """Both sets at eight points: modes 1, 3 and 5 with gains within 5 %, in a file that is read back."""
+    file, out = write_responses(tmp_path / "lab.npz", exact, ["centre", "side"]), tmp_path / "out"
+    command = ["identify", str(file), "--apparatus", str(APPARATUS), "--modes", "1,3,5", "--out", str(out), "--json"]
+    done = CliRunner().invoke(app, command)
+    assert done.exit_code == 0, done.output
+    after = read_apparatus(Path(json.loads(done.stdout)["apparatus_file"]))
+    for mode in after.modes:
+        true = beam.table.modal_gain[beam.table.label.index(mode.label)] * 1e3
+        gains = [mode.gain_mm_s2_per_V["centre"], mode.gain_mm_s2_per_V["side"]]
+        assert gains == pytest.approx(true, abs=0.05 * np.abs(true).max())
+    assert after.identified is not None
+    assert after.identified.mode == "file"
+
+
+def test_actuator_set_that_is_missing_in_the_files_is_named(exact: Callable[..., np.ndarray], tmp_path: Path) -> None:
+    """One set was measured: refused, unless it is said that this is all there is."""
+    file, out = write_responses(tmp_path / "lab.npz", exact, ["centre"]), tmp_path / "out"
+    command = ["identify", str(file), "--apparatus", str(APPARATUS), "--modes", "1,3", "--out", str(out)]
+    done = CliRunner().invoke(app, command)
+    assert done.exit_code == 2
+    assert "the files hold responses to centre, none to the actuator set side" in " ".join(done.stderr.split())
+    assert not out.exists()
+    done = CliRunner().invoke(app, [*command, "--set", "centre", "--json"])
+    assert done.exit_code == 0, done.output
+    after = read_apparatus(Path(json.loads(done.stdout)["apparatus_file"]))
+    assert after.unknown_gains() == ((1, "side"), (3, "side"))
 
 
 def test_estimate_contains_what_its_interval_covers() -> None:

@@ -16,7 +16,11 @@ from modaltouch.cli.faults import BAD_INPUT, leave, print_json, reporting
 if TYPE_CHECKING:
     from modaltouch.apparatus import Apparatus
     from modaltouch.document import Source
+    from modaltouch.identification.responses import FrequencyResponses
     from modaltouch.measurement import Scan
+
+FEWEST_SHAPE_POINTS = 6
+"""Points of a file from which its modes are told apart by their shapes."""
 
 
 class Quantity(StrEnum):
@@ -89,17 +93,24 @@ def identify(
     """
     with reporting(json_output=json_output):
         try:
-            if files and not (len(files) == 1 and files[0].is_dir()):
-                result = _from_files(files, quantity, conjugated, spacing_Hz, averages, (lowest_Hz, highest_kHz), out)
-            else:
-                wanted = _Wanted(apparatus, sets, modes, files[0] if files else None)
-                if files:
-                    scans, facts = wanted.read()
+            scanned = files[0] if files and len(files) == 1 and files[0].is_dir() else None
+            if files and scanned is None:
+                responses = _read_files(files, quantity, conjugated, spacing_Hz, averages, (lowest_Hz, highest_kHz))
+                if responses.positions is None or responses.n_points < FEWEST_SHAPE_POINTS:
+                    result = _without_shapes(files, responses, out)
                 else:
-                    scans, facts = wanted.measure(
+                    wanted = _Wanted(apparatus, sets, modes, None)
+                    result = wanted.fit(wanted.chosen(responses), _file_facts(files), out)
+            else:
+                wanted = _Wanted(apparatus, sets, modes, scanned)
+                scans = (
+                    wanted.measure(
                         rig, out, points, averages, drive_V, excitation.value, highest_kHz, margin_mm * 1e-3, seed
                     )
-                result = wanted.fit(scans, facts, out)
+                    if scanned is None
+                    else wanted.read()
+                )
+                result = wanted.fit(*wanted.reduced(scans, scanned or out), out)
         except ValueError as error:
             leave(BAD_INPUT, str(error), json_output=json_output)
         if json_output:
@@ -150,7 +161,7 @@ class _Wanted:
         highest_kHz: float | None,
         margin: float,
         seed: int | None,
-    ) -> tuple[dict[str, Scan], dict[str, Any]]:
+    ) -> dict[str, Scan]:
         """Return the scans of a rig, new or gone on with."""
         import numpy as np
 
@@ -182,9 +193,9 @@ class _Wanted:
             except Interrupted as error:
                 error.add_note(f"{done[0]} of {done[1]} points are kept in {out}; give the same command to go on")
                 raise
-        return scans, {"source": out.as_posix()}
+        return scans
 
-    def read(self) -> tuple[dict[str, Scan], dict[str, Any]]:
+    def read(self) -> dict[str, Scan]:
         """Return the scans of a folder."""
         from modaltouch.measurement import read_scan
 
@@ -198,69 +209,115 @@ class _Wanted:
                     "name the sets that were measured with --set"
                 )
             scans[name] = read_scan(place)
-        return scans, {"source": folder.as_posix()}
+        return scans
 
-    def fit(self, scans: dict[str, Scan], facts: dict[str, Any], out: Path) -> dict[str, Any]:
+    def reduced(self, scans: dict[str, Scan], place: Path) -> tuple[FrequencyResponses, dict[str, Any]]:
+        """Return the responses of scans, and what is to be known of their measurement."""
+        from modaltouch.identification.excitation import LOWEST
+        from modaltouch.identification.responses import responses_of
+
+        responses = responses_of(scans, self.bandwidth)
+        first = next(iter(scans.values())).facts
+        facts = {
+            "date": first["begun"],
+            "mode": first["mode"],
+            "source": place.as_posix(),
+            "generator": first["settings"]["generator"],
+            "scope": first["settings"]["scope"],
+            "method": f"{first['settings']['about']['stimulus']}, H1 by the measured drive, joint fit of all responses",
+        }
+        return responses.between(1.5 * LOWEST, float(responses.frequency[-1])), facts
+
+    def chosen(self, responses: FrequencyResponses) -> FrequencyResponses:
+        """Return the responses of the wanted actuator sets, which a file names."""
+        import dataclasses
+
+        missing = [name for name in self.sets if name not in responses.sets]
+        if missing:
+            raise ValueError(
+                f"the files hold responses to {', '.join(responses.sets)}, none to the actuator set {missing[0]}: name "
+                "the sets in the files as in the apparatus file, or those that were measured with --set"
+            )
+        rows = [responses.sets.index(name) for name in self.sets]
+        coherence = None if responses.coherence is None else responses.coherence[rows]
+        return dataclasses.replace(
+            responses,
+            response=responses.response[rows],
+            coherence=coherence,
+            sets=self.sets,
+            bandwidth=self.bandwidth,
+        )
+
+    @property
+    def bandwidth(self) -> float | None:
+        """Corner of the vibrometer's low-pass [Hz]."""
+        kilohertz = self.apparatus.acquisition.vibrometer_bandwidth_kHz
+        return None if kilohertz is None else kilohertz * 1e3
+
+    def fit(self, responses: FrequencyResponses, facts: dict[str, Any], out: Path) -> dict[str, Any]:
         """Return the identification as plain values, its files written."""
         from modaltouch.identification.apparatus_file import identified_apparatus
-        from modaltouch.identification.excitation import CLOCK_TOLERANCE, LOWEST
+        from modaltouch.identification.excitation import CLOCK_TOLERANCE
         from modaltouch.identification.identified import identify as identify_responses
-        from modaltouch.identification.report import as_dict, check_modes, write_identification
-        from modaltouch.identification.responses import responses_of
+        from modaltouch.identification.report import as_dict, check_modes, refuse_other, write_identification
         from modaltouch.identification.shapes import check_points
 
-        bandwidth = self.apparatus.acquisition.vibrometer_bandwidth_kHz
-        responses = responses_of(scans, None if bandwidth is None else bandwidth * 1e3)
+        refuse_other(out)
         if responses.positions is not None:
             check_points(responses.positions, self.labels, self.length)
-        responses = responses.between(1.5 * LOWEST, float(responses.frequency[-1]))
         with _progress("fitting", counted=False):
             found = identify_responses(responses, self.length, clock_tolerance=CLOCK_TOLERANCE)
         check_modes(found, self.labels)
         labels = self.labels
         if self.modes == "all":
             labels = tuple(mode.label for mode in found.modes if mode.label is not None)
-        first = next(iter(scans.values())).facts
-        about = {
-            "date": first["begun"],
-            "mode": first["mode"],
-            **facts,
-            "generator": first["settings"]["generator"],
-            "scope": first["settings"]["scope"],
-            "method": f"{first['settings']['about']['stimulus']}, H1 by the measured drive, joint fit of all responses",
-        }
-        name, text = identified_apparatus(self.source, found, labels, about)
-        written = write_identification(out, found, (name, text), {"sources": about["source"]})
+        name, text = identified_apparatus(self.source, found, labels, facts)
+        written = write_identification(out, found, (name, text), {"sources": facts["source"]})
         return {
             **as_dict(found),
-            "mode": first["mode"],
+            "mode": facts["mode"],
             "table_modes": list(labels),
             "apparatus_file": str(written[name]),
             "files": {key: str(path) for key, path in written.items()},
         }
 
 
-def _from_files(
+def _read_files(
     files: list[Path],
     quantity: Quantity | None,
     conjugated: bool,
     spacing: float | None,
     averages: int,
     band: tuple[float | None, float | None],
-    out: Path,
-) -> dict[str, Any]:
-    """Return what files of measured responses say; without volts there are no gains and no apparatus file."""
+) -> FrequencyResponses:
     from modaltouch.identification.files import Reading, read_responses
+
+    how = Reading(None if quantity is None else quantity.value, conjugated, spacing, averages)
+    responses = read_responses(files, how)
+    lowest, highest = band
+    if lowest is None and highest is None:
+        return responses
+    end = float(responses.frequency[-1])
+    return responses.between(lowest or 0.0, end if highest is None else highest * 1e3)
+
+
+def _file_facts(files: list[Path]) -> dict[str, Any]:
+    import time
+
+    return {
+        "date": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+        "mode": "file",
+        "source": ", ".join(path.name for path in files),
+        "method": "responses of a file, joint fit of all of them",
+    }
+
+
+def _without_shapes(files: list[Path], responses: FrequencyResponses, out: Path) -> dict[str, Any]:
+    """Return the modes of responses at unknown places, or at too few: no shapes, no gains, no apparatus file."""
     from modaltouch.identification.identified import identify_each
     from modaltouch.identification.report import as_dict, refuse_other, write_identification
 
     refuse_other(out)
-    how = Reading(None if quantity is None else quantity.value, conjugated, spacing, averages)
-    responses = read_responses(files, how)
-    lowest, highest = band
-    if lowest is not None or highest is not None:
-        end = float(responses.frequency[-1])
-        responses = responses.between(lowest or 0.0, end if highest is None else highest * 1e3)
     with _progress("fitting", counted=False):
         found = identify_each(responses)
     written = write_identification(out, found, None, {"sources": [path.name for path in files]})
@@ -348,7 +405,9 @@ def _show(result: dict[str, Any]) -> None:
     if result["apparatus_file"]:
         console.print(f"Written: {result['apparatus_file']}, with table and figures beside it")
     else:
-        console.print("[dim]No apparatus file: files do not say gains per volt of actuator sets[/]")
+        console.print(
+            "[dim]No apparatus file: without positions along the beam there are no shapes, without them no gains[/]"
+        )
 
 
 def _with_interval(pair: dict[str, float | None] | None) -> str:

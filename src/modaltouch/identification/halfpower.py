@@ -64,6 +64,8 @@ def half_power(frequency: FloatArray, magnitude: FloatArray, near: float, reach:
         The highest bin within `reach` of `near` is the peak [Hz].
     """
     spacing = float(frequency[1] - frequency[0])
+    # A pole may lie beyond the band, whose end is then all there is of it.
+    near = float(np.clip(near, frequency[0], frequency[-1]))
     inside = np.flatnonzero(np.abs(frequency - near) <= max(reach, 1.5 * spacing))
     peak = int(inside[magnitude[inside].argmax()])
     power = magnitude.astype(float) ** 2
