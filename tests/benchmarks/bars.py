@@ -73,7 +73,7 @@ def show(bars: list[dict[str, Any]]) -> None:
     """Print promises, one to a line: whether met, what was measured, the bar, of what."""
     for each in bars:
         verdict = "met    " if each["met"] else "NOT MET"
-        print(f"  {verdict} {each['measured']:10.3g} {each['bar']:10.3g}  {each['what']}")
+        print(f"  {verdict} {each['measured']:10.3g} {each['bar']:>10}  {each['what']}")
 
 
 def main() -> int:

@@ -24,6 +24,7 @@ from modaltouch.stimulus.vibration import modal_history, moments, peak_velocity
 MODES = (6, 12, 25, 50, 100, 200)
 SAMPLES = tuple(2**power for power in range(10, 23, 2))
 POSITIONS = (1, 10, 100, 1000, 10_000, 100_000)
+PLACES = (1, 10, 100, 1000, 10_000)
 HOLD = 4e-7
 Works = dict[str, Callable[[], object]]
 
@@ -57,19 +58,22 @@ def sample_works(n_samples: int) -> Works:
     }
 
 
-def position_works(n_positions: int) -> Works:
-    """Return what is run for so many positions."""
+def field_works(n_positions: int) -> Works:
+    """Return what is run for a field at so many positions."""
     stimulus, place = design(shipped_model()), np.linspace(-0.05, 0.05, n_positions)
-    model, target, voltage = stimulus.model, stimulus.target, stimulus.voltage_played(0.2)
-    return {
-        "field_at_focus": lambda: model.field(target, place),
-        "peaks": lambda: peak_velocity(model, voltage, stimulus.timing, place),
-    }
+    return {"field_at_focus": lambda: stimulus.model.field(stimulus.target, place)}
+
+
+def peak_works(n_places: int) -> Works:
+    """Return what is run for the peaks of a whole burst at so many places."""
+    stimulus, place = design(shipped_model()), np.linspace(-0.05, 0.05, n_places)
+    voltage = stimulus.voltage_played(0.2)
+    return {"peaks": lambda: peak_velocity(stimulus.model, voltage, stimulus.timing, place)}
 
 
 def sweep(sizes: tuple[int, ...], works: Callable[[int], Works]) -> dict[int, dict[str, float]]:
     """Return the run time of everything at every size [ms]."""
-    return {n: {f"{k}_ms": milliseconds(work, 0.15, 2) for k, work in works(n).items()} for n in sizes}
+    return {n: {f"{k}_ms": milliseconds(work, 0.15, 1) for k, work in works(n).items()} for n in sizes}
 
 
 def exponents(rows: dict[int, dict[str, float]]) -> dict[str, float]:
@@ -86,7 +90,6 @@ def memory(works: Callable[[int], Works], sizes: tuple[int, int], result: int) -
     taken: dict[str, list[float]] = {}
     for size in sizes:
         for name, work in works(size).items():
-            work()
             tracemalloc.start()
             work()
             taken.setdefault(name, []).append(tracemalloc.get_traced_memory()[1] - result * size)
@@ -100,11 +103,13 @@ def main() -> int:
         rows = {
             "modes": sweep(MODES, mode_works),
             "samples": sweep(SAMPLES, sample_works),
-            "positions": sweep(POSITIONS, position_works),
+            "positions": sweep(POSITIONS, field_works),
+            "places": sweep(PLACES, peak_works),
         }
         taken = {
             "samples": memory(sample_works, (2**17, 2**22), 0),
-            "positions": memory(position_works, (10_000, 100_000), 8),
+            "positions": memory(field_works, (10_000, 100_000), 8),
+            "places": memory(peak_works, (1000, 10_000), 8),
         }
     fitted = {what: exponents(each) for what, each in rows.items()}
     bars: list[dict[str, Any]] = []
@@ -114,8 +119,8 @@ def main() -> int:
         bars.append(at_most(f"{name}: memory for 2^22 samples over that for 2^17", large / small, 1.05))
     (small, large) = taken["positions"]["field_at_focus"]
     bars.append(at_most("field_at_focus: memory for 1e5 positions over that for 1e4", large / small, 1.05))
-    peaks = taken["positions"]["peaks"][1] / 1e6
-    bars.append(at_most("peaks: memory for 1e5 positions", peaks, 100, "MB"))
+    peaks = taken["places"]["peaks"][1] / 1e6
+    bars.append(at_most("peaks of a burst: memory for 1e4 places", peaks, 20, "MB"))
     return write("sizes", {"run_time": rows, "exponents": fitted, "memory_bytes": taken}, bars)
 
 

@@ -6,7 +6,7 @@ from bars import RESULTS
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter, NullLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from modaltouch.analysis.style import INK, house_style
 
@@ -27,6 +27,9 @@ MEANS = {
     "forced_response, one call": ("#9a5b9f", "v"),
 }
 LAWS = {"exact": "o", "paper": "X"}
+ROUNDED = {bits: "s" if bits == "before rounding" else "o" for bits in BITS}
+"""What no generator plays has a form of its own."""
+
 LEAST = 1e-17
 """Errors of nothing at all are shown here."""
 
@@ -66,7 +69,7 @@ def _keys(figure: Figure) -> None:
     def key(label: str, colour: str, marker: str, size: float = 7.0) -> Line2D:
         return Line2D([], [], ls="", marker=marker, mfc=colour, mec=INK, mew=0.5, ms=size, label=label)
 
-    rounding = [key(label, colour, "o") for label, colour in BITS.items()]
+    rounding = [key(label, colour, ROUNDED[label]) for label, colour in BITS.items()]
     laws = [key("exact law", "white", "o"), key("law of the paper", "white", "X", 8.0)]
     samples = [key(f"{n:,} samples", "white", "o", size**0.5) for n, size in SIZES.items()]
     front = [Line2D([], [], c=INK, lw=1.0, label="front: nothing is\nfaster and nearer")]
@@ -95,10 +98,11 @@ def draw(points: list[dict[str, Any]]) -> None:
             some = [each for each in making if each["n_modes"] == n_modes]
             _dress(axis, f"Making a stimulus of {n_modes} modes")
             for bits, colour in BITS.items():
-                for law, marker in LAWS.items():
+                for law, marker in {**LAWS, "exact": ROUNDED[bits]}.items():
                     _mark(axis, [p for p in some if (p["bits"], p["law"]) == (bits, law)], colour, marker)
             axis.tick_params(labelleft=column == 0)
             _front(axis, some)
+            axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axis = figure.add_subplot(grid[1, :2])
         _dress(axis, "Predicting nine modes at $t_F$")
         predicting = [each for each in points if each["task"] == "predicting"]
