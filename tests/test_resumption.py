@@ -232,7 +232,9 @@ def test_an_interruption_beyond_the_limit_of_age_is_refused() -> None:
     """The message says how old, how old at most, and what to do."""
     session = interrupted(30)
     cut = examine_interruption(session, now=datetime.now(UTC), clock=5.0, boot="two")
-    with pytest.raises(RecordInputError, match=r"30\.0 h ago.*within 24 h.*--restart s"):
+    with pytest.raises(
+        RecordInputError, match=r"30\.0 h ago.*within 24 h \(schedule.resume.within_hours\).*--restart s"
+    ):
         refuse_old(session, cut, ResumeSection(within_hours=24))
     refuse_old(session, cut, ResumeSection())
 

@@ -108,8 +108,8 @@ def refuse_old(session: Session, interruption: Interruption, policy: ResumeSecti
     hours = interruption.age_s / 3600
     if hours > policy.within_hours:
         raise RecordInputError(
-            f"{session.path}: was interrupted {hours:.1f} h ago, and {limit}; the limit is schedule.resume."
-            f"within_hours; {anew}"
+            f"{session.path}: was interrupted {_duration(interruption.age_s)} ago, and {limit} "
+            f"(schedule.resume.within_hours); {anew}"
         )
 
 
@@ -190,6 +190,10 @@ def begin_anew(old: SessionFolder, place: SessionFolder, cut: Interruption, fact
         write_view(old, Session(log.path, tuple(log.events), ()), log.head)
     begun = {"session": old.session, "interruption": cut.as_dict()}
     return SessionLog.create(place.log, "start", **facts, begins_anew=begun)
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds / 3600:.1f} h" if seconds >= 3600 else f"{seconds / 60:.1f} min"
 
 
 def _cut_trial(session: Session) -> dict[str, Any] | None:

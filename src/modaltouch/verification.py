@@ -82,7 +82,10 @@ def verify_session(path: Path) -> Verdict:
     line, faults = _check_view(session, chain.checks)
     lines += [line] if line else []
     problems += faults
-    lines.append("complete" if session.complete else "not complete: resume it, or analyse it as incomplete")
+    if session.begun_anew_as is not None:
+        lines.append(f"closed and not complete: begun anew as session {session.begun_anew_as}")
+    else:
+        lines.append("complete" if session.complete else "not complete: resume it, or analyse it as incomplete")
     return Verdict(log, tuple(lines), tuple(problems))
 
 
