@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from modaltouch.apparatus import Apparatus, read_apparatus
-from modaltouch.identification.identified import Identification, identify
+from modaltouch.identification.estimates import Identification
+from modaltouch.identification.identified import identify
 from modaltouch.identification.responses import FrequencyResponses
 from modaltouch.rig.simulator.true_beam import TrueBeam, true_beam
 

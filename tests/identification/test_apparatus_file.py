@@ -16,7 +16,7 @@ from modaltouch.apparatus import read_apparatus
 from modaltouch.cli.app import app
 from modaltouch.document import InputError, load_source
 from modaltouch.identification.apparatus_file import identified_apparatus
-from modaltouch.identification.identified import Estimate, Identification
+from modaltouch.identification.estimates import Estimate, Identification
 from modaltouch.identification.report import check_modes, write_identification
 from modaltouch.rig.simulator.true_beam import TrueBeam
 from modaltouch.stimulus.measured import MeasuredShapes

@@ -12,9 +12,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modaltouch.identification.identified import Identification, identify
+from modaltouch.identification.estimates import Identification
+from modaltouch.identification.identified import identify
+from modaltouch.identification.peaks import Poles
 from modaltouch.identification.responses import QUANTITIES, FrequencyResponses, Quantity, as_velocity
-from modaltouch.identification.search import Poles
 from modaltouch.identification.shapes import check_points, label_shapes, mac
 from modaltouch.rig.simulator.true_beam import TrueBeam
 from modaltouch.stimulus.shapes import mode_shapes

@@ -13,8 +13,9 @@ from modaltouch.apparatus import Apparatus
 from modaltouch.comparison.judging import Playbacks, Task, Verdict, judge
 from modaltouch.comparison.learned import Knowledge, Responses, band
 from modaltouch.comparison.methods import Designed, design_all
+from modaltouch.identification.estimates import Identification
 from modaltouch.identification.excitation import LOWEST, Campaign, evenly, highest_needed
-from modaltouch.identification.identified import Identification, identify
+from modaltouch.identification.identified import identify
 from modaltouch.identification.responses import FrequencyResponses, responses_of
 from modaltouch.measurement import open_laboratory
 from modaltouch.preflight import Preflight

@@ -9,7 +9,7 @@ from typing import Any
 
 from modaltouch.apparatus import examine_apparatus
 from modaltouch.document import InputError, Source
-from modaltouch.identification.identified import Estimate, Identification, IdentifiedMode
+from modaltouch.identification.estimates import Estimate, Identification, IdentifiedMode
 
 SUFFIX = "_identified"
 

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from modaltouch.analysis.style import CONDITION_COLOURS, FAINT, INK, house_style, new_figure, quiet_grid
-from modaltouch.identification.identified import Identification, IdentifiedMode
+from modaltouch.identification.estimates import Identification, IdentifiedMode
 from modaltouch.stimulus.shapes import mode_shapes
 
 FloatArray = NDArray[np.float64]

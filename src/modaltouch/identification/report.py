@@ -12,8 +12,8 @@ from typing import Any
 
 from modaltouch import __version__
 from modaltouch.analysis.output import MANIFEST, write_files
+from modaltouch.identification.estimates import Estimate, Identification, IdentifiedMode
 from modaltouch.identification.freefree import FreeFree, recognise
-from modaltouch.identification.identified import Estimate, Identification, IdentifiedMode
 from modaltouch.record.chain import RecordError
 
 LEAST_COHERENCE = 0.5
