@@ -2,33 +2,63 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import signal
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
 
 RIG = Annotated[
     str, typer.Option(help="`simulated`, or the generator's VISA address; beside a real one stands a PicoScope.")
 ]
 
 
+class Showing:
+    """Bars on standard error, out of the way while somebody is asked to aim.
+
+    Parameters
+    ----------
+    bars : rich.progress.Progress
+        Where they are shown.
+    """
+
+    def __init__(self, bars: Progress) -> None:
+        self._bars = bars
+        self._tasks: dict[str, TaskID] = {}
+
+    def __call__(self, what: str, done: int, total: int) -> None:
+        """Show how much of something is done."""
+        if what not in self._tasks:
+            self._tasks[what] = self._bars.add_task(what, total=total)
+        self._bars.update(self._tasks[what], completed=done, total=total)
+
+    def aim(self, position: float) -> None:
+        """Have the person at the rig bring the vibrometer's spot to a position [m from mid-beam].
+
+        The outputs are off meanwhile, so Ctrl-C may end it at once.
+        """
+        self._bars.stop()
+        noting = signal.signal(signal.SIGINT, signal.default_int_handler)
+        try:
+            ask_to_aim(position)
+        finally:
+            signal.signal(signal.SIGINT, noting)
+            self._bars.start()
+
+
 @contextmanager
-def progress() -> Iterator[Callable[[str, int, int], None]]:
+def progress() -> Iterator[Showing]:
     """Show on standard error what is being done, how far it is, and how long the rest will take."""
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True)) as shown:
-        tasks: dict[str, TaskID] = {}
-
-        def update(what: str, done: int, total: int) -> None:
-            if what not in tasks:
-                tasks[what] = shown.add_task(what, total=total)
-            shown.update(tasks[what], completed=done, total=total)
-
-        yield update
+    with Progress(*columns, console=Console(stderr=True)) as bars:
+        yield Showing(bars)
 
 
 def ask_to_aim(position: float) -> None:

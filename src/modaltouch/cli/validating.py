@@ -9,7 +9,7 @@ import typer
 
 from modaltouch.cli.checking import CALIBRATION, PROTOCOL
 from modaltouch.cli.faults import print_json, reporting
-from modaltouch.cli.measuring import RIG, ask_to_aim, progress
+from modaltouch.cli.measuring import RIG, progress
 
 if TYPE_CHECKING:
     from modaltouch.preflight import Preflight
@@ -93,7 +93,7 @@ def _observe(
 ) -> tuple[list[Observation], Occasion]:
     """Return what was recorded, now or before, and the occasion."""
     from modaltouch.interruption import Interruption
-    from modaltouch.measurement import SIMULATED, open_laboratory
+    from modaltouch.measurement import open_laboratory
     from modaltouch.provenance import commit
     from modaltouch.validation.page import Occasion
     from modaltouch.validation.recording import complete, read_laws, record_laws
@@ -103,11 +103,10 @@ def _observe(
     if folder is not None and complete(folder):
         observed = read_laws(ground, folder)
     else:
-        aim: dict[str, Any] = {} if address == SIMULATED else {"aim": ask_to_aim}
         with (
             Interruption() as interruption,
-            progress() as on_progress,
-            open_laboratory(experiment.apparatus, address, **aim) as laboratory,
+            progress() as showing,
+            open_laboratory(experiment.apparatus, address, aim=showing.aim) as laboratory,
         ):
             observed = record_laws(
                 ground,
@@ -117,7 +116,7 @@ def _observe(
                 n_records=averages,
                 folder=folder,
                 source=experiment.sources.apparatus,
-                on_progress=on_progress,
+                on_progress=showing,
                 check=interruption.check,
             )
     settings = observed[0].field.facts["settings"]

@@ -1,0 +1,46 @@
+"""Who moves the vibrometer: asked on standard error, and Ctrl-C is heard at once."""
+
+from __future__ import annotations
+
+import signal
+
+import pytest
+import typer
+
+from modaltouch.cli.measuring import progress
+
+
+def test_person_is_asked_for_each_position(monkeypatch, capsys):
+    """Expected: millimetres from mid-beam with their sign, on standard error; the bars go on afterwards."""
+    monkeypatch.setattr("builtins.input", lambda: "")
+    with progress() as showing:
+        showing("field", 1, 2)
+        showing.aim(-0.0125)
+        showing("field", 2, 2)
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert "-12.50 mm from mid-beam" in err
+    assert "2/2" in err
+
+
+def test_interrupting_while_aiming_ends_it(monkeypatch):
+    """A handler that only notes the signal would leave the prompt waiting; it is back afterwards."""
+    monkeypatch.setattr("builtins.input", lambda: signal.raise_signal(signal.SIGINT))
+    noting = signal.signal(signal.SIGINT, lambda *_: None)
+    try:
+        with progress() as showing, pytest.raises(KeyboardInterrupt):
+            showing.aim(0.0)
+        assert signal.getsignal(signal.SIGINT) is not signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, noting)
+
+
+def test_nobody_there_is_said(monkeypatch):
+    """Standard input is closed: bad input with a remedy, not an endless wait."""
+
+    def closed():
+        raise EOFError
+
+    monkeypatch.setattr("builtins.input", closed)
+    with progress() as showing, pytest.raises(typer.BadParameter, match="nobody is there to aim"):
+        showing.aim(0.0)
