@@ -43,6 +43,12 @@ PULSES = (44e-6, 88e-6, 176e-6, 352e-6)
 STRENGTHS = 10.0 ** np.arange(-5.0, 0.01, 0.5)
 """Regularisations that are tried, over the largest squared singular value [1]."""
 
+ABOVE_NOISE = 10.0
+"""How many times the noise a direction must be to count in the inverse filter at one instant [1]."""
+
+STRONGER = 8
+"""How often that is raised tenfold at most."""
+
 ENDS = 1e-3
 """Length of the taper at either end of a burst [s]."""
 
@@ -122,7 +128,9 @@ def regularised_inverse(response: ComplexArray, wished: ComplexArray, strength: 
 def inverse_filter_at_instant(known: Knowledge) -> FloatArray:
     r"""Return the drives of least energy that make the wished field at the focusing instant, at the level or the limit.
 
-    The regularisation is what noise adds to the diagonal of :math:`R R^T` on the average, known from record to record.
+    Noise adds to :math:`R R^T` what is known of it from record to record, on the average on its diagonal alone: that
+    is the regularisation. Directions that do not stand ABOVE_NOISE out of it are left out, since a drive that leans on
+    them leans on noise; more are where it would pass the voltage limit.
 
     Parameters
     ----------
@@ -134,11 +142,20 @@ def inverse_filter_at_instant(known: Knowledge) -> FloatArray:
     (n_channels, n_samples) array
         Voltages of the whole burst at the beam; 0 after the focusing instant [V].
     """
-    noise = known.responses.noise_towards(known.n_before * known.step, known.step)
-    return known.to_level(least_energy(known.towards, known.wished(), float(noise.sum()) * known.n_before)[:, ::-1])
+    noise = float(known.responses.noise_towards(known.n_before * known.step, known.step).sum()) * known.n_before
+    wished, towards = known.wished(), known.towards
+    strength, direction = np.linalg.eigh(np.einsum("cmj,cnj->mn", towards, towards, optimize=True))
+    for floor in noise * ABOVE_NOISE * 10.0 ** np.arange(STRONGER):
+        # The strongest direction is kept whatever the noise.
+        kept = direction[:, (strength > floor) | (strength == strength.max())]
+        steps = least_energy(towards, wished, noise, kept)[:, ::-1]
+        reached = float(known.expected(steps)[known.focus])
+        if reached > 0 and float(np.abs(steps).max()) * known.wish.velocity / reached <= known.amplifier.limit:
+            break
+    return known.to_level(steps)
 
 
-def least_energy(towards: FloatArray, wished: FloatArray, beta: float) -> FloatArray:
+def least_energy(towards: FloatArray, wished: FloatArray, beta: float, kept: FloatArray | None = None) -> FloatArray:
     r"""Return :math:`R^T (R R^T + \beta I)^{-1} f`, (n_channels, n_steps) array [V].
 
     Parameters
@@ -149,10 +166,14 @@ def least_energy(towards: FloatArray, wished: FloatArray, beta: float) -> FloatA
         f [m/s].
     beta : float
         What is given up for energy [(m/s per V)^2].
+    kept : (n_points, n_kept) array, optional
+        Orthonormal directions in which the field is made; all, if not given [1].
     """
-    gram = np.einsum("cmj,cnj->mn", towards, towards, optimize=True)
-    weight = np.linalg.lstsq(gram + beta * np.eye(wished.size), wished, rcond=None)[0]
-    return np.asarray(np.einsum("cmj,m->cj", towards, weight))
+    kept = np.eye(wished.size) if kept is None else kept
+    within = np.einsum("mk,cmj->ckj", kept, towards, optimize=True)
+    gram = np.einsum("ckj,clj->kl", within, within, optimize=True)
+    weight = np.linalg.lstsq(gram + beta * np.eye(gram.shape[0]), kept.T @ wished, rcond=None)[0]
+    return np.asarray(np.einsum("ckj,k->cj", within, weight))
 
 
 def _taper(n: int, n_end: int) -> FloatArray:

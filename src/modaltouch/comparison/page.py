@@ -32,7 +32,7 @@ def as_dict(contest: Contest, rows: Sequence[Row], about: dict[str, Any]) -> dic
     rows : sequence of dict
         As `rows_of` returns them.
     about : dict
-        Protocol, apparatus and seed, plain values.
+        Protocol, apparatus, seed and records at each point (``n_records``), plain values.
     """
     return {
         **about,
