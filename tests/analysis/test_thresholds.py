@@ -131,6 +131,7 @@ def test_separated_answers_have_a_finite_threshold_and_an_open_spread() -> None:
     assert fit.spread is not None
     assert 14 <= fit.threshold.value <= 18
     assert fit.spread.low is None
+    assert fit.slope is None
 
 
 @pytest.fixture(scope="module")

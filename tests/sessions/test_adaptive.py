@@ -1,4 +1,4 @@
-"""Adaptive sessions on the simulated rig: killed and resumed, checked, forged (issue 6, item 6)."""
+"""Adaptive sessions and several stimuli on the simulated rig: killed, resumed, checked, forged (issue 6, item 6)."""
 
 import json
 import random
@@ -40,12 +40,12 @@ def test_a_killed_run_goes_on_with_the_very_same_level(
     """SIGKILL and resume: levels and answers as in the session that nobody interrupts; verify recomputes them."""
     protocol = short(method)
     logs = [tmp_path / name / "simulated/threshold/sub-p07/ses-1/beh/session.jsonl" for name in ("a", "b")]
-    assert finish("run", protocol, "-p", "p07", *RUN, "--results", tmp_path / "a") == 0
+    assert finish("run", protocol, "-p", "p07", *RUN, "--results", tmp_path / "a", timeout=120) == 0
     session = start("run", protocol, "-p", "p07", *RUN, "--results", tmp_path / "b")
-    wait_for_trials(logs[1], n_trials)
+    wait_for_trials(logs[1], n_trials, timeout=90)
     session.join(random.Random(n_trials).uniform(0, 0.04))
     kill(session, signal.SIGKILL)
-    assert finish("resume", logs[1].parent) == 0
+    assert finish("resume", logs[1].parent, timeout=120) == 0
     assert answers_of(logs[1]) == answers_of(logs[0])
     levels = {condition["velocity_mm_s"] for practice, _, condition, _ in answers_of(logs[1]) if not practice}
     assert len(levels) > 4
@@ -69,3 +69,19 @@ def test_a_level_that_does_not_follow_is_noticed(tmp_path, short, finish):
     log.write_bytes(b"".join(lines))
     problems = verify_session(log.parent).problems
     assert any("the record says 77 mm/s" in problem for problem in problems)
+
+
+def test_a_killed_session_goes_on_with_the_stimuli_it_had(
+    tmp_path, protocol_path, start, finish, kill, wait_for_trials, answers_of
+):
+    """SIGKILL and resume with two stimuli in the memories: trials and answers as in the uninterrupted session."""
+    protocol = protocol_path.with_name("two_fields.yaml")
+    logs = [tmp_path / name / "simulated/two_fields/sub-p07/ses-1/beh/session.jsonl" for name in ("a", "b")]
+    assert finish("run", protocol, "-p", "p07", *RUN, "--results", tmp_path / "a", timeout=120) == 0
+    session = start("run", protocol, "-p", "p07", *RUN, "--results", tmp_path / "b")
+    wait_for_trials(logs[1], 11, timeout=90)
+    kill(session, signal.SIGKILL)
+    assert finish("resume", logs[1].parent, timeout=120) == 0
+    assert answers_of(logs[1]) == answers_of(logs[0])
+    assert {condition["stimulus"] for _, _, condition, _ in answers_of(logs[1])} == {"sharp", "blunt"}
+    assert verify_session(logs[1].parent).problems == ()

@@ -75,8 +75,8 @@ class Psychometric:
 
     @property
     def slope(self) -> float | None:
-        """Rise of the function at the threshold [1/dB]."""
-        if self.spread is None:
+        """Rise of the function at the threshold [1/dB]; None where the answers fit a step as well."""
+        if self.spread is None or self.spread.low is None:
             return None
         return (1 - self.guess_rate - self.lapse_rate) / (self.spread.value * math.sqrt(2 * math.pi))
 
