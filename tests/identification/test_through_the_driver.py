@@ -18,10 +18,11 @@ from modaltouch.apparatus import Apparatus
 from modaltouch.document import load_source
 from modaltouch.identification.excitation import EXCITATIONS, LOWEST, Campaign, Excitation, evenly, excite
 from modaltouch.identification.identified import identify
-from modaltouch.identification.responses import responses_of
+from modaltouch.identification.responses import Spectra, responses_of
 from modaltouch.identification.shapes import mac
-from modaltouch.measurement import Laboratory, open_laboratory, read_scan
+from modaltouch.measurement import Laboratory, ScanPlan, open_laboratory, read_scan, take_scan
 from modaltouch.record.chain import RecordInputError
+from modaltouch.rig.acquisition import Acquisition
 from modaltouch.rig.interface import RigError
 from modaltouch.stimulus.shapes import mode_shapes
 
@@ -130,6 +131,26 @@ def test_stopped_scan_keeps_its_range(laboratory: Laboratory, tmp_path: Path) ->
     assert scans["centre"].facts["settings"] == half.facts["settings"]
 
 
+def test_saturated_records_are_refused_with_their_place(laboratory: Laboratory) -> None:
+    """A range of 1 mm/s cuts what moves by eight: no response is made of it."""
+    burst = excite(laboratory.apparatus, "centre", 20.0, 12e3)
+    narrow = Acquisition(3.125e6, 819_200, 1, (1,), velocity_range=1e-3, drive_range=25.0)
+    scan = take_scan(laboratory, ScanPlan(burst, burst.velocity, (0.049,), narrow), reduction=Spectra(12e3))
+    with pytest.raises(RecordInputError, match="velocity reached the end of the range at 49 mm.* another folder"):
+        responses_of({"centre": scan})
+
+
+def test_scans_at_other_positions_do_not_go_together(laboratory: Laboratory) -> None:
+    """Each set at the same positions: no shape has two places at once."""
+    source = load_source(APPARATUS)
+    one, other = (
+        small(positions=(place,)).scan(laboratory, source, None, on_progress=nothing, check=never)["centre"]
+        for place in (0.0, 0.01)
+    )
+    with pytest.raises(RecordInputError, match="the scan of the set side is at other positions than the first"):
+        responses_of({"centre": one, "side": other})
+
+
 def test_drive_that_does_not_arrive_is_told(laboratory: Laboratory, tmp_path: Path) -> None:
     """An amplifier that has tripped: refused before any position is measured, and nothing is written."""
     assert laboratory.simulator is not None
@@ -152,6 +173,18 @@ def test_velocity_beyond_the_safety_limit_is_refused(apparatus: Apparatus) -> No
         pytest.raises(RigError, match="mm/s, the safety limit is 5; the outputs are off; lower --drive-V"),
     ):
         small(voltage=100.0).scan(laboratory, load_source(APPARATUS), None, on_progress=nothing, check=never)
+
+
+def test_headroom_ends_at_the_vibrometer_s_own_range(apparatus: Apparatus) -> None:
+    """What nearly fills the vibrometer's range is measured with all of it, and not refused for want of more."""
+    knobs = apparatus.acquisition.model_copy(update={"range_mm_s": 7.5})
+    tight = apparatus.model_copy(update={"acquisition": knobs})
+    with open_laboratory(tight, repetition="continuous") as laboratory:
+        scans = small(positions=(0.049,)).scan(
+            laboratory, load_source(APPARATUS), None, on_progress=nothing, check=never
+        )
+    assert scans["centre"].overloaded == ((),)
+    assert scans["centre"].facts["settings"]["acquisition"]["velocity_range"] == pytest.approx(0.0075)
 
 
 @pytest.mark.parametrize("kind", EXCITATIONS)

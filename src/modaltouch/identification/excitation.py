@@ -247,7 +247,11 @@ def _with_range(laboratory: Laboratory, plan: ScanPlan, name: str, voltage: floa
             f"the excitation moves the end of the beam at {highest * 1e3:.0f} mm/s, the safety limit is "
             f"{limit * 1e3:g}; the outputs are off; lower --drive-V"
         )
-    return replace(seen.fitting(asked, HEADROOM), drive_range=asked.drive_range)
+    # Overload is told of every record, so that the vibrometer's whole range is range enough.
+    widest = laboratory.apparatus.acquisition.range_mm_s * 1e-3
+    fitting = seen.fitting(asked, HEADROOM).velocity_range
+    wanted = None if fitting is None else min(fitting, widest)
+    return replace(asked, velocity_range=wanted)
 
 
 def evenly(length: float, n_points: int, margin: float) -> tuple[float, ...]:

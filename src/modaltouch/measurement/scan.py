@@ -109,7 +109,7 @@ class Scan:
             if names:
                 raise RecordInputError(
                     f"{' and '.join(names)} reached the end of the range at {position * 1e3:g} mm, so the record is "
-                    "cut: scan again with a wider range or a lower drive"
+                    "cut: scan again into another folder, with a wider range or a lower drive"
                 )
         return self
 
