@@ -283,3 +283,8 @@ def test_events_are_written_from_the_session_alone(tmp_path: Path) -> None:
     """A file in a folder that does not exist is said at once, before anything begins."""
     with pytest.raises(OSError, match="No such file"):
         EventLines(tmp_path / "absent" / "events.jsonl")
+    protocol = tmp_path / "protocol.yaml"
+    protocol.write_text("protocol: demo\n")
+    with pytest.raises(OSError, match="holds something else"):
+        EventLines(protocol)
+    assert protocol.read_text() == "protocol: demo\n"

@@ -152,11 +152,12 @@ def test_the_terminal_is_given_back_however_the_session_ends(run: Callable[..., 
 
 
 def test_a_session_outlives_its_console(run: Callable[..., Any]) -> None:
-    """The console's process is killed: the session goes on to its end and gives the terminal back."""
+    """The console's process is killed: the terminal is given back, and plain lines tell of the rest of the session."""
     console = run()
     os.kill(console_of(console.process.pid), signal.SIGKILL)
     assert console.finish() == 0
     assert "Done: 180 answers" in console.text
+    assert "180 of 180 answered" in console.text
     assert console.is_restored
 
 

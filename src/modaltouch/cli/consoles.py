@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -43,14 +43,16 @@ def open_console(events: Path | None, emergency_keys: Sequence[str], *, plain: b
                 f"given --events {events}, which cannot be written ({error.strerror}); give a file in a folder you "
                 "may write to, or a named pipe (`mkfifo`)"
             ) from error
+    from modaltouch.console.lines import PlainLines
+
+    shown: Console = PlainLines(sys.stderr)
     if has_terminal() and not plain:
         from modaltouch.console.terminal import TerminalConsole
 
-        consoles.append(TerminalConsole(sys.stdin.fileno(), sys.stderr.fileno(), emergency_keys))
-    else:
-        from modaltouch.console.lines import PlainLines
-
-        consoles.append(PlainLines(sys.stderr))
+        # A machine that can start no more processes shows plain lines.
+        with suppress(OSError):
+            shown = TerminalConsole(sys.stdin.fileno(), sys.stderr.fileno(), emergency_keys, instead=shown)
+    consoles.append(shown)
     with Consoles(consoles) as console:
         yield console
 

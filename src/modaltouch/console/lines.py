@@ -14,6 +14,8 @@ from typing import TextIO
 from modaltouch.console.drawing import describe_last
 from modaltouch.console.interface import Facts, Silence
 
+_OPENING = b'{"time": "'
+"""How every line begins."""
 LONGEST_LINE = 4096
 """A pipe takes a line of this length whole or not at all (POSIX's PIPE_BUF on Linux) [bytes]."""
 
@@ -71,13 +73,15 @@ class EventLines(Silence):
     Raises
     ------
     OSError
-        If it can be neither.
+        If it can be neither, or the file holds something else already.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._descriptor = -1
         self._n_dropped = 0
+        if path.is_file() and path.read_bytes()[: len(_OPENING)] not in (b"", _OPENING):
+            raise FileExistsError(errno.EEXIST, "it holds something else than events already", str(path))
         self._open()
 
     def show(self, facts: Facts) -> None:

@@ -12,7 +12,7 @@ import threading
 from collections import deque
 from collections.abc import Sequence
 
-from modaltouch.console.interface import COMMANDS, Facts, Request, Silence
+from modaltouch.console.interface import COMMANDS, Console, Facts, Request, Silence
 from modaltouch.console.keyboard import restore_terminal, save_terminal
 
 _KEPT = 64
@@ -32,9 +32,24 @@ class TerminalConsole(Silence):
         Descriptors of the terminal: keys come from the first, the picture goes to the second.
     emergency : sequence of str
         Names of the keys that stop everything at once.
+    instead : Console, optional
+        Shows how the session stands once the process is gone.
+
+    Raises
+    ------
+    OSError
+        If the process cannot be started; the terminal is as it was.
     """
 
-    def __init__(self, keys: int = 0, screen: int = 2, emergency: Sequence[str] = ("f12",)) -> None:
+    def __init__(
+        self,
+        keys: int = 0,
+        screen: int = 2,
+        emergency: Sequence[str] = ("f12",),
+        instead: Console | None = None,
+    ) -> None:
+        self._instead = instead or Silence()
+        self._is_given_back = False
         self._terminal = keys
         self._screen = screen
         self._before = save_terminal(keys)
@@ -60,6 +75,10 @@ class TerminalConsole(Silence):
 
     def show(self, facts: Facts) -> None:
         """Show how the session stands; a terminal that stands still is not waited for."""
+        if self._process.poll() is not None:
+            self._give_back()
+            self._instead.show(facts)
+            return
         self._facts.append(facts)
         self._wake.put(True)
 
@@ -72,22 +91,27 @@ class TerminalConsole(Silence):
 
     def close(self) -> None:
         """Have the terminal given back; do it here if the process cannot any more."""
-        if self._process.returncode is not None:
-            return
         self._wake.put(False)
         try:
             self._process.wait(_PATIENCE)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
-        if self._process.returncode != 0:
-            with contextlib.suppress(OSError):
-                os.write(self._screen, _LEAVE_SCREEN)
-        restore_terminal(self._terminal, self._before)
+        self._give_back()
         for thread in self._threads:
             thread.join(_PATIENCE)
         if self._process.stdout is not None:
             self._process.stdout.close()
+
+    def _give_back(self) -> None:
+        """Leave the terminal as it was, whether or not the process could."""
+        if self._is_given_back:
+            return
+        self._is_given_back = True
+        if self._process.returncode != 0:
+            with contextlib.suppress(OSError):
+                os.write(self._screen, _LEAVE_SCREEN)
+        restore_terminal(self._terminal, self._before)
 
     def _send(self) -> None:
         """Write facts to the process until told to end."""
