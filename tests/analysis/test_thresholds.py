@@ -208,3 +208,5 @@ def test_what_needs_fixed_levels_refuses_adaptive_sessions(preflight: Preflight,
     with pytest.raises(InputError, match="adaptive sessions, which have no table of counts"):
         fit_answers(preflight, results, FAINT)
     assert read_responses(results).is_adaptive
+    with pytest.raises(InputError, match="leave the option out: a run holds the trials of all its stimuli"):
+        read_responses(results, stimulus="sharp")

@@ -115,6 +115,9 @@ def read_tree(place: Path, mode: str | None = None, stimulus: str | None = None)
         _refuse(place, f"no session that can be analysed ({listed})", "at least one complete session", remedy)
     frame = unmirror(pd.DataFrame([row for item in taken for row in item.rows], columns=list(COLUMNS)))
     foci = taken[0].foci
+    if is_adaptive and stimulus is not None:
+        remedy = "leave the option out: a run holds the trials of all its stimuli"
+        _refuse(place, f"stimulus {stimulus!r} with adaptive sessions", "none", remedy)
     if not is_adaptive:
         frame = _choose_stimulus(place, frame, stimulus)
         _refuse_designs(place, frame)
