@@ -108,6 +108,16 @@ soak-calibration: install
 fuzz: install
 	MODALTOUCH_MUTATIONS=20000 $(PYTHON) -m pytest --timeout 7200 tests/test_mutated_files.py
 
+## oldest: the tests that need no window, with the oldest versions that pyproject.toml allows
+.PHONY: oldest
+oldest: | $(filter .uv/bin/uv,$(UV))
+	mkdir -p build
+	$(UV) pip compile --quiet --resolution lowest-direct --python-version 3.11 --group dev pyproject.toml -o build/oldest.txt
+	$(UV) venv --quiet --clear --python 3.11 build/oldest
+	$(UV) pip install --quiet --python build/oldest/bin/python -r build/oldest.txt
+	PYTHONPATH=src build/oldest/bin/python -m pytest -n 2 --dist loadfile -W ignore tests/adaptive tests/analysis tests/apparatus \
+	  tests/observer tests/planning tests/preflight tests/protocol tests/record tests/schedule tests/stimulus
+
 ## lock: resolve the dependencies again into requirements.lock
 .PHONY: lock
 lock: | $(filter .uv/bin/uv,$(UV))
