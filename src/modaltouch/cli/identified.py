@@ -5,6 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
+WIDE = 88
+"""Columns of a terminal from which the picked peaks are shown too."""
+
 
 def show(result: dict[str, Any]) -> None:
     """Print what was identified: Table I, what half-power cannot say, what else was seen, where it was written."""
@@ -18,10 +21,20 @@ def show(result: dict[str, Any]) -> None:
         title_justify="left",
         box=None,
         pad_edge=False,
+        padding=(0, 1, 0, 0),
     )
     gains = [name for name in result["sets"] if any(name in mode["gain_mm_s2_per_V"] for mode in result["modes"])]
     wanted = result.get("table_modes")
-    headings = ["mode", "f [Hz]", "xi", *(f"G {name}" for name in gains), "MAC", "f peak", "xi half"]
+    wide = console.width >= WIDE
+    headings = [
+        "mode",
+        "f [Hz]",
+        "xi",
+        *(f"G {name}" for name in gains),
+        "MAC",
+        *(["f peak"] if wide else []),
+        "xi half",
+    ]
     for heading in headings:
         table.add_column(heading, justify="right", no_wrap=True)
     for mode in result["modes"]:
@@ -34,17 +47,20 @@ def show(result: dict[str, Any]) -> None:
             _with_interval(mode["damping_ratio"]),
             *(_with_interval(mode["gain_mm_s2_per_V"].get(name)) for name in gains),
             _plain(mode["mac"], ".4f"),
-            _plain(half["peak_frequency_Hz"], ".6g"),
+            *([_plain(half["peak_frequency_Hz"], ".6g")] if wide else []),
             _plain(half["damping_ratio"], ".4f") if half["resolved"] else "-",
         )
     console.print(table)
     if gains:
         console.print("[dim]Gains in mm/s^2 per V at the beam[/]")
+    reasons: dict[str, list[str]] = {}
     for mode in result["modes"]:
-        warning = mode["half_power"]["warning"]
-        if warning and (wanted is None or mode["label"] in wanted):
+        reason = mode["half_power"]["warning"]
+        if reason and (wanted is None or mode["label"] in wanted):
             name = f"mode {mode['label']}" if mode["label"] else f"{mode['natural_frequency_Hz']['value']:.6g} Hz"
-            console.print(f"[yellow]No half-power damping of {name}: {warning}[/]")
+            reasons.setdefault(reason, []).append(name)
+    for reason, names in reasons.items():
+        console.print(f"[yellow]No half-power damping of {', '.join(names)}: {reason}[/]")
     others = [mode for mode in result["modes"] if wanted is not None and mode["label"] not in wanted]
     if others:
         listed = ", ".join(f"{mode['natural_frequency_Hz']['value']:.0f}" for mode in others)

@@ -41,9 +41,9 @@ def draw_responses(identification: Identification) -> Figure:
         for mode in identification.modes:
             _mark(axes, identification, mode, size, top)
         unit = "volt" if identification.length is not None else "unit of excitation"
-        axes.set_ylabel(f"velocity per {unit}, rms over the points [mm/s]")
-        axes.legend(loc="lower right", frameon=False, title="driven set")
+        axes.set_ylabel(f"rms velocity per {unit} [mm/s]")
         axes.set_title("Responses; filled: joint fit, labelled by mode; ring: picked peak, where half-power is sound")
+        figure.legend(loc="outside lower center", ncols=4, frameon=False, title="excitation", title_fontsize=8)
     return figure
 
 
