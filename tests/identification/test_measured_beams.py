@@ -1,6 +1,7 @@
 """Real beams, measured by others: the natural frequencies that they state, and what their data cannot say.
 
-The data stay where they are; `MODALTOUCH_MEASURED_DATA` names their folder, or it lies beside the checkout.
+The data stay where they are; `MODALTOUCH_MEASURED_DATA` names their folder, or it lies beside the checkout. Where it is
+neither, these tests say so and are passed over; a name that leads nowhere is a fault.
 """
 
 from __future__ import annotations
@@ -29,10 +30,9 @@ def data() -> Path:
     for folder in beside:
         if (folder / "ORIGIN.md").is_file():
             return folder
-    pytest.fail(
-        "the measured data are missing: set MODALTOUCH_MEASURED_DATA to their folder (with ORIGIN.md), or leave these "
-        "tests out with -m 'not measured_data'"
-    )
+    if named:
+        pytest.fail(f"MODALTOUCH_MEASURED_DATA names {named}, which holds no ORIGIN.md: name the folder of the data")
+    pytest.skip("the measured data are no part of the project: set MODALTOUCH_MEASURED_DATA to their folder")
 
 
 def test_slender_beam_of_pyuff(data: Path) -> None:
