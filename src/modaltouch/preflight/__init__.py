@@ -8,6 +8,7 @@
 ``examine``  the whole check
 """
 
-from modaltouch.preflight.examine import Preflight, examine, examine_findings
+from modaltouch.preflight.checked import Preflight
+from modaltouch.preflight.examine import examine, examine_findings
 
 __all__ = ["Preflight", "examine", "examine_findings"]

@@ -1,0 +1,264 @@
+"""A protocol as the check left it: its faults, or what its stimuli will do to the beam."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Self
+
+from modaltouch.apparatus import offered_gains
+from modaltouch.document import InputError, Problem
+from modaltouch.preflight.advice import answer_warnings, default_warnings, field_warnings, taken_defaults
+from modaltouch.preflight.figures import (
+    contrasts,
+    estimated_duration,
+    stimulus_figures,
+    warnings,
+    zone_centres,
+)
+from modaltouch.preflight.ground import Ground
+from modaltouch.preflight.sound import sound_warnings
+from modaltouch.protocol import Experiment, Findings, Protocol
+from modaltouch.stimulus.burst import Burst
+from modaltouch.stimulus.design import Stimulus
+from modaltouch.stimulus.drive import Law
+from modaltouch.trial import Trial
+
+
+@dataclass(frozen=True, eq=False)
+class Preflight:
+    """A protocol, examined.
+
+    Attributes
+    ----------
+    findings : Findings
+        The files and what they hold.
+    problems : tuple of Problem
+        Every fault, of the files and of the physics; empty when the session may run.
+    ground : Ground or None
+        What the stimulus was designed from; None where the files do not say it.
+    designed : Stimulus or None
+        The stimulus of all levels; None where there is none. Of several, the first.
+    variants : dict of str to Preflight
+        Of several stimuli, the protocol with each of them alone; empty where it has one.
+    """
+
+    findings: Findings
+    problems: tuple[Problem, ...]
+    ground: Ground | None
+    designed: Stimulus | None
+    variants: dict[str, Preflight] = field(default_factory=dict)
+
+    def require(self) -> Self:
+        """Return the preflight itself if a session may run.
+
+        Raises
+        ------
+        InputError
+            With every problem.
+        """
+        if self.problems:
+            raise InputError(self.problems)
+        return self
+
+    @property
+    def experiment(self) -> Experiment:
+        """The files' contents.
+
+        Raises
+        ------
+        InputError
+            If anything is wrong with them.
+        """
+        if self.problems:
+            raise InputError(self.problems)
+        return self.findings.experiment()
+
+    @property
+    def stimulus(self) -> Stimulus:
+        """The stimulus of all levels.
+
+        Raises
+        ------
+        InputError
+            If anything is wrong with the protocol.
+        """
+        return self._sound[1]
+
+    def of_one_stimulus(self) -> Self:
+        """Return the preflight itself if the protocol has a single stimulus.
+
+        Raises
+        ------
+        InputError
+            If it has several, or with every problem.
+        """
+        self.require()
+        if self.variants and self.findings.protocol is not None:
+            given, remedy = f"{len(self.variants)} stimuli", "make a protocol of each of them for this"
+            raise InputError([self.findings.protocol.problem(("stimuli",), given, "one stimulus", remedy)])
+        return self
+
+    @property
+    def parts(self) -> dict[str, Preflight]:
+        """The protocol with each of its stimuli alone, by name; itself, without a name, where it has one."""
+        return self.variants or {"": self}
+
+    @property
+    def bursts(self) -> tuple[Burst, ...]:
+        """The burst of each stimulus, in the protocol's order."""
+        return tuple(part.stimulus.burst for part in self.parts.values())
+
+    @property
+    def content_hashes(self) -> dict[str, str]:
+        """Hash of the burst of each stimulus, by name."""
+        return {name: part.stimulus.burst.content_hash for name, part in self.parts.items()}
+
+    @property
+    def _sound(self) -> tuple[Ground, Stimulus]:
+        if self.problems or self.ground is None or self.designed is None:
+            raise InputError(self.problems)
+        return self.ground, self.designed
+
+    def speeds(self, trial: Trial) -> tuple[float, float]:
+        """Return the predicted peak speeds at the centres of the zones under the left and right finger [m/s].
+
+        Parameters
+        ----------
+        trial : Trial
+            What is presented.
+        """
+        if trial.condition.is_catch:
+            return 0.0, 0.0
+        ground, stimulus = self.parts[trial.condition.stimulus]._sound
+        peaks = stimulus.peak_velocity(zone_centres(ground), trial.condition.velocity_mm_s * 1e-3)
+        by_zone = dict(zip(ground.zones, peaks.tolist(), strict=True))
+        return by_zone[trial.condition.zone_left], by_zone[trial.condition.zone_right]
+
+    @cached_property
+    def stimuli(self) -> list[dict[str, Any]]:
+        """What each level does to the beam, in the protocol's order; empty where anything is wrong."""
+        if self.problems:
+            return []
+        if self.variants:
+            return [{"stimulus": name, **each} for name, part in self.parts.items() for each in part.stimuli]
+        ground, stimulus = self._sound
+        return [stimulus_figures(ground, stimulus, level) for level in ground.levels.values()]
+
+    def comparison(self) -> list[dict[str, Any]]:
+        """Return what the other drive law would do on the same rig, level by level."""
+        if self.problems:
+            return []
+        if self.variants:
+            return [{"stimulus": name, **each} for name, part in self.parts.items() for each in part.comparison()]
+        ground, stimulus = self._sound
+        other: Law = "paper" if stimulus.law == "exact" else "exact"
+        compared = stimulus.under_law(other)
+        return [stimulus_figures(ground, compared, level) for level in ground.levels.values()]
+
+    def continuous_fallback(self) -> dict[str, Any] | None:
+        """Return what a generator without burst mode would miss at the highest level; None where anything is wrong."""
+        if self.problems:
+            return None
+        from modaltouch.preflight.fallback import continuous_figures
+
+        ground, stimulus = self._sound
+        return continuous_figures(stimulus, max(ground.levels.values()) * 1e-3)
+
+    def as_dict(self, *, compare: bool = False) -> dict[str, Any]:
+        """Return everything as plain values, as ``modaltouch check --json`` prints it.
+
+        Parameters
+        ----------
+        compare : bool
+            Whether the other drive law is shown too.
+        """
+        reading = self.findings.protocol
+        values: dict[str, Any] = {
+            "protocol": reading.sound("protocol") if reading else None,
+            "title": reading.sound("title") if reading else None,
+            "file": str(reading.source.path) if reading else None,
+            "apparatus": self._apparatus_name(),
+            "calibration": self._calibration(),
+            "n_trials": None,
+            "n_catch_trials": None,
+            "n_practice_trials": None,
+            "estimated_duration_min": None,
+            "problems": [problem.as_dict() for problem in self.problems],
+            "warnings": [],
+            "defaults": taken_defaults(reading) if reading else [],
+            "stimuli": self.stimuli,
+            "contrasts": [],
+            "unknown_gains": [],
+            "assumed_gains": [],
+            "offered_gains": [],
+        }
+        if reading is not None and reading.value is not None:
+            values |= _design_figures(reading.value)
+        if self.problems:
+            return values
+        ground, _ = self._sound
+        protocol, apparatus = self.experiment.protocol, ground.apparatus
+        values |= {
+            "warnings": [
+                *self._stimulus_warnings(),
+                *answer_warnings(protocol),
+                *sound_warnings(protocol, self.experiment.apparatus),
+                *default_warnings(values["defaults"]),
+            ],
+            "contrasts": self._contrasts(),
+            "unknown_gains": [{"mode": label, "set": name} for label, name in apparatus.unknown_gains()],
+            "assumed_gains": [{"mode": label, "set": name} for label, name in apparatus.assumed_gains()],
+            "offered_gains": [
+                {"mode": label, "set": name, "gain_mm_s2_per_V": gain} for label, name, gain in offered_gains(apparatus)
+            ],
+        }
+        if compare:
+            values |= {"comparison": self.comparison(), "continuous_fallback": self.continuous_fallback()}
+        return values
+
+    def _stimulus_warnings(self) -> list[str]:
+        said: list[tuple[str, list[str]]] = []
+        for name, part in self.parts.items():
+            ground, stimulus = part._sound
+            own = [*field_warnings(ground, stimulus, part.stimuli), *warnings(ground, stimulus, part.stimuli)]
+            said.append((name, own))
+        shared = [each for each in said[0][1] if all(each in own for _, own in said)]
+        return [*shared, *(f"stimulus {name}: {each}" for name, own in said for each in own if each not in shared)]
+
+    def _contrasts(self) -> list[dict[str, Any]]:
+        protocol = self.experiment.protocol
+        return [
+            {**({"stimulus": name} if name else {}), **row}
+            for name, part in self.parts.items()
+            for row in contrasts(protocol, part.stimuli[-1]["zone_peak_mm_s"])
+        ]
+
+    def _calibration(self) -> dict[str, Any] | None:
+        """Return which calibration is used and how far from the wish it left the beam; None without one."""
+        reading = self.findings.calibration
+        if reading is None or reading.value is None:
+            return None
+        value = reading.value
+        return {
+            "file": str(reading.source.path),
+            "sha256": reading.source.sha256,
+            "made": value.made,
+            "generator": value.instruments.generator,
+            "reference_mm_s": value.reference_mm_s,
+            "worst_modal_error_mm_s": max(abs(each) for mode in value.modes for each in mode.error_after_mm_s),
+        }
+
+    def _apparatus_name(self) -> str | None:
+        reading = self.findings.apparatus
+        name: str | None = reading.sound("apparatus") if reading else None
+        return name
+
+
+def _design_figures(protocol: Protocol) -> dict[str, Any]:
+    return {
+        "n_trials": protocol.n_trials,
+        "n_catch_trials": protocol.schedule.catch_trials * len(protocol.conditions.finger_conditions),
+        "n_practice_trials": protocol.schedule.practice_trials,
+        "estimated_duration_min": estimated_duration(protocol),
+    }
