@@ -57,6 +57,7 @@ check: install
 	$(PYTHON) -m ruff check src tests
 	$(PYTHON) -m mypy
 	.venv/bin/lint-imports
+	$(UV) pip check --python $(PYTHON)
 
 ## format: let ruff format and mend the code
 .PHONY: format

@@ -1,0 +1,65 @@
+"""What a lab trusts without looking: no code in data, no shell, a lock with hashes (issue: privacy and trust)."""
+
+import ast
+import re
+import socket
+from pathlib import Path
+
+import pytest
+
+from modaltouch.apparatus import read_apparatus
+from modaltouch.rig.simulator import Simulator
+
+ROOT = Path(__file__).parents[1]
+SOURCES = sorted((ROOT / "src").rglob("*.py"))
+
+
+def calls(path):
+    """Return (name, keywords) of every call in a module."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Call):
+            name = ast.unparse(node.func)
+            yield name, {keyword.arg: ast.unparse(keyword.value) for keyword in node.keywords}
+
+
+def test_no_data_is_ever_run():
+    """No pickle, no eval or exec, no YAML that builds objects, no shell."""
+    for path in SOURCES:
+        text = path.read_text(encoding="utf-8")
+        assert not re.search(r"^\s*(import|from) (pickle|shelve|dill|marshal|yaml)\b", text, flags=re.MULTILINE), path
+        for name, keywords in calls(path):
+            assert name not in ("eval", "exec", "os.system", "os.popen"), f"{path}: {name}"
+            assert keywords.get("shell", "False") == "False", f"{path}: a shell"
+            assert "unsafe" not in keywords.get("typ", ""), f"{path}: YAML that builds objects"
+            if name == "np.load":
+                assert keywords.get("allow_pickle") == "False", f"{path}: np.load may unpickle"
+
+
+def test_every_page_escapes_what_it_shows():
+    """Templates of HTML are made by environments that escape."""
+    made = [(path, keywords) for path in SOURCES for name, keywords in calls(path) if name.endswith("Environment")]
+    assert made
+    for path, keywords in made:
+        assert keywords.get("autoescape") == "True", path
+
+
+def test_every_requirement_is_locked_by_its_hash():
+    """`requirements.lock` names a version and at least one SHA-256 to each package, and no address."""
+    text = (ROOT / "requirements.lock").read_text(encoding="utf-8")
+    packages = re.findall(r"^([a-z0-9][\w.\-\[\]]*)==", text, flags=re.MULTILINE)
+    assert len(packages) > 100
+    blocks = re.split(r"^(?=[a-z0-9][\w.\-\[\]]*==)", text, flags=re.MULTILINE)[1:]
+    assert all("--hash=sha256:" in block for block in blocks)
+    assert "://" not in text
+
+
+def test_the_twin_listens_on_this_machine_alone():
+    """Its port answers on 127.0.0.1 and on no address by which others reach this machine."""
+    apparatus = read_apparatus(ROOT / "protocols" / "apparatus" / "beam_100x6x2.yaml")
+    with Simulator(apparatus) as simulator:
+        port = int(re.search(r",(\d+)::", simulator.address).group(1))
+        socket.create_connection(("127.0.0.1", port), timeout=5).close()
+        others = {each[4][0] for each in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)} - {"127.0.0.1"}
+        for address in others:
+            with pytest.raises(OSError, match="refused|unreachable|timed out"):
+                socket.create_connection((address, port), timeout=2)
