@@ -8,14 +8,19 @@ The stages, in the order in which values flow through them:
 ``stimulus``   modal synthesis: wished velocity field -> voltages -> codes -> predicted field
 ``trial``      Trial (what is asked) and Response (what is answered)
 ``schedule``   Protocol + participant + seed -> Schedule of Blocks of Trials
+``adaptive``   the next level of a threshold run, from the recorded answers
 ``preflight``  everything that can fail before the participant sits down
 ``rig``        plays the burst: an AFG3022B over PyVISA, or its simulated twin behind the same driver
 ``window``     asks the question: a PsychoPy window, or a simulated participant
+``masking``    noise, so that the beam is felt and not heard
+``console``    the experimenter's view and keys
 ``observer``   models of a participant, for simulated sessions and for planning
 ``record``     the append-only session log and its BIDS view
 ``session``    the one loop
 ``sitting``    sets a session up and ends it in order, new or resumed
 ``wiring``     puts real or simulated parts behind the session's interfaces
+``measurement``, ``identification``, ``calibration``, ``validation``, ``comparison``
+               the beam scanned, its modes, its targets corrected, the paper's evidence, the rivals
 ``analysis``   records -> tables, statistics, figures, report
 ``planning``   how many participants, by simulating the very protocol
 ``cli``        the command line
