@@ -68,12 +68,14 @@ format: install
 ## results: the reference pictures in results/reference, from a simulated cohort, the demonstration and a scan of the twin
 .PHONY: results
 results: install
-	rm -rf build/results build/analysis build/validation build/comparison
+	rm -rf build/results build/analysis build/identification build/validation build/comparison
 	$(PYTHON) -m modaltouch simulate protocols/differentiated_stimulation.yaml -n 10 --results build/results
 	$(PYTHON) -m modaltouch analyse build/results --out build/analysis
 	$(PYTHON) -m modaltouch demo --results build/results
 	mkdir -p results/reference
 	cp build/analysis/fig_10.csv build/analysis/fig_10.png build/analysis/fig_11.csv build/analysis/fig_11.png results/reference/
+	$(PYTHON) -m modaltouch identify --out build/identification
+	cp build/identification/table_1.csv build/identification/fig_4.png build/identification/responses.png results/reference/
 	$(PYTHON) -m modaltouch validate protocols/differentiated_stimulation.yaml --out build/validation
 	cp build/validation/fig_[25678]*.png build/validation/fig_[25678]*.csv build/validation/validation.json results/reference/
 	$(PYTHON) -m modaltouch compare protocols/differentiated_stimulation.yaml --out build/comparison
