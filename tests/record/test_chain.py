@@ -92,3 +92,48 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path):
     """The message says which file, and what to give instead."""
     with pytest.raises(RecordError, match=r"session.jsonl: cannot be read"):
         read_chain(tmp_path / "session.jsonl")
+
+
+def test_a_problem_names_the_file_and_the_line_where_it_begins():
+    """Lines count from 1; the break stands where the first unproved line does, however many follow."""
+    lines = chain_of(*EVENTS).splitlines(keepends=True)
+    changed = lines[1].replace(b"both", b"left")
+    broken = "the chain breaks: a line was changed, removed, doubled or moved"
+    assert parse_chain(lines[0] + changed + lines[2], "log").problems == (f"log:2: {broken}",)
+    assert parse_chain(changed + lines[2], "log").problems == (f"log:1: {broken}",)
+    cut = parse_chain(lines[0] + lines[1][:9], "log")
+    assert cut.problems == ("log:2: the last line was cut while being written (9 bytes)",)
+    assert cut.torn == lines[1][:9]
+    unended = parse_chain(lines[0] + lines[1][:-1], "log")
+    assert unended.problems == ("log:2: the last line lacks its newline; its content is whole",)
+    undeclared, _ = encode_line({"n": 1, "torn": describe_torn(b"gone")}, GENESIS)
+    assert parse_chain(undeclared, "log").problems == (
+        "log:1: the remains of a cut line that this line declares are missing",
+    )
+
+
+def test_how_a_file_ends_is_known():
+    """The next line is written after a newline: there is none to add to an empty file or a terminated line."""
+    data = chain_of(*EVENTS)
+    assert parse_chain(data, "log").ends_in_newline
+    assert parse_chain(b"", "log").ends_in_newline
+    assert parse_chain(b"", "log").last_check == GENESIS
+    assert not parse_chain(data[:-1], "log").ends_in_newline
+
+
+def test_words_of_every_script_are_kept_as_they_are():
+    """The log is UTF-8 that a person can read; names and notes are not escaped."""
+    line, check = encode_line({"note": "Zo\u00eb \u2192 C"}, GENESIS)
+    assert "Zo\u00eb \u2192 C".encode() in line
+    assert parse_chain(line, "log").checks == (check,)
+
+
+def test_remains_of_two_cuts_stay_apart():
+    """Two power failures in a row: the remains of each are declared by the line after them."""
+    data, check = encode_line(EVENTS[0], GENESIS)
+    for n, remains in ((2, b'{"n":2,"eve'), (3, b'{"n":3')):
+        line, check = encode_line({"n": n, "torn": describe_torn(remains)}, check)
+        data += remains + b"\n" + line
+    chain = parse_chain(data, "log")
+    assert chain.problems == ()
+    assert len(chain.events) == 3

@@ -94,6 +94,31 @@ def test_a_damaged_log_is_not_continued(tmp_path):
         SessionLog.reopen(path)
 
 
+@pytest.mark.parametrize("name", ["what remains", "the chain breaks"])
+def test_a_cut_log_is_continued_whatever_its_folder_is_called(tmp_path, name):
+    """Damage is told from a cut by the lines, not by words that a path may hold too."""
+    path = tmp_path / name / "session.jsonl"
+    with begin(path) as log:
+        log.append("trial", trial=TRIAL)
+    path.write_bytes(path.read_bytes()[:-9])
+    with SessionLog.reopen(path) as log:
+        log.append("resume")
+    assert [event["event"] for event in read_chain(path).events] == ["start", "resume"]
+
+
+def test_a_log_that_lost_its_remains_is_not_continued(tmp_path):
+    """Somebody tidied the cut line away: that is damage."""
+    path = tmp_path / "session.jsonl"
+    begin(path).close()
+    whole = path.read_bytes()
+    path.write_bytes(whole + b'{"n":2,"ti')
+    with SessionLog.reopen(path) as log:
+        log.append("resume")
+    path.write_bytes(path.read_bytes().replace(b'{"n":2,"ti\n', b""))
+    with pytest.raises(RecordError, match="remains of a cut line .* are missing"):
+        SessionLog.reopen(path)
+
+
 def test_a_full_disk_is_said_and_the_log_takes_nothing_more(tmp_path, monkeypatch):
     """ENOSPC ends the writing with a clear message; earlier lines are sound."""
     log = begin(tmp_path / "session.jsonl")

@@ -1,5 +1,6 @@
 """What a damaged log still proves, and the new log of it (issue: ``doctor SESSION`` recovers into a new file only)."""
 
+import hashlib
 import json
 import random
 
@@ -7,8 +8,8 @@ import pytest
 from typer.testing import CliRunner
 
 from modaltouch.cli.app import app
-from modaltouch.record.chain import RecordError
-from modaltouch.record.log import read_session
+from modaltouch.record.chain import GENESIS, RecordError, encode_line
+from modaltouch.record.log import SessionLog, read_session
 from modaltouch.record.recovery import recover, survey
 from modaltouch.verification import verify_session
 
@@ -113,6 +114,111 @@ def test_nothing_is_recovered_over_another_session(damaged, tmp_path):
     found = survey(damaged(lambda lines: lines[:-3]))
     recover(found, tmp_path / "recovered")
     with pytest.raises(RecordError, match="exists already and is never overwritten"):
+        recover(found, tmp_path / "recovered")
+
+
+def test_what_is_lost_is_said_in_words_and_values(damaged, sound):
+    """Line numbers of the file, from 1, and runs of missing numbers written as such."""
+    n_lines, answers = len(sound.splitlines()), len(trial_lines(sound))
+    first, *_, last = trial_lines(sound)
+    whole = survey(damaged(lambda lines: lines))
+    assert whole.lines == [f"{n_lines} lines prove themselves, {answers} answers among them"]
+    assert whole.as_dict()["sound"] is True
+
+    def spoil(lines):
+        lines[last] = lines[last].replace(b'"answer":"', b'"answer":"x')
+        return [*lines[: first - 2], *lines[first:]]  # line `first` has lost its predecessor
+
+    path = damaged(spoil)
+    found = survey(path)
+    gone = [first - 1, first, first + 1, last + 1]
+    assert found.missing == tuple(gone)
+    assert found.lines == [
+        f"{n_lines - 4} lines prove themselves, {answers - 2} answers among them",
+        f"line {first - 1} is left out: it was changed, or the line before it is gone, so that it cannot be proved",
+        f"line {last - 1} is left out: it was changed, or the line before it is gone, so that it cannot be proved",
+        f"gone: the lines numbered {first - 1} to {first + 1}, {last + 1}",
+    ]
+    plain = found.as_dict()
+    assert plain["session"] == str(path)
+    assert (plain["sound"], plain["n_lines"], plain["n_answers"]) == (False, n_lines - 4, answers - 2)
+    assert plain["missing"] == gone
+    assert [line["line"] for line in plain["left_out"]] == [first - 1, last - 1]
+    assert plain["lines"] == found.lines
+
+
+def test_moved_lines_are_said_to_be_moved(damaged):
+    """Nothing is lost, but the file is not as it was written."""
+
+    def swap(lines):
+        lines[4], lines[9] = lines[9], lines[4]
+        return lines
+
+    found = survey(damaged(swap))
+    assert not found.is_sound
+    assert found.lines[1:] == ["they were moved; the order in which they were written is known"]
+    assert sorted(found.numbers) == list(range(1, len(found.numbers) + 1))
+
+
+def test_a_cut_line_and_one_without_its_end_are_said_to_be_cut(damaged, sound):
+    """Nothing of a line counts whose check is gone."""
+    found = survey(damaged(lambda lines: [*lines[:-1], lines[-1][:-9]]))
+    assert [(line.number, line.reason) for line in found.left_out] == [
+        (len(sound.splitlines()), "it was cut or its end was changed")
+    ]
+
+
+def test_the_remains_that_a_later_line_declares_are_no_loss(tmp_path):
+    """A cut that the session itself went on after is part of a sound record."""
+    path = tmp_path / "session.jsonl"
+    with SessionLog.create(path, "start", mode="simulated") as log:
+        log.append("note", text="first")
+    path.write_bytes(path.read_bytes() + b'{"n":3,"ti')
+    with SessionLog.reopen(path) as log:
+        log.append("resume")
+    found = survey(path)
+    assert found.left_out == ()
+    assert found.missing == ()
+    assert [event["event"] for event in found.events] == ["start", "note", "resume"]
+
+
+def test_a_replaced_answer_stays_replaced_under_its_new_number(tmp_path, damaged, sound):
+    """Line numbers move up when a line is lost; `supersedes` moves with them."""
+    events = [json.loads(line) for line in sound.splitlines()]
+    path = tmp_path / "session.jsonl"
+    data, check = b"", GENESIS
+    old, new = trial_lines(sound)[0], trial_lines(sound)[1]
+    events[new]["trial"], events[new]["supersedes"] = events[old]["trial"], old + 1
+    for event in events:
+        del event["check"]
+        line, check = encode_line(event, check)
+        data += line
+    lines = data.splitlines(keepends=True)
+    path.write_bytes(b"".join([lines[0], *lines[2:]]))  # two lines gone: one removed, the next unproved
+    log = recover(survey(path), tmp_path / "recovered")
+    session = read_session(log)
+    assert session.problems == ()
+    assert [event["supersedes"] for event in session.events if event.get("supersedes")] == [old - 1]
+    assert session.events[old - 2]["trial"] == events[old]["trial"]
+    last = session.events[-1]
+    assert last["lines"] == [1, *range(4, len(events) + 1)]
+    assert last["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert [line["line"] for line in last["left_out"]] == [2]
+    assert log.with_name("left_out.txt").stat().st_mode & 0o777 == 0o600
+
+
+def test_an_unreadable_file_is_named(tmp_path):
+    """The message says what to give."""
+    with pytest.raises(RecordError, match=r"none.jsonl: cannot be read .*give the session.jsonl"):
+        survey(tmp_path / "none.jsonl")
+
+
+def test_an_empty_file_proves_nothing(tmp_path):
+    """No line is proved and none can be called missing."""
+    (tmp_path / "session.jsonl").touch()
+    found = survey(tmp_path / "session.jsonl")
+    assert (found.events, found.left_out, found.missing) == ((), (), ())
+    with pytest.raises(RecordError, match="start record does not prove itself"):
         recover(found, tmp_path / "recovered")
 
 

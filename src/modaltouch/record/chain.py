@@ -43,6 +43,8 @@ class Chain:
         The check of each of them.
     problems : tuple of str
         What is wrong, in words; empty for an intact file.
+    damage : tuple of str
+        Those of the problems that no cut at the end explains: a log with any is not continued.
     torn : bytes
         A cut line at the very end that no later line declares; empty if the file ends well.
     ends_in_newline : bool
@@ -52,6 +54,7 @@ class Chain:
     events: tuple[dict[str, Any], ...]
     checks: tuple[str, ...]
     problems: tuple[str, ...]
+    damage: tuple[str, ...]
     torn: bytes
     ends_in_newline: bool
 
@@ -114,7 +117,8 @@ def parse_chain(data: bytes, name: str) -> Chain:
     """Return what the bytes of a log hold; `name` stands before each problem."""
     events: list[dict[str, Any]] = []
     checks: list[str] = []
-    problems: list[str] = []
+    damage: list[str] = []
+    cut: list[str] = []
     pending = b""
     pending_line = 0
     previous = GENESIS
@@ -125,18 +129,19 @@ def parse_chain(data: bytes, name: str) -> Chain:
             pending_line = pending_line or number
             continue
         if not pending and "torn" in event:
-            problems.append(f"{name}:{number}: the remains of a cut line that this line declares are missing")
+            damage.append(f"{name}:{number}: the remains of a cut line that this line declares are missing")
         pending, pending_line = b"", 0
         events.append(event)
         checks.append(check)
         previous = check
     if b"\n" in pending:
-        problems.append(f"{name}:{pending_line}: the chain breaks: a line was changed, removed, doubled or moved")
+        damage.append(f"{name}:{pending_line}: the chain breaks: a line was changed, removed, doubled or moved")
     elif pending:
-        problems.append(f"{name}:{pending_line}: the last line was cut while being written ({len(pending)} bytes)")
+        cut.append(f"{name}:{pending_line}: the last line was cut while being written ({len(pending)} bytes)")
     elif events and not data.endswith(b"\n"):
-        problems.append(f"{name}:{len(events)}: the last line lacks its newline; its content is whole")
-    return Chain(tuple(events), tuple(checks), tuple(problems), pending, data.endswith(b"\n") or not data)
+        cut.append(f"{name}:{len(events)}: the last line lacks its newline; its content is whole")
+    ends_in_newline = data.endswith(b"\n") or not data
+    return Chain(tuple(events), tuple(checks), (*damage, *cut), tuple(damage), pending, ends_in_newline)
 
 
 def describe_torn(torn: bytes) -> dict[str, Any]:

@@ -92,10 +92,9 @@ class SessionLog:
         for leftover in path.parent.glob(".*.tmp"):  # of a view that a kill cut short; the lock says nobody writes it
             leftover.unlink()
         chain = read_chain(path)
-        damaged = [problem for problem in chain.problems if "chain breaks" in problem or "remains" in problem]
-        if damaged or not chain.events:
+        if chain.damage or not chain.events:
             os.close(descriptor)
-            raise RecordError("\n".join(damaged) or f"{path}: holds no whole line: there is nothing to continue")
+            raise RecordError("\n".join(chain.damage) or f"{path}: holds no whole line: there is nothing to continue")
         return cls(path, descriptor, chain)
 
     def append(self, event: str, **facts: Any) -> dict[str, Any]:
