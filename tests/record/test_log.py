@@ -159,6 +159,48 @@ def test_a_log_killed_while_writing_is_sound(tmp_path, delay):
     assert [event["n"] for event in chain.events] == list(range(1, len(chain.events) + 1))
 
 
+@pytest.mark.parametrize(("call", "is_written"), [("fsync", True), ("write", False)])
+def test_an_exception_amid_a_write_breaks_no_chain(tmp_path, monkeypatch, call, is_written):
+    """An exception may come out of a signal at any instant: what comes after continues what is in the file."""
+
+    def out_of_nowhere(*arguments):
+        monkeypatch.undo()
+        raise RuntimeError("out of nowhere")
+
+    log = SessionLog.create(tmp_path / "session.jsonl", "start")
+    monkeypatch.setattr(os, call, out_of_nowhere)
+    with pytest.raises(RuntimeError, match="out of nowhere"):
+        log.append("placement")
+    log.append("stop", reason="error")
+    log.close()
+    chain = read_chain(log.path)
+    assert chain.problems == ()
+    events = ["start", "placement", "stop"] if is_written else ["start", "stop"]
+    assert [event["event"] for event in chain.events] == events == [event["event"] for event in log.events]
+    assert [event["n"] for event in chain.events] == list(range(1, len(events) + 1))
+
+
+def test_an_exception_amid_a_cut_write_ends_the_log(tmp_path, monkeypatch):
+    """Half a line stays as it is, and is declared by the session that goes on."""
+
+    def cut_and_raise(descriptor, data):
+        monkeypatch.undo()
+        os.write(descriptor, data[:9])
+        raise RuntimeError("out of nowhere")
+
+    log = SessionLog.create(tmp_path / "session.jsonl", "start")
+    monkeypatch.setattr(os, "write", cut_and_raise)
+    with pytest.raises(RuntimeError, match="out of nowhere"):
+        log.append("placement")
+    for _ in range(2):
+        with pytest.raises(RecordError, match="cut while being written"):
+            log.append("stop", reason="error")
+    log.close()
+    with SessionLog.reopen(log.path) as again:
+        again.append("resume")
+    assert read_chain(log.path).problems == ()
+
+
 def test_a_superseded_trial_does_not_count(tmp_path):
     """A replaced trial is a new record that supersedes; the old one stays in the file."""
     with begin(tmp_path / "session.jsonl") as log:

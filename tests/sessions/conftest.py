@@ -18,7 +18,10 @@ PROTOCOL = REPOSITORY / "protocols" / "differentiated_stimulation.yaml"
 def context():
     """Processes forked from a server that has the imports behind it."""
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["modaltouch.wiring", "modaltouch.cli.running", "modaltouch.rig.generator"])
+    # questplus brings pandas and xarray along, which a session of fixed levels does not load.
+    context.set_forkserver_preload(
+        ["modaltouch.wiring", "modaltouch.cli.running", "modaltouch.rig.generator", "questplus"]
+    )
     return context
 
 

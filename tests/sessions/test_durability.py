@@ -2,7 +2,9 @@
 
 Sessions run in processes of their own against a rig in this one. Each is cut short at a seeded point, resumed and cut
 again until it is complete. After every cut: no answer confirmed to the participant is missing, the answers are those
-of the uninterrupted session in its order, no output is on, and whatever there is of the BIDS view is valid.
+of the uninterrupted session in its order, no output is on, and whatever there is of the BIDS view is valid. The
+participants take turns among the shipped protocols: fixed levels, catch trials, several stimuli, adaptive runs, of
+which the levels, too, are those of the uninterrupted session.
 
 ``MODALTOUCH_KILL_POINTS`` sets how many points there are; ``make soak`` takes more and writes what came of them.
 """
@@ -30,6 +32,9 @@ from modaltouch.verification import verify_session
 CUT_SHORT = Path(__file__).with_name("cut_short.py")
 N_POINTS = int(os.environ.get("MODALTOUCH_KILL_POINTS", "300"))
 SOAK = os.environ.get("MODALTOUCH_SOAK_RESULTS", "")
+PROTOCOLS = ("differentiated_stimulation", "with_catch_trials", "two_fields", "threshold")
+"""Shipped protocols, by turns; the runs of the adaptive one are as short as the other sessions."""
+
 KINDS = {
     "SIGKILL": 0.16,
     "SIGKILL in a stimulus": 0.12,
@@ -57,6 +62,7 @@ class Tally:
     """What came of the kill points."""
 
     points: Counter = field(default_factory=Counter)
+    points_of: Counter = field(default_factory=Counter)
     exits: Counter = field(default_factory=Counter)
     answers_confirmed: int = 0
     answers_lost: int = 0
@@ -81,8 +87,8 @@ class Subject:
         self.simulator = simulator
         self._context = context
         self._protocol, self._results, self._participant = protocol, results, participant
-        name = protocol.stem
-        self.log = results / "simulated" / name / f"sub-{participant}" / "ses-1" / "beh" / "session.jsonl"
+        self.name = protocol.stem
+        self.log = results / "simulated" / self.name / f"sub-{participant}" / "ses-1" / "beh" / "session.jsonl"
         self._witness = results.parent / f"{results.name}-{participant}.witness"
 
     def start(self, cut):
@@ -116,7 +122,7 @@ class Subject:
 
     @property
     def done(self):
-        """Answers that count, in their order, without what differs from one presentation to the next."""
+        """Answers that count, in their order, with their levels; without what differs between presentations."""
         kept = read_session(self.log).trials if self.log.exists() else ()
         return [
             (e["trial"]["practice"], e["trial"]["index"], e["trial"]["condition"], e["response"]["answer"])
@@ -131,10 +137,15 @@ class Subject:
 
 
 @pytest.fixture
-def subject(context, simulator, protocol_path, tmp_path):
+def subject(context, simulator, protocol_path, tmp_path, tmp_path_factory):
     """Make participants whose sessions can be cut short."""
-    return lambda participant, results="results": Subject(
-        context, simulator, protocol_path, tmp_path / results, participant
+    folder = tmp_path_factory.mktemp("shipped") / "protocols"
+    shutil.copytree(protocol_path.parent, folder)
+    file = folder / "threshold.yaml"
+    text = file.read_text(encoding="utf-8").replace("trials: 40", "trials: 12")
+    file.write_text(text.replace("catch_trials: 10", "catch_trials: 3"), encoding="utf-8")
+    return lambda participant, protocol, results="results": Subject(
+        context, simulator, folder / f"{protocol}.yaml", tmp_path / results, participant
     )
 
 
@@ -217,6 +228,7 @@ def cut_until_complete(person, whole, seconds, rng, tally, n_points):
         size = person.log.stat().st_size if person.log.exists() else 60_000
         status = end(person.start(plan_of(kind, rng, seconds, size)), kind, rng, person.simulator, seconds)
         tally.points[kind] += 1
+        tally.points_of[person.name] += 1
         tally.exits[f"{kind}: {status}"] += 1
         n_points -= 1
         off = seconds_until_off(person.simulator)
@@ -243,11 +255,12 @@ def test_no_kill_point_loses_an_answer_changes_an_order_or_leaves_an_output_on(s
     while left:
         number += 1
         rng = random.Random(number)
-        uncut = subject(f"p{number}", f"whole{number}")
+        protocol = PROTOCOLS[(number - 1) % len(PROTOCOLS)]
+        uncut = subject(f"p{number}", protocol, f"whole{number}")
         begin = time.monotonic()
         assert end(uncut.start({}), "nothing", rng, simulator, 0) == 0
         seconds = time.monotonic() - begin
-        left = cut_until_complete(subject(f"p{number}"), uncut.done, seconds, rng, tally, left)
+        left = cut_until_complete(subject(f"p{number}", protocol), uncut.done, seconds, rng, tally, left)
         for folder in tmp_path.iterdir():
             shutil.rmtree(folder) if folder.is_dir() else folder.unlink()
     if SOAK:
@@ -256,3 +269,4 @@ def test_no_kill_point_loses_an_answer_changes_an_order_or_leaves_an_output_on(s
     assert tally.answers_confirmed > 0
     assert N_POINTS < 100 or tally.cut_while_on > 0, "no cut met a stimulus: nothing is proved of the outputs"
     assert N_POINTS < 100 or set(tally.points) == set(KINDS)
+    assert N_POINTS < 100 or set(tally.points_of) == set(PROTOCOLS)

@@ -51,10 +51,11 @@ class Levels:
         self._quests: dict[Run, Quest] = {}
         if protocol.adaptive is not None and protocol.adaptive.method == "quest_plus":
             # Built now rather than at the first trial, which it would keep waiting.
+            blank = self._new_quest(protocol.adaptive)
             for finger_condition in protocol.conditions.finger_conditions:
                 for left, right in protocol.conditions.zone_pairs:
                     for run in ((finger_condition, left, right), (finger_condition, right, left)):
-                        self._quests[run] = self._new_quest(protocol.adaptive)
+                        self._quests[run] = blank.another()
 
     def settle(self, trial: Trial, answered: Iterable[Mapping[str, Any]]) -> Trial:
         """Return a scheduled trial with the level that it is presented at.
@@ -113,8 +114,6 @@ class Levels:
         if adaptive.method == "staircase":
             start = to_dB(adaptive.start_mm_s)
             return follow(adaptive.staircase, start, self._bounds_dB, [each.success for each in before]).next_dB
-        if run not in self._quests:
-            self._quests[run] = self._new_quest(adaptive)
         return self._quests[run].next_level([(to_dB(each.velocity_mm_s), each.success) for each in before])
 
     def _new_quest(self, adaptive: AdaptiveSection) -> Quest:

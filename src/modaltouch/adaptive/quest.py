@@ -7,8 +7,9 @@ Watson, "QUEST+: a general multidimensional Bayesian adaptive psychometric metho
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -58,6 +59,13 @@ class Quest:
         )
         self._taken: list[tuple[float, bool]] = []
 
+    def another(self) -> Self:
+        """Return a run by the same rule at its beginning; it shares the likelihoods, which are slow to compute."""
+        run = copy.copy(self)
+        run._quest = copy.copy(self._quest)
+        run._begin_anew()
+        return run
+
     def next_level(self, history: Sequence[tuple[float, bool]]) -> float:
         """Return the level of the next trial [dB].
 
@@ -67,14 +75,18 @@ class Quest:
             Level [dB] and success of the trials so far, in order.
         """
         if list(history[: len(self._taken)]) != self._taken:
-            self._quest.posterior = self._quest.prior.copy(deep=True)
-            self._taken = []
+            self._begin_anew()
         for level, success in history[len(self._taken) :]:
             self._quest.update(stim=self._nearest(level), outcome={"response": "yes" if success else "no"})
             self._taken.append((level, success))
         if not self._taken:
             return self._start
         return float(self._quest.next_stim["intensity"])
+
+    def _begin_anew(self) -> None:
+        self._quest.posterior = self._quest.prior.copy(deep=True)
+        self._quest.stim_history, self._quest.resp_history = [], []
+        self._taken = []
 
     def _nearest(self, level: float) -> dict[str, float]:
         """Return the level of the domain that was presented, which the record has to four digits."""

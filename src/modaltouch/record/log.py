@@ -31,6 +31,7 @@ class SessionLog:
         self._torn = chain.torn if chain else b""
         self._needs_newline = bool(chain and not chain.ends_in_newline)
         self._failure = ""
+        self._unsettled: tuple[dict[str, Any], str, int, int] | None = None
         self.listener: Callable[[dict[str, Any]], None] = lambda line: None
         """Hears of each event once it is on the disk."""
 
@@ -114,6 +115,7 @@ class SessionLog:
         """
         if self._failure:
             raise RecordError(self._failure)
+        self._settle()
         line = {
             "n": len(self.events) + 1,
             "time": datetime.now(UTC).isoformat(timespec="milliseconds"),
@@ -123,9 +125,10 @@ class SessionLog:
             **facts,
         }
         data, check = encode_line(line, self._check)
-        self._write(b"\n" * self._needs_newline + data)
-        self._check, self._torn, self._needs_newline = check, b"", False
-        self.events.append(line)
+        data = b"\n" * self._needs_newline + data
+        self._unsettled = line, check, os.fstat(self._descriptor).st_size, len(data)
+        self._write(data)
+        self._settle()
         self.listener(line)
         return line
 
@@ -147,6 +150,23 @@ class SessionLog:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+    def _settle(self) -> None:
+        """Count the line that was being written, or forget it.
+
+        An exception out of a signal may come between the write and the count: the file alone knows what it holds.
+        """
+        if self._unsettled is None:
+            return
+        line, check, size, length = self._unsettled
+        written = os.fstat(self._descriptor).st_size - size
+        if written not in (0, length):
+            self._failure = f"{self.path}: a line was cut while being written; all earlier events are on the disk"
+            raise RecordError(self._failure)
+        if written:
+            self._check, self._torn, self._needs_newline = check, b"", False
+            self.events[line["n"] - 1 :] = [line]
+        self._unsettled = None
 
     def _write(self, data: bytes) -> None:
         try:
