@@ -121,6 +121,7 @@ def test_whatever_line_a_session_is_cut_at_the_rest_has_the_order_of_an_uninterr
             assert after == expected
             assert asked(read_session(log)) == before
             assert read_session(log).begun_anew_as == 2
+            assert verify_session(log).lines[-1] == "closed and not complete: begun anew as session 2"
             continue
         assert after[: len(before)] == before
         counted = [event for event in before if not event[0]]

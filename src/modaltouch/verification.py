@@ -82,10 +82,7 @@ def verify_session(path: Path) -> Verdict:
     line, faults = _check_view(session, chain.checks)
     lines += [line] if line else []
     problems += faults
-    if session.begun_anew_as is not None:
-        lines.append(f"closed and not complete: begun anew as session {session.begun_anew_as}")
-    else:
-        lines.append("complete" if session.complete else "not complete: resume it, or analyse it as incomplete")
+    lines.append(_completeness(session))
     return Verdict(log, tuple(lines), tuple(problems))
 
 
@@ -131,6 +128,14 @@ def _check_levels(session: Session) -> tuple[bool, str]:
             )
         n_driven += not (trial.practice or trial.condition.is_catch)
     return True, f"levels of {n_driven} trials follow from the answers before them"
+
+
+def _completeness(session: Session) -> str:
+    if session.complete:
+        return "complete"
+    if session.begun_anew_as is not None:
+        return f"closed and not complete: begun anew as session {session.begun_anew_as}"
+    return "not complete: `modaltouch resume` goes on with it; until then the analysis leaves it out"
 
 
 def _check_view(session: Session, checks: tuple[str, ...]) -> tuple[str, list[str]]:

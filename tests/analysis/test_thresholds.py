@@ -208,5 +208,17 @@ def test_what_needs_fixed_levels_refuses_adaptive_sessions(preflight: Preflight,
     with pytest.raises(InputError, match="adaptive sessions, which have no table of counts"):
         fit_answers(preflight, results, FAINT)
     assert read_responses(results).is_adaptive
-    with pytest.raises(InputError, match="leave the option out: a run holds the trials of all its stimuli"):
+    with pytest.raises(InputError, match="leave the option out: each run is of one"):
         read_responses(results, stimulus="sharp")
+
+
+def test_runs_that_tell_no_threshold_are_in_the_legend() -> None:
+    """Every finger condition and pair, whatever its runs tell; a warning of matplotlib fails the suite."""
+    from modaltouch.analysis.thresholds.figures import draw_thresholds
+    from modaltouch.analysis.thresholds.runs import Run
+
+    levels, successes = np.full(8, 60.0), np.ones(8, dtype=bool)
+    fitted = fit_psychometric([to_dB(60)] * 8, [True] * 8, guess_rate=0.02, most_lapse=0.06, catches=[])
+    assert fitted.threshold is None
+    figure = draw_thresholds([Run("p01", 1, "one_hand", "A-C", "", levels, successes, fitted)], (2.0, 200.0))
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["one_hand A-C"]

@@ -6,9 +6,14 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 from modaltouch.adaptive import Levels
+from modaltouch.analysis.analyse import analyse
 from modaltouch.analysis.reading import read_responses
+from modaltouch.analysis.thresholds import ThresholdAnalysis
+from modaltouch.analysis.thresholds.runs import over_participants
+from modaltouch.cli.app import app
 from modaltouch.document import InputError
 from modaltouch.observer import Observer
 from modaltouch.planning.presented import design_for
@@ -138,24 +143,64 @@ def test_plans_take_one_stimulus_at_a_time(preflight: Preflight) -> None:
         design_for(preflight, Observer())
 
 
-def test_an_adaptive_run_shares_its_trials_among_them(tmp_path: Path) -> None:
-    """Forty trials of two stimuli: twenty each, in one run; the focus of each decides what is a success."""
-    stimuli = (
-        "stimuli:\n  sharp: {field: {shape: triangle, base_mm: 56}}\n  slow: {repetition_rate_Hz: 5}\n\nconditions:\n"
-    )
-    file = write(tmp_path, ("conditions:\n", stimuli), name="threshold.yaml")
+SHARP_AND_SLOW = (
+    "conditions:\n",
+    "stimuli:\n  sharp: {field: {shape: triangle, base_mm: 56}}\n  slow: {repetition_rate_Hz: 5}\n\nconditions:\n",
+)
+"""Two stimuli for the shipped adaptive protocol."""
+
+
+def test_each_stimulus_has_adaptive_runs_of_its_own(tmp_path: Path) -> None:
+    """A threshold is that of one stimulus: forty trials of each, and the answers to one move no level of the other."""
+    file = write(tmp_path, SHARP_AND_SLOW, name="threshold.yaml")
     protocol = examine(file).require().experiment.protocol
     trials = [trial for trial in draw_schedule(protocol, "p01", 1).trials if not trial.condition.is_catch]
     assert Counter((t.condition.pair, t.condition.stimulus) for t in trials) == {
-        (pair, name): 20 for pair in (("A", "C"), ("C", "E")) for name in ("sharp", "slow")
+        (pair, name): 40 for pair in (("A", "C"), ("C", "E")) for name in ("sharp", "slow")
     }
     levels, first = Levels(protocol), trials[0]
     event = {"trial": first.as_dict(), "confirmed": {"confirmed": True}, "response": {"answer": "none"}}
-    assert levels.settle(trials[1], [event]).condition.velocity_mm_s > 60
-    problems = examine(
-        write(tmp_path, ("conditions:\n", stimuli), ("trials: 40", "trials: 41"), name="threshold.yaml")
-    ).problems
-    assert any("41, which 2 stimuli cannot share" in str(problem) for problem in problems)
+    of_pair = [trial for trial in trials[1:] if trial.condition.pair == first.condition.pair]
+    same = next(trial for trial in of_pair if trial.condition.stimulus == first.condition.stimulus)
+    other = next(trial for trial in of_pair if trial.condition.stimulus != first.condition.stimulus)
+    assert levels.settle(same, [event]).condition.velocity_mm_s > 60
+    assert levels.settle(other, [event]).condition.velocity_mm_s == 60
+
+
+def test_a_threshold_is_fitted_to_each_stimulus(tmp_path: Path) -> None:
+    """Runs, tables and report of an adaptive session with two stimuli; catch trials count for the runs of both."""
+    short = (SHARP_AND_SLOW, ("trials: 40", "trials: 8"), ("catch_trials: 10", "catch_trials: 4"))
+    preflight = examine(write(tmp_path, *short, name="threshold.yaml")).require()
+    log = begin(wire_run(preflight, "p01", answers="simulated", results=tmp_path)).path
+    assert verify_session(log).problems == ()
+    analysis = analyse(tmp_path, tmp_path / "out")
+    assert isinstance(analysis, ThresholdAnalysis)
+    assert [(run.kind, len(run.levels)) for run in analysis.runs] == [
+        (f"one_hand {pair} {name}", 8) for pair in ("A-C", "C-E") for name in ("sharp", "slow")
+    ]
+    catches = [run.fitted.n_catch for run in analysis.runs]
+    assert catches[0] == catches[1]
+    assert catches[2] == catches[3]
+    assert catches[0] + catches[2] == 4
+    assert {row["stimulus"] for row in over_participants(analysis.runs)} == {"sharp", "slow"}
+    report = analysis.files["report.html"].read_text(encoding="utf-8")
+    assert "one_hand A-C slow" in report
+    with pytest.raises(InputError, match="'sharp' with adaptive sessions; allowed: all stimuli together"):
+        analyse(tmp_path, tmp_path / "other", stimulus="sharp")
+
+
+def test_what_the_stimuli_give_is_not_taken_by_default(preflight: Preflight) -> None:
+    """Both shipped stimuli name their field: no word of the shape that a protocol without one gets."""
+    keys = [each["key"] for each in preflight.as_dict()["defaults"]]
+    assert "stimulus.design" in keys
+    assert not [key for key in keys if key.startswith("stimulus.field")]
+
+
+def test_the_check_describes_each_stimulus() -> None:
+    """Modes and width of the spot of both, the first one first."""
+    shown = CliRunner().invoke(app, ["check", str(SHIPPED)]).output
+    sharp, blunt = shown.index("sharp: focus C, law exact"), shown.index("blunt: focus C, law exact")
+    assert sharp < blunt
 
 
 def test_the_record_of_one_stimulus_has_no_word_of_it(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
+from itertools import product
 from typing import Any
 
 from modaltouch.adaptive.quest import Quest
@@ -14,8 +15,8 @@ from modaltouch.adaptive.success import is_success
 from modaltouch.protocol import AdaptiveSection, Protocol
 from modaltouch.trial import Condition, Trial
 
-Run = tuple[str, str, str]
-"""A finger condition, and the zones under the left and the right finger."""
+Run = tuple[str, str, str, str]
+"""A finger condition, the zones under the left and the right finger, and a stimulus."""
 
 
 @dataclass(frozen=True)
@@ -52,10 +53,10 @@ class Levels:
         if protocol.adaptive is not None and protocol.adaptive.method == "quest_plus":
             # Built now rather than at the first trial, which it would keep waiting.
             blank = self._new_quest(protocol.adaptive)
-            for finger_condition in protocol.conditions.finger_conditions:
-                for left, right in protocol.conditions.zone_pairs:
-                    for run in ((finger_condition, left, right), (finger_condition, right, left)):
-                        self._quests[run] = blank.another()
+            fingers, pairs = protocol.conditions.finger_conditions, protocol.conditions.zone_pairs
+            for finger_condition, (left, right), name in product(fingers, pairs, protocol.stimulus_names):
+                for run in ((finger_condition, left, right, name), (finger_condition, right, left, name)):
+                    self._quests[run] = blank.another()
 
     def settle(self, trial: Trial, answered: Iterable[Mapping[str, Any]]) -> Trial:
         """Return a scheduled trial with the level that it is presented at.
@@ -122,7 +123,7 @@ class Levels:
 
 def run_of(condition: Condition) -> Run:
     """Return which run a condition belongs to."""
-    return (condition.finger_condition, *condition.pair)
+    return (condition.finger_condition, *condition.pair, condition.stimulus)
 
 
 def to_dB(velocity_mm_s: float) -> float:  # noqa: N802

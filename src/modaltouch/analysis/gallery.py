@@ -108,6 +108,6 @@ def _bars(answers: AnswerCounts) -> list[Picture]:
         figure = draw_counts(table, condition, n if answers.n_repetitions > 1 else None)
         number = {"fig_10": "Fig. 10. ", "fig_11": "Fig. 11. "}.get(name, "")
         several = f", {answers.n_repetitions} answers each" if answers.n_repetitions > 1 else ""
-        caption = f"{number}Answers under {condition}, {n} participants{several}. {INTERVALS}"
+        caption = f"{number}Answers under {condition}, {n} participant{'s' * (n != 1)}{several}. {INTERVALS}"
         pictures.append(Picture(name, "answers", figure, caption, condition))
     return pictures

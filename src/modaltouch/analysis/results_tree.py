@@ -65,8 +65,8 @@ def read_tree(place: Path, mode: str | None = None, stimulus: str | None = None)
     frame = unmirror(pd.DataFrame([row for item in taken for row in item.rows], columns=list(COLUMNS)))
     foci = taken[0].foci
     if is_adaptive and stimulus is not None:
-        remedy = "leave the option out: a run holds the trials of all its stimuli"
-        _refuse(place, f"stimulus {stimulus!r} with adaptive sessions", "none", remedy)
+        given, remedy = f"stimulus {stimulus!r} with adaptive sessions", "leave the option out: each run is of one"
+        _refuse(place, given, "all stimuli together", remedy)
     if not is_adaptive:
         frame = _choose_stimulus(place, frame, stimulus)
         _refuse_designs(place, frame)

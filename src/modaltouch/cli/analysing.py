@@ -22,7 +22,8 @@ def analyse(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Folder for what is written.", show_default="<results>/analysis, or <name>_analysis beside a CSV"
+            help="Folder for what is written.",
+            show_default="derivatives/analysis among the results, or <name>_analysis beside a CSV",
         ),
     ] = None,
     mode: Annotated[
@@ -44,10 +45,15 @@ def analyse(
             tell(analysis)
 
 
+def participants(number: int) -> str:
+    """Return how many there are in words."""
+    return "1 participant" if number == 1 else f"{number} participants"
+
+
 def tell(analysis: Any) -> None:
     """Print what an analysis found and where it is."""
     values = analysis.as_dict()
-    print(f"{values['n_responses']} answers of {values['n_participants']} participants")
+    print(f"{values['n_responses']} answers of {participants(values['n_participants'])}")
     for left_out in values["left_out"]:
         typer.secho(f"left out: {left_out['source']}: {left_out['reason']}", err=True, fg=typer.colors.YELLOW)
     for name, path in values["files"].items():

@@ -84,11 +84,15 @@ def show(preflight: Preflight, *, compare: bool = False) -> None:
         f"{values['n_practice_trials']} for practice, about {values['estimated_duration_min']:.0f} min"
     )
     stimuli = values["stimuli"]
-    first = stimuli[0]
-    console.print(
-        f"Focus {first['focus']}, law {first['law']}, modes {', '.join(map(str, first['selected_modes']))}, "
-        f"{first['n_samples']} samples at {first['sampling_rate_Hz'] / 1e6:g} MHz, spot {first['fwhm_mm']:.1f} mm wide"
-    )
+    firsts: dict[str, dict[str, Any]] = {}
+    for each in stimuli:
+        firsts.setdefault(each.get("stimulus", ""), each)
+    for name, each in firsts.items():
+        console.print(
+            f"{f'{name}: focus' if name else 'Focus'} {each['focus']}, law {each['law']}, modes "
+            f"{', '.join(map(str, each['selected_modes']))}, {each['n_samples']} samples at "
+            f"{each['sampling_rate_Hz'] / 1e6:g} MHz, spot {each['fwhm_mm']:.1f} mm wide"
+        )
     if calibration := values["calibration"]:
         console.print(
             f"Calibrated {calibration['made']} on {calibration['generator']}: worst modal error then "

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from modaltouch.cli.analysing import participants
 from modaltouch.cli.checking import PROTOCOL
 from modaltouch.cli.faults import print_json, reporting
 from modaltouch.cli.planning import OBSERVER
@@ -42,7 +43,7 @@ def fit(
         fitted = fit_answers(examine(protocol, uncalibrated=True).of_one_stimulus(), answers, prior, mode=mode)
         if out is not None:
             words = (
-                f"Fitted to {fitted.fit.n_answers} answers of {fitted.n_participants} participants in {answers.name}"
+                f"Fitted to {fitted.fit.n_answers} answers of {participants(fitted.n_participants)} in {answers.name}"
             )
             text = write_observer(fitted.fit.observer, "fitted", words)
             try:
@@ -55,7 +56,7 @@ def fit(
         if json_output:
             print_json({**fitted.as_dict(), "file": None if out is None else str(out)})
             return
-        print(f"{fitted.fit.n_answers} answers of {fitted.n_participants} participants")
+        print(f"{fitted.fit.n_answers} answers of {participants(fitted.n_participants)}")
         for estimate in (*fitted.fit.identified, *fitted.fit.parameters):
             tied = ", scale by the prior" if estimate.tied_to_scale else ""
             print(

@@ -9,6 +9,7 @@ from modaltouch.document.section import Section
 from modaltouch.document.tree import Node
 from modaltouch.preflight.ground import Ground
 from modaltouch.protocol import Protocol
+from modaltouch.protocol.stimulus_sections import StimulusSection
 from modaltouch.stimulus.design import Stimulus
 
 _FASTER = 1 + 2e-3
@@ -81,7 +82,15 @@ def taken_defaults(reading: Reading[Protocol]) -> list[dict[str, Any]]:
     list of dict
         The key's path as ``key`` and its default as ``value``, in the order of the schema.
     """
-    return [] if reading.root is None else _absent(reading.model, reading.root, "")
+    if reading.root is None:
+        return []
+    variants = reading.find(("stimuli",))
+    nodes = [variants.child(name) for name in reading.sound("stimuli") or ()] if variants is not None else []
+    # What each of several stimuli gives itself is taken from none.
+    keys = StimulusSection.model_fields if nodes else ()
+    own = [f"stimulus.{key}" for key in keys if all(node and node.child(key) for node in nodes)]
+    taken = _absent(reading.model, reading.root, "")
+    return [each for each in taken if ".".join(each["key"].split(".")[:2]) not in own]
 
 
 def _absent(section: type[Section], node: Node | None, prefix: str) -> list[dict[str, Any]]:

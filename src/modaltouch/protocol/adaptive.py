@@ -41,14 +41,14 @@ class StaircaseSection(Section):
 
 
 class AdaptiveSection(Section):
-    """A run over the level for each finger condition and pair of zones, instead of fixed levels."""
+    """A run over the level for each finger condition, pair of zones and stimulus, instead of fixed levels."""
 
     method: Literal["staircase", "quest_plus"] = described(
         "staircase: up and down by the latest answers; quest_plus: the level that is expected to tell most.",
         default="quest_plus",
     )
     trials: Annotated[int, Field(strict=True, ge=8, le=1000)] = described(
-        "Trials of each run, of which there is one for each finger condition and pair.", default=40
+        "Trials of each run, of which there is one for each finger condition, pair and stimulus.", default=40
     )
     start_mm_s: Positive = described("Level of the first trial of each run [mm/s].")
     success: Literal["focus_named", "felt"] = described(

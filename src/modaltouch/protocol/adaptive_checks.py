@@ -46,11 +46,6 @@ def _check_order(reading: Reading[Protocol]) -> Iterator[Problem]:
         given = f"{repetitions} where runs are adaptive"
         remedy = "remove it; adaptive.trials says how long a run is"
         yield reading.problem(("schedule", "repetitions"), given, "1", remedy)
-    trials, n_stimuli = reading.sound("adaptive", "trials"), len(reading.sound("stimuli") or ()) or 1
-    if trials is not None and trials % n_stimuli:
-        given = f"{trials}, which {n_stimuli} stimuli cannot share"
-        allowed = f"a multiple of {n_stimuli}, such as {trials - trials % n_stimuli + n_stimuli}"
-        yield reading.problem(("adaptive", "trials"), given, allowed)
     if order in ("by_velocity", "latin_square"):
         remedy = "shuffle the runs into each other, or take one after the other"
         given = f"{order}, where the levels are not known beforehand"

@@ -111,10 +111,10 @@ def _check_schedule(reading: Reading[Protocol]) -> Iterator[Problem]:
         return
     n_in_run = reading.sound("adaptive", "trials") if is_adaptive(reading) else None
     n_stimuli = len(reading.sound("stimuli") or ()) or 1
-    n_each = n_in_run if is_adaptive(reading) else n_levels * repetitions * n_stimuli
+    n_each = n_in_run if is_adaptive(reading) else n_levels * repetitions
     if n_each is None:
         return
-    n_driven = n_pairs * n_each
+    n_driven = n_pairs * n_each * n_stimuli
     n_catch = reading.sound("schedule", "catch_trials") or 0
     if n_catch > n_driven:
         given = f"{n_catch} where {n_driven} trials of a finger condition have a stimulus"

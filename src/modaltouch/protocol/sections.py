@@ -240,7 +240,7 @@ class Protocol(Section):
     def scheduled_repetitions(self) -> int:
         """How many trials of each pair, scheduled level and stimulus a block holds."""
         if self.adaptive is not None:
-            return self.adaptive.trials // len(self.stimulus_names)
+            return self.adaptive.trials
         return self.schedule.repetitions
 
     @property

@@ -116,7 +116,7 @@ def _report(
         bounds=analysis.bounds,
         adaptive=design["adaptive"],
         rule=responses.start.get("adaptive", {}),
-        focus=responses.focus,
+        focus=" or ".join(sorted(set(responses.foci.values()) or {responses.focus})),
         n_participants=len({run.participant for run in analysis.runs}),
         n_sessions=n_sessions,
         pictures=[{"name": name, "uri": embed_svg(svg)} for name, svg in vectors.items()],

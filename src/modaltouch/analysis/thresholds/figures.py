@@ -57,7 +57,7 @@ def _draw_track(axes: Axes, run: Run, bounds: tuple[float, float]) -> None:
     axes.set_ylim(bounds[0] / 1.25, bounds[1] * 1.9)
     _mark_levels(axes.yaxis)
     axes.set_ylabel("level [mm/s]")
-    axes.set_title(f"{run.finger_condition}, {run.pair}", loc="left", fontsize=9)
+    axes.set_title(run.kind, loc="left", fontsize=9)
     quiet_grid(axes)
 
 
@@ -113,13 +113,13 @@ def draw_thresholds(runs: Sequence[Run], bounds: tuple[float, float]) -> Figure:
     bounds : (float, float)
         Lowest and highest level that a run may reach [mm/s].
     """
-    kinds = list(dict.fromkeys((run.finger_condition, run.pair) for run in runs))
+    kinds = list(dict.fromkeys(run.kind for run in runs))
     people = list(dict.fromkeys((run.participant, run.session) for run in runs))
     with house_style():
         figure = new_figure(6.4, min(1.4 + 0.17 * len(people) * len(kinds), 40.0))
         axes = figure.subplots()
         for k, kind in enumerate(kinds):
-            own = [run for run in runs if (run.finger_condition, run.pair) == kind]
+            own = [run for run in runs if run.kind == kind]
             heights = np.array([people.index((run.participant, run.session)) for run in own], dtype=float)
             heights += 0.62 * (k + 0.5) / len(kinds) - 0.31
             _draw_kind(axes, own, heights, k, bounds)
@@ -138,7 +138,8 @@ def draw_thresholds(runs: Sequence[Run], bounds: tuple[float, float]) -> Figure:
 
 def _draw_kind(axes: Axes, runs: Sequence[Run], heights: np.ndarray, k: int, bounds: tuple[float, float]) -> None:
     colour, marker = CONDITION_COLOURS[k % 4], "os^D"[k % 4]
-    label: str | None = f"{runs[0].finger_condition} {runs[0].pair}"
+    # Of its own, so that a kind whose runs tell no threshold is in the legend, too.
+    axes.plot([], [], marker=marker, color=colour, ms=5, linestyle="", label=runs[0].kind)
     for run, height in zip(runs, heights, strict=True):
         threshold = run.fitted.threshold
         if threshold is None:
@@ -148,5 +149,4 @@ def _draw_kind(axes: Axes, runs: Sequence[Run], heights: np.ndarray, k: int, bou
         low = bounds[0] / 10 if threshold.low is None else 10 ** (threshold.low / 20)
         high = bounds[1] * 10 if threshold.high is None else 10 ** (threshold.high / 20)
         axes.plot([low, high], [height, height], color=colour, linewidth=1.2, alpha=0.8)
-        axes.plot(10 ** (threshold.value / 20), height, marker=marker, color=colour, ms=5, linestyle="", label=label)
-        label = None
+        axes.plot(10 ** (threshold.value / 20), height, marker=marker, color=colour, ms=5, linestyle="")

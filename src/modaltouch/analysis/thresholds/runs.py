@@ -34,6 +34,8 @@ class Run:
         ``one_hand`` or ``two_hands``.
     pair : str
         Zones under the two fingers, such as ``A-C``.
+    stimulus : str
+        Which of several stimuli; empty where the protocol has one alone.
     levels : (n_trials,) array
         Level of each trial, in order [mm/s].
     successes : (n_trials,) array of bool
@@ -46,14 +48,20 @@ class Run:
     session: int
     finger_condition: str
     pair: str
+    stimulus: str
     levels: NDArray[np.float64]
     successes: NDArray[np.bool_]
     fitted: Psychometric
 
     @property
+    def kind(self) -> str:
+        """Finger condition, pair and stimulus in words: what runs of other participants have alike."""
+        return " ".join(filter(None, (self.finger_condition, self.pair, self.stimulus)))
+
+    @property
     def name(self) -> str:
-        """Participant, session, finger condition and pair in words."""
-        return f"{self.participant}, session {self.session}, {self.finger_condition} {self.pair}"
+        """Participant, session and kind in words."""
+        return f"{self.participant}, session {self.session}, {self.kind}"
 
     @property
     def n_reversals(self) -> int:
@@ -71,6 +79,7 @@ class Run:
             "session": self.session,
             "finger_condition": self.finger_condition,
             "pair": self.pair,
+            **({"stimulus": self.stimulus} if self.stimulus else {}),
             "n_trials": fitted.n_trials,
             "n_successes": fitted.n_successes,
             "n_catch_trials": fitted.n_catch,
@@ -99,16 +108,19 @@ def find_runs(responses: Responses) -> tuple[Run, ...]:
     """
     rule = responses.start["design"]["adaptive"]
     frame = responses.frame.sort_values(["participant", "session", "trial"], kind="stable")
-    return tuple(_run(key, part, rule, responses) for key, part in frame.groupby(list(KEYS), sort=True, observed=True))
+    runs = []
+    for key, part in frame.groupby(list(KEYS), sort=True, observed=True):
+        silent = part["velocity_mm_s"] == 0
+        for stimulus in sorted(part["stimulus"][~silent].unique()):
+            # A catch trial has no stimulus: it counts for the run of each, at that one's focus.
+            runs.append(_run(key, stimulus, part[silent | (part["stimulus"] == stimulus)], rule, responses))
+    return tuple(runs)
 
 
-def _run(key: tuple[Any, ...], part: pd.DataFrame, rule: dict[str, Any], responses: Responses) -> Run:
+def _run(key: tuple[Any, ...], stimulus: str, part: pd.DataFrame, rule: dict[str, Any], responses: Responses) -> Run:
     participant, session, finger_condition, left, right = key
-    # A catch trial has no stimulus: success is what it would be at the focus that all share.
-    foci = [responses.foci.get(name, responses.focus) for name in part["stimulus"]]
-    success = np.array(
-        [is_success(rule["success"], focus, left, str(a)) for focus, a in zip(foci, part["response"], strict=True)]
-    )
+    focus = responses.foci.get(stimulus, responses.focus)
+    success = np.array([is_success(rule["success"], focus, left, str(answer)) for answer in part["response"]])
     level = part["velocity_mm_s"].to_numpy(dtype=float)
     driven = level > 0
     fitted = fit_psychometric(
@@ -118,12 +130,12 @@ def _run(key: tuple[Any, ...], part: pd.DataFrame, rule: dict[str, Any], respons
         most_lapse=rule["lapse_rate"],
         catches=success[~driven].tolist(),
     )
-    pair = f"{left}-{right}"
-    return Run(str(participant), int(session), str(finger_condition), pair, level[driven], success[driven], fitted)
+    names = str(finger_condition), f"{left}-{right}", stimulus
+    return Run(str(participant), int(session), *names, level[driven], success[driven], fitted)
 
 
 def over_participants(runs: Sequence[Run]) -> list[dict[str, Any]]:
-    """Return the geometric mean threshold of each finger condition and pair, over participants.
+    """Return the geometric mean threshold of each finger condition, pair and stimulus, over participants.
 
     A participant's sessions are averaged first. Runs that tell no threshold are left out and counted: where there
     are any, the mean is one of those who have one.
@@ -134,8 +146,8 @@ def over_participants(runs: Sequence[Run]) -> list[dict[str, Any]]:
         All runs.
     """
     rows = []
-    for condition, pair in dict.fromkeys((run.finger_condition, run.pair) for run in runs):
-        own = [run for run in runs if (run.finger_condition, run.pair) == (condition, pair)]
+    for kind in dict.fromkeys(run.kind for run in runs):
+        own = [run for run in runs if run.kind == kind]
         told: dict[str, list[float]] = {}
         for run in own:
             if run.fitted.threshold is not None:
@@ -144,8 +156,9 @@ def over_participants(runs: Sequence[Run]) -> list[dict[str, Any]]:
         interval = student_interval(means) if len(means) > 1 else None
         rows.append(
             {
-                "finger_condition": condition,
-                "pair": pair,
+                "finger_condition": own[0].finger_condition,
+                "pair": own[0].pair,
+                **({"stimulus": own[0].stimulus} if own[0].stimulus else {}),
                 "n_runs": len(own),
                 "n_without_threshold": sum(run.fitted.threshold is None for run in own),
                 "n_participants": len(means),
