@@ -29,7 +29,7 @@ from modaltouch.simulation import simulate_session
 from modaltouch.verification import verify_session
 
 ROOT = Path(__file__).parents[1]
-N_MUTATIONS = int(os.environ.get("MODALTOUCH_MUTATIONS", "1200"))
+N_MUTATIONS = int(os.environ.get("MODALTOUCH_MUTATIONS", "480"))
 LONGEST = 10.0
 """Most that one spoilt file may take [s]."""
 

@@ -214,3 +214,24 @@ def test_a_superseded_trial_does_not_count(tmp_path):
     assert [event["response"]["answer"] for event in session.trials] == ["both"]
     assert session.complete
     assert json.loads(log.path.read_bytes().splitlines()[1])["response"] == {"answer": "left"}
+
+
+def test_an_exception_between_writing_and_noting_it_breaks_no_chain(tmp_path, monkeypatch):
+    """As a second Ctrl-C may come: the line is on the disk, and the next one follows it."""
+
+    class OutOfNowhere(BaseException):
+        pass
+
+    def interrupted(descriptor):
+        raise OutOfNowhere
+
+    log = SessionLog.create(tmp_path / "session.jsonl", "start")
+    with monkeypatch.context() as patch:
+        patch.setattr("modaltouch.record.log.os.fsync", interrupted)
+        with pytest.raises(OutOfNowhere):
+            log.append("trial", answer="left")
+    log.append("stop")
+    log.close()
+    chain = read_chain(tmp_path / "session.jsonl")
+    assert chain.problems == ()
+    assert [event["event"] for event in chain.events] == ["start", "trial", "stop"]
