@@ -72,7 +72,7 @@ def variants(node: ast.AST, parent: ast.AST, field: str) -> Iterator[ast.AST]:
     elif isinstance(node, ast.Constant) and isinstance(node.value, float):
         yield ast.Constant(2 * node.value or 1.0)
     elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-        if isinstance(parent, (ast.Dict, ast.Subscript, ast.Compare)):
+        if isinstance(parent, (ast.Dict, ast.Subscript, ast.Compare)) and " " not in node.value:
             yield ast.Constant(node.value + "X")
     elif isinstance(node, ast.Return) and node.value is not None and ast.unparse(node.value) != "None":
         yield ast.Return(ast.Constant(None))
@@ -113,11 +113,15 @@ def _put(node: ast.AST, field: str, place: int, new: ast.AST) -> None:
 def mutants(tree: ast.Module) -> dict[str, Callable[[], None]]:
     """Return every mistake that can be made in a module, by its name, in the order of the sample."""
     seen: Counter[str] = Counter()
-    found = {}
-    for name, deed in sites(tree):
-        seen[name] += 1
-        found[f"{name} ({seen[name]})" if seen[name] > 1 else name] = deed
-    return dict(sorted(found.items(), key=lambda item: hashlib.sha256((SEED + item[0]).encode()).digest()))
+    found = []
+    for whole, deed in sites(tree):
+        seen[whole] += 1
+        where, _, what = whole.partition(" | ")
+        name = f"{where[:100]} | {what}" if what else whole
+        seen[name] += bool(what)
+        order = hashlib.sha256((SEED + whole + f" ({seen[whole]})" * (seen[whole] > 1)).encode()).digest()
+        found.append((order, f"{name} ({seen[name]})" if seen[name] > 1 else name, deed))
+    return {name: deed for _, name, deed in sorted(found, key=lambda item: item[0])}
 
 
 def functions(code: CodeType) -> dict[tuple[str, int], CodeType]:

@@ -1,11 +1,12 @@
 """Where sessions live: one dataset for each protocol and mode, and no path tricks."""
 
+import stat
 from pathlib import Path
 
 import pytest
 
 from modaltouch.record.chain import RecordError, RecordInputError
-from modaltouch.record.folders import SessionFolder, check_participant, find_log, locate
+from modaltouch.record.folders import SessionFolder, check_participant, find_log, locate, make_folder
 
 
 @pytest.mark.parametrize(
@@ -72,3 +73,45 @@ def test_a_log_that_was_moved_is_not_taken_for_another_session(tmp_path):
     place = make_log(tmp_path, "real")
     with pytest.raises(RecordError, match="put it back there"):
         locate(place.log, "simulated", "demo")
+
+
+def test_a_good_participant_id_is_given_back():
+    """Letters and digits, up to 32 of them."""
+    assert check_participant("p01") == "p01"
+    assert check_participant("Z" * 32) == "Z" * 32
+
+
+def test_all_folders_that_are_made_are_their_owners_alone(tmp_path):
+    """README: files and folders are their owner's alone, those above the session too."""
+    make_folder(tmp_path / "a" / "b" / "c")
+    made = [tmp_path / "a", tmp_path / "a" / "b", tmp_path / "a" / "b" / "c"]
+    assert [stat.S_IMODE(folder.stat().st_mode) for folder in made] == [0o700] * 3
+    make_folder(tmp_path / "a" / "b" / "c")
+
+
+@pytest.mark.parametrize("path", ["sub-p01/ses-0/beh", "sub-p01/ses-1x/beh", "p01/ses-1/beh", "sub-p01/1/beh"])
+def test_a_log_in_a_folder_of_another_name_has_no_place(tmp_path, path):
+    """The folders say participant and session; where they say none, nothing is guessed."""
+    log = tmp_path / "demo" / path / "session.jsonl"
+    make_folder(log.parent)
+    log.touch()
+    with pytest.raises(RecordError, match=r"does not lie in a folder sub-<id>/ses-<n>/beh"):
+        locate(log, "real", "demo")
+
+
+def test_an_unknown_mode_has_no_place(tmp_path):
+    """There are three trees and no fourth."""
+    place = make_log(tmp_path, "real")
+    with pytest.raises(RecordError, match="does not lie in a folder"):
+        locate(place.log, "unknown", "demo")
+
+
+def test_what_is_no_session_is_refused(tmp_path):
+    """A table is no log, a folder that is missing holds none, an empty one neither."""
+    (tmp_path / "beh.tsv").touch()
+    with pytest.raises(RecordInputError, match="is not a session log; give a session's folder or its session.jsonl"):
+        find_log(tmp_path / "beh.tsv")
+    with pytest.raises(RecordInputError, match="no such file or folder"):
+        find_log(tmp_path / "gone")
+    with pytest.raises(RecordInputError, match="holds 0 sessions, exactly one is needed"):
+        find_log(tmp_path)

@@ -3,14 +3,16 @@
 import json
 import multiprocessing
 import os
+import re
 import signal
 import stat
 import time
+from pathlib import Path
 
 import pytest
 
 from modaltouch.record.chain import RecordError, read_chain
-from modaltouch.record.log import SessionLog, read_session
+from modaltouch.record.log import Session, SessionLog, read_session
 
 TRIAL = {"index": 1, "block": 1, "practice": False}
 
@@ -235,3 +237,114 @@ def test_an_exception_between_writing_and_noting_it_breaks_no_chain(tmp_path, mo
     chain = read_chain(tmp_path / "session.jsonl")
     assert chain.problems == ()
     assert [event["event"] for event in chain.events] == ["start", "trial", "stop"]
+
+
+def test_an_event_is_synced_before_anybody_hears_of_it(tmp_path, monkeypatch):
+    """README: the record is written and synced before the window marks the answer; so is a new file's folder."""
+    done = []
+    real_write, real_sync = os.write, os.fsync
+
+    def sync(descriptor):
+        done.append("folder synced" if stat.S_ISDIR(os.fstat(descriptor).st_mode) else "file synced")
+        real_sync(descriptor)
+
+    def write(descriptor, data):
+        done.append("written")
+        return real_write(descriptor, data)
+
+    monkeypatch.setattr(os, "write", write)
+    monkeypatch.setattr(os, "fsync", sync)
+    with begin(tmp_path / "session.jsonl") as log:
+        assert done == ["written", "file synced", "folder synced"]
+        done.clear()
+        log.listener = lambda line: done.append("heard")
+        log.append("note")
+    assert done == ["written", "file synced", "heard"]
+
+
+def test_every_line_says_its_number_and_both_clocks(tmp_path):
+    """Lines count from 1; UTC to the millisecond, the monotonic clock to the microsecond."""
+    with begin(tmp_path / "session.jsonl") as log:
+        before = time.perf_counter()
+        lines = [log.append("note") for _ in range(20)]
+        after = time.perf_counter()
+    assert [line["n"] for line in lines] == list(range(2, 22))
+    assert log.head == {"lines": 21, "check": read_chain(log.path).last_check}
+    assert all(line["clock"] == round(line["clock"], 6) for line in lines)
+    assert before - 1e-6 <= lines[0]["clock"] <= lines[-1]["clock"] <= after + 1e-6
+    assert len({line["clock"] for line in lines}) > 1
+    for line in lines:
+        assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}\+00:00", line["time"])
+    assert [json.loads(line)["event"] for line in log.path.read_bytes().splitlines()] == ["start"] + ["note"] * 20
+
+
+def test_what_a_cut_view_left_is_tidied_away(tmp_path):
+    """Only temporary files beside the log; they hold answers and belong to nobody."""
+    path = tmp_path / "session.jsonl"
+    begin(path).close()
+    (tmp_path / ".table.tsv.123.tmp").touch()
+    (tmp_path / "notes.tmp").touch()
+    SessionLog.reopen(path).close()
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["notes.tmp", "session.jsonl"]
+
+
+def test_a_log_that_is_missing_or_holds_no_line_is_not_continued(tmp_path):
+    """The message names the file; a refused log can be taken again."""
+    path = tmp_path / "session.jsonl"
+    with pytest.raises(RecordError, match=r"session.jsonl: cannot be opened for writing"):
+        SessionLog.reopen(path)
+    path.write_bytes(b'{"n":1,"ti')
+    for _ in range(2):
+        with pytest.raises(RecordError, match="holds no whole line: there is nothing to continue"):
+            SessionLog.reopen(path)
+
+
+def test_a_folder_that_cannot_be_made_is_said(tmp_path):
+    """A file stands where the folder should be."""
+    (tmp_path / "file").touch()
+    with pytest.raises(RecordError, match=r"cannot be created .*--results"):
+        begin(tmp_path / "file" / "session.jsonl")
+
+
+def test_a_session_says_whose_it_is():
+    """The start record; of a log that was cut before it, nothing is known."""
+    start = {"n": 1, "event": "start", "mode": "pilot", "participant": "p03", "protocol": "demo", "session": 4}
+    session = Session(Path("session.jsonl"), (start,), ())
+    assert (session.mode, session.participant, session.protocol, session.drawn_as) == ("pilot", "p03", "demo", 4)
+    again = Session(Path("session.jsonl"), ({**start, "schedule": {"seeds": {"session": 2}}},), ())
+    assert again.drawn_as == 2
+    for events in ((), ({"n": 1, "event": "note", "mode": "real"},)):
+        unknown = Session(Path("session.jsonl"), events, ())
+        assert (unknown.start, unknown.mode, unknown.participant, unknown.protocol) == ({}, "unknown", "", "")
+        assert unknown.drawn_as == 1
+        assert not unknown.complete
+
+
+def test_a_session_begun_anew_says_as_which():
+    """The last closing counts; a session that may go on has none."""
+    start = {"n": 1, "event": "start"}
+    closed = [{"n": n, "event": "closed", "begun_anew_as": n + 1} for n in (2, 3)]
+    assert Session(Path("session.jsonl"), (start,), ()).begun_anew_as is None
+    assert Session(Path("session.jsonl"), (start, *closed), ()).begun_anew_as == 4
+
+
+def test_only_confirmed_answers_to_scheduled_trials_complete_a_session():
+    """Practice, withdrawn and unconfirmed answers do not count; the trials they were for are asked again."""
+
+    def trial(n, index, *, practice=False, confirmed=True):
+        said = {"index": index, "block": 1, "practice": practice}
+        return {"n": n, "event": "trial", "trial": said, "confirmed": {"confirmed": confirmed}}
+
+    start = {"n": 1, "event": "start", "schedule": {"n_trials": 3}}
+    events = (start, trial(2, 1, practice=True), trial(3, 1), trial(4, 2, confirmed=False), trial(5, 3))
+    session = Session(Path("session.jsonl"), events, ())
+    assert session.answered == {(True, 1), (False, 1), (False, 3)}
+    assert session.n_answered == 2
+    assert not session.complete
+    assert Session(Path("session.jsonl"), (*events, trial(6, 2)), ()).complete
+    withdrawn = Session(
+        Path("session.jsonl"), (*events, trial(6, 2), {"n": 7, "event": "withdrawn", "lines": [3, 5]}), ()
+    )
+    assert [event["n"] for event in withdrawn.trials] == [2, 4, 6]
+    assert withdrawn.n_answered == 1
+    assert not withdrawn.complete

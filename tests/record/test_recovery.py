@@ -203,7 +203,9 @@ def test_a_replaced_answer_stays_replaced_under_its_new_number(tmp_path, damaged
     last = session.events[-1]
     assert last["lines"] == [1, *range(4, len(events) + 1)]
     assert last["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
-    assert [line["line"] for line in last["left_out"]] == [2]
+    unproved = "it was changed, or the line before it is gone, so that it cannot be proved"
+    assert last["left_out"] == [{"line": 2, "reason": unproved}]
+    assert last["missing"] == [2, 3]
     assert log.with_name("left_out.txt").stat().st_mode & 0o777 == 0o600
 
 

@@ -7,6 +7,7 @@ import pytest
 from modaltouch.document import InputError
 from modaltouch.record.chain import GENESIS, RecordError, encode_line, read_chain
 from modaltouch.record.log import read_session
+from modaltouch.record.shape import check_shape
 from modaltouch.simulation import simulate_session
 from modaltouch.verification import verify_session
 from modaltouch.wiring import wire_resume
@@ -89,3 +90,63 @@ def test_an_answer_without_its_words_is_named(rewritten):
         next(event for event in events if event["event"] == "trial")["response"].pop("answer")
 
     assert "the event `trial` does not say its response.answer" in read_session(rewritten(change)).problems[0]
+
+
+@pytest.mark.parametrize(
+    "line", [{"n": 1}, {"n": 1, "event": ["trial"]}, {"event": "trial"}, {"n": "1", "event": "start"}]
+)
+def test_a_line_without_a_number_or_a_name_is_one_problem(line):
+    """Nothing is asked of a line that is no event; the lines after it are still looked at."""
+    no_event = "is no event of a session; nothing is known of such a line"
+    after = {"n": 2, "event": "trial"}
+    assert check_shape([line, after], "log") == (
+        f"log:1: {no_event}",
+        "log:2: the event `trial` does not say its trial.index",
+    )
+
+
+def test_an_event_of_another_kind_needs_no_members():
+    """What a later version adds is no fault of this one's records."""
+    assert check_shape([{"n": 1, "event": "note"}], "log") == ()
+
+
+STARTS = ("mode", "participant", "protocol", "schedule.n_trials")
+REPEATS = (
+    "session", "seed", "rig_choice", "answers_choice", "design", "sources.protocol.text", "sources.protocol.path",
+    "sources.apparatus.text", "sources.apparatus.path", "sources.texts.text", "sources.texts.path",
+    "schedule.order_hash", "stimulus.content_hash", "versions",
+)  # fmt: skip
+TRIALS = (
+    "trial.index", "trial.block", "trial.practice", "trial.repetition", "trial.condition.finger_condition",
+    "trial.condition.zone_left", "trial.condition.zone_right", "trial.condition.velocity_mm_s", "confirmed.confirmed",
+    "response.answer", "response.reaction_time",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("kind", "member"),
+    [*(("start", member) for member in (*STARTS, *REPEATS)), *(("trial", member) for member in TRIALS)],
+)
+@pytest.mark.parametrize("spoilt", [None, [], b""])
+def test_every_member_that_is_needed_is_missed(log, kind, member, spoilt):
+    """Absent, or of a type that nothing can be computed from."""
+    events = json.loads(json.dumps(read_chain(log).events))
+    assert check_shape(events, "log", to_repeat=True) == ()
+    number, event = next((n, event) for n, event in enumerate(events, 1) if event["event"] == kind)
+    *path, last = member.split(".")
+    for step in path:
+        event = event[step]
+    if spoilt is None:
+        del event[last]
+    else:
+        event[last] = spoilt
+    said = (f"log:{number}: the event `{kind}` does not say its {member}",)
+    assert check_shape(events, "log", to_repeat=True) == said
+    assert check_shape(events, "log") == (() if member in REPEATS else said)
+
+
+def test_a_truth_value_is_no_number(log):
+    """JSON's true is an int to Python; it is none to a protocol."""
+    events = json.loads(json.dumps(read_chain(log).events))
+    events[0]["schedule"]["n_trials"] = True
+    assert check_shape(events, "log") == ("log:1: the event `start` does not say its schedule.n_trials",)

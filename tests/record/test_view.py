@@ -1,10 +1,13 @@
 """The BIDS view: every value of the log in its column, every column described, never half a file."""
 
 import json
+import os
 import stat
+from pathlib import Path
 
 import pytest
 
+from modaltouch import __version__
 from modaltouch.record.chain import RecordError
 from modaltouch.record.folders import SessionFolder
 from modaltouch.record.log import Session
@@ -144,3 +147,119 @@ def test_catch_trials_and_the_answer_none_are_described_where_there_are_any(sess
     assert "none" in side["response"]["Levels"]
     assert "catch" not in table_text(session).splitlines()[0].split("\t")
     assert "none" not in COLUMNS["response"]["Levels"]
+
+
+def test_the_side_file_says_what_the_table_is_of(place, session):
+    """TaskName is BIDS's; how far the log had come lets a log that lost its end be noticed."""
+    write_view(place, session, {"lines": 7, "check": "ab" * 32})
+    side = json.loads(place.table.with_suffix(".json").read_text())
+    assert side["TaskName"] == "demo"
+    assert side["SessionLog"] == {"File": "session.jsonl", "lines": 7, "check": "ab" * 32}
+    assert place.table.read_text() == table_text(session)
+    described = {name: column for name, column in side.items() if name not in ("TaskName", "Mode", "SessionLog")}
+    assert list(described) == list(COLUMNS)
+    for name, column in described.items():
+        assert set(column) <= {"Description", "Levels", "Units"}, name
+        assert column["Description"].strip(), name
+
+
+LEVELS = {
+    "practice": {"0", "1"},
+    "finger_condition": {"one_hand", "two_hands"},
+    "placement": {"normal", "mirrored", "swapped", "mirrored_swapped"},
+    "response": {"left", "right", "both"},
+    "response_onset": {"first_burst", "question"},
+    "confirmed": {"0", "1"},
+}
+
+
+def test_every_level_of_a_column_is_described():
+    """BIDS: Levels of categorical variables; units of the others."""
+    assert {name: set(column["Levels"]) for name, column in COLUMNS.items() if "Levels" in column} == LEVELS
+    for name in ("practice", "confirmed"):
+        assert COLUMNS[name]["Levels"] == {"0": "no", "1": "yes"}
+    units = {name: column["Units"] for name, column in COLUMNS.items() if "Units" in column}
+    assert units == {"velocity_mm_s": "mm/s", "response_time": "s"}
+
+
+def test_the_description_of_the_dataset_is_that_of_bids(place):
+    """BIDS 1.10: Name, BIDSVersion, DatasetType, GeneratedBy; written once, then the lab's own."""
+    describe_dataset(place, "")
+    path = place.dataset / "dataset_description.json"
+    assert json.loads(path.read_text()) == {
+        "Name": "demo",
+        "BIDSVersion": "1.10.0",
+        "DatasetType": "raw",
+        "GeneratedBy": [{"Name": "modaltouch", "Version": __version__}],
+    }
+    assert (place.dataset / "README").read_text().startswith("demo: sessions recorded by modaltouch")
+    assert {"*.jsonl", "*.log"} <= set((place.dataset / ".bidsignore").read_text().split())
+    path.write_text("{}")
+    describe_dataset(place, "Another title")
+    assert path.read_text() == "{}"
+
+
+def test_masking_and_stimuli_have_columns_where_there_are_any(session, place):
+    """A protocol with neither keeps its table; values are those of the trial."""
+    start, trial = session.events
+    design = {"masking": {"noise": "pink"}, "stimuli": {"narrow": {}}}
+    named = {**trial, "masked": True, "trial": {**trial["trial"], "condition": {**CONDITION, "stimulus": "narrow"}}}
+    both = Session(session.path, ({**start, "design": design}, named, {**trial, "n": 8}), ())
+    header, *rows = (line.split("\t") for line in table_text(both).splitlines())
+    values = [dict(zip(header, row, strict=True)) for row in rows]
+    assert [(row["masked"], row["stimulus"], row["log_line"]) for row in values] == [
+        ("1", "narrow", "7"),
+        ("0", "n/a", "8"),
+    ]
+    write_view(place, both, {"lines": 8, "check": "0" * 64})
+    side = json.loads(place.table.with_suffix(".json").read_text())
+    assert side["masked"]["Levels"] == {"0": "no", "1": "yes"}
+    assert side["stimulus"]["Description"]
+    assert not {"masked", "stimulus"} & set(table_text(session).splitlines()[0].split("\t"))
+
+
+def test_no_value_can_break_the_table(session):
+    """A tab or a line end within a value becomes a space; a way that was not asked is n/a."""
+    start, trial = session.events
+    odd = {**trial, "fingers": ["left\tindex", "right\nindex"], "response": {**trial["response"], "way": None}}
+    header, row = (line.split("\t") for line in table_text(Session(session.path, (start, odd), ())).splitlines())
+    values = dict(zip(header, row, strict=True))
+    assert (values["finger_left"], values["finger_right"], values["way"]) == ("left index", "right index", "n/a")
+
+
+def test_a_list_of_participants_that_is_no_text_is_named(place):
+    """It may be a spreadsheet; nothing is written over it."""
+    path = place.dataset / "participants.tsv"
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(RecordError, match=r"participants.tsv: cannot be read .*mend it or move it away"):
+        list_participants(place)
+    assert path.read_bytes() == b"\xff\xfe\x00"
+
+
+def test_a_list_is_begun_where_there_is_none_and_an_empty_one_gets_its_header(place):
+    """A header alone is a valid list; files beside the folders are no participants."""
+    place.folder.rmdir()
+    place.folder.parent.rmdir()
+    place.folder.parent.parent.rmdir()
+    (place.dataset / "sub-notes.txt").touch()
+    list_participants(place)
+    assert (place.dataset / "participants.tsv").read_text() == "participant_id\n"
+
+
+def test_a_replaced_file_is_on_the_disk_before_it_has_its_name(tmp_path, monkeypatch):
+    """Content first, then the name, then the folder: a power cut leaves the old file or the new one."""
+    done = []
+    real_sync, real_replace = os.fsync, Path.replace
+
+    def sync(descriptor):
+        done.append("folder" if stat.S_ISDIR(os.fstat(descriptor).st_mode) else os.fstat(descriptor).st_size)
+        real_sync(descriptor)
+
+    def replace(self, target):
+        done.append("name")
+        return real_replace(self, target)
+
+    monkeypatch.setattr(os, "fsync", sync)
+    monkeypatch.setattr(Path, "replace", replace)
+    replace_file(tmp_path / "table.tsv", "12345\n")
+    assert done == [6, "name", "folder"]
