@@ -74,6 +74,28 @@ class TestInterval:
         interval = ac1_interval(np.tile([1, 0, 0], (2, 4, 1)))
         assert (interval.low, interval.high) == (-1, 1)
 
+    def test_three_participants_have_an_interval(self) -> None:
+        """The fewest a jackknife can do with; all alike, up to 0.71 of people could differ (1 - 0.025^(1/3))."""
+        interval = ac1_interval(np.tile([1, 0, 0], (3, 4, 1)))
+        u = 1 - 0.025 ** (1 / 3)
+        spread, chance = (1 - u) ** 2 + u**2 / 2, u - 0.75 * u**2
+        alike, alike_chance = (1 - u) ** 2 + u**2, u * (1 - u)
+        least = min((spread - chance) / (1 - chance), (alike - alike_chance) / (1 - alike_chance))
+        assert (interval.estimate, interval.high, interval.n_effective) == (1, 1, 3)
+        assert interval.low == pytest.approx(least, rel=1e-12)
+
+    def test_a_hundred_groups_of_equal_size_are_left_out(self) -> None:
+        """Reference: the delete-a-group jackknife of 250 participants by its definition, t with 99 degrees of freedom."""
+        from scipy.stats import t
+
+        answers = np.eye(3, dtype=int)[np.random.default_rng(6).choice(3, (250, 4), p=[0.7, 0.25, 0.05])]
+        pairs = [group[:2] for group in np.array_split(np.arange(250), 100)]
+        values = np.array([gwet_ac1(np.delete(answers, pair, axis=0).sum(axis=0)) for pair in pairs])
+        half = t.ppf(0.975, 99) * math.sqrt(0.99 * ((values - values.mean()) ** 2).sum())
+        interval = ac1_interval(answers)
+        assert interval.estimate == pytest.approx(gwet_ac1(answers.sum(axis=0)))
+        assert (interval.low, interval.high) == pytest.approx((interval.estimate - half, interval.estimate + half))
+
     def test_hundreds_of_participants_are_left_out_in_groups(self) -> None:
         """The grouped interval is close to the single one: same data, 1 % of the width apart at most 60 %."""
         rng = np.random.default_rng(4)

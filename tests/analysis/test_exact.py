@@ -92,6 +92,7 @@ class TestMultinomial:
             ([[1, -1]], None, "must not be negative"),
             ([[1, 1], [2, 1]], None, "same total"),
             ([[1]], None, "two categories"),
+            (np.zeros((0, 3), dtype=int), None, r"counts have shape \(0, 3\)"),
             ([[1, 1]], [0.5, 0.6], "add up to 1"),
         ],
     )
@@ -171,3 +172,8 @@ class TestSignFlip:
         test = sign_test([3] * positive + [-1] * negative + [0])
         expected = binomtest(positive, positive + negative).pvalue if positive + negative else 1.0
         assert test.p == pytest.approx(expected, rel=1e-9)
+
+    def test_its_statistic_counts_those_who_lean_up(self) -> None:
+        """Zeros lean neither way and carry no information."""
+        test = sign_test([5, 1, 0, 0, -2])
+        assert (test.statistic, test.n_informative) == (2, 3)

@@ -141,8 +141,52 @@ class TestKornGraubard:
         counts = [4, 4, 3, 2, 4, 1, 4, 3, 4, 4]
         assert korn_graubard(counts, 4, small_sample=True).low < korn_graubard(counts, 4).low
 
+    def test_the_factor_for_few_participants_is_the_published_one(self) -> None:
+        """Korn and Graubard (1998): times (t of all answers less one / t of participants less one) squared."""
+        from scipy.stats import t
+
+        counts = [4, 4, 3, 2, 4, 1, 4, 3, 4, 4]
+        factor = (t.ppf(0.975, 39) / t.ppf(0.975, 9)) ** 2
+        plain, small = korn_graubard(counts, 4), korn_graubard(counts, 4, small_sample=True)
+        assert small.n_effective == pytest.approx(plain.n_effective * factor, rel=1e-9)
+        p = sum(counts) / 40
+        alone = clopper_pearson(p * small.n_effective, small.n_effective)
+        assert (small.estimate, small.low, small.high) == pytest.approx((p, alone.low, alone.high), rel=1e-12)
+
+    def test_two_participants_who_differ_are_worth_what_their_variance_says(self) -> None:
+        """3 and 1 of 4: variance between them 1/8, over two 1/16, so 1/4 over that is 4 answers."""
+        assert korn_graubard([3, 1], 4).n_effective == pytest.approx(4)
+
+    def test_one_participant_is_worth_one_answer(self) -> None:
+        """Nothing tells how much participants differ."""
+        assert korn_graubard([3], 4).n_effective == 1
+        assert korn_graubard([3], 4, small_sample=True).n_effective == 1
+
 
 class TestClusteredDifference:
+    def test_the_effective_number_is_the_variance_ratio(self) -> None:
+        """Binomial variance of the differences, b + c - (b - c)^2 in shares, over the variance between participants."""
+        b, c = np.array([3, 2, 4, 1, 3]), np.array([0, 1, 0, 2, 1])
+        d = (b.sum() - c.sum()) / 20
+        expected = ((b.sum() + c.sum()) / 20 - d**2) / (np.var((b - c) / 4, ddof=1) / 5)
+        interval = clustered_difference(b, c, 4)
+        assert 5 < expected < 20
+        assert interval.n_effective == pytest.approx(expected, rel=1e-12)
+        alone = tango(b.sum() * expected / 20, c.sum() * expected / 20, expected)
+        assert (interval.estimate, interval.low, interval.high) == pytest.approx((d, alone.low, alone.high), rel=1e-9)
+
+    def test_participants_who_agree_count_once_each(self) -> None:
+        """Rule of the plan, for differences: ten alike are worth ten."""
+        interval, alone = clustered_difference([4] * 10, [0] * 10, 4), tango(10, 0, 10)
+        assert interval.n_effective == 10
+        assert (interval.low, interval.high) == pytest.approx((alone.low, alone.high), abs=1e-12)
+
+    def test_one_or_two_participants(self) -> None:
+        """One is worth one answer; two who differ are worth what their variance says, here 1 / (1/16) of at most 8."""
+        assert clustered_difference([3], [1], 4).n_effective == 1
+        assert clustered_difference([3, 2], [1, 2], 4).n_effective == pytest.approx(8)
+        assert clustered_difference([4, 2], [0, 2], 4).n_effective == pytest.approx((1 - 0.25) / 0.25)
+
     @given(st.lists(st.sampled_from([(1, 0), (0, 1), (0, 0)]), min_size=2, max_size=15))
     @settings(max_examples=40, deadline=None)
     def test_one_pair_a_participant_is_tango(self, pairs) -> None:
@@ -168,6 +212,23 @@ def test_scores_that_are_all_zero_still_have_a_width() -> None:
     """Nothing lies when all agree: Tango's interval without discordance."""
     interval = paired_mean([0] * 10, 3)
     assert interval.high == pytest.approx(Z**2 / (10 + Z**2), abs=1e-9)
+
+
+def test_scores_count_as_shares_of_a_pair() -> None:
+    """3 of 3 is a whole discordant pair, -1 of 3 a third of one the other way."""
+    interval, alone = paired_mean([3, 2, 0, -1, 3], 3), tango(8 / 3, 1 / 3, 5)
+    assert interval.estimate == pytest.approx(7 / 15)
+    assert (interval.low, interval.high) == pytest.approx((alone.low, alone.high), rel=1e-12)
+
+
+@pytest.mark.parametrize(("k", "n"), [(0, 10), (10, 10), (0, 1), (3, 7)])
+def test_wilson_is_where_the_score_statistic_reaches_z(k, n) -> None:
+    """(p - q)^2 = z^2 q (1 - q) / n at both bounds (Wilson 1927)."""
+    interval = wilson(k, n)
+    for bound in (interval.low, interval.high):
+        assert (k / n - bound) ** 2 == pytest.approx(Z**2 * bound * (1 - bound) / n, abs=1e-12)
+    assert 0 <= interval.low <= interval.estimate <= interval.high <= 1
+    assert interval.high - interval.low > 0.1
 
 
 @pytest.mark.parametrize(
