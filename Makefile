@@ -121,6 +121,11 @@ oldest: | $(filter .uv/bin/uv,$(UV))
 	PYTHONPATH=src build/oldest/bin/python -m pytest -n 2 --dist loadfile -W ignore tests/adaptive tests/analysis tests/apparatus \
 	  tests/observer tests/planning tests/preflight tests/protocol tests/record tests/schedule tests/stimulus
 
+## mutants: spoil stimulus, record and statistics, one small mistake at a time; a test must notice each
+.PHONY: mutants
+mutants: install
+	$(PYTHON) tests/mutation.py --out results/benchmarks/mutants.json
+
 ## lock: resolve the dependencies again into requirements.lock
 .PHONY: lock
 lock: | $(filter .uv/bin/uv,$(UV))

@@ -1,6 +1,6 @@
 """Tests that cannot fail, found by spoiling the code: one small mistake at a time, and a test must notice.
 
-    python tests/mutation.py [--each 30] [--only record/chain.py] [--match TEXT] [--out results/benchmarks/mutants.json]
+    python tests/mutation.py [--each 15] [--only record/chain.py] [--match TEXT] [--out results/benchmarks/mutants.json]
 
 Of every module in ``mutation.toml`` this makes all mutants (a comparison flipped, a sum made a difference, a constant
 moved, a condition negated, nothing returned, a statement left out), takes the first `--each` by a seeded hash of what
@@ -113,15 +113,19 @@ def _put(node: ast.AST, field: str, place: int, new: ast.AST) -> None:
 def mutants(tree: ast.Module) -> dict[str, Callable[[], None]]:
     """Return every mistake that can be made in a module, by its name, in the order of the sample."""
     seen: Counter[str] = Counter()
+    short: Counter[str] = Counter()
     found = []
     for whole, deed in sites(tree):
-        seen[whole] += 1
         where, _, what = whole.partition(" | ")
-        name = f"{where[:100]} | {what}" if what else whole
-        seen[name] += bool(what)
-        order = hashlib.sha256((SEED + whole + f" ({seen[whole]})" * (seen[whole] > 1)).encode()).digest()
-        found.append((order, f"{name} ({seen[name]})" if seen[name] > 1 else name, deed))
-    return {name: deed for _, name, deed in sorted(found, key=lambda item: item[0])}
+        name = f"{where[:100]} | {what}" if what else whole[:160]
+        seen[whole] += 1
+        short[name] += 1
+        found.append((_numbered(SEED + whole, seen[whole]), _numbered(name, short[name]), deed))
+    return {name: deed for _, name, deed in sorted(found, key=lambda item: hashlib.sha256(item[0].encode()).digest())}
+
+
+def _numbered(name: str, number: int) -> str:
+    return f"{name} ({number})" if number > 1 else name
 
 
 def functions(code: CodeType) -> dict[tuple[str, int], CodeType]:
@@ -249,7 +253,7 @@ def examine(module: str, plan: dict[str, Any], each: int, match: str, folder: Pa
 def main() -> int:
     """Examine the modules asked for, write the counts and fail where a survivor is not argued."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--each", type=int, default=20, help="mutants of each module (default 20)")
+    parser.add_argument("--each", type=int, default=15, help="mutants of each module (default 15)")
     parser.add_argument("--only", nargs="*", help="these modules alone, such as record/chain.py")
     parser.add_argument("--match", default="", help="the mutants alone whose name holds this text")
     parser.add_argument("--out", type=Path, help="JSON file for the counts")

@@ -85,7 +85,7 @@ class TestInterval:
         assert interval.low == pytest.approx(least, rel=1e-12)
 
     def test_a_hundred_groups_of_equal_size_are_left_out(self) -> None:
-        """Reference: the delete-a-group jackknife of 250 participants by its definition, t with 99 degrees of freedom."""
+        """Reference: the delete-a-group jackknife of 250 by its definition, t with 99 degrees of freedom."""
         from scipy.stats import t
 
         answers = np.eye(3, dtype=int)[np.random.default_rng(6).choice(3, (250, 4), p=[0.7, 0.25, 0.05])]

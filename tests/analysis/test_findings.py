@@ -43,6 +43,24 @@ def test_no_information_is_said_where_no_p_could_be_small() -> None:
     assert finding(0.25, 0.25).note.startswith("no information")
 
 
+def test_a_p_that_can_just_reach_the_level_is_within_reach() -> None:
+    """Significant is p of 0.05 at most: 0.05 alone, and 0.025 as the smallest of two, hold information."""
+    assert finding(0.05, 0.05).note == ""
+    assert correct([finding(0.025, 0.025), finding(0.5)])[0].note == ""
+    assert "cannot pass Holm's correction as smallest p of 3" in correct([finding(0.02, 0.02)] * 3)[0].note
+
+
+def test_what_the_data_cannot_say_comes_first_among_the_notes() -> None:
+    """Then the notes given, without empty ones."""
+    notes = ("first", "", "second")
+    test, interval = ExactTest(2, 0.25, 0.25, 3), Interval(0.5, 0.1, 0.9, 10)
+    row = finding_of("b", "a test", "everywhere", test, "share", interval, 10, family="f", notes=notes)
+    assert row.note == "no information: whatever the answers, p could not fall below 0.25; first; second"
+    expected = Finding("b", "a test", "everywhere", "share", 0.5, 0.1, 0.9, 10, 2, 0.25, 0.25, "f", row.note)
+    assert repr(row) == repr(expected)  # by repr, since p_holm is not a number
+    assert math.isnan(row.p_holm)
+
+
 def test_the_table_holds_every_column_and_row() -> None:
     """Contract of run_tests."""
     frame = to_frame([finding(0.01), finding(0.02)])
