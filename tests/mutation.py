@@ -41,7 +41,7 @@ import pytest
 PHASES = (hypothesis.Phase.explicit, hypothesis.Phase.generate)  # the least example is of no interest here
 ROOT = Path(__file__).parents[1]
 SEED = "modaltouch"
-LIMIT = 10.0  # CPU seconds a mutant may take beyond three times what the unspoilt tests take
+LIMIT = 5.0  # CPU seconds a mutant may take beyond twice what the unspoilt tests take
 OPTIONS = """-x -q -p no:cacheprovider -p no:xdist --hypothesis-profile=mutation --timeout=90
  -W ignore::pytest.PytestAssertRewriteWarning --basetemp"""
 SWAPS: dict[type[ast.AST], type[ast.AST]] = {
@@ -187,7 +187,7 @@ class Part(SourceFileLoader):
                 return None  # and pytest runs the tests
             found[name], taken = wait(child)
             if not name:
-                self.limit = LIMIT + 3 * taken
+                self.limit = LIMIT + 2 * taken
                 if found[name] != "passed":
                     break
         self.verdicts.write_text(json.dumps([self.limit, found]), encoding="utf-8")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 from collections import Counter
 from pathlib import Path
@@ -12,9 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from modaltouch.protocol import Protocol, read_protocol
-from modaltouch.schedule import Stream, draw_schedule, random_generator
+from modaltouch.schedule import Stream, draw_schedule, period_of_turns, random_generator, turn_of
 from modaltouch.schedule.catches import place_catches
-from modaltouch.schedule.designs import latin_square
+from modaltouch.schedule.designs import latin_square, order_cells, period_of_rows
+from modaltouch.schedule.draw import Turn
 from modaltouch.schedule.rejection import longest_run
 
 SHIPPED = Path(__file__).parents[2] / "protocols"
@@ -295,3 +297,66 @@ def test_catch_trials_that_cannot_keep_the_limit_are_refused() -> None:
     assert place_catches(order, 1, 1, stream) == [(5, ("A", "C"))]
     with pytest.raises(ValueError, match="no way to spread 2 catch trials over 6 trials"):
         place_catches(order, 2, 1, stream)
+
+
+def signature(protocol: Protocol, turn: int) -> tuple[Any, ...]:
+    """Return what of a block's order its turn decides: the row of a Latin square, drawn orders left out."""
+    cells = order_cells(protocol, turn, Stream(1, "p01", 1, "a test"))
+    keys = {"by_pair": lambda cell: cell[0], "by_velocity": lambda cell: cell[1], "latin_square": lambda cell: cell}
+    if protocol.schedule.order not in keys:
+        return ()
+    return tuple(key for key, _ in itertools.groupby(cells, keys[protocol.schedule.order]))
+
+
+@pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.parametrize("repetitions", [1, 2, 3])
+@pytest.mark.parametrize("name", ["differentiated_stimulation", "two_fields"])
+def test_rows_repeat_after_their_period_and_not_before(order: str, repetitions: int, name: str) -> None:
+    """The least number of turns after which every row comes again, found by looking at two periods of them."""
+    protocol = read_protocol(SHIPPED / f"{name}.yaml").protocol
+    part = protocol.schedule.model_copy(update={"order": order, "repetitions": repetitions})
+    protocol = protocol.model_copy(update={"schedule": part})
+    period = period_of_rows(protocol)
+    rows = [signature(protocol, turn) for turn in range(2 * period)]
+    assert rows[:period] == rows[period:]
+    shorter = [each for each in range(1, period) if period % each == 0]
+    assert not [each for each in shorter if all(rows[i] == rows[i + each] for i in range(period))]
+
+
+def test_turns_repeat_when_rows_fingers_and_placements_do() -> None:
+    """Two orders of finger conditions and four placements with the 36 turns of three pairs: 72; alone: 2 or 8."""
+    assert period_of_turns(PAPER) == 2 * len(PAPER.conditions.placements)
+    everywhere = ("normal", "mirrored", "swapped", "mirrored_swapped")
+    placed = changed("conditions", placements=everywhere)
+    assert period_of_turns(placed) == 8
+    blocked = placed.model_copy(update={"schedule": placed.schedule.model_copy(update={"order": "by_pair"})})
+    assert period_of_turns(blocked) == 72
+
+
+def test_a_participant_without_a_number_keeps_the_turn_of_their_hash() -> None:
+    """As with orders: a later version must divide participants as their records say."""
+    assert turn_of("anna", 7, 1) == Turn(6325489328891300822, "hash of the participant")
+    assert turn_of("anna", 7, 3).number == 6325489328891300824
+    assert turn_of("p012", 7, 3) == Turn(13, "number of the participant")
+
+
+def test_the_record_says_how_many_trials_and_which() -> None:
+    """Keys of the record, those of given turns and adaptive levels only where there are any."""
+    schedule = draw_schedule(PAPER, "p01", 7)
+    record = schedule.as_dict()
+    assert list(record) == [
+        "order_hash", "seeds", "finger_conditions", "finger_conditions_by", "n_trials", "n_practice_trials", "practice",
+        "order",
+    ]  # fmt: skip
+    assert (record["n_trials"], record["n_practice_trials"]) == (24, len(schedule.practice))
+    assert record["practice"] == [
+        [0, t.condition.finger_condition, *t.condition.pair, t.condition.velocity_mm_s, t.condition.placement]
+        for t in schedule.practice
+    ]
+    assert [line[0] for line in record["order"]] == [1] * 12 + [2] * 12
+    assert list(record["seeds"]) == ["algorithm", "study_seed", "participant", "participant_key", "session", "purposes"]
+    assert record["seeds"]["participant_key"] == hashlib.sha256(b"p01").hexdigest()
+    given = draw_schedule(PAPER, "p01", 7, given=Turn(5, "fewest filled it")).as_dict()
+    assert (given["turn"], given["turn_by"]) == (5, "fewest filled it")
+    adaptive = read_protocol(SHIPPED / "threshold.yaml").protocol
+    assert draw_schedule(adaptive, "p01", 7).as_dict()["levels"] == "adaptive"

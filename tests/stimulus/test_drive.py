@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from modaltouch.stimulus.design import Amplifier, ModalModel, Timing, Wish, design_stimulus
-from modaltouch.stimulus.drive import FALL, RISE, exact_drive
+from modaltouch.stimulus.drive import FALL, RISE, exact_drive, steering
 from modaltouch.stimulus.dynamics import modal_system
 from modaltouch.stimulus.vibration import modal_history
 
@@ -69,6 +69,34 @@ def test_braked_burst_ends_at_rest(shipped):
     assert np.abs(displacement).max() <= 1e-13 * 0.2
     after = np.abs(shipped.voltage[:, shipped.drive.n_before :]).max()
     assert after < 0.25 * shipped.peak_voltage.max()
+
+
+@pytest.mark.parametrize("delay", [4e-6, 7.1e-6])
+def test_braked_burst_ends_at_rest_behind_a_delay(design, delay):
+    """What the amplifier plays late is braked late: by its last sample, on the grid and off it, the modes rest."""
+    stimulus = design(amplifier=Amplifier(gain=25.0, limit=250.0, delay=delay))
+    velocity, displacement = states_at(stimulus.model, stimulus.voltage, stimulus.timing.hold, 125_000)
+    assert np.abs(velocity).max() <= 1e-12 * 0.2
+    assert np.abs(displacement).max() <= 1e-12 * 0.2
+
+
+@pytest.mark.parametrize(("focus", "delay"), [(0.025, 0.0), (0.0123456, 0.0), (0.025, 7.1e-6)])
+def test_braking_begins_with_the_first_sample_after_the_focus(model, focus, delay):
+    """The first that begins, behind the delay, at the focusing instant or after it."""
+    timing = Timing(focusing_instant=focus)
+    system = modal_system(model, Amplifier(gain=25.0, limit=250.0, delay=delay))
+    _, _, _, braked_from = steering(model, system, timing, np.full(9, 0.01))
+    begins = braked_from * timing.hold + delay
+    assert focus - 1e-12 <= begins < focus + timing.hold * (1 - 1e-6)
+
+
+def test_samples_are_counted_against_conditions_and_channels(crossed_model):
+    """Two channels drive nine modes: eighteen conditions take nine free samples, and the ends are not free."""
+    for count in (10, 4):
+        timing = Timing(focusing_instant=count * 4e-7)
+        words = f"{count} samples are fewer than 18 conditions on 2 channels need; at least 11 must lie before"
+        with pytest.raises(ValueError, match=words):
+            exact_drive(crossed_model, modal_system(crossed_model), timing, np.full(9, 0.01), "free")
 
 
 def test_free_release_is_silent_after_the_focus(design):

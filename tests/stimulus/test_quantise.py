@@ -24,6 +24,7 @@ def test_shipped_levels_always_find_a_common_grid(least):
 def test_any_level_is_met_within_the_grid(least, share):
     """Whatever the level, the amplitude is off by half a step of four digits or of 0.1 mV at most."""
     amplitude = full_scale(least, (share, 1.0))
+    assert least * (1 - 1e-12) <= amplitude <= max(1.05 * least, least + 1e-4, 1.001 * least) * (1 + 1e-12)
     miss = abs(round_amplitude(amplitude * share) - amplitude * share)
     assert miss <= max(5.1e-4 * amplitude * share, 5.1e-5)
 
@@ -46,3 +47,9 @@ def test_voltage_beyond_the_full_scale_is_refused():
     """Never clipped."""
     with pytest.raises(ValueError, match=r"channel 1 peaks at 2 V, beyond its full scale of 1 V"):
         round_to_codes(np.array([[0.0, 2.0, 0.0]]), np.array([1 / 8191]))
+
+
+def test_every_channel_needs_its_unit():
+    """Nothing is left unrounded."""
+    with pytest.raises(ValueError, match="shorter"):
+        round_to_codes(np.zeros((2, 5)), np.array([1 / 8191]))

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from modaltouch.stimulus.design import Amplifier, Timing, Wish
+from modaltouch.stimulus.settling import _changes, _Walk
+from modaltouch.stimulus.vibration import states_by_channel
 
 
 @pytest.fixture(scope="module")
@@ -81,3 +83,27 @@ def test_unknown_rounding_is_refused(design, shipped):
     with pytest.raises(ValueError, match=r"rounding 'up' is unknown; allowed: settled, plain"):
         design(rounding="up")
     assert replace(shipped, rounding="plain").burst.amplitude == shipped.burst.amplitude
+
+
+@pytest.mark.parametrize("n_samples", [125_000, 131_072])
+def test_a_code_moves_the_states_by_what_is_reckoned(design, n_samples):
+    """Change one code, play both on an even and an uneven clock: the states at the focus differ by the move."""
+    stimulus = design(timing=Timing(n_samples=n_samples))
+    system, timing, unit = stimulus.system, stimulus.timing, stimulus.volts_per_code(0.2)
+    assert (timing.lateness is None) == (n_samples == 125_000)
+    walk = _Walk(np.zeros((2, n_samples)), unit, system, timing, 1e-9, 300)
+    read = np.concatenate([system.velocity, system.displacement])
+    for visit in (0, 1, 40, 41, 300):
+        voltage = np.zeros((2, n_samples))
+        voltage[walk.channel[visit], walk.sample[visit]] = unit[walk.channel[visit]]
+        state = states_by_channel(system, voltage, timing, timing.focusing_instant).sum(axis=0)
+        moved = (read @ state).real
+        assert walk.move[visit] == pytest.approx(moved, rel=1e-6, abs=1e-9 * np.abs(moved).max())
+
+
+def test_codes_change_only_where_that_lessens_the_error():
+    """By one towards the error where it passes half of what a change does, and each counts for those after it."""
+    together = np.array([[2.0, 0.0, 0.0, 1.9], [0.0, 2.0, 0.0, 0.0], [0.0, 0.0, 2.0, 0.0], [1.9, 0.0, 0.0, 2.0]])
+    assert _changes(np.array([3.0, 0.4, -1.5, 2.5]), together, [1.0] * 4) == [1.0, 0.0, -1.0, 0.0]
+    assert _changes(np.array([1.0, -1.0]), 2 * np.eye(2), [1.0, 1.0]) == [0.0, 0.0]
+    assert _changes(np.array([5.0]), np.array([[2.0]]), [np.inf]) == [0.0]

@@ -1,0 +1,26 @@
+"""A calibration's targets and trims at the levels they were and were not measured for."""
+
+import numpy as np
+import pytest
+
+from modaltouch.stimulus.correction import Correction, trimmed
+
+
+def test_corrected_targets_hold_in_proportion_at_other_levels():
+    """The beam is linear: half the level, half of what is aimed at."""
+    correction = Correction(np.array([0.1, -0.02]), np.array([0.004, 0.0]), reference=0.2)
+    velocity, displacement = correction.at(0.1)
+    assert velocity == pytest.approx([0.05, -0.01])
+    assert displacement == pytest.approx([0.002, 0.0])
+    velocity, displacement = correction.at(0.2)
+    assert (velocity == correction.velocity).all()
+    assert (displacement == correction.displacement).all()
+
+
+def test_a_trim_is_for_its_own_level_alone():
+    """Levels agree to the rounding of mm/s; one that was not measured is set as it is."""
+    trims = ((0.08, 1.02), (0.2, 0.99))
+    assert trimmed(0.08, trims) == pytest.approx(0.0816)
+    assert trimmed(200 * 1e-3, trims) == pytest.approx(0.198)
+    assert trimmed(0.1, trims) == 0.1
+    assert trimmed(0.1, ()) == 0.1
