@@ -77,6 +77,7 @@ def describe_trial(protocol: Protocol, speeds: tuple[float, float], trial: Trial
         "number": trial.index,
         "practice": trial.practice,
         "block": trial.block,
+        **({"stimulus": trial.condition.stimulus} if trial.condition.stimulus else {}),
         "velocity_mm_s": trial.condition.velocity_mm_s,
         "predicted_left_mm_s": round(speeds[0] * 1e3, 1),
         "predicted_right_mm_s": round(speeds[1] * 1e3, 1),

@@ -109,6 +109,8 @@ def test_what_stays_out_is_named_with_its_reason(record, tmp_path) -> None:
     damaged = record("p03")
     damaged.write_bytes(damaged.read_bytes().replace(b'"left"', b'"both"', 1))
     record("p04", mode="pilot"), record("p05", mode="simulated")
+    with SessionLog.reopen(record("p06", n_answered=3)) as log:
+        log.append("closed", begun_anew_as=2)
     responses = read_responses(tmp_path / "results")
     told = reasons(responses)
     assert set(responses.frame["participant"]) == {"p01"}
@@ -116,6 +118,7 @@ def test_what_stays_out_is_named_with_its_reason(record, tmp_path) -> None:
     assert told["sub-p03"].startswith("damaged: ")
     assert told["sub-p04"].startswith("pilot, not real")
     assert told["sub-p05"].startswith("simulated, not real")
+    assert told["sub-p06"] == "closed: begun anew as session 2"
 
 
 def test_a_chosen_mode_leaves_the_others_out(record, tmp_path) -> None:

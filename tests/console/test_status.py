@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from modaltouch.console.dialogue import Dialogue
-from modaltouch.console.drawing import draw_session
+from modaltouch.console.drawing import describe_trial, draw_session
 from modaltouch.console.experimenter import Experimenter
 from modaltouch.console.interface import Request, Silence
 from modaltouch.console.keyboard import split_keys
@@ -193,6 +193,20 @@ def test_every_picture_fits_a_terminal_of_80_by_24() -> None:
         assert max(map(len, lines)) <= width
         assert any("EMERGENCY STOP" in line for line in lines)
         assert any("lean to the left" in line for line in lines)
+
+
+def test_the_trial_is_told_with_its_stimulus_and_small_speeds_apart() -> None:
+    """Threshold runs go down to 2 mm/s, where whole numbers are all alike; a catch trial is none of 0 mm/s."""
+    facts = {
+        "number": 7, "practice": False, "block": 1, "velocity_mm_s": 2.0, "predicted_left_mm_s": 1.2,
+        "predicted_right_mm_s": 2.0, "finger_condition": "one_hand", "placement": "normal", "zone_left": "A",
+        "zone_right": "C", "finger_left": "right index", "finger_right": "right middle", "stimulus": "blunt",
+    }  # fmt: skip
+    (_, told), (_, predicted) = describe_trial(facts)
+    assert told == "7, block 1, blunt at 2 mm/s: right index on A, right middle on C"
+    assert predicted == "left 1.2 mm/s, right 2 mm/s"
+    (_, told), _ = describe_trial({**facts, "stimulus": "", "velocity_mm_s": 0.0})
+    assert told.startswith("7, block 1, catch trial: right index")
 
 
 def test_the_events_are_json_lines_with_units(tmp_path: Path) -> None:

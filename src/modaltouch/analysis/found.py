@@ -162,6 +162,8 @@ def open_log(path: Path) -> Found:
 def _unfit(session: Session) -> str:
     if session.problems:
         return f"damaged: {session.problems[0]}"
+    if not session.complete and session.begun_anew_as is not None:
+        return f"closed: begun anew as session {session.begun_anew_as}"
     if not session.complete:
         total = session.start.get("schedule", {}).get("n_trials", 0)
         return f"incomplete: {session.n_answered} of {total} trials answered (go on with `modaltouch resume`)"

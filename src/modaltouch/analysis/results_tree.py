@@ -133,7 +133,7 @@ def _choose_stimulus(place: Path, frame: pd.DataFrame, stimulus: str | None) -> 
     names = [name for name in frame["stimulus"].unique().tolist() if name]
     listed = ", ".join(names) or "sessions have one alone"
     if stimulus is None and len(names) > 1:
-        remedy = "choose one with --stimulus; each has an analysis of its own"
+        remedy = "`modaltouch analyse` takes one with --stimulus; each has an analysis of its own"
         _refuse(place, f"sessions with several stimuli ({listed})", "one stimulus", remedy)
     if stimulus is not None and stimulus not in names:
         _refuse(place, f"stimulus {stimulus!r}", listed, "choose one of them, or leave the option out")

@@ -190,8 +190,13 @@ def _level_table(table_kind: Any, stimuli: list[dict[str, Any]]) -> Any:
         table.add_row(
             *([stimulus["stimulus"]] if several else []),
             f"{stimulus['velocity_mm_s']:g}",
-            *(f"{stimulus['zone_peak_mm_s'][zone]:.0f}" for zone in zones),
+            *(_in_two_digits(stimulus["zone_peak_mm_s"][zone]) for zone in zones),
             f"{stimulus['worst_modal_error_mm_s']:.1e}",
-            " ".join(f"{value:.0f}" for value in stimulus["peak_drive_V"].values()),
+            " ".join(map(_in_two_digits, stimulus["peak_drive_V"].values())),
         )
     return table
+
+
+def _in_two_digits(value: float) -> str:
+    """Return whole numbers, and of small ones the digits that tell them apart."""
+    return f"{value:.0f}" if abs(value) >= 9.95 else f"{value:.2g}"

@@ -94,12 +94,12 @@ def describe_trial(trial: dict[str, Any] | None) -> list[tuple[str, str]]:
     fingers = (
         f"{trial['finger_left']} on {trial['zone_left']}, {trial['finger_right']} on {trial['zone_right']}{placed}"
     )
+    which = f"{trial['stimulus']} at " if trial.get("stimulus") else ""
+    level = "catch trial" if trial["velocity_mm_s"] == 0 else f"{which}{trial['velocity_mm_s']:g} mm/s"
+    left, right = (f"{trial[f'predicted_{side}_mm_s']:.3g} mm/s" for side in ("left", "right"))
     return [
-        ("trial", f"{kind}{trial['number']}, block {trial['block']}, {trial['velocity_mm_s']:g} mm/s: {fingers}"),
-        (
-            "predicted",
-            f"left {trial['predicted_left_mm_s']:.0f} mm/s, right {trial['predicted_right_mm_s']:.0f} mm/s",
-        ),
+        ("trial", f"{kind}{trial['number']}, block {trial['block']}, {level}: {fingers}"),
+        ("predicted", f"left {left}, right {right}"),
     ]
 
 
