@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -66,7 +67,8 @@ def start(empty_display: str, tmp_path: Path, protocol: Path) -> Iterator[Callab
         if as_nobody:
             for folder in (home, results):
                 os.chown(folder, NOBODY, NOBODY)
-            for folder in (tmp_path, *tmp_path.parents[:2]):
+            temporary = Path(tempfile.gettempdir())
+            for folder in (each for each in (tmp_path, *tmp_path.parents) if temporary in each.parents):
                 folder.chmod(0o755)
         words = [sys.executable, "-m", "modaltouch", "run", str(protocol), "-p", "p01", "--yes", "--json"]
         opened.append(
@@ -107,7 +109,8 @@ def wait_for_window(hands: Any, process: subprocess.Popen[str]) -> None:
             time.sleep(0.1)
         else:
             return
-    raise TimeoutError(TITLE)
+    told = "" if process.poll() is None else f": ended with {process.returncode}, {process.communicate()}"
+    raise TimeoutError(f"{TITLE}{told}")
 
 
 @pytest.mark.parametrize("user", ["tests' own", "ordinary"])
