@@ -88,6 +88,18 @@ def test_the_side_file_carries_the_head_of_the_log(folder):
     assert head["check"] == chain.last_check
 
 
+def test_a_table_newer_than_its_side_file_agrees(folder):
+    """A kill between the replacement of the table and that of its side file."""
+    (side,) = folder.glob("*_beh.json")
+    values = json.loads(side.read_text())
+    chain = read_chain(folder / "session.jsonl")
+    values["SessionLog"] |= {"lines": 5, "check": chain.checks[4]}
+    side.write_text(json.dumps(values))
+    verdict = verify_session(folder)
+    assert verdict.problems == ()
+    assert any(line.startswith("BIDS view agrees: ") for line in verdict.lines)
+
+
 def test_a_view_behind_its_log_is_said_to_be_behind(folder):
     """After a kill between the log and the table: not an error, and not called up to date either."""
     table = next(folder.glob("*_beh.tsv"))

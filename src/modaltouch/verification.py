@@ -156,10 +156,14 @@ def _check_view(session: Session, checks: tuple[str, ...]) -> tuple[str, list[st
         ]
     if head["lines"] and checks[head["lines"] - 1] != head["check"]:
         return "", [f"{side}: was made from another log"]
-    made_from = Session(session.path, session.events[: head["lines"]], ())
-    if text != table_text(made_from):
+    # The table is replaced before its side file: after a kill between the two it is of a later line.
+    made_from = (Session(session.path, session.events[:n], ()) for n in range(head["lines"], len(checks) + 1))
+    shown, n_shown = next(
+        ((each, n) for n, each in enumerate(made_from, head["lines"]) if text == table_text(each)), (None, 0)
+    )
+    if shown is None:
         return "", [f"{table}: differs from what the log says; the log is the truth"]
-    if session.trials != made_from.trials:
-        behind = len(checks) - head["lines"]
+    if session.trials != shown.trials:
+        behind = len(checks) - n_shown
         return f"BIDS view agrees, {behind} lines behind the log: `modaltouch resume` brings it up", []
     return f"BIDS view agrees: {len(session.trials)} answers", []
