@@ -136,6 +136,20 @@ def test_whatever_line_a_session_is_cut_at_the_rest_has_the_order_of_an_uninterr
         assert len(table) == 1 + len(expected)
 
 
+@pytest.mark.parametrize("cut", [1, 40])
+def test_a_complete_session_whose_last_line_was_cut_is_made_whole(edit: Edit, tmp_path: Path, cut: int) -> None:
+    """No answer is missing, so nobody is asked; the remains are declared and the analysis takes it again."""
+    preflight = with_policy(edit, "{at: trial}")
+    whole = begin(on_paper(wire_run(preflight, "p01", answers="simulated", results=tmp_path)))
+    whole.path.write_bytes(whole.path.read_bytes()[:-cut])
+    assert verify_session(whole.path).problems
+    done = resume(on_paper(wire_resume(whole.path)))
+    assert done.problems == ()
+    assert verify_session(done.path).problems == ()
+    assert asked(done) == asked(whole)
+    assert done.events[-1]["reason"] == "finished"
+
+
 def test_a_stimulus_that_was_cut_is_flagged_and_offered_again(edit: Edit, tmp_path: Path) -> None:
     """Killed between the stimulus and the answer: `trial_cut` on resumption, then the second presentation."""
     preflight = with_policy(edit, "{at: trial}")

@@ -105,7 +105,8 @@ def begin(setup: Setup) -> Session:
 def resume(setup: Setup) -> Session:
     """Continue an interrupted session as its protocol has it, the trials that are left in the order they had.
 
-    A session that lacks no answer is only given the BIDS view that the interruption may have kept from it.
+    A session that lacks no answer is only given what the interruption may have kept from it: the BIDS view, and the
+    last line, where that was cut.
     One that is begun anew (`Setup.replaces`) is closed, and all its trials come in the same order.
 
     Raises
@@ -120,8 +121,10 @@ def resume(setup: Setup) -> Session:
     session = read_session(place.log)
     if session.complete:
         with SessionLog.reopen(place.log) as log:
-            write_view(place, session, log.head)
-        return session
+            if not log.ends_well:
+                log.append("stop", reason="finished", complete=True, n_answered=session.n_answered)
+            write_view(place, Session(log.path, tuple(log.events), ()), log.head)
+        return read_session(place.log)
     recorded = session.start["schedule"]
     if recorded["order_hash"] != setup.schedule.order_hash:
         raise RecordError(

@@ -242,7 +242,7 @@ def _load_named(protocol: Reading[Protocol], key: tuple[str, ...], problems: lis
         if found.line > 1 or found.column > 1 or "UTF-8" in found.allowed:
             problems.append(found)
         else:
-            wanted = YAML_FILE.replace("YAML", "CSV") if key[-1] == "file" else YAML_FILE
+            wanted = YAML_FILE.replace("YAML", "CSV") if key[0] == "stimulus" else YAML_FILE
             allowed = f"{wanted}, named as seen from this file" if found.allowed == YAML_FILE else found.allowed
             given = f"{name!r}, {found.given} ({path})"
             problems.append(protocol.problem(key, given, allowed, found.remedy))

@@ -133,6 +133,11 @@ class SessionLog:
         return line
 
     @property
+    def ends_well(self) -> bool:
+        """Whether nothing is left of a line that was cut; the next line declares it."""
+        return not (self._torn or self._needs_newline)
+
+    @property
     def head(self) -> dict[str, Any]:
         """How far the log has come: its number of lines and the check of the last."""
         return {"lines": len(self.events), "check": self._check}
