@@ -104,9 +104,9 @@ def test_a_named_file_that_is_missing_is_told_at_its_key(calibrate: Callable) ->
     """With line and column of the name."""
     protocol, path = calibrate(("title: Demonstration", "title: Demonstration\ncalibration: {file: calibration.yaml}"))
     path.unlink()
-    assert "demo.yaml:5:21: calibration.file: given 'calibration.yaml', a file that does not exist" in problems(
-        protocol, None
-    )
+    said = problems(protocol, None)
+    assert "demo.yaml:5:21: calibration.file: given 'calibration.yaml', a file that does not exist" in said
+    assert "allowed: a YAML file that exists and can be read, named as seen from this file" in said
 
 
 def test_required_and_none_given_is_refused(calibrate: Callable) -> None:
