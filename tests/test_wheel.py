@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 from hatchling import build
 
+import modaltouch
+
 ROOT = Path(__file__).parents[1]
 
 
@@ -50,7 +52,7 @@ def test_the_wheel_has_a_command_and_its_data(installed):
 def test_the_installed_program_checks_and_runs_a_session(installed, tmp_path):
     """Without the repository: the packaged protocol passes, a simulated session is recorded and analysed."""
     protocol = installed / "modaltouch" / "protocols" / "demo.yaml"
-    assert "src" not in run(installed, tmp_path, "--version").stderr
+    assert run(installed, tmp_path, "--version").stdout == f"{modaltouch.__version__}\n"
     checked = run(installed, tmp_path, "check", protocol)
     assert checked.returncode == 0, checked.stderr
     simulated = run(installed, tmp_path, "simulate", protocol, "-n", "2")

@@ -48,6 +48,14 @@ def test_help_names_every_command_and_loads_nothing_heavy():
     assert not loaded_modules("--help") & {"psychopy", "numpy", "pandas", "pyvisa", "pydantic", "matplotlib"}
 
 
+def test_the_version_is_told_without_a_command():
+    """One line, the one of the package."""
+    import modaltouch
+
+    done = run("--version")
+    assert (done.returncode, done.stdout) == (0, f"{modaltouch.__version__}\n")
+
+
 @pytest.mark.parametrize(
     "command", ["demo", "check", "run", "resume", "simulate", "analyse", "power", "fit", "verify", "doctor"]
 )

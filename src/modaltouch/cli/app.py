@@ -39,14 +39,19 @@ app = typer.Typer(
 )
 
 
-@app.callback()
-def version(
-    show: Annotated[bool, typer.Option("--version", help="Print the version and end.", is_eager=True)] = False,
-) -> None:
-    """Print the version where it is asked for."""
-    if show:
+def _show_version(asked: bool) -> None:  # noqa: FBT001
+    if asked:
         print(__version__)
         raise typer.Exit
+
+
+@app.callback()
+def version(
+    asked: Annotated[
+        bool, typer.Option("--version", help="Print the version and end.", is_eager=True, callback=_show_version)
+    ] = False,
+) -> None:
+    """Print the version where it is asked for."""
 
 
 app.command("demo")(running.demo)
