@@ -1,6 +1,6 @@
 """Tests that cannot fail, found by spoiling the code: one small mistake at a time, and a test must notice.
 
-    python tests/mutation.py [--each 20] [--only record/chain.py] [--match TEXT] [--out results/benchmarks/mutants.json]
+    python tests/mutation.py [--each 15] [--only record/chain.py] [--match TEXT] [--out results/benchmarks/mutants.json]
 
 Of every module in ``mutation.toml`` this makes all mutants (a comparison flipped, a sum made a difference, a constant
 moved, a condition negated, nothing returned, a statement left out), takes the first `--each` by a seeded hash of what
@@ -96,7 +96,7 @@ def sites(node: ast.AST, where: str = "", line: str = "") -> Iterator[tuple[str,
                 continue
             text = ast.unparse(child).split("\n")[0] if isinstance(child, ast.stmt) else line
             for new in variants(child, node, field):
-                what = text if isinstance(child, ast.stmt) else f"{text} | {ast.unparse(child)}"
+                what = text if isinstance(child, ast.stmt) else f"{text}\0{ast.unparse(child)}"
                 yield f"{inside}: {what} -> {ast.unparse(new)}", partial(_put, node, field, place, new)
             yield from sites(child, inside, text)
 
@@ -114,9 +114,12 @@ def mutants(tree: ast.Module) -> dict[str, Callable[[], None]]:
     seen: Counter[str] = Counter()
     short: Counter[str] = Counter()
     found = []
-    for whole, deed in sites(tree):
-        where, _, what = whole.partition(" | ")
-        name = f"{where[:100]} | {what}" if what else whole[:160]
+    for said, deed in sites(tree):
+        place, _, what = said.partition("\0")
+        if not what:
+            place, _, what = said.rpartition(" -> ")
+        name = f"{place[:100]} | {what}" if "\0" in said else f"{place[:100]} -> {what}"
+        whole = said.replace("\0", " | ")
         seen[whole] += 1
         short[name] += 1
         found.append((_numbered(SEED + whole, seen[whole]), _numbered(name, short[name]), deed))
@@ -254,7 +257,7 @@ def examine(module: str, plan: dict[str, Any], each: int, match: str, folder: Pa
 def main() -> int:
     """Examine the modules asked for, write the counts and fail where a survivor is not argued."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--each", type=int, default=20, help="mutants of each module (default 20)")
+    parser.add_argument("--each", type=int, default=15, help="mutants of each module (default 15)")
     parser.add_argument("--only", nargs="*", help="these modules alone, such as record/chain.py")
     parser.add_argument("--match", default="", help="the mutants alone whose name holds this text")
     parser.add_argument("--out", type=Path, help="JSON file for the counts")

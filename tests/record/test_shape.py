@@ -145,6 +145,30 @@ def test_every_member_that_is_needed_is_missed(log, kind, member, spoilt):
     assert check_shape(events, "log") == (() if member in REPEATS else said)
 
 
+@pytest.mark.parametrize(
+    ("members", "wrong"),
+    [
+        (("trial.index", "trial.block", "trial.repetition"), "1"),
+        (("trial.index", "trial.block", "trial.repetition"), True),
+        (("trial.practice", "confirmed.confirmed"), 1),
+        (("trial.condition.finger_condition", "trial.condition.zone_left", "trial.condition.zone_right"), 3),
+        (("trial.condition.velocity_mm_s", "response.reaction_time"), "3"),
+        (("trial.condition.velocity_mm_s", "response.reaction_time"), True),
+    ],
+)
+def test_members_that_are_all_of_one_wrong_type_are_missed(log, members, wrong):
+    """Another version's file may write them all so; the first is named."""
+    events = json.loads(json.dumps(read_chain(log).events))
+    number, event = next((n, event) for n, event in enumerate(events, 1) if event["event"] == "trial")
+    for member in members:
+        *path, last = member.split(".")
+        place = event
+        for step in path:
+            place = place[step]
+        place[last] = wrong
+    assert check_shape(events, "log") == (f"log:{number}: the event `trial` does not say its {members[0]}",)
+
+
 def test_a_truth_value_is_no_number(log):
     """JSON's true is an int to Python; it is none to a protocol."""
     events = json.loads(json.dumps(read_chain(log).events))
