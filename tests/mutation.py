@@ -263,6 +263,8 @@ def main() -> int:
     parser.add_argument("--out", type=Path, help="JSON file for the counts")
     given = parser.parse_args()
     os.nice(15)
+    os.chdir(ROOT)  # where the tests expect to be
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     for package in ("numpy", "pandas", "scipy.stats", "scipy.optimize", "scipy.signal", "pydantic", "ruamel.yaml"):
         import_module(package)  # once, for all children
     hypothesis.settings.register_profile("mutation", database=None, derandomize=True, phases=PHASES)
@@ -281,4 +283,7 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    try:
+        sys.exit(main())
+    except KeyboardInterrupt:
+        sys.exit(130)
