@@ -8,6 +8,7 @@ Places and pairs are drawn together, uniformly among all that are valid, by coun
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import groupby
 
 from modaltouch.schedule.streams import Stream
 
@@ -41,6 +42,8 @@ def place_catches(
     if limit is None:
         places = sorted(stream.chosen(range(len(order)), n_catches))
         return [(place, order[place] if own_pair else pairs[stream.below(len(pairs))]) for place in places]
+    # Catch trials are no neighbours, so k like trials running become at most 2 k + 1; a limit beyond is none.
+    limit = min(limit, 2 * max((len(list(run)) for _, run in groupby(order)), default=0) + 1)
     ways = _count_ways(order, pairs, n_catches, limit, own_pair=own_pair)
     if not ways[0][n_catches][1]:
         raise ValueError(
