@@ -23,8 +23,8 @@ from modaltouch.document import InputError
 from modaltouch.observer.file import read_observer
 from modaltouch.preflight import examine
 from modaltouch.record.chain import RecordError
-from modaltouch.record.log import read_session
 from modaltouch.record.recovery import survey
+from modaltouch.record.session import read_session
 from modaltouch.simulation import simulate_session
 from modaltouch.verification import verify_session
 

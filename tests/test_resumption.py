@@ -18,7 +18,7 @@ from modaltouch.observer import Observer
 from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol import ResumeSection
 from modaltouch.record.chain import RecordInputError, read_chain
-from modaltouch.record.log import Session, read_session
+from modaltouch.record.session import Session, read_session
 from modaltouch.resumption import examine_interruption, refuse_old
 from modaltouch.rig.interface import Firing
 from modaltouch.sitting import Setup, begin, resume

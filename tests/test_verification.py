@@ -120,7 +120,7 @@ def test_a_trial_that_was_repeated_later_does_not_unsettle_the_levels(tmp_path):
     from dataclasses import replace
 
     from modaltouch.adaptive import Levels
-    from modaltouch.record.log import Session
+    from modaltouch.record.session import Session
     from modaltouch.schedule import draw_schedule
     from modaltouch.verification import _check_levels
 

@@ -50,7 +50,7 @@ _DOORS = {
     "examine": "modaltouch.preflight",
     "simulate_session": "modaltouch.simulation",
     "analyse": "modaltouch.analysis.analyse",
-    "read_session": "modaltouch.record.log",
+    "read_session": "modaltouch.record.session",
 }
 """Where each function lives that the package offers; imported when it is first asked for, since some are heavy."""
 

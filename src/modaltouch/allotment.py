@@ -21,7 +21,7 @@ from modaltouch.protocol import Protocol
 from modaltouch.record.chain import RecordError
 from modaltouch.record.folders import LOG_NAME, SessionFolder
 from modaltouch.record.locking import lock
-from modaltouch.record.log import Session, read_session
+from modaltouch.record.session import Session, read_session
 from modaltouch.schedule import Turn, period_of_turns, turn_of
 
 _TAIL = 4096

@@ -16,7 +16,8 @@ from typing import Any
 from modaltouch.protocol import ResumeSection
 from modaltouch.record.chain import RecordInputError
 from modaltouch.record.folders import SessionFolder
-from modaltouch.record.log import Session, SessionLog
+from modaltouch.record.log import SessionLog
+from modaltouch.record.session import Session
 from modaltouch.record.view import write_view
 from modaltouch.schedule import Schedule
 

@@ -13,7 +13,8 @@ from modaltouch.console.experimenter import Experimenter
 from modaltouch.masking.interface import Masking, NoMasking
 from modaltouch.practice import expected_answer, judge_round
 from modaltouch.protocol import Protocol, ScheduleSection
-from modaltouch.record.log import Session, SessionLog
+from modaltouch.record.log import SessionLog
+from modaltouch.record.session import Session
 from modaltouch.rig.interface import Firing, Rig, RigError
 from modaltouch.trial import Response, Trial
 from modaltouch.window.interface import AnswerWindow, Progress, SessionStopped, Tick, TrialInterrupted

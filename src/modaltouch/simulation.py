@@ -6,7 +6,7 @@ from pathlib import Path
 
 from modaltouch.observer import Observer
 from modaltouch.preflight import Preflight, examine
-from modaltouch.record.log import Session
+from modaltouch.record.session import Session
 from modaltouch.sitting import begin
 from modaltouch.wiring import wire_run
 

@@ -24,7 +24,8 @@ from modaltouch.protocol.calibration_file import generator_problem
 from modaltouch.provenance import boot, commit, versions
 from modaltouch.record.chain import RecordError
 from modaltouch.record.folders import SessionFolder
-from modaltouch.record.log import Session, SessionLog, read_session, refuse_existing
+from modaltouch.record.log import SessionLog, refuse_existing
+from modaltouch.record.session import Session, read_session
 from modaltouch.record.shape import SCHEMA
 from modaltouch.record.view import describe_dataset, hold_dataset, list_participants, write_view
 from modaltouch.resumption import begin_anew, examine_interruption, go_on, refuse_old

@@ -13,7 +13,7 @@ from modaltouch.preflight import examine_findings
 from modaltouch.protocol import Sources, examine_sources, restore_experiment
 from modaltouch.record.chain import read_chain
 from modaltouch.record.folders import find_log
-from modaltouch.record.log import Session
+from modaltouch.record.session import Session
 from modaltouch.record.shape import check_shape
 from modaltouch.record.view import table_text
 from modaltouch.schedule import draw_schedule

@@ -18,7 +18,7 @@ from modaltouch.preflight import Preflight, examine_findings
 from modaltouch.protocol import Sources, examine_sources
 from modaltouch.record.chain import RecordError, RecordInputError
 from modaltouch.record.folders import Mode, SessionFolder, find_log, locate
-from modaltouch.record.log import Session, read_session
+from modaltouch.record.session import Session, read_session
 from modaltouch.record.shape import check_shape
 from modaltouch.rig import open_rig, start_simulator
 from modaltouch.rig.interface import Rig

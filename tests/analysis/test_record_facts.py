@@ -3,7 +3,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from modaltouch.analysis.record_facts import describe_record, take_facts
-from modaltouch.record.log import Session
+from modaltouch.record.session import Session
 
 
 def session(participant: str, *events: dict) -> Session:

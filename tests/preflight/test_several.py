@@ -18,7 +18,7 @@ from modaltouch.document import InputError
 from modaltouch.observer import Observer
 from modaltouch.planning.presented import design_for
 from modaltouch.preflight import Preflight, examine
-from modaltouch.record.log import read_session
+from modaltouch.record.session import read_session
 from modaltouch.schedule import draw_schedule
 from modaltouch.sitting import begin
 from modaltouch.verification import verify_session

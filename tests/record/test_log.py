@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 
 from modaltouch.record.chain import RecordError, read_chain
-from modaltouch.record.log import Session, SessionLog, read_session
+from modaltouch.record.log import SessionLog
+from modaltouch.record.session import Session, read_session
 
 TRIAL = {"index": 1, "block": 1, "practice": False}
 

@@ -9,8 +9,9 @@ from typer.testing import CliRunner
 
 from modaltouch.cli.app import app
 from modaltouch.record.chain import GENESIS, RecordError, encode_line
-from modaltouch.record.log import SessionLog, read_session
+from modaltouch.record.log import SessionLog
 from modaltouch.record.recovery import recover, survey
+from modaltouch.record.session import read_session
 from modaltouch.verification import verify_session
 
 

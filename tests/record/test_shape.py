@@ -6,7 +6,7 @@ import pytest
 
 from modaltouch.document import InputError
 from modaltouch.record.chain import GENESIS, RecordError, encode_line, read_chain
-from modaltouch.record.log import read_session
+from modaltouch.record.session import read_session
 from modaltouch.record.shape import check_shape
 from modaltouch.simulation import simulate_session
 from modaltouch.verification import verify_session

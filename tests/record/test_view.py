@@ -10,7 +10,7 @@ import pytest
 from modaltouch import __version__
 from modaltouch.record.chain import RecordError
 from modaltouch.record.folders import SessionFolder
-from modaltouch.record.log import Session
+from modaltouch.record.session import Session
 from modaltouch.record.view import (
     COLUMNS,
     describe_dataset,

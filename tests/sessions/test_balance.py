@@ -5,7 +5,7 @@ import signal
 
 import pytest
 
-from modaltouch.record.log import read_session
+from modaltouch.record.session import read_session
 
 RUN = ("--answers", "simulated", "--yes")
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from modaltouch.record.log import read_session
+from modaltouch.record.session import read_session
 
 
 @pytest.mark.window

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from modaltouch.record.log import read_session
+from modaltouch.record.session import read_session
 
 RUN = ("--answers", "simulated", "--yes")
 CAN_MOUNT = os.name == "posix" and os.geteuid() == 0

@@ -26,7 +26,7 @@ import pytest
 
 from modaltouch.apparatus import read_apparatus
 from modaltouch.record.chain import read_chain
-from modaltouch.record.log import read_session
+from modaltouch.record.session import read_session
 from modaltouch.rig.simulator import Simulator
 from modaltouch.verification import verify_session
 

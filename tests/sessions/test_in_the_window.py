@@ -15,7 +15,7 @@ from Xlib import XK, X, display
 from Xlib.error import ConnectionClosedError
 from Xlib.ext import xtest
 
-from modaltouch.record.log import read_session
+from modaltouch.record.session import read_session
 from modaltouch.window.virtual_display import virtual_display
 
 PROTOCOL = Path(__file__).parents[2] / "protocols" / "demo.yaml"

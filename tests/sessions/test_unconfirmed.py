@@ -9,7 +9,7 @@ import pytest
 from modaltouch.observer import Observer
 from modaltouch.preflight import examine
 from modaltouch.record.chain import read_chain
-from modaltouch.record.log import read_session
+from modaltouch.record.session import read_session
 from modaltouch.rig import open_rig
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.simulator import Simulator

@@ -11,7 +11,7 @@ from typing import Any
 
 from modaltouch.analysis.record_facts import SessionFacts, take_facts
 from modaltouch.record.chain import RecordError
-from modaltouch.record.log import Session, read_session
+from modaltouch.record.session import Session, read_session
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from modaltouch.analysis.mirroring import unmirror
 from modaltouch.analysis.responses import LeftOut, Responses, Source
 from modaltouch.document import InputError, Problem
 from modaltouch.record.folders import LOG_NAME
-from modaltouch.record.log import read_session
+from modaltouch.record.session import read_session
 from modaltouch.trial import ANSWERS, ANSWERS_WITH_NONE
 
 MODES = ("real", "pilot", "simulated")

@@ -82,7 +82,7 @@ def ask_session(dataset: Path, participant: str) -> int | None:
     participant : str
         Participant id.
     """
-    from modaltouch.record.log import read_session
+    from modaltouch.record.session import read_session
 
     logs = {
         int(log.parents[1].name[4:]): log

@@ -19,7 +19,7 @@ from modaltouch.cli.consoles import EVENTS, PLAIN, open_console
 from modaltouch.cli.faults import print_json, reporting
 
 if TYPE_CHECKING:
-    from modaltouch.record.log import Session
+    from modaltouch.record.session import Session
     from modaltouch.sitting import Setup
 
 

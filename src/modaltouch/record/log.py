@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
@@ -14,7 +13,6 @@ from typing import Any, Self
 from modaltouch.record.chain import GENESIS, Chain, RecordError, describe_torn, encode_line, read_chain
 from modaltouch.record.folders import make_folder
 from modaltouch.record.locking import lock
-from modaltouch.record.shape import check_shape
 
 
 class SessionLog:
@@ -184,101 +182,6 @@ class SessionLog:
         if written != len(data):
             self._failure = f"{self.path}: the disk is full; all earlier events are on it, this one is not"
             raise RecordError(self._failure)
-
-
-@dataclass(frozen=True)
-class Session:
-    """A session as its log tells it.
-
-    Attributes
-    ----------
-    path : Path
-        The log.
-    events : tuple of dict
-        Its sound lines.
-    problems : tuple of str
-        What is wrong with the file; empty for an intact one.
-    """
-
-    path: Path
-    events: tuple[dict[str, Any], ...]
-    problems: tuple[str, ...]
-
-    @property
-    def start(self) -> dict[str, Any]:
-        """The start record; empty if the session was cut before it."""
-        return self.events[0] if self.events and self.events[0].get("event") == "start" else {}
-
-    @property
-    def mode(self) -> str:
-        """``real``, ``pilot`` or ``simulated``."""
-        return str(self.start.get("mode", "unknown"))
-
-    @property
-    def participant(self) -> str:
-        """Participant id."""
-        return str(self.start.get("participant", ""))
-
-    @property
-    def protocol(self) -> str:
-        """Name of the protocol."""
-        return str(self.start.get("protocol", ""))
-
-    @property
-    def drawn_as(self) -> int:
-        """Number of the session whose order this one has: its own, or that of the session it began anew."""
-        own = self.start.get("session", 1)
-        return int(self.start.get("schedule", {}).get("seeds", {}).get("session", own))
-
-    @property
-    def begun_anew_as(self) -> int | None:
-        """Number of the session that began this one anew; None if this one may go on."""
-        closed = [event["begun_anew_as"] for event in self.events if event.get("event") == "closed"]
-        return int(closed[-1]) if closed else None
-
-    @property
-    def trials(self) -> tuple[dict[str, Any], ...]:
-        """The trial events that count: answered, not superseded by a later one, and not to be asked again."""
-        superseded = {event["supersedes"] for event in self.events if event.get("supersedes")}
-        withdrawn = {line for event in self.events if event.get("event") == "withdrawn" for line in event["lines"]}
-        gone = superseded | withdrawn
-        return tuple(event for event in self.events if event.get("event") == "trial" and event["n"] not in gone)
-
-    @property
-    def answered(self) -> frozenset[tuple[bool, int]]:
-        """Which trials are done, as (practice, index): answered, and the stimulus confirmed by the instrument."""
-        return frozenset(
-            (event["trial"]["practice"], event["trial"]["index"])
-            for event in self.trials
-            if event["confirmed"]["confirmed"]
-        )
-
-    @property
-    def n_answered(self) -> int:
-        """Number of trials answered, practice not counted."""
-        return sum(not practice for practice, _ in self.answered)
-
-    @property
-    def complete(self) -> bool:
-        """Whether every scheduled trial is answered, practice not counted."""
-        return bool(self.start) and self.n_answered >= self.start["schedule"]["n_trials"]
-
-
-def read_session(path: Path) -> Session:
-    """Return a session from its log.
-
-    Parameters
-    ----------
-    path : Path
-        A ``session.jsonl``.
-
-    Raises
-    ------
-    RecordError
-        If the file cannot be read.
-    """
-    chain = read_chain(path)
-    return Session(path, chain.events, (*chain.problems, *check_shape(chain.events, str(path))))
 
 
 def sync_folder(folder: Path) -> None:

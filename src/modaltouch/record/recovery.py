@@ -15,7 +15,8 @@ from typing import Any
 
 from modaltouch.record.chain import GENESIS, TAIL, RecordError, describe_torn, line_check
 from modaltouch.record.folders import SessionFolder
-from modaltouch.record.log import Session, SessionLog, refuse_existing
+from modaltouch.record.log import SessionLog, refuse_existing
+from modaltouch.record.session import Session
 from modaltouch.record.view import describe_dataset, list_participants, write_view
 
 

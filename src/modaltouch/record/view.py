@@ -21,7 +21,8 @@ from modaltouch import __version__
 from modaltouch.record.chain import RecordError
 from modaltouch.record.folders import LOG_NAME, SessionFolder, make_folder
 from modaltouch.record.locking import LOCK_NAME, hold
-from modaltouch.record.log import Session, sync_folder
+from modaltouch.record.log import sync_folder
+from modaltouch.record.session import Session
 
 BIDS_VERSION = "1.10.0"
 
