@@ -6,17 +6,14 @@ import re
 from dataclasses import dataclass
 
 from modaltouch.protocol import END_KEY, AnswersSection, Texts
-from modaltouch.trial import Answer, Trial
+from modaltouch.trial import Trial
+from modaltouch.window.buttons import Buttons, key_name
 from modaltouch.window.hands import draw_beam, draw_hands
 from modaltouch.window.interface import Progress
 from modaltouch.window.layout import Layout
-from modaltouch.window.marks import Box, Mark, Picture, Words, framed, moved, rectangle, rounded, triangle
+from modaltouch.window.marks import Box, Mark, Picture, Words, framed, moved, rectangle
 from modaltouch.window.reading import PAUSE_KEY
 from modaltouch.window.theme import Theme
-
-_ARROWS = ("left", "right", "up", "down")
-_BOLD_LETTER = 0.62
-"""Mean width of a bold letter of Noto Sans [em]."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +52,7 @@ class Illustrator:
         """Return the screen that shows how to answer."""
         texts = self.texts
         words = (texts.how_to_answer_or_none if self.answers.offers_none else None) or texts.how_to_answer
-        title, *rest = _paragraphs(words.format(pause_key=self.key_name(PAUSE_KEY)))
+        title, *rest = _paragraphs(words.format(pause_key=key_name(self.texts, PAUSE_KEY)))
         layout = self.layout
         below = Box(0, 0.07, layout.body.width, 0.4)
         return Picture(
@@ -63,7 +60,7 @@ class Illustrator:
             (
                 self._headline(title, 0.054),
                 Words("\n\n".join(rest), below, 0.042 * layout.type_scale, self.theme.text),
-                *self._buttons(None, with_keys=self.answers.given_by == "participant"),
+                *self._buttons.draw(None, with_keys=self.answers.given_by == "participant"),
                 *self._go_on(),
             ),
         )
@@ -119,7 +116,7 @@ class Illustrator:
             (
                 self._headline(self.texts.question, 0.056),
                 *self._beam(trial),
-                *self._buttons(chosen, with_keys=way != "experimenter"),
+                *self._buttons.draw(chosen, with_keys=way != "experimenter"),
                 *note,
                 *self._progress(trial, progress),
             ),
@@ -156,7 +153,9 @@ class Illustrator:
     def pause(self, trial: Trial | None) -> Picture:
         """Return the pause screen, with the fingers' places where a trial is to be repeated."""
         words = self.texts.pause if trial else self.texts.pause_between_trials
-        words = words.format(key=self.key_name(self.answers.continue_keys[0]), end_key=self.key_name(END_KEY))
+        words = words.format(
+            key=key_name(self.texts, self.answers.continue_keys[0]), end_key=key_name(self.texts, END_KEY)
+        )
         if trial is None:
             return self.page("pause_between_trials", words, waits=False)
         title, *rest = _paragraphs(words)
@@ -182,10 +181,6 @@ class Illustrator:
         }
         return named[left], named[right]
 
-    def key_name(self, key: str) -> str:
-        """Return what the participant calls a key."""
-        return self.texts.key_names.get(key, key.removeprefix("num_").upper())
-
     def _headline(self, words: str, size: float, *, dim: bool = False) -> Words:
         fill = self.theme.dim if dim else self.theme.text
         return Words(words, self.layout.headline, size * self.layout.type_scale, fill, bold=not dim)
@@ -198,6 +193,10 @@ class Illustrator:
             *self._go_on(),
         )
 
+    @property
+    def _buttons(self) -> Buttons:
+        return Buttons(self.layout, self.theme, self.texts, self.answers)
+
     def _beam(self, trial: Trial) -> tuple[Mark, ...]:
         condition = trial.condition
         layout = self.layout.turned() if condition.is_mirrored else self.layout
@@ -207,81 +206,9 @@ class Illustrator:
             *draw_hands(layout, self.theme, condition.pair, fingers, self.finger_names(trial)),
         )
 
-    def _buttons(self, chosen: str | None, *, with_keys: bool) -> tuple[Mark, ...]:
-        marks: list[Mark] = []
-        for answer, box in self.layout.buttons.items():
-            if answer == "none":
-                marks += self._low_button(answer, box, pressed=answer == chosen, with_keys=with_keys)
-                continue
-            marks += self._button(answer, pressed=answer == chosen)
-            if with_keys:
-                below = Box(box.x, box.y - 0.27 * box.height, box.width * 0.9, 0.25 * box.height)
-                marks += self._key_caps(answer, below)
-        return tuple(marks)
-
-    def _low_button(self, answer: Answer, box: Box, *, pressed: bool, with_keys: bool) -> tuple[Mark, ...]:
-        """Return a button too low for two lines: its word in the middle, its key beside it."""
-        theme, unit = self.theme, self.layout.unit
-        fill, ink = (theme.pressed, theme.pressed_text) if pressed else (theme.button, theme.text)
-        size = min(self._answer_size(self.layout.buttons["left"].width * 0.68), 0.5 * box.height)
-        words = Words(self._word(answer), Box(box.x, box.y, box.width * 0.5, box.height * 0.9), size, ink, bold=True)
-        beside = Box(box.x + 0.36 * box.width, box.y, box.width * 0.2, 0.6 * box.height)
-        return (
-            *framed(box, 0.018 * unit, theme.button_edge, fill, 0.006 * unit),
-            words,
-            *(self._key_caps(answer, beside) if with_keys else ()),
-        )
-
-    def _button(self, answer: Answer, *, pressed: bool) -> tuple[Mark, ...]:
-        theme, box, unit = self.theme, self.layout.buttons[answer], self.layout.unit
-        edge = {"left": theme.left, "right": theme.right}.get(answer, theme.button_edge)
-        fill, ink = (theme.pressed, theme.pressed_text) if pressed else (theme.button, theme.text)
-        upper = Box(box.x, box.y + 0.18 * box.height, box.width * 0.68, 0.52 * box.height)
-        at = 0.4 * box.width
-        arrows = [
-            triangle(way, box.x + sign * at, upper.y - 0.004 * unit, 0.018 * unit, ink if pressed else edge)
-            for way, sign in (("left", -1), ("right", 1))
-            if answer in (way, "both")
-        ]
-        return (
-            *framed(box, 0.022 * unit, edge, fill, 0.006 * unit),
-            Words(self._word(answer), upper, self._answer_size(upper.width), ink, bold=True),
-            *arrows,
-        )
-
-    def _word(self, answer: Answer) -> str:
-        return str(getattr(self.texts, answer))
-
-    def _answer_size(self, width: float) -> float:
-        """Return one size of type at which the longest answer fits its button [window heights]."""
-        longest = max(len(self._word(answer)) for answer in self.layout.buttons)
-        return min(0.062 * self.layout.type_scale, width / (_BOLD_LETTER * longest))
-
-    def _key_caps(self, answer: Answer, box: Box) -> tuple[Mark, ...]:
-        """Return the keys that give an answer: arrows where there are any, else the first two."""
-        keys = self.answers.keys[answer]
-        shown = [key for key in keys if key in _ARROWS] or list(keys[:2])
-        marks: list[Mark] = []
-        labels = [None if key in _ARROWS else self.key_name(key) for key in shown]
-        widths = [box.height if label is None else box.height * max(1.0, 0.34 * len(label) + 0.5) for label in labels]
-        gap = 0.25 * box.height
-        x = box.x - (sum(widths) + gap * (len(widths) - 1)) / 2
-        for key, label, width in zip(shown, labels, widths, strict=True):
-            cap = Box(x + width / 2, box.y, width, box.height)
-            edge = self.theme.button_edge
-            marks.append(rounded(cap, 0.2 * box.height, edge))
-            marks.append(rounded(cap.inset(0.05 * box.height), 0.16 * box.height, self.theme.ground))
-            if label is None:
-                marks.append(triangle(key, cap.x, cap.y, 0.24 * box.height, self.theme.text))
-            else:
-                inner = cap.inset(0.08 * box.height)
-                marks.append(Words(label, inner, 0.58 * box.height, self.theme.text))
-            x += width + gap
-        return tuple(marks)
-
     def _go_on(self) -> tuple[Mark, ...]:
         layout, theme = self.layout, self.theme
-        words = self.texts.press_to_continue.format(key=self.key_name(self.answers.continue_keys[0]))
+        words = self.texts.press_to_continue.format(key=key_name(self.texts, self.answers.continue_keys[0]))
         return (
             *framed(layout.go_on, 0.043, theme.button_edge, theme.button, 0.003),
             Words(words, layout.go_on.inset(0.012), 0.036 * layout.type_scale, theme.text),

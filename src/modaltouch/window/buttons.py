@@ -1,0 +1,115 @@
+"""The answers on the screen: a button for each, with its word and the keys that give it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from modaltouch.protocol import AnswersSection, Texts
+from modaltouch.trial import Answer
+from modaltouch.window.layout import Layout
+from modaltouch.window.marks import Box, Mark, Words, framed, rounded, triangle
+from modaltouch.window.theme import Theme
+
+_ARROWS = ("left", "right", "up", "down")
+_BOLD_LETTER = 0.62
+"""Mean width of a bold letter of Noto Sans [em]."""
+
+
+@dataclass(frozen=True)
+class Buttons:
+    """Draws the answers of one protocol in one window.
+
+    Attributes
+    ----------
+    layout : Layout
+        Places and sizes.
+    theme : Theme
+        Colours.
+    texts : Texts
+        Words.
+    answers : AnswersSection
+        Keys.
+    """
+
+    layout: Layout
+    theme: Theme
+    texts: Texts
+    answers: AnswersSection
+
+    def draw(self, chosen: str | None, *, with_keys: bool) -> tuple[Mark, ...]:
+        """Return all buttons, the one of the `chosen` answer pressed, with the keys that give each or without."""
+        marks: list[Mark] = []
+        for answer, box in self.layout.buttons.items():
+            if answer == "none":
+                marks += self._low_button(answer, box, pressed=answer == chosen, with_keys=with_keys)
+                continue
+            marks += self._button(answer, pressed=answer == chosen)
+            if with_keys:
+                below = Box(box.x, box.y - 0.27 * box.height, box.width * 0.9, 0.25 * box.height)
+                marks += self._key_caps(answer, below)
+        return tuple(marks)
+
+    def _low_button(self, answer: Answer, box: Box, *, pressed: bool, with_keys: bool) -> tuple[Mark, ...]:
+        """Return a button too low for two lines: its word in the middle, its key beside it."""
+        theme, unit = self.theme, self.layout.unit
+        fill, ink = (theme.pressed, theme.pressed_text) if pressed else (theme.button, theme.text)
+        size = min(self._answer_size(self.layout.buttons["left"].width * 0.68), 0.5 * box.height)
+        words = Words(self._word(answer), Box(box.x, box.y, box.width * 0.5, box.height * 0.9), size, ink, bold=True)
+        beside = Box(box.x + 0.36 * box.width, box.y, box.width * 0.2, 0.6 * box.height)
+        return (
+            *framed(box, 0.018 * unit, theme.button_edge, fill, 0.006 * unit),
+            words,
+            *(self._key_caps(answer, beside) if with_keys else ()),
+        )
+
+    def _button(self, answer: Answer, *, pressed: bool) -> tuple[Mark, ...]:
+        theme, box, unit = self.theme, self.layout.buttons[answer], self.layout.unit
+        edge = {"left": theme.left, "right": theme.right}.get(answer, theme.button_edge)
+        fill, ink = (theme.pressed, theme.pressed_text) if pressed else (theme.button, theme.text)
+        upper = Box(box.x, box.y + 0.18 * box.height, box.width * 0.68, 0.52 * box.height)
+        at = 0.4 * box.width
+        arrows = [
+            triangle(way, box.x + sign * at, upper.y - 0.004 * unit, 0.018 * unit, ink if pressed else edge)
+            for way, sign in (("left", -1), ("right", 1))
+            if answer in (way, "both")
+        ]
+        return (
+            *framed(box, 0.022 * unit, edge, fill, 0.006 * unit),
+            Words(self._word(answer), upper, self._answer_size(upper.width), ink, bold=True),
+            *arrows,
+        )
+
+    def _word(self, answer: Answer) -> str:
+        return str(getattr(self.texts, answer))
+
+    def _answer_size(self, width: float) -> float:
+        """Return one size of type at which the longest answer fits its button [window heights]."""
+        longest = max(len(self._word(answer)) for answer in self.layout.buttons)
+        return min(0.062 * self.layout.type_scale, width / (_BOLD_LETTER * longest))
+
+    def _key_caps(self, answer: Answer, box: Box) -> tuple[Mark, ...]:
+        """Return the keys that give an answer: arrows where there are any, else the first two."""
+        keys = self.answers.keys[answer]
+        shown = [key for key in keys if key in _ARROWS] or list(keys[:2])
+        marks: list[Mark] = []
+        labels = [None if key in _ARROWS else key_name(self.texts, key) for key in shown]
+        widths = [box.height if label is None else box.height * max(1.0, 0.34 * len(label) + 0.5) for label in labels]
+        gap = 0.25 * box.height
+        x = box.x - (sum(widths) + gap * (len(widths) - 1)) / 2
+        for key, label, width in zip(shown, labels, widths, strict=True):
+            cap = Box(x + width / 2, box.y, width, box.height)
+            edge = self.theme.button_edge
+            marks.append(rounded(cap, 0.2 * box.height, edge))
+            marks.append(rounded(cap.inset(0.05 * box.height), 0.16 * box.height, self.theme.ground))
+            if label is None:
+                marks.append(triangle(key, cap.x, cap.y, 0.24 * box.height, self.theme.text))
+            else:
+                inner = cap.inset(0.08 * box.height)
+                marks.append(Words(label, inner, 0.58 * box.height, self.theme.text))
+            x += width + gap
+        return tuple(marks)
+
+
+def key_name(texts: Texts, key: str) -> str:
+    """Return what the participant calls a key."""
+    return texts.key_names.get(key, key.removeprefix("num_").upper())
