@@ -31,9 +31,8 @@ def ground_of(preflight: Preflight) -> Ground:
     InputError
         If anything is wrong with the files, or the stimulus has no targets that could be corrected.
     """
-    preflight.require()
-    ground, reading = preflight.ground, preflight.findings.protocol
-    if ground is None or reading is None:
+    (ground, _), reading = preflight.sound, preflight.findings.protocol
+    if reading is None:
         raise InputError(preflight.problems)
     if ground.section.law != "exact":
         given = f"{ground.section.law}, a law without targets that could be corrected"

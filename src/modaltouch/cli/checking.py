@@ -119,11 +119,11 @@ def show(preflight: Preflight, *, compare: bool = False) -> None:
 def _explore(preflight: Preflight, sensitivity: bool, designs: bool, tolerance: float | None) -> dict[str, Any]:  # noqa: FBT001
     """Return what was asked for besides the check; what nobody asked for is not computed."""
     asked: dict[str, Any] = {}
-    if not (sensitivity or designs or tolerance is not None) or preflight.ground is None:
+    if not (sensitivity or designs or tolerance is not None):
         return asked
     from modaltouch.preflight.exploration import design_figures, sample_figures, sensitivity_figures
 
-    ground, stimulus = preflight.ground, preflight.of_one_stimulus().stimulus
+    ground, stimulus = preflight.of_one_stimulus().sound
     if sensitivity:
         asked["sensitivity"] = sensitivity_figures(ground, stimulus)
     if designs:

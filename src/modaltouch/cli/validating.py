@@ -98,8 +98,7 @@ def _observe(
     from modaltouch.validation.page import Occasion
     from modaltouch.validation.recording import complete, read_laws, record_laws
 
-    experiment, ground = preflight.experiment, preflight.ground
-    assert ground is not None  # noqa: S101  # required above
+    experiment, (ground, stimulus) = preflight.experiment, preflight.sound
     if folder is not None and complete(folder):
         observed = read_laws(ground, folder)
     else:
@@ -111,7 +110,7 @@ def _observe(
             observed = record_laws(
                 ground,
                 laboratory,
-                preflight.stimulus.wish.velocity,
+                stimulus.wish.velocity,
                 n_points=points,
                 n_records=averages,
                 folder=folder,

@@ -83,7 +83,7 @@ class Preflight:
         InputError
             If anything is wrong with the protocol.
         """
-        return self._sound[1]
+        return self.sound[1]
 
     def of_one_stimulus(self) -> Self:
         """Return the preflight itself if the protocol has a single stimulus.
@@ -115,7 +115,14 @@ class Preflight:
         return {name: part.stimulus.burst.content_hash for name, part in self.parts.items()}
 
     @property
-    def _sound(self) -> tuple[Ground, Stimulus]:
+    def sound(self) -> tuple[Ground, Stimulus]:
+        """What the stimulus was designed from, and the stimulus; of several stimuli, of the first.
+
+        Raises
+        ------
+        InputError
+            If anything is wrong with the protocol.
+        """
         if self.problems or self.ground is None or self.designed is None:
             raise InputError(self.problems)
         return self.ground, self.designed
@@ -130,7 +137,7 @@ class Preflight:
         """
         if trial.condition.is_catch:
             return 0.0, 0.0
-        ground, stimulus = self.parts[trial.condition.stimulus]._sound
+        ground, stimulus = self.parts[trial.condition.stimulus].sound
         peaks = stimulus.peak_velocity(zone_centres(ground), trial.condition.velocity_mm_s * 1e-3)
         by_zone = dict(zip(ground.zones, peaks.tolist(), strict=True))
         return by_zone[trial.condition.zone_left], by_zone[trial.condition.zone_right]
@@ -142,7 +149,7 @@ class Preflight:
             return []
         if self.variants:
             return [{"stimulus": name, **each} for name, part in self.parts.items() for each in part.stimuli]
-        ground, stimulus = self._sound
+        ground, stimulus = self.sound
         return [stimulus_figures(ground, stimulus, level) for level in ground.levels.values()]
 
     def comparison(self) -> list[dict[str, Any]]:
@@ -151,7 +158,7 @@ class Preflight:
             return []
         if self.variants:
             return [{"stimulus": name, **each} for name, part in self.parts.items() for each in part.comparison()]
-        ground, stimulus = self._sound
+        ground, stimulus = self.sound
         other: Law = "paper" if stimulus.law == "exact" else "exact"
         compared = stimulus.under_law(other)
         return [stimulus_figures(ground, compared, level) for level in ground.levels.values()]
@@ -162,7 +169,7 @@ class Preflight:
             return None
         from modaltouch.preflight.fallback import continuous_figures
 
-        ground, stimulus = self._sound
+        ground, stimulus = self.sound
         return continuous_figures(stimulus, max(ground.levels.values()) * 1e-3)
 
     def as_dict(self, *, compare: bool = False) -> dict[str, Any]:
@@ -197,7 +204,7 @@ class Preflight:
             values |= _design_figures(reading.value)
         if self.problems:
             return values
-        ground, _ = self._sound
+        ground, _ = self.sound
         protocol, apparatus = self.experiment.protocol, ground.apparatus
         values |= {
             "warnings": [
@@ -220,7 +227,7 @@ class Preflight:
     def _stimulus_warnings(self) -> list[str]:
         said: list[tuple[str, list[str]]] = []
         for name, part in self.parts.items():
-            ground, stimulus = part._sound
+            ground, stimulus = part.sound
             own = [*field_warnings(ground, stimulus, part.stimuli), *warnings(ground, stimulus, part.stimuli)]
             said.append((name, own))
         shared = [each for each in said[0][1] if all(each in own for _, own in said)]
