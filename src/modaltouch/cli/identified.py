@@ -15,56 +15,17 @@ def show(result: dict[str, Any]) -> None:
     from rich.table import Table
 
     console = Console()
-    table = Table(
-        title="Table I by joint fit, in brackets the half-width of the 95 % interval in the last digits; half-power "
-        "beside it",
-        title_justify="left",
-        box=None,
-        pad_edge=False,
-        padding=(0, 1, 0, 0),
-    )
-    gains = [name for name in result["sets"] if any(name in mode["gain_mm_s2_per_V"] for mode in result["modes"])]
     wanted = result.get("table_modes")
-    wide = console.width >= WIDE
-    headings = [
-        "mode",
-        "f [Hz]",
-        "xi",
-        *(f"G {name}" for name in gains),
-        "MAC",
-        *(["f peak"] if wide else []),
-        "xi half",
-    ]
-    for heading in headings:
-        table.add_column(heading, justify="right", no_wrap=True)
-    for mode in result["modes"]:
-        if wanted is not None and mode["label"] not in wanted:
-            continue
-        half = mode["half_power"]
-        table.add_row(
-            str(mode["label"] or ""),
-            _with_interval(mode["natural_frequency_Hz"]),
-            _with_interval(mode["damping_ratio"]),
-            *(_with_interval(mode["gain_mm_s2_per_V"].get(name)) for name in gains),
-            _plain(mode["mac"], ".4f"),
-            *([_plain(half["peak_frequency_Hz"], ".6g")] if wide else []),
-            _plain(half["damping_ratio"], ".4f") if half["resolved"] else "-",
-        )
-    console.print(table)
+    listed = [mode for mode in result["modes"] if wanted is None or mode["label"] in wanted]
+    gains = [name for name in result["sets"] if any(name in mode["gain_mm_s2_per_V"] for mode in result["modes"])]
+    console.print(_table(Table, listed, gains, wide=console.width >= WIDE))
     if gains:
         console.print("[dim]Gains in mm/s^2 per V at the beam[/]")
-    reasons: dict[str, list[str]] = {}
-    for mode in result["modes"]:
-        reason = mode["half_power"]["warning"]
-        if reason and (wanted is None or mode["label"] in wanted):
-            name = f"mode {mode['label']}" if mode["label"] else f"{mode['natural_frequency_Hz']['value']:.6g} Hz"
-            reasons.setdefault(reason, []).append(name)
-    for reason, names in reasons.items():
+    for reason, names in _unresolved(listed).items():
         console.print(f"[yellow]No half-power damping of {', '.join(names)}: {reason}[/]")
-    others = [mode for mode in result["modes"] if wanted is not None and mode["label"] not in wanted]
+    others = [f"{mode['natural_frequency_Hz']['value']:.0f}" for mode in result["modes"] if mode not in listed]
     if others:
-        listed = ", ".join(f"{mode['natural_frequency_Hz']['value']:.0f}" for mode in others)
-        console.print(f"[dim]Also seen, and kept out of the table: {listed} Hz[/]")
+        console.print(f"[dim]Also seen, and kept out of the table: {', '.join(others)} Hz[/]")
     beam = result["free_free"]
     if beam is not None:
         verdict = "are" if beam["recognised"] else "are not"
@@ -79,6 +40,43 @@ def show(result: dict[str, Any]) -> None:
         console.print(
             "[dim]No apparatus file: without positions along the beam there are no shapes, without them no gains[/]"
         )
+
+
+def _table(table_kind: Any, modes: list[dict[str, Any]], gains: list[str], *, wide: bool) -> Any:
+    """Return Table I; in a wide terminal with the picked peaks too."""
+    table = table_kind(
+        title="Table I by joint fit, in brackets the half-width of the 95 % interval in the last digits; half-power "
+        "beside it",
+        title_justify="left",
+        box=None,
+        pad_edge=False,
+        padding=(0, 1, 0, 0),
+    )
+    peak = ["f peak"] if wide else []
+    for heading in ("mode", "f [Hz]", "xi", *(f"G {name}" for name in gains), "MAC", *peak, "xi half"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for mode in modes:
+        half = mode["half_power"]
+        table.add_row(
+            str(mode["label"] or ""),
+            _with_interval(mode["natural_frequency_Hz"]),
+            _with_interval(mode["damping_ratio"]),
+            *(_with_interval(mode["gain_mm_s2_per_V"].get(name)) for name in gains),
+            _plain(mode["mac"], ".4f"),
+            *([_plain(half["peak_frequency_Hz"], ".6g")] if wide else []),
+            _plain(half["damping_ratio"], ".4f") if half["resolved"] else "-",
+        )
+    return table
+
+
+def _unresolved(modes: list[dict[str, Any]]) -> dict[str, list[str]]:
+    """Return why half-power says no damping, each reason with the names of its modes."""
+    reasons: dict[str, list[str]] = {}
+    for mode in modes:
+        if reason := mode["half_power"]["warning"]:
+            name = f"mode {mode['label']}" if mode["label"] else f"{mode['natural_frequency_Hz']['value']:.6g} Hz"
+            reasons.setdefault(reason, []).append(name)
+    return reasons
 
 
 def _with_interval(pair: dict[str, float | None] | None) -> str:

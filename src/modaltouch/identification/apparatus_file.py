@@ -51,19 +51,9 @@ def identified_apparatus(
     name = str(document["apparatus"])
     # The table is of this beam now: a second identification keeps the name.
     document["apparatus"] = name if name.endswith(SUFFIX) else f"{name[: 64 - len(SUFFIX)]}{SUFFIX}"
-    responses = identification.responses
-    document["modes"] = [_mode(yaml, identification.mode(label), responses.sets) for label in labels]
+    document["modes"] = [_mode(identification.mode(label), identification.responses.sets) for label in labels]
     document.pop("identified", None)
-    delay = identification.delay
-    document["identified"] = {
-        **facts,
-        "n_points": responses.n_points,
-        "n_averages": responses.n_averages,
-        "velocity_delay_us": _round(delay.value * 1e6),
-        "velocity_delay_interval_us": _flow([_round(delay.low * 1e6), _round(delay.high * 1e6)]),
-        "misfit": _round(identification.misfit, 4),
-        "replaced_sha256": source.sha256,
-    }
+    document["identified"] = {**facts, **_figures(identification), "replaced_sha256": source.sha256}
     unlisted = document.get("twin", {}).get("unlisted_modes")
     if unlisted:
         kept = [each for each in unlisted if each.get("family") == "torsion" or each["label"] not in labels]
@@ -79,7 +69,19 @@ def identified_apparatus(
     return file_name, text
 
 
-def _mode(yaml: Any, mode: IdentifiedMode, sets: Sequence[str]) -> Any:
+def _figures(identification: Identification) -> dict[str, Any]:
+    """Return how much was measured, and what was found that is of no single mode."""
+    delay = identification.delay
+    return {
+        "n_points": identification.responses.n_points,
+        "n_averages": identification.responses.n_averages,
+        "velocity_delay_us": _round(delay.value * 1e6),
+        "velocity_delay_interval_us": _interval(delay, 1e6),
+        "misfit": _round(identification.misfit, 4),
+    }
+
+
+def _mode(mode: IdentifiedMode, sets: Sequence[str]) -> Any:
     gains = dict(zip(sets, mode.gain, strict=True))
     half = mode.half_power
     picked = f"half-power {half.verdict}" if half.verdict else f"half-power {half.damping_ratio:.4g}"

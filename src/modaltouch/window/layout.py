@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 from modaltouch.trial import Answer
 from modaltouch.window.marks import Box
@@ -12,6 +13,9 @@ SHOWN_ANSWERS: tuple[Answer, ...] = ("left", "both", "right")
 
 _FULL_ASPECT = 1.32
 """Windows at least this much wider than high show everything at full size; narrower ones shrink it to fit."""
+
+Name = TypeVar("Name", bound=str)
+"""Of a zone, or an answer."""
 
 
 @dataclass(frozen=True)
@@ -102,30 +106,14 @@ def lay_out(
     width = width_px / height_px
     unit = min(1.0, width / _FULL_ASPECT)
     type_scale = max(unit, min(1.0, 0.2 + 0.8 * width))
-    zone_width = min(0.22, 1.1 / len(zones)) * unit
-    first = -(len(zones) - 1) / 2
-    zone_boxes = {
-        name: Box((first + place) * zone_width, 0.16, zone_width, 0.105 * unit) for place, name in enumerate(zones)
-    }
     across = 1.2 * unit
-    gap = 0.045 * unit
-    button_width = min(0.4 * unit, (across - gap * (len(answers) - 1)) / len(answers))
-    button_height, row = 0.175 * max(unit, 0.8), -0.275
-    if offers_none:
-        button_height, row = 0.14 * max(unit, 0.8), -0.21
-    first = -(len(answers) - 1) / 2
-    buttons = {
-        answer: Box((first + place) * (button_width + gap), row, button_width, button_height)
-        for place, answer in enumerate(answers)
-    }
-    if offers_none:
-        buttons["none"] = Box(0, -0.3285, across, 0.075)
+    zone_width = min(0.22, 1.1 / len(zones)) * unit
     return Layout(
         width=width,
         unit=unit,
         type_scale=type_scale,
-        zones=zone_boxes,
-        buttons=buttons,
+        zones=_row(zones, Box(0, 0.16, zone_width, 0.105 * unit)),
+        buttons=_answer_buttons(answers, across, unit, offers_none=offers_none),
         headline=Box(0, 0.405, 1.24 * unit, 0.14),
         body=Box(0, 0.24 - 0.06 * (1 - unit), 1.18 * unit, 0.21),
         page=Box(0, 0.06, 1.14 * unit, 0.6),
@@ -134,3 +122,19 @@ def lay_out(
         bar=Box(0, -0.47, across, 0.01),
         note=Box(0, -0.391, 1.2 * unit, 0.046),
     )
+
+
+def _answer_buttons(answers: tuple[Answer, ...], across: float, unit: float, *, offers_none: bool) -> dict[Answer, Box]:
+    """Return the answer buttons; with none below them, they are lower and stand higher."""
+    gap = 0.045 * unit
+    width = min(0.4 * unit, (across - gap * (len(answers) - 1)) / len(answers))
+    if not offers_none:
+        return _row(answers, Box(0, -0.275, width, 0.175 * max(unit, 0.8)), gap)
+    above = _row(answers, Box(0, -0.21, width, 0.14 * max(unit, 0.8)), gap)
+    return {**above, "none": Box(0, -0.3285, across, 0.075)}
+
+
+def _row(names: tuple[Name, ...], middle: Box, gap: float = 0.0) -> dict[Name, Box]:
+    """Return boxes side by side, from the left, the row's middle where the `middle` one's is."""
+    step, centre = middle.width + gap, (len(names) - 1) / 2
+    return {name: replace(middle, x=middle.x + (place - centre) * step) for place, name in enumerate(names)}
