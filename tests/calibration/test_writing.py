@@ -16,7 +16,7 @@ from modaltouch.document import Source
 from modaltouch.preflight import Preflight, examine
 from modaltouch.preflight.examine import design_to_fit
 from modaltouch.protocol.calibration_file import examine_calibration
-from modaltouch.protocol.calibration_sections import CalibrationFile
+from modaltouch.protocol.calibration_sections import Calibration
 from modaltouch.record.chain import RecordError
 
 
@@ -29,14 +29,13 @@ def outcome(preflight: Preflight, make_bench: Callable) -> Outcome:
 
 
 @pytest.fixture(scope="module")
-def calibration(preflight: Preflight, outcome: Outcome) -> CalibrationFile:
+def calibration(preflight: Preflight, outcome: Outcome) -> Calibration:
     """Its file's content."""
     return calibration_of(
-        outcome,
+        {"": outcome},
         Circumstances(
             protocol="differentiated_stimulation",
             apparatus=preflight.experiment.apparatus,
-            ground=preflight.ground,
             generator="TEKTRONIX,AFG3022B,C012345,SCPI:99.0 FV:3.2.2\n",
             scope="PicoScope 3404D, 0001",
             mode="real",
@@ -46,7 +45,7 @@ def calibration(preflight: Preflight, outcome: Outcome) -> CalibrationFile:
     )
 
 
-def test_read_back_it_is_what_was_written(calibration: CalibrationFile) -> None:
+def test_read_back_it_is_what_was_written(calibration: Calibration) -> None:
     """Every value, through YAML and the reader with its line numbers."""
     reading = examine_calibration(Source(Path("c.yaml"), calibration_text(calibration)))
     assert reading.problems == ()
@@ -56,7 +55,7 @@ def test_read_back_it_is_what_was_written(calibration: CalibrationFile) -> None:
 
 
 def test_the_session_plays_what_the_loop_verified(
-    preflight: Preflight, outcome: Outcome, calibration: CalibrationFile, tmp_path: Path
+    preflight: Preflight, outcome: Outcome, calibration: Calibration, tmp_path: Path
 ) -> None:
     """Designed from the file, codes and amplitudes are those of the stimulus that was measured."""
     path = tmp_path / "calibration.yaml"
@@ -69,7 +68,20 @@ def test_the_session_plays_what_the_loop_verified(
     assert calibration.levels[0].amplitude_factor == pytest.approx(1 / 1.02, rel=5e-3)
 
 
-def test_nothing_is_overwritten(calibration: CalibrationFile, tmp_path: Path) -> None:
+def test_a_file_from_before_several_stimuli_is_read_as_it_was() -> None:
+    """Of one stimulus, as `modaltouch calibrate` wrote it then: no fault, its keys where they stand."""
+    text = Path(__file__).with_name("of_one_stimulus.yaml").read_text(encoding="utf-8")
+    reading = examine_calibration(Source(Path("c.yaml"), text))
+    assert reading.problems == ()
+    assert reading.value is not None
+    assert list(reading.value.by_stimulus) == [""]
+    only = reading.value.alone("")
+    assert only == reading.value
+    assert only.modes[0].target_mm_s == reading.sound("modes", 0, "target_mm_s")
+    assert reading.value.alone("sharp") is None
+
+
+def test_nothing_is_overwritten(calibration: Calibration, tmp_path: Path) -> None:
     """A second calibration into the same file is refused and the first one kept, whole."""
     path = tmp_path / "folder" / "calibration.yaml"
     write_calibration(path, calibration)
@@ -80,7 +92,7 @@ def test_nothing_is_overwritten(calibration: CalibrationFile, tmp_path: Path) ->
     assert [each.name for each in path.parent.iterdir()] == ["calibration.yaml"]
 
 
-def test_a_folder_that_cannot_be_made_is_told(calibration: CalibrationFile, tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_made_is_told(calibration: Calibration, tmp_path: Path) -> None:
     """A file stands where the folder should be."""
     (tmp_path / "taken").write_text("")
     with pytest.raises(RecordError, match="cannot be made"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -35,7 +36,47 @@ LEAST_TRIM = 5e-3
 """Deviation of a level below which its amplitude is left as it is [1]."""
 
 
-def calibrate(bench: Bench, apparatus: Apparatus, ground: Ground, progress: Progress | None = None) -> Outcome:
+def calibrate_each(
+    bench: Bench, apparatus: Apparatus, grounds: Mapping[str, Ground], progress: Progress | None = None
+) -> dict[str, Outcome]:
+    """Return the targets and amplitudes that make each of several stimuli true on the rig at a bench, by name.
+
+    The rig is identified once, with the clock of the first: amplifier, modes and vibrometer are those of all.
+
+    Parameters
+    ----------
+    bench : Bench
+        Generator and scope.
+    apparatus : Apparatus
+        As its file gives it.
+    grounds : mapping of str to Ground
+        The stimuli, without any calibration; one, without a name, of a protocol that has one alone.
+    progress : Progress, optional
+        Whom to tell.
+
+    Raises
+    ------
+    RigError, ValueError
+        As `calibrate` does.
+    """
+    told = progress or Progress()
+    found: dict[str, Outcome] = {}
+    plant: Plant | None = None
+    for name, ground in grounds.items():
+        if name:
+            told.stimulus(name)
+        found[name] = calibrate(bench, apparatus, ground, told, plant)
+        plant = found[name].plant
+    return found
+
+
+def calibrate(
+    bench: Bench,
+    apparatus: Apparatus,
+    ground: Ground,
+    progress: Progress | None = None,
+    plant: Plant | None = None,
+) -> Outcome:
     """Return the targets and amplitudes that make a stimulus true on the rig at a bench.
 
     Parameters
@@ -48,6 +89,8 @@ def calibrate(bench: Bench, apparatus: Apparatus, ground: Ground, progress: Prog
         The stimulus, without any calibration.
     progress : Progress, optional
         Whom to tell.
+    plant : Plant, optional
+        The rig, where it has been identified already.
 
     Raises
     ------
@@ -56,7 +99,7 @@ def calibrate(bench: Bench, apparatus: Apparatus, ground: Ground, progress: Prog
     ValueError
         If the stimulus cannot be designed for the identified rig.
     """
-    return _Loop(bench, apparatus, ground, progress or Progress()).run()
+    return _Loop(bench, apparatus, ground, progress or Progress()).run(plant)
 
 
 class _Loop:
@@ -80,9 +123,10 @@ class _Loop:
             advance=progress.advance,
         )
 
-    def run(self) -> Outcome:
-        """Identify, correct, verify."""
-        plant = self._identify()
+    def run(self, known: Plant | None) -> Outcome:
+        """Identify what is not known, correct, verify."""
+        plant = known or self._identify()
+        self._taking.wait_for(plant.drive)
         refined = refined_apparatus(self._apparatus, plant)
         # What is listed commands volts of the listed amplifier.
         self._refuse_beyond_limit(float(self._listed.peak_voltage.max()) * max(plant.drive.gain))
@@ -108,6 +152,7 @@ class _Loop:
         levels = self._levels(plant, refined, correction)
         trims = tuple((level.velocity, level.factor) for level in levels)
         return Outcome(
+            ground=self._ground,
             plant=plant,
             refined=refined,
             target=self._target,

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from modaltouch.apparatus import Apparatus
 from modaltouch.calibration.plant import ModalState, Plant
+from modaltouch.preflight.ground import Ground
 from modaltouch.stimulus.correction import Correction
 
 FloatArray = NDArray[np.float64]
@@ -76,6 +77,8 @@ class Outcome:
 
     Attributes
     ----------
+    ground : Ground
+        The stimulus, as designed without a calibration.
     plant : Plant
         The identified rig.
     refined : Apparatus
@@ -94,6 +97,7 @@ class Outcome:
         As verified.
     """
 
+    ground: Ground
     plant: Plant
     refined: Apparatus
     target: FloatArray
@@ -116,6 +120,8 @@ class Progress:
     ----------
     check : callable
         Called before each record; raises where a signal has come.
+    stimulus : callable
+        Called with the name of each of several stimuli, before its targets are corrected.
     step : callable
         Called with what begins, in words, and how many records it takes.
     advance : callable
@@ -125,6 +131,7 @@ class Progress:
     """
 
     check: Callable[[], None] = _quiet
+    stimulus: Callable[[str], None] = _quiet
     step: Callable[[str, int], None] = _quiet
     advance: Callable[[], None] = _quiet
     turn: Callable[[Turn], None] = _quiet

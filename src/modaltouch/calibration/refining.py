@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -9,9 +10,10 @@ from numpy.typing import NDArray
 
 from modaltouch.apparatus import Apparatus
 from modaltouch.calibration.plant import ModalState, Plant
-from modaltouch.document import InputError
+from modaltouch.document import InputError, Problem
 from modaltouch.preflight import Preflight
 from modaltouch.preflight.ground import Ground
+from modaltouch.preflight.several import at_stimulus
 from modaltouch.stimulus.correction import Correction
 
 FloatArray = NDArray[np.float64]
@@ -23,27 +25,36 @@ DIGITS = 6
 """Decimals of a target in mm/s that the file keeps: a thousandth of what noise leaves."""
 
 
-def ground_of(preflight: Preflight) -> Ground:
-    """Return what the stimulus of a checked protocol is designed from.
+def grounds_of(preflight: Preflight) -> dict[str, Ground]:
+    """Return what each stimulus of a checked protocol is designed from, by name; one alone has none.
 
     Raises
     ------
     InputError
-        If anything is wrong with the files, or the stimulus has no targets that could be corrected.
+        If anything is wrong with the files, or a stimulus has no targets that could be corrected.
     """
+    preflight.require()
+    faults = {name: list(_uncorrectable(part)) for name, part in preflight.parts.items()}
+    problems = [each for name, own in faults.items() for each in at_stimulus(preflight.findings, name, own)]
+    if problems:
+        raise InputError(problems)
+    return {name: part.sound[0] for name, part in preflight.parts.items()}
+
+
+def _uncorrectable(preflight: Preflight) -> Iterator[Problem]:
+    """Yield why the targets of a protocol's one stimulus cannot be corrected."""
     (ground, _), reading = preflight.sound, preflight.findings.protocol
     if reading is None:
-        raise InputError(preflight.problems)
+        return
     if ground.section.law != "exact":
         given = f"{ground.section.law}, a law without targets that could be corrected"
-        raise InputError([reading.problem(("stimulus", "law"), given, "exact", "calibrate the exact law")])
+        yield reading.problem(("stimulus", "law"), given, "exact", "calibrate the exact law")
     if ground.section.field.file is not None:
         given, remedy = (
             "a file, which a calibration does not hold",
             "write the points into the protocol, under `points`",
         )
-        raise InputError([reading.problem(("stimulus", "field", "file"), given, "points", remedy)])
-    return ground
+        yield reading.problem(("stimulus", "field", "file"), given, "points", remedy)
 
 
 def significant(state: ModalState, target: FloatArray) -> FloatArray:

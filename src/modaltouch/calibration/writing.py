@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -13,14 +15,15 @@ from modaltouch.apparatus import Apparatus
 from modaltouch.calibration.outcome import Level, Outcome, Turn
 from modaltouch.calibration.refining import DIGITS
 from modaltouch.measurement.scanning import save_bytes
-from modaltouch.preflight.ground import Ground
 from modaltouch.protocol.calibration_file import apparatus_hash
 from modaltouch.protocol.calibration_sections import (
     CalibratedAmplifier,
     CalibratedApparatus,
     CalibratedLevel,
     CalibratedMode,
+    Calibration,
     CalibrationFile,
+    CalibrationOfSeveral,
     Instruments,
     IterationFigures,
     MeasuringChain,
@@ -32,8 +35,8 @@ INTERVAL = 1.96
 """Half width of a 95 % interval, in standard errors [1]."""
 
 HEAD = """\
-# What makes this stimulus true on this rig: written by `modaltouch calibrate`, read by `modaltouch run`.
-# It holds for one apparatus file, one stimulus and one generator; measure again rather than edit it.
+# What makes these stimuli true on this rig: written by `modaltouch calibrate`, read by `modaltouch run`.
+# It holds for one apparatus file, the stimuli in it and one generator; measure again rather than edit it.
 """
 
 
@@ -47,8 +50,6 @@ class Circumstances:
         Name of the protocol.
     apparatus : Apparatus
         As its file gives it.
-    ground : Ground
-        The stimulus.
     generator, scope : str
         Their identities.
     mode : str
@@ -61,7 +62,6 @@ class Circumstances:
 
     protocol: str
     apparatus: Apparatus
-    ground: Ground
     generator: str
     scope: str
     mode: str
@@ -69,41 +69,63 @@ class Circumstances:
     made: datetime
 
 
-def calibration_of(outcome: Outcome, circumstances: Circumstances) -> CalibrationFile:
-    """Return a finished calibration in the form and the units of its file."""
-    plant, refined, at = outcome.plant, outcome.refined, circumstances
-    change = commit()
-    return CalibrationFile.model_validate(
-        {
-            "calibration": 1,
-            "made": at.made.isoformat(timespec="seconds"),
-            "made_by": f"modaltouch {versions()['modaltouch']}" + (f", commit {change[:12]}" if change else ""),
-            "person": at.person,
-            "protocol": at.protocol,
-            "apparatus": CalibratedApparatus(name=at.apparatus.apparatus, sha256=apparatus_hash(at.apparatus)),
-            "instruments": Instruments.model_validate(
-                {"generator": at.generator.strip(), "scope": at.scope, "mode": at.mode}
-            ),
-            "stimulus": at.ground.section,
-            "focus_centre_mm": at.ground.centre_mm,
-            "reference_mm_s": at.ground.reference,
-            "amplifier": CalibratedAmplifier(
-                gain_V_per_V=refined.amplifier.gain_V_per_V,
-                bandwidth_kHz=refined.amplifier.bandwidth_kHz,
-                delay_us=refined.amplifier.delay_us,
-            ),
-            "measuring_chain": MeasuringChain(
-                vibrometer_delay_us=round(max(plant.sight.delay, 0.0) * 1e6, 4),
-                vibrometer_lag_us=round(plant.sight.lag * 1e6, 4),
-                clock_offset_ppm=round(plant.drive.clock * 1e6, 3),
-            ),
-            "unlisted_modes_Hz": tuple(sorted(round(float(abs(pole)) / (2 * np.pi), 1) for pole in plant.unlisted)),
-            "positions_mm": tuple(round(float(point) * 1e3, 6) for point in outcome.points),
-            "iterations": tuple(_iteration(turn) for turn in outcome.turns),
-            "modes": tuple(_modes(outcome)),
-            "levels": tuple(_level(level) for level in outcome.levels),
-        }
+def calibration_of(outcomes: Mapping[str, Outcome], circumstances: Circumstances) -> Calibration:
+    """Return a finished calibration in the form and the units of its file.
+
+    Parameters
+    ----------
+    outcomes : mapping of str to Outcome
+        What came of each stimulus, by name, on one rig; of one alone, under an empty name.
+    circumstances : Circumstances
+        What it was made with.
+    """
+    shared = _shared(next(iter(outcomes.values())), circumstances)
+    if "" in outcomes:
+        return CalibrationFile.model_validate({**shared, **_own(outcomes[""])})
+    return CalibrationOfSeveral.model_validate(
+        {**shared, "stimuli": {name: _own(outcome) for name, outcome in outcomes.items()}}
     )
+
+
+def _shared(outcome: Outcome, at: Circumstances) -> dict[str, Any]:
+    """Return what holds for the rig, whichever stimulus."""
+    plant, refined = outcome.plant, outcome.refined
+    change = commit()
+    return {
+        "calibration": 1,
+        "made": at.made.isoformat(timespec="seconds"),
+        "made_by": f"modaltouch {versions()['modaltouch']}" + (f", commit {change[:12]}" if change else ""),
+        "person": at.person,
+        "protocol": at.protocol,
+        "apparatus": CalibratedApparatus(name=at.apparatus.apparatus, sha256=apparatus_hash(at.apparatus)),
+        "instruments": Instruments.model_validate(
+            {"generator": at.generator.strip(), "scope": at.scope, "mode": at.mode}
+        ),
+        "amplifier": CalibratedAmplifier(
+            gain_V_per_V=refined.amplifier.gain_V_per_V,
+            bandwidth_kHz=refined.amplifier.bandwidth_kHz,
+            delay_us=refined.amplifier.delay_us,
+        ),
+        "measuring_chain": MeasuringChain(
+            vibrometer_delay_us=round(max(plant.sight.delay, 0.0) * 1e6, 4),
+            vibrometer_lag_us=round(plant.sight.lag * 1e6, 4),
+            clock_offset_ppm=round(plant.drive.clock * 1e6, 3),
+        ),
+        "unlisted_modes_Hz": tuple(sorted(round(float(abs(pole)) / (2 * np.pi), 1) for pole in plant.unlisted)),
+        "positions_mm": tuple(round(float(point) * 1e3, 6) for point in outcome.points),
+    }
+
+
+def _own(outcome: Outcome) -> dict[str, Any]:
+    """Return what holds for one stimulus."""
+    return {
+        "stimulus": outcome.ground.section,
+        "focus_centre_mm": outcome.ground.centre_mm,
+        "reference_mm_s": outcome.ground.reference,
+        "iterations": tuple(_iteration(turn) for turn in outcome.turns),
+        "modes": tuple(_modes(outcome)),
+        "levels": tuple(_level(level) for level in outcome.levels),
+    }
 
 
 def _iteration(turn: Turn) -> IterationFigures:
@@ -152,12 +174,12 @@ def _level(level: Level) -> CalibratedLevel:
     )
 
 
-def calibration_text(calibration: CalibrationFile) -> str:
+def calibration_text(calibration: Calibration) -> str:
     """Return the text of a calibration file.
 
     Parameters
     ----------
-    calibration : CalibrationFile
+    calibration : Calibration
         What it is to hold.
     """
     from ruamel.yaml import YAML
@@ -171,14 +193,14 @@ def calibration_text(calibration: CalibrationFile) -> str:
     return HEAD + stream.getvalue()
 
 
-def write_calibration(path: Path, calibration: CalibrationFile) -> None:
+def write_calibration(path: Path, calibration: Calibration) -> None:
     """Write a calibration file in one step; an existing one is not overwritten.
 
     Parameters
     ----------
     path : Path
         Where it goes; its folder is made.
-    calibration : CalibrationFile
+    calibration : Calibration
         What it holds.
 
     Raises

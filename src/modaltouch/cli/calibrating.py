@@ -16,8 +16,10 @@ from modaltouch.cli.faults import print_json, reporting
 from modaltouch.cli.measuring import RIG, ask_to_aim
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from modaltouch.calibration.outcome import Progress, Turn
-    from modaltouch.protocol.calibration_sections import CalibrationFile
+    from modaltouch.protocol.calibration_sections import CalibratedStimulus, Calibration
 
 
 def calibrate(
@@ -27,40 +29,40 @@ def calibrate(
     person: Annotated[str, typer.Option(help="Who calibrates, for the file.", show_default="nobody named")] = "",
     json_output: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
 ) -> None:
-    """Measure what the stimulus really does at the focusing instant, and correct its targets until it is as wished.
+    """Measure what each stimulus really does at the focusing instant, and correct its targets until it is as wished.
 
     Amplifier, clock, modes and vibrometer are identified first. Then velocity and displacement of every modelled mode
     are read off the free decay after the focus, and the targets of the exact law corrected, until nothing is left that
-    noise does not explain. Last, every velocity level is verified at the focus. Nothing is written before the end.
+    noise does not explain. Last, every velocity level is verified at the focus. Of a protocol with several stimuli
+    all are calibrated, into one file. Nothing is written before the end.
     """
-    from modaltouch.calibration.loop import calibrate as run_loop
-    from modaltouch.calibration.refining import ground_of
+    from modaltouch.calibration.loop import calibrate_each
+    from modaltouch.calibration.refining import grounds_of
     from modaltouch.calibration.writing import Circumstances, calibration_of, prepare_file, write_calibration
     from modaltouch.interruption import Interruption
     from modaltouch.measurement import open_laboratory
     from modaltouch.preflight import examine
 
     with reporting(json_output=json_output):
-        preflight = examine(protocol, uncalibrated=True).of_one_stimulus()
-        experiment, ground = preflight.experiment, ground_of(preflight)
+        preflight = examine(protocol, uncalibrated=True).require()
+        experiment, grounds = preflight.experiment, grounds_of(preflight)
         prepare_file(out)
         with (
             Interruption() as interruption,
             _showing(interruption.check, by_hand=rig != "simulated") as (progress, aim),
             open_laboratory(experiment.apparatus, rig, aim=aim) as laboratory,
         ):
-            outcome = run_loop(laboratory, experiment.apparatus, ground, progress)
+            outcomes = calibrate_each(laboratory, experiment.apparatus, grounds, progress)
             circumstances = Circumstances(
                 protocol=experiment.protocol.protocol,
                 apparatus=experiment.apparatus,
-                ground=ground,
                 generator=laboratory.rig.identity,
                 scope=laboratory.scope.identity,
                 mode=laboratory.mode,
                 person=person,
                 made=datetime.now().astimezone(),
             )
-        calibration = calibration_of(outcome, circumstances)
+        calibration = calibration_of(outcomes, circumstances)
         write_calibration(out, calibration)
         if json_output:
             print_json({**calibration.model_dump(mode="json"), "file": str(out)})
@@ -83,8 +85,14 @@ def _showing(check: Callable[[], None], *, by_hand: bool) -> Iterator[tuple[Prog
     with Bars(*columns, console=console) as bars:
         task = bars.add_task("records", total=None)
 
+        of_several: list[str] = []
+
+        def stimulus(name: str) -> None:
+            of_several[:] = [name]
+            bars.print(f"stimulus {name}")
+
         def step(words: str, n_records: int) -> None:
-            bars.reset(task, description=words, total=n_records)
+            bars.reset(task, description=": ".join([*of_several, words]), total=n_records)
 
         def turn(measured: Turn) -> None:
             velocity, displacement = (error * 1e3 for error in measured.errors)
@@ -107,16 +115,33 @@ def _showing(check: Callable[[], None], *, by_hand: bool) -> Iterator[tuple[Prog
             aimed.append(position)
             bars.start()
 
-        yield Progress(check=check, step=step, advance=lambda: bars.advance(task), turn=turn), aim
+        yield Progress(check=check, stimulus=stimulus, step=step, advance=lambda: bars.advance(task), turn=turn), aim
 
 
-def _show(calibration: CalibrationFile, out: Path, protocol: Path) -> None:
+def _show(calibration: Calibration, out: Path, protocol: Path) -> None:
     """Print what was reached."""
     from rich.console import Console
-    from rich.table import Table
 
     console = Console()
-    turns = Table(title="Errors at the focusing instant, as measured", title_justify="left")
+    for name, own in calibration.by_stimulus.items():
+        _show_stimulus(console, f"Stimulus {name}: " if name else "", own)
+    noise = max(mode.uncertainty_mm_s for own in calibration.by_stimulus.values() for mode in own.modes)
+    amplifier = calibration.amplifier
+    corner = "none told" if amplifier.bandwidth_kHz is None else f"{amplifier.bandwidth_kHz:.0f} kHz"
+    console.print(
+        f"Amplifier: delay {amplifier.delay_us:.2f} us, corner {corner}; errors are known to {noise:.2f} mm/s "
+        "(95 %, noise alone)"
+    )
+    console.print(f"Written: {out}")
+    console.print(f"Next: modaltouch run {protocol} --calibration {out}")
+
+
+def _show_stimulus(console: Console, whose: str, calibration: CalibratedStimulus) -> None:
+    """Print what was reached with one stimulus."""
+    from rich.table import Table
+
+    title = "errors at the focusing instant, as measured"
+    turns = Table(title=f"{whose}{title}" if whose else title.capitalize(), title_justify="left")
     for heading in ("iteration", "worst velocity error mm/s", "worst w eta error mm/s", "peak voltage V"):
         turns.add_column(heading, justify="right")
     for each in calibration.iterations:
@@ -127,7 +152,8 @@ def _show(calibration: CalibrationFile, out: Path, protocol: Path) -> None:
             f"{each.peak_voltage_V:.0f}",
         )
     console.print(turns)
-    levels = Table(title="Levels at the centre of the focus zone, mm/s", title_justify="left")
+    title = "levels at the centre of the focus zone, mm/s"
+    levels = Table(title=f"{whose}{title}" if whose else title.capitalize(), title_justify="left")
     for heading in ("level", "at the focusing instant", "highest over the burst", "amplitude Vpp"):
         levels.add_column(heading, justify="right")
     for level in calibration.levels:
@@ -138,12 +164,3 @@ def _show(calibration: CalibrationFile, out: Path, protocol: Path) -> None:
             " ".join(f"{volts:.4g}" for volts in level.amplitude_Vpp),
         )
     console.print(levels)
-    noise = max(mode.uncertainty_mm_s for mode in calibration.modes)
-    amplifier = calibration.amplifier
-    corner = "none told" if amplifier.bandwidth_kHz is None else f"{amplifier.bandwidth_kHz:.0f} kHz"
-    console.print(
-        f"Amplifier: delay {amplifier.delay_us:.2f} us, corner {corner}; errors are known to {noise:.2f} mm/s "
-        "(95 %, noise alone)"
-    )
-    console.print(f"Written: {out}")
-    console.print(f"Next: modaltouch run {protocol} --calibration {out}")

@@ -252,8 +252,8 @@ class Preflight:
             "sha256": reading.source.sha256,
             "made": value.made,
             "generator": value.instruments.generator,
-            "reference_mm_s": value.reference_mm_s,
-            "worst_modal_error_mm_s": max(abs(each) for mode in value.modes for each in mode.error_after_mm_s),
+            "reference_mm_s": max(each.reference_mm_s for each in value.by_stimulus.values()),
+            "worst_modal_error_mm_s": max(each.worst_error_mm_s for each in value.by_stimulus.values()),
         }
 
     def _apparatus_name(self) -> str | None:

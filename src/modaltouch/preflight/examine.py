@@ -12,7 +12,7 @@ from modaltouch.preflight.checked import Preflight
 from modaltouch.preflight.faults import locate
 from modaltouch.preflight.ground import Ground, design, find_ground
 from modaltouch.preflight.limits import check_levels, fits_generator
-from modaltouch.preflight.several import at_stimulus, check_calibrations, check_memories, each_stimulus
+from modaltouch.preflight.several import at_stimulus, check_memories, each_stimulus
 from modaltouch.preflight.sound import check_masking_level
 from modaltouch.protocol import Findings, examine_files
 from modaltouch.schedule import draw_schedule
@@ -67,9 +67,6 @@ def examine_findings(findings: Findings) -> Preflight:
 
 def _examine_several(findings: Findings) -> Preflight:
     """Return the check of a protocol with several stimuli: of each alone, and of all together."""
-    refused = tuple(check_calibrations(findings))
-    if refused:
-        return Preflight(findings, refused, None, None)
     variants = {name: examine_findings(alone) for name, alone in each_stimulus(findings)}
     problems = {problem for name, part in variants.items() for problem in at_stimulus(findings, name, part.problems)}
     first = next(iter(variants.values()))

@@ -95,8 +95,8 @@ def find_ground(findings: Findings) -> Ground | None:
             return None
     limit = apparatus.sound("safety", "velocity_limit_mm_s")
     used = Apparatus.model_construct(apparatus="", zones=zones, **parts)
-    calibration = findings.calibration.value if findings.calibration is not None else None
-    if calibration is not None and (apparatus.value is None or not _fits(findings)):
+    calibration = _calibration_of_one(findings)
+    if findings.calibration is not None and (calibration is None or apparatus.value is None or not _fits(findings)):
         return None
     return Ground(
         section=section,
@@ -107,6 +107,12 @@ def find_ground(findings: Findings) -> Ground | None:
         correction=None if calibration is None else correction_of(calibration),
         points=points,
     )
+
+
+def _calibration_of_one(findings: Findings) -> CalibrationFile | None:
+    """Return the calibration of the one stimulus; None without a sound one."""
+    reading = findings.calibration
+    return None if reading is None or reading.value is None else reading.value.alone("")
 
 
 def correction_of(calibration: CalibrationFile) -> Correction:

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from modaltouch.document import Problem
 from modaltouch.protocol import Findings, check_fit, check_protocol
+from modaltouch.protocol.calibration_file import calibration_alone, check_calibration, in_calibration
 from modaltouch.stimulus.burst import Burst
 
 MEMORIES = 4
@@ -33,7 +34,11 @@ def each_stimulus(findings: Findings) -> Iterator[tuple[str, Findings]]:
         if variant.field is not None and variant.field.file is not None:
             path, remedy = ("stimuli", name, "field", "file"), "write the points themselves"
             problems.append(protocol.problem(path, "a file of one of several stimuli", "points", remedy))
-        yield name, replace(findings, protocol=alone, problems=tuple(problems))
+        calibration = findings.calibration
+        if calibration is not None:
+            calibration = calibration_alone(calibration, name)
+            problems += check_calibration(calibration, alone, apparatus)
+        yield name, replace(findings, protocol=alone, problems=tuple(problems), calibration=calibration)
 
 
 def at_stimulus(findings: Findings, name: str, problems: Iterable[Problem]) -> Iterator[Problem]:
@@ -48,8 +53,9 @@ def at_stimulus(findings: Findings, name: str, problems: Iterable[Problem]) -> I
     problems : iterable of Problem
         What is wrong with it.
     """
-    reading = findings.protocol
-    for problem in problems:
+    reading, calibration = findings.protocol, findings.calibration
+    named_alike = problems if calibration is None else in_calibration(calibration, name, problems)
+    for problem in named_alike:
         section, _, key = problem.path.partition(".")
         path = ("stimuli", name, key.split(".")[0].split("[")[0])
         named = replace(problem, given=f"{problem.given} (stimulus {name})")
@@ -57,19 +63,6 @@ def at_stimulus(findings: Findings, name: str, problems: Iterable[Problem]) -> I
             yield reading.problem(path, named.given, problem.allowed, problem.remedy)
         else:
             yield named
-
-
-def check_calibrations(findings: Findings) -> Iterator[Problem]:
-    """Yield a calibration where there are several stimuli, since it is of one.
-
-    Parameters
-    ----------
-    findings : Findings
-        The files.
-    """
-    if findings.calibration is not None and findings.protocol is not None:
-        given, remedy = "several stimuli with a calibration, which is of one", "leave it out, or make protocols of them"
-        yield findings.protocol.problem(("stimuli",), given, "one stimulus", remedy)
 
 
 def check_memories(findings: Findings, bursts: Sequence[Burst]) -> Iterator[Problem]:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
@@ -13,7 +15,7 @@ from modaltouch.document import Problem, Reading, Source, read
 from modaltouch.protocol.sections import Protocol
 
 if TYPE_CHECKING:
-    from modaltouch.protocol.calibration_sections import CalibrationFile
+    from modaltouch.protocol.calibration_sections import Calibration, CalibrationFile
 
 AGAIN = "calibrate again with `modaltouch calibrate`"
 
@@ -21,38 +23,98 @@ MEASURED = ("beam", "actuator_sets", "modes", "amplifier", "generator", "acquisi
 """Parts of an apparatus that a calibration holds for; names, zones and limits may change."""
 
 
-def examine_calibration(source: Source) -> Reading[CalibrationFile]:
-    """Return what the text of a calibration file holds, and its faults."""
+def examine_calibration(source: Source) -> Reading[Calibration]:
+    """Return what the text of a calibration file, of one stimulus or of several, holds, and its faults."""
     # Most protocols name none: its forty keys are not built for them.
-    from modaltouch.protocol.calibration_sections import CalibrationFile
+    from modaltouch.protocol.calibration_sections import CalibrationFile, CalibrationOfSeveral
 
-    return read(source, CalibrationFile)
+    of_several = re.search(r"""^["']?stimuli["']?\s*:""", source.text, re.MULTILINE) is not None
+    model: type[Calibration] = CalibrationOfSeveral if of_several else CalibrationFile
+    return read(source, model)
 
 
 def check_calibration(
-    calibration: Reading[CalibrationFile], protocol: Reading[Protocol], apparatus: Reading[Apparatus] | None
+    calibration: Reading[Calibration], protocol: Reading[Protocol], apparatus: Reading[Apparatus] | None
 ) -> list[Problem]:
-    """Return why a calibration is not one of this stimulus on this apparatus, as far as its sound parts show it."""
+    """Return why a calibration is not one of this stimulus on this apparatus, as far as its sound parts show it.
+
+    Where the protocol has several stimuli, whether it is of all of them and of this apparatus: what it holds of each
+    is checked with the protocol of that one alone.
+    """
     if calibration.value is None:
         return []
-    problems = [*_check_stimulus(calibration, calibration.value, protocol, apparatus)]
+    others = [*_check_names(calibration, calibration.value, protocol)]
+    problems = [*others]
     if apparatus is not None and apparatus.value is not None:
         problems += _check_apparatus(calibration, calibration.value, apparatus.value)
-    return [*problems, *_check_levels(calibration.value, protocol)]
+    only = calibration.value.alone("")
+    if only is None or others:
+        return problems
+    return [*problems, *_check_stimulus(calibration, only, protocol, apparatus), *_check_levels(only, protocol)]
+
+
+def calibration_alone(reading: Reading[Calibration], name: str) -> Reading[Calibration]:
+    """Return the part of a calibration file that is of one stimulus, as if it were a file of that one alone.
+
+    Parameters
+    ----------
+    reading : Reading
+        A sound file of several stimuli, that one among them.
+    name : str
+        The stimulus.
+    """
+    from modaltouch.protocol.calibration_sections import CalibrationFile
+
+    root, own = reading.root, reading.find(("stimuli", name))
+    value = None if reading.value is None else reading.value.alone(name)
+    if root is not None and own is not None and isinstance(root.content, dict) and isinstance(own.content, dict):
+        root = replace(root, content=root.content | own.content, keys=root.keys | own.keys)
+    return Reading(reading.source, CalibrationFile, root, value)
+
+
+def in_calibration(reading: Reading[Calibration], name: str, problems: Iterable[Problem]) -> Iterator[Problem]:
+    """Yield the problems of a calibration of one stimulus alone, at their keys in the file of several.
+
+    Parameters
+    ----------
+    reading : Reading
+        The file of several.
+    name : str
+        The stimulus.
+    problems : iterable of Problem
+        What is wrong with `calibration_alone` of it.
+    """
+    for problem in problems:
+        at_own = problem.file == str(reading.source.path) and reading.find(("stimuli", name)) is not None
+        yield replace(problem, path=f"stimuli.{name}.{problem.path}") if at_own else problem
+
+
+def _check_names(
+    reading: Reading[Calibration], calibration: Calibration, protocol: Reading[Protocol]
+) -> Iterator[Problem]:
+    """Yield a calibration of other stimuli than the protocol's."""
+    wanted, made = tuple(protocol.sound("stimuli") or ("",)), tuple(calibration.by_stimulus)
+    if set(wanted) <= set(made):
+        return
+    given = f"a calibration of the stimuli {', '.join(made)}" if made != ("",) else "a calibration of one stimulus"
+    allowed = f"one of {', '.join(wanted)}" if wanted != ("",) else "one of a single stimulus"
+    yield reading.problem(("stimuli",), given, f"{allowed}, as in {protocol.source.path}", AGAIN)
 
 
 def _check_apparatus(
-    reading: Reading[CalibrationFile], calibration: CalibrationFile, apparatus: Apparatus
+    reading: Reading[Calibration], calibration: Calibration, apparatus: Apparatus
 ) -> Iterator[Problem]:
     labels = [mode.label for mode in apparatus.modes]
+    only = calibration.alone("")
+    modes = () if only is None else only.modes
     if apparatus_hash(apparatus) != calibration.apparatus.sha256:
         given = f"a calibration of another apparatus ({calibration.apparatus.name}, values changed since or others)"
         allowed = f"one made with {apparatus.apparatus} as its file is now"
         yield reading.problem(("apparatus", "sha256"), given, allowed, AGAIN)
-    elif [mode.label for mode in calibration.modes] != labels:
-        given = f"modes {', '.join(str(mode.label) for mode in calibration.modes)}"
+    elif modes and [mode.label for mode in modes] != labels:
+        given = f"modes {', '.join(str(mode.label) for mode in modes)}"
         yield reading.problem(("modes",), given, ", ".join(map(str, labels)), AGAIN)
-    for index, mode in enumerate(calibration.modes):
+    for index, mode in enumerate(modes):
         if set(mode.gain_mm_s2_per_V) != set(apparatus.actuator_sets):
             given = f"gains by {', '.join(mode.gain_mm_s2_per_V) or 'no set'}"
             allowed = f"one by each of {', '.join(apparatus.actuator_sets)}"
@@ -60,7 +122,7 @@ def _check_apparatus(
 
 
 def _check_stimulus(
-    reading: Reading[CalibrationFile],
+    reading: Reading[Calibration],
     calibration: CalibrationFile,
     protocol: Reading[Protocol],
     apparatus: Reading[Apparatus] | None,
@@ -93,7 +155,7 @@ def _check_levels(calibration: CalibrationFile, protocol: Reading[Protocol]) -> 
 
 
 def check_age(
-    calibration: Reading[CalibrationFile], protocol: Reading[Protocol], now: datetime | None = None
+    calibration: Reading[Calibration], protocol: Reading[Protocol], now: datetime | None = None
 ) -> list[Problem]:
     """Return why a calibration is too old for a protocol, or lies in the future.
 
@@ -125,7 +187,7 @@ def check_age(
     return []
 
 
-def generator_problem(calibration: Reading[CalibrationFile], identity: str) -> Problem | None:
+def generator_problem(calibration: Reading[Calibration], identity: str) -> Problem | None:
     """Return why a calibration was made with another generator than the one that is open; None if it was not.
 
     Maker, model and serial number must agree; the firmware may be another.

@@ -1,10 +1,11 @@
-"""Calibration file: what makes the stimulus of one protocol true on one rig, as `modaltouch calibrate` measured it."""
+"""Calibration file: what makes the stimuli of a protocol true on one rig, as `modaltouch calibrate` measured them."""
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, RootModel
 
 from modaltouch.document.section import (
     SMALLEST,
@@ -96,8 +97,8 @@ class IterationFigures(Section):
     peak_voltage_V: NotNegative = described("Highest voltage at the beam [V].")  # noqa: N815
 
 
-class CalibrationFile(Section):
-    """A calibration of one stimulus on one rig."""
+class Calibration(Section):
+    """What every calibration file holds: who made it, with what, and what holds for the rig."""
 
     calibration: Literal[1] = described("Version of this form.")
     made: Text = described("When, with the offset from UTC (ISO 8601).")
@@ -106,13 +107,72 @@ class CalibrationFile(Section):
     protocol: Text = described("Name of the protocol whose stimulus it is.")
     apparatus: CalibratedApparatus = described("Which apparatus file it was made with.")
     instruments: Instruments = described("Which instruments it was made with.")
-    stimulus: StimulusSection = described("The stimulus section of the protocol.")
-    focus_centre_mm: Number = described("Centre of the focus zone [mm].")
-    reference_mm_s: Positive = described("Level of the targets [mm/s].")
     amplifier: CalibratedAmplifier = described("The way from the generator to the beam.")
     measuring_chain: MeasuringChain = described("What the measurement itself adds.")
     unlisted_modes_Hz: tuple[Positive, ...] = described("Modes seen that the table lacks [Hz].", default=())  # noqa: N815
     positions_mm: tuple[Number, ...] = described("Where the beam was measured [mm].")
+
+    @property
+    @abstractmethod
+    def by_stimulus(self) -> dict[str, CalibratedStimulus]:
+        """What holds for each stimulus, by its name; without a name where the protocol has one alone."""
+
+    def alone(self, name: str) -> CalibrationFile | None:
+        """Return the calibration of one stimulus alone; None where there is none of that name.
+
+        Parameters
+        ----------
+        name : str
+            The stimulus; empty for that of a protocol with a single one.
+        """
+        own = self.by_stimulus.get(name)
+        if own is None:
+            return None
+        shared = {key: getattr(self, key) for key in Calibration.model_fields}
+        return CalibrationFile.model_construct(**shared, **{key: getattr(own, key) for key in OWN_KEYS})
+
+
+class CalibratedStimulus(Section):
+    """What a calibration holds of one stimulus: its targets on this rig, and what they reached."""
+
+    stimulus: StimulusSection = described("The stimulus section of the protocol.")
+    focus_centre_mm: Number = described("Centre of the focus zone [mm].")
+    reference_mm_s: Positive = described("Level of the targets [mm/s].")
     iterations: tuple[IterationFigures, ...] = described("The turns of the loop.", min_length=1)
     modes: tuple[CalibratedMode, ...] = described("The modelled modes.", min_length=1, max_length=200)
     levels: tuple[CalibratedLevel, ...] = described("The velocity levels.", min_length=1, max_length=100)
+
+    @property
+    def worst_error_mm_s(self) -> float:
+        """Largest error, of a modal velocity or w eta, that was left at the reference level [mm/s]."""
+        return max(abs(each) for mode in self.modes for each in mode.error_after_mm_s)
+
+
+OWN_KEYS = tuple(CalibratedStimulus.model_fields)
+"""Keys that each stimulus has for itself."""
+
+
+class CalibrationFile(CalibratedStimulus, Calibration):
+    """A calibration of one stimulus on one rig."""
+
+    @property
+    def by_stimulus(self) -> dict[str, CalibratedStimulus]:
+        """The file itself, without a name."""
+        return {"": self}
+
+
+class CalibrationOfSeveral(Calibration):
+    """A calibration of every stimulus of a protocol with several, on one rig."""
+
+    stimuli: dict[Word, CalibratedStimulus] = described(
+        "What holds for each stimulus, by the name that it has in the protocol.", min_length=1, max_length=20
+    )
+
+    @property
+    def by_stimulus(self) -> dict[str, CalibratedStimulus]:
+        """What holds for each stimulus, by its name."""
+        return self.stimuli
+
+
+class AnyCalibration(RootModel[CalibrationFile | CalibrationOfSeveral]):
+    """A calibration of one stimulus, or of several."""

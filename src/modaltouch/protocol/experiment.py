@@ -17,7 +17,7 @@ from modaltouch.protocol.texts import Texts, check_words
 from modaltouch.protocol.wished import read_points
 
 if TYPE_CHECKING:
-    from modaltouch.protocol.calibration_sections import CalibrationFile
+    from modaltouch.protocol.calibration_sections import Calibration
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class Findings:
     apparatus: Reading[Apparatus] | None
     texts: Reading[Texts] | None
     problems: tuple[Problem, ...]
-    calibration: Reading[CalibrationFile] | None = None
+    calibration: Reading[Calibration] | None = None
     field: Source | None = None
 
     def experiment(self) -> Experiment:
@@ -204,7 +204,7 @@ def examine_files(path: Path, calibration: Path | None = None, *, uncalibrated: 
 
 def _examine_calibration(
     protocol: Reading[Protocol], apparatus: Reading[Apparatus] | None, path: Path | None, problems: list[Problem]
-) -> Reading[CalibrationFile] | None:
+) -> Reading[Calibration] | None:
     """Return the calibration that is given, or that the protocol names; what is wrong goes to `problems`."""
     source = None
     if path is not None:

@@ -8,7 +8,7 @@ from typing import Any
 
 from modaltouch.apparatus import Apparatus
 from modaltouch.document.allowed import schema_of
-from modaltouch.protocol.calibration_sections import CalibrationFile
+from modaltouch.protocol.calibration_sections import AnyCalibration
 from modaltouch.protocol.observers import ObserverFile
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.texts import Texts
@@ -18,7 +18,7 @@ SCHEMAS = {
     "apparatus": Apparatus,
     "texts": Texts,
     "observer": ObserverFile,
-    "calibration": CalibrationFile,
+    "calibration": AnyCalibration,
 }
 """Model of each kind of file."""
 
