@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from modaltouch.analysis.analyse import analyse
 from modaltouch.preflight import examine
 from modaltouch.record.folders import SessionFolder
 from modaltouch.sitting import begin
+from modaltouch.window import WindowOptions
 from modaltouch.window.virtual_display import some_display
 from modaltouch.wiring import wire_run
 
@@ -46,7 +46,7 @@ def demonstrate(
     results: Path,
     *,
     seed: int,
-    window_options: dict[str, Any],
+    window_options: WindowOptions,
     tell: Callable[[str], None],
     on_progress: Callable[[int, int], None],
 ) -> Outcome:
@@ -58,8 +58,8 @@ def demonstrate(
         Folder where sessions are recorded; every demonstration is a new session in its simulated tree.
     seed : int
         Seed of the order and of the simulated participant.
-    window_options : dict
-        Further arguments of `modaltouch.window.open_window`.
+    window_options : WindowOptions
+        How the window is opened.
     tell : callable
         Takes a sentence on what happens next.
     on_progress : callable
@@ -72,8 +72,7 @@ def demonstrate(
         number += 1
     place = SessionFolder(results, "simulated", protocol.protocol, PARTICIPANT, number)
     traces = place.dataset / "derivatives" / f"sub-{PARTICIPANT}_ses-{number}"
-    screenshots = window_options["screenshots"] or traces / "screenshots"
-    options = {**window_options, "screenshots": screenshots}
+    screenshots = window_options.screenshots or traces / "screenshots"
     with some_display() as display:
         tell(f"Session {number} on {display}: a simulated participant answers in the window, about a minute.")
         setup = wire_run(
@@ -83,7 +82,7 @@ def demonstrate(
             answers="robot",
             seed=seed,
             results=results,
-            window_options=options,
+            window_options=replace(window_options, screenshots=screenshots),
         )
         session = begin(replace(setup, on_progress=on_progress))
     tell(f"{session.n_answered} answers recorded; now the analysis.")

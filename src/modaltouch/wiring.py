@@ -25,7 +25,7 @@ from modaltouch.rig.interface import Rig
 from modaltouch.schedule import Schedule, draw_schedule, random_generator
 from modaltouch.sitting import Setup
 from modaltouch.trial import ANSWERS, ANSWERS_WITH_NONE, Trial
-from modaltouch.window import AnswersBy, open_window
+from modaltouch.window import AnswersBy, WindowOptions, open_window
 from modaltouch.window.interface import AnswerWindow, Tick
 from modaltouch.window.simulated import Answerer
 
@@ -51,8 +51,8 @@ class Wires:
         ``simulated`` or a VISA address.
     answers : str
         ``window``, ``robot`` or ``simulated``.
-    window_options : dict
-        Further arguments of `open_window`.
+    window_options : WindowOptions or None
+        How the answer window is opened, where there is one.
     observer : Observer
         Population that a simulated participant is drawn from.
     """
@@ -66,7 +66,7 @@ class Wires:
         seed: int,
         rig: str,
         answers: AnswersBy,
-        window_options: dict[str, Any],
+        window_options: WindowOptions | None,
         observer: Observer,
     ) -> None:
         self._preflight = preflight
@@ -99,7 +99,7 @@ class Wires:
             tick=tick,
             log=log,
             answerer=None if self._answers == "window" else self._answerer(),
-            **self._window_options,
+            options=self._window_options,
         )
 
     def open_masking(self, log: Callable[..., None]) -> Masking:
@@ -152,7 +152,7 @@ def wire_run(
     pilot: bool = False,
     seed: int = 1,
     results: Path = Path("results"),
-    window_options: dict[str, Any] | None = None,
+    window_options: WindowOptions | None = None,
     observer: Observer | None = None,
 ) -> Setup:
     """Return what a new session needs.
@@ -179,7 +179,7 @@ def wire_run(
     if session is None:
         place, drawn_as = next_session(place, protocol.schedule.sessions)
     schedule = draw_schedule(protocol, participant, seed, drawn_as)
-    setup = _setup(preflight, schedule, place, seed, rig, answers, window_options or {}, observer or Observer())
+    setup = _setup(preflight, schedule, place, seed, rig, answers, window_options, observer or Observer())
     return replace(setup, drawn_as=drawn_as) if protocol.schedule.balance == "least_filled" else setup
 
 
@@ -189,7 +189,7 @@ def wire_resume(
     rig: str | None = None,
     answers: AnswersBy | None = None,
     restart: bool = False,
-    window_options: dict[str, Any] | None = None,
+    window_options: WindowOptions | None = None,
 ) -> Setup:
     """Return what an interrupted session needs to go on, all of it from the session's own record.
 
@@ -201,8 +201,8 @@ def wire_resume(
         Others than the recorded ones, of the same kind.
     restart : bool
         Whether it is begun anew as another session, whatever its protocol says.
-    window_options : dict, optional
-        Further arguments of `open_window`.
+    window_options : WindowOptions, optional
+        How the answer window is opened.
 
     Raises
     ------
@@ -234,7 +234,7 @@ def wire_resume(
     anew = _place_anew(place, session) if (restart or at == "restart") and not session.complete else None
     if anew is None and session.begun_anew_as is not None:
         anew = _place_anew(place, session)
-    setup = _setup(preflight, schedule, anew or place, start["seed"], rig, answers, window_options or {}, observer)
+    setup = _setup(preflight, schedule, anew or place, start["seed"], rig, answers, window_options, observer)
     return setup if anew is None else replace(setup, replaces=place)
 
 
@@ -267,7 +267,7 @@ def _setup(
     seed: int,
     rig: str,
     answers: AnswersBy,
-    window_options: dict[str, Any],
+    window_options: WindowOptions | None,
     observer: Observer,
 ) -> Setup:
     wires = Wires(

@@ -187,7 +187,7 @@ def test_a_session_opens_in_either_theme(display: str, experiment: Experiment, t
     """Expected: the theme's ground in the corner of the first screen, in a window of the asked size."""
     from PIL import Image
 
-    from modaltouch.window import open_window
+    from modaltouch.window import WindowOptions, open_window
 
     class LeaveError(Exception):
         """Ends the first screen."""
@@ -203,9 +203,7 @@ def test_a_session_opens_in_either_theme(display: str, experiment: Experiment, t
         zones=tuple(experiment.apparatus.zones),
         tick=tick,
         log=lambda event, **facts: None,
-        size=(800, 600),
-        theme=theme,
-        screenshots=tmp_path,
+        options=WindowOptions(size=(800, 600), theme=theme, screenshots=tmp_path),
     )
     with window, pytest.raises(LeaveError):
         window.welcome()

@@ -9,7 +9,7 @@ import pytest
 
 from modaltouch.observer import Observer, Participant
 from modaltouch.trial import Condition, Trial
-from modaltouch.window import open_window
+from modaltouch.window import WindowOptions, open_window
 from modaltouch.window.interface import Progress
 from modaltouch.window.simulated import Answerer, SimulatedParticipant
 
@@ -120,5 +120,5 @@ def test_an_unknown_theme_is_refused(experiment: object) -> None:
             zones=("A", "B"),
             tick=lambda: None,
             log=lambda event, **facts: None,
-            theme="pink",
+            options=WindowOptions(theme="pink"),
         )

@@ -9,7 +9,7 @@ from dataclasses import replace
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -21,6 +21,7 @@ from modaltouch.cli.faults import print_json, reporting
 if TYPE_CHECKING:
     from modaltouch.record.session import Session
     from modaltouch.sitting import Setup
+    from modaltouch.window import WindowOptions
 
 
 class Answers(StrEnum):
@@ -264,17 +265,13 @@ def _window_options(
     theme: Theme,
     screen: int,
     screenshots: Path | None,
-) -> dict[str, Any]:
+) -> WindowOptions:
+    from modaltouch.window import WindowOptions
+
     width, _, height = size.partition("x")
     if not (width.isdecimal() and height.isdecimal() and int(width) >= 640 and int(height) >= 480):
         raise typer.BadParameter(f"given {size!r}; allowed: WIDTHxHEIGHT in pixels, at least 640x480")
-    return {
-        "fullscreen": fullscreen,
-        "size": (int(width), int(height)),
-        "theme": theme.value,
-        "screen": screen,
-        "screenshots": screenshots,
-    }
+    return WindowOptions((int(width), int(height)), fullscreen, theme.value, screen, screenshots)
 
 
 def _emergency_keys(setup: Setup) -> tuple[str, ...]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from modaltouch.window.interface import AnswerWindow, Log, Tick
 
@@ -16,6 +17,31 @@ AnswersBy = Literal["window", "simulated", "robot"]
 """A person at the window; an observer model without a window; an observer model typing into the real window."""
 
 
+@dataclass(frozen=True)
+class WindowOptions:
+    """How the window is opened.
+
+    Attributes
+    ----------
+    size : (width, height) of int
+        Size of the window [pixels].
+    fullscreen : bool
+        Whether the window covers the monitor.
+    theme : str
+        ``dark`` or ``light``.
+    screen : int
+        Which monitor, from 0.
+    screenshots : Path, optional
+        Folder for one PNG of each kind of screen.
+    """
+
+    size: tuple[int, int] = (1280, 800)
+    fullscreen: bool = False
+    theme: str = "dark"
+    screen: int = 0
+    screenshots: Path | None = None
+
+
 def open_window(
     answers: AnswersBy,
     protocol: Protocol,
@@ -25,11 +51,7 @@ def open_window(
     tick: Tick,
     log: Log,
     answerer: Answerer | None = None,
-    size: tuple[int, int] = (1280, 800),
-    fullscreen: bool = False,
-    theme: str = "dark",
-    screen: int = 0,
-    screenshots: Path | None = None,
+    options: WindowOptions | None = None,
 ) -> AnswerWindow:
     """Return an open answer window.
 
@@ -50,16 +72,8 @@ def open_window(
         Takes the window's events for the record, as ``log(event, **facts)``.
     answerer : Answerer, optional
         The observer, for ``robot`` and ``simulated``.
-    size : (width, height) of int
-        Size of the window [pixels].
-    fullscreen : bool
-        Whether the window covers the monitor.
-    theme : str
-        ``dark`` or ``light``.
-    screen : int
-        Which monitor, from 0.
-    screenshots : Path, optional
-        Folder for one PNG of each kind of screen.
+    options : WindowOptions, optional
+        How the window is opened, where there is one.
 
     Raises
     ------
@@ -78,17 +92,18 @@ def open_window(
     from modaltouch.window.robot import Robot
     from modaltouch.window.theme import THEMES
 
-    display = _open_screen(protocol.title, size=size, fullscreen=fullscreen, monitor=screen, theme=theme)
+    options = options or WindowOptions()
+    display = _open_screen(protocol.title, options)
     try:
         return ParticipantWindow(
             display,
             protocol,
             texts,
             zones=zones,
-            theme=THEMES[theme],
+            theme=THEMES[options.theme],
             tick=tick,
             log=log,
-            screenshots=screenshots,
+            screenshots=options.screenshots,
             robot=Robot(answerer, protocol.answers) if answers == "robot" and answerer is not None else None,
         )
     except BaseException:
@@ -96,11 +111,17 @@ def open_window(
         raise
 
 
-def _open_screen(title: str, *, theme: str, **options: Any) -> Screen:
+def _open_screen(title: str, options: WindowOptions) -> Screen:
     """Return an open window, its ground that of the theme."""
     from modaltouch.window.screen import Screen
     from modaltouch.window.theme import THEMES
 
-    if theme not in THEMES:
-        raise ValueError(f"given the theme {theme!r}; allowed: {', '.join(THEMES)}")
-    return Screen(title=title, ground=THEMES[theme].ground, **options)
+    if options.theme not in THEMES:
+        raise ValueError(f"given the theme {options.theme!r}; allowed: {', '.join(THEMES)}")
+    return Screen(
+        size=options.size,
+        fullscreen=options.fullscreen,
+        monitor=options.screen,
+        ground=THEMES[options.theme].ground,
+        title=title,
+    )
