@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from modaltouch.cli.faults import print_json, reporting
+from modaltouch.cli.options import JSON, MODE
 
 
 def analyse(
@@ -26,13 +27,11 @@ def analyse(
             show_default="derivatives/analysis among the results, or <name>_analysis beside a CSV",
         ),
     ] = None,
-    mode: Annotated[
-        str | None, typer.Option(help="Which sessions of a results folder: real, pilot or simulated.")
-    ] = None,
+    mode: MODE = None,
     stimulus: Annotated[
         str | None, typer.Option(help="Whose trials to take, of sessions with several stimuli.")
     ] = None,
-    json_output: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
+    json_output: JSON = False,
 ) -> None:
     """Write the tables and bars of Fig. 10 and Fig. 11, exact statistics, and an HTML report."""
     from modaltouch.analysis.analyse import analyse as run_analysis

@@ -39,7 +39,7 @@ app = typer.Typer(
 )
 
 
-def _show_version(asked: bool) -> None:  # noqa: FBT001
+def _show_version(asked: bool) -> None:
     if asked:
         print(__version__)
         raise typer.Exit

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from modaltouch.cli.checking import PROTOCOL
 from modaltouch.cli.faults import print_json, reporting
-from modaltouch.cli.measuring import RIG, ask_to_aim
+from modaltouch.cli.measuring import ask_to_aim
+from modaltouch.cli.options import JSON, MEASURED_RIG, PROTOCOL
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 def calibrate(
     protocol: PROTOCOL,
     out: Annotated[Path, typer.Option(help="File for the calibration; never overwritten.", show_default=False)],
-    rig: RIG = "simulated",
+    rig: MEASURED_RIG = "simulated",
     person: Annotated[str, typer.Option(help="Who calibrates, for the file.", show_default="nobody named")] = "",
-    json_output: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
+    json_output: JSON = False,
 ) -> None:
     """Measure what each stimulus really does at the focusing instant, and correct its targets until it is as wished.
 

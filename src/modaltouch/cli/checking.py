@@ -2,31 +2,21 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from modaltouch.cli.faults import BAD_INPUT, print_json, reporting
+from modaltouch.cli.options import CALIBRATION, JSON, PROTOCOL
 
 if TYPE_CHECKING:
     from modaltouch.preflight import Preflight
-
-PROTOCOL = Annotated[Path, typer.Argument(help="Protocol, a YAML file.", show_default=False)]
-
-
-CALIBRATION = Annotated[
-    Path | None,
-    typer.Option(
-        help="Calibration file to use, as `modaltouch calibrate` wrote it.", show_default="the one the protocol names"
-    ),
-]
 
 
 def check(
     protocol: PROTOCOL,
     calibration: CALIBRATION = None,
-    json_output: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
+    json_output: JSON = False,
     compare: Annotated[
         bool,
         typer.Option(
@@ -116,7 +106,7 @@ def show(preflight: Preflight, *, compare: bool = False) -> None:
         console.print(f"[yellow]{warning}[/]")
 
 
-def _explore(preflight: Preflight, sensitivity: bool, designs: bool, tolerance: float | None) -> dict[str, Any]:  # noqa: FBT001
+def _explore(preflight: Preflight, sensitivity: bool, designs: bool, tolerance: float | None) -> dict[str, Any]:
     """Return what was asked for besides the check; what nobody asked for is not computed."""
     asked: dict[str, Any] = {}
     if not (sensitivity or designs or tolerance is not None):

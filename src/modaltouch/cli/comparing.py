@@ -7,9 +7,9 @@ from typing import Annotated, Any
 
 import typer
 
-from modaltouch.cli.checking import PROTOCOL
 from modaltouch.cli.faults import print_json, reporting
 from modaltouch.cli.measuring import progress
+from modaltouch.cli.options import JSON, PROTOCOL
 from modaltouch.cli.validating import refuse_few_points
 
 COLUMNS = {
@@ -42,7 +42,7 @@ def compare(
         typer.Option(min=0, max=10_000, help="Other beams that the drives are played on, drawn around the learned."),
     ] = 20,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the first other beam.")] = 1,
-    json_output: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
+    json_output: JSON = False,
 ) -> None:
     """Put the drive laws beside time reversal and inverse filtering: one beam, one voltage limit, one page.
 

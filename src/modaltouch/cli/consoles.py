@@ -7,18 +7,12 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
 if TYPE_CHECKING:
     from modaltouch.console.interface import Console
-
-EVENTS = Annotated[
-    Path | None,
-    typer.Option(help="File or named pipe for the session's state as JSON lines; a pipe nobody reads delays nothing."),
-]
-PLAIN = Annotated[bool, typer.Option("--plain", help="Plain lines instead of the live console, and no keys.")]
 
 
 @contextmanager

@@ -8,9 +8,8 @@ from typing import Annotated
 import typer
 
 from modaltouch.cli.analysing import participants
-from modaltouch.cli.checking import PROTOCOL
 from modaltouch.cli.faults import print_json, reporting
-from modaltouch.cli.planning import OBSERVER
+from modaltouch.cli.options import JSON, MODE, OBSERVER, PROTOCOL
 
 
 def fit(
@@ -22,10 +21,8 @@ def fit(
     out: Annotated[
         Path | None, typer.Option(help="YAML file for the fitted observer.", show_default="nothing is written")
     ] = None,
-    mode: Annotated[
-        str | None, typer.Option(help="Which sessions of a results folder: real, pilot or simulated.")
-    ] = None,
-    json_output: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
+    mode: MODE = None,
+    json_output: JSON = False,
 ) -> None:
     """Fit a simulated observer to recorded answers, such as a pilot's, to plan the next study with.
 

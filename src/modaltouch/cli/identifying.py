@@ -10,7 +10,9 @@ import typer
 
 from modaltouch.cli.faults import BAD_INPUT, leave, print_json, reporting
 from modaltouch.cli.identified import show
-from modaltouch.cli.wanted import Wanted, progress
+from modaltouch.cli.options import JSON, MEASURED_RIG, SHIPPED_APPARATUS
+from modaltouch.cli.progress import progress
+from modaltouch.cli.wanted import Wanted
 
 if TYPE_CHECKING:
     from modaltouch.identification.responses import FrequencyResponses
@@ -34,53 +36,57 @@ class Excitation(StrEnum):
     chirp = "chirp"
 
 
+FILES = Annotated[
+    list[Path] | None,
+    typer.Argument(
+        help="Measured responses (.uff, .unv, .csv, .npz, .lvm, .txt), or the folder of an earlier scan, instead "
+        "of a rig.",
+        show_default=False,
+    ),
+]
+APPARATUS = Annotated[Path, typer.Option(help="Apparatus, a YAML file: beam, actuator sets, wanted modes.")]
+OUT = Annotated[Path, typer.Option(help="Folder for scans, apparatus file, table and figures.")]
+POINTS = Annotated[int, typer.Option(min=2, help="Evenly spaced points of the scan.")]
+AVERAGES = Annotated[int, typer.Option(min=1, help="Records averaged at each point; of a file, how many were.")]
+DRIVE = Annotated[float, typer.Option("--drive-V", help="Peak of the excitation at the beam [V].")]
+EXCITATION = Annotated[
+    Excitation, typer.Option(help="multisine: all modes at once; chirp: one after the other, as in the paper.")
+]
+HIGHEST = Annotated[
+    float | None,
+    typer.Option("--highest-kHz", help="Highest frequency.", show_default="1.25 times the highest mode, at most 120"),
+]
+MARGIN = Annotated[float, typer.Option("--margin-mm", help="From the beam's ends to the outer points.")]
+SETS = Annotated[list[str] | None, typer.Option("--set", help="Actuator set, repeatable.", show_default="all sets")]
+MODES = Annotated[
+    str, typer.Option(help="Modes of the new table: `listed` in the apparatus file, `all`, or labels as 1,3,5.")
+]
+QUANTITY = Annotated[Quantity | None, typer.Option(help="Of a file that does not say it.")]
+CONJUGATED = Annotated[bool, typer.Option("--conjugated", help="The files follow exp(-i w t).")]
+LOWEST = Annotated[float | None, typer.Option("--lowest-Hz", help="Of a file's band.", show_default="the whole band")]
+SPACING = Annotated[float | None, typer.Option("--spacing-Hz", help="Distance of the bins of a file of bare numbers.")]
+SEED = Annotated[int | None, typer.Option(min=0, help="Of the simulated rig, instead of its own.")]
+
+
 def identify(
-    files: Annotated[
-        list[Path] | None,
-        typer.Argument(
-            help="Measured responses (.uff, .unv, .csv, .npz, .lvm, .txt), or the folder of an earlier scan, instead "
-            "of a rig.",
-            show_default=False,
-        ),
-    ] = None,
-    apparatus: Annotated[Path, typer.Option(help="Apparatus, a YAML file: beam, actuator sets, wanted modes.")] = Path(
-        "protocols/apparatus/beam_100x6x2.yaml"
-    ),
-    rig: Annotated[str, typer.Option(help="`simulated`, or the generator's VISA address.")] = "simulated",
-    out: Annotated[Path, typer.Option(help="Folder for scans, apparatus file, table and figures.")] = Path(
-        "identification"
-    ),
-    points: Annotated[int, typer.Option(min=2, help="Evenly spaced points of the scan.")] = 41,
-    averages: Annotated[
-        int, typer.Option(min=1, help="Records averaged at each point; of a file, how many were.")
-    ] = 10,
-    drive_V: Annotated[float, typer.Option("--drive-V", help="Peak of the excitation at the beam [V].")] = 50.0,
-    excitation: Annotated[
-        Excitation, typer.Option(help="multisine: all modes at once; chirp: one after the other, as in the paper.")
-    ] = Excitation.multisine,
-    highest_kHz: Annotated[
-        float | None,
-        typer.Option(
-            "--highest-kHz", help="Highest frequency.", show_default="1.25 times the highest mode, at most 120"
-        ),
-    ] = None,
-    margin_mm: Annotated[float, typer.Option("--margin-mm", help="From the beam's ends to the outer points.")] = 0.5,
-    sets: Annotated[
-        list[str] | None, typer.Option("--set", help="Actuator set, repeatable.", show_default="all sets")
-    ] = None,
-    modes: Annotated[
-        str, typer.Option(help="Modes of the new table: `listed` in the apparatus file, `all`, or labels as 1,3,5.")
-    ] = "listed",
-    quantity: Annotated[Quantity | None, typer.Option(help="Of a file that does not say it.")] = None,
-    conjugated: Annotated[bool, typer.Option("--conjugated", help="The files follow exp(-i w t).")] = False,
-    lowest_Hz: Annotated[
-        float | None, typer.Option("--lowest-Hz", help="Of a file's band.", show_default="the whole band")
-    ] = None,
-    spacing_Hz: Annotated[
-        float | None, typer.Option("--spacing-Hz", help="Distance of the bins of a file of bare numbers.")
-    ] = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="Of the simulated rig, instead of its own.")] = None,
-    json_output: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
+    files: FILES = None,
+    apparatus: APPARATUS = SHIPPED_APPARATUS,
+    rig: MEASURED_RIG = "simulated",
+    out: OUT = Path("identification"),
+    points: POINTS = 41,
+    averages: AVERAGES = 10,
+    drive_V: DRIVE = 50.0,
+    excitation: EXCITATION = Excitation.multisine,
+    highest_kHz: HIGHEST = None,
+    margin_mm: MARGIN = 0.5,
+    sets: SETS = None,
+    modes: MODES = "listed",
+    quantity: QUANTITY = None,
+    conjugated: CONJUGATED = False,
+    lowest_Hz: LOWEST = None,
+    spacing_Hz: SPACING = None,
+    seed: SEED = None,
+    json_output: JSON = False,
 ) -> None:
     """Identify natural frequencies, damping ratios, gains and shapes of a beam, each with its 95 % interval.
 

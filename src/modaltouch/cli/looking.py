@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from modaltouch.cli.faults import RECORD_AT_RISK, RIG_FAILED, print_json, reporting
-from modaltouch.cli.rigs import APPARATUS
+from modaltouch.cli.options import APPARATUS, JSON, SESSION, SHIPPED_APPARATUS
 
 if TYPE_CHECKING:
     from modaltouch.rig.latency import CommandLatency
@@ -19,8 +19,8 @@ MARKS = {"ok": ("ok", "green"), "warning": ("warning", "yellow"), "fault": ("FAU
 
 
 def verify(
-    session: Annotated[Path, typer.Argument(help="A session's folder or its session.jsonl.", show_default=False)],
-    json_output: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
+    session: SESSION,
+    json_output: JSON = False,
 ) -> None:
     """Check a session's record: its chain of lines, its order, its drive and its BIDS view, all recomputed."""
     from modaltouch.verification import verify_session
@@ -54,8 +54,8 @@ def doctor(
     rig: Annotated[
         str, typer.Option(help="For --timing: `simulated`, or the generator's VISA address; nothing is played.")
     ] = "simulated",
-    apparatus: APPARATUS = Path("protocols/apparatus/beam_100x6x2.yaml"),
-    json_output: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
+    apparatus: APPARATUS = SHIPPED_APPARATUS,
+    json_output: JSON = False,
 ) -> None:
     """Look at what this machine has of what a session needs, and say what to do about the rest.
 

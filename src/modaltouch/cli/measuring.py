@@ -5,16 +5,12 @@ from __future__ import annotations
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
-
-RIG = Annotated[
-    str, typer.Option(help="`simulated`, or the generator's VISA address; beside a real one stands a PicoScope.")
-]
 
 
 class Showing:

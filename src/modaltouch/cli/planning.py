@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from modaltouch.cli.checking import PROTOCOL
 from modaltouch.cli.faults import INTERRUPTED, print_json, reporting
+from modaltouch.cli.options import JSON, OBSERVER, PROTOCOL
+from modaltouch.cli.progress import progress
 
 if TYPE_CHECKING:
     from modaltouch.planning.power import Power
@@ -18,37 +18,38 @@ if TYPE_CHECKING:
 _MOST_PARTICIPANTS, _MOST_ANSWERS = 1000, 10_000
 _MOST_LINES = 12
 
-OBSERVER = Annotated[
-    str, typer.Option(help="Who is simulated: a YAML file, or a shipped observer such as `paper` or `near_miss`.")
+PARTICIPANTS = Annotated[
+    str, typer.Option("--participants", "-n", help="Sizes of the cohort: 6:40, 6:40:2 or 8,12,16.")
+]
+REPETITIONS = Annotated[
+    str | None,
+    typer.Option("--reps", help="Repetitions of each condition, such as 1,2,4.", show_default="the protocol's own"),
+]
+NULL = Annotated[
+    bool, typer.Option("--null", help="Simulate that there is nothing to be found, to check the false alarms.")
+]
+DASK = Annotated[
+    str | None,
+    typer.Option(help="Scheduler of a dask cluster that does the work instead, such as tcp://10.0.0.5:8786."),
 ]
 
 
 def power(
     protocol: PROTOCOL,
-    participants: Annotated[
-        str, typer.Option("--participants", "-n", help="Sizes of the cohort: 6:40, 6:40:2 or 8,12,16.")
-    ] = "6:40:2",
-    reps: Annotated[
-        str | None,
-        typer.Option(help="Repetitions of each condition, such as 1,2,4.", show_default="the protocol's own"),
-    ] = None,
+    participants: PARTICIPANTS = "6:40:2",
+    reps: REPETITIONS = None,
     observer: OBSERVER = "paper",
     experiments: Annotated[int, typer.Option(min=1, max=1_000_000, help="Experiments simulated of each size.")] = 1000,
     questions: Annotated[str, typer.Option(help="Which questions of the analysis.")] = "a1,a2,b,c,d",
     seed: Annotated[int, typer.Option(min=0, help="Seed; the same seed gives the same figures.")] = 1,
-    null: Annotated[
-        bool, typer.Option("--null", help="Simulate that there is nothing to be found, to check the false alarms.")
-    ] = False,
+    null: NULL = False,
     target: Annotated[float, typer.Option(min=0.01, max=0.999, help="Power that is wanted.")] = 0.8,
     jobs: Annotated[int, typer.Option("--jobs", "-j", min=1, max=256, help="Processes that share the work.")] = 1,
-    dask: Annotated[
-        str | None,
-        typer.Option(help="Scheduler of a dask cluster that does the work instead, such as tcp://10.0.0.5:8786."),
-    ] = None,
+    dask: DASK = None,
     out: Annotated[
         Path | None, typer.Option(help="Folder for tables and the contour plot.", show_default="nothing is written")
     ] = None,
-    json_output: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
+    json_output: JSON = False,
 ) -> None:
     """Say how likely an experiment of each size is to answer its questions, by simulating the very protocol.
 
@@ -75,7 +76,7 @@ def power(
         study = Study(design, model, _families(questions, design.scopes), null, seed)
         if out is not None:
             refuse_other(out, COMMAND)
-        with Interruption() as interruption, _progress() as on_progress:
+        with Interruption() as interruption, progress("experiments") as on_progress:
             found = plan(
                 study,
                 [(n, r) for r in repetitions for n in sizes_n],
@@ -169,18 +170,6 @@ def _families(questions: str, scopes: Callable[[str], tuple[str, ...]]) -> tuple
             "two pairs of zones"
         )
     return found
-
-
-@contextmanager
-def _progress() -> Iterator[Callable[[int, int], None]]:
-    """Show on standard error how much is done, and how long the rest will take."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True)) as progress:
-        task = progress.add_task("experiments", total=None)
-        yield lambda done, total: progress.update(task, completed=done, total=total)
 
 
 def _done(found: Power) -> str:

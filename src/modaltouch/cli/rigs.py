@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from modaltouch.cli.faults import print_json, reporting
+from modaltouch.cli.options import APPARATUS, JSON, SEED_OF_TWIN, SHIPPED_APPARATUS
 
 app = typer.Typer(no_args_is_help=True, help="Find, check and simulate the generator.")
-
-APPARATUS = Annotated[Path, typer.Option("--apparatus", help="Apparatus, a YAML file.")]
 
 
 @app.command("list")
 def list_addresses(
-    json_output: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
+    json_output: JSON = False,
 ) -> None:
     """List the VISA addresses of the instruments that this machine can see."""
     from modaltouch.rig.visa import find_instruments
@@ -34,8 +32,8 @@ def list_addresses(
 @app.command("check")
 def check(
     address: Annotated[str, typer.Argument(help="VISA address, or `simulated`.", show_default=False)],
-    apparatus: APPARATUS = Path("protocols/apparatus/beam_100x6x2.yaml"),
-    json_output: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
+    apparatus: APPARATUS = SHIPPED_APPARATUS,
+    json_output: JSON = False,
 ) -> None:
     """Find out what a generator really does where its manual is silent, and whether it is fit for a session.
 
@@ -61,9 +59,9 @@ def check(
 
 @app.command("simulate")
 def simulate(
-    apparatus: APPARATUS = Path("protocols/apparatus/beam_100x6x2.yaml"),
+    apparatus: APPARATUS = SHIPPED_APPARATUS,
     port: Annotated[int, typer.Option(min=0, max=65535, help="TCP port on this machine; 0 takes a free one.")] = 0,
-    seed: Annotated[int | None, typer.Option(min=0, help="Instead of the seed in the apparatus file.")] = None,
+    seed: SEED_OF_TWIN = None,
 ) -> None:
     """Run a simulated rig for other programs, on this machine alone, until it is interrupted.
 

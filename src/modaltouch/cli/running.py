@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
 from enum import StrEnum
 from functools import partial
@@ -14,9 +13,26 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from modaltouch.cli.asking import ask_participant, ask_session, wait_for_start
-from modaltouch.cli.checking import CALIBRATION, PROTOCOL
-from modaltouch.cli.consoles import EVENTS, PLAIN, open_console
+from modaltouch.cli.consoles import open_console
 from modaltouch.cli.faults import print_json, reporting
+from modaltouch.cli.options import (
+    CALIBRATION,
+    EVENTS,
+    FULLSCREEN,
+    JSON,
+    OBSERVER,
+    PLAIN,
+    PROTOCOL,
+    RESULTS,
+    SCREEN,
+    SCREENSHOTS,
+    SEED,
+    SESSION,
+    SIZE,
+    THEME,
+    Theme,
+)
+from modaltouch.cli.progress import progress
 
 if TYPE_CHECKING:
     from modaltouch.record.session import Session
@@ -32,13 +48,6 @@ class Answers(StrEnum):
     simulated = "simulated"
 
 
-class Theme(StrEnum):
-    """Colours of the window."""
-
-    dark = "dark"
-    light = "light"
-
-
 RIG = Annotated[
     str, typer.Option(help="`simulated`, or the generator's VISA address, such as TCPIP::192.168.1.20::INSTR.")
 ]
@@ -49,31 +58,26 @@ ANSWERS = Annotated[
         "simulated: a simulated participant without one."
     ),
 ]
-SEED = Annotated[int, typer.Option(min=0, help="Seed of the study; the same for all its participants.")]
-RESULTS = Annotated[Path, typer.Option(help="Folder where sessions are recorded.")]
-FULLSCREEN = Annotated[bool, typer.Option("--fullscreen/--windowed", help="Answer window over the whole screen.")]
-SIZE = Annotated[str, typer.Option(help="Size of the answer window in pixels, where it is not full screen.")]
-THEME = Annotated[Theme, typer.Option(help="Colours of the answer window.")]
-SCREEN = Annotated[int, typer.Option(min=0, help="Which screen shows the answer window.")]
-SCREENSHOTS = Annotated[Path | None, typer.Option(help="Folder for a picture of each kind of screen.")]
-JSON = Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")]
+PARTICIPANT = Annotated[
+    str | None, typer.Option("--participant", "-p", help="Participant id: letters and digits.", show_default=False)
+]
+SESSION_NUMBER = Annotated[
+    int | None,
+    typer.Option(
+        "--session", "-s", min=1, help="Number of the session.", show_default="the participant's next, or asked"
+    ),
+]
+PILOT = Annotated[bool, typer.Option("--pilot", help="Keep the data apart, as a pilot's.")]
+YES = Annotated[bool, typer.Option("--yes", "-y", help="Begin without asking.")]
 
 
 def run(
     protocol: PROTOCOL,
-    participant: Annotated[
-        str | None,
-        typer.Option("--participant", "-p", help="Participant id: letters and digits.", show_default=False),
-    ] = None,
-    session: Annotated[
-        int | None,
-        typer.Option(
-            "--session", "-s", min=1, help="Number of the session.", show_default="the participant's next, or asked"
-        ),
-    ] = None,
+    participant: PARTICIPANT = None,
+    session: SESSION_NUMBER = None,
     rig: RIG = "simulated",
     answers: ANSWERS = Answers.window,
-    pilot: Annotated[bool, typer.Option("--pilot", help="Keep the data apart, as a pilot's.")] = False,
+    pilot: PILOT = False,
     seed: SEED = 1,
     results: RESULTS = Path("results"),
     fullscreen: FULLSCREEN = False,
@@ -84,7 +88,7 @@ def run(
     events: EVENTS = None,
     plain: PLAIN = False,
     calibration: CALIBRATION = None,
-    yes: Annotated[bool, typer.Option("--yes", "-y", help="Begin without asking.")] = False,
+    yes: YES = False,
     json_output: JSON = False,
 ) -> None:
     """Run one participant's session, after a full check of the protocol.
@@ -128,9 +132,7 @@ def run(
             wait_for_start(preflight, setup.place, rig)
         from modaltouch.sitting import begin
 
-        with open_console(events, _emergency_keys(setup), plain=plain) as console:
-            recorded = begin(replace(setup, console=console))
-        _finish(recorded, json_output=json_output)
+        _conduct(begin, setup, events, plain=plain, json_output=json_output)
 
 
 def _try_masking(setup: Setup) -> None:
@@ -142,7 +144,7 @@ def _try_masking(setup: Setup) -> None:
 
 
 def resume(
-    session: Annotated[Path, typer.Argument(help="A session's folder or its session.jsonl.", show_default=False)],
+    session: SESSION,
     rig: Annotated[str | None, typer.Option(help="Another VISA address than the recorded one.")] = None,
     answers: Annotated[Answers | None, typer.Option(help="Another way of answering than the recorded one.")] = None,
     restart: Annotated[
@@ -174,26 +176,19 @@ def resume(
             restart=restart,
             window_options=_window_options(fullscreen, size, theme, screen, screenshots),
         )
-        with open_console(events, _emergency_keys(setup), plain=plain) as console:
-            recorded = go_on(replace(setup, console=console))
-        _finish(recorded, json_output=json_output)
+        _conduct(go_on, setup, events, plain=plain, json_output=json_output)
 
 
 def simulate(
     protocol: PROTOCOL,
     participants: Annotated[int, typer.Option("--participants", "-n", min=1, help="Size of the cohort.")] = 10,
     seed: SEED = 1,
-    observer: Annotated[
-        str, typer.Option(help="Who is simulated: a YAML file, or a shipped observer such as `paper`.")
-    ] = "paper",
+    observer: OBSERVER = "paper",
     results: RESULTS = Path("results"),
     calibration: CALIBRATION = None,
     json_output: JSON = False,
 ) -> None:
     """Run a cohort of simulated participants through the same code on the simulated rig."""
-    from rich.console import Console
-    from rich.progress import Progress
-
     from modaltouch.observer.file import read_observer
     from modaltouch.preflight import examine
     from modaltouch.simulation import simulate_session
@@ -202,12 +197,12 @@ def simulate(
         population = read_observer(observer)
         preflight = examine(protocol, calibration).require()
         sessions = []
-        with Progress(console=Console(stderr=True)) as progress:
-            task = progress.add_task("participants", total=participants)
+        with progress("participants") as on_progress:
             for number in range(1, participants + 1):
+                on_progress(number - 1, participants)
                 name = f"sim{number:0{max(2, len(str(participants)))}d}"
                 sessions.append(simulate_session(preflight, name, results, seed=seed, observer=population))
-                progress.advance(task)
+            on_progress(participants, participants)
         dataset = sessions[0].path.parents[3]
         if json_output:
             print_json({"sessions": [str(session.path.parent) for session in sessions], "dataset": str(dataset)})
@@ -231,7 +226,7 @@ def demo(
 
     with reporting(json_output=json_output):
         window_options = _window_options(False, size, theme, 0, None)
-        with _progress() as on_progress:
+        with progress("trials answered") as on_progress:
             outcome = demonstrate(
                 results,
                 seed=seed,
@@ -247,20 +242,8 @@ def demo(
                 print(f"{name.capitalize():12} {path}")
 
 
-@contextmanager
-def _progress() -> Iterator[Callable[[int, int], None]]:
-    """Show on standard error how many trials are answered."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True)) as progress:
-        task = progress.add_task("trials answered", total=None)
-        yield lambda answered, total: progress.update(task, completed=answered, total=total)
-
-
 def _window_options(
-    fullscreen: bool,  # noqa: FBT001
+    fullscreen: bool,
     size: str,
     theme: Theme,
     screen: int,
@@ -274,11 +257,13 @@ def _window_options(
     return WindowOptions((int(width), int(height)), fullscreen, theme.value, screen, screenshots)
 
 
-def _emergency_keys(setup: Setup) -> tuple[str, ...]:
-    return setup.preflight.experiment.protocol.answers.emergency_keys
-
-
-def _finish(session: Session, *, json_output: bool) -> None:
+def _conduct(
+    sit: Callable[[Setup], Session], setup: Setup, events: Path | None, *, plain: bool, json_output: bool
+) -> None:
+    """Run a sitting before the experimenter's console, and say what came of it."""
+    emergency_keys = setup.preflight.experiment.protocol.answers.emergency_keys
+    with open_console(events, emergency_keys, plain=plain) as console:
+        session = sit(replace(setup, console=console))
     folder = session.path.parent
     if json_output:
         print_json({"session": str(folder), "complete": session.complete, "n_answered": session.n_answered})

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from modaltouch.cli.checking import CALIBRATION, PROTOCOL
 from modaltouch.cli.faults import print_json, reporting
-from modaltouch.cli.measuring import RIG, progress
+from modaltouch.cli.measuring import progress
+from modaltouch.cli.options import CALIBRATION, JSON, MEASURED_RIG, PROTOCOL
 
 if TYPE_CHECKING:
     from modaltouch.preflight import Preflight
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 def validate(
     protocol: PROTOCOL,
     calibration: CALIBRATION = None,
-    rig: RIG = "simulated",
+    rig: MEASURED_RIG = "simulated",
     out: Annotated[
         Path | None, typer.Option(help="Folder for page, figures and tables.", show_default="validation/<protocol>")
     ] = None,
@@ -34,7 +34,7 @@ def validate(
     ] = None,
     points: Annotated[int, typer.Option(min=3, max=1001, help="Points along the beam, from end to end.")] = 41,
     averages: Annotated[int, typer.Option(min=1, max=1000, help="Records at each point.")] = 10,
-    json_output: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
+    json_output: JSON = False,
 ) -> None:
     """Play the drive by both laws, scan the beam, and show the paper's Fig. 2 and 5 to 8 on one page.
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
+
+from modaltouch.cli.progress import progress
 
 if TYPE_CHECKING:
     from modaltouch.apparatus import Apparatus
@@ -185,20 +185,3 @@ def _ask_to_aim(position: float) -> None:
     if sys.stdin.isatty():
         typer.echo(f"\nAim the vibrometer at {position * 1e3:+.2f} mm, then press Enter. ", err=True, nl=False)
         sys.stdin.readline()
-
-
-@contextmanager
-def progress(what: str, *, counted: bool = True) -> Iterator[Callable[[int, int], None]]:
-    """Show a bar, or a spinner where nothing is counted, on standard error."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
-
-    description = TextColumn("{task.description}")
-    columns = (
-        (description, BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-        if counted
-        else (SpinnerColumn(), description)
-    )
-    with Progress(*columns, console=Console(stderr=True)) as progress:
-        task = progress.add_task(what, total=None)
-        yield lambda done, total: progress.update(task, completed=done, total=total)

@@ -1,0 +1,55 @@
+"""Options that several commands take, each defined once."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+SHIPPED_APPARATUS = Path("protocols/apparatus/beam_100x6x2.yaml")
+
+
+class Theme(StrEnum):
+    """Colours of the window."""
+
+    dark = "dark"
+    light = "light"
+
+
+JSON = Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")]
+
+PROTOCOL = Annotated[Path, typer.Argument(help="Protocol, a YAML file.", show_default=False)]
+CALIBRATION = Annotated[
+    Path | None,
+    typer.Option(
+        help="Calibration file to use, as `modaltouch calibrate` wrote it.", show_default="the one the protocol names"
+    ),
+]
+APPARATUS = Annotated[Path, typer.Option("--apparatus", help="Apparatus, a YAML file.")]
+OBSERVER = Annotated[
+    str, typer.Option(help="Who is simulated: a YAML file, or a shipped observer such as `paper` or `near_miss`.")
+]
+
+SESSION = Annotated[Path, typer.Argument(help="A session's folder or its session.jsonl.", show_default=False)]
+RESULTS = Annotated[Path, typer.Option(help="Folder where sessions are recorded.")]
+SEED = Annotated[int, typer.Option(min=0, help="Seed of the study; the same for all its participants.")]
+MODE = Annotated[str | None, typer.Option(help="Which sessions of a results folder: real, pilot or simulated.")]
+
+FULLSCREEN = Annotated[bool, typer.Option("--fullscreen/--windowed", help="Answer window over the whole screen.")]
+SIZE = Annotated[str, typer.Option(help="Size of the answer window in pixels, where it is not full screen.")]
+THEME = Annotated[Theme, typer.Option(help="Colours of the answer window.")]
+SCREEN = Annotated[int, typer.Option(min=0, help="Which screen shows the answer window.")]
+SCREENSHOTS = Annotated[Path | None, typer.Option(help="Folder for a picture of each kind of screen.")]
+
+EVENTS = Annotated[
+    Path | None,
+    typer.Option(help="File or named pipe for the session's state as JSON lines; a pipe nobody reads delays nothing."),
+]
+PLAIN = Annotated[bool, typer.Option("--plain", help="Plain lines instead of the live console, and no keys.")]
+
+MEASURED_RIG = Annotated[
+    str, typer.Option(help="`simulated`, or the generator's VISA address; beside a real one stands a PicoScope.")
+]
+SEED_OF_TWIN = Annotated[int | None, typer.Option(min=0, help="Instead of the seed in the apparatus file.")]
