@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -78,3 +80,18 @@ def test_folder_of_another_command_is_left_alone(tmp_path: Path) -> None:
     said = RUN.invoke(app, ["identify", str(responses_file(tmp_path)), "--out", str(tmp_path)])
     assert said.exit_code == 4
     assert "holds the output of another command" in said.stderr
+
+
+def test_nobody_to_aim_ends_the_scan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a terminal nobody moves the vibrometer of a real rig: exit 2, not 41 records of one spot."""
+
+    @contextmanager
+    def open_laboratory(*parts: object, aim: Callable[[float], None], **options: object) -> Iterator[None]:
+        aim(0.0125)
+        yield
+
+    monkeypatch.setattr("modaltouch.measurement.open_laboratory", open_laboratory)
+    said = RUN.invoke(app, ["identify", "--apparatus", APPARATUS, "--out", str(tmp_path / "out")])
+    assert said.exit_code == 2
+    assert "+12.50 mm from mid-beam" in said.stderr
+    assert "nobody is there to aim the vibrometer" in " ".join(said.stderr.split())

@@ -7,13 +7,13 @@ import signal
 import pytest
 import typer
 
-from modaltouch.cli.measuring import progress
+from modaltouch.cli.measuring import bars
 
 
 def test_person_is_asked_for_each_position(monkeypatch, capsys):
     """Expected: millimetres from mid-beam with their sign, on standard error; the bars go on afterwards."""
     monkeypatch.setattr("builtins.input", lambda: "")
-    with progress() as showing:
+    with bars() as showing:
         showing("field", 1, 2)
         showing.aim(-0.0125)
         showing("field", 2, 2)
@@ -28,7 +28,7 @@ def test_interrupting_while_aiming_ends_it(monkeypatch):
     monkeypatch.setattr("builtins.input", lambda: signal.raise_signal(signal.SIGINT))
     noting = signal.signal(signal.SIGINT, lambda *_: None)
     try:
-        with progress() as showing, pytest.raises(KeyboardInterrupt):
+        with bars() as showing, pytest.raises(KeyboardInterrupt):
             showing.aim(0.0)
         assert signal.getsignal(signal.SIGINT) is not signal.default_int_handler
     finally:
@@ -42,5 +42,5 @@ def test_nobody_there_is_said(monkeypatch):
         raise EOFError
 
     monkeypatch.setattr("builtins.input", closed)
-    with progress() as showing, pytest.raises(typer.BadParameter, match="nobody is there to aim"):
+    with bars() as showing, pytest.raises(typer.BadParameter, match="nobody is there to aim"):
         showing.aim(0.0)

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from modaltouch.cli.faults import print_json, reporting
-from modaltouch.cli.measuring import progress
+from modaltouch.cli.measuring import bars
 from modaltouch.cli.options import JSON, PROTOCOL
 from modaltouch.cli.validating import refuse_few_points
 
@@ -63,7 +63,7 @@ def compare(
         refuse_other(folder, COMMAND)
         refuse_few_points(points, preflight.stimulus.model.label)
         settings = Settings(points, averages, beams, seed)
-        with Interruption() as interruption, progress() as on_progress:
+        with Interruption() as interruption, bars() as on_progress:
             tools: dict[str, Any] = {"on_progress": on_progress, "check": interruption.check}
             responses = learn(preflight, settings, scan, **tools)
             found = contest(preflight, responses, settings, **tools)

@@ -47,14 +47,14 @@ class Showing:
 
 
 @contextmanager
-def progress() -> Iterator[Showing]:
+def bars() -> Iterator[Showing]:
     """Show on standard error what is being done, how far it is, and how long the rest will take."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True)) as bars:
-        yield Showing(bars)
+    with Progress(*columns, console=Console(stderr=True)) as shown:
+        yield Showing(shown)
 
 
 def ask_to_aim(position: float) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from modaltouch.cli.faults import print_json, reporting
-from modaltouch.cli.measuring import progress
+from modaltouch.cli.measuring import bars
 from modaltouch.cli.options import CALIBRATION, JSON, MEASURED_RIG, PROTOCOL
 
 if TYPE_CHECKING:
@@ -104,7 +104,7 @@ def _observe(
     else:
         with (
             Interruption() as interruption,
-            progress() as showing,
+            bars() as showing,
             open_laboratory(experiment.apparatus, address, aim=showing.aim) as laboratory,
         ):
             observed = record_laws(

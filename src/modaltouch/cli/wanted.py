@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import typer
-
+from modaltouch.cli.measuring import bars
 from modaltouch.cli.progress import progress
 
 if TYPE_CHECKING:
@@ -77,15 +75,15 @@ class Wanted:
         for name in self.sets:
             excite(self.apparatus, name, voltage, highest, "chirp")
         done = [0, 0]
-        with Interruption() as interruption, progress("points measured") as on_progress:
+        with Interruption() as interruption, bars() as showing:
 
             def show(n: int, total: int) -> None:
                 done[:] = n, total
-                on_progress(n, total)
+                showing("points measured", n, total)
 
             try:
                 with open_laboratory(
-                    self.apparatus, rig, seed=seed, repetition="continuous", aim=_ask_to_aim
+                    self.apparatus, rig, seed=seed, repetition="continuous", aim=showing.aim
                 ) as laboratory:
                     scans = campaign.scan(laboratory, self.source, out, on_progress=show, check=interruption.check)
             except Interrupted as error:
@@ -178,10 +176,3 @@ class Wanted:
             "apparatus_file": str(written[name]),
             "files": {key: str(path) for key, path in written.items()},
         }
-
-
-def _ask_to_aim(position: float) -> None:
-    """Ask whoever stands at the beam to move the vibrometer's spot; the outputs are off."""
-    if sys.stdin.isatty():
-        typer.echo(f"\nAim the vibrometer at {position * 1e3:+.2f} mm, then press Enter. ", err=True, nl=False)
-        sys.stdin.readline()
