@@ -23,8 +23,9 @@ install: .venv/.installed system
 
 .venv/.installed: requirements.lock pyproject.toml | $(filter .uv/bin/uv,$(UV))
 	[ -x $(PYTHON) ] || $(UV) venv --quiet --python '>=3.11,<3.13' .venv
-	$(UV) pip sync --python $(PYTHON) --require-hashes requirements.lock
+	$(UV) pip sync --python $(PYTHON) --require-hashes --compile-bytecode requirements.lock
 	$(UV) pip install --python $(PYTHON) --quiet --no-deps --no-build-isolation --editable .
+	$(PYTHON) -m compileall -q src
 	@touch $@
 
 # OpenGL for the answer window, PortAudio for masking noise, and a virtual display with its own keyboard for
