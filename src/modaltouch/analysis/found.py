@@ -65,7 +65,8 @@ class Found:
 def _rows(session: Session) -> tuple[tuple[Any, ...], ...]:
     """Return the answers of a session that count, in the order of `COLUMNS`; catch trials only of adaptive ones."""
     counted = (event for event in session.trials if not event["trial"]["practice"])
-    return tuple(_row(session, event) for event in counted if is_adaptive(session) or not event.get("catch"))
+    with_catches, who, number = is_adaptive(session), session.participant, session.start.get("session", 1)
+    return tuple(_row(who, number, event) for event in counted if with_catches or not event.get("catch"))
 
 
 def is_adaptive(session: Session) -> bool:
@@ -98,11 +99,11 @@ COLUMNS = (
 """Columns of the tidy table of recorded answers."""
 
 
-def _row(session: Session, event: dict[str, Any]) -> tuple[Any, ...]:
+def _row(participant: str, session: int, event: dict[str, Any]) -> tuple[Any, ...]:
     trial, response, planned = event["trial"], event["response"], event.get("planned", {})
     condition = trial["condition"]
     return (
-        session.participant,
+        participant,
         _one(condition["finger_condition"]),
         _one(condition["zone_left"]),
         _one(condition["zone_right"]),
@@ -112,7 +113,7 @@ def _row(session: Session, event: dict[str, Any]) -> tuple[Any, ...]:
         _one(response["answer"]),
         1,
         trial["repetition"],
-        session.start.get("session", 1),
+        session,
         float(trial["index"]),
         float(trial["block"]),
         float(response["reaction_time"]),

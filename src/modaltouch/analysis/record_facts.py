@@ -136,18 +136,18 @@ def take_facts(session: Session) -> SessionFacts:
     """
     start, trials = session.start, session.trials
     counted = [event for event in trials if not event["trial"]["practice"]]
-    levels: dict[tuple[str, float], LevelFacts] = {}
+    by_level: dict[tuple[str, float], list[dict[str, Any]]] = {}
     for event in counted:
         condition = event["trial"]["condition"]
         key = (str(condition["finger_condition"]), float(condition["velocity_mm_s"]))
-        levels.setdefault(key, LevelFacts()).add(_level_facts(event))
+        by_level.setdefault(key, []).append(event)
     return SessionFacts(
         participant=session.participant,
         number=start.get("session", 1),
         day=str(start.get("time", ""))[:10],
         n_answers=len(counted),
         n_practice=len(trials) - len(counted),
-        levels=levels,
+        levels={key: _level_facts(events) for key, events in by_level.items()},
         faults=Counter(kind for event in session.events for kind in _kinds_of_fault(event)),
         settings=_settings_of(start),
     )
@@ -182,12 +182,20 @@ def _session_row(session: SessionFacts) -> dict[str, Any]:
     }
 
 
-def _level_facts(event: dict[str, Any]) -> LevelFacts:
-    """Return what one trial tells of its level."""
-    sent = event.get("commanded", {}).get("amplitude_Vpp", [])
-    confirmed = event.get("confirmed", {})
-    read = confirmed.get("confirmed_amplitude", [])
-    return LevelFacts(1, int(bool(confirmed.get("confirmed"))), [(v, v) for v in sent], [(v, v) for v in read])
+def _level_facts(events: Sequence[dict[str, Any]]) -> LevelFacts:
+    """Return what a session's trials at one level tell of it."""
+    sent = [event.get("commanded", {}).get("amplitude_Vpp", []) for event in events]
+    confirmed = [event.get("confirmed", {}) for event in events]
+    read = [told.get("confirmed_amplitude", []) for told in confirmed]
+    n_confirmed = sum(bool(told.get("confirmed")) for told in confirmed)
+    return LevelFacts(len(events), n_confirmed, _ranges(sent), _ranges(read))
+
+
+def _ranges(amplitudes: Sequence[Sequence[float]]) -> Ranges:
+    """Return the lowest and highest amplitude of each channel over trials."""
+    if len({len(each) for each in amplitudes}) > 1:
+        return None
+    return [(min(channel), max(channel)) for channel in zip(*amplitudes, strict=True)]
 
 
 def _widen(ranges: Ranges, others: Ranges) -> Ranges:
@@ -217,8 +225,7 @@ def _kinds_of_fault(event: dict[str, Any]) -> Iterator[str]:
     if event.get("torn"):
         yield "torn"
     kind = event.get("event")
-    said = {kind, *(exchange.get("what") for exchange in event.get("exchanges", ()))}
-    if said & RIG_TROUBLES:
+    if kind in RIG_TROUBLES or any(exchange.get("what") in RIG_TROUBLES for exchange in event.get("exchanges", ())):
         yield "rig"
     # Every sitting ends with a stop; only one before the last trial is a deviation.
     if kind in ("trial_cut", "unconfirmed", "resume", "masking_lost") or (kind == "stop" and not event.get("complete")):

@@ -217,11 +217,14 @@ def ranked_answers(answers: AnswerCounts, frame: pd.DataFrame) -> pd.DataFrame:
     frame : DataFrame
         Tidy answers with a column ``trial``.
     """
-    dominant = {(pair.left, pair.right): ("left", "right")[pair.dominant == pair.right] for pair in answers.pairs}
-    zones = zip(frame["zone_left"].astype(str), frame["zone_right"].astype(str), strict=True)
     keys = ["participant", "finger_condition", "zone_left", "zone_right"]
     table = frame[keys].astype(str).assign(trial=frame["trial"].to_numpy())
-    table["dominant"] = (frame["response"].astype(str).to_numpy() == [dominant[pair] for pair in zones]).astype(int)
+    named = np.zeros(len(table), dtype=bool)
+    for pair in answers.pairs:
+        own = (table["zone_left"] == pair.left) & (table["zone_right"] == pair.right)
+        side = "right" if pair.dominant == pair.right else "left"
+        named |= (own & (frame["response"] == side)).to_numpy(dtype=bool)
+    table["dominant"] = named.astype(int)
     ranks = table.groupby(keys)["trial"].rank(method="first").astype(int)
     centred = 2 * ranks - (answers.n_answers + 1)
     table["drift"] = centred * table["dominant"]

@@ -22,6 +22,9 @@ GENESIS = "0" * 64
 TAIL = re.compile(rb',"check":"([0-9a-f]{64})"\}\Z')
 """The end of a line, which holds its check."""
 
+_TAIL_BYTES = len(',"check":""}') + 64
+_DECODER = json.JSONDecoder()
+
 
 class RecordError(Exception):
     """A record is damaged, in use, or would be overwritten."""
@@ -161,13 +164,14 @@ def line_check(previous: str, body: bytes) -> str:
 
 
 def _decode(line: bytes, previous: str) -> tuple[dict[str, Any] | None, str]:
-    tail = TAIL.search(line)
+    tail = TAIL.match(line, max(0, len(line) - _TAIL_BYTES))
     if tail is None:
         return None, ""
     body, check = line[: tail.start()], tail.group(1).decode()
     if line_check(previous, body) != check:
         return None, ""
-    event = json.loads(body + b"}")
+    # A results tree holds hundreds of thousands of lines; json.loads would guess the encoding of each.
+    event = _DECODER.decode(body.decode("utf-8", "surrogatepass") + "}")
     return event, check
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ class Session:
     events: tuple[dict[str, Any], ...]
     problems: tuple[str, ...]
 
-    @property
+    @cached_property
     def start(self) -> dict[str, Any]:
         """The start record; empty if the session was cut before it."""
         return self.events[0] if self.events and self.events[0].get("event") == "start" else {}
@@ -60,7 +61,7 @@ class Session:
         closed = [event["begun_anew_as"] for event in self.events if event.get("event") == "closed"]
         return int(closed[-1]) if closed else None
 
-    @property
+    @cached_property
     def trials(self) -> tuple[dict[str, Any], ...]:
         """The trial events that count: answered, not superseded by a later one, and not to be asked again."""
         superseded = {event["supersedes"] for event in self.events if event.get("supersedes")}
@@ -68,7 +69,7 @@ class Session:
         gone = superseded | withdrawn
         return tuple(event for event in self.events if event.get("event") == "trial" and event["n"] not in gone)
 
-    @property
+    @cached_property
     def answered(self) -> frozenset[tuple[bool, int]]:
         """Which trials are done, as (practice, index): answered, and the stimulus confirmed by the instrument."""
         return frozenset(
