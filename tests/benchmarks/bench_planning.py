@@ -28,7 +28,7 @@ from threadpoolctl import threadpool_limits
 from modaltouch.observer.file import read_observer
 from modaltouch.planning.design import Design
 from modaltouch.planning.experiments import Job, Study, divide, run_job, simulate
-from modaltouch.planning.presented import design_for
+from modaltouch.planning.presented import designs_for
 from modaltouch.planning.questions import CONFIRMED, Answers, p_values
 from modaltouch.preflight import examine
 
@@ -123,7 +123,7 @@ def main() -> None:
     """Time both ways and write the figures."""
     observer = read_observer("paper")
     preflight = examine(ROOT / "protocols" / "differentiated_stimulation.yaml").require()
-    study = Study(design_for(preflight, observer), observer, CONFIRMED, null=False, seed=1)
+    study = Study(designs_for(preflight, observer)[""], observer, CONFIRMED, null=False, seed=1)
     sweep(study, [(N_PARTICIPANTS, 1)])
     cpu, wall = timed(lambda: sweep(study, [(N_PARTICIPANTS, 1)]), 7)
     sweep_cpu, _ = timed(lambda: sweep(study, [(n, 1) for n in SWEEP]), 1)

@@ -18,6 +18,7 @@ from modaltouch.planning.experiments import Job, Study, run_job
 ROOT = Path(__file__).parents[2]
 PROTOCOL = ROOT / "protocols" / "differentiated_stimulation.yaml"
 DEMO = ROOT / "protocols" / "demo.yaml"
+TWO_FIELDS = ROOT / "protocols" / "two_fields.yaml"
 
 
 def run(*words: object) -> Result:
@@ -103,6 +104,40 @@ def test_ctrl_c_keeps_what_is_done(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert {row["n_experiments"] for row in values["power"]} == {20}
     assert json.loads((tmp_path / "plan" / "power.json").read_text())["power"] == values["power"]
     assert "interrupted; kept: 20 to 20 of 20 experiments for 2 of 13 sizes" in done.stderr
+
+
+def test_each_stimulus_is_planned_by_itself(tmp_path: Path) -> None:
+    """Tables of both in folders of their own; one JSON object; a blunt field answers less than a sharp one."""
+    words = ("-n", "10", "--experiments", 60, "--questions", "a2", "--out", tmp_path / "plan", "--json")
+    done = run("power", TWO_FIELDS, *words)
+    assert done.exit_code == 0, done.stderr
+    values = json.loads(done.stdout)
+    assert values["complete"]
+    assert [each["stimulus"] for each in values["stimuli"]] == ["sharp", "blunt"]
+    sharp, blunt = (each["power"][0]["power"] for each in values["stimuli"])
+    assert sharp > 0.9 > blunt
+    for each in values["stimuli"]:
+        assert json.loads((tmp_path / "plan" / each["stimulus"] / "power.json").read_text())["power"] == each["power"]
+
+
+def test_ctrl_c_keeps_the_stimuli_that_are_done(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Status 130 in the second of two: the first whole, the second as far as it came."""
+    ran: list[Job] = []
+
+    def interrupted_in_the_third(study: Study, job: Job) -> object:
+        ran.append(job)
+        if len(ran) == 3:
+            signal.raise_signal(signal.SIGINT)
+        return run_job(study, job)
+
+    monkeypatch.setattr(planning_power, "run_job", interrupted_in_the_third)
+    done = run("power", TWO_FIELDS, "-n", "8,9", "--experiments", 20, "--json")
+    assert done.exit_code == 130
+    values = json.loads(done.stdout)
+    assert not values["complete"]
+    assert [(each["stimulus"], each["complete"]) for each in values["stimuli"]] == [("sharp", True), ("blunt", False)]
+    assert {row["n_participants"] for row in values["stimuli"][1]["power"]} == {8}
+    assert "for 1 of 2 sizes of two_fields, stimulus blunt" in done.stderr
 
 
 def test_planning_loads_neither_window_nor_instrument() -> None:

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from modaltouch.observer import Observer
-from modaltouch.planning.presented import design_for
+from modaltouch.planning.presented import designs_for
 from modaltouch.preflight import examine
 
 
 def test_the_papers_design_is_that_of_the_analysis(shipped: Path) -> None:
     """Expected: cells in the analysis' order, with the speeds that the preflight predicts for them."""
     preflight = examine(shipped / "differentiated_stimulation.yaml").require()
-    design = design_for(preflight, Observer())
+    design = designs_for(preflight, Observer())[""]
     assert design.finger_conditions == ("one_hand", "two_hands")
     assert [pair.label for pair in design.pairs] == ["A-C", "B-D", "C-E"]
     assert [pair.dominant for pair in design.pairs] == ["C", "B", "C"]
@@ -31,5 +31,5 @@ def test_placements_follow_the_schedule(edit: Callable[..., Path]) -> None:
     """Expected: placements change once every order of the finger conditions has been had, two participants each."""
     fingers = "finger_conditions: [one_hand, two_hands]\n"
     file = edit("demo.yaml", (fingers, fingers + "  placements: [normal, mirrored]\n"))
-    design = design_for(examine(file).require(), Observer())
+    design = designs_for(examine(file).require(), Observer())[""]
     assert design.facing(9).tolist() == [1, 1, -1, -1, 1, 1, -1, -1, 1]

@@ -16,7 +16,9 @@ from modaltouch.analysis.thresholds.runs import over_participants
 from modaltouch.cli.app import app
 from modaltouch.document import InputError
 from modaltouch.observer import Observer
-from modaltouch.planning.presented import design_for
+from modaltouch.planning.experiments import Study
+from modaltouch.planning.power import plan
+from modaltouch.planning.presented import designs_for
 from modaltouch.preflight import Preflight, examine
 from modaltouch.record.session import read_session
 from modaltouch.schedule import draw_schedule
@@ -137,10 +139,16 @@ def test_what_is_felt_follows_the_stimulus(preflight: Preflight) -> None:
     assert ratio["sharp"] > 1.5 > 1.2 > ratio["blunt"]
 
 
-def test_plans_take_one_stimulus_at_a_time(preflight: Preflight) -> None:
-    """Refused with a way out rather than planned with the first one alone."""
-    with pytest.raises(InputError, match="2 stimuli; allowed: one stimulus"):
-        design_for(preflight, Observer())
+def test_plans_take_one_stimulus_at_a_time(preflight: Preflight, tmp_path: Path) -> None:
+    """As the analysis does: the plan for `sharp` is that of a protocol whose only stimulus it is, to the last count."""
+    designs = designs_for(preflight, Observer())
+    assert list(designs) == ["sharp", "blunt"]
+    alone = designs_for(examine(_sharp_alone(tmp_path)).require(), Observer())[""]
+    both = (Study(design, Observer(), ("a2", "d"), null=False, seed=4) for design in (designs["sharp"], alone))
+    first, second = (plan(study, [(8, 2)], 30).as_dict() for study in both)
+    assert first.pop("stimulus") == "sharp"
+    assert first == second
+    assert (designs["blunt"].speeds[0, 0] > 1.2 * designs["sharp"].speeds[0, 0])[:, 0].all()
 
 
 SHARP_AND_SLOW = (

@@ -133,10 +133,11 @@ def _choose_stimulus(place: Path, frame: pd.DataFrame, stimulus: str | None) -> 
     names = [name for name in frame["stimulus"].unique().tolist() if name]
     listed = ", ".join(names) or "sessions have one alone"
     if stimulus is None and len(names) > 1:
-        remedy = "`modaltouch analyse` takes one with --stimulus; each has an analysis of its own"
+        remedy = "`modaltouch analyse` takes one with --stimulus, `modaltouch fit` all of them, with their protocol"
         _refuse(place, f"sessions with several stimuli ({listed})", "one stimulus", remedy)
     if stimulus is not None and stimulus not in names:
-        _refuse(place, f"stimulus {stimulus!r}", listed, "choose one of them, or leave the option out")
+        remedy = "choose one of them, or leave the option out; a fit needs the protocol that was answered"
+        _refuse(place, f"stimulus {stimulus!r}", listed, remedy)
     if stimulus is None:
         return frame
     return frame[frame["stimulus"] == stimulus].reset_index(drop=True)

@@ -26,7 +26,8 @@ def fit(
 ) -> None:
     """Fit a simulated observer to recorded answers, such as a pilot's, to plan the next study with.
 
-    The observer that is given is the centre of the priors, and its front end is kept.
+    The observer that is given is the centre of the priors, and its front end is kept. Where the protocol has several
+    stimuli, one observer is fitted to the answers to all of them.
     """
     from modaltouch.observer.file import read_observer, write_observer
     from modaltouch.planning.fitting import NOT_IDENTIFIABLE, fit_answers
@@ -37,7 +38,7 @@ def fit(
         prior = read_observer(observer)
         if out is not None and out.exists():
             raise RecordError(f"{out}: is there already and is not overwritten; give another file with --out")
-        fitted = fit_answers(examine(protocol, uncalibrated=True).of_one_stimulus(), answers, prior, mode=mode)
+        fitted = fit_answers(examine(protocol, uncalibrated=True).require(), answers, prior, mode=mode)
         if out is not None:
             words = (
                 f"Fitted to {fitted.fit.n_answers} answers of {participants(fitted.n_participants)} in {answers.name}"

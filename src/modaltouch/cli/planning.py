@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -54,7 +54,8 @@ def power(
     """Say how likely an experiment of each size is to answer its questions, by simulating the very protocol.
 
     Simulated participants answer every condition of the protocol, and the exact tests of the analysis, with Holm's
-    correction, are done on their answers. Ctrl-C keeps what is done.
+    correction, are done on their answers. Where the protocol has several stimuli, each is planned by itself, as
+    `modaltouch analyse --stimulus` takes it. Ctrl-C keeps what is done.
     """
     sizes_n = parse_sizes(participants, "--participants", _MOST_PARTICIPANTS)
     sizes_r = parse_sizes(reps, "--reps", _MOST_ANSWERS) if reps is not None else None
@@ -63,7 +64,7 @@ def power(
     from modaltouch.observer.file import read_observer
     from modaltouch.planning.experiments import Study
     from modaltouch.planning.power import plan
-    from modaltouch.planning.presented import design_for
+    from modaltouch.planning.presented import designs_for
     from modaltouch.planning.writing import COMMAND
     from modaltouch.preflight import examine
 
@@ -71,37 +72,49 @@ def power(
         model = read_observer(observer)
         preflight = examine(protocol, uncalibrated=True).require()
         repetitions = sizes_r or (preflight.experiment.protocol.schedule.repetitions,)
-        design = design_for(preflight, model)
-        _refuse_too_large(max(sizes_n) * max(repetitions) * len(design.levels))
-        study = Study(design, model, _families(questions, design.scopes), null, seed)
-        if out is not None:
-            refuse_other(out, COMMAND)
-        with Interruption() as interruption, progress("experiments") as on_progress:
-            found = plan(
-                study,
-                [(n, r) for r in repetitions for n in sizes_n],
-                experiments,
-                n_processes=jobs,
-                dask=dask,
-                on_progress=on_progress,
-                told_to_stop=lambda: bool(interruption.pending),
-            )
-        _report(found, target, out, json_output=json_output)
+        designs = designs_for(preflight, model)
+        _refuse_too_large(max(sizes_n) * max(repetitions) * len(preflight.experiment.protocol.scheduled_levels))
+        folders = {name: out / name for name in designs} if out is not None else {}
+        for folder in folders.values():
+            refuse_other(folder, COMMAND)
+        found: list[Power] = []
+        with Interruption() as interruption:
+            for name, design in designs.items():
+                with progress(f"{name}: experiments" if name else "experiments") as on_progress:
+                    planned = plan(
+                        Study(design, model, _families(questions, design.scopes), null, seed),
+                        [(n, r) for r in repetitions for n in sizes_n],
+                        experiments,
+                        n_processes=jobs,
+                        dask=dask,
+                        on_progress=on_progress,
+                        told_to_stop=lambda: bool(interruption.pending),
+                    )
+                found.append(planned)
+                if not planned.complete:
+                    break
+        _report(found, target, folders, json_output=json_output)
 
 
-def _report(found: Power, target: float, out: Path | None, *, json_output: bool) -> None:
-    """Write and print a plan, also one that was interrupted."""
+def _report(plans: Sequence[Power], target: float, folders: Mapping[str, Path], *, json_output: bool) -> None:
+    """Write and print the plan of each stimulus, also where the last was interrupted."""
     from modaltouch.planning.writing import write_power
 
-    files = write_power(out, found, target) if out is not None and found.tallies else {}
+    values = []
+    for found in plans:
+        folder = folders.get(found.study.design.stimulus)
+        files = write_power(folder, found, target) if folder is not None and found.tallies else {}
+        values.append({**found.as_dict(target), "files": {name: str(path) for name, path in files.items()}})
+        if not json_output:
+            tell(found, target)
+            for name, path in files.items():
+                print(f"{name:16} {path}")
     if json_output:
-        print_json({**found.as_dict(target), "files": {name: str(path) for name, path in files.items()}})
-    else:
-        tell(found, target)
-        for name, path in files.items():
-            print(f"{name:16} {path}")
-    if not found.complete:
-        typer.secho(f"interrupted; kept: {_done(found)}", err=True)
+        of_several = {"protocol": values[0]["protocol"], "complete": plans[-1].complete, "stimuli": values}
+        print_json(of_several if "stimulus" in values[0] else values[0])
+    if not plans[-1].complete:
+        whose = f" of {plans[-1].study.design.title}" if plans[-1].study.design.stimulus else ""
+        typer.secho(f"interrupted; kept: {_done(plans[-1])}{whose}", err=True)
         raise typer.Exit(INTERRUPTED)
 
 
@@ -201,7 +214,7 @@ def tell(found: Power, target: float) -> None:
     study = found.study
     what = "False alarms, nothing being there to be found" if study.null else "Power"
     console.print(
-        f"[bold]{what}[/] of {study.design.protocol} with observer {study.observer.name}: share of {_done(found)} in "
+        f"[bold]{what}[/] of {study.design.title} with observer {study.observer.name}: share of {_done(found)} in "
         f"which at least one test of a family is significant at {study.alpha:g} after Holm's correction, in per cent "
         "with a 95 % interval"
     )

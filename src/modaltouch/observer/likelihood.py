@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,6 +59,32 @@ class Recorded:
             )
         if not self.counts.any():
             raise ValueError("there is no answer to fit: give at least one")
+
+    @classmethod
+    def joined(cls, parts: Sequence[Self]) -> Self:
+        """Return the answers of the same participants to several stimuli, cell after cell.
+
+        Parameters
+        ----------
+        parts : sequence of Recorded
+            The answers to each stimulus; participants in one order.
+
+        Raises
+        ------
+        ValueError
+            If the participants are not the same.
+        """
+        if any(not np.array_equal(part.facing, parts[0].facing) for part in parts):
+            raise ValueError(
+                f"answers of {', '.join(str(part.facing.size) for part in parts)} participants, or of others, do not "
+                "join: give those of the same ones to each stimulus"
+            )
+        return cls(
+            counts=np.concatenate([part.counts for part in parts], axis=1),
+            speeds=np.concatenate([part.speeds for part in parts]),
+            finger_conditions=tuple(name for part in parts for name in part.finger_conditions),
+            facing=parts[0].facing,
+        )
 
 
 def log_likelihood(observer: Observer, recorded: Recorded) -> float:

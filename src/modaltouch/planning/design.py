@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations, product
 
 import numpy as np
@@ -31,6 +31,8 @@ class Design:
         What the left and the right finger feel, by the observer's front end [m/s].
     placements : tuple of bool
         Whether the beam is turned for the first, second, ... participant; repeated for more participants.
+    stimulus : str
+        Which of several stimuli the cells are presented with; empty where the protocol has one.
     """
 
     protocol: str
@@ -39,6 +41,12 @@ class Design:
     levels: tuple[float, ...]
     speeds: FloatArray
     placements: tuple[bool, ...] = (False,)
+    stimulus: str = ""
+
+    @property
+    def title(self) -> str:
+        """The protocol, and the stimulus where it has several."""
+        return f"{self.protocol}, stimulus {self.stimulus}" if self.stimulus else self.protocol
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -82,4 +90,4 @@ class Design:
     def without_differences(self) -> Design:
         """Return the design with both fingers feeling alike everywhere: nothing is there to be found."""
         alike = np.full_like(self.speeds, float(self.speeds.mean()))
-        return Design(self.protocol, self.finger_conditions, self.pairs, self.levels, alike, self.placements)
+        return replace(self, speeds=alike)

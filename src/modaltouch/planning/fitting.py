@@ -34,14 +34,14 @@ class Fitted:
     ----------
     fit : Fit
         The fit.
-    responses : Responses
-        The answers.
+    responses : tuple of Responses
+        The answers, those to each stimulus by themselves.
     n_participants : int
         How many participants gave them.
     """
 
     fit: Fit
-    responses: Responses
+    responses: tuple[Responses, ...]
     n_participants: int
 
     def as_dict(self) -> dict[str, Any]:
@@ -55,12 +55,13 @@ class Fitted:
             "converged": self.fit.converged,
             "n_answers": self.fit.n_answers,
             "n_participants": self.n_participants,
-            "left_out": [{"source": item.source, "reason": item.reason} for item in self.responses.left_out],
+            # What is left out is so whatever the stimulus.
+            "left_out": [{"source": item.source, "reason": item.reason} for item in self.responses[0].left_out],
         }
 
 
 def fit_answers(preflight: Preflight, path: Path, prior: Observer, *, mode: str | None = None) -> Fitted:
-    """Return an observer fitted to recorded answers.
+    """Return an observer fitted to recorded answers; where there are several stimuli, to those to all of them.
 
     Parameters
     ----------
@@ -78,20 +79,42 @@ def fit_answers(preflight: Preflight, path: Path, prior: Observer, *, mode: str 
     InputError
         If the protocol or the answers cannot be used, or the answers name a zone that the beam has not.
     """
-    experiment = preflight.experiment
-    responses = read_responses(path, mode=mode)
-    if responses.is_adaptive:
+    _refuse_adaptive(path, is_adaptive=preflight.experiment.protocol.adaptive is not None)
+    _refuse_unnamed(path, tuple(preflight.variants))
+    taken = {name: read_responses(path, mode=mode, stimulus=name or None) for name in preflight.parts}
+    recorded = []
+    for name, part in preflight.parts.items():
+        zones = {zone: each.centre_mm * 1e-3 for zone, each in part.experiment.apparatus.zones.items()}
+        felt = Felt(part.stimulus, zones, prior.front_end)
+        recorded.append(_record(_count(part, path, taken[name]), felt))
+    # Every session presents all stimuli: their participants are the same.
+    return Fitted(fit_observer(Recorded.joined(recorded), prior), tuple(taken.values()), len(recorded[0].facing))
+
+
+def _refuse_unnamed(path: Path, stimuli: tuple[str, ...]) -> None:
+    """Refuse answers that do not say to which of several stimuli they are."""
+    if stimuli and path.is_file() and path.suffix != ".jsonl":
+        given, remedy = "a CSV file, which does not say to which stimulus an answer is", "give the sessions themselves"
+        raise InputError([Problem(str(path), 1, 1, "", given, f"sessions with {', '.join(stimuli)}", remedy)])
+
+
+def _refuse_adaptive(path: Path, *, is_adaptive: bool) -> None:
+    if is_adaptive:
         given, remedy = "adaptive sessions, which have no table of counts", "see them with `modaltouch analyse`"
         raise InputError([Problem(str(path), 1, 1, "", given, "sessions with fixed levels", remedy)])
+
+
+def _count(preflight: Preflight, path: Path, responses: Responses) -> AnswerCounts:
+    """Return the counts of answers to one stimulus, every zone of them one of the beam."""
+    experiment, remedy = preflight.experiment, "give the protocol in which these answers were given"
+    _refuse_adaptive(path, is_adaptive=responses.is_adaptive)
     answers = count_answers(responses.frame, responses.focus or experiment.protocol.stimulus.focus)
-    zones = {name: zone.centre_mm * 1e-3 for name, zone in experiment.apparatus.zones.items()}
+    zones = experiment.apparatus.zones
     for zone in dict.fromkeys(zone for pair in answers.pairs for zone in (pair.left, pair.right)):
         if zone not in zones:
-            remedy = "give the protocol in which these answers were given"
             known = ", ".join(zones)
             raise InputError([Problem(str(path), 1, 1, "", f"answers about the zone {zone!r}", known, remedy)])
-    recorded = _record(answers, Felt(preflight.stimulus, zones, prior.front_end))
-    return Fitted(fit_observer(recorded, prior), responses, answers.n_participants)
+    return answers
 
 
 def _record(answers: AnswerCounts, felt: Felt) -> Recorded:

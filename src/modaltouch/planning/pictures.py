@@ -101,7 +101,7 @@ def _headline(power: Power) -> str:
     done = min(tally.n_experiments for found in power.tallies.values() for tally in found.values())
     kind = "false alarms where nothing is to be found" if study.null else "power"
     return (
-        f"{study.design.protocol}, observer {study.observer.name or 'made in code'}: {kind}, at least one test of the "
+        f"{study.design.title}, observer {study.observer.name or 'made in code'}: {kind}, at least one test of the "
         f"family significant at {study.alpha:g} after Holm\n"
         f"{done} simulated experiments of each size, seed {study.seed}"
     )

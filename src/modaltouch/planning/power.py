@@ -161,6 +161,7 @@ class Power:
         study = self.study
         return {
             "protocol": study.design.protocol,
+            **({"stimulus": study.design.stimulus} if study.design.stimulus else {}),
             "observer": study.observer.as_dict(),
             "null": study.null,
             "alpha": study.alpha,

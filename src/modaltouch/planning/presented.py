@@ -10,11 +10,15 @@ from modaltouch.observer import Observer
 from modaltouch.observer.felt import Felt
 from modaltouch.planning.design import Design
 from modaltouch.preflight import Preflight
+from modaltouch.protocol import Protocol
 from modaltouch.schedule import draw_schedule
 
 
-def design_for(preflight: Preflight, observer: Observer) -> Design:
-    """Return the design of a protocol for an observer.
+def designs_for(preflight: Preflight, observer: Observer) -> dict[str, Design]:
+    """Return the design of each stimulus of a protocol for an observer, by name; of one alone, without a name.
+
+    The analysis takes one stimulus at a time (``modaltouch analyse --stimulus``), each with families of tests of its
+    own, so each has a design of its own.
 
     Parameters
     ----------
@@ -32,9 +36,14 @@ def design_for(preflight: Preflight, observer: Observer) -> Design:
     if reading is not None and preflight.experiment.protocol.adaptive is not None:
         given, remedy = "adaptive runs, which have no fixed conditions", "plan with a protocol of fixed levels"
         raise InputError([reading.problem(("adaptive",), given, "fixed levels", remedy)])
-    preflight.of_one_stimulus()
+    placements = _placements(preflight.experiment.protocol)
+    return {name: _design(name, part, observer, placements) for name, part in preflight.parts.items()}
+
+
+def _design(name: str, preflight: Preflight, observer: Observer, placements: tuple[bool, ...]) -> Design:
+    """Return the design of a protocol with one of its stimuli alone."""
     protocol, apparatus = preflight.experiment.protocol, preflight.experiment.apparatus
-    zones = {name: zone.centre_mm * 1e-3 for name, zone in apparatus.zones.items()}
+    zones = {zone: each.centre_mm * 1e-3 for zone, each in apparatus.zones.items()}
     felt = Felt(preflight.stimulus, zones, observer.front_end)
     conditions = protocol.conditions
     fingers = tuple(sorted(conditions.finger_conditions, key=PAPER_CONDITIONS.index))
@@ -43,9 +52,14 @@ def design_for(preflight: Preflight, observer: Observer) -> Design:
     by_pair = np.array(
         [[[felt.at(zone, level * 1e-3) for zone in (pair.left, pair.right)] for level in levels] for pair in pairs]
     )
-    n_turns = len(conditions.placements) * max(1, 2 * len(fingers))
-    placements: tuple[bool, ...] = (False,)
-    if any(name.startswith("mirrored") for name in conditions.placements):
-        drawn = (draw_schedule(protocol, f"p{number}", 0) for number in range(1, n_turns + 1))
-        placements = tuple(schedule.trials[0].condition.is_mirrored for schedule in drawn)
-    return Design(protocol.protocol, fingers, pairs, levels, np.stack([by_pair] * len(fingers)), placements)
+    return Design(protocol.protocol, fingers, pairs, levels, np.stack([by_pair] * len(fingers)), placements, name)
+
+
+def _placements(protocol: Protocol) -> tuple[bool, ...]:
+    """Return whether the beam is turned for the first, second, ... participant, until it begins anew."""
+    conditions = protocol.conditions
+    if not any(name.startswith("mirrored") for name in conditions.placements):
+        return (False,)
+    n_turns = len(conditions.placements) * max(1, 2 * len(conditions.finger_conditions))
+    drawn = (draw_schedule(protocol, f"p{number}", 0) for number in range(1, n_turns + 1))
+    return tuple(schedule.trials[0].condition.is_mirrored for schedule in drawn)
