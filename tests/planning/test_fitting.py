@@ -98,7 +98,7 @@ def test_two_stimuli_give_back_their_observer() -> None:
         fit = fit_observer(Recorded.joined(parts), Observer())
         assert fit.n_answers == 30 * 4 * 16
         for ratio, noise in zip(fit.identified[::2], fit.identified[1::2], strict=True):
-            held += (ratio.low < np.exp(0.5 / 1.5) < ratio.high) + (noise.low < 0.4 / 1.5 < noise.high)
+            held += int(ratio.low < np.exp(0.5 / 1.5) < ratio.high) + int(noise.low < 0.4 / 1.5 < noise.high)
             values.append((ratio.value, noise.value))
     assert held >= 14
     assert np.mean(values, axis=0) == pytest.approx((np.exp(0.5 / 1.5), 0.4 / 1.5), rel=0.05)
