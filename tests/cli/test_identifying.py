@@ -76,10 +76,10 @@ def test_folder_without_a_set_is_refused(tmp_path: Path) -> None:
 def test_folder_of_another_command_is_left_alone(tmp_path: Path) -> None:
     """A plan lies there already: exit 4, before anything is measured."""
     manifest = tmp_path / "manifest.json"
-    manifest.write_text(json.dumps({"generated_by": "modaltouch analyse", "command": "power", "files": {}}))
+    manifest.write_text(json.dumps({"generated_by": "modaltouch power", "files": {}}))
     said = RUN.invoke(app, ["identify", str(responses_file(tmp_path)), "--out", str(tmp_path)])
     assert said.exit_code == 4
-    assert "holds the output of another command" in said.stderr
+    assert "holds what `modaltouch power` made" in said.stderr
 
 
 def test_nobody_to_aim_ends_the_scan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

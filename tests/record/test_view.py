@@ -1,9 +1,7 @@
 """The BIDS view: every value of the log in its column, every column described, never half a file."""
 
 import json
-import os
 import stat
-from pathlib import Path
 
 import pytest
 
@@ -15,7 +13,6 @@ from modaltouch.record.view import (
     COLUMNS,
     describe_dataset,
     list_participants,
-    replace_file,
     table_text,
     write_view,
 )
@@ -115,22 +112,21 @@ def test_what_a_lab_wrote_about_its_participants_stays(place):
     assert path.stat().st_mtime_ns == before
 
 
-def test_a_file_is_replaced_whole_and_for_its_owner_alone(tmp_path):
-    """No temporary file is left, and nobody else may read it."""
-    path = tmp_path / "table.tsv"
-    replace_file(path, "old\n")
-    replace_file(path, "new\n")
-    assert path.read_text() == "new\n"
-    assert stat.S_IMODE(path.stat().st_mode) == 0o600
-    assert list(tmp_path.iterdir()) == [path]
+def test_every_file_of_the_view_is_its_owners_alone(session, place):
+    """It holds what a participant did."""
+    describe_dataset(place, "A title")
+    list_participants(place)
+    write_view(place, session, {"lines": 2, "check": "0" * 16})
+    files = [path for path in place.dataset.rglob("*") if path.is_file()]
+    assert {place.table, place.table.with_suffix(".json"), place.dataset / "participants.tsv"} <= set(files)
+    assert {stat.S_IMODE(path.stat().st_mode) for path in files} == {0o600}
 
 
-def test_a_file_that_cannot_be_written_is_named_and_the_old_one_stays(tmp_path):
-    """A folder stands in the place."""
-    (tmp_path / "table.tsv").mkdir()
-    with pytest.raises(RecordError, match=r"table.tsv: cannot be written .* the session log is intact"):
-        replace_file(tmp_path / "table.tsv", "new\n")
-    assert list(tmp_path.iterdir()) == [tmp_path / "table.tsv"]
+def test_a_view_that_cannot_be_written_is_named_and_the_log_is_intact(session, place):
+    """A folder stands in the table's place."""
+    place.table.mkdir(parents=True)
+    with pytest.raises(RecordError, match=r"_beh.tsv: cannot be written .* the session log is intact"):
+        write_view(place, session, {"lines": 2, "check": "0" * 16})
 
 
 def test_catch_trials_and_the_answer_none_are_described_where_there_are_any(session, place):
@@ -244,22 +240,3 @@ def test_a_list_is_begun_where_there_is_none_and_an_empty_one_gets_its_header(pl
     (place.dataset / "sub-notes.txt").touch()
     list_participants(place)
     assert (place.dataset / "participants.tsv").read_text() == "participant_id\n"
-
-
-def test_a_replaced_file_is_on_the_disk_before_it_has_its_name(tmp_path, monkeypatch):
-    """Content first, then the name, then the folder: a power cut leaves the old file or the new one."""
-    done = []
-    real_sync, real_replace = os.fsync, Path.replace
-
-    def sync(descriptor):
-        done.append("folder" if stat.S_ISDIR(os.fstat(descriptor).st_mode) else os.fstat(descriptor).st_size)
-        real_sync(descriptor)
-
-    def replace(self, target):
-        done.append("name")
-        return real_replace(self, target)
-
-    monkeypatch.setattr(os, "fsync", sync)
-    monkeypatch.setattr(Path, "replace", replace)
-    replace_file(tmp_path / "table.tsv", "12345\n")
-    assert done == [6, "name", "folder"]

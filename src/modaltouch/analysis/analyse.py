@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,7 +12,7 @@ import pandas as pd
 from modaltouch import __version__
 from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.outcome import Analysis, plain_row
-from modaltouch.analysis.output import write_files
+from modaltouch.analysis.output import json_bytes, write_files
 from modaltouch.analysis.reading import read_responses
 from modaltouch.analysis.statistics import find
 from modaltouch.analysis.style import level_label
@@ -108,7 +107,7 @@ def render_files(analysis: Analysis) -> dict[str, bytes]:
         files[f"{picture.name}.png"] = render(picture.figure, "png")
     files["tests.csv"] = _csv(tests)
     rows = [plain_row(row) for row in tests.to_dict("records")]
-    files["tests.json"] = (json.dumps(rows, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()
+    files["tests.json"] = json_bytes(rows)
     files["report.html"] = render_report(analysis, pictures, vectors).encode()
     return files
 

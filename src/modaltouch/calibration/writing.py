@@ -14,7 +14,6 @@ import numpy as np
 from modaltouch.apparatus import Apparatus
 from modaltouch.calibration.outcome import Level, Outcome, Turn
 from modaltouch.calibration.refining import DIGITS
-from modaltouch.measurement.scanning import save_bytes
 from modaltouch.protocol.calibration_file import apparatus_hash
 from modaltouch.protocol.calibration_sections import (
     CalibratedAmplifier,
@@ -29,7 +28,7 @@ from modaltouch.protocol.calibration_sections import (
     MeasuringChain,
 )
 from modaltouch.provenance import commit, versions
-from modaltouch.record.chain import RecordError
+from modaltouch.record.files import prepare_file, replace_file
 
 INTERVAL = 1.96
 """Half width of a 95 % interval, in standard errors [1]."""
@@ -209,20 +208,4 @@ def write_calibration(path: Path, calibration: Calibration) -> None:
         If there is a file already, or it cannot be written.
     """
     prepare_file(path)
-    save_bytes(path, calibration_text(calibration).encode())
-
-
-def prepare_file(path: Path) -> None:
-    """Make the folder of a file that is to be written, and refuse one that is there: a session may have used it.
-
-    Raises
-    ------
-    RecordError
-        If there is a file already, or its folder cannot be made.
-    """
-    if path.exists():
-        raise RecordError(f"{path}: is there already and is not overwritten; give another file with --out")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RecordError(f"{path.parent}: cannot be made ({error.strerror}); give another file with --out") from error
+    replace_file(path, calibration_text(calibration).encode(), "free the place, or give another file with --out")

@@ -38,10 +38,11 @@ def calibrate(
     """
     from modaltouch.calibration.loop import calibrate_each
     from modaltouch.calibration.refining import grounds_of
-    from modaltouch.calibration.writing import Circumstances, calibration_of, prepare_file, write_calibration
+    from modaltouch.calibration.writing import Circumstances, calibration_of, write_calibration
     from modaltouch.interruption import Interruption
     from modaltouch.measurement import open_laboratory
     from modaltouch.preflight import examine
+    from modaltouch.record.files import prepare_file
 
     with reporting(json_output=json_output):
         preflight = examine(protocol, uncalibrated=True).require()

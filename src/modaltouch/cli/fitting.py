@@ -32,25 +32,20 @@ def fit(
     from modaltouch.observer.file import read_observer, write_observer
     from modaltouch.planning.fitting import NOT_IDENTIFIABLE, fit_answers
     from modaltouch.preflight import examine
-    from modaltouch.record.chain import RecordError
+    from modaltouch.record.files import prepare_file, replace_file
 
     with reporting(json_output=json_output):
         prior = read_observer(observer)
-        if out is not None and out.exists():
-            raise RecordError(f"{out}: is there already and is not overwritten; give another file with --out")
-        fitted = fit_answers(examine(protocol, uncalibrated=True).require(), answers, prior, mode=mode)
+        preflight = examine(protocol, uncalibrated=True).require()
+        if out is not None:
+            prepare_file(out)
+        fitted = fit_answers(preflight, answers, prior, mode=mode)
         if out is not None:
             words = (
                 f"Fitted to {fitted.fit.n_answers} answers of {participants(fitted.n_participants)} in {answers.name}"
             )
             text = write_observer(fitted.fit.observer, "fitted", words)
-            try:
-                out.parent.mkdir(parents=True, exist_ok=True)
-                out.write_text(text, encoding="utf-8")
-            except OSError as error:
-                raise RecordError(
-                    f"{out}: cannot be written ({error.strerror}); give another file with --out"
-                ) from None
+            replace_file(out, text.encode(), "give another file with --out")
         if json_output:
             print_json({**fitted.as_dict(), "file": None if out is None else str(out)})
             return

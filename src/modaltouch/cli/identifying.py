@@ -153,10 +153,11 @@ def _file_facts(files: list[Path]) -> dict[str, Any]:
 
 def _without_shapes(files: list[Path], responses: FrequencyResponses, out: Path) -> dict[str, Any]:
     """Return the modes of responses at unknown places, or at too few: no shapes, no gains, no apparatus file."""
+    from modaltouch.analysis.output import refuse_other
     from modaltouch.identification.identified import identify_each
-    from modaltouch.identification.report import as_dict, refuse_other, write_identification
+    from modaltouch.identification.report import COMMAND, as_dict, write_identification
 
-    refuse_other(out)
+    refuse_other(out, COMMAND)
     with progress("fitting", counted=False):
         found = identify_each(responses)
     written = write_identification(out, found, None, {"sources": [path.name for path in files]})

@@ -61,13 +61,14 @@ class Wanted:
         """Return the scans of a rig, new or gone on with."""
         import numpy as np
 
+        from modaltouch.analysis.output import refuse_other
         from modaltouch.identification.excitation import Campaign, evenly, excite, highest_needed
-        from modaltouch.identification.report import refuse_other
+        from modaltouch.identification.report import COMMAND
         from modaltouch.identification.shapes import check_points
         from modaltouch.interruption import Interrupted, Interruption
         from modaltouch.measurement import open_laboratory
 
-        refuse_other(out)
+        refuse_other(out, COMMAND)
         positions = evenly(self.length, points, margin)
         check_points(np.array(positions), self.labels, self.length)
         highest = highest_needed(self.apparatus) if highest_kHz is None else highest_kHz * 1e3
@@ -152,13 +153,14 @@ class Wanted:
 
     def fit(self, responses: FrequencyResponses, facts: dict[str, Any], out: Path) -> dict[str, Any]:
         """Return the identification as plain values, its files written."""
+        from modaltouch.analysis.output import refuse_other
         from modaltouch.identification.apparatus_file import identified_apparatus
         from modaltouch.identification.excitation import CLOCK_TOLERANCE
         from modaltouch.identification.identified import identify as identify_responses
-        from modaltouch.identification.report import as_dict, check_modes, refuse_other, write_identification
+        from modaltouch.identification.report import COMMAND, as_dict, check_modes, write_identification
         from modaltouch.identification.shapes import check_points
 
-        refuse_other(out)
+        refuse_other(out, COMMAND)
         if responses.positions is not None:
             check_points(responses.positions, self.labels, self.length)
         with progress("fitting", counted=False):

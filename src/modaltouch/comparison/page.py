@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from modaltouch import __version__
-from modaltouch.analysis.output import refuse_other, write_files
+from modaltouch.analysis.output import csv_bytes, json_bytes, refuse_other, write_files
 from modaltouch.analysis.page import embed_svg, render_page
 from modaltouch.analysis.style import level_label, render
 from modaltouch.comparison.pictures import draw_drives, draw_fields, draw_price, draw_robustness
@@ -81,7 +78,7 @@ def write_comparison(folder: Path, contest: Contest, rows: Sequence[Row], about:
         vector = render(figure, "svg")
         files |= {f"{name}.svg": vector, f"{name}.png": render(figure, "png")}
         pictures.append({"name": name, "caption": caption, "uri": embed_svg(vector)})
-    files["comparison.json"] = (json.dumps(values, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()
+    files["comparison.json"] = json_bytes(values)
     files["comparison.csv"] = _csv(rows)
     page = render_page(
         "modaltouch.comparison",
@@ -117,11 +114,7 @@ def _csv(rows: Sequence[Row]) -> bytes:
     flat = [{key: _rounded(value) for key, value in row.items() if key not in left_out} for row in rows]
     for line, row in zip(flat, rows, strict=True):
         line |= {f"zone_peak_{zone}_mm_s": _rounded(peak) for zone, peak in row["zone_peak_mm_s"].items()}
-    buffer = io.StringIO()
-    writer = csv.DictWriter(buffer, list(flat[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(flat)
-    return buffer.getvalue().encode()
+    return csv_bytes(flat)
 
 
 def _rounded(value: Any) -> Any:

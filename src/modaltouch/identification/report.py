@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from modaltouch import __version__
-from modaltouch.analysis.output import MANIFEST, write_files
+from modaltouch.analysis.output import csv_bytes, json_bytes, refuse_other, write_files
 from modaltouch.identification.estimates import Estimate, Identification, IdentifiedMode
 from modaltouch.identification.freefree import FreeFree, recognise
-from modaltouch.record.chain import RecordError
 
 LEAST_COHERENCE = 0.5
 """Median coherence at a mode's peak below which nothing of it is believed [1]."""
 
-_COMMAND = "identify"
+COMMAND = "identify"
+"""The command that owns the folder."""
 
 
 def check_modes(identification: Identification, labels: Sequence[int]) -> None:
@@ -133,11 +132,7 @@ def table_csv(identification: Identification) -> bytes:
             "half_power_warning": half["warning"],
         }
         rows.append({key: "" if value is None else value for key, value in row.items()})
-    buffer = io.StringIO()
-    writer = csv.DictWriter(buffer, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return buffer.getvalue().encode()
+    return csv_bytes(rows)
 
 
 _ENDS = (("", "value"), ("_low", "low"), ("_high", "high"))
@@ -154,22 +149,6 @@ def shapes_csv(identification: Identification) -> bytes:
         values = [float(mode.shape[index]) for mode in modes if mode.shape is not None]
         writer.writerow([f"{place * 1e3:.6g}", *(f"{value:.6g}" for value in values)])
     return buffer.getvalue().encode()
-
-
-def refuse_other(folder: Path) -> None:
-    """Refuse a folder that holds what another command made.
-
-    Raises
-    ------
-    RecordError
-        If it does.
-    """
-    try:
-        manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return
-    if isinstance(manifest, dict) and "generated_by" in manifest and manifest.get("command") != _COMMAND:
-        raise RecordError(f"{folder}: holds the output of another command; give another folder with --out")
 
 
 def write_identification(
@@ -196,7 +175,7 @@ def write_identification(
     from modaltouch.analysis.style import render
     from modaltouch.identification.figures import draw_coherence, draw_responses, draw_shapes
 
-    refuse_other(folder)
+    refuse_other(folder, COMMAND)
     figures = {"responses": draw_responses(identification)}
     if identification.responses.coherence is not None:
         figures["coherence"] = draw_coherence(identification)
@@ -206,7 +185,7 @@ def write_identification(
     values = as_dict(identification)
     files = {
         "table_1.csv": table_csv(identification),
-        "identification.json": (json.dumps(values, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode(),
+        "identification.json": json_bytes(values),
     }
     if shaped:
         files["shapes.csv"] = shapes_csv(identification)
@@ -214,7 +193,7 @@ def write_identification(
         files[apparatus[0]] = apparatus[1].encode()
     for name, figure in figures.items():
         files |= {f"{name}.{kind}": render(figure, kind) for kind in ("svg", "png")}
-    return write_files(folder, files, {"version": __version__, "command": _COMMAND, **about})
+    return write_files(folder, files, {"version": __version__, **about}, COMMAND)
 
 
 def _pair(estimate: Estimate, scale: float = 1.0) -> dict[str, float | None]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import os
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -27,10 +26,13 @@ from modaltouch.measurement.scan import (
 )
 from modaltouch.provenance import commit, versions
 from modaltouch.record.chain import RecordError
+from modaltouch.record.files import replace_file
 from modaltouch.rig.acquisition import Recording
 
 Reduction = Callable[[Recording], Mapping[str, NDArray[Any]]]
 """What is kept of a recording: arrays by name."""
+
+_REMEDY = "free the place, or give another"
 
 
 def keep_records(recording: Recording) -> dict[str, NDArray[Any]]:
@@ -147,7 +149,7 @@ def _begin(folder: Path, facts: dict[str, Any], plan: ScanPlan) -> list[dict[str
     if strange is not None:
         raise RecordError(f"{folder}: holds {strange}, which is no scan's; give an empty folder, or a new one")
     save_arrays(folder / "burst.npz", {"codes": plan.burst.codes})
-    save_bytes(folder / DESCRIPTION, (json.dumps(facts, indent=1, ensure_ascii=False) + "\n").encode())
+    replace_file(folder / DESCRIPTION, (json.dumps(facts, indent=1, ensure_ascii=False) + "\n").encode(), _REMEDY)
     return []
 
 
@@ -192,24 +194,4 @@ def save_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
     """
     buffer = io.BytesIO()
     np.savez(buffer, **dict(arrays))  # type: ignore[arg-type]
-    save_bytes(path, buffer.getvalue())
-
-
-def save_bytes(path: Path, content: bytes) -> None:
-    """Write a file in one step: a reader sees the old one or the new one, never a part.
-
-    Raises
-    ------
-    RecordError
-        If the file cannot be written.
-    """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        with temporary.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise RecordError(f"{path}: cannot be written ({error.strerror}); free the place, or give another") from error
+    replace_file(path, buffer.getvalue(), _REMEDY)

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import json
 from pathlib import Path
-from typing import Any
 
 from modaltouch import __version__
-from modaltouch.analysis.output import write_files
+from modaltouch.analysis.output import csv_bytes, json_bytes, write_files
 from modaltouch.planning.power import Power
 
 COMMAND = "power"
@@ -39,19 +35,11 @@ def write_power(folder: Path, power: Power, target: float = 0.8) -> dict[str, Pa
     values = power.as_dict(target)
     figure = draw_power(power, target)
     files = {
-        "power.csv": _table(values["power"]),
-        "power_tests.csv": _table(values["tests"]),
-        "power_needed.csv": _table(values["needed"]),
-        "power.json": (json.dumps(values, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode(),
+        "power.csv": csv_bytes(values["power"]),
+        "power_tests.csv": csv_bytes(values["tests"]),
+        "power_needed.csv": csv_bytes(values["needed"]),
+        "power.json": json_bytes(values),
         "power.svg": render(figure, "svg"),
         "power.png": render(figure, "png"),
     }
     return write_files(folder, files, {"version": __version__, "seed": power.study.seed}, COMMAND)
-
-
-def _table(rows: list[dict[str, Any]]) -> bytes:
-    buffer = io.StringIO()
-    writer = csv.DictWriter(buffer, list(rows[0]) if rows else [], lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return buffer.getvalue().encode()

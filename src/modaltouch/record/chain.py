@@ -109,11 +109,21 @@ def read_chain(path: Path) -> Chain:
     RecordError
         If the file cannot be read.
     """
+    return parse_chain(read_log(path), str(path))
+
+
+def read_log(path: Path) -> bytes:
+    """Return the bytes of a log, whatever their state.
+
+    Raises
+    ------
+    RecordError
+        If the file cannot be read.
+    """
     try:
-        data = path.read_bytes()
+        return path.read_bytes()
     except OSError as error:
         raise RecordError(f"{path}: cannot be read ({error.strerror}); give the session.jsonl of a session") from error
-    return parse_chain(data, str(path))
 
 
 def parse_chain(data: bytes, name: str) -> Chain:

@@ -11,6 +11,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from modaltouch.record.chain import GENESIS, Chain, RecordError, describe_torn, encode_line, read_chain
+from modaltouch.record.files import sync_folder
 from modaltouch.record.folders import make_folder
 from modaltouch.record.locking import lock
 
@@ -182,17 +183,6 @@ class SessionLog:
         if written != len(data):
             self._failure = f"{self.path}: the disk is full; all earlier events are on it, this one is not"
             raise RecordError(self._failure)
-
-
-def sync_folder(folder: Path) -> None:
-    """Force a folder's entries to the disk, where the system can."""
-    if os.name == "nt":  # Windows keeps no descriptor of a folder; its file system logs the entries itself
-        return
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 def refuse_existing(path: Path) -> None:

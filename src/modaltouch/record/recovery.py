@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from modaltouch.record.chain import GENESIS, TAIL, RecordError, describe_torn, line_check
+from modaltouch.record.chain import GENESIS, TAIL, RecordError, describe_torn, line_check, read_log
 from modaltouch.record.folders import SessionFolder
 from modaltouch.record.log import SessionLog, refuse_existing
 from modaltouch.record.session import Session
@@ -109,10 +109,7 @@ def survey(path: Path) -> Recovery:
     RecordError
         If it cannot be read.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise RecordError(f"{path}: cannot be read ({error.strerror}); give the session.jsonl of a session") from error
+    data = read_log(path)
     lines = data.split(b"\n")
     if lines and not lines[-1]:
         lines.pop()

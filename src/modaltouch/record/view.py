@@ -11,7 +11,6 @@ Brain Imaging Data Structure 1.10, "Behavioral experiments (with no neural recor
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -19,9 +18,9 @@ from typing import Any
 
 from modaltouch import __version__
 from modaltouch.record.chain import RecordError
+from modaltouch.record.files import OWNER_ALONE, replace_file
 from modaltouch.record.folders import LOG_NAME, SessionFolder, make_folder
 from modaltouch.record.locking import LOCK_NAME, hold
-from modaltouch.record.log import sync_folder
 from modaltouch.record.session import Session
 
 BIDS_VERSION = "1.10.0"
@@ -111,8 +110,8 @@ def write_view(place: SessionFolder, session: Session, head: dict[str, Any]) -> 
         "Mode": session.mode,
         "SessionLog": {"File": LOG_NAME, **head},
     }
-    replace_file(place.table, table_text(session))
-    replace_file(place.table.with_suffix(".json"), json.dumps(side, indent=2, ensure_ascii=False) + "\n")
+    _replace(place.table, table_text(session))
+    _replace(place.table.with_suffix(".json"), json.dumps(side, indent=2, ensure_ascii=False) + "\n")
 
 
 def table_text(session: Session) -> str:
@@ -160,11 +159,9 @@ def describe_dataset(place: SessionFolder, title: str) -> None:
         ) from error
     if not (place.dataset / "dataset_description.json").exists():
         text = json.dumps(description, indent=2, ensure_ascii=False) + "\n"
-        replace_file(place.dataset / "dataset_description.json", text)
-        replace_file(
-            place.dataset / "README", f"{description['Name']}: sessions recorded by modaltouch {__version__}.\n"
-        )
-        replace_file(place.dataset / ".bidsignore", f"*.jsonl\n*.log\n{LOCK_NAME}\n")
+        _replace(place.dataset / "dataset_description.json", text)
+        _replace(place.dataset / "README", f"{description['Name']}: sessions recorded by modaltouch {__version__}.\n")
+        _replace(place.dataset / ".bidsignore", f"*.jsonl\n*.log\n{LOCK_NAME}\n")
 
 
 def list_participants(place: SessionFolder) -> None:
@@ -209,29 +206,11 @@ def _list_participants(dataset: Path) -> None:
     folders = sorted(folder.name for folder in dataset.glob("sub-*") if folder.is_dir())
     new = ["\t".join([name, *["n/a"] * (len(header) - 1)]) for name in folders if name not in listed]
     if new or not path.exists():
-        replace_file(path, "\n".join([text.rstrip("\n"), *new]) + "\n")
+        _replace(path, "\n".join([text.rstrip("\n"), *new]) + "\n")
 
 
-def replace_file(path: Path, text: str) -> None:
-    """Put a text file in place in one step: a reader sees the old one or the new one, never a part.
-
-    Raises
-    ------
-    RecordError
-        If the file cannot be written.
-    """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
-        with open(descriptor, "w", encoding="utf-8", newline="\n") as file:  # noqa: PTH123
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-        sync_folder(path.parent)
-    except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise RecordError(f"{path}: cannot be written ({error.strerror}); the session log is intact") from error
+def _replace(path: Path, text: str) -> None:
+    replace_file(path, text.encode(), "the session log is intact", OWNER_ALONE)
 
 
 def _row(event: dict[str, Any], columns: dict[str, dict[str, Any]]) -> list[str]:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from modaltouch import __version__
-from modaltouch.analysis.output import refuse_other, write_files
+from modaltouch.analysis.output import csv_bytes, json_bytes, refuse_other, write_files
 from modaltouch.analysis.page import embed_svg, render_page
 from modaltouch.analysis.style import level_label, render
 from modaltouch.validation.courses import (
@@ -101,7 +98,7 @@ def write_evidence(
         vectors[name] = render(figure, "svg")
         files |= {f"{name}.svg": vectors[name], f"{name}.png": render(figure, "png")}
     values = as_dict(evidences, figures, occasion)
-    files["validation.json"] = (json.dumps(values, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()
+    files["validation.json"] = json_bytes(values)
     files |= _tables(evidences)
     page = render_page(
         "modaltouch.validation",
@@ -202,7 +199,7 @@ def _tables(evidences: Sequence[Evidence]) -> dict[str, bytes]:
     }
     for each in evidences:
         tables[f"fig_5_{each.law}.csv"] = _map_lines(each)
-    return {name: _csv(lines) for name, lines in tables.items()}
+    return {name: csv_bytes(lines) for name, lines in tables.items()}
 
 
 def _field_lines(evidence: Evidence) -> list[dict[str, Any]]:
@@ -251,11 +248,3 @@ def _round(value: float) -> float | None:
 
 def _rounded(line: dict[str, Any]) -> dict[str, Any]:
     return {key: round(value, 3) if isinstance(value, float) else value for key, value in line.items()}
-
-
-def _csv(lines: list[dict[str, Any]]) -> bytes:
-    buffer = io.StringIO()
-    writer = csv.DictWriter(buffer, list(lines[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(lines)
-    return buffer.getvalue().encode()

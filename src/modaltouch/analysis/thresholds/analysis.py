@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import Any
 import pandas as pd
 
 from modaltouch import __version__
+from modaltouch.analysis.output import json_bytes
 from modaltouch.analysis.page import embed_svg, render_page
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.thresholds.runs import Run, find_runs, in_words, over_participants
@@ -89,7 +89,7 @@ def render_runs(analysis: ThresholdAnalysis) -> dict[str, bytes]:
         figures[f"runs_sub-{participant}_ses-{session}"] = draw_runs(own, analysis.bounds)
     files = {"thresholds.csv": _csv(rows), "over_participants.csv": _csv(together)}
     values = {"thresholds": rows, "over_participants": together}
-    files["thresholds.json"] = (json.dumps(values, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()
+    files["thresholds.json"] = json_bytes(values)
     vectors = {name: render(figure, "svg") for name, figure in figures.items()}
     for name, figure in figures.items():
         files[f"{name}.svg"], files[f"{name}.png"] = vectors[name], render(figure, "png")

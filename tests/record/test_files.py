@@ -1,0 +1,59 @@
+"""Files that are whole or not there."""
+
+import os
+import stat
+from pathlib import Path
+
+import pytest
+
+from modaltouch.record.chain import RecordError
+from modaltouch.record.files import OWNER_ALONE, prepare_file, replace_file
+
+
+def test_a_file_is_replaced_whole_and_for_its_owner_alone(tmp_path):
+    """No temporary file is left, and nobody else may read it."""
+    path = tmp_path / "table.tsv"
+    replace_file(path, b"old\n", "free the place", OWNER_ALONE)
+    replace_file(path, b"new\n", "free the place", OWNER_ALONE)
+    assert path.read_text() == "new\n"
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_file_that_cannot_be_written_is_named_and_the_old_one_stays(tmp_path):
+    """A folder stands in the place."""
+    (tmp_path / "table.tsv").mkdir()
+    with pytest.raises(RecordError, match=r"table.tsv: cannot be written .* free the place"):
+        replace_file(tmp_path / "table.tsv", b"new\n", "free the place")
+    assert list(tmp_path.iterdir()) == [tmp_path / "table.tsv"]
+
+
+def test_a_replaced_file_is_on_the_disk_before_it_has_its_name(tmp_path, monkeypatch):
+    """Content first, then the name, then the folder: a power cut leaves the old file or the new one."""
+    done = []
+    real_sync, real_replace = os.fsync, Path.replace
+
+    def sync(descriptor):
+        done.append("folder" if stat.S_ISDIR(os.fstat(descriptor).st_mode) else os.fstat(descriptor).st_size)
+        real_sync(descriptor)
+
+    def replace(self, target):
+        done.append("name")
+        return real_replace(self, target)
+
+    monkeypatch.setattr(os, "fsync", sync)
+    monkeypatch.setattr(Path, "replace", replace)
+    replace_file(tmp_path / "table.tsv", b"12345\n", "free the place")
+    assert done == [6, "name", "folder"]
+
+
+def test_a_file_that_is_there_is_refused_before_the_work(tmp_path):
+    """Somebody may have used it; of a new one the folder is made."""
+    path = tmp_path / "new" / "file.yaml"
+    prepare_file(path)
+    assert path.parent.is_dir()
+    path.write_text("old\n")
+    with pytest.raises(RecordError, match=r"file.yaml: is there already and is not overwritten; give another file"):
+        prepare_file(path)
+    with pytest.raises(RecordError, match=r"file.yaml: cannot be made .*; give another file with --out"):
+        prepare_file(path / "deeper.yaml")
