@@ -1,12 +1,22 @@
 """``python -m modaltouch``, and the ``modaltouch`` command."""
 
 import sys
-from typing import Any
+from typing import Any, NoReturn
 
-import typer
 
-from modaltouch.cli.app import app
-from modaltouch.cli.faults import BAD_INPUT, INTERRUPTED, print_json
+def _leave() -> NoReturn:
+    """End after a Ctrl-C that came while the program was still being loaded."""
+    sys.stderr.write("interrupted; nothing was begun\n")
+    sys.exit(130)
+
+
+try:
+    import typer
+
+    from modaltouch.cli.app import app
+    from modaltouch.cli.faults import BAD_INPUT, INTERRUPTED, print_json
+except KeyboardInterrupt:
+    _leave()
 
 USAGE_ERROR: Any = typer.BadParameter.__base__
 """What typer raises for a wrong option or a missing argument."""
@@ -15,17 +25,24 @@ USAGE_ERROR: Any = typer.BadParameter.__base__
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line, with the given arguments instead of the process's own."""
     words = sys.argv[1:] if arguments is None else arguments
-    if "--json" not in words:
-        app(words)
-    # Standard output carries one JSON object whatever happens, so a wrong option is told there too.
+    try:
+        if "--json" not in words:
+            app(words)
+        sys.exit(_run_for_a_program(words))
+    except KeyboardInterrupt:
+        _leave()
+
+
+def _run_for_a_program(words: list[str]) -> int:
+    """Return the exit status; standard output carries one JSON object whatever happens, a wrong option included."""
     try:
         status = app(words, standalone_mode=False)
     except USAGE_ERROR as error:
         print_json({"error": error.format_message(), "problems": []})
-        sys.exit(BAD_INPUT)
+        return BAD_INPUT
     except typer.Abort:
-        sys.exit(INTERRUPTED)
-    sys.exit(status if isinstance(status, int) else 0)
+        return INTERRUPTED
+    return status if isinstance(status, int) else 0
 
 
 if __name__ == "__main__":

@@ -48,6 +48,32 @@ def test_help_names_every_command_and_loads_nothing_heavy():
     assert not loaded_modules("--help") & {"psychopy", "numpy", "pandas", "pyvisa", "pydantic", "matplotlib"}
 
 
+def test_a_ctrl_c_while_the_program_is_still_being_loaded_is_no_traceback(tmp_path):
+    """Loading takes some tenths of a second: a change of mind comes within them."""
+    (tmp_path / "typer.py").write_text("raise KeyboardInterrupt\n")
+    program = "import sys, runpy; sys.path.insert(0, sys.argv.pop()); runpy.run_module('modaltouch.__main__')"
+    done = subprocess.run([sys.executable, "-c", program, tmp_path], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (130, "interrupted; nothing was begun\n")
+
+
+def test_a_terminal_that_hung_up_does_not_change_the_exit_status(monkeypatch):
+    """An interrupted session is 130 to whatever program started it, though nobody reads the words any more."""
+    import typer
+
+    from modaltouch.cli.faults import INTERRUPTED, leave
+
+    class Gone:
+        def write(self, words):
+            raise OSError(5, "Input/output error")
+
+        flush = isatty = lambda self: False
+
+    monkeypatch.setattr(sys, "stderr", Gone())
+    with pytest.raises(typer.Exit) as left:
+        leave(INTERRUPTED, "ended by SIGHUP")
+    assert left.value.exit_code == INTERRUPTED
+
+
 def test_the_version_is_told_without_a_command():
     """One line, the one of the package."""
     import modaltouch

@@ -110,7 +110,7 @@ def n_answers(log):
 
 @pytest.mark.window
 def test_a_session_whose_display_dies_loses_nothing_and_is_finished_on_another(tmp_path, rig, outputs):
-    """The dying X server ends the process past every ``finally``: the watchdog switches off, resume goes on."""
+    """Xlib would end the process past every ``finally``: it is told to stay, and the session ends in order."""
     log = tmp_path / "simulated" / "demo" / "sub-p01" / "ses-1" / "beh" / "session.jsonl"
     with (
         virtual_display((1280, 800)) as name,
@@ -122,8 +122,13 @@ def test_a_session_whose_display_dies_loses_nothing_and_is_finished_on_another(t
         wait_until(lambda: (hands.press("space"), outputs())[1] == ("1", "1"), "a stimulus")
         # The newest server that this process started; another test may keep an older one.
         subprocess.run(["pkill", "-KILL", "-n", "-P", str(os.getpid()), "Xvfb"], check=True)
-        run.wait(20)
+        assert run.wait(20) == 3
+        said = run.stderr.read()
+        assert f"the display {name!r} is gone" in said
+        assert "go on with `modaltouch resume" in said
+        assert "Traceback" not in said
         wait_until(lambda: outputs() == ("0", "0"), "both outputs off", timeout=5)
+    assert read_session(log).events[-1]["reason"] == "window lost"
     kept = n_answers(log)
     assert kept >= 3
     with (

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any, NoReturn
 
 import typer
@@ -75,7 +76,12 @@ def leave(
     if json_output:
         print_json({"error": message, "problems": problems or []})
     else:
-        typer.secho(message, err=True, fg=typer.colors.RED if status != INTERRUPTED else None)
+        # A terminal that hung up takes no words, and the exit status is to be told all the same.
+        with suppress(OSError):
+            if status == INTERRUPTED or os.environ.get("TERM") == "dumb":
+                typer.echo(message, err=True)
+            else:
+                typer.secho(message, err=True, fg=typer.colors.RED)
     raise typer.Exit(status)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from modaltouch.window.environment import explain, few_imports, fit, prepare_environment
 from modaltouch.window.events import Event, EventTap
 from modaltouch.window.interface import WindowError
+from modaltouch.window.loss import Loss
 from modaltouch.window.marks import Mark, Picture, Shape, Words
 from modaltouch.window.softening import cover
 
@@ -76,6 +77,7 @@ class Screen:
         )
         self._window.mouseVisible = True
         self._tap = EventTap(self._window.winHandle)
+        self._loss = Loss(self._tap.poll)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -99,19 +101,21 @@ class Screen:
 
     def prepare(self, picture: Picture) -> None:
         """Make the picture's marks ready, so that drawing it later takes no longer than a frame."""
-        for mark in picture.marks:
-            self._stimuli(mark)
+        with self._loss.told():
+            for mark in picture.marks:
+                self._stimuli(mark)
 
     def draw(self, picture: Picture) -> None:
         """Draw the picture where nobody sees it, until `flip` brings it onto the screen."""
         from pyglet.gl import glFinish
 
-        self._window.clearBuffer()
-        for mark in picture.marks:
-            for stimulus in self._stimuli(mark):
-                stimulus.draw()
-        # Else OpenGL would do the work within the flip.
-        glFinish()
+        with self._loss.told():
+            self._window.clearBuffer()
+            for mark in picture.marks:
+                for stimulus in self._stimuli(mark):
+                    stimulus.draw()
+            # Else OpenGL would do the work within the flip.
+            glFinish()
 
     def flip(self, screenshot: Path | None = None) -> float:
         """Bring what is drawn onto the screen, and return when it was there, by `time.perf_counter` [s].
@@ -124,11 +128,12 @@ class Screen:
         Raises
         ------
         WindowError
-            If the screenshot cannot be written.
+            If the screenshot cannot be written, or the display has gone.
         """
-        image = self._window._getFrame(buffer="back") if screenshot is not None else None
-        self._window.flip()
-        shown = time.perf_counter()
+        with self._loss.told():
+            image = self._window._getFrame(buffer="back") if screenshot is not None else None
+            self._window.flip()
+            shown = time.perf_counter()
         if image is not None and screenshot is not None:
             try:
                 image.convert("RGB").save(screenshot)
@@ -139,8 +144,15 @@ class Screen:
         return shown
 
     def poll(self) -> list[Event]:
-        """Return what happened to the window since the last poll."""
-        return self._tap.poll()
+        """Return what happened to the window since the last poll.
+
+        Raises
+        ------
+        WindowError
+            If the display has gone.
+        """
+        with self._loss.told():
+            return self._tap.poll()
 
     def type_key(self, key: str, *, down: bool) -> None:
         """Put a key press or release into the window's own event queue, as if a person had typed it.
@@ -169,6 +181,10 @@ class Screen:
 
     def close(self) -> None:
         """Close the window; never raises."""
+        if self._loss.happened:
+            # Nothing is left to close, and OpenGL would crash: neither here nor as the process ends.
+            self._window._closed = True
+            return
         try:
             self._window.close()
         except Exception as error:  # noqa: BLE001 - whatever the display does, the session must go on to its end
