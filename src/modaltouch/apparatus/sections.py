@@ -15,7 +15,7 @@ from modaltouch.apparatus.intervals import Identified, Intervals, Provenance
 from modaltouch.apparatus.measured_shapes import ShapeTable
 from modaltouch.apparatus.twin import Twin
 from modaltouch.document.section import (
-    SMALLEST,
+    DampingRatio,
     FileName,
     Label,
     NotNegative,
@@ -73,9 +73,7 @@ class Mode(Section):
         "Number of the mode: 1 rigid translation, 2 rigid rotation, k from 3 on the bending mode k - 2."
     )
     natural_frequency_Hz: Positive = described("Natural frequency [Hz].")  # noqa: N815
-    damping_ratio: Annotated[float, Field(strict=True, ge=SMALLEST, lt=1, allow_inf_nan=False)] = described(
-        "Damping ratio [1]."
-    )
+    damping_ratio: DampingRatio = described("Damping ratio [1].")
     gain_mm_s2_per_V: dict[Word, Number] = described(  # noqa: N815
         "Modal acceleration per volt at the beam [mm/s^2 per V], by actuator set; a set that is left out is "
         "unknown and taken as zero."

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from modaltouch.document.section import (
-    SMALLEST,
+    DampingRatio,
     Label,
     NotNegative,
     Number,
@@ -29,9 +29,7 @@ class UnlistedMode(Section):
         "Number of the mode: for bending as in the table of modes; for torsion 1 is the first with a node at mid-beam."
     )
     natural_frequency_Hz: Positive = described("Natural frequency [Hz].")  # noqa: N815
-    damping_ratio: Annotated[float, Field(strict=True, ge=SMALLEST, lt=1, allow_inf_nan=False)] = described(
-        "Damping ratio [1]."
-    )
+    damping_ratio: DampingRatio = described("Damping ratio [1].")
     gain_mm_s2_per_V: dict[Word, Number] = described(  # noqa: N815
         "Modal acceleration per volt at the beam [mm/s^2 per V], by actuator set; 0 for a set that is left out."
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import datetime
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from modaltouch.cli.faults import print_json, reporting
-from modaltouch.cli.measuring import ask_to_aim
+from modaltouch.cli.measuring import aside, ask_to_aim
 from modaltouch.cli.options import JSON, MEASURED_RIG, PROTOCOL
 
 if TYPE_CHECKING:
@@ -106,15 +105,9 @@ def _showing(check: Callable[[], None], *, by_hand: bool) -> Iterator[tuple[Prog
         def aim(position: float) -> None:
             if not by_hand or aimed[-1:] == [position]:
                 return
-            bars.stop()
-            # The outputs are off while somebody aims: here Ctrl-C may end it at once.
-            noting = signal.signal(signal.SIGINT, signal.default_int_handler)
-            try:
+            with aside(bars):
                 ask_to_aim(position)
-            finally:
-                signal.signal(signal.SIGINT, noting)
             aimed.append(position)
-            bars.start()
 
         yield Progress(check=check, stimulus=stimulus, step=step, advance=lambda: bars.advance(task), turn=turn), aim
 

@@ -37,13 +37,8 @@ class Showing:
 
         The outputs are off meanwhile, so Ctrl-C may end it at once.
         """
-        self._bars.stop()
-        noting = signal.signal(signal.SIGINT, signal.default_int_handler)
-        try:
+        with aside(self._bars):
             ask_to_aim(position)
-        finally:
-            signal.signal(signal.SIGINT, noting)
-            self._bars.start()
 
 
 @contextmanager
@@ -55,6 +50,18 @@ def bars() -> Iterator[Showing]:
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True)) as shown:
         yield Showing(shown)
+
+
+@contextmanager
+def aside(bars: Progress) -> Iterator[None]:
+    """Have the bars out of the way while somebody is asked for something, and Ctrl-C end that at once."""
+    bars.stop()
+    noting = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, noting)
+        bars.start()
 
 
 def ask_to_aim(position: float) -> None:

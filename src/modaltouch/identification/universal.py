@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.identification.responses import Quantity
+from modaltouch.stimulus.uff import read_sets
 
 _FUNCTION, _RESPONSE = 58, 4
 _NODES = (15, 2411)
@@ -29,14 +30,7 @@ def read_universal(
     ValueError
         If the file cannot be read or holds no frequency response; the message begins with the path.
     """
-    import pyuff
-
-    try:
-        read = pyuff.UFF(str(path)).read_sets()
-    # The library raises bare exceptions, and whatever its parsing meets.
-    except Exception as error:
-        raise ValueError(f"{path}: cannot be read as a universal file ({error}); export it again") from error
-    sets: list[dict[str, Any]] = [read] if isinstance(read, dict) else list(read)
+    sets = read_sets(path)
     functions = [each for each in sets if each["type"] == _FUNCTION and each["func_type"] == _RESPONSE]
     if not functions:
         held = ", ".join(sorted({str(each["type"]) for each in sets})) or "none"

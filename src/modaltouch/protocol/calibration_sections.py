@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field, RootModel
 
 from modaltouch.document.section import (
-    SMALLEST,
+    DampingRatio,
     Label,
     NotNegative,
     Number,
@@ -59,9 +59,7 @@ class CalibratedMode(Section):
 
     label: Label = described("Number of the mode.")
     natural_frequency_Hz: Positive = described("Natural frequency [Hz].")  # noqa: N815
-    damping_ratio: Annotated[float, Field(strict=True, ge=SMALLEST, lt=1, allow_inf_nan=False)] = described(
-        "Damping ratio [1]."
-    )
+    damping_ratio: DampingRatio = described("Damping ratio [1].")
     gain_mm_s2_per_V: dict[Word, Number] = described("Modal acceleration per volt at the beam, by actuator set.")  # noqa: N815
     wished_mm_s: Number = described("Modal velocity wished at the focusing instant [mm/s].")
     target_mm_s: Number = described("Modal velocity aimed at [mm/s].")

@@ -50,7 +50,7 @@ def read_uff(path: Path, length: float, *, label: tuple[int, ...] | None = None,
         If the file cannot be read, holds no shapes or no nodes, or its shapes span no basis; the message begins
         with the path.
     """
-    sets = _sets(path)
+    sets = read_sets(path)
     shapes = [each for each in sets if each["type"] == _MODES and each["analysis_type"] in _MODAL]
     if not shapes:
         held = ", ".join(sorted({str(each["type"]) for each in sets})) or "none"
@@ -72,8 +72,14 @@ def read_uff(path: Path, length: float, *, label: tuple[int, ...] | None = None,
         raise ValueError(f"{path}: {error}") from error
 
 
-def _sets(path: Path) -> list[dict[str, Any]]:
-    """Return the data sets of a file."""
+def read_sets(path: Path) -> list[dict[str, Any]]:
+    """Return the data sets of a universal file.
+
+    Raises
+    ------
+    ValueError
+        If there is no such file, or it cannot be read; the message begins with the path.
+    """
     import pyuff
 
     if not path.is_file():

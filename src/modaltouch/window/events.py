@@ -13,27 +13,16 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from modaltouch.protocol.keys import KEY_ALIASES
+
 EventKind = Literal["key", "release", "click", "close", "focus", "blur", "expose", "pause", "continue"]
 
 _ALIASES = {
-    "return": "enter",
-    "esc": "escape",
-    "spacebar": "space",
-    # The number pad with and without NumLock is one and the same set of keys.
-    "num_insert": "num_0",
-    "num_end": "num_1",
-    "num_down": "num_2",
-    "num_page_down": "num_3",
+    **KEY_ALIASES,
     "num_next": "num_3",
-    "num_left": "num_4",
-    "num_begin": "num_5",
-    "num_right": "num_6",
-    "num_home": "num_7",
-    "num_up": "num_8",
-    "num_page_up": "num_9",
     "num_prior": "num_9",
-    "num_delete": "num_decimal",
 }
+"""The names of the files, and two that pyglet alone has."""
 
 _REPEAT_GAP = 0.001
 """A key that comes up and goes down again sooner than this was held: no hand is that fast [s]."""
