@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -37,7 +37,11 @@ LEAST_TRIM = 5e-3
 
 
 def calibrate_each(
-    bench: Bench, apparatus: Apparatus, grounds: Mapping[str, Ground], progress: Progress | None = None
+    bench: Bench,
+    apparatus: Apparatus,
+    grounds: Mapping[str, Ground],
+    progress: Progress | None = None,
+    between: Sequence[float] = (),
 ) -> dict[str, Outcome]:
     """Return the targets and amplitudes that make each of several stimuli true on the rig at a bench, by name.
 
@@ -53,6 +57,8 @@ def calibrate_each(
         The stimuli, without any calibration; one, without a name, of a protocol that has one alone.
     progress : Progress, optional
         Whom to tell.
+    between : sequence of float
+        Levels to verify besides the protocol's own [mm/s].
 
     Raises
     ------
@@ -65,7 +71,7 @@ def calibrate_each(
     for name, ground in grounds.items():
         if name:
             told.stimulus(name)
-        found[name] = calibrate(bench, apparatus, ground, told, plant)
+        found[name] = calibrate(bench, apparatus, ground, told, plant, between)
         plant = found[name].plant
     return found
 
@@ -76,6 +82,7 @@ def calibrate(
     ground: Ground,
     progress: Progress | None = None,
     plant: Plant | None = None,
+    between: Sequence[float] = (),
 ) -> Outcome:
     """Return the targets and amplitudes that make a stimulus true on the rig at a bench.
 
@@ -91,6 +98,8 @@ def calibrate(
         Whom to tell.
     plant : Plant, optional
         The rig, where it has been identified already.
+    between : sequence of float
+        Levels to verify besides the protocol's own [mm/s].
 
     Raises
     ------
@@ -99,13 +108,16 @@ def calibrate(
     ValueError
         If the stimulus cannot be designed for the identified rig.
     """
-    return _Loop(bench, apparatus, ground, progress or Progress()).run(plant)
+    return _Loop(bench, apparatus, ground, progress or Progress(), between).run(plant)
 
 
 class _Loop:
     """One calibration, from the listed apparatus to verified levels."""
 
-    def __init__(self, bench: Bench, apparatus: Apparatus, ground: Ground, progress: Progress) -> None:
+    def __init__(
+        self, bench: Bench, apparatus: Apparatus, ground: Ground, progress: Progress, between: Sequence[float]
+    ) -> None:
+        self._asked = sorted({level * 1e-3 for level in (*ground.levels.values(), *between)})
         self._bench, self._apparatus, self._ground, self._progress = bench, apparatus, ground, progress
         self._listed = design_to_fit(ground, release="free")
         self._timing, self._target = self._listed.timing, self._listed.target
@@ -231,16 +243,15 @@ class _Loop:
         """Measure every level at the focus, with amplitudes in proportion and then, where that is off, as measured."""
         stimulus = self._aimed(refined, correction)
         self._bench.load(stimulus.burst)
-        asked = sorted({level * 1e-3 for level in self._ground.levels.values()})
-        self._progress.step("levels", 2 * len(asked))
-        first = [self._level(plant, stimulus, level, 1.0) for level in asked]
+        self._progress.step("levels", 2 * len(self._asked))
+        first = [self._level(plant, stimulus, level, 1.0) for level in self._asked]
         factors = [_trim(level) for level in first]
         if all(factor == 1.0 for factor in factors):
             return tuple(first)
         trims = tuple((level.velocity, factor) for level, factor in zip(first, factors, strict=True))
         trimmed = self._aimed(refined, replace(correction, trims=trims))
         self._bench.load(trimmed.burst)
-        self._progress.step("levels again", 2 * len(asked))
+        self._progress.step("levels again", 2 * len(self._asked))
         return tuple(self._level(plant, trimmed, level, factor) for level, factor in trims)
 
     def _level(self, plant: Plant, stimulus: Stimulus, level: float, factor: float) -> Level:

@@ -14,9 +14,13 @@ from modaltouch.document import InputError, Problem
 from modaltouch.preflight import Preflight
 from modaltouch.preflight.ground import Ground
 from modaltouch.preflight.several import at_stimulus
+from modaltouch.protocol import Protocol
 from modaltouch.stimulus.correction import Correction
 
 FloatArray = NDArray[np.float64]
+
+N_BETWEEN = 3
+"""Levels verified between the bounds of adaptive runs."""
 
 CERTAIN = 3.0
 """Standard errors below which a deviation may be noise, and is not corrected [1]."""
@@ -39,6 +43,24 @@ def grounds_of(preflight: Preflight) -> dict[str, Ground]:
     if problems:
         raise InputError(problems)
     return {name: part.sound[0] for name, part in preflight.parts.items()}
+
+
+def levels_between(protocol: Protocol) -> tuple[float, ...]:
+    """Return the levels between the bounds of an adaptive run that are verified too, at equal ratios [mm/s].
+
+    A run may play any level there. Without a section ``adaptive`` there are none: every level that is played is
+    measured.
+
+    Parameters
+    ----------
+    protocol : Protocol
+        The protocol.
+    """
+    if protocol.adaptive is None:
+        return ()
+    low, *_, high = sorted(protocol.conditions.peak_velocities_mm_s)
+    ratio = (high / low) ** (1 / (N_BETWEEN + 1))
+    return tuple(float(f"{low * ratio**step:.4g}") for step in range(1, N_BETWEEN + 1))
 
 
 def _uncorrectable(preflight: Preflight) -> Iterator[Problem]:

@@ -32,11 +32,12 @@ def calibrate(
 
     Amplifier, clock, modes and vibrometer are identified first. Then velocity and displacement of every modelled mode
     are read off the free decay after the focus, and the targets of the exact law corrected, until nothing is left that
-    noise does not explain. Last, every velocity level is verified at the focus. Of a protocol with several stimuli
-    all are calibrated, into one file. Nothing is written before the end.
+    noise does not explain. Last, every velocity level is verified at the focus; of an adaptive protocol the lowest, the
+    highest and three between them at equal ratios (2, 6.325, 20, 63.25 and 200 of 2 to 200 mm/s). Of a protocol with
+    several stimuli all are calibrated, into one file. Nothing is written before the end.
     """
     from modaltouch.calibration.loop import calibrate_each
-    from modaltouch.calibration.refining import grounds_of
+    from modaltouch.calibration.refining import grounds_of, levels_between
     from modaltouch.calibration.writing import Circumstances, calibration_of, write_calibration
     from modaltouch.interruption import Interruption
     from modaltouch.measurement import open_laboratory
@@ -46,13 +47,14 @@ def calibrate(
     with reporting(json_output=json_output):
         preflight = examine(protocol, uncalibrated=True).require()
         experiment, grounds = preflight.experiment, grounds_of(preflight)
+        between = levels_between(experiment.protocol)
         prepare_file(out)
         with (
             Interruption() as interruption,
             _showing(interruption.check, by_hand=rig != "simulated") as (progress, aim),
             open_laboratory(experiment.apparatus, rig, aim=aim) as laboratory,
         ):
-            outcomes = calibrate_each(laboratory, experiment.apparatus, grounds, progress)
+            outcomes = calibrate_each(laboratory, experiment.apparatus, grounds, progress, between)
             circumstances = Circumstances(
                 protocol=experiment.protocol.protocol,
                 apparatus=experiment.apparatus,

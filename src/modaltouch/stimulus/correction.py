@@ -47,6 +47,15 @@ def trimmed(velocity: float, trims: Trims) -> float:
     velocity : float
         To be reached [m/s].
     trims : tuple of (float, float)
-        Levels [m/s], each with the factor of its amplitude [1]; a level not among them is set as it is.
+        Levels [m/s], each with the factor of its amplitude [1]. Between two of them, as adaptive runs play, the
+        factor runs straight over the logarithm of the level; a level beyond them all is set as it is.
     """
-    return next((velocity * factor for level, factor in trims if math.isclose(level, velocity)), velocity)
+    own = next((factor for level, factor in trims if math.isclose(level, velocity)), None)
+    if own is not None:
+        return velocity * own
+    below = max((each for each in trims if each[0] < velocity), default=None)
+    above = min((each for each in trims if each[0] > velocity), default=None)
+    if below is None or above is None:
+        return velocity
+    share = math.log(velocity / below[0]) / math.log(above[0] / below[0])
+    return velocity * (below[1] + share * (above[1] - below[1]))
