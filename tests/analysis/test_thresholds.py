@@ -21,7 +21,7 @@ from modaltouch.analysis.thresholds.psychometric import Psychometric, fit_psycho
 from modaltouch.document import InputError
 from modaltouch.observer import Observer, Participant
 from modaltouch.planning.fitting import fit_answers
-from modaltouch.planning.presented import design_for
+from modaltouch.planning.presented import designs_for
 from modaltouch.preflight import Preflight, examine
 from modaltouch.sitting import begin
 from modaltouch.wiring import wire_run
@@ -204,7 +204,7 @@ def model_threshold(preflight: Preflight) -> float:
 def test_what_needs_fixed_levels_refuses_adaptive_sessions(preflight: Preflight, results: Path) -> None:
     """Power and fits count answers in fixed cells: refused with a way out, never a traceback."""
     with pytest.raises(InputError, match="adaptive runs, which have no fixed conditions"):
-        design_for(preflight, FAINT)
+        designs_for(preflight, FAINT)
     with pytest.raises(InputError, match="adaptive sessions, which have no table of counts"):
         fit_answers(preflight, results, FAINT)
     assert read_responses(results).is_adaptive

@@ -12,7 +12,7 @@ from modaltouch.apparatus import Apparatus
 from modaltouch.calibration.loop import calibrate
 from modaltouch.calibration.outcome import Progress, Turn
 from modaltouch.calibration.plant import ModalState
-from modaltouch.calibration.refining import aimed_ground, ground_of, significant
+from modaltouch.calibration.refining import aimed_ground, grounds_of, significant
 from modaltouch.calibration.taking import measuring_points
 from modaltouch.document import InputError
 from modaltouch.interruption import Interrupted
@@ -164,7 +164,7 @@ def test_the_papers_law_has_no_targets(edit: Callable) -> None:
     """Refused at its key."""
     path = edit("differentiated_stimulation.yaml", ("law: exact  ", "law: paper  "))
     with pytest.raises(InputError, match=r":10:8: stimulus.law: given paper, a law without targets"):
-        ground_of(examine(path))
+        grounds_of(examine(path))
 
 
 def test_a_field_in_a_file_of_its_own_is_refused(edit: Callable) -> None:
@@ -173,7 +173,7 @@ def test_a_field_in_a_file_of_its_own_is_refused(edit: Callable) -> None:
     path = edit("differentiated_stimulation.yaml", field)
     (path.parent / "field.csv").write_text("position_mm,velocity\n-20,0\n0,1\n20,0\n", encoding="utf-8")
     with pytest.raises(InputError, match=r"stimulus.field.file: given a file, which a calibration does not hold"):
-        ground_of(examine(path))
+        grounds_of(examine(path))
 
 
 def test_a_trigger_latency_that_is_told_is_taken_out(
