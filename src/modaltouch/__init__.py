@@ -18,6 +18,7 @@ The stages, in the order in which values flow through them:
 ``record``     the append-only session log and its BIDS view
 ``session``    the one loop
 ``sitting``    sets a session up and ends it in order, new or resumed
+``sensation``  levels calibrated by participant, from the session that found their threshold
 ``wiring``     puts real or simulated parts behind the session's interfaces
 ``measurement``, ``identification``, ``calibration``, ``validation``, ``comparison``
                the beam scanned, its modes, its targets corrected, the paper's evidence, the rivals

@@ -12,7 +12,7 @@ from modaltouch.allotment import recorded_turn
 from modaltouch.preflight import examine_findings
 from modaltouch.protocol import Sources, examine_sources, restore_experiment
 from modaltouch.record.chain import read_chain
-from modaltouch.record.folders import find_log
+from modaltouch.record.folders import find_log, locate
 from modaltouch.record.session import Session
 from modaltouch.record.shape import check_shape
 from modaltouch.record.view import table_text
@@ -76,6 +76,8 @@ def verify_session(path: Path) -> Verdict:
     checks = [_check_order, _check_drive]
     if session.start.get("adaptive"):
         checks.append(_check_levels)
+    if session.start.get("sensation_levels"):
+        checks.append(_check_own_levels)
     for check in checks:
         holds, line = check(session)
         (lines if holds else problems).append(line)
@@ -89,6 +91,8 @@ def verify_session(path: Path) -> Verdict:
 def _check_order(session: Session) -> tuple[bool, str]:
     start = session.start
     protocol = restore_experiment(Sources.from_dict(start["sources"])).protocol
+    if own := start.get("sensation_levels"):
+        protocol = protocol.with_levels(tuple(own["levels_mm_s"]))
     schedule = draw_schedule(
         protocol, start["participant"], start["seed"], session.drawn_as, given=recorded_turn(start)
     )
@@ -128,6 +132,24 @@ def _check_levels(session: Session) -> tuple[bool, str]:
             )
         n_driven += not (trial.practice or trial.condition.is_catch)
     return True, f"levels of {n_driven} trials follow from the answers before them"
+
+
+def _check_own_levels(session: Session) -> tuple[bool, str]:
+    """Return whether the levels follow from the participant's threshold, and that from the session that found it."""
+    own = session.start["sensation_levels"]
+    section = restore_experiment(Sources.from_dict(session.start["sources"])).protocol.conditions.sensation_levels
+    threshold = f"threshold of {own['threshold_mm_s']:g} mm/s"
+    if section is None or list(section.levels(own["threshold_mm_s"])) != own["levels_mm_s"]:
+        return False, f"{session.path}: its levels do not follow from the {threshold}"
+    if own["found"] != "session":
+        return True, f"levels follow from the {threshold}, as it was given"
+    place = locate(session.path, session.mode, session.protocol)
+    log = place.results / own["session"]
+    if not log.exists():
+        return True, f"levels follow from the {threshold}; {log}, which found it, is not here"
+    if read_chain(log).last_check != own["last_check"]:
+        return False, f"{log}: has changed since the {threshold} was taken from it"
+    return True, f"levels follow from the {threshold}, found in {own['session']}"
 
 
 def _completeness(session: Session) -> str:

@@ -23,6 +23,7 @@ from modaltouch.record.shape import check_shape
 from modaltouch.rig import open_rig, start_simulator
 from modaltouch.rig.interface import Rig
 from modaltouch.schedule import Schedule, draw_schedule, random_generator
+from modaltouch.sensation import at_own_levels, recorded_levels
 from modaltouch.sitting import Setup
 from modaltouch.trial import ANSWERS, ANSWERS_WITH_NONE, Trial
 from modaltouch.window import AnswersBy, WindowOptions, open_window
@@ -154,6 +155,7 @@ def wire_run(
     results: Path = Path("results"),
     window_options: WindowOptions | None = None,
     observer: Observer | None = None,
+    threshold_mm_s: float | None = None,
 ) -> Setup:
     """Return what a new session needs.
 
@@ -167,19 +169,26 @@ def wire_run(
         Number of the session; None for the participant's next.
     rig, answers, pilot, seed, results, window_options, observer
         As `Wires` and the command line have them.
+    threshold_mm_s : float, optional
+        The participant's own threshold, where levels are calibrated by participant and it was measured otherwise than
+        by a session of this program.
 
     Raises
     ------
     RecordError
         If the participant id is not allowed, or the participant has no next session.
+    InputError
+        If levels are calibrated by participant and this one's cannot be told.
     """
     protocol = preflight.experiment.protocol
     place = SessionFolder(results, mode_of(rig, answers, pilot=pilot), protocol.protocol, participant, session or 1)
     drawn_as = place.session
     if session is None:
         place, drawn_as = next_session(place, protocol.schedule.sessions)
-    schedule = draw_schedule(protocol, participant, seed, drawn_as)
+    preflight, calibrated = at_own_levels(preflight, place, threshold_mm_s)
+    schedule = draw_schedule(preflight.experiment.protocol, participant, seed, drawn_as)
     setup = _setup(preflight, schedule, place, seed, rig, answers, window_options, observer or Observer())
+    setup = replace(setup, facts=setup.facts | calibrated)
     return replace(setup, drawn_as=drawn_as) if protocol.schedule.balance == "least_filled" else setup
 
 
@@ -226,6 +235,7 @@ def wire_resume(
             "another kind; give --rig and --answers as it began"
         )
     preflight = examine_findings(examine_sources(Sources.from_dict(start["sources"]))).require()
+    preflight = recorded_levels(preflight, start)
     given = recorded_turn(start)
     protocol = preflight.experiment.protocol
     schedule = draw_schedule(protocol, place.participant, start["seed"], session.drawn_as, given=given)
@@ -235,7 +245,10 @@ def wire_resume(
     if anew is None and session.begun_anew_as is not None:
         anew = _place_anew(place, session)
     setup = _setup(preflight, schedule, anew or place, start["seed"], rig, answers, window_options, observer)
-    return setup if anew is None else replace(setup, replaces=place)
+    if anew is None:
+        return setup
+    calibrated = {name: start[name] for name in ("sensation_levels",) if name in start}
+    return replace(setup, replaces=place, facts=setup.facts | calibrated)
 
 
 def _place_anew(place: SessionFolder, session: Session) -> SessionFolder:

@@ -14,8 +14,7 @@ from modaltouch.cli.faults import INTERRUPTED, leave
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from modaltouch.preflight import Preflight
-    from modaltouch.record.folders import SessionFolder
+    from modaltouch.sitting import Setup
 
 _NUMBERED = re.compile(r"([A-Za-z]*)(\d+)\Z")
 _NAME = re.compile(r"[A-Z]?[a-z]{2,}\Z|[A-Za-z]{3,}\Z")
@@ -108,9 +107,13 @@ def ask_session(dataset: Path, participant: str) -> int | None:
         typer.secho(said, err=True, fg=typer.colors.RED)
 
 
-def wait_for_start(preflight: Preflight, place: SessionFolder, rig: str) -> None:
+def wait_for_start(setup: Setup, rig: str) -> None:
     """Show what is about to happen and wait for ``start``; anything else leaves everything as it is."""
-    show(preflight)
+    place = setup.place
+    show(setup.preflight)
+    if own := setup.facts.get("sensation_levels"):
+        said = f"found in {own['session']}" if own["found"] == "session" else "as given"
+        typer.echo(f"Levels calibrated by participant: threshold {own['threshold_mm_s']:g} mm/s, {said}")
     kind = "" if place.mode == "real" else f" ({place.mode} data)"
     typer.echo(f"Participant {place.participant}, session {place.session}, rig {rig}{kind}, to {place.folder}")
     while True:

@@ -88,6 +88,12 @@ def show(preflight: Preflight, *, compare: bool = False) -> None:
             f"Calibrated {calibration['made']} on {calibration['generator']}: worst modal error then "
             f"{calibration['worst_modal_error_mm_s']:.2g} mm/s at {calibration['reference_mm_s']:g} mm/s"
         )
+    if own := values["sensation_levels"]:
+        console.print(
+            f"Levels calibrated by participant: {', '.join(f'{each:g}' for each in own['multiples'])} times the "
+            f"threshold that a session of the protocol {own['thresholds_from']} found, for thresholds of "
+            f"{own['thresholds_mm_s'][0]:g} to {own['thresholds_mm_s'][1]:.4g} mm/s; below, the bounds of all levels"
+        )
     console.print(_level_table(Table, stimuli))
     if stimuli[-1]["release"] == "free":
         console.print(

@@ -69,6 +69,16 @@ SESSION_NUMBER = Annotated[
 ]
 PILOT = Annotated[bool, typer.Option("--pilot", help="Keep the data apart, as a pilot's.")]
 YES = Annotated[bool, typer.Option("--yes", "-y", help="Begin without asking.")]
+THRESHOLD = Annotated[
+    float | None,
+    typer.Option(
+        "--threshold",
+        min=1e-3,
+        help="The participant's own threshold in mm/s, where the protocol calibrates levels by participant and it was "
+        "measured otherwise.",
+        show_default="from the participant's session that found it",
+    ),
+]
 
 
 def run(
@@ -88,6 +98,7 @@ def run(
     events: EVENTS = None,
     plain: PLAIN = False,
     calibration: CALIBRATION = None,
+    threshold: THRESHOLD = None,
     yes: YES = False,
     json_output: JSON = False,
 ) -> None:
@@ -125,11 +136,12 @@ def run(
             seed=seed,
             results=results,
             window_options=window_options,
+            threshold_mm_s=threshold,
         )
         refuse_existing(setup.place.log)
         _try_masking(setup)
         if sys.stdin.isatty() and not yes and not json_output:
-            wait_for_start(preflight, setup.place, rig)
+            wait_for_start(setup, rig)
         from modaltouch.sitting import begin
 
         _conduct(begin, setup, events, plain=plain, json_output=json_output)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Self
 
@@ -99,6 +99,28 @@ class Preflight:
             raise InputError([self.findings.protocol.problem(("stimuli",), given, "one stimulus", remedy)])
         return self
 
+    def with_levels(self, levels_mm_s: tuple[float, ...]) -> Self:
+        """Return the preflight of a participant whose levels, calibrated by participant, are known.
+
+        The stimulus stays as it is, designed at the highest level that anyone may get: all participants get the very
+        same codes, at amplitudes of their own.
+
+        Parameters
+        ----------
+        levels_mm_s : tuple of float
+            The participant's levels, within the bounds that the protocol gives [mm/s].
+        """
+        reading = self.findings.protocol
+        if reading is None or reading.value is None or self.ground is None:
+            raise InputError(self.problems)
+        own = replace(reading, value=reading.value.with_levels(levels_mm_s))
+        return replace(
+            self,
+            findings=replace(self.findings, protocol=own),
+            ground=replace(self.ground, levels=dict(enumerate(levels_mm_s))),
+            variants={name: part.with_levels(levels_mm_s) for name, part in self.variants.items()},
+        )
+
     @property
     def parts(self) -> dict[str, Preflight]:
         """The protocol with each of its stimuli alone, by name; itself, without a name, where it has one."""
@@ -187,6 +209,7 @@ class Preflight:
             "file": str(reading.source.path) if reading else None,
             "apparatus": self._apparatus_name(),
             "calibration": self._calibration(),
+            "sensation_levels": None,
             "n_trials": None,
             "n_catch_trials": None,
             "n_practice_trials": None,
@@ -263,7 +286,14 @@ class Preflight:
 
 
 def _design_figures(protocol: Protocol) -> dict[str, Any]:
+    own, velocities = protocol.conditions.sensation_levels, protocol.conditions.peak_velocities_mm_s
     return {
+        "sensation_levels": own
+        and {
+            "thresholds_from": own.thresholds_from,
+            "multiples": list(own.multiples),
+            "thresholds_mm_s": [round(each, 4) for each in own.thresholds(min(velocities), max(velocities))],
+        },
         "n_trials": protocol.n_trials,
         "n_catch_trials": protocol.schedule.catch_trials * len(protocol.conditions.finger_conditions),
         "n_practice_trials": protocol.schedule.practice_trials,

@@ -5,6 +5,7 @@
 ``masking``     the keys of the masking noise
 ``stimulus_sections``  the keys of the stimulus, and of several
 ``adaptive``    the keys of adaptive runs
+``sensation``   the keys of levels calibrated by participant
 ``observers``   the keys of an observer file
 ``keys``        names of the keys that can answer
 ``checks``      faults between the keys of a protocol
@@ -39,6 +40,7 @@ from modaltouch.protocol.sections import (
     ResumeSection,
     ScheduleSection,
 )
+from modaltouch.protocol.sensation import SensationLevelsSection
 from modaltouch.protocol.stimulus_sections import StimulusSection, StimulusVariant, WishedField
 from modaltouch.protocol.texts import Texts
 
@@ -58,6 +60,7 @@ __all__ = [
     "Protocol",
     "ResumeSection",
     "ScheduleSection",
+    "SensationLevelsSection",
     "Sources",
     "StaircaseSection",
     "StimulusSection",

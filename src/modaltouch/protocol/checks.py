@@ -8,6 +8,7 @@ from modaltouch.document import Problem, Reading, suggest
 from modaltouch.protocol.adaptive_checks import check_adaptive, is_adaptive
 from modaltouch.protocol.keys import END_KEY, KEY_ALIASES, KEY_NAMES, RESERVED_KEYS
 from modaltouch.protocol.sections import Protocol
+from modaltouch.protocol.sensation_checks import check_sensation_levels
 from modaltouch.protocol.wished import check_wished
 
 TRIAL_LIMIT = 10_000
@@ -25,6 +26,7 @@ def check_protocol(reading: Reading[Protocol]) -> list[Problem]:
         *_check_doubles(reading),
         *_check_schedule(reading),
         *check_adaptive(reading),
+        *check_sensation_levels(reading),
         *_check_keys(reading),
         *_check_times(reading),
     ]
@@ -102,8 +104,10 @@ def _doubled(reading: Reading[Protocol], path: tuple[str, ...], noun: str) -> It
 
 
 def _check_schedule(reading: Reading[Protocol]) -> Iterator[Problem]:
-    counts = [len(reading.items("conditions", key)) for key in ("zone_pairs", "peak_velocities_mm_s")]
-    n_pairs, n_levels = counts
+    own = ("sensation_levels", "multiples") if reading.sound("conditions", "sensation_levels") else None
+    n_pairs, n_levels = (
+        len(reading.items("conditions", *keys)) for keys in (("zone_pairs",), own or ("peak_velocities_mm_s",))
+    )
     n_blocks = len(reading.items("conditions", "finger_conditions"))
     repetitions = reading.sound("schedule", "repetitions")
     running = reading.sound("schedule", "max_same_pair_running")

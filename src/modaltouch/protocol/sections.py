@@ -18,6 +18,7 @@ from modaltouch.document.section import (
 )
 from modaltouch.protocol.adaptive import AdaptiveSection
 from modaltouch.protocol.masking import MaskingSection
+from modaltouch.protocol.sensation import SensationLevelsSection
 from modaltouch.protocol.stimulus_sections import StimulusSection, StimulusVariant, ZoneName
 
 FingerCondition = Literal["one_hand", "two_hands"]
@@ -58,6 +59,11 @@ class ConditionsSection(Section):
         min_length=1,
         max_length=100,
         json_schema_extra=_UNIQUE,
+    )
+    sensation_levels: SensationLevelsSection | None = described(
+        "Levels calibrated by participant, as multiples of the participant's own threshold; the peak velocities are "
+        "then the lowest and the highest level that anyone may get. Null for the same levels for all.",
+        default=None,
     )
 
 
@@ -233,8 +239,15 @@ class Protocol(Section):
 
     @property
     def scheduled_levels(self) -> tuple[float, ...]:
-        """Peak velocities that trials are scheduled with [mm/s]; in an adaptive run the first, whatever comes."""
-        return self.conditions.peak_velocities_mm_s if self.adaptive is None else (self.adaptive.start_mm_s,)
+        """Peak velocities that trials are scheduled with [mm/s].
+
+        In an adaptive run the first, whatever comes. Levels calibrated by participant are those of the highest
+        threshold that fits, until the participant's own is known (`with_levels`).
+        """
+        if self.adaptive is not None:
+            return (self.adaptive.start_mm_s,)
+        velocities, own = self.conditions.peak_velocities_mm_s, self.conditions.sensation_levels
+        return velocities if own is None else own.levels(own.thresholds(min(velocities), max(velocities))[1])
 
     @property
     def scheduled_repetitions(self) -> int:
@@ -255,3 +268,8 @@ class Protocol(Section):
     def with_stimulus(self, name: str) -> Protocol:
         """Return the protocol with one of its stimuli alone."""
         return self.model_copy(update={"stimulus": self.stimulus_of(name), "stimuli": {}})
+
+    def with_levels(self, levels_mm_s: tuple[float, ...]) -> Protocol:
+        """Return the protocol as a participant gets it whose levels, calibrated by participant, are known [mm/s]."""
+        update = {"peak_velocities_mm_s": levels_mm_s, "sensation_levels": None}
+        return self.model_copy(update={"conditions": self.conditions.model_copy(update=update)})

@@ -82,6 +82,10 @@ MASKED: dict[str, Any] = {
     "Levels": {"0": "no", "1": "yes"},
 }
 
+MULTIPLE: dict[str, Any] = {
+    "Description": "Velocity as a multiple of the participant's own threshold; n/a in a catch trial",
+    "Units": "1",
+}
 
 STIMULUS: dict[str, Any] = {"Description": "Which of the protocol's stimuli; n/a in a catch trial"}
 
@@ -117,7 +121,7 @@ def write_view(place: SessionFolder, session: Session, head: dict[str, Any]) -> 
 def table_text(session: Session) -> str:
     """Return the BIDS table of a session: one row for each answer that counts."""
     columns = _columns(session)
-    rows = [_row(event, columns) for event in session.trials]
+    rows = [_row(event, columns, session.multiples) for event in session.trials]
     return "\n".join(["\t".join(columns), *("\t".join(row) for row in rows)]) + "\n"
 
 
@@ -127,6 +131,8 @@ def _columns(session: Session) -> dict[str, dict[str, Any]]:
     columns = dict(COLUMNS)
     if design.get("schedule", {}).get("catch_trials"):
         columns["catch"] = CATCH
+    if session.multiples:
+        columns["multiple_of_threshold"] = MULTIPLE
     if design.get("masking"):
         columns["masked"] = MASKED
     if design.get("stimuli"):
@@ -213,9 +219,10 @@ def _replace(path: Path, text: str) -> None:
     replace_file(path, text.encode(), "the session log is intact", OWNER_ALONE)
 
 
-def _row(event: dict[str, Any], columns: dict[str, dict[str, Any]]) -> list[str]:
+def _row(event: dict[str, Any], columns: dict[str, dict[str, Any]], multiples: dict[float, float]) -> list[str]:
     trial, response = event["trial"], event["response"]
     condition = trial["condition"]
+    multiple = multiples.get(condition["velocity_mm_s"])
     values = {
         "trial": trial["index"],
         "block": trial["block"],
@@ -227,6 +234,7 @@ def _row(event: dict[str, Any], columns: dict[str, dict[str, Any]]) -> list[str]
         "finger_right": event["fingers"][1],
         "placement": condition["placement"],
         "velocity_mm_s": f"{condition['velocity_mm_s']:g}",
+        "multiple_of_threshold": f"{multiple:g}" if multiple else "n/a",
         "masked": int(bool(event.get("masked"))),
         "catch": int(condition["velocity_mm_s"] == 0),
         "stimulus": condition.get("stimulus") or "n/a",

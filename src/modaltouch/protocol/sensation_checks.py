@@ -1,0 +1,55 @@
+"""What levels calibrated by participant can say that no single key can: bounds that no participant fits."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from modaltouch.document import Problem, Reading
+from modaltouch.protocol.adaptive_checks import is_adaptive
+from modaltouch.protocol.sections import Protocol
+
+_SECTION = ("conditions", "sensation_levels")
+_VELOCITIES = ("conditions", "peak_velocities_mm_s")
+
+
+def check_sensation_levels(reading: Reading[Protocol]) -> Iterator[Problem]:
+    """Yield the faults between the section ``sensation_levels`` and the others."""
+    node = reading.find(_SECTION)
+    if node is None or not isinstance(node.content, dict):
+        return
+    if is_adaptive(reading):
+        given = "levels calibrated by participant where runs are adaptive and find their own"
+        yield reading.problem(_SECTION, given, "one of the two", "remove this section, or the section adaptive")
+        return
+    if reading.sound(*_SECTION, "thresholds_from") == (name := reading.sound("protocol")) and name is not None:
+        path, given = (*_SECTION, "thresholds_from"), f"'{name}', which is this protocol itself"
+        yield reading.problem(path, given, "the name of an adaptive protocol", "name the one that finds thresholds")
+    multiples = dict(reading.items(*_SECTION, "multiples"))
+    yield from _check_doubles(reading, multiples)
+    levels = [level for _, level in reading.items(*_VELOCITIES)]
+    velocities = reading.find(_VELOCITIES)
+    n_given = len(velocities.content) if velocities is not None and isinstance(velocities.content, list) else None
+    if n_given is not None and n_given != 2:
+        words = f"{n_given} levels where they are calibrated by participant"
+        yield reading.problem(_VELOCITIES, words, "two: the lowest and the highest that anyone may get", "give both")
+    elif len(levels) == 2 and not levels[0] < levels[1]:
+        words = f"[{levels[0]:g}, {levels[1]:g}] where levels are calibrated by participant"
+        yield reading.problem(_VELOCITIES, words, "the lowest level first, then a higher one", "write the lowest first")
+    elif len(levels) == 2 and multiples and max(multiples.values()) / min(multiples.values()) > levels[1] / levels[0]:
+        given = f"{min(multiples.values()):g} to {max(multiples.values()):g}, further apart than the levels allowed"
+        allowed = f"a ratio of at most {levels[1] / levels[0]:.4g}, that of conditions.peak_velocities_mm_s"
+        remedy = "bring them closer together, or allow lower or higher levels"
+        yield reading.problem((*_SECTION, "multiples"), given, allowed, remedy)
+
+
+def _check_doubles(reading: Reading[Protocol], multiples: dict[int, float]) -> Iterator[Problem]:
+    """Yield multiples that no generator can tell apart: it has four digits."""
+    seen: dict[int, float] = {}
+    for index, value in multiples.items():
+        like = next((at for at, other in seen.items() if math.isclose(value, other, rel_tol=2e-3)), None)
+        if like is not None:
+            given = f"{value:g}, as good as the multiple of multiples[{like}]"
+            allowed = "multiples that are 0.2 % apart or more"
+            yield reading.problem((*_SECTION, "multiples", index), given, allowed, "remove one of them")
+        seen[index] = value
