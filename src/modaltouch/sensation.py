@@ -144,7 +144,11 @@ def _latest(place: SessionFolder) -> Path | None:
 
 
 def _refuse_beyond(
-    preflight: Preflight, participant: str, own: OwnThreshold, section: SensationLevelsSection, levels: tuple[float, ...]
+    preflight: Preflight,
+    participant: str,
+    own: OwnThreshold,
+    section: SensationLevelsSection,
+    levels: tuple[float, ...],
 ) -> None:
     velocities = preflight.experiment.protocol.conditions.peak_velocities_mm_s
     low, high = min(velocities), max(velocities)

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from modaltouch.analysis.csv_table import MOST_LISTED, Table
 from modaltouch.analysis.odd_words import KEYS, find_odd
-from modaltouch.analysis.responses import CELL
+from modaltouch.analysis.responses import CELL, cell_of
+from modaltouch.analysis.scale import VELOCITY, LevelScale
 from modaltouch.document import Problem
 
 _ANY = "\0any"
@@ -123,20 +124,21 @@ def answers_per_cell(frame: pd.DataFrame) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        Participants by (finger_condition, zone_left, zone_right, velocity_mm_s).
+        Participants by (finger_condition, zone_left, zone_right, level).
     """
-    sums = frame.groupby(["participant", *CELL], observed=True)["n"].sum()
-    wide = sums.unstack(list(CELL), fill_value=0)
+    cell = cell_of(frame.columns)
+    sums = frame.groupby(["participant", *cell], observed=True)["n"].sum()
+    wide = sums.unstack(list(cell), fill_value=0)
     pairs = frame[["zone_left", "zone_right"]].drop_duplicates().itertuples(index=False, name=None)
-    conditions, levels = frame["finger_condition"].unique(), sorted(frame["velocity_mm_s"].unique())
+    conditions, levels = frame["finger_condition"].unique(), sorted(frame[cell[-1]].unique())
     crossed = [(c, *pair, level) for pair in pairs for c in conditions for level in levels]
-    return wide.reindex(columns=pd.MultiIndex.from_tuples(crossed, names=list(CELL)), fill_value=0)
+    return wide.reindex(columns=pd.MultiIndex.from_tuples(crossed, names=list(cell)), fill_value=0)
 
 
-def describe_cell(cell: Iterable[object]) -> str:
+def describe_cell(cell: Iterable[object], scale: LevelScale = VELOCITY) -> str:
     """Return a cell in words, as in ``one_hand A-C 80 mm/s``."""
     condition, left, right, level = cell
-    return f"{condition} {left}-{right} {float(str(level)):g} mm/s"
+    return f"{condition} {left}-{right} {scale.say(float(str(level)))}"
 
 
 def _doubled(table: Table, frame: pd.DataFrame) -> list[Problem]:

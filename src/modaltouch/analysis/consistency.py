@@ -92,7 +92,7 @@ def _paired_cells(answers: AnswerCounts) -> Iterator[Finding]:
         second = modal[known, g, q, v] == pair.dominant_index
         b, c, m = int((first & ~second).sum()), int((second & ~first).sum()), int(known.sum())
         both = f"{answers.finger_conditions[f]} - {answers.finger_conditions[g]}"
-        scope = f"{both} {pair.label} {answers.levels[v]:g} mm/s"
+        scope = f"{both} {pair.label} {answers.scale.say(answers.levels[v])}"
         note = f"{b} chose {pair.dominant} only in the first, {c} only in the second" + (
             f"; {n - m} participants tied and left out" if m < n else ""
         )

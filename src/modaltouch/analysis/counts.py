@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from modaltouch.analysis.scale import VELOCITY, LevelScale, scale_of
 from modaltouch.trial import ANSWERS_WITH_NONE
 
 T = TypeVar("T")
@@ -77,13 +78,15 @@ class AnswerCounts:
     pairs : tuple of Pair
         Zone pairs along the third axis.
     levels : tuple of float
-        Peak velocities along the fourth axis [mm/s].
+        Levels along the fourth axis, on `scale`: peak velocities [mm/s] or multiples of the own threshold.
     counts : (n_participants, n_finger_conditions, n_pairs, n_levels, 3 or 4) array of int
         Counts of left, both and right, and of none where that is an answer.
     n_repetitions : int
         Answers of each participant in each cell.
     focus : str
         Zone of the focus; empty if unknown.
+    scale : LevelScale
+        What the levels are.
     mirrored : frozenset of str
         Participants who sat at the beam turned end to end: what is left here was on their right.
     """
@@ -96,6 +99,7 @@ class AnswerCounts:
     n_repetitions: int
     focus: str = ""
     mirrored: frozenset[str] = frozenset()
+    scale: LevelScale = VELOCITY
 
     @property
     def offers_none(self) -> bool:
@@ -167,7 +171,8 @@ def count_answers(frame: pd.DataFrame, focus: str = "") -> AnswerCounts:
     (left, left_zones), (right, right_zones) = (_coded(frame[name]) for name in ("zone_left", "zone_right"))
     joint, pairing = np.unique(left * len(right_zones) + right, return_inverse=True)
     zones = [(left_zones[code // len(right_zones)], right_zones[code % len(right_zones)]) for code in joint.tolist()]
-    levels, level = np.unique(frame["velocity_mm_s"].to_numpy(dtype=float), return_inverse=True)
+    scale = scale_of(frame.columns)
+    levels, level = np.unique(frame[scale.column].to_numpy(dtype=float), return_inverse=True)
     focus = focus or find_focus(zones)
     given, words = _coded(frame["response"])
     unknown = sorted(set(words) - set(ANSWERS_WITH_NONE))
@@ -182,7 +187,8 @@ def count_answers(frame: pd.DataFrame, focus: str = "") -> AnswerCounts:
     counts = np.zeros((len(participants), len(conditions), len(zones), len(levels), n_kinds), dtype=np.int64)
     weights = frame["n"].to_numpy() if "n" in frame.columns else np.ones(len(frame), dtype=np.int64)
     np.add.at(counts, (who, fingers, pairing, level, answer), weights)
-    _refuse_imbalance(counts.sum(axis=-1), participants, conditions, pairs, levels.tolist())
+    said = [scale.say(each) for each in levels.tolist()]
+    _refuse_imbalance(counts.sum(axis=-1), participants, conditions, pairs, said)
     return AnswerCounts(
         tuple(participants),
         tuple(conditions),
@@ -192,6 +198,7 @@ def count_answers(frame: pd.DataFrame, focus: str = "") -> AnswerCounts:
         int(counts[0, 0, 0, 0].sum()),
         focus,
         _mirrored(frame),
+        scale,
     )
 
 
@@ -271,12 +278,12 @@ def _refuse_imbalance(
     participants: Sequence[str],
     conditions: Sequence[str],
     pairs: Sequence[Pair],
-    levels: Sequence[float],
+    levels: Sequence[str],
 ) -> None:
     if totals.min() == totals.max() > 0:
         return
     p, f, q, v = (int(i) for i in np.unravel_index(int(totals.argmin()), totals.shape))
-    cell = f"{conditions[f]} {pairs[q].label} {levels[v]:g} mm/s"
+    cell = f"{conditions[f]} {pairs[q].label} {levels[v]}"
     raise ValueError(
         f"participant {participants[p]} has {totals[p, f, q, v]} answers in {cell}, others {totals.max()}: "
         "every participant must have answered every cell equally often; read the file with read_responses"

@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from modaltouch.analysis.counts import LEFT, RIGHT, AnswerCounts
 from modaltouch.analysis.intervals import korn_graubard
@@ -169,7 +170,7 @@ def draw_speeds(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
     """
     if not (has_values(frame, "speed_left_mm_s") and has_values(frame, "speed_right_mm_s")):
         return None
-    ratio = (frame["speed_right_mm_s"] / frame["speed_left_mm_s"]).round(3)
+    ratio = _gathered((frame["speed_right_mm_s"] / frame["speed_left_mm_s"]).to_numpy(dtype=float))
     with house_style():
         figure = new_figure(3.3 * len(answers.finger_conditions) + 0.6, 3.0)
         panels = figure.subplots(1, len(answers.finger_conditions), sharey=True, squeeze=False)[0]
@@ -182,6 +183,15 @@ def draw_speeds(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
         figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
         figure.suptitle(f"Answers by predicted speed ratio (95 % intervals, N = {answers.n_participants})", fontsize=9)
     return figure
+
+
+def _gathered(ratios: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return ratios with those less than 2 % apart made one: levels differ in what their digits leave of a ratio."""
+    values, places = np.unique(ratios, return_inverse=True)
+    groups = np.concatenate([[0], np.cumsum(values[1:] > 1.02 * values[:-1])])
+    middles = np.array([np.median(values[groups == group]) for group in range(int(groups[-1]) + 1)])
+    gathered: NDArray[np.float64] = middles[groups[places]]
+    return gathered
 
 
 def _draw_ratios(axes: Axes, frame: pd.DataFrame) -> None:

@@ -46,8 +46,9 @@ def draw_fields(start: dict[str, Any], stimulus: str = "") -> Figure | None:
         left, right = figure.subplots(1, 2, width_ratios=(3, 2))
         _draw_field(left, preflight)
         _draw_zones(right, stimuli)
+        whose = f" (levels of participant {start['participant']})" if start.get("sensation_levels") else ""
         figure.suptitle(f"Stimulus: focus {preflight.experiment.protocol.stimulus.focus}, law "
-                        f"{preflight.experiment.protocol.stimulus.law}", fontsize=9)  # fmt: skip
+                        f"{preflight.experiment.protocol.stimulus.law}{whose}", fontsize=9)  # fmt: skip
     return figure
 
 

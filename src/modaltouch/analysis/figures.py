@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from modaltouch.analysis.counts import BOTH, NONE, RIGHT, AnswerCounts
 from modaltouch.analysis.intervals import clopper_pearson, korn_graubard
+from modaltouch.analysis.scale import scale_of
 from modaltouch.analysis.style import (
     ANSWER_COLOURS,
     CONDITION_COLOURS,
@@ -74,7 +75,7 @@ def draw_counts(table: pd.DataFrame, finger_condition: str, n_participants: int 
             axes.yaxis.set_major_locator(MaxNLocator(nbins=6, integer=True, steps=[1, 2, 5, 10]))
             axes.set_ylabel(f"answers out of {most}")
             quiet_grid(axes)
-        panels[-1].set_xlabel("answer, and below each bar the peak velocity at the focus [mm/s]")
+        panels[-1].set_xlabel(f"answer, and below each bar the {scale_of([str(table.columns.name)]).quantity}")
         title = f"{finger_condition}: {FINGERS[finger_condition]}" if finger_condition in FINGERS else finger_condition
         figure.suptitle(title, fontsize=10.5)
     return figure
@@ -179,7 +180,7 @@ def draw_overview(answers: AnswerCounts) -> Figure:
             axes.set_ylim(-0.03, 1.03)
             quiet_grid(axes)
         panels[0].set_ylabel("share of answers")
-        panels[len(panels) // 2].set_xlabel("peak velocity at the focus [mm/s]")
+        panels[(len(panels) - 1) // 2].set_xlabel(answers.scale.quantity, x=0.5 if len(panels) % 2 else 1.04)
         handles, labels = panels[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 4), frameon=False)
         figure.suptitle(f"Dominant zone (filled, 95 % intervals) and “both” (open), {_sample(answers)}", fontsize=9)
@@ -234,7 +235,7 @@ def draw_participants(answers: AnswerCounts) -> Figure:
         ]
         figure.legend(handles=patches, loc="outside lower center", ncols=len(names), frameon=False)
         figure.suptitle(f"Every participant's answer in every cell{more}", fontsize=9)
-        panels[0].set_xlabel("peak velocity [mm/s]")
+        panels[0].set_xlabel(answers.scale.quantity)
     return figure
 
 

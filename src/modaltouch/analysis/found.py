@@ -38,6 +38,8 @@ class Found:
         Zone at which the vibration was focused, if known.
     foci : dict of str to str
         Zone in focus of each of several stimuli.
+    in_multiples : bool
+        Whether its levels are told as multiples of the participant's own threshold.
     is_adaptive : bool
         Whether its levels followed from the answers; its rows then hold the catch trials too, at 0 mm/s.
     offers_none : bool
@@ -59,6 +61,7 @@ class Found:
     offers_none: bool = False
     catches: Counter[str] = field(default_factory=Counter)
     is_adaptive: bool = False
+    in_multiples: bool = False
     foci: dict[str, str] = field(default_factory=dict)
 
 
@@ -66,7 +69,8 @@ def _rows(session: Session) -> tuple[tuple[Any, ...], ...]:
     """Return the answers of a session that count, in the order of `COLUMNS`; catch trials only of adaptive ones."""
     counted = (event for event in session.trials if not event["trial"]["practice"])
     with_catches, who, number = is_adaptive(session), session.participant, session.start.get("session", 1)
-    return tuple(_row(who, number, event) for event in counted if with_catches or not event.get("catch"))
+    multiples = session.multiples
+    return tuple(_row(who, number, event, multiples) for event in counted if with_catches or not event.get("catch"))
 
 
 def is_adaptive(session: Session) -> bool:
@@ -96,18 +100,19 @@ COLUMNS = (
     "speed_right_mm_s",
     "confirmed",
 )
-"""Columns of the tidy table of recorded answers."""
+"""Columns of the tidy table of recorded answers; of levels calibrated by participant the multiple is told instead."""
 
 
-def _row(participant: str, session: int, event: dict[str, Any]) -> tuple[Any, ...]:
+def _row(participant: str, session: int, event: dict[str, Any], multiples: dict[float, float]) -> tuple[Any, ...]:
     trial, response, planned = event["trial"], event["response"], event.get("planned", {})
     condition = trial["condition"]
+    velocity = float(condition["velocity_mm_s"])
     return (
         participant,
         _one(condition["finger_condition"]),
         _one(condition["zone_left"]),
         _one(condition["zone_right"]),
-        float(condition["velocity_mm_s"]),
+        multiples.get(velocity, velocity),
         _one(condition.get("placement", "normal")),
         _one(condition.get("stimulus", "")),
         _one(response["answer"]),
@@ -152,6 +157,7 @@ def open_log(path: Path) -> Found:
         focus=str(design.get("stimulus", {}).get("focus", "")),
         offers_none="none" in design.get("answers", {}).get("keys", {}),
         is_adaptive=is_adaptive(session),
+        in_multiples=bool(session.multiples),
         foci={
             name: str(own.get("focus") or design.get("stimulus", {}).get("focus", ""))
             for name, own in design.get("stimuli", {}).items()

@@ -44,7 +44,7 @@ def chance_findings(answers: AnswerCounts) -> Iterator[Finding]:
         if answers.n_repetitions > 1:
             notes.append(f"most frequent answer of each participant, {ties} tied and left out")
         interval = clopper_pearson(float(counts[row, pair.dominant_index]), n)
-        scope = f"{_scope(answers, f, pair)} {answers.levels[v]:g} mm/s"
+        scope = f"{_scope(answers, f, pair)} {answers.scale.say(answers.levels[v])}"
         name = "exact multinomial test against chance"
         yield finding_of("a1", name, scope, tests[row], f"P({pair.dominant})", interval, n, family="a1", notes=notes)
 
@@ -89,11 +89,11 @@ def level_findings(answers: AnswerCounts) -> Iterator[Finding]:
         test = trend_test(chosen, answers.levels, answers.n_repetitions)
         notes = [f"{test.n_informative} of {answers.n_participants} participants changed their answer"]
         if len(levels) > 1:
-            interval = _slope(chosen / answers.n_repetitions, levels)
+            interval = _slope(chosen / answers.n_repetitions, levels, answers.scale.step)
         else:
             interval = Interval(np.nan, np.nan, np.nan, 0.0)
             notes.append("one level only: a trend needs two")
-        quantity = f"change of P({pair.dominant}) per 100 mm/s"
+        quantity = f"change of P({pair.dominant}) per {answers.scale.step_in_words}"
         name = "exact trend test, levels shuffled within participants"
         scope, n = _scope(answers, f, pair), answers.n_participants
         yield finding_of("b", name, scope, test, quantity, interval, n, family="b", notes=notes)
@@ -149,10 +149,10 @@ def _discordant(
     return only_first, only_second
 
 
-def _slope(shares: NDArray[np.float64], levels: NDArray[np.float64]) -> Interval:
-    """Return the mean slope of participants' shares over the level, per 100 mm/s."""
+def _slope(shares: NDArray[np.float64], levels: NDArray[np.float64], step: float) -> Interval:
+    """Return the mean slope of participants' shares over the level, for a step of the scale."""
     centred = levels - levels.mean()
-    weights = 100 * centred / (centred**2).sum()
+    weights = step * centred / (centred**2).sum()
     steepest = float(weights[weights > 0].sum())
     unit = paired_mean(shares @ weights, steepest)
     return Interval(unit.estimate * steepest, unit.low * steepest, unit.high * steepest, unit.n_effective)

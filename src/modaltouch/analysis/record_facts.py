@@ -33,7 +33,7 @@ class Presented:
     """One level of one finger condition, as planned and as the instrument confirmed it."""
 
     finger_condition: str
-    velocity_mm_s: str
+    level: str
     n_trials: int
     n_confirmed: int
     commanded: str
@@ -104,11 +104,13 @@ class SessionFacts:
     n_answers, n_practice : int
         Answers that count, and those of practice.
     levels : dict
-        What was presented, by finger condition and peak velocity [mm/s].
+        What was presented, by finger condition and level: peak velocity [mm/s], or multiple of the own threshold.
     faults : Counter
         Events that need a look, by kind.
     settings : dict
         Instrument, seed, hashes and versions.
+    threshold_mm_s : float or None
+        The participant's own threshold, where levels are multiples of it [mm/s].
     """
 
     participant: str
@@ -119,6 +121,7 @@ class SessionFacts:
     levels: dict[tuple[str, float], LevelFacts]
     faults: Counter[str]
     settings: dict[str, object]
+    threshold_mm_s: float | None = None
 
     @property
     def name(self) -> str:
@@ -134,12 +137,13 @@ def take_facts(session: Session) -> SessionFacts:
     session : Session
         A session as read from its log.
     """
-    start, trials = session.start, session.trials
+    start, trials, multiples = session.start, session.trials, session.multiples
     counted = [event for event in trials if not event["trial"]["practice"]]
     by_level: dict[tuple[str, float], list[dict[str, Any]]] = {}
     for event in counted:
         condition = event["trial"]["condition"]
-        key = (str(condition["finger_condition"]), float(condition["velocity_mm_s"]))
+        velocity = float(condition["velocity_mm_s"])
+        key = (str(condition["finger_condition"]), multiples.get(velocity, velocity))
         by_level.setdefault(key, []).append(event)
     return SessionFacts(
         participant=session.participant,
@@ -150,6 +154,7 @@ def take_facts(session: Session) -> SessionFacts:
         levels={key: _level_facts(events) for key, events in by_level.items()},
         faults=Counter(kind for event in session.events for kind in _kinds_of_fault(event)),
         settings=_settings_of(start),
+        threshold_mm_s=(start.get("sensation_levels") or {}).get("threshold_mm_s"),
     )
 
 
@@ -179,6 +184,7 @@ def _session_row(session: SessionFacts) -> dict[str, Any]:
         "n_answers": session.n_answers,
         "n_practice": session.n_practice,
         "n_events": session.faults.total(),
+        "threshold_mm_s": session.threshold_mm_s,
     }
 
 
@@ -209,9 +215,9 @@ def _presented(sessions: Sequence[SessionFacts]) -> Iterator[Presented]:
     for session in sessions:
         for key, level in session.levels.items():
             together.setdefault(key, LevelFacts()).add(level)
-    for (finger_condition, velocity), level in sorted(together.items(), key=lambda item: item[0]):
+    for (finger_condition, planned), level in sorted(together.items(), key=lambda item: item[0]):
         sent, read = _in_words(level.commanded), _in_words(level.confirmed)
-        yield Presented(finger_condition, f"{velocity:g}", level.n_trials, level.n_confirmed, sent, read)
+        yield Presented(finger_condition, f"{planned:g}", level.n_trials, level.n_confirmed, sent, read)
 
 
 def _in_words(ranges: Ranges) -> str:

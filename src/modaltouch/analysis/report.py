@@ -15,6 +15,7 @@ from modaltouch.analysis.findings import ALPHA, Finding
 from modaltouch.analysis.gallery import Picture
 from modaltouch.analysis.outcome import Analysis
 from modaltouch.analysis.page import embed_svg, render_page
+from modaltouch.analysis.scale import OWN_THRESHOLD
 from modaltouch.analysis.style import level_label
 from modaltouch.analysis.tables import tabulate, zone_table
 from modaltouch.analysis.words import HEADINGS, say_number, write_paragraphs
@@ -54,6 +55,7 @@ def render_report(analysis: Analysis, pictures: Sequence[Picture], vectors: Mapp
         limits=design_limits(analysis),
         left_out=analysis.responses.left_out,
         record=describe_record(analysis.responses.sessions),
+        own_thresholds=answers.scale == OWN_THRESHOLD,
         version=__version__,
         commit=commit(),
         versions={k: v for k, v in versions().items() if v != "absent"},
@@ -80,6 +82,11 @@ def design_limits(analysis: Analysis) -> list[str]:
                 "that side or finger. Mirrored placement, or swapped hands in half the participants, would tell them "
                 "apart."
             )
+    if answers.scale == OWN_THRESHOLD:
+        limits.append(
+            "Levels are multiples of each participant's own threshold as a session before found it. How uncertain "
+            "those thresholds are is in the reports of those sessions; no interval or test here takes it in."
+        )
     limits.append(
         "“Both” mixes two things, feeling both fingers alike and being unable to tell; the question does not part them."
     )

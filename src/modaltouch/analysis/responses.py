@@ -3,13 +3,18 @@
 The tidy table has one row for an answer (or, with a column ``n``, for a count of equal answers)::
 
     participant, finger_condition, zone_left, zone_right, velocity_mm_s, response
+
+Of sessions with levels calibrated by participant it has ``multiple_of_threshold`` in place of ``velocity_mm_s``.
 """
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Container
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
+
+from modaltouch.analysis.scale import scale_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -18,6 +23,11 @@ if TYPE_CHECKING:
 
 REQUIRED = ("participant", "finger_condition", "zone_left", "zone_right", "velocity_mm_s", "response")
 CELL = ("finger_condition", "zone_left", "zone_right", "velocity_mm_s")
+
+
+def cell_of(columns: Container[str]) -> tuple[str, ...]:
+    """Return what tells the cells of the design apart in a table with these columns."""
+    return (*CELL[:3], scale_of(columns).column)
 
 
 @dataclass(frozen=True)

@@ -18,12 +18,16 @@ from modaltouch.analysis.balance import answers_per_cell, describe_cell
 from modaltouch.analysis.found import COLUMNS, Found, open_log
 from modaltouch.analysis.mirroring import unmirror
 from modaltouch.analysis.responses import LeftOut, Responses, Source
+from modaltouch.analysis.scale import OWN_THRESHOLD, VELOCITY, scale_of
 from modaltouch.document import InputError, Problem
 from modaltouch.record.folders import LOG_NAME
 from modaltouch.record.session import read_session
 from modaltouch.trial import ANSWERS, ANSWERS_WITH_NONE
 
 MODES = ("real", "pilot", "simulated")
+
+_FIXED, _ADAPTIVE, _IN_MULTIPLES = "fixed", "adaptive", "calibrated"
+"""What sets the levels of a session: the protocol, the answers, or the participant's own threshold."""
 
 
 def read_tree(place: Path, mode: str | None = None, stimulus: str | None = None) -> Responses:
@@ -53,7 +57,8 @@ def read_tree(place: Path, mode: str | None = None, stimulus: str | None = None)
     found = [_mark(item, _other_mode(item, chosen)) for item in found]
     _refuse_protocols(place, [item.protocol for item in found if not item.reason])
     found = [_mark(item, item.unfit) for item in found]
-    is_adaptive = _are_adaptive(place, [item for item in found if not item.reason])
+    kind = _kind_of_levels(place, [item for item in found if not item.reason])
+    is_adaptive = kind == _ADAPTIVE
     found = found if is_adaptive else _even_out(found)
     left_out = tuple(LeftOut(str(item.path.parent), item.reason) for item in found if item.reason)
     taken = [item for item in found if not item.reason]
@@ -63,6 +68,8 @@ def read_tree(place: Path, mode: str | None = None, stimulus: str | None = None)
         remedy = "finish one with `modaltouch resume`, or choose another mode or folder"
         _refuse(place, f"no session that can be analysed ({listed})", "at least one complete session", remedy)
     frame = unmirror(pd.DataFrame([row for item in taken for row in item.rows], columns=list(COLUMNS)))
+    if kind == _IN_MULTIPLES:
+        frame = frame.rename(columns={VELOCITY.column: OWN_THRESHOLD.column})
     foci = taken[0].foci
     if is_adaptive and stimulus is not None:
         given, remedy = f"stimulus {stimulus!r} with adaptive sessions", "leave the option out: each run is of one"
@@ -143,12 +150,13 @@ def _choose_stimulus(place: Path, frame: pd.DataFrame, stimulus: str | None) -> 
     return frame[frame["stimulus"] == stimulus].reset_index(drop=True)
 
 
-def _are_adaptive(place: Path, found: Sequence[Found]) -> bool:
-    kinds = {item.is_adaptive for item in found}
+def _kind_of_levels(place: Path, found: Sequence[Found]) -> str:
+    """Return what sets the levels of all sessions; refuse sessions that differ in it."""
+    kinds = {_ADAPTIVE if item.is_adaptive else _IN_MULTIPLES if item.in_multiples else _FIXED for item in found}
     if len(kinds) > 1:
-        given = "sessions with fixed levels and adaptive ones under the name of one protocol"
-        _refuse(place, given, "one of the two", "give the folder of one of them; name the other protocol anew")
-    return kinds == {True}
+        given = f"sessions with {' and '.join(sorted(kinds))} levels under the name of one protocol"
+        _refuse(place, given, "one of them", "give the folder of one of them; name the other protocol anew")
+    return next(iter(kinds), _FIXED)
 
 
 def _refuse_designs(place: Path, frame: pd.DataFrame) -> None:
@@ -159,7 +167,8 @@ def _refuse_designs(place: Path, frame: pd.DataFrame) -> None:
     if not len(odd):
         return
     cells = answers.columns[(answers.loc[odd[0]] != usual).to_numpy()]
-    shown = f"{odd[0]} has {answers.loc[odd[0], cells[0]]} in {describe_cell(cells[0])}, others up to {usual}"
+    cell = describe_cell(cells[0], scale_of(frame.columns))
+    shown = f"{odd[0]} has {answers.loc[odd[0], cells[0]]} in {cell}, others up to {usual}"
     given = f"participants who answered different conditions ({len(odd)} of {len(answers)}; {shown})"
     remedy = "give a folder with the sessions of one version of the protocol"
     _refuse(place, given, "the same conditions, equally often, for every participant", remedy)

@@ -8,6 +8,7 @@ import pandas as pd
 
 from modaltouch.analysis.counts import NONE, PAPER_CONDITIONS, WORDS, AnswerCounts, count_answers, find_focus, orient
 from modaltouch.analysis.responses import CELL
+from modaltouch.analysis.scale import scale_of
 
 
 def count_responses(frame: pd.DataFrame, focus: str = "") -> pd.DataFrame:
@@ -23,8 +24,8 @@ def count_responses(frame: pd.DataFrame, focus: str = "") -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        Columns finger_condition, pair, zone_left, zone_right, velocity_mm_s, left, both, right, none (where that is
-        an answer), n; one row for each cell.
+        Columns finger_condition, pair, zone_left, zone_right, velocity_mm_s (or multiple_of_threshold), left, both,
+        right, none (where that is an answer), n; one row for each cell.
     """
     return tabulate(count_answers(frame, focus))
 
@@ -39,7 +40,8 @@ def tabulate(answers: AnswerCounts) -> pd.DataFrame:
         for v, level in enumerate(answers.levels)
     ]
     words = WORDS[: answers.counts.shape[-1]]
-    return pd.DataFrame(rows, columns=["finger_condition", "pair", *CELL[1:], *words, "n"])
+    level = answers.scale.column
+    return pd.DataFrame(rows, columns=["finger_condition", "pair", *CELL[1:3], level, *words, "n"])
 
 
 def zone_table(counts: pd.DataFrame, finger_condition: str, focus: str = "") -> pd.DataFrame:
@@ -58,7 +60,7 @@ def zone_table(counts: pd.DataFrame, finger_condition: str, focus: str = "") -> 
     -------
     DataFrame
         Index (pair, answer), answers as in the paper: ``C``, ``A``, ``C & A`` and so on, then ``none`` where that is
-        an answer; one column for each level [mm/s], holding how many answers out of the cell's n.
+        an answer; one column for each level, holding how many answers out of the cell's n.
 
     Raises
     ------
@@ -72,15 +74,15 @@ def zone_table(counts: pd.DataFrame, finger_condition: str, focus: str = "") -> 
     zones = list(dict.fromkeys(zip(own["zone_left"], own["zone_right"], strict=True)))
     focus = focus or find_focus(zones)
     none = (("none", NONE),) if "none" in own.columns else ()
-    rows = {}
+    rows, level = {}, scale_of(counts.columns).column
     for left, right in zones:
         pair = orient(str(left), str(right), focus)
-        cells = own[(own["zone_left"] == left) & (own["zone_right"] == right)].set_index("velocity_mm_s")
+        cells = own[(own["zone_left"] == left) & (own["zone_right"] == right)].set_index(level)
         for label, place in (*pair.answers, *none):
             rows[pair.label, label] = cells[WORDS[place]].sort_index()
     table = pd.DataFrame(rows).T.astype(int)
     table.index.names = ["pair", "answer"]
-    table.columns.name = "velocity_mm_s"
+    table.columns.name = level
     return table
 
 

@@ -135,10 +135,11 @@ def _level(own: Sequence[Finding], answers: AnswerCounts) -> str:
     tested = [f for f in own if f.family]
     open_ones = [f for f in tested if f.p_min > ALPHA]
     text = (
-        f"Trend of the dominant answer over {answers.levels[0]:g} to {answers.levels[-1]:g} mm/s, levels shuffled "
-        f"within participants (exact), Holm over {_family(own)}. "
+        f"Trend of the dominant answer over {answers.levels[0]:g} to {answers.scale.say(answers.levels[-1])}, levels "
+        f"shuffled within participants (exact), Holm over {_family(own)}. "
     )
-    text += " ".join(f"{f.scope}: {say_interval(f)} per 100 mm/s, {_verdict(f)}." for f in tested if f not in open_ones)
+    step = answers.scale.step_in_words
+    text += " ".join(f"{f.scope}: {say_interval(f)} per {step}, {_verdict(f)}." for f in tested if f not in open_ones)
     if open_ones:
         text += (
             f" No information on {_join([f.scope for f in open_ones])}: too few participants changed their answer "

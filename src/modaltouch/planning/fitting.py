@@ -11,6 +11,7 @@ import numpy as np
 from modaltouch.analysis.counts import NONE, AnswerCounts, count_answers
 from modaltouch.analysis.reading import read_responses
 from modaltouch.analysis.responses import Responses
+from modaltouch.analysis.scale import OWN_THRESHOLD, scale_of
 from modaltouch.document import InputError, Problem
 from modaltouch.observer import Observer
 from modaltouch.observer.felt import Felt
@@ -108,6 +109,9 @@ def _count(preflight: Preflight, path: Path, responses: Responses) -> AnswerCoun
     """Return the counts of answers to one stimulus, every zone of them one of the beam."""
     experiment, remedy = preflight.experiment, "give the protocol in which these answers were given"
     _refuse_adaptive(path, is_adaptive=responses.is_adaptive)
+    if scale_of(responses.frame.columns) == OWN_THRESHOLD:
+        given = "sessions with levels calibrated by participant, who felt each a velocity of their own"
+        raise InputError([Problem(str(path), 1, 1, "", given, "sessions with the same levels for all", "")])
     answers = count_answers(responses.frame, responses.focus or experiment.protocol.stimulus.focus)
     zones = experiment.apparatus.zones
     for zone in dict.fromkeys(zone for pair in answers.pairs for zone in (pair.left, pair.right)):

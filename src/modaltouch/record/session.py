@@ -61,6 +61,12 @@ class Session:
         closed = [event["begun_anew_as"] for event in self.events if event.get("event") == "closed"]
         return int(closed[-1]) if closed else None
 
+    @property
+    def multiples(self) -> dict[float, float]:
+        """What multiple of the participant's own threshold each level [mm/s] is; empty where levels are not so."""
+        own = self.start.get("sensation_levels") or {"levels_mm_s": (), "multiples": ()}
+        return dict(zip(own["levels_mm_s"], own["multiples"], strict=True))
+
     @cached_property
     def trials(self) -> tuple[dict[str, Any], ...]:
         """The trial events that count: answered, not superseded by a later one, and not to be asked again."""
