@@ -32,7 +32,7 @@ def test_a_table_has_no_record_to_tell_of() -> None:
 def test_planned_and_confirmed_stand_side_by_side() -> None:
     """Two sessions at one level: sent 1.5 and 2 Vpp, read back 1.5 and 2.01."""
     (row,) = facts(session("p01"), session("p02")).presented
-    assert (row.velocity_mm_s, row.n_trials, row.n_confirmed) == ("80", 2, 2)
+    assert (row.level, row.n_trials, row.n_confirmed) == ("80", 2, 2)
     assert (row.commanded, row.confirmed) == ("1.5, 2", "1.5, 2.01")
 
 
