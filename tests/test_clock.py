@@ -8,7 +8,7 @@ import pytest
 
 from modaltouch.clock import ClockTiming, measure_clock
 
-GOOD = ClockTiming("clock_gettime(CLOCK_MONOTONIC)", True, 1e-7, 1.06e-3, 1.1e-3, 2e-3, 3.0)  # noqa: FBT003
+GOOD = ClockTiming("clock_gettime(CLOCK_MONOTONIC)", True, 1e-7, 1.06e-3, 1.1e-3, 2e-3, 3.0)
 
 
 def test_the_clock_of_this_machine_only_goes_forward() -> None:

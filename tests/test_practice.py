@@ -80,7 +80,7 @@ def test_a_trial_answered_again_counts_by_its_last_answer() -> None:
     ("agreed", "criterion", "passed"),
     [(2, 2 / 3, True), (1, 2 / 3, False), (3, 1.0, True), (2, 1.0, False), (0, None, True)],
 )
-def test_a_round_is_passed_from_its_criterion_on(agreed: int, criterion: float | None, passed: bool) -> None:  # noqa: FBT001
+def test_a_round_is_passed_from_its_criterion_on(agreed: int, criterion: float | None, passed: bool) -> None:
     """Expected: at least the criterion's share of three judged trials; without a criterion always."""
     assert Round(1, 3, agreed).passes(criterion) is passed
 

@@ -210,7 +210,7 @@ def test_an_unconfirmed_firing_is_stopped_and_tried_again(sit: Callable[..., Sit
 def test_practice_is_judged_by_its_criterion(
     sit: Callable[..., Sitting],
     rule: Callable[[Trial], Answer],
-    passed: bool,  # noqa: FBT001
+    passed: bool,
 ) -> None:
     """Expected: one round where it is passed, all rounds where it is not, and then the session goes on."""
     sitting = sit(rule, practice_trials=3, practice_criterion=0.6, practice_rounds=2)

@@ -55,7 +55,7 @@ _DOORS = {
 }
 """Where each function lives that the package offers; imported when it is first asked for, since some are heavy."""
 
-__all__ = ["__version__", *_DOORS]  # noqa: PLE0604
+__all__ = ["__version__", *_DOORS]
 
 
 def __getattr__(name: str) -> Any:

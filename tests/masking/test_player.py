@@ -137,7 +137,7 @@ print(json.dumps(said))
 def test_the_doctor_says_whether_there_is_a_sound_device(
     tmp_path: Path,
     null_device: Path,
-    there: bool,  # noqa: FBT001
+    there: bool,
     state: str,
 ) -> None:
     """Never a fault: only a protocol that demands noise needs it."""
@@ -271,7 +271,7 @@ def test_a_device_that_comes_back_goes_on(devices: list[Device]) -> None:
 def test_a_device_that_stays_away_ends_the_session_or_is_recorded(
     devices: list[Device],
     monkeypatch: pytest.MonkeyPatch,
-    required: bool,  # noqa: FBT001
+    required: bool,
 ) -> None:
     """Demanded: MaskingError before the next trial. Not demanded: told once more, and never on again."""
     masking, log = make(SECTION.model_copy(update={"required": required}))

@@ -47,7 +47,7 @@ def test_command_carries_value_and_unit(setting: Setting, command: str) -> None:
         (Setting("SOUR1:FREQ", 20.0, "HZ", tolerance=1e-6), "20.0001", False),
     ],
 )
-def test_reply_confirms_or_does_not(setting: Setting, reply: str, confirmed: bool) -> None:  # noqa: FBT001
+def test_reply_confirms_or_does_not(setting: Setting, reply: str, confirmed: bool) -> None:
     """Tolerances: 1e-4 for levels on a grid of four digits, 5e-4 for a timer of four digits, 1e-6 for the rate."""
     assert setting.confirmed_by(reply) is confirmed
 

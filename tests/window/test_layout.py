@@ -49,7 +49,7 @@ def test_everything_lies_inside_any_window(width_px: int, height_px: int, n_zone
 
 @pytest.mark.parametrize("offers_none", [False, True])
 @pytest.mark.parametrize("size", [*SIZES, (1080, 1920)])
-def test_nothing_on_the_question_screen_overlaps(size: tuple[int, int], offers_none: bool) -> None:  # noqa: FBT001
+def test_nothing_on_the_question_screen_overlaps(size: tuple[int, int], offers_none: bool) -> None:
     """Expected: each part of the question has its own place at every size of the design notes."""
     layout = lay_out(*size, ZONES, offers_none=offers_none)
     for (name, first), (other, second) in itertools.combinations(boxes(layout).items(), 2):

@@ -11,6 +11,8 @@ from modaltouch.cli.options import CALIBRATION, JSON, PROTOCOL
 
 if TYPE_CHECKING:
     from modaltouch.preflight import Preflight
+_MOST_ROWS = 12
+"""Rows of the table of sensitivities that are shown, the worst first."""
 
 
 def check(
@@ -140,7 +142,7 @@ def _show_explored(asked: dict[str, Any]) -> None:
         )
         for heading in ("parameter", "mode", "error %", "field mm/s", "displacement mm/s"):
             table.add_column(heading, justify="left" if heading == "parameter" else "right")
-        for row in found["table"][:12]:
+        for row in found["table"][:_MOST_ROWS]:
             numbers = (f"{row['error'] * 100:g}", f"{row['field_mm_s']:.2f}", f"{row['displacement_mm_s']:.2f}")
             table.add_row(str(row["parameter"]).replace("_", " "), str(row["mode"]), *numbers)
         console.print(table)

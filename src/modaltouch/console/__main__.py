@@ -45,7 +45,7 @@ def main() -> None:
     target = "CONOUT$" if sys.platform == "win32" else screen
     news: News = queue.Queue()
     threading.Thread(target=_listen, args=(news,), daemon=True).start()
-    with open(target, "w", encoding="utf-8", closefd=sys.platform == "win32") as file, open_keyboard(keys) as keyboard:  # noqa: PTH123
+    with open(target, "w", encoding="utf-8", closefd=sys.platform == "win32") as file, open_keyboard(keys) as keyboard:
         dialogue = Dialogue(emergency)
         # A thread of its own, so that no key waits for a picture.
         threading.Thread(target=_read, args=(keyboard, dialogue, news), daemon=True).start()

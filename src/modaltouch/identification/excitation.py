@@ -49,7 +49,6 @@ LEVEL = 0.1
 """Nominal velocity that names the chirp's level; nobody feels it [m/s]."""
 
 Excitation = Literal["multisine", "chirp"]
-EXCITATIONS: tuple[Excitation, ...] = ("multisine", "chirp")
 
 CLOCK_TOLERANCE = 20e-6
 """How far the clocks of scope and generator may differ, by their data sheets [1]."""

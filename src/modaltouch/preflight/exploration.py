@@ -16,9 +16,6 @@ ERRORS = {"natural_frequency": 0.001, "damping_ratio": 0.05, "modal_gain": 0.05}
 SPREAD: dict[str, Any] = {"natural_frequency": 0.001, "damping_ratio": 0.02, "modal_gain": 0.02}
 """Relative standard deviations of the beams that are drawn [1]."""
 
-ROWS = 12
-"""Rows of the table of sensitivities that are shown, the worst first."""
-
 
 def sensitivity_figures(ground: Ground, stimulus: Stimulus) -> dict[str, Any]:
     """Return how well the beam must be identified: what errors of its parameters do to the field at the focus.

@@ -112,11 +112,11 @@ class Watchdog:
         TransportError
             If it fails.
         """
-        return self._request(EXCHANGE, TERMS.pack(timeout, reply, False) + message, 2 * timeout + OVERHEAD)  # noqa: FBT003
+        return self._request(EXCHANGE, TERMS.pack(timeout, reply, False) + message, 2 * timeout + OVERHEAD)
 
     def close(self, *, broken: bool) -> None:
         """End the VISA session; the process stays."""
-        self._request(CLOSE, TERMS.pack(0.0, False, broken), 2 * OVERHEAD)  # noqa: FBT003
+        self._request(CLOSE, TERMS.pack(0.0, False, broken), 2 * OVERHEAD)
 
     def arm(self) -> None:
         """Tell it that outputs may go on.

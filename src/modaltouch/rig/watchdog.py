@@ -184,7 +184,7 @@ def main(address: str) -> int:
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
     _import_visa()
-    with open(0, "rb", buffering=1 << 18, closefd=False) as requests:  # noqa: PTH123
+    with open(0, "rb", buffering=1 << 18, closefd=False) as requests:
         Watch(VisaSession(address)).serve(requests, _answer)
     return 0
 

@@ -187,7 +187,8 @@ class Screen:
             return
         try:
             self._window.close()
-        except Exception as error:  # noqa: BLE001 - whatever the display does, the session must go on to its end
+        # Whatever the display does, the session must go on to its end.
+        except Exception as error:
             sys.stderr.write(f"the answer window did not close cleanly: {error}\n")
 
     def _stimuli(self, mark: Mark) -> tuple[Any, ...]:

@@ -107,7 +107,7 @@ def test_number_out_of_reach_has_its_standard_error(text: str, code: int) -> Non
 
 
 @pytest.mark.parametrize(("text", "value"), [("ON", True), ("off", False), ("1", True), ("0", False), ("0.4", False)])
-def test_boolean_is_a_word_or_a_rounded_number(text: str, value: bool) -> None:  # noqa: FBT001
+def test_boolean_is_a_word_or_a_rounded_number(text: str, value: bool) -> None:
     """SCPI-99, 7.3: numbers are rounded, nonzero is true."""
     assert read_boolean(text) is value
 
