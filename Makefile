@@ -49,7 +49,7 @@ demo: install
 ## test: the whole test suite, window tests included, on two cores
 .PHONY: test
 test: install
-	$(PYTHON) -m pytest -n 2 --dist loadfile
+	$(PYTHON) -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 ## check: formatting, lint, types and the import contracts
 .PHONY: check

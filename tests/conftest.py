@@ -1,16 +1,52 @@
-"""A copy of the shipped protocols that a test may spoil."""
+"""A copy of the shipped protocols that a test may spoil; how the tests are shared out among processes."""
 
 from __future__ import annotations
 
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 SHIPPED = Path(__file__).parents[1] / "protocols"
 
 Edit = Callable[..., Path]
+
+LONGEST = (
+    "tests/test_readme.py",
+    "tests/sessions/test_durability.py",
+    "tests/window/test_session_from_outside.py",
+)
+"""Files that take longest, begun first, so that no process is left with one of them when the others are done."""
+
+SPLIT = ("tests/sessions/test_durability.py",)
+"""Files of which each test may run in another process: one takes longer than most files."""
+
+# How long an example takes says more of what else the machine does than of the test.
+settings.register_profile("modaltouch", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("modaltouch")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the longest files first."""
+    order = {name: place for place, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: order.get(item.nodeid.partition("::")[0], len(LONGEST)))
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Keep the tests of a file together under ``--dist loadfile``, but for the files to be split."""
+    if config.getvalue("dist") != "loadfile":
+        return None
+    from xdist.scheduler import LoadFileScheduling
+
+    class Scheduling(LoadFileScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            return nodeid if nodeid.startswith(SPLIT) else str(super()._split_scope(nodeid))
+
+    return Scheduling(config, log)
 
 
 @pytest.fixture
