@@ -1,14 +1,81 @@
-"""What is told of a trial: to the record, and to the experimenter."""
+"""What is told of a session and its trials: to the record, and to the experimenter."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal
 
+from modaltouch.adaptive import describe_rule
+from modaltouch.interruption import Interrupted
+from modaltouch.masking.interface import MaskingError
+from modaltouch.preflight import Preflight
 from modaltouch.protocol import Protocol
+from modaltouch.record.chain import RecordError
+from modaltouch.record.folders import SessionFolder
 from modaltouch.record.instants import describe_instants
-from modaltouch.rig.interface import Firing
+from modaltouch.record.shape import SCHEMA
+from modaltouch.rig.interface import Firing, RigError
+from modaltouch.schedule import Schedule
 from modaltouch.trial import Response, Trial
+from modaltouch.window.interface import SessionStopped, WindowError
+
+
+def describe_start(preflight: Preflight, schedule: Schedule, place: SessionFolder) -> dict[str, Any]:
+    """Return what the start record says of the experiment: all that is needed to repeat the session.
+
+    Parameters
+    ----------
+    preflight : Preflight
+        The checked experiment.
+    schedule : Schedule
+        The participant's trials.
+    place : SessionFolder
+        Where it is recorded.
+    """
+    experiment, burst = preflight.experiment, preflight.stimulus.burst
+    rule = describe_rule(experiment.protocol)
+    return {
+        "schema": SCHEMA,
+        "mode": place.mode,
+        "participant": place.participant,
+        "session": place.session,
+        "protocol": experiment.protocol.protocol,
+        "apparatus": experiment.apparatus.apparatus,
+        "language": experiment.texts.language,
+        "design": experiment.protocol.model_dump(mode="json"),
+        "sources": experiment.sources.as_dict(),
+        "schedule": schedule.as_dict(),
+        **({"adaptive": rule} if rule is not None else {}),
+        "stimulus": {
+            "content_hash": burst.content_hash,
+            "velocity_mm_s": burst.velocity * 1e3,
+            "amplitude_Vpp": list(burst.amplitude),
+            "stimuli": preflight.as_dict()["stimuli"],
+            **({"content_hashes": preflight.content_hashes} if experiment.protocol.stimuli else {}),
+        },
+    }
+
+
+def describe_ending(error: BaseException) -> dict[str, str]:
+    """Return why a session ended early, as its stop record says.
+
+    Parameters
+    ----------
+    error : BaseException
+        What ended it.
+    """
+    if isinstance(error, SessionStopped):
+        return {"reason": error.reason}
+    if isinstance(error, Interrupted):
+        return {"reason": error.signal_name}
+    kinds: dict[type[BaseException], Literal["rig fault", "window lost", "record fault", "masking lost"]] = {
+        RigError: "rig fault",
+        MaskingError: "masking lost",
+        WindowError: "window lost",
+        RecordError: "record fault",
+    }
+    reason = next((reason for kind, reason in kinds.items() if isinstance(error, kind)), "error")
+    return {"reason": reason, "message": f"{type(error).__name__}: {error}"}
 
 
 def describe_answer(

@@ -7,17 +7,18 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
-from typing import Any, Literal
+from typing import Any
 
-from modaltouch.adaptive import Levels, describe_rule
+from modaltouch.account import describe_ending, describe_start
+from modaltouch.adaptive import Levels
 from modaltouch.allotment import allot
 from modaltouch.console.experimenter import Experimenter
 from modaltouch.console.interface import Console, Silence
 from modaltouch.console.status import Status
 from modaltouch.document import InputError
-from modaltouch.interruption import Interrupted, Interruption
+from modaltouch.interruption import Interruption
 from modaltouch.journal import Journal
-from modaltouch.masking.interface import Masking, MaskingError, NoMasking
+from modaltouch.masking.interface import Masking, NoMasking
 from modaltouch.preflight import Preflight
 from modaltouch.preflight.figures import estimated_duration
 from modaltouch.protocol.calibration_file import generator_problem
@@ -26,14 +27,13 @@ from modaltouch.record.chain import RecordError
 from modaltouch.record.folders import SessionFolder
 from modaltouch.record.log import SessionLog, refuse_existing
 from modaltouch.record.session import Session, read_session
-from modaltouch.record.shape import SCHEMA
 from modaltouch.record.view import describe_dataset, hold_dataset, list_participants, write_view
 from modaltouch.resumption import begin_anew, examine_interruption, go_on, refuse_old
 from modaltouch.rig import is_simulated
-from modaltouch.rig.interface import Rig, RigError
+from modaltouch.rig.interface import Rig
 from modaltouch.schedule import Schedule, draw_schedule
 from modaltouch.session import Sitting, conduct
-from modaltouch.window.interface import AnswerWindow, SessionStopped, Tick, WindowError, Wish
+from modaltouch.window.interface import AnswerWindow, Tick, Wish
 
 OpenRig = Callable[[Callable[..., None]], AbstractContextManager[Rig]]
 """Opens the instrument for a while, given a function that takes each exchange with it."""
@@ -181,7 +181,7 @@ def _sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessi
             sitting = _sitting(setup, rig, window, log, journal, tick, levels)
             conduct(replace(sitting, experimenter=experimenter, masking=masking))
         except BaseException as error:
-            ending = _ending(error)
+            ending = describe_ending(error)
             error.add_note(f"everything answered is kept; go on with `modaltouch resume {setup.place.folder}`")
             raise
         finally:
@@ -255,7 +255,6 @@ def _sitting(
 
 
 def _describe(setup: Setup, rig: Rig, window: AnswerWindow, masking: Masking, first: str) -> dict[str, Any]:
-    experiment, schedule, burst = setup.preflight.experiment, setup.schedule, setup.preflight.stimulus.burst
     noise = masking.describe()
     about = {
         **setup.facts,
@@ -266,45 +265,7 @@ def _describe(setup: Setup, rig: Rig, window: AnswerWindow, masking: Masking, fi
         "commit": commit(),
         "boot": boot(),
     }
-    if first == "resume":
-        return about
-    rule = describe_rule(experiment.protocol)
-    return {
-        "schema": SCHEMA,
-        "mode": setup.place.mode,
-        "participant": setup.place.participant,
-        "session": setup.place.session,
-        "protocol": experiment.protocol.protocol,
-        "apparatus": experiment.apparatus.apparatus,
-        "language": experiment.texts.language,
-        "design": experiment.protocol.model_dump(mode="json"),
-        "sources": experiment.sources.as_dict(),
-        "schedule": schedule.as_dict(),
-        **({"adaptive": rule} if rule is not None else {}),
-        "stimulus": {
-            "content_hash": burst.content_hash,
-            "velocity_mm_s": burst.velocity * 1e3,
-            "amplitude_Vpp": list(burst.amplitude),
-            "stimuli": setup.preflight.as_dict()["stimuli"],
-            **({"content_hashes": setup.preflight.content_hashes} if experiment.protocol.stimuli else {}),
-        },
-        **about,
-    }
-
-
-def _ending(error: BaseException) -> dict[str, str]:
-    if isinstance(error, SessionStopped):
-        return {"reason": error.reason}
-    if isinstance(error, Interrupted):
-        return {"reason": error.signal_name}
-    kinds: dict[type[BaseException], Literal["rig fault", "window lost", "record fault", "masking lost"]] = {
-        RigError: "rig fault",
-        MaskingError: "masking lost",
-        WindowError: "window lost",
-        RecordError: "record fault",
-    }
-    reason = next((reason for kind, reason in kinds.items() if isinstance(error, kind)), "error")
-    return {"reason": reason, "message": f"{type(error).__name__}: {error}"}
+    return about if first == "resume" else {**describe_start(setup.preflight, setup.schedule, setup.place), **about}
 
 
 def _conclude(setup: Setup, log: SessionLog, journal: Journal, ending: dict[str, str]) -> None:
