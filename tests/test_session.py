@@ -11,9 +11,12 @@ from typing import Any
 import pytest
 
 from modaltouch.adaptive import Levels
+from modaltouch.console.experimenter import Experimenter
+from modaltouch.console.interface import Request, Silence
 from modaltouch.masking.interface import MaskingError, NoMasking
 from modaltouch.protocol import Experiment, Protocol, read_protocol
 from modaltouch.record.log import SessionLog
+from modaltouch.record.session import Session
 from modaltouch.rig.interface import Firing, RigError
 from modaltouch.schedule import draw_schedule
 from modaltouch.session import Sitting, conduct
@@ -50,8 +53,8 @@ class Person:
     seen: list[str] = field(default_factory=list)
     cut: list[str] = field(default_factory=list)
 
-    def welcome(self) -> None:
-        self.seen.append("welcome")
+    def welcome(self, trial: Trial) -> None:
+        self.seen.append("welcome " + "".join(trial.condition.pair))
 
     def announce(self, text: str) -> None:
         self.seen.append(text)
@@ -80,6 +83,17 @@ class Person:
 
     def goodbye(self) -> None:
         self.seen.append("goodbye")
+
+
+class Keys(Silence):
+    """A console whose keys are pressed by the test."""
+
+    def __init__(self) -> None:
+        self.asked: list[Request] = []
+
+    def requests(self) -> list[Request]:
+        asked, self.asked = self.asked, []
+        return asked
 
 
 def right_answer(trial: Trial) -> Answer:
@@ -152,8 +166,32 @@ def test_every_trial_is_answered_once_in_order(sit: Callable[..., Sitting]) -> N
     fired = [place for place, command in enumerate(told) if command.startswith("fire")]
     assert len(fired) == 13
     assert all(told[place + 1] == "stop" for place in fired)
-    assert seen(sitting)[:2] == ["welcome", "practice"]
+    first = "".join(sitting.trials[0].condition.pair)
+    assert seen(sitting)[:2] == [f"welcome {first}", "practice"], "the fingers of the first trial, as they are placed"
     assert seen(sitting)[-1] == "goodbye"
+
+
+def test_the_last_trial_can_be_repeated_while_the_participant_is_thanked(sit: Callable[..., Sitting]) -> None:
+    """Expected: placed anew, asked again, the first answer withdrawn, thanked again; nothing is asked for in vain."""
+    sitting = sit()
+    console = Keys()
+    experimenter = Experimenter(console)
+    sitting.log.listener = experimenter.tell
+    thank = sitting.window.goodbye
+
+    def goodbye() -> None:
+        thank()
+        if seen(sitting).count("goodbye") <= 2:
+            console.asked.append(Request("repeat"))
+        experimenter.attend()
+
+    sitting.window.goodbye = goodbye  # type: ignore[method-assign]
+    conduct(replace(sitting, experimenter=experimenter))
+    last = seen(sitting)[seen(sitting).index("goodbye") :]
+    answer, place = right_answer(sitting.trials[-1]), "place " + "".join(sitting.trials[-1].condition.pair)
+    assert last == ["goodbye", *[place, "trial 12", answer, "goodbye"] * 2]
+    assert len(events(sitting, "withdrawn")) == 2
+    assert Session(sitting.log.path, tuple(sitting.log.events), ()).n_answered == 12
 
 
 def test_fingers_are_placed_anew_only_where_they_change(sit: Callable[..., Sitting]) -> None:

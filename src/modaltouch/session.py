@@ -76,7 +76,7 @@ def conduct(sitting: Sitting) -> None:
     SessionStopped, Interrupted, RigError, RecordError, WindowError, MaskingError
         Whatever ended the session early; what was answered is kept.
     """
-    sitting.window.welcome()
+    sitting.window.welcome(sitting.trials[0])
     previous = practise(sitting)
     rested = time.perf_counter()
     for trial in sitting.trials:
@@ -96,9 +96,12 @@ def conduct(sitting: Sitting) -> None:
         run(sitting, settled, previous)
         previous = repeat(sitting, settled)
     sitting.window.goodbye()
+    # The last trial may be wanted again while the participant is thanked; the fingers are lifted by then.
+    while repeat(sitting, None) is not None:
+        sitting.window.goodbye()
 
 
-def repeat(sitting: Sitting, previous: Trial) -> Trial:
+def repeat(sitting: Sitting, previous: Trial | None) -> Trial | None:
     """Ask again what the experimenter wants repeated, and return the last trial that was run.
 
     The first answer stays in the record, withdrawn: if nothing comes after it, `resume` asks the trial again. In an

@@ -33,6 +33,7 @@ OPEN = """
 import time
 from pathlib import Path
 from modaltouch.protocol import read_protocol
+from modaltouch.trial import Condition, Trial
 from modaltouch.window import open_window
 class Shown(Exception): pass
 experiment = read_protocol(Path("protocols/demo.yaml"))
@@ -43,7 +44,7 @@ def tick():
 window = open_window("window", experiment.protocol, experiment.texts, zones=tuple(experiment.apparatus.zones),
                      tick=tick, log=lambda event, **facts: None)
 try:
-    window.welcome()
+    window.welcome(Trial(1, 0, Condition("one_hand", "A", "C", 80.0), practice=True))
 except Shown:
     print(polls[0], time.process_time())
 window.close()

@@ -163,6 +163,12 @@ def test_a_repeat_can_be_taken_back_and_never_asks_for_a_withdrawn_answer() -> N
     twice.tell(trial(1))
     twice.attend()
     assert twice.take_repeat() is None
+    status = Status()
+    early = Experimenter(Asked("repeat"), status=status)
+    early.tell(start())
+    early.attend()
+    assert early.take_repeat() is None
+    assert status.facts()["nothing_to_repeat"], "a key that does nothing is told to do nothing"
     experimenter = Experimenter(Asked("repeat"))
     experimenter.tell(start())
     experimenter.tell(trial(1))
@@ -171,8 +177,8 @@ def test_a_repeat_can_be_taken_back_and_never_asks_for_a_withdrawn_answer() -> N
     assert experimenter.take_repeat() is None
 
 
-def test_every_picture_fits_a_terminal_of_80_by_24() -> None:
-    """Long names, long errors and every warning at once: no line is wrapped, none is lost."""
+def test_every_picture_fits_its_terminal() -> None:
+    """Long names, long errors and every warning at once: nothing that is asked and no key is ever out of sight."""
     status = Status()
     status.take({**start(240), "participant": "p" * 32, "protocol": "with_a_name_that_is_rather_long"})
     for index in range(1, 40):
@@ -184,15 +190,19 @@ def test_every_picture_fits_a_terminal_of_80_by_24() -> None:
         "zone_left": "A", "zone_right": "C", "finger_left": "right middle", "finger_right": "right index",
     }  # fmt: skip
     status.take({"event": "trial_next", "trial": described})
-    for width in (80, 60, 200):
+    prompt = "stop the session now? y: yes, any other key: no"
+    for width, height in ((80, 24), (60, 20), (200, 50), (60, 24), (40, 20), (80, 14), (40, 12)):
         file = StringIO()
-        console = Console(file=file, width=width, height=24, force_terminal=False)
-        console.print(draw_session(status.facts(), "note (Enter keeps it): " + "y" * 34, width=width))
+        console = Console(file=file, width=width, height=height, force_terminal=False)
+        console.print(draw_session(status.facts(), prompt, width=width, height=height))
         lines = file.getvalue().splitlines()
-        assert len(lines) <= 23
+        assert len(lines) <= height - 1
         assert max(map(len, lines)) <= width
-        assert any("EMERGENCY STOP" in line for line in lines)
-        assert any("lean to the left" in line for line in lines)
+        told = " ".join(" ".join(lines).replace("\N{NO-BREAK SPACE}", " ").split())
+        for words in ("39 of 240", "EMERGENCY STOP", "q stop", prompt, "! answers lean"):
+            assert words in told, (width, height)
+        if width * height >= 80 * 20:
+            assert "right middle on A, right index on C (mirrored swapped)" in told
 
 
 def test_the_trial_is_told_with_its_stimulus_and_small_speeds_apart() -> None:
@@ -202,11 +212,14 @@ def test_the_trial_is_told_with_its_stimulus_and_small_speeds_apart() -> None:
         "predicted_right_mm_s": 2.0, "finger_condition": "one_hand", "placement": "normal", "zone_left": "A",
         "zone_right": "C", "finger_left": "right index", "finger_right": "right middle", "stimulus": "blunt",
     }  # fmt: skip
-    (_, told), (_, predicted) = describe_trial(facts)
-    assert told == "7, block 1, blunt at 2 mm/s: right index on A, right middle on C"
+    (_, told), (_, fingers), (_, predicted) = describe_trial(facts)
+    assert told == "7, block 1, blunt at 2 mm/s"
+    assert fingers == "right index on A, right middle on C"
     assert predicted == "left 1.2 mm/s, right 2 mm/s"
-    (_, told), _ = describe_trial({**facts, "stimulus": "", "velocity_mm_s": 0.0})
-    assert told.startswith("7, block 1, catch trial: right index")
+    (_, told), *_ = describe_trial({**facts, "stimulus": "", "velocity_mm_s": 0.0})
+    assert told == "7, block 1, catch trial"
+    (_, told), *_ = describe_trial({**facts, "practice": True, "block": 0})
+    assert told == "practice 7, blunt at 2 mm/s", "practice belongs to no block"
 
 
 def test_the_events_are_json_lines_with_units(tmp_path: Path) -> None:

@@ -79,7 +79,10 @@ def test_the_keys_pause_note_repeat_and_stop_a_session(
     console.type("r")
     console.wait_for("repeat trial")
     console.type("p")
-    console.wait_until(lambda: bool(named(events_of(tmp_path / "results"), "withdrawn")), "the repeated trial")
+    console.wait_until(
+        lambda: any(event["supersedes"] for event in named(events_of(tmp_path / "results"), "trial")),
+        "the repeated trial",
+    )
     console.type("q")
     console.wait_for("stop the session now?")
     console.type("n")

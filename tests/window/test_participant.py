@@ -274,7 +274,7 @@ def test_instructions_lead_from_screen_to_screen(paper_room: Callable[..., Any],
         ("place_fingers", 0.3, send(room, "key", "num_enter")),
         ("rest", 0.3, send(room, "key", "space")),
     ]
-    room.window.welcome()
+    room.window.welcome(trial)
     room.window.announce("practice")
     room.window.place_fingers(trial)
     room.window.rest(PROGRESS)
@@ -490,10 +490,10 @@ def test_a_robot_goes_through_a_whole_session(paper_room: Callable[..., Any], ex
         np.random.default_rng(1),
     )
     room = paper_room(robot=Robot(answerer, experiment.protocol.answers, patience=0.3), seconds=20)
-    room.window.welcome()
+    trials = [Trial(index, 1, Condition("one_hand", *pair, 100.0)) for index, pair in enumerate(["AC", "BD", "CE"], 1)]
+    room.window.welcome(trials[0])
     given = []
-    for index, pair in enumerate(["AC", "BD", "CE"], start=1):
-        trial = Trial(index, 1, Condition("one_hand", *pair, 100.0))
+    for trial in trials:
         room.window.place_fingers(trial)
         response = ask(room, trial)
         room.window.confirm(response)

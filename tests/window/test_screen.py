@@ -206,7 +206,7 @@ def test_a_session_opens_in_either_theme(display: str, experiment: Experiment, t
         options=WindowOptions(size=(800, 600), theme=theme, screenshots=tmp_path),
     )
     with window, pytest.raises(LeaveError):
-        window.welcome()
+        window.welcome(Trial(1, 0, Condition("one_hand", "A", "C", 80.0), practice=True))
     with Image.open(tmp_path / "welcome.png") as image:
         assert image.size == (800, 600)
         ground = THEMES[theme].ground

@@ -74,8 +74,9 @@ def _show(news: News, file: TextIO, dialogue: Dialogue) -> None:
                 size = os.get_terminal_size(file.fileno()) if sys.platform != "win32" else console.size
                 console.size = ConsoleDimensions(max(size[0], 40), max(size[1], 12))
                 since = time.monotonic() - came
+                width, height = console.size
                 picture = draw_session(
-                    known, dialogue.prompt, width=console.size[0], since_s=since, emergency=dialogue.emergency
+                    known, dialogue.prompt, width=width, height=height, since_s=since, emergency=dialogue.emergency
                 )
                 live.update(picture, refresh=True)
 

@@ -8,7 +8,7 @@ from modaltouch.console.interface import Command, Request
 
 _AT_ONCE: dict[str, tuple[Command, str]] = {
     "p": ("pause", ""),
-    "r": ("repeat", "repeat: as soon as this trial is over (r again takes it back)"),
+    "r": ("repeat", ""),
     "b": ("end_after_block", ""),
     "x": ("emergency_stop", "EMERGENCY STOP"),
 }
@@ -52,7 +52,7 @@ class Dialogue:
             return self._ask(*_AT_ONCE[key])
         self.prompt = ""
         if key == "n":
-            self._note, self.prompt = "", "note (Enter keeps it, Escape drops it): "
+            self._note, self.prompt = "", "note (Enter keeps it, Escape drops it): _"
         elif key == "q":
             self._asks_to_stop, self.prompt = True, "stop the session now? y: yes, any other key: no"
         return None

@@ -1,14 +1,13 @@
-"""How a session stands, drawn for a terminal of at least 80 by 24 characters; readable without colour."""
+"""How a session stands, drawn for a terminal of any size from 40 by 12 characters; readable without colour."""
 
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Sequence
 from typing import Any
 
 from rich.console import Group, RenderableType
-from rich.padding import Padding
 from rich.rule import Rule
-from rich.table import Table
 from rich.text import Text
 
 from modaltouch.console.interface import Facts
@@ -20,14 +19,21 @@ STATES = {
     "break": "break",
     "ended": "ended",
 }
-HELP = "p pause/go on   r repeat last trial   n note   b end after this block   q stop"
+HELP = ("p pause/go on", "r repeat last trial", "n note", "b end after this block", "q stop")
+_HELP_IN_SHORT = ("p pause", "r repeat", "n note", "b end block", "q stop")
+_LOW = 20
+"""A terminal of fewer lines than this is told less [lines]."""
 _BAR = 40
-"""Width of the bar of progress [characters]."""
+"""Greatest width of the bar of progress [characters]."""
+_NAMES = 14
+"""Width of the column of names [characters]."""
 _MOST_WARNINGS = 4
+_DISPENSABLE = ("generator", "answers", "predicted", "asked", "outputs", "last answer", "fingers")
+"""What a low terminal does without, the first first."""
 
 
 def draw_session(
-    facts: Facts, prompt: str, *, width: int, since_s: float = 0.0, emergency: str = "f12"
+    facts: Facts, prompt: str, *, width: int, height: int = 24, since_s: float = 0.0, emergency: str = "f12"
 ) -> RenderableType:
     """Return the console's picture.
 
@@ -37,68 +43,89 @@ def draw_session(
         How the session stands (`status.Status.facts`).
     prompt : str
         The line that asks the experimenter something, or tells of a key.
-    width : int
-        Width of the terminal [characters].
+    width, height : int
+        Size of the terminal [characters].
     since_s : float
         Age of the facts, for the times to run on [s].
     emergency : str
         Name of the key for emergencies.
     """
-    head = f"{facts['participant']}, session {facts['session']}, {facts['protocol']}"
-    mode = "" if facts["mode"] == "real" else f"  [{facts['mode'].upper()}]"
-    state = Text(
-        STATES.get(str(facts["state"]), str(facts["state"])),
-        style="bold reverse" if facts["state"] == "paused" else "bold",
-    )
-    if facts["stopped_by"]:
-        state.append(f": {facts['stopped_by']}")
-    table = Table.grid(padding=(0, 2))
-    table.add_column(no_wrap=True, style="dim")
-    table.add_column(overflow="ellipsis", no_wrap=True, max_width=max(width - 16, 20))
-    table.add_row("state", state)
-    table.add_row("progress", describe_progress(facts, since_s))
-    for name, words in (*describe_trial(facts["trial"]), *_describe_generator(facts["generator"])):
-        table.add_row(name, words)
-    table.add_row("last answer", describe_last(facts["last"]))
-    table.add_row(
-        "answers", ", ".join(f"{answer} {count}" for answer, count in sorted(facts["answers"].items())) or "-"
-    )
-    table.add_row("asked", _describe_wishes(facts))
-    return Group(
-        Rule(Text(head + mode, style="bold"), style="dim"),
-        Padding(table, (0, 1)),
-        Rule(style="dim"),
-        *_describe_warnings(facts["warnings"], width),
-        Text(f" {HELP}", style="dim", no_wrap=True, overflow="ellipsis"),
-        Text(f" {emergency.upper()} or x   EMERGENCY STOP: outputs off at once", style="bold", no_wrap=True),
-        Text(f" {prompt}", style="bold", no_wrap=True, overflow="ellipsis"),
-    )
+    mode = "" if facts["mode"] == "real" else f"[{facts['mode'].upper()}] "
+    head = f"{mode}{facts['participant']}, session {facts['session']}, {facts['protocol']}"
+    state = STATES.get(str(facts["state"]), str(facts["state"]))
+    keys, effect = (HELP, ": outputs off at once") if height >= _LOW else (_HELP_IN_SHORT, "")
+    foot = [
+        *_wrap("   ".join(key.replace(" ", "\N{NO-BREAK SPACE}") for key in keys), width, "dim"),
+        *_wrap(f"{emergency.upper()} or x   EMERGENCY STOP{effect}", width, "bold"),
+        *(_wrap(prompt, width, "bold") or [Text("")]),
+    ]
+    rows = [
+        ("state", f"{state}: {facts['stopped_by']}" if facts["stopped_by"] else state),
+        ("progress", describe_progress(facts, since_s, width - _NAMES)),
+        *describe_trial(facts["trial"]),
+        *_describe_generator(facts["generator"]),
+        ("last answer", describe_last(facts["last"])),
+        ("answers", ", ".join(f"{answer} {count}" for answer, count in sorted(facts["answers"].items())) or "-"),
+        ("asked", _describe_wishes(facts)),
+    ]
+    # Two rules, a line for the cursor, and the warnings, of which a low terminal shows the first.
+    room = height - 3 - len(foot)
+    warnings = _describe_warnings(facts["warnings"][: _MOST_WARNINGS if height >= 24 else 1], width)
+    table = _draw_rows(rows, width, room - len(warnings))
+    return Group(Rule(Text(head, style="bold"), style="dim"), *table, Rule(style="dim"), *warnings, *foot)
 
 
-def describe_progress(facts: Facts, since_s: float = 0.0) -> str:
-    """Return the bar of progress, the count, and the time left."""
+def _draw_rows(rows: Sequence[tuple[str, str]], width: int, room: int) -> list[Text]:
+    """Return as many rows as there is room for, long ones on several lines."""
+    spared = ["last error"] if ("last error", "none") in rows else []
+    spared += [name for name, words in rows if words == "-"]
+    spared += [name for name in _DISPENSABLE if name not in spared]
+    kept = list(rows)
+    while True:
+        lines = [line for name, words in kept for line in _draw_row(name, words, width)]
+        gone = next((name for name in spared if any(name == kept_name for kept_name, _ in kept)), None)
+        if len(lines) <= room or gone is None:
+            return lines[: max(room, 1)]
+        kept = [row for row in kept if row[0] != gone]
+
+
+def _draw_row(name: str, words: str, width: int) -> list[Text]:
+    told = textwrap.wrap(words, max(width - _NAMES - 1, 20), max_lines=3, placeholder=" ...") or ["-"]
+    style = {"state": "bold reverse" if words == STATES["paused"] else "bold", "last error": "bold"}.get(name, "")
+    return [
+        Text.assemble((f" {'' if place else name:{_NAMES - 1}}", "dim"), (line, style), no_wrap=True)
+        for place, line in enumerate(told)
+    ]
+
+
+def _wrap(words: str, width: int, style: str) -> list[Text]:
+    return [Text(f" {line}", style=style, no_wrap=True) for line in textwrap.wrap(words, max(width - 2, 20))]
+
+
+def describe_progress(facts: Facts, since_s: float = 0.0, width: int = 80) -> str:
+    """Return the bar of progress, as far as it fits a width [characters], the count, and the time left."""
     done, total = facts["n_answered"], max(facts["n_trials"], 1)
-    full = round(_BAR * min(done / total, 1))
-    bar = "#" * full + "." * (_BAR - full)
     ticking = since_s if facts["state"] != "ended" else 0.0
     left = max(facts["time_left_s"] - (ticking if facts["state"] == "trial" else 0.0), 0.0)
-    return f"{bar} {done} of {facts['n_trials']}, {_minutes(left)} left"
+    said = f"{done} of {facts['n_trials']}, {_minutes(left)} left"
+    length = min(_BAR, width - len(said) - 3)
+    full = round(length * min(done / total, 1))
+    return f"{'#' * full}{'.' * (length - full)} {said}" if length > 5 else said
 
 
 def describe_trial(trial: dict[str, Any] | None) -> list[tuple[str, str]]:
-    """Return what is presented, in two rows."""
+    """Return what is presented, in three rows."""
     if trial is None:
-        return [("trial", "-"), ("predicted", "-")]
-    kind = "practice " if trial["practice"] else ""
-    placed = "" if trial["placement"] == "normal" else f", {trial['placement'].replace('_', ' ')}"
-    fingers = (
-        f"{trial['finger_left']} on {trial['zone_left']}, {trial['finger_right']} on {trial['zone_right']}{placed}"
-    )
+        return [("trial", "-"), ("fingers", "-"), ("predicted", "-")]
+    number = f"practice {trial['number']}" if trial["practice"] else f"{trial['number']}, block {trial['block']}"
     which = f"{trial['stimulus']} at " if trial.get("stimulus") else ""
     level = "catch trial" if trial["velocity_mm_s"] == 0 else f"{which}{trial['velocity_mm_s']:g} mm/s"
+    placed = "" if trial["placement"] == "normal" else f" ({trial['placement'].replace('_', ' ')})"
+    fingers = f"{trial['finger_left']} on {trial['zone_left']}, {trial['finger_right']} on {trial['zone_right']}"
     left, right = (f"{trial[f'predicted_{side}_mm_s']:.3g} mm/s" for side in ("left", "right"))
     return [
-        ("trial", f"{kind}{trial['number']}, block {trial['block']}, {level}: {fingers}"),
+        ("trial", f"{number}, {level}"),
+        ("fingers", f"{fingers}{placed}"),
         ("predicted", f"left {left}, right {right}"),
     ]
 
@@ -127,22 +154,21 @@ def _describe_generator(generator: dict[str, Any]) -> list[tuple[str, str]]:
 def _describe_wishes(facts: Facts) -> str:
     wishes = []
     if facts["repeats_trial"] is not None:
-        wishes.append(f"repeat trial {facts['repeats_trial']}")
+        wishes.append(f"repeat trial {facts['repeats_trial']} after this one (r takes it back)")
+    elif facts["nothing_to_repeat"]:
+        wishes.append("nothing to repeat: no trial is answered yet")
     if facts["ends_after_block"]:
-        wishes.append("end after this block")
+        wishes.append("end after this block (b takes it back)")
     if facts["n_notes"]:
         wishes.append(f"{facts['n_notes']} note{'s' * (facts['n_notes'] > 1)} kept")
     return ", ".join(wishes) or "-"
 
 
-def _describe_warnings(warnings: list[str], width: int) -> list[RenderableType]:
+def _describe_warnings(warnings: list[str], width: int) -> list[Text]:
     if not warnings:
         return [Text(" no warnings", style="dim")]
-    lines: list[RenderableType] = []
-    for warning in warnings[:_MOST_WARNINGS]:
-        text = textwrap.shorten(f"! {warning}", max(width - 2, 20), placeholder="...")
-        lines.append(Text(f" {text}", style="yellow", no_wrap=True))
-    return lines
+    shortened = [textwrap.shorten(f"! {warning}", max(width - 2, 20), placeholder="...") for warning in warnings]
+    return [Text(f" {words}", style="yellow", no_wrap=True) for words in shortened]
 
 
 def _minutes(seconds: float) -> str:

@@ -68,8 +68,9 @@ class Experimenter:
                 self.ends_after_block = not self.ends_after_block
                 self._show_wishes()
             elif request.command == "repeat":
+                is_refused = self._repeats is None and self._last is None
                 self._repeats = None if self._repeats is not None else self._last
-                self._show_wishes()
+                self._show_wishes(nothing_to_repeat=is_refused)
         return wish
 
     def take_repeat(self) -> dict[str, Any] | None:
@@ -79,6 +80,13 @@ class Experimenter:
             self._show_wishes()
         return repeats
 
-    def _show_wishes(self) -> None:
+    def _show_wishes(self, *, nothing_to_repeat: bool = False) -> None:
         number = self._repeats["trial"]["index"] if self._repeats is not None else None
-        self.tell({"event": "wishes", "ends_after_block": self.ends_after_block, "repeats_trial": number})
+        self.tell(
+            {
+                "event": "wishes",
+                "ends_after_block": self.ends_after_block,
+                "repeats_trial": number,
+                "nothing_to_repeat": nothing_to_repeat,
+            }
+        )

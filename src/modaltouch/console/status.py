@@ -49,6 +49,7 @@ class Status:
             "last": None,
             "ends_after_block": False,
             "repeats_trial": None,
+            "nothing_to_repeat": False,
             "n_notes": 0,
         }
         self._total = 0
@@ -123,7 +124,7 @@ class Status:
         self._unmasked = f"the beam is not masked: {event['reason']}"
 
     def _on_trial_next(self, event: dict[str, Any]) -> None:
-        self._facts |= {"state": "waiting", "trial": event["trial"]}
+        self._facts |= {"state": "waiting", "trial": event["trial"], "nothing_to_repeat": False}
 
     def _on_fired(self, event: dict[str, Any]) -> None:
         firing = event["confirmed"]
@@ -175,7 +176,7 @@ class Status:
         self._facts["n_notes"] += event["asks"] == "note"
 
     def _on_wishes(self, event: dict[str, Any]) -> None:
-        self._facts |= {name: event[name] for name in ("ends_after_block", "repeats_trial")}
+        self._facts |= {name: event[name] for name in ("ends_after_block", "repeats_trial", "nothing_to_repeat")}
 
     def _on_stop(self, event: dict[str, Any]) -> None:
         self._facts["generator"]["outputs"] = "off"

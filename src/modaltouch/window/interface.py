@@ -71,8 +71,8 @@ class AnswerWindow(typing.Protocol):
     def describe(self) -> dict[str, Any]:
         """Return size, backend and versions for the start record."""
 
-    def welcome(self) -> None:
-        """Show the instructions until the participant goes on."""
+    def welcome(self, trial: Trial) -> None:
+        """Show the instructions until the participant goes on, with the fingers where the first trial wants them."""
 
     def place_fingers(self, trial: Trial) -> None:
         """Show which finger goes on which zone until it is confirmed."""

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NoReturn, Self
 
 from modaltouch.protocol import Protocol, Texts
-from modaltouch.trial import Answer, Condition, Response, Trial
+from modaltouch.trial import Answer, Response, Trial
 from modaltouch.window.answering import AnswerTaker
 from modaltouch.window.events import Event, canonical_key
 from modaltouch.window.interface import Log, Progress, Tick, TrialInterrupted
@@ -89,20 +89,17 @@ class ParticipantWindow:
         self._taker = AnswerTaker(self._stage, self._pictures, self._reader)
         self._current: tuple[Trial, Progress] | None = None
         self._answered = 0.0
-        conditions = protocol.conditions
-        first = Condition(conditions.finger_conditions[0], *conditions.zone_pairs[0], 0.0)
-        self._example = Trial(index=1, block=0, condition=first, practice=True)
 
     def describe(self) -> dict[str, Any]:
         """Return size, backend and versions for the start record."""
         return {**self._display.describe(), "language": self._texts.language, "answered_by": self._answered_by}
 
-    def welcome(self) -> None:
+    def welcome(self, trial: Trial) -> None:
         """Show the instructions until the participant goes on; the first trial is drawn ahead meanwhile."""
-        self._stage.show(self._pictures.welcome(self._example))
-        self._make_ready(self._example)
-        self._go_on(lambda: self._pictures.welcome(self._example))
-        self._go_on(lambda: self._pictures.answering(self._example))
+        self._stage.show(self._pictures.welcome(trial))
+        self._make_ready(trial)
+        self._go_on(lambda: self._pictures.welcome(trial))
+        self._go_on(lambda: self._pictures.answering(trial))
 
     def place_fingers(self, trial: Trial) -> None:
         """Show which finger goes on which zone until it is confirmed, and wait for a lifted finger to return."""

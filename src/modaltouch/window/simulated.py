@@ -92,7 +92,7 @@ class SimulatedParticipant:
         """Return the backend for the start record."""
         return {"backend": "simulated", "answered_by": "simulated", "waits": self._waits}
 
-    def welcome(self) -> None:
+    def welcome(self, trial: Trial) -> None:
         """Read nothing."""
         self._tick()
 
