@@ -197,8 +197,7 @@ class Controls:
 
     def _upload_once(self, slot: int, codes: NDArray[np.uint16], block: bytes) -> None:
         self._link.send_block("DATA:DATA EMEM", block, timeout=self._copy_timeout)
-        self._complete("the upload")
-        n_points = self._link.ask("DATA:POIN? EMEM")
+        (n_points,) = self._complete("the upload", "*OPC?", "DATA:POIN? EMEM")
         if n_points != str(codes.size):
             raise Unconfirmed(f"{codes.size} points were sent, the generator counts {n_points}")
         self._copy(f"USER{slot},EMEM")
@@ -228,12 +227,16 @@ class Controls:
         return all(self._link.ask(f"DATA:DATA:VAL? EMEM,{at + 1}") == str(codes[at]) for at in {*strongest, *spread})
 
     def _copy(self, what: str) -> None:
-        self._link.ask(f"DATA:COPY {what};*OPC?", timeout=self._copy_timeout)
-        self._refuse_errors(f"DATA:COPY {what}", self.pending_errors())
+        self._complete(f"DATA:COPY {what}", f":DATA:COPY {what};*OPC?")
 
-    def _complete(self, what: str) -> None:
-        self._link.ask("*OPC?", timeout=self._copy_timeout)
-        self._refuse_errors(what, self.pending_errors())
+    def _complete(self, what: str, message: str, *queries: str) -> list[str]:
+        """Wait in one message until all is done, read the error queue, and return the replies to further queries."""
+        whole = ";:".join([message, "SYST:ERR?", *queries])
+        replies = split_reply(self._link.ask(whole, timeout=self._copy_timeout))
+        if len(replies) != len(queries) + 2:
+            raise Unconfirmed(f"to '{what}' the generator answers {replies}")
+        self._refuse_errors(what, replies[1:2])
+        return replies[2:]
 
     def pending_errors(self) -> list[str]:
         """Empty the error queue and return what was in it."""

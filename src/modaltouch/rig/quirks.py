@@ -1,7 +1,8 @@
-"""What pyvisa-py leaves undone when the other end of a TCP session is gone; needs no import of it."""
+"""What pyvisa-py leaves undone when the other end of a TCP session is gone, and does for nothing; no import of it."""
 
 from __future__ import annotations
 
+import contextlib
 import socket
 import traceback
 from typing import Any
@@ -28,6 +29,34 @@ def abandon(resource: Any) -> None:
     """
     session = resource.visalib.sessions[resource.session]
     session.interface.sock.shutdown(socket.SHUT_RDWR)
+
+
+class _Received(bytes):
+    """Bytes that are not spelt out where they are shown."""
+
+    __slots__ = ()
+
+    def __repr__(self) -> str:
+        return f"<{len(self)} bytes>"
+
+
+class _HushedSocket(socket.socket):
+    __slots__ = ()
+
+    def recv(self, size: int, flags: int = 0, /) -> bytes:
+        return _Received(super().recv(size, flags))
+
+
+def hush(resource: Any) -> None:
+    """Keep pyvisa-py from spelling out every byte that it receives over a socket.
+
+    It does so for a log that is not kept, and takes longer over a record than the record over the wire. Sessions of
+    other backends and interfaces are left as they are.
+    """
+    with contextlib.suppress(AttributeError, KeyError, TypeError):
+        received_by = resource.visalib.sessions[resource.session].interface.sock
+        if type(received_by) is socket.socket:
+            received_by.__class__ = _HushedSocket
 
 
 def close_leftovers(error: BaseException) -> None:

@@ -8,7 +8,7 @@ import warnings
 from typing import Any, cast
 
 from modaltouch.rig.interface import RigError
-from modaltouch.rig.quirks import abandon, close_leftovers, knock
+from modaltouch.rig.quirks import abandon, close_leftovers, hush, knock
 from modaltouch.rig.transport import InUse, block_bounds
 
 CHUNK = 1 << 20
@@ -71,6 +71,7 @@ class VisaSession:
             raise
         message_based = cast("pyvisa.resources.MessageBasedResource", resource)
         message_based.chunk_size = CHUNK
+        hush(message_based)
         if self._address.upper().endswith("SOCKET"):
             message_based.read_termination = "\n"
         try:
