@@ -14,7 +14,7 @@ from modaltouch.apparatus import Apparatus
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.simulator import Simulator
-from modaltouch.rig.visa import find_by, find_instruments
+from modaltouch.rig.visa import VisaSession, find_by, find_instruments
 
 
 def test_found_instruments_are_no_serial_ports(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -48,3 +48,23 @@ def test_backend_is_chosen_by_the_address(
         assert generator.address.endswith("INSTR@py")
     with pytest.raises(RigError, match="no generator answers .*Could not open VISA library"):
         Generator(f"{simulator.address}@ivi", apparatus, start_guard=guard)
+
+
+def test_a_record_that_is_read_is_not_spelt_out(simulator: Simulator) -> None:
+    """pyvisa-py writes what it receives into a message for a log, which takes longer than to receive it."""
+    session = VisaSession(simulator.address)
+    session.open()
+    try:
+        received: list[bytes] = []
+        connection = session._resource.visalib.sessions[session._resource.session].interface.sock
+        receive = type(connection).recv
+        type(connection).recv = lambda *given: received.append(receive(*given)) or received[-1]
+        try:
+            reply = session.exchange(b"DATA:DATA? EMEM\n", timeout=1.0, reply=True)
+        finally:
+            type(connection).recv = receive
+    finally:
+        session.close(broken=False)
+    assert len(reply) > 2000
+    assert reply in b"".join(received)
+    assert max(len(repr(each)) for each in received) < 40
