@@ -124,7 +124,7 @@ def _sound() -> Finding:
     try:
         device = default_device()
     except MaskingError as error:
-        remedy = "needed only where a protocol demands masking noise: connect a sound device, or install libportaudio2"
+        remedy = "connect one, or install libportaudio2, where a protocol demands masking noise"
         return Finding("sound", "warning", str(error).partition(": ")[2].partition(";")[0], remedy)
     found = f"{device['name']}, {device['default_samplerate']:g} Hz, {device['max_output_channels']} channels"
     return Finding("sound", "ok", found)

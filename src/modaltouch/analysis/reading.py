@@ -31,7 +31,7 @@ def read_responses(path: Path | str, *, mode: str | None = None, stimulus: str |
     if not place.exists():
         remedy = "check the name; results lie under results/<protocol> unless --results said otherwise"
         raise InputError(
-            [Problem(str(place), 1, 1, "", "no such file or folder", "a CSV file or a results folder", remedy)]
+            [Problem(str(place), 0, 0, "", "no such file or folder", "a CSV file or a results folder", remedy)]
         )
     if place.is_dir() or place.suffix == ".jsonl":
         from modaltouch.analysis.results_tree import read_tree
@@ -39,10 +39,10 @@ def read_responses(path: Path | str, *, mode: str | None = None, stimulus: str |
         return read_tree(place, mode, stimulus)
     if stimulus:
         given, remedy = f"stimulus {stimulus!r} with a CSV file", "leave out its other rows, and the option"
-        raise InputError([Problem(str(place), 1, 1, "", given, "a stimulus only with recorded sessions", remedy)])
+        raise InputError([Problem(str(place), 0, 0, "", given, "a stimulus only with recorded sessions", remedy)])
     if mode:
         given, remedy = f"mode {mode!r} with a CSV file", "leave the mode out, or give a results folder"
-        raise InputError([Problem(str(place), 1, 1, "", given, "a mode only with recorded sessions", remedy)])
+        raise InputError([Problem(str(place), 0, 0, "", given, "a mode only with recorded sessions", remedy)])
     from modaltouch.analysis.tidy import read_csv
 
     return read_csv(place)

@@ -190,4 +190,4 @@ def _even_out(found: Sequence[Found]) -> list[Found]:
 
 
 def _refuse(place: Path, given: str, allowed: str, remedy: str) -> None:
-    raise InputError([Problem(str(place), 1, 1, "", given, allowed, remedy)])
+    raise InputError([Problem(str(place), 0, 0, "", given, allowed, remedy)])

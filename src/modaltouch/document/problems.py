@@ -19,7 +19,7 @@ class Problem:
     file : str
         File as it was named.
     line, column : int
-        Place of the fault, both from 1.
+        Place of the fault, both from 1; 0 where it is in no line: of a folder, or of a file that is not there.
     path : str
         Key within the file, as in ``conditions.zone_pairs[1]``; empty for the file as a whole.
     given, allowed, remedy : str
@@ -43,7 +43,8 @@ class Problem:
 
     def __str__(self) -> str:
         path = f" {self.path}:" if self.path else ""
-        return f"{self.file}:{self.line}:{self.column}:{path} {self.message}"
+        place = f"{self.file}:{self.line}:{self.column}" if self.line else self.file
+        return f"{place}:{path} {self.message}"
 
     def as_dict(self) -> dict[str, Any]:
         """Return the problem as plain values for ``--json``."""
