@@ -16,12 +16,17 @@ ZONE = Problem(
 )
 
 
-def test_a_problem_prints_as_the_brief_has_it() -> None:
+def test_a_problem_prints_as_compilers_do() -> None:
     """The form that compilers made editors understand: file:line:column."""
     assert str(ZONE) == (
         "protocols/x.yaml:12:9: conditions.zone_pairs[1]: given 'F', which is not a zone of this beam; "
         "allowed: A, B, C, D, E"
     )
+
+
+def test_a_problem_in_no_line_begins_with_its_folder() -> None:
+    """No editor could go to a line of a folder."""
+    assert str(Problem("results", 0, 0, "", "two protocols", "one")) == "results: given two protocols; allowed: one"
 
 
 def test_a_problem_as_plain_values_keeps_its_message() -> None:

@@ -43,13 +43,16 @@ def test_a_replaced_file_is_on_the_disk_before_it_has_its_name(tmp_path, monkeyp
 
     monkeypatch.setattr(os, "fsync", sync)
     monkeypatch.setattr(Path, "replace", replace)
+    n_open = len(list(Path("/dev/fd").iterdir()))
     replace_file(tmp_path / "table.tsv", b"12345\n", "free the place")
     assert done == [6, "name", "folder"]
+    assert len(list(Path("/dev/fd").iterdir())) == n_open
 
 
 def test_a_file_that_is_there_is_refused_before_the_work(tmp_path):
     """Somebody may have used it; of a new one the folder is made."""
     path = tmp_path / "new" / "file.yaml"
+    prepare_file(path)
     prepare_file(path)
     assert path.parent.is_dir()
     path.write_text("old\n")

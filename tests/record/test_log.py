@@ -54,8 +54,10 @@ def test_a_log_appears_only_with_its_first_event(tmp_path):
 def test_two_writers_of_one_log_are_refused(tmp_path):
     """The second process is told that the first is writing."""
     log = begin(tmp_path / "session.jsonl")
+    n_open = len(list(Path("/dev/fd").iterdir()))
     with log, pytest.raises(RecordError, match="another process is writing this session"):
         SessionLog.reopen(log.path)
+    assert len(list(Path("/dev/fd").iterdir())) == n_open - 1
 
 
 def test_a_reopened_log_continues_the_chain(tmp_path):
@@ -78,7 +80,9 @@ def test_a_torn_log_is_continued_with_its_remains_kept(tmp_path, cut):
     whole = path.read_bytes()
     path.write_bytes(whole[:-cut])
     with SessionLog.reopen(path) as log:
+        assert log.ends_well is False
         log.append("resume")
+        assert log.ends_well is True
     assert path.read_bytes().startswith(whole[:-cut])
     chain = read_chain(path)
     assert chain.problems == ()
@@ -326,6 +330,7 @@ def test_a_session_begun_anew_says_as_which():
     start = {"n": 1, "event": "start"}
     closed = [{"n": n, "event": "closed", "begun_anew_as": n + 1} for n in (2, 3)]
     assert Session(Path("session.jsonl"), (start,), ()).begun_anew_as is None
+    assert Session(Path("session.jsonl"), (start, closed[0]), ()).begun_anew_as == 3
     assert Session(Path("session.jsonl"), (start, *closed), ()).begun_anew_as == 4
 
 

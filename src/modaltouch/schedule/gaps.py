@@ -7,7 +7,7 @@ they may. How the inserted items spread over both is drawn with the exact count 
 from __future__ import annotations
 
 from functools import lru_cache
-from itertools import accumulate, pairwise
+from itertools import pairwise
 from math import comb
 
 from modaltouch.schedule.streams import Stream
@@ -57,14 +57,13 @@ def _spreads(counts: tuple[int, ...], kind: int, n_like: int) -> list[tuple[int,
 
 @lru_cache(maxsize=8)
 def _ways_to_finish(counts: tuple[int, ...]) -> list[list[int]]:
-    """Return, before each kind is inserted, the number of ways to finish by the number of like neighbours."""
+    """Return the ways to finish before each kind but the first is inserted, by the number of like neighbours."""
     table: list[list[int]] = [[] for _ in counts] + [[1]]
-    lengths = [0, *accumulate(counts)]
-    for kind in reversed(range(len(counts))):
-        count, after = counts[kind], table[kind + 1]
+    for kind in reversed(range(1, len(counts))):
+        count, after, placed = counts[kind], table[kind + 1], sum(counts[:kind])
         row = []
-        for n_like in range(max(lengths[kind], 1)):
-            n_unlike = lengths[kind] + 1 - n_like
+        for n_like in range(placed):
+            n_unlike = placed + 1 - n_like
             total = 0
             for n_groups in range(1, count + 1):
                 lowest = max(0, n_groups - n_unlike, n_like + count - n_groups - len(after) + 1)
