@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -7,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from modaltouch.adaptive import Levels
+from modaltouch.adaptive import Levels, describe_rule
 from modaltouch.adaptive.levels import from_dB, to_dB
 from modaltouch.adaptive.success import is_success
-from modaltouch.protocol import Protocol, read_protocol
+from modaltouch.protocol import Protocol, StaircaseSection, read_protocol
 from modaltouch.schedule import draw_schedule
 from modaltouch.trial import Trial
 
@@ -128,3 +129,12 @@ def test_the_schedule_says_adaptive(protocol: Protocol) -> None:
     assert values["levels"] == "adaptive"
     assert values["n_trials"] == protocol.n_trials == 90
     assert "levels" not in draw_schedule(read_protocol(SHIPPED.with_name("demo.yaml")).protocol, "p01", 1).as_dict()
+
+
+def test_the_record_says_which_rule_decided_the_levels(protocol: Protocol) -> None:
+    """A record must be read by what made it; the target is 0.5 ** (1 / 3) of three down, one up (Levitt 1971)."""
+    staircase = with_rule(protocol, method="staircase", staircase=StaircaseSection(down_after=3))
+    assert describe_rule(staircase) == {"algorithm": "modaltouch staircase 1", "target": 0.7937}
+    quest = {"algorithm": "modaltouch quest_plus 1", "questplus": version("questplus")}
+    assert describe_rule(with_rule(protocol, method="quest_plus")) == quest
+    assert describe_rule(read_protocol(SHIPPED.with_name("demo.yaml")).protocol) is None

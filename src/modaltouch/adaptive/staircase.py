@@ -52,9 +52,10 @@ def follow(rule: StaircaseSection, start: float, bounds: tuple[float, float], su
     level, in_a_row, heading = start, 0, 0
     reversals: list[int] = []
     for trial, success in enumerate(successes):
-        in_a_row = in_a_row + 1 if success else 0
-        if success and in_a_row < rule.down_after:
-            continue
+        if success:
+            in_a_row += 1
+            if in_a_row < rule.down_after:
+                continue
         in_a_row = 0
         direction = -1 if success else 1
         if heading and direction != heading:

@@ -61,6 +61,8 @@ class Table:
         What separates the fields.
     sha256 : str
         Hash of the file's bytes.
+    text: str
+        The file itself.
     """
 
     file: str

@@ -40,7 +40,7 @@ def identify(
     Parameters
     ----------
     responses : FrequencyResponses
-        Of the velocity; a conjugated response or another quantity is refused (see `require_velocity`).
+        Of the velocity; a conjugated response or another quantity is refused (see `first_poles`).
     length : float, optional
         Length of the beam [m], for shapes and labels.
     start : Poles, optional
