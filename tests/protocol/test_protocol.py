@@ -157,6 +157,16 @@ def test_an_experiment_is_restored_from_its_record_alone(edit: Edit) -> None:
             "hnad: right ",
             f"{FILE}:23:3: conditions.hnad: given 'hnad', which is not a key here; allowed",
         ),
+        (
+            "\nanswers:",
+            "\nmasking: {level_dBFS: -30}\n\nanswers:",
+            "not a key here; allowed: noise, level_dB_FS, level_dB_S",
+        ),
+        (
+            "left: [left, num_4]",
+            "left: [é]",
+            "given 'é', which is no key's name; allowed: left, right, up, down, space",
+        ),
         ("peak_velocities_mm_s", "peak_velocities_cm_s", "did you mean 'peak_velocities_mm_s'?"),
         ("\nconditions:", "\nconditoins:", "given 'conditoins', which is not a key here"),
     ],
@@ -165,6 +175,12 @@ def test_each_fault_says_place_given_and_allowed(edit: Edit, old: str, new: str,
     """Lines and columns counted in the shipped file."""
     found = faults(edit(FILE, (old, new)))
     assert any(fault in each for each in found), found
+
+
+def test_a_list_with_one_faulty_item_has_one_fault(edit: Edit) -> None:
+    """Keys named by a bare digit: nobody is told that a list of one should be one of at least one."""
+    (found,) = faults(edit(FILE, ("left: [left, num_4]", "left: [1]")))
+    assert found.endswith('answers.keys.left[0]: given 1, which is not text; allowed: text; write it in quotes')
 
 
 def test_one_pair_cannot_keep_a_limit_on_runs(edit: Edit) -> None:

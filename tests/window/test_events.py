@@ -4,14 +4,21 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from modaltouch.protocol import KEY_NAMES
 from modaltouch.window.events import EventTap, canonical_key
+from modaltouch.window.layout import lay_out
+from modaltouch.window.reading import Reader
 
 pytestmark = pytest.mark.window
+
+
+FRENCH = [[ord(letter) for letter in row] for row in ("&é\"'(-è_çà", "1234567890")]
+"""X's symbols of the upper row of a French keyboard, without and with Shift."""
 
 
 class PaperWindow:
@@ -19,6 +26,7 @@ class PaperWindow:
 
     def __init__(self) -> None:
         self.handlers: dict[str, Callable[..., bool]] = {}
+        self.display = SimpleNamespace(_display=None)
         self.script: list[tuple[str, tuple[Any, ...]]] = []
 
     def push_handlers(self, **handlers: Callable[..., bool]) -> None:
@@ -37,6 +45,7 @@ class PaperWindow:
 def tap(display: str, monkeypatch: pytest.MonkeyPatch) -> tuple[EventTap, PaperWindow]:
     """Give a tap on a paper window; pyglet's key names need a display to be imported."""
     monkeypatch.setattr("modaltouch.window.events._report_releases_once", lambda window: True)
+    monkeypatch.setattr("pyglet.libs.x11.xlib.XKeycodeToKeysym", lambda _, code, level: FRENCH[level][code - 10])
     window = PaperWindow()
     return EventTap(window), window
 
@@ -126,3 +135,20 @@ def test_every_key_a_protocol_may_name_exists(display: str) -> None:
     for name in KEY_NAMES:
         symbol = getattr(key, name.upper() if not name.isdigit() else f"_{name}")
         assert canonical_key(key.symbol_string(symbol)) == canonical_key(name)
+
+
+def test_a_digit_is_its_key_where_the_layout_wants_shift_for_it(tap: tuple[EventTap, PaperWindow]) -> None:
+    """On a French keyboard the key 1 types &, and 2 types é, which pyglet has no name for; both answer all the same."""
+    from pyglet.window import key
+
+    events, window = tap
+    window.script = [press(key.AMPERSAND), press(key.user_key(11)), press(key.A)]
+    one, two, letter = events.poll()
+    assert (one.key, one.digit, two.digit, letter.digit) == ("ampersand", "1", "2", "")
+    layout = lay_out(1280, 800, ("A", "B", "C"))
+    digits = Reader(layout, {"1": "left", "2": "both"}, frozenset({"2"}))
+    assert [digits.answer(event) for event in (one, two, letter)] == ["left", "both", None]
+    assert [digits.name(event) for event in (one, two, letter)] == ["1", "2", "a"]
+    assert [digits.goes_on(event) for event in (one, two, letter)] == [False, True, False]
+    named = Reader(layout, {"ampersand": "left"}, frozenset())
+    assert (named.answer(one), named.name(one)) == ("left", "ampersand")

@@ -41,7 +41,9 @@ def keys_of(model: type[BaseModel], path: Iterable[Step]) -> tuple[str, ...]:
         schema = _step(root, schema, step)
         if schema is None:
             return ()
-    return tuple(_resolved(root, schema or {}).get("properties", ()))
+    # An optional section is one branch of two, the other being null.
+    branches = (_resolved(root, branch) for branch in _branches(_resolved(root, schema or {})))
+    return tuple(dict.fromkeys(key for branch in branches for key in branch.get("properties", ())))
 
 
 def _resolved(root: dict[str, Any], schema: dict[str, Any]) -> dict[str, Any]:

@@ -151,8 +151,17 @@ def read(source: Source, model: type[Model]) -> Reading[Model]:
     try:
         value = model.model_validate(root.plain())
     except ValidationError as error:
-        problems += [_translate(bare, details) for details in error.errors(include_url=False)]
+        errors = error.errors(include_url=False)
+        problems += [_translate(bare, each) for each in errors if not _follows(each, errors)]
     return Reading(source, model, root, None if problems else value, tuple(problems))
+
+
+def _follows(details: Any, errors: Iterable[Any]) -> bool:
+    """Return whether a list is only too short because of what is wrong with its items."""
+    loc = details["loc"]
+    return details["type"] == "too_short" and any(
+        len(other["loc"]) > len(loc) and other["loc"][: len(loc)] == loc for other in errors
+    )
 
 
 def _translate(reading: Reading[Any], details: Any) -> Problem:

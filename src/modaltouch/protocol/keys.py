@@ -48,5 +48,13 @@ KEY_ALIASES = {
     "num_up": "num_8",
     "num_page_up": "num_9",
     "num_delete": "num_decimal",
+    "é": "2",
+    "è": "7",
+    "ç": "9",
+    "à": "0",
 }
-"""Other names that people give to keys; the number pad is one set of keys with and without NumLock."""
+"""Other names that people give to keys.
+
+The number pad is one set of keys with and without NumLock; a French keyboard's row of digits types them with Shift, and
+goes by its digits.
+"""

@@ -24,6 +24,8 @@ _ALIASES = {
 }
 """The names of the files, and two that pyglet alone has."""
 
+_FIRST_DIGIT = 10
+"""X's code of the key 1 of the upper row; the other digits follow."""
 _REPEAT_GAP = 0.001
 """A key that comes up and goes down again sooner than this was held: no hand is that fast [s]."""
 
@@ -41,6 +43,8 @@ class Event:
         ``continue``, which the experimenter asks for.
     key : str
         Name of the key, for ``key`` and ``release``.
+    digit : str
+        Digit engraved on the key, where the layout wants Shift for it: the window takes the key for that digit too.
     x, y : float
         Place of a click [window heights], origin in the middle of the window, y upwards.
     """
@@ -50,6 +54,7 @@ class Event:
     key: str = ""
     x: float = 0.0
     y: float = 0.0
+    digit: str = ""
 
 
 def canonical_key(name: str) -> str:
@@ -83,6 +88,7 @@ class EventTap:
         self._held: set[str] = set()
         self._symbol_name = key.symbol_string
         self._left_button = mouse.LEFT
+        self._digits = _engraved_digits(window)
         self.repeats_are_detectable = _report_releases_once(window)
         window.push_handlers(
             on_key_press=self._on_key_press,
@@ -118,7 +124,7 @@ class EventTap:
         return True
 
     def _add(self, kind: EventKind, key: str = "", x: float = 0.0, y: float = 0.0) -> bool:
-        self._queue.append(Event(time.perf_counter(), kind, key, x, y))
+        self._queue.append(Event(time.perf_counter(), kind, key, x, y, self._digits.get(key, "")))
         return True
 
     def _on_key_press(self, symbol: int, modifiers: int) -> bool:
@@ -183,3 +189,22 @@ def _report_releases_once(window: Any) -> bool:
     agreed = c_int()
     XkbSetDetectableAutoRepeat(window.display._display, 1, byref(agreed))
     return bool(agreed.value)
+
+
+def _engraved_digits(window: Any) -> dict[str, str]:
+    """Return the digits that a layout types with Shift alone, as the French one, by the names of their keys.
+
+    Elsewhere than on X the keys have their digits' names already.
+    """
+    if not sys.platform.startswith("linux"):
+        return {}
+    from pyglet.libs.x11.xlib import XKeycodeToKeysym
+    from pyglet.window import key
+
+    digits = {}
+    for code in range(_FIRST_DIGIT, _FIRST_DIGIT + 10):
+        plain, shifted = (XKeycodeToKeysym(window.display._display, code, level) for level in (0, 1))
+        if ord("0") <= shifted <= ord("9") and not ord("0") <= plain <= ord("9"):
+            symbol = plain if plain in key._key_names else key.user_key(code)
+            digits[canonical_key(key.symbol_string(symbol))] = chr(shifted)
+    return digits

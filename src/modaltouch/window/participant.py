@@ -159,7 +159,7 @@ class ParticipantWindow:
             answered_by=self._answered_by or self._who(trial),
             way=answers.way(trial.condition.finger_condition),
             device="key" if event.kind == "key" else "mouse",
-            key=event.key or answer,
+            key=self._reader.name(event) or answer,
             double=self._taker.watch_double(answer, event),
             question_after=asked - onset,
             question_uncertainty=flip_took,

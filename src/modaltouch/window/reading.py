@@ -41,14 +41,19 @@ class Reader:
     def answer(self, event: Event) -> Answer | None:
         """Return the answer that a key press or a click gives, or None."""
         if event.kind == "key":
-            return self.keys.get(event.key)
+            return self.keys.get(event.key) or self.keys.get(event.digit)
         if event.kind == "click":
             return self.layout.answer_at(event.x, event.y)
         return None
 
     def goes_on(self, event: Event) -> bool:
         """Return whether the event is a key to go on, or the experimenter's wish to."""
-        return event.kind == "continue" or (event.kind == "key" and event.key in self.continue_keys)
+        named = {event.key, event.digit}
+        return event.kind == "continue" or (event.kind == "key" and not named.isdisjoint(self.continue_keys))
+
+    def name(self, event: Event) -> str:
+        """Return the name by which the protocol knows the key that was pressed."""
+        return event.digit if event.digit and event.key not in self.keys else event.key
 
     def pauses(self, event: Event) -> bool:
         """Return whether the event asks for a pause, or for the end."""
