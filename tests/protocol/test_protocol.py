@@ -180,7 +180,7 @@ def test_each_fault_says_place_given_and_allowed(edit: Edit, old: str, new: str,
 def test_a_list_with_one_faulty_item_has_one_fault(edit: Edit) -> None:
     """Keys named by a bare digit: nobody is told that a list of one should be one of at least one."""
     (found,) = faults(edit(FILE, ("left: [left, num_4]", "left: [1]")))
-    assert found.endswith('answers.keys.left[0]: given 1, which is not text; allowed: text; write it in quotes')
+    assert found.endswith("answers.keys.left[0]: given 1, which is not text; allowed: text; write it in quotes")
 
 
 def test_one_pair_cannot_keep_a_limit_on_runs(edit: Edit) -> None:
