@@ -58,6 +58,7 @@ def examine_machine(results: Path) -> tuple[Finding, ...]:
         _opengl(),
         _virtual_display(),
         _sound(),
+        _speech(),
         _visa(),
         _usb(),
         _disk(results),
@@ -118,16 +119,26 @@ def _virtual_display() -> Finding:
 
 
 def _sound() -> Finding:
-    from modaltouch.masking.interface import MaskingError
-    from modaltouch.masking.player import default_device
+    from modaltouch.masking.device import DeviceError, default_device
 
     try:
         device = default_device()
-    except MaskingError as error:
-        remedy = "connect one, or install libportaudio2, where a protocol demands masking noise"
-        return Finding("sound", "warning", str(error).partition(": ")[2].partition(";")[0], remedy)
+    except DeviceError as error:
+        remedy = "connect one, or install libportaudio2, where a protocol wants masking noise or speech"
+        return Finding("sound", "warning", str(error).partition(";")[0], remedy)
     found = f"{device['name']}, {device['default_samplerate']:g} Hz, {device['max_output_channels']} channels"
     return Finding("sound", "ok", found)
+
+
+def _speech() -> Finding:
+    from modaltouch.speech.espeak import synthesise
+    from modaltouch.speech.interface import SpeechError
+
+    try:
+        return Finding("speech", "ok", synthesise(("modaltouch",), "en", 160).library)
+    except SpeechError as error:
+        remedy = "needed only where a protocol wants screens spoken"
+        return Finding("speech", "warning", str(error), remedy)
 
 
 def _visa() -> Finding:

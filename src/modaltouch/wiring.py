@@ -15,6 +15,7 @@ from modaltouch.masking.player import open_masking
 from modaltouch.observer import Observer
 from modaltouch.observer.felt import Felt
 from modaltouch.preflight import Preflight, examine_findings
+from modaltouch.preflight.speech import prepare_prompts
 from modaltouch.protocol import Sources, examine_sources
 from modaltouch.record.chain import RecordError, RecordInputError
 from modaltouch.record.folders import Mode, SessionFolder, find_log, locate
@@ -25,6 +26,7 @@ from modaltouch.rig.interface import Rig
 from modaltouch.schedule import Schedule, draw_schedule, random_generator
 from modaltouch.sensation import at_own_levels, recorded_levels
 from modaltouch.sitting import Setup
+from modaltouch.speech.interface import Silence, Speech
 from modaltouch.trial import ANSWERS, ANSWERS_WITH_NONE, Trial
 from modaltouch.window import AnswersBy, WindowOptions, open_window
 from modaltouch.window.interface import AnswerWindow, Tick
@@ -77,6 +79,7 @@ class Wires:
         self._window_options = window_options
         self._observer = observer
         self._simulator: Simulator | None = None
+        self._speech: Speech = Silence()
 
     @contextmanager
     def open_rig(self, log: Callable[..., None]) -> Iterator[Rig]:
@@ -101,15 +104,18 @@ class Wires:
             log=log,
             answerer=None if self._answers == "window" else self._answerer(),
             options=self._window_options,
+            speech=self._speech,
         )
 
     def open_masking(self, log: Callable[..., None]) -> Masking:
-        """Open the masking noise that the protocol wants, where there is a person to hear it."""
-        experiment = self._preflight.experiment
-        section = experiment.protocol.masking
-        if section is not None and self._answers != "window":
-            return NoMasking("a simulated participant hears nothing")
-        return open_masking(section, experiment.apparatus.sound, log)
+        """Open the masking noise and the speech that the protocol wants, where there is a person to hear them."""
+        experiment, deaf = self._preflight.experiment, "a simulated participant hears nothing"
+        section, spoken = experiment.protocol.masking, experiment.protocol.speech
+        if self._answers != "window":
+            return NoMasking(deaf if section is not None else "", Silence(deaf if spoken is not None else ""))
+        masking = open_masking(section, experiment.apparatus.sound, log, prepare_prompts(experiment))
+        self._speech = masking.speech
+        return masking
 
     def _answerer(self) -> Answerer:
         person = self._observer.draw(random_generator(*self._person, "observer"))

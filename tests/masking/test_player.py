@@ -16,9 +16,10 @@ import sounddevice
 
 from modaltouch.apparatus import Sound
 from modaltouch.masking import player
+from modaltouch.masking.device import DeviceError
 from modaltouch.masking.interface import MaskingError, NoMasking
 from modaltouch.masking.noise import amplitude_at, make_noise
-from modaltouch.masking.player import NoiseMasking, open_masking
+from modaltouch.masking.player import SoundOutput, open_masking
 from modaltouch.protocol import MaskingSection
 
 SECTION = MaskingSection(noise="pink", level_dB_FS=-20.0, fade_s=0.05)
@@ -58,12 +59,12 @@ import json
 import numpy as np
 from modaltouch.apparatus import Sound
 from modaltouch.masking.noise import amplitude_at, make_noise
-from modaltouch.masking.player import NoiseMasking
+from modaltouch.masking.player import SoundOutput
 from modaltouch.protocol import MaskingSection
 
 events, blocks = [], []
 section = MaskingSection(noise="pink", level_dB_FS=-20.0, fade_s=0.05)
-masking = NoiseMasking(section, Sound(), lambda event, **facts: events.append((event, facts)))
+masking = SoundOutput(section, Sound(), lambda event, **facts: events.append((event, facts)))
 fill = masking._playback.fill
 def spy(out):
     fill(out)
@@ -175,6 +176,8 @@ def test_a_session_that_demands_noise_does_not_begin_without(tmp_path: Path, no_
 class Device:
     """Stands at the boundary of PortAudio: a stream that asks for samples when told to, and can be unplugged."""
 
+    latency = 0.1
+
     def __init__(self, **options: Any) -> None:
         self.options, self.active = options, False
 
@@ -204,7 +207,7 @@ def devices(monkeypatch: pytest.MonkeyPatch) -> list[Device]:
     monkeypatch.setattr(sounddevice, "OutputStream", open_stream)
     monkeypatch.setattr(sounddevice, "_terminate", lambda: None)
     monkeypatch.setattr(sounddevice, "_initialize", lambda: None)
-    monkeypatch.setattr(player, "default_device", lambda name="": {"name": "earphones", "max_output_channels": 8})
+    monkeypatch.setattr("modaltouch.masking.device.default_device", lambda name="": {"name": "earphones", "max_output_channels": 8})
     return opened
 
 
@@ -213,9 +216,9 @@ def unplug(monkeypatch: pytest.MonkeyPatch, device: Device) -> None:
     device.active = False
 
     def nothing(name: str = "") -> dict[str, Any]:
-        raise MaskingError("no masking noise can be played: there is no sound device")
+        raise DeviceError("there is no sound device")
 
-    monkeypatch.setattr(player, "default_device", nothing)
+    monkeypatch.setattr("modaltouch.masking.device.default_device", nothing)
 
 
 def events_of(log: list[tuple[str, dict[str, Any]]]) -> list[str]:
@@ -223,10 +226,10 @@ def events_of(log: list[tuple[str, dict[str, Any]]]) -> list[str]:
     return [f"{name} {facts.get('state', '')}".strip() for name, facts in log]
 
 
-def make(section: MaskingSection) -> tuple[NoiseMasking, list[tuple[str, dict[str, Any]]]]:
+def make(section: MaskingSection) -> tuple[SoundOutput, list[tuple[str, dict[str, Any]]]]:
     """Return masking and what it tells."""
     log: list[tuple[str, dict[str, Any]]] = []
-    return NoiseMasking(section, Sound(full_scale_dB_SPL=100.0), lambda event, **facts: log.append((event, facts))), log
+    return SoundOutput(section, Sound(full_scale_dB_SPL=100.0), lambda event, **facts: log.append((event, facts))), log
 
 
 def test_a_trial_waits_for_the_noise_to_be_at_its_level(devices: list[Device]) -> None:

@@ -57,7 +57,7 @@ class Status:
         self._trials: dict[int, dict[str, Any]] = {}
         self._durations: list[float] = []
         self._answered_at: float | None = None
-        self._unmasked = ""
+        self._unmasked = self._unspoken = ""
 
     def take(self, event: dict[str, Any]) -> bool:
         """Take in an event of the record, or one that happens now, and return whether it changed what is shown.
@@ -97,6 +97,7 @@ class Status:
             "time_left_s": round(left * self._pace(), 1),
             "warnings": [
                 *([self._unmasked] if self._unmasked else []),
+                *([self._unspoken] if self._unspoken else []),
                 *read_signs(list(self._trials.values()), offers_none=self._offers_none),
             ],
         }
@@ -122,6 +123,12 @@ class Status:
 
     def _on_masking_lost(self, event: dict[str, Any]) -> None:
         self._unmasked = f"the beam is not masked: {event['reason']}"
+
+    def _on_speech(self, event: dict[str, Any]) -> None:
+        self._unspoken = self._unspoken if event["state"] == "off" else ""
+
+    def _on_speech_lost(self, event: dict[str, Any]) -> None:
+        self._unspoken = f"the screens are not spoken: {event['reason']}"
 
     def _on_trial_next(self, event: dict[str, Any]) -> None:
         self._facts |= {"state": "waiting", "trial": event["trial"], "nothing_to_repeat": False}

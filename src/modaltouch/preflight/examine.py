@@ -14,6 +14,7 @@ from modaltouch.preflight.ground import Ground, design, find_ground
 from modaltouch.preflight.limits import check_levels, fits_generator
 from modaltouch.preflight.several import at_stimulus, check_memories, each_stimulus
 from modaltouch.preflight.sound import check_masking_level
+from modaltouch.preflight.speech import check_speech
 from modaltouch.protocol import Findings, examine_files
 from modaltouch.schedule import draw_schedule
 from modaltouch.stimulus.design import Stimulus
@@ -61,7 +62,7 @@ def examine_findings(findings: Findings) -> Preflight:
         except (ValueError, ArithmeticError) as error:
             problems.append(locate(error, findings))
     if findings.protocol is not None and findings.protocol.value is not None:
-        problems += [*_check_schedule(findings), *check_masking_level(findings)]
+        problems += [*_check_schedule(findings), *check_masking_level(findings), *check_speech(findings)]
     return Preflight(findings, tuple(sorted(set(problems))), ground, stimulus)
 
 
@@ -73,7 +74,7 @@ def _examine_several(findings: Findings) -> Preflight:
     together = Preflight(findings, (), first.ground, first.designed, variants)
     if not problems:
         problems.update(check_memories(findings, together.bursts))
-    problems.update([*_check_schedule(findings), *check_masking_level(findings)])
+    problems.update([*_check_schedule(findings), *check_masking_level(findings), *check_speech(findings)])
     return replace(together, problems=tuple(sorted(problems)))
 
 

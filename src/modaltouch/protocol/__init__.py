@@ -3,6 +3,7 @@
 ``sections``    the protocol file's keys
 ``texts``       the words the participant reads
 ``masking``     the keys of the masking noise
+``speech``      the keys of the spoken prompts
 ``stimulus_sections``  the keys of the stimulus, and of several
 ``adaptive``    the keys of adaptive runs
 ``sensation``   the keys of levels calibrated by participant
@@ -28,7 +29,7 @@ from modaltouch.protocol.experiment import (
     restore_experiment,
 )
 from modaltouch.protocol.fit import check_fit
-from modaltouch.protocol.keys import END_KEY, KEY_NAMES, RESERVED_KEYS
+from modaltouch.protocol.keys import END_KEY, KEY_NAMES, PAUSE_KEY, RESERVED_KEYS
 from modaltouch.protocol.masking import MaskingSection
 from modaltouch.protocol.sections import (
     AnswersSection,
@@ -41,12 +42,14 @@ from modaltouch.protocol.sections import (
     ScheduleSection,
 )
 from modaltouch.protocol.sensation import SensationLevelsSection
+from modaltouch.protocol.speech import SpeechSection, SpokenScreen
 from modaltouch.protocol.stimulus_sections import StimulusSection, StimulusVariant, WishedField
 from modaltouch.protocol.texts import Texts
 
 __all__ = [
     "END_KEY",
     "KEY_NAMES",
+    "PAUSE_KEY",
     "RESERVED_KEYS",
     "AdaptiveSection",
     "AnswersSection",
@@ -62,6 +65,8 @@ __all__ = [
     "ScheduleSection",
     "SensationLevelsSection",
     "Sources",
+    "SpeechSection",
+    "SpokenScreen",
     "StaircaseSection",
     "StimulusSection",
     "StimulusVariant",

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import string
 
-RESERVED_KEYS = frozenset({"escape"})
-"""Keys that the window keeps for itself: Escape pauses the session."""
+PAUSE_KEY = "escape"
+"""Key that pauses the session."""
+
+RESERVED_KEYS = frozenset({PAUSE_KEY})
+"""Keys that the window keeps for itself."""
 
 END_KEY = "q"
 """Key that ends the session from the pause screen; elsewhere it may answer."""

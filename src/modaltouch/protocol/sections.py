@@ -19,6 +19,7 @@ from modaltouch.document.section import (
 from modaltouch.protocol.adaptive import AdaptiveSection
 from modaltouch.protocol.masking import MaskingSection
 from modaltouch.protocol.sensation import SensationLevelsSection
+from modaltouch.protocol.speech import SpeechSection
 from modaltouch.protocol.stimulus_sections import StimulusSection, StimulusVariant, ZoneName
 
 FingerCondition = Literal["one_hand", "two_hands"]
@@ -217,6 +218,9 @@ class Protocol(Section):
     schedule: ScheduleSection = described("How the trials are ordered.", default=ScheduleSection())
     masking: MaskingSection | None = described(
         "Noise that keeps the participant from hearing the beam; null for none.", default=None
+    )
+    speech: SpeechSection | None = described(
+        "Screens that are spoken to the participant, too; null for none. Needs modaltouch[speech].", default=None
     )
     adaptive: AdaptiveSection | None = described(
         "Runs in which the next level follows from the answers; the peak velocities are then their lowest and highest "

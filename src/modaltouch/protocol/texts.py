@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import string
+from typing import Annotated
 
-from pydantic import ValidationInfo, field_validator
+from pydantic import Field, ValidationInfo, field_validator
 
 from modaltouch.document import Problem, Reading, fault
 from modaltouch.document.section import Section, Text, described
 from modaltouch.protocol.sections import Protocol
+from modaltouch.protocol.speech import check_speech
 
 _PLACEHOLDERS: dict[str, frozenset[str]] = {
     "how_to_answer": frozenset({"pause_key"}),
@@ -23,10 +25,16 @@ _PLACEHOLDERS: dict[str, frozenset[str]] = {
 """Words in braces that a text must contain; every other text must contain none."""
 
 
+LanguageCode = Annotated[str, Field(strict=True, pattern=r"^[A-Za-z]{2,3}(-[A-Za-z0-9]+)*$", max_length=35)]
+
+
 class Texts(Section):
     """Every word the participant reads, in one language."""
 
     language: Text = described("Name of the language, in that language.")
+    language_code: LanguageCode | None = described(
+        "Its code (BCP 47), such as en or fr, by which a voice is found where screens are spoken.", default=None
+    )
     welcome: Text = described("Greeting on the first screen.")
     instructions: Text = described("What the experiment asks of the participant.")
     how_to_answer: Text = described("How to answer and to pause; holds {pause_key}.")
@@ -99,11 +107,11 @@ def check_words(protocol: Reading[Protocol], texts: Reading[Texts]) -> list[Prob
     protocol, texts : Reading
         Both files, as far as they are sound.
     """
+    problems = list(check_speech(protocol, texts))
     keys = protocol.find(("answers", "keys"))
     if keys is None or not isinstance(keys.content, dict) or "none" not in keys.content:
-        return []
+        return problems
     file = protocol.source.path.name
-    problems = []
     for name in ("none", "how_to_answer_or_none"):
         node = texts.find((name,))
         if node is None or node.content is None:

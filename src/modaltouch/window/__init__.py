@@ -10,6 +10,7 @@ from modaltouch.window.interface import AnswerWindow, Log, Tick
 
 if TYPE_CHECKING:
     from modaltouch.protocol import Protocol, Texts
+    from modaltouch.speech.interface import Speech
     from modaltouch.window.screen import Screen
     from modaltouch.window.simulated import Answerer
 
@@ -52,6 +53,7 @@ def open_window(
     log: Log,
     answerer: Answerer | None = None,
     options: WindowOptions | None = None,
+    speech: Speech | None = None,
 ) -> AnswerWindow:
     """Return an open answer window.
 
@@ -74,6 +76,8 @@ def open_window(
         The observer, for ``robot`` and ``simulated``.
     options : WindowOptions, optional
         How the window is opened, where there is one.
+    speech : Speech, optional
+        Says what is on the screen.
 
     Raises
     ------
@@ -105,6 +109,7 @@ def open_window(
             log=log,
             screenshots=options.screenshots,
             robot=Robot(answerer, protocol.answers) if answers == "robot" and answerer is not None else None,
+            speech=speech,
         )
     except BaseException:
         display.close()

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, NoReturn, Self
 
 from modaltouch.protocol import Protocol, Texts
+from modaltouch.speech.interface import Silence, Speech
 from modaltouch.trial import Answer, Response, Trial
 from modaltouch.window.answering import AnswerTaker
 from modaltouch.window.events import Event, canonical_key
@@ -54,6 +55,8 @@ class ParticipantWindow:
         Folder for one PNG of each kind of screen.
     robot : Sitter, optional
         Answers in a person's place, through the display's own event queue.
+    speech : Speech, optional
+        Says what is on the screen.
     """
 
     def __init__(
@@ -68,13 +71,15 @@ class ParticipantWindow:
         log: Log,
         screenshots: Path | None = None,
         robot: Sitter | None = None,
+        speech: Speech | None = None,
     ) -> None:
         self._display = display
         self._answers = protocol.answers
         self._n_practice, self._n_trials = protocol.schedule.practice_trials, protocol.n_trials
         self._texts = texts
         layout = lay_out(*display.size, zones, offers_none=protocol.answers.offers_none)
-        self._pictures = Illustrator(layout, theme, texts, protocol.answers, protocol.conditions.hand)
+        spoken = protocol.speech.screens if protocol.speech is not None else ()
+        self._pictures = Illustrator(layout, theme, texts, protocol.answers, protocol.conditions.hand, spoken)
         self._stage = Stage(
             display,
             tick=tick,
@@ -82,6 +87,7 @@ class ParticipantWindow:
             screenshots=screenshots,
             sitter=robot or Nobody(),
             emergency_keys=frozenset(map(canonical_key, protocol.answers.emergency_keys)),
+            speech=speech or Silence(),
         )
         self._answered_by = "simulated" if robot else ""
         self._reader = Reader.of(protocol.answers, layout)
@@ -150,6 +156,7 @@ class ParticipantWindow:
         gap = self._stage.poll_gap
         if answers.change_until_confirmed:
             answer, event = self._taker.await_confirmation(trial, progress, answer, event, interrupt)
+        self._stage.hush()
         stop()
         self._answered = time.perf_counter() if answers.change_until_confirmed else event.time
         return Response(
@@ -193,7 +200,7 @@ class ParticipantWindow:
         """Thank the participant, until a key is pressed or some seconds have passed."""
         picture = self._pictures.page("goodbye", self._texts.goodbye, waits=False)
         shown = self._stage.show(picture, Moment("go_on"))
-        while time.perf_counter() < shown + _FAREWELL:
+        while time.perf_counter() < shown + _FAREWELL or self._stage.is_speaking:
             for event in self._stage.poll():
                 if event.kind == "close" or (is_press(event) and event.time > shown + SETTLE):
                     return

@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Self
 
-from modaltouch.protocol import END_KEY, AnswersSection
+from modaltouch.protocol import END_KEY, PAUSE_KEY, AnswersSection
 from modaltouch.trial import Answer
 from modaltouch.window.events import Event, canonical_key
 from modaltouch.window.layout import Layout
-
-PAUSE_KEY = "escape"
-"""Key that pauses the session."""
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from modaltouch.speech.interface import Silence, Speech
 from modaltouch.trial import Trial
 from modaltouch.window.events import Event
 from modaltouch.window.interface import Log, SessionStopped, Tick, WindowError
@@ -106,6 +107,8 @@ class Stage:
         A robot, or nobody.
     emergency_keys : frozenset of str
         Keys that end the session at once, on every screen.
+    speech : Speech
+        Says what is on the screen: each picture ends what was said of the one before.
 
     Raises
     ------
@@ -122,6 +125,7 @@ class Stage:
         screenshots: Path | None,
         sitter: Sitter,
         emergency_keys: frozenset[str] = frozenset(),
+        speech: Speech | None = None,
     ) -> None:
         self._display = display
         self._tick = tick
@@ -130,6 +134,7 @@ class Stage:
         self._sitter = sitter
         self._emergency_keys = emergency_keys
         self._is_emergency = False
+        self._speech: Speech = speech or Silence()
         self._kept: set[str] = set()
         self._unread: deque[Event] = deque()
         self._unwritten: list[tuple[str, dict[str, Any]]] = []
@@ -165,6 +170,7 @@ class Stage:
             self.flip_took = self._shown - began
             self._picture, self._ahead = picture, None
             self._is_stale = False
+            self._speech.say(picture.spoken)
         if moment is not None:
             self._sitter.see(moment, self._shown)
         return self._shown
@@ -213,6 +219,15 @@ class Stage:
         """Leave events to be returned by the next poll."""
         self._unread.extend(events)
 
+    def hush(self) -> None:
+        """End what is being said."""
+        self._speech.hush()
+
+    @property
+    def is_speaking(self) -> bool:
+        """Whether something is being said."""
+        return self._speech.is_speaking
+
     def note(self, event: str, **facts: Any) -> None:
         """Write an event into the record now."""
         self._log(event, **facts)
@@ -222,10 +237,11 @@ class Stage:
         self._unwritten.append((event, facts))
 
     def write_notes(self) -> None:
-        """Write the events that were kept."""
+        """Write the events that were kept, and what was said."""
         notes, self._unwritten = self._unwritten, []
         for event, facts in notes:
             self._log(event, **facts)
+        self._speech.write_down()
 
     def _refresh(self) -> None:
         """Draw again what another window has covered."""
