@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
 import sys
 import time
 from pathlib import Path
@@ -12,47 +10,20 @@ from typing import Any
 
 import numpy as np
 import pytest
-import sounddevice
 
 from modaltouch.apparatus import Sound
 from modaltouch.masking import player
-from modaltouch.masking.device import DeviceError
 from modaltouch.masking.interface import MaskingError, NoMasking
 from modaltouch.masking.noise import amplitude_at, make_noise
 from modaltouch.masking.player import SoundOutput, open_masking
 from modaltouch.protocol import MaskingSection
 
 SECTION = MaskingSection(noise="pink", level_dB_FS=-20.0, fade_s=0.05)
-NO_CARD = "pcm.!default { type hw card 31 }\nctl.!default { type null }\n"
 ALSA = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="ALSA is Linux's")
 
 
-def in_a_process(script: str, alsa: Path) -> subprocess.CompletedProcess[str]:
-    """Run a script with an ALSA of its own."""
-    env = {**os.environ, "ALSA_CONFIG_PATH": str(alsa), "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    return subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, env=env, timeout=60, check=False
-    )
-
-
-@pytest.fixture
-def null_device(tmp_path: Path) -> Path:
-    """An ALSA that takes every sample and forgets it."""
-    file = tmp_path / "asound.conf"
-    file.write_text("pcm.!default { type null }\nctl.!default { type null }\n")
-    return file
-
-
-@pytest.fixture
-def no_device(tmp_path: Path) -> Path:
-    """An ALSA whose only device is a card that is not there."""
-    file = tmp_path / "asound.conf"
-    file.write_text(NO_CARD)
-    return file
-
-
 @ALSA
-def test_the_device_gets_the_noise_faded_in_and_out(null_device: Path) -> None:
+def test_the_device_gets_the_noise_faded_in_and_out(in_a_process: Any, null_device: Path) -> None:
     """The very samples: silence, a fade, the period at -20 dB FS, a fade, and the device is let go."""
     script = """
 import json
@@ -104,7 +75,7 @@ print(json.dumps({
 
 
 @ALSA
-def test_without_a_device_masking_is_refused_or_recorded_as_lacking(no_device: Path) -> None:
+def test_without_a_device_masking_is_refused_or_recorded_as_lacking(in_a_process: Any, no_device: Path) -> None:
     """A protocol that demands it does not begin; one that does not goes on, its record saying why it is silent."""
     script = """
 import json
@@ -136,14 +107,15 @@ print(json.dumps(said))
 @ALSA
 @pytest.mark.parametrize(("there", "state"), [(True, "ok"), (False, "warning")])
 def test_the_doctor_says_whether_there_is_a_sound_device(
-    tmp_path: Path,
+    in_a_process: Any,
+    no_card: str,
     null_device: Path,
     there: bool,
     state: str,
 ) -> None:
     """Never a fault: only a protocol that demands noise needs it."""
     if not there:
-        null_device.write_text(NO_CARD)
+        null_device.write_text(no_card)
     script = """
 import json
 from pathlib import Path
@@ -160,7 +132,9 @@ print(json.dumps(sound.as_dict()))
 
 
 @ALSA
-def test_a_session_that_demands_noise_does_not_begin_without(tmp_path: Path, no_device: Path, edit: Any) -> None:
+def test_a_session_that_demands_noise_does_not_begin_without(
+    in_a_process: Any, tmp_path: Path, no_device: Path, edit: Any
+) -> None:
     """Exit status 3 with the remedy, before any window or record; `required: false` gets past the sound device."""
     old = "answers:\n  given_by"
     protocol = edit("demo.yaml", (old, "masking: {noise: pink, level_dB_FS: -20}\n" + old))
@@ -171,54 +145,6 @@ def test_a_session_that_demands_noise_does_not_begin_without(tmp_path: Path, no_
     assert "there is no sound device" in run.stderr
     assert "required: false" in run.stderr
     assert not list((tmp_path / "results").rglob("session.jsonl"))
-
-
-class Device:
-    """Stands at the boundary of PortAudio: a stream that asks for samples when told to, and can be unplugged."""
-
-    latency = 0.1
-
-    def __init__(self, **options: Any) -> None:
-        self.options, self.active = options, False
-
-    def start(self) -> None:
-        self.active = True
-
-    def ask(self, n: int) -> Any:
-        out = np.empty((n, self.options["channels"]), dtype=np.float32)
-        self.options["callback"](out, n, None, type("Status", (), {"output_underflow": False}))
-        return out
-
-    def abort(self) -> None:
-        self.active = False
-
-    close = abort
-
-
-@pytest.fixture
-def devices(monkeypatch: pytest.MonkeyPatch) -> list[Device]:
-    """The streams that were opened, newest last; `default_device` finds one as long as the list is not frozen."""
-    opened: list[Device] = []
-
-    def open_stream(**options: Any) -> Device:
-        opened.append(Device(**options))
-        return opened[-1]
-
-    monkeypatch.setattr(sounddevice, "OutputStream", open_stream)
-    monkeypatch.setattr(sounddevice, "_terminate", lambda: None)
-    monkeypatch.setattr(sounddevice, "_initialize", lambda: None)
-    monkeypatch.setattr("modaltouch.masking.device.default_device", lambda name="": {"name": "earphones", "max_output_channels": 8})
-    return opened
-
-
-def unplug(monkeypatch: pytest.MonkeyPatch, device: Device) -> None:
-    """Take the device away, now and for whoever looks for one."""
-    device.active = False
-
-    def nothing(name: str = "") -> dict[str, Any]:
-        raise DeviceError("there is no sound device")
-
-    monkeypatch.setattr("modaltouch.masking.device.default_device", nothing)
 
 
 def events_of(log: list[tuple[str, dict[str, Any]]]) -> list[str]:
@@ -232,7 +158,7 @@ def make(section: MaskingSection) -> tuple[SoundOutput, list[tuple[str, dict[str
     return SoundOutput(section, Sound(full_scale_dB_SPL=100.0), lambda event, **facts: log.append((event, facts))), log
 
 
-def test_a_trial_waits_for_the_noise_to_be_at_its_level(devices: list[Device]) -> None:
+def test_a_trial_waits_for_the_noise_to_be_at_its_level(devices: list[Any]) -> None:
     """Before the first trial the fade is over: 50 ms of samples, asked for by the device while the session ticks."""
     masking, _ = make(SECTION)
     assert masking.is_on is False
@@ -257,7 +183,7 @@ def test_the_level_at_the_ear_follows_from_the_calibration() -> None:
     assert section.level(Sound()) is None
 
 
-def test_a_device_that_comes_back_goes_on(devices: list[Device]) -> None:
+def test_a_device_that_comes_back_goes_on(devices: list[Any]) -> None:
     """Lost during a trial, which is then not masked; before the next one it is opened again."""
     masking, log = make(SECTION)
     masking.start()
@@ -272,15 +198,15 @@ def test_a_device_that_comes_back_goes_on(devices: list[Device]) -> None:
 
 @pytest.mark.parametrize("required", [True, False])
 def test_a_device_that_stays_away_ends_the_session_or_is_recorded(
-    devices: list[Device],
-    monkeypatch: pytest.MonkeyPatch,
+    devices: list[Any],
+    unplug: Any,
     required: bool,
 ) -> None:
     """Demanded: MaskingError before the next trial. Not demanded: told once more, and never on again."""
     masking, log = make(SECTION.model_copy(update={"required": required}))
     masking.start()
     masking.ensure(lambda: devices[-1].ask(2400))
-    unplug(monkeypatch, devices[0])
+    unplug(devices[0])
     assert masking.is_on is False
     if required:
         with pytest.raises(MaskingError, match="there is no sound device"):
@@ -293,7 +219,7 @@ def test_a_device_that_stays_away_ends_the_session_or_is_recorded(
     assert events_of(log) == ["masking on", "masking_lost", "masking_lost"]
 
 
-def test_a_device_that_asks_for_nothing_is_lost(devices: list[Device], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_device_that_asks_for_nothing_is_lost(devices: list[Any], monkeypatch: pytest.MonkeyPatch) -> None:
     """PortAudio calls some lost devices active; one that takes no samples for a second plays nothing."""
     masking, log = make(SECTION)
     masking.start()

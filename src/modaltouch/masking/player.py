@@ -60,7 +60,7 @@ def open_masking(
     if section is None and spoken is None:
         return NoMasking(speech=silence)
     try:
-        return SoundOutput(section, sound, log, spoken)
+        return SoundOutput(section, sound, log, spoken or silence)
     except (MaskingError, SpeechError) as error:
         if (section is not None and section.required) or (spoken is not None and spoken.section.required):
             raise
@@ -81,8 +81,8 @@ class SoundOutput:
         Device, sampling rate, calibration.
     log : callable
         Takes what happens for the record.
-    prompts : Prompts, optional
-        What can be said.
+    prompts : Prompts or Silence, optional
+        What can be said, or why nothing can.
 
     Raises
     ------
@@ -90,10 +90,13 @@ class SoundOutput:
         If the device cannot be opened.
     """
 
-    def __init__(self, section: MaskingSection | None, sound: Sound, log: Log, prompts: Prompts | None = None) -> None:
+    def __init__(
+        self, section: MaskingSection | None, sound: Sound, log: Log, prompts: Prompts | Silence | None = None
+    ) -> None:
         self._section, self._sound, self._log, self._level = section, sound, log, 0.0
         self._playback: Playback | None = None
-        self._voice = None if prompts is None else Voice(prompts, log)
+        self._voice = Voice(prompts, log) if isinstance(prompts, Prompts) else None
+        self._silence = prompts if isinstance(prompts, Silence) else Silence()
         if section is not None:
             level = section.level(sound)
             if level is None:
@@ -128,7 +131,7 @@ class SoundOutput:
     @property
     def speech(self) -> Speech:
         """What speaks the prompts."""
-        return self._voice or Silence()
+        return self._voice or self._silence
 
     def start(self) -> None:
         """Begin to fade in."""

@@ -13,7 +13,13 @@ from modaltouch.protocol.masking import Decibels
 
 SpokenScreen = Literal["instructions", "placement", "question", "feedback", "break", "goodbye"]
 VoiceName = Annotated[
-    str, Field(strict=True, pattern=r"^[A-Za-z]{2,3}(-[A-Za-z0-9]+)*(\+[A-Za-z0-9_-]+)?$", max_length=40)
+    str,
+    Field(
+        strict=True,
+        pattern=r"^[A-Za-z]{2,3}(-[A-Za-z0-9]+)*(\+[A-Za-z0-9_-]+)?$",
+        max_length=40,
+        json_schema_extra={"x-allowed": "the name of a voice, such as en-us or fr+f2"},
+    ),
 ]
 
 
@@ -25,7 +31,6 @@ class SpeechSection(Section):
         "which finger goes where; feedback: after a practice trial; break: pauses, too.",
         default=("instructions", "placement", "question", "feedback", "break", "goodbye"),
         min_length=1,
-        json_schema_extra={"uniqueItems": True},
     )
     voice: VoiceName | None = described(
         "Voice of eSpeak NG, such as en, en-us, fr or fr+f2; null for the language of the texts.", default=None

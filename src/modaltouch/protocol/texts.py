@@ -25,7 +25,15 @@ _PLACEHOLDERS: dict[str, frozenset[str]] = {
 """Words in braces that a text must contain; every other text must contain none."""
 
 
-LanguageCode = Annotated[str, Field(strict=True, pattern=r"^[A-Za-z]{2,3}(-[A-Za-z0-9]+)*$", max_length=35)]
+LanguageCode = Annotated[
+    str,
+    Field(
+        strict=True,
+        pattern=r"^[A-Za-z]{2,3}(-[A-Za-z0-9]+)*$",
+        max_length=35,
+        json_schema_extra={"x-allowed": "a code such as en, en-us or fr"},
+    ),
+]
 
 
 class Texts(Section):

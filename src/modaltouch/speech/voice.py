@@ -120,7 +120,7 @@ class Voice:
             way = self._n_fade - heard.faded - np.arange(1, n + 1)
             samples = samples * np.sin(np.pi / 2 * way / self._n_fade).astype(np.float32) ** 2
             heard.faded += n
-        out += samples[:, np.newaxis]
+        out[:n] += samples[:, np.newaxis]
         heard.place += n
         if heard.is_whole or heard.faded >= self._n_fade:
             self._heard = None

@@ -30,6 +30,8 @@ _DISMISSAL = 3.0
 """How long the screen of a session that ends early stays [s]."""
 _FAREWELL = 8.0
 """How long the last screen stays if nobody presses a key [s]."""
+_SPOKEN_FAREWELL = 30.0
+"""How long it stays at most while it is being said [s]."""
 
 
 class ParticipantWindow:
@@ -200,7 +202,7 @@ class ParticipantWindow:
         """Thank the participant, until a key is pressed or some seconds have passed."""
         picture = self._pictures.page("goodbye", self._texts.goodbye, waits=False)
         shown = self._stage.show(picture, Moment("go_on"))
-        while time.perf_counter() < shown + _FAREWELL or self._stage.is_speaking:
+        while time.perf_counter() < shown + (_SPOKEN_FAREWELL if self._stage.is_speaking else _FAREWELL):
             for event in self._stage.poll():
                 if event.kind == "close" or (is_press(event) and event.time > shown + SETTLE):
                     return
@@ -254,6 +256,8 @@ class ParticipantWindow:
                 elif event.time < shown + SETTLE:
                     self._pauser.discard(event, "as the screen appeared")
                 elif event.kind == "click" or self._reader.goes_on(event):
+                    self._stage.hush()
+                    self._stage.write_notes()
                     return
                 elif event.kind == "key":
                     self._stage.note("ignored", key=event.key)

@@ -1,0 +1,107 @@
+"""Sound devices of the tests: ALSA's null device in a process of its own, and a stream at PortAudio's boundary."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import sounddevice
+
+from modaltouch.masking.device import DeviceError
+
+NO_CARD = "pcm.!default { type hw card 31 }\nctl.!default { type null }\n"
+
+
+@pytest.fixture
+def in_a_process() -> Callable[[str, Path], subprocess.CompletedProcess[str]]:
+    """Run a script with an ALSA of its own."""
+
+    def run(script: str, alsa: Path) -> subprocess.CompletedProcess[str]:
+        env = {**os.environ, "ALSA_CONFIG_PATH": str(alsa), "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+        return subprocess.run(
+            [sys.executable, "-c", script], capture_output=True, text=True, env=env, timeout=60, check=False
+        )
+
+    return run
+
+
+@pytest.fixture
+def no_card() -> str:
+    """An ALSA configuration whose only device is a card that is not there."""
+    return NO_CARD
+
+
+@pytest.fixture
+def null_device(tmp_path: Path) -> Path:
+    """An ALSA that takes every sample and forgets it."""
+    file = tmp_path / "asound.conf"
+    file.write_text("pcm.!default { type null }\nctl.!default { type null }\n")
+    return file
+
+
+@pytest.fixture
+def no_device(tmp_path: Path) -> Path:
+    """An ALSA whose only device is a card that is not there."""
+    file = tmp_path / "asound.conf"
+    file.write_text(NO_CARD)
+    return file
+
+
+class Device:
+    """Stands at the boundary of PortAudio: a stream that asks for samples when told to, and can be unplugged."""
+
+    latency = 0.1
+
+    def __init__(self, **options: Any) -> None:
+        self.options, self.active = options, False
+
+    def start(self) -> None:
+        self.active = True
+
+    def ask(self, n: int) -> Any:
+        out = np.empty((n, self.options["channels"]), dtype=np.float32)
+        self.options["callback"](out, n, None, type("Status", (), {"output_underflow": False}))
+        return out
+
+    def abort(self) -> None:
+        self.active = False
+
+    close = abort
+
+
+@pytest.fixture
+def devices(monkeypatch: pytest.MonkeyPatch) -> list[Device]:
+    """The streams that were opened, newest last; `default_device` finds one as long as the list is not frozen."""
+    opened: list[Device] = []
+
+    def open_stream(**options: Any) -> Device:
+        opened.append(Device(**options))
+        return opened[-1]
+
+    monkeypatch.setattr(sounddevice, "OutputStream", open_stream)
+    monkeypatch.setattr(sounddevice, "_terminate", lambda: None)
+    monkeypatch.setattr(sounddevice, "_initialize", lambda: None)
+    monkeypatch.setattr(
+        "modaltouch.masking.device.default_device", lambda name="": {"name": "earphones", "max_output_channels": 8}
+    )
+    return opened
+
+
+@pytest.fixture
+def unplug(monkeypatch: pytest.MonkeyPatch) -> Callable[[Device], None]:
+    """Take a device away, now and for whoever looks for one."""
+
+    def nothing(name: str = "") -> dict[str, Any]:
+        raise DeviceError("there is no sound device")
+
+    def pull(device: Device) -> None:
+        device.active = False
+        monkeypatch.setattr("modaltouch.masking.device.default_device", nothing)
+
+    return pull
