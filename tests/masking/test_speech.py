@@ -100,7 +100,7 @@ def test_a_device_that_stays_away_ends_a_session_that_demands_speech(
     devices: list[Any],
     unplug: Callable[[Any], None],
     noise: MaskingSection | None,
-    required: bool,  # noqa: FBT001
+    required: bool,
 ) -> None:
     """Before the next trial; where nothing lost is demanded, the session goes on and the record says what it lacks."""
     section = noise and noise.model_copy(update={"required": False})
@@ -134,7 +134,7 @@ def test_a_device_that_comes_back_speaks_again(devices: list[Any]) -> None:
 def test_without_a_device_speech_is_refused_or_recorded_as_lacking(
     in_a_process: Any,
     no_device: Path,
-    required: bool,  # noqa: FBT001
+    required: bool,
 ) -> None:
     """A protocol that demands it does not begin; one that does not goes on, its record saying why it is silent."""
     script = f"""

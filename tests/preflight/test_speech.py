@@ -114,7 +114,7 @@ def test_speech_below_the_noise_is_warned_of(spoken: Callable[..., Path]) -> Non
 @pytest.mark.parametrize("required", [True, False])
 def test_a_machine_that_cannot_speak_is_told_of_and_refused_where_speech_is_demanded(
     spoken: Callable[..., Path],
-    required: bool,  # noqa: FBT001
+    required: bool,
 ) -> None:
     """`check` warns; a session does not begin, or its record says why it is silent."""
     preflight = examine(spoken(f"required: {str(required).lower()}"))

@@ -86,7 +86,7 @@ def test_every_picture_s_words_are_known_beforehand(
     edit: Callable[..., Any],
     file: str,
     language: str,
-    offers_none: bool,  # noqa: FBT001
+    offers_none: bool,
 ) -> None:
     """Whatever trial of whatever participant: what a picture says is in the list, and stands on the picture itself."""
     changes = [("english.yaml", f"{language}.yaml")] if language == "french" else []

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from modaltouch.cli.checking import PROTOCOL
 from modaltouch.cli.faults import print_json, reporting
+from modaltouch.cli.options import JSON, PROTOCOL
 
 if TYPE_CHECKING:
     from modaltouch.protocol import Experiment
@@ -25,7 +25,7 @@ def speak(
     play: Annotated[
         bool, typer.Option("--play", help="Play every prompt on the sound device, masking noise and all.")
     ] = False,
-    json_output: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
+    json_output: JSON = False,
 ) -> None:
     """List what a protocol has spoken to the participant (`speech`), and save or play it.
 
