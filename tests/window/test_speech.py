@@ -158,7 +158,7 @@ def test_a_person_is_led_by_ear_from_welcome_to_goodbye(spoken_room: Any, trial:
     room = spoken_room
     steps = ("welcome", "answers", "place_fingers", "practice", "rest")
     room.script = [(name, 0.3, press(room, "space")) for name in steps]
-    room.window.welcome()
+    room.window.welcome(trial)
     room.window.place_fingers(trial.__class__(1, 1, trial.condition))
     room.window.announce("practice")
     room.window.rest(PROGRESS)
