@@ -359,15 +359,31 @@ def test_an_answer_may_be_changed_until_it_is_chosen_again(paper_room: Callable[
     room.script = [
         ("question", 0.1, send(room, "key", "left")),
         ("chosen_left", 0.1, send(room, "key", "right")),
-        ("chosen_right", 0.2, send(room, "key", "right")),
+        ("chosen_right", 0.3, send(room, "key", "right")),
     ]
     onset = time.perf_counter()
     response = ask(room, trial, onset)
     assert response.answer == "right"
     chosen = next(when for name, when in room.shown if name == "chosen_right")
     assert response.reaction_time == pytest.approx(chosen - onset, abs=0.02)
-    assert room.stopped[0] >= chosen + 0.2
+    assert room.stopped[0] >= chosen + 0.3
     assert [(facts["first"], facts["to"]) for facts in room.events("changed")] == [("left", "right")]
+
+
+def test_a_double_click_or_a_bouncing_foot_switch_does_not_confirm(
+    paper_room: Callable[..., Any], trial: Trial
+) -> None:
+    """Expected: the second press of the same answer within a quarter of a second is discarded, a later one confirms."""
+    room = paper_room(answers={"change_until_confirmed": True})
+    room.script = [
+        ("question", 0.1, send(room, "key", "left")),
+        ("chosen_left", 0.02, send(room, "release", "left")),
+        ("chosen_left", 0.03, send(room, "key", "left")),
+        ("chosen_left", 0.5, send(room, "key", "right")),
+        ("chosen_right", 0.3, send(room, "key", "right")),
+    ]
+    assert ask(room, trial).answer == "right"
+    assert [facts["when"] for facts in room.events("discarded")] == ["as it was chosen"]
 
 
 def test_an_answer_stands_at_once_where_the_protocol_says_nothing(paper_room: Callable[..., Any], trial: Trial) -> None:

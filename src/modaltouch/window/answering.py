@@ -9,6 +9,7 @@ from typing import NoReturn
 from modaltouch.trial import Answer, Trial
 from modaltouch.window.events import Event
 from modaltouch.window.interface import Progress
+from modaltouch.window.pausing import SETTLE
 from modaltouch.window.pictures import Illustrator
 from modaltouch.window.reading import Reader, describe_press, is_press
 from modaltouch.window.stage import Moment, Stage
@@ -76,6 +77,10 @@ class AnswerTaker:
             picture = self._pictures.question(trial, progress, chosen=answer, confirmed=False)
             self._stage.show(picture, Moment("confirm", trial))
             again, press = self.await_answer(trial, interrupt)
+            if again == answer and press.time < event.time + SETTLE:
+                # A double click, or a foot switch whose contact bounces, decides nothing twice.
+                self._stage.note("discarded", when="as it was chosen", trial=trial.index, **describe_press(press))
+                continue
             if again == answer:
                 return answer, event
             self._stage.note("changed", trial=trial.index, first=answer, to=again, after_s=press.time - event.time)
