@@ -46,10 +46,10 @@ class Wires:
     ----------
     preflight : Preflight
         The checked experiment.
-    participant : str
-        Participant id.
-    session, seed : int
-        Which session of the participant, and the seed of the study.
+    place : SessionFolder
+        Where it is recorded.
+    seed : int
+        Seed of the study.
     rig : str
         ``simulated`` or a VISA address.
     answers : str
@@ -63,9 +63,8 @@ class Wires:
     def __init__(
         self,
         preflight: Preflight,
-        participant: str,
+        place: SessionFolder,
         *,
-        session: int,
         seed: int,
         rig: str,
         answers: AnswersBy,
@@ -73,13 +72,22 @@ class Wires:
         observer: Observer,
     ) -> None:
         self._preflight = preflight
-        self._person = (seed, participant, session)
+        self._place = place
+        self._seed = seed
         self._rig = rig
         self._answers = answers
         self._window_options = window_options
         self._observer = observer
         self._simulator: Simulator | None = None
         self._speech: Speech = Silence()
+
+    def setup(self, schedule: Schedule) -> Setup:
+        """Return what the sitting is made of, with the participant's trials."""
+        facts: dict[str, Any] = {"seed": self._seed, "rig_choice": self._rig, "answers_choice": self._answers}
+        if self._answers != "window":
+            facts["observer"] = self._observer.as_dict()
+        opened = self.open_rig, self.open_window, self.open_masking
+        return Setup(self._preflight, schedule, self._place, *opened, facts)
 
     @contextmanager
     def open_rig(self, log: Callable[..., None]) -> Iterator[Rig]:
@@ -118,10 +126,11 @@ class Wires:
         return masking
 
     def _answerer(self) -> Answerer:
-        person = self._observer.draw(random_generator(*self._person, "observer"))
+        who = self._seed, self._place.participant, self._place.session
+        person = self._observer.draw(random_generator(*who, "observer"))
         offers_none = self._preflight.experiment.protocol.answers.offers_none
         answers = ANSWERS_WITH_NONE if offers_none else ANSWERS
-        return Answerer(person, self._felt, random_generator(*self._person, "answers"), answers)
+        return Answerer(person, self._felt, random_generator(*who, "answers"), answers)
 
     def _felt(self, trial: Trial) -> tuple[float, float]:
         """Return what the two fingers feel: on the twin where there is one, else as predicted."""
@@ -193,7 +202,16 @@ def wire_run(
         place, drawn_as = next_session(place, protocol.schedule.sessions)
     preflight, calibrated = at_own_levels(preflight, place, threshold_mm_s)
     schedule = draw_schedule(preflight.experiment.protocol, participant, seed, drawn_as)
-    setup = _setup(preflight, schedule, place, seed, rig, answers, window_options, observer or Observer())
+    wires = Wires(
+        preflight,
+        place,
+        seed=seed,
+        rig=rig,
+        answers=answers,
+        window_options=window_options,
+        observer=observer or Observer(),
+    )
+    setup = wires.setup(schedule)
     setup = replace(setup, facts=setup.facts | calibrated)
     return replace(setup, drawn_as=drawn_as) if protocol.schedule.balance == "least_filled" else setup
 
@@ -225,13 +243,8 @@ def wire_resume(
         If there is no such session, it is damaged or has been begun anew, or a real one would go on simulated.
     """
     log = find_log(path)
-    session = read_session(log)
+    session = _begun(log)
     start = session.start
-    if not start:
-        damage = "".join(f"\n{problem}" for problem in session.problems)
-        raise RecordError(f"{log}: has no start record, so there is nothing to continue{damage}")
-    if shape := check_shape(session.events, str(log), to_repeat=True):
-        raise RecordError("\n".join(shape))
     place = locate(log, session.mode, session.protocol)
     rig, answers = rig or start["rig_choice"], answers or start["answers_choice"]
     as_begun = (rig, answers) == (start["rig_choice"], start["answers_choice"])
@@ -250,11 +263,37 @@ def wire_resume(
     anew = _place_anew(place, session) if (restart or at == "restart") and not session.complete else None
     if anew is None and session.begun_anew_as is not None:
         anew = _place_anew(place, session)
-    setup = _setup(preflight, schedule, anew or place, start["seed"], rig, answers, window_options, observer)
+    wires = Wires(
+        preflight,
+        anew or place,
+        seed=start["seed"],
+        rig=rig,
+        answers=answers,
+        window_options=window_options,
+        observer=observer,
+    )
+    setup = wires.setup(schedule)
     if anew is None:
         return setup
     calibrated = {name: start[name] for name in ("sensation_levels",) if name in start}
     return replace(setup, replaces=place, facts=setup.facts | calibrated)
+
+
+def _begun(log: Path) -> Session:
+    """Return a session of whose beginning enough is recorded to go on with it.
+
+    Raises
+    ------
+    RecordError
+        If there is not.
+    """
+    session = read_session(log)
+    if not session.start:
+        damage = "".join(f"\n{problem}" for problem in session.problems)
+        raise RecordError(f"{log}: has no start record, so there is nothing to continue{damage}")
+    if shape := check_shape(session.events, str(log), to_repeat=True):
+        raise RecordError("\n".join(shape))
+    return session
 
 
 def _place_anew(place: SessionFolder, session: Session) -> SessionFolder:
@@ -277,32 +316,6 @@ def _place_anew(place: SessionFolder, session: Session) -> SessionFolder:
     while replace(place, session=number).log.exists():
         number += 1
     return replace(place, session=number)
-
-
-def _setup(
-    preflight: Preflight,
-    schedule: Schedule,
-    place: SessionFolder,
-    seed: int,
-    rig: str,
-    answers: AnswersBy,
-    window_options: WindowOptions | None,
-    observer: Observer,
-) -> Setup:
-    wires = Wires(
-        preflight,
-        place.participant,
-        session=place.session,
-        seed=seed,
-        rig=rig,
-        answers=answers,
-        window_options=window_options,
-        observer=observer,
-    )
-    facts: dict[str, Any] = {"seed": seed, "rig_choice": rig, "answers_choice": answers}
-    if answers != "window":
-        facts["observer"] = observer.as_dict()
-    return Setup(preflight, schedule, place, wires.open_rig, wires.open_window, wires.open_masking, facts)
 
 
 def mode_of(rig: str, answers: AnswersBy, *, pilot: bool) -> Mode:
