@@ -2,160 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
 from dataclasses import replace
-from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from modaltouch.allotment import next_session, recorded_turn
-from modaltouch.masking.interface import Masking, NoMasking
-from modaltouch.masking.player import open_masking
 from modaltouch.observer import Observer
-from modaltouch.observer.felt import Felt
 from modaltouch.preflight import Preflight, examine_findings
-from modaltouch.preflight.speech import prepare_prompts
 from modaltouch.protocol import Sources, examine_sources
 from modaltouch.record.chain import RecordError, RecordInputError
 from modaltouch.record.folders import Mode, SessionFolder, find_log, locate
 from modaltouch.record.session import Session, read_session
 from modaltouch.record.shape import check_shape
-from modaltouch.rig import open_rig, start_simulator
-from modaltouch.rig.interface import Rig
-from modaltouch.schedule import Schedule, draw_schedule, random_generator
+from modaltouch.schedule import draw_schedule
 from modaltouch.sensation import at_own_levels, recorded_levels
 from modaltouch.sitting import Setup
-from modaltouch.speech.interface import Silence, Speech
-from modaltouch.trial import ANSWERS, ANSWERS_WITH_NONE, Trial
-from modaltouch.window import AnswersBy, WindowOptions, open_window
-from modaltouch.window.interface import AnswerWindow, Tick
-from modaltouch.window.simulated import Answerer
-
-if TYPE_CHECKING:
-    from modaltouch.rig.simulator import Simulator
-
-SIMULATED = "simulated"
-"""What stands in a rig's place for the digital twin."""
-
-
-class Wires:
-    """The parts of one sitting, opened when the sitting asks for them.
-
-    Parameters
-    ----------
-    preflight : Preflight
-        The checked experiment.
-    place : SessionFolder
-        Where it is recorded.
-    seed : int
-        Seed of the study.
-    rig : str
-        ``simulated`` or a VISA address.
-    answers : str
-        ``window``, ``robot`` or ``simulated``.
-    window_options : WindowOptions or None
-        How the answer window is opened, where there is one.
-    observer : Observer
-        Population that a simulated participant is drawn from.
-    """
-
-    def __init__(
-        self,
-        preflight: Preflight,
-        place: SessionFolder,
-        *,
-        seed: int,
-        rig: str,
-        answers: AnswersBy,
-        window_options: WindowOptions | None,
-        observer: Observer,
-    ) -> None:
-        self._preflight = preflight
-        self._place = place
-        self._seed = seed
-        self._rig = rig
-        self._answers = answers
-        self._window_options = window_options
-        self._observer = observer
-        self._simulator: Simulator | None = None
-        self._speech: Speech = Silence()
-
-    def setup(self, schedule: Schedule) -> Setup:
-        """Return what the sitting is made of, with the participant's trials."""
-        facts: dict[str, Any] = {"seed": self._seed, "rig_choice": self._rig, "answers_choice": self._answers}
-        if self._answers != "window":
-            facts["observer"] = self._observer.as_dict()
-        opened = self.open_rig, self.open_window, self.open_masking
-        return Setup(self._preflight, schedule, self._place, *opened, facts)
-
-    @contextmanager
-    def open_rig(self, log: Callable[..., None]) -> Iterator[Rig]:
-        """Open the driver, on the twin's address where no other is given."""
-        apparatus, address = self._preflight.experiment.apparatus, self._rig
-        with ExitStack() as stack:
-            if self._rig == SIMULATED:
-                self._simulator = stack.enter_context(start_simulator(apparatus))
-                address = self._simulator.address
-            yield stack.enter_context(open_rig(address, apparatus, log=log))
-
-    def open_window(self, tick: Tick, log: Callable[..., None]) -> AnswerWindow:
-        """Open the answer window, with a simulated participant where no person answers."""
-        experiment = self._preflight.experiment
-        zones = experiment.apparatus.zones
-        return open_window(
-            self._answers,
-            experiment.protocol,
-            experiment.texts,
-            zones=tuple(sorted(zones, key=lambda name: zones[name].centre_mm)),
-            tick=tick,
-            log=log,
-            answerer=None if self._answers == "window" else self._answerer(),
-            options=self._window_options,
-            speech=self._speech,
-        )
-
-    def open_masking(self, log: Callable[..., None]) -> Masking:
-        """Open the masking noise and the speech that the protocol wants, where there is a person to hear them."""
-        experiment, deaf = self._preflight.experiment, "a simulated participant hears nothing"
-        section, spoken = experiment.protocol.masking, experiment.protocol.speech
-        if self._answers != "window":
-            return NoMasking(deaf if section is not None else "", Silence(deaf if spoken is not None else ""))
-        masking = open_masking(section, experiment.apparatus.sound, log, prepare_prompts(experiment))
-        self._speech = masking.speech
-        return masking
-
-    def _answerer(self) -> Answerer:
-        who = self._seed, self._place.participant, self._place.session
-        person = self._observer.draw(random_generator(*who, "observer"))
-        offers_none = self._preflight.experiment.protocol.answers.offers_none
-        answers = ANSWERS_WITH_NONE if offers_none else ANSWERS
-        return Answerer(person, self._felt, random_generator(*who, "answers"), answers)
-
-    def _felt(self, trial: Trial) -> tuple[float, float]:
-        """Return what the two fingers feel: on the twin where there is one, else as predicted."""
-        predicted = self._preflight.speeds(trial)
-        peaks = predicted
-        if self._simulator is not None:
-            left, right = self._simulator.felt_velocity(trial.condition.pair)
-            peaks = float(left), float(right)
-        if self._observer.front_end == "peak" or trial.condition.is_catch:
-            return peaks
-        # The twin tells peaks; what else is felt follows the predicted history, at the twin's size.
-        level, sense = trial.condition.velocity_mm_s * 1e-3, self._senses[trial.condition.stimulus]
-        left, right = (
-            sense.at(zone, level) * peak / expected
-            for zone, peak, expected in zip(trial.condition.pair, peaks, predicted, strict=True)
-        )
-        return left, right
-
-    @cached_property
-    def _senses(self) -> dict[str, Felt]:
-        """What the observer's front end makes of the predicted velocities of each stimulus."""
-        zones = self._preflight.experiment.apparatus.zones
-        centres = {name: zone.centre_mm * 1e-3 for name, zone in zones.items()}
-        parts = self._preflight.parts.items()
-        return {name: Felt(part.stimulus, centres, self._observer.front_end) for name, part in parts}
+from modaltouch.window import AnswersBy, WindowOptions
+from modaltouch.wiring.parts import SIMULATED, Wires
 
 
 def wire_run(
