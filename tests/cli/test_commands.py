@@ -74,6 +74,16 @@ def test_a_terminal_that_hung_up_does_not_change_the_exit_status(monkeypatch):
     assert left.value.exit_code == INTERRUPTED
 
 
+def test_a_narrow_terminal_cuts_no_number(monkeypatch):
+    """Without its exponent an error of 3.7e-06 would be one of 3.7; each voltage has its channel."""
+    monkeypatch.setenv("COLUMNS", "60")
+    done = run("check", "protocols/demo.yaml")
+    assert "3.7e-06" in done.stdout
+    assert "74, 12" in done.stdout
+    assert all(words in done.stdout for words in ("CH1", "CH2"))
+    assert "\N{HORIZONTAL ELLIPSIS}" not in done.stdout
+
+
 def test_the_version_is_told_without_a_command():
     """One line, the one of the package."""
     import modaltouch

@@ -47,7 +47,10 @@ def test_without_xtest_the_windows_own_queue_is_measured(screen: Any, monkeypatc
 
 def test_a_good_machine_is_said_to_be_good() -> None:
     """Expected: both verdicts good, with the monitor's rate."""
-    assert GOOD.verdict == "Keys are stamped within 1.1 ms (95 %): good. Frames follow the monitor at 60 Hz: good."
+    assert (
+        GOOD.verdict
+        == "On the screen: Keys are stamped within 1.1 ms (95 %): good. Frames follow the monitor at 60 Hz: good."
+    )
 
 
 @pytest.mark.parametrize(
@@ -56,7 +59,11 @@ def test_a_good_machine_is_said_to_be_good() -> None:
         ({"n_lost": 3}, "3 of 60 keys were lost: let the window have the keyboard"),
         ({"key_delay_p95": 0.017}, "Keys are stamped up to 17 ms late (95 %): close other programs"),
         ({"n_dropped": 5}, "5 of 120 frames came late: run full screen"),
-        ({"waits_for_monitor": False}, "Frames do not wait for a monitor"),
+        ({"waits_for_monitor": False}, "and switch vertical retrace on there"),
+        (
+            {"display": "a virtual display (:1), as there is no screen"},
+            "On a virtual display (:1), as there is no screen:",
+        ),
     ],
 )
 def test_a_fault_is_named_with_what_to_do(change: dict[str, Any], words: str) -> None:

@@ -189,15 +189,18 @@ def _level_table(table_kind: Any, stimuli: list[dict[str, Any]]) -> Any:
     zones = list(stimuli[0]["zone_peak_mm_s"])
     table = table_kind(title="Largest speed at the centre of each zone, mm/s", title_justify="left")
     several = "stimulus" in stimuli[0]
-    for heading in (*(["stimulus"] if several else []), "level mm/s", *zones, "modal error mm/s", "peak drive V"):
-        table.add_column(heading, justify="left" if heading == "stimulus" else "right")
+    drive = "peak drive V: " + ", ".join(f"CH{channel}" for channel in stimuli[0]["peak_drive_V"])
+    for heading in (*(["stimulus"] if several else []), "level mm/s", *zones, "modal error mm/s", drive):
+        # A narrow terminal may break words, but no number: without its exponent it would be another.
+        width = {"modal error mm/s": 7, drive: 7}.get(heading)
+        table.add_column(heading, justify="left" if heading == "stimulus" else "right", min_width=width)
     for stimulus in stimuli:
         table.add_row(
             *([stimulus["stimulus"]] if several else []),
             f"{stimulus['velocity_mm_s']:g}",
             *(_in_two_digits(stimulus["zone_peak_mm_s"][zone]) for zone in zones),
             f"{stimulus['worst_modal_error_mm_s']:.1e}",
-            " ".join(map(_in_two_digits, stimulus["peak_drive_V"].values())),
+            ", ".join(map(_in_two_digits, stimulus["peak_drive_V"].values())),
         )
     return table
 

@@ -126,6 +126,8 @@ def _measure(rig: str, apparatus: Path, *, json_output: bool) -> None:
             faults[subject] = str(error)
         else:
             figures[subject], verdicts[subject] = measured.as_dict(), measured.verdict
+    if rig == "simulated" and "generator" in verdicts:
+        verdicts["generator"] = f"On the simulated rig, not on yours (--rig): {verdicts['generator']}"
     if json_output:
         print_json({**figures, "verdicts": verdicts, "faults": faults})
     else:

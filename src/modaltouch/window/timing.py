@@ -73,7 +73,7 @@ class WindowTiming:
     @property
     def verdict(self) -> str:
         """What the figures mean for an experiment, and what to do."""
-        lines = []
+        lines = [f"On {self.display}:"]
         if self.n_lost:
             lines.append(
                 f"{self.n_lost} of {self.n_keys} keys were lost: let the window have the keyboard, and do not run "
@@ -89,7 +89,10 @@ class WindowTiming:
         else:
             lines.append(f"Keys are stamped within {self.key_delay_p95 * 1e3:.1f} ms (95 %): good.")
         if not self.waits_for_monitor:
-            lines.append("Frames do not wait for a monitor (a virtual display, or vertical retrace switched off).")
+            lines.append(
+                "Frames do not wait for a monitor, so that nobody knows when one shows them: measure on the "
+                "participants' own screen, and switch vertical retrace on there."
+            )
         elif self.n_dropped > 0.01 * self.n_frames:
             lines.append(
                 f"{self.n_dropped} of {self.n_frames} frames came late: run full screen, without a compositor, and "
