@@ -10,7 +10,8 @@ import pytest
 
 from modaltouch.document import InputError
 from modaltouch.observer import Observer, Participant
-from modaltouch.observer.file import read_observer, shipped_observers, write_observer
+from modaltouch.observer.file import read_observer, shipped_observers, usual_observer, write_observer
+from modaltouch.preflight import examine
 
 PEAKS = {"A": 0.123, "B": 0.115, "C": 0.2, "D": 0.115, "E": 0.123}
 """Peak speeds of the shipped stimulus at 200 mm/s [m/s]."""
@@ -36,6 +37,24 @@ def test_the_paper_observer_is_the_default_one() -> None:
     assert shipped.front_end == default.front_end
 
 
+def test_only_the_fingertip_has_internal_noise() -> None:
+    """All others answer as before there was such a key; what the paper's says at 80 mm/s, the fingertip says too."""
+    noisy = [name for name in shipped_observers() if read_observer(name).typical.internal_noise]
+    assert noisy == ["fingertip"]
+    crowds = [read_observer(name).draw_crowd(np.random.default_rng(1), (5_000,)) for name in ("paper", "fingertip")]
+    named = [crowd.shares([[0.4 * PEAKS["A"], 0.4 * PEAKS["C"]]], ["one_hand"])[1].mean() for crowd in crowds]
+    assert named[0] > 0.94
+    assert named[1] > 0.85
+
+
+def test_adaptive_runs_are_simulated_by_the_fingertip(shipped: Path) -> None:
+    """And fixed levels by the paper's observer."""
+    usual = {
+        name: usual_observer(examine(shipped / f"{name}.yaml").experiment.protocol) for name in ("demo", "threshold")
+    }
+    assert usual == {"demo": "paper", "threshold": "fingertip"}
+
+
 def test_guessing_is_a_third_of_each_answer() -> None:
     """Expected: 1/3, whatever is felt."""
     left, right = read_observer("guessing").draw_crowd(np.random.default_rng(1), (3,)).shares([[0, 1]], ["one_hand"])
@@ -52,12 +71,17 @@ def test_every_shipped_observer_can_be_read_by_its_name() -> None:
 
 def test_what_is_written_is_read_again(tmp_path: Path) -> None:
     """Expected: the same numbers to four digits, and a description with any characters."""
-    observer = Observer(Participant(noise=0.31, side_bias=-0.07, near_miss=0.2), front_end="rms", noise_spread=0.33)
+    observer = Observer(
+        Participant(noise=0.31, side_bias=-0.07, near_miss=0.2, internal_noise=0.0042),
+        front_end="rms",
+        noise_spread=0.33,
+    )
     file = tmp_path / "mine.yaml"
     file.write_text(write_observer(observer, "mine", "a \"quoted\": 80 % 'word'"), encoding="utf-8")
     read = read_observer(file)
     assert read.typical.noise == pytest.approx(0.31, rel=1e-3)
     assert (read.typical.side_bias, read.typical.near_miss) == (-0.07, 0.2)
+    assert read.typical.internal_noise == pytest.approx(0.0042)
     assert (read.front_end, read.noise_spread, read.name) == ("rms", 0.33, "mine")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from dataclasses import replace
 from statistics import NormalDist
 
 import numpy as np
@@ -12,7 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from modaltouch.observer import Observer, Participant
-from modaltouch.trial import ANSWERS_WITH_NONE
+from modaltouch.observer.file import read_observer
+from modaltouch.trial import ANSWERS, ANSWERS_WITH_NONE
 
 N = 4000
 
@@ -64,6 +66,39 @@ def test_shares_follow_the_normal_distribution(left: float, right: float) -> Non
     counted = answers(person, left, right)
     for answer, share in expected.items():
         assert counted[answer] / N == pytest.approx(share, abs=4 * math.sqrt(share * (1 - share) / N) + 1e-3)
+
+
+def test_without_internal_noise_nothing_is_drawn_for_it() -> None:
+    """Simulated data stay as they were: the same draws for every answer, the same answers from them."""
+    for answers, n_normal in ((ANSWERS, 2), (ANSWERS_WITH_NONE, 3)):
+        rng, expected = np.random.default_rng(5), np.random.default_rng(5)
+        Participant().answer(0.1, 0.12, "one_hand", rng, answers)
+        drawn = [expected.standard_normal(), expected.random(), expected.random()]
+        drawn += [expected.standard_normal() for _ in range(n_normal - 1)]
+        assert rng.random() == expected.random(), drawn
+
+
+def test_internal_noise_is_a_threshold_of_two_intervals() -> None:
+    """75 % right at 0.954 sigma_0; `fingertip` has 4 mm/s: 0.4 um at 500 Hz as a speed, and 10 dB for short bursts."""
+    sigma = read_observer("fingertip").typical.internal_noise
+    rng = np.random.default_rng(3)
+    with_it, without = 0.954 * sigma + sigma * rng.standard_normal(200_000), sigma * rng.standard_normal(200_000)
+    assert (with_it > without).mean() == pytest.approx(0.75, abs=0.005)
+    assert 2 * math.pi * 500 * 0.4e-6 * 10 ** (10 / 20) == pytest.approx(0.954 * sigma, rel=0.02)
+
+
+def test_internal_noise_hides_what_is_faint_and_feels_what_is_not_there() -> None:
+    """Nothing moves: felt in 1 trial of 80, one finger's tail beyond 2.5 sigma_0 for each; far above, as without it."""
+    person = read_observer("fingertip").typical
+    sharp = replace(person, noise=1e-9, lapse_rate=0.0)
+    rng = np.random.default_rng(7)
+    given = Counter(sharp.answer(0.0, 0.0, "one_hand", rng, ANSWERS_WITH_NONE)[0] for _ in range(20_000))
+    expected = 1 - NormalDist().cdf(2.5) ** 2
+    assert 1 - given["none"] / 20_000 == pytest.approx(expected, abs=4 * math.sqrt(expected / 20_000))
+    loud, without = answers(person, 0.123, 0.2), answers(replace(person, internal_noise=0.0), 0.123, 0.2)
+    assert loud["right"] == pytest.approx(without["right"], abs=0.03 * N)
+    with pytest.raises(ValueError, match="under the left finger"):
+        person.answer(-0.1, 0.1, "one_hand", rng)
 
 
 def test_lapses_are_any_answer_at_their_rate() -> None:

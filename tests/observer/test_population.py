@@ -31,6 +31,20 @@ def test_shares_are_those_of_single_answers() -> None:
             assert given.count(answer) / n == pytest.approx(share, abs=4 * spread + 1e-3)
 
 
+def test_shares_with_internal_noise_are_those_of_single_answers() -> None:
+    """Expected near the threshold of touch and far above it: the shares of 6000 answers, within 4 standard errors."""
+    observer = replace(Observer(), typical=replace(Participant(), internal_noise=0.004, detection_speed=0.0105))
+    person = observer.draw(np.random.default_rng(4))
+    speeds = np.array([[0.006, 0.01], [0.02, 0.012], [0.1, 0.15]])
+    left, right = observer.draw_crowd(np.random.default_rng(4), ()).shares(speeds, ("one_hand",) * 3)
+    rng, n = np.random.default_rng(9), 6000
+    for cell in range(3):
+        given = [person.answer(*speeds[cell], "one_hand", rng)[0] for _ in range(n)]
+        for share, answer in ((left[cell], "left"), (right[cell], "right")):
+            spread = math.sqrt(share * (1 - share) / n)
+            assert given.count(answer) / n == pytest.approx(share, abs=4 * spread + 3e-3)
+
+
 def test_one_drawn_participant_is_the_crowd_of_one() -> None:
     """Expected: the same draws give the same person, alone or in a crowd."""
     observer = Observer()

@@ -20,7 +20,6 @@ from modaltouch.cli.options import (
     EVENTS,
     FULLSCREEN,
     JSON,
-    OBSERVER,
     PLAIN,
     PROTOCOL,
     RESULTS,
@@ -30,6 +29,7 @@ from modaltouch.cli.options import (
     SESSION,
     SIZE,
     THEME,
+    USUAL_OBSERVER,
     Theme,
 )
 from modaltouch.cli.progress import progress
@@ -197,19 +197,21 @@ def simulate(
     protocol: PROTOCOL,
     participants: Annotated[int, typer.Option("--participants", "-n", min=1, help="Size of the cohort.")] = 10,
     seed: SEED = 1,
-    observer: OBSERVER = "paper",
+    observer: USUAL_OBSERVER = None,
     results: RESULTS = Path("results"),
     calibration: CALIBRATION = None,
     json_output: JSON = False,
 ) -> None:
     """Run a cohort of simulated participants through the same code on the simulated rig."""
-    from modaltouch.observer.file import read_observer
+    from modaltouch.observer.file import read_observer, usual_observer
     from modaltouch.preflight import examine
     from modaltouch.simulation import simulate_session
 
     with reporting(json_output=json_output):
-        population = read_observer(observer)
+        # An observer that does not exist is told before a protocol is designed.
+        given = None if observer is None else read_observer(observer)
         preflight = examine(protocol, calibration).require()
+        population = given or read_observer(usual_observer(preflight.experiment.protocol))
         sessions = []
         with progress("participants") as on_progress:
             for number in range(1, participants + 1):

@@ -9,6 +9,7 @@ from pathlib import Path
 from modaltouch.document import InputError, Problem, load_source, read, suggest
 from modaltouch.observer.participant import Participant
 from modaltouch.observer.population import Observer
+from modaltouch.protocol import Protocol
 from modaltouch.protocol.observers import ObserverFile
 
 
@@ -48,6 +49,20 @@ def shipped_observers() -> dict[str, Path]:
     return {file.stem: file for file in sorted((folder / "observers").glob("*.yaml"))}
 
 
+def usual_observer(protocol: Protocol) -> str:
+    """Return the name of the shipped observer that simulates a protocol if nobody says otherwise.
+
+    Adaptive runs are of an observer whose thresholds lie within what a beam plays; `paper` tells the zones apart at
+    any level.
+
+    Parameters
+    ----------
+    protocol : Protocol
+        The protocol.
+    """
+    return "paper" if protocol.adaptive is None else "fingertip"
+
+
 def observer_of(file: ObserverFile) -> Observer:
     """Return the observer that the keys of a file describe.
 
@@ -71,6 +86,7 @@ def observer_of(file: ObserverFile) -> Observer:
             hesitation=typical.reaction.hesitation,
             decision_spread=typical.reaction.spread,
             near_miss=typical.near_miss,
+            internal_noise=typical.internal_noise_mm_s * 1e-3,
         ),
         side_bias_spread=spread.side_bias,
         noise_spread=spread.weber_fraction,
@@ -105,6 +121,7 @@ typical:
   side_bias: {typical.side_bias:.4g}
   lapse_rate: {typical.lapse_rate:.4g}
   detection_speed_mm_s: {typical.detection_speed * 1e3:.4g}
+  internal_noise_mm_s: {typical.internal_noise * 1e3:.4g}
   reaction:
     quickest_s: {typical.quickest:.4g}
     decision_s: {typical.decision_time:.4g}

@@ -12,7 +12,7 @@ What no answers can tell:
   itself, and a Weber fraction apart from it, are not measured by this experiment.
 - The front end. It is given. Where all pairs of zones have one ratio of speeds and its inverse, any other front end
   with another ratio fits as well, with another scale.
-- Detection speed and near miss, which are held: they would need levels near the threshold.
+- Detection speed, internal noise and near miss, which are held: they would need levels near the threshold.
 - Lapses apart from noise, unless some ratios are so large that nobody could miss them.
 - Spreads, with few participants or few answers of each; and reaction times, which are not fitted.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,9 @@ FloatArray = NDArray[np.float64]
 
 SPREADS = ("side_bias_spread", "noise_spread", "criterion_spread", "suppression_spread", "pace_spread")
 _LEAST_NOISE = 1e-12
+
+N_NODES = 12
+"""Places of each finger's internal noise at which it is integrated over."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +57,9 @@ class Crowd:
     def shares(
         self, speeds: ArrayLike, finger_conditions: Sequence[str], facing: ArrayLike = 1.0
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the chances of the answers left and right in every cell, in closed form; the rest is both.
+        """Return the chances of the answers left and right in every cell; the rest is both.
+
+        In closed form; with internal noise, which both fingers have, by Gauss-Hermite quadrature over it.
 
         Parameters
         ----------
@@ -70,9 +76,25 @@ class Crowd:
         left, right : (..., n_cells) arrays
             Chances [1]; the leading axes are those of the crowd.
         """
+        speeds, sigma = np.asarray(speeds, dtype=float), self.typical.internal_noise
+        if not sigma:
+            return self._shares_felt(speeds, finger_conditions, facing)
+        nodes, weights = np.polynomial.hermite_e.hermegauss(N_NODES)
+        weights = weights / weights.sum()
+        left, right = np.zeros(()), np.zeros(())
+        for i, j in product(range(N_NODES), repeat=2):
+            felt = np.maximum(speeds + sigma * nodes[[i, j]], 0.0)
+            own = self._shares_felt(felt, finger_conditions, facing)
+            left, right = left + weights[i] * weights[j] * own[0], right + weights[i] * weights[j] * own[1]
+        return left, right
+
+    def _shares_felt(
+        self, speeds: FloatArray, finger_conditions: Sequence[str], facing: ArrayLike
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the chances of left and right where these very speeds are felt."""
         from scipy.special import ndtr
 
-        felt = np.asarray(speeds, dtype=float) + self.typical.floor
+        felt = speeds + self.typical.floor
         ratio = np.log(felt[:, 1] / felt[:, 0])
         kinds = list(dict.fromkeys(finger_conditions))
         contrast = np.stack([self.contrast(kind) for kind in kinds], axis=-1)

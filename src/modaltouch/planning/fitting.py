@@ -21,8 +21,9 @@ from modaltouch.preflight import Preflight
 
 NOT_IDENTIFIABLE = (
     "Noise, criterion, one plus suppression, side bias and its spread are known only relative to each other; their "
-    "scale is the prior's. The front end, detection speed and near miss are taken from the given observer, not "
-    "fitted; nor are reaction times. Lapses are told from noise only where some ratios of speeds are unmistakable."
+    "scale is the prior's. The front end, detection speed, internal noise and near miss are taken from the given "
+    "observer, not fitted; nor are reaction times. Lapses are told from noise only where some ratios of speeds are "
+    "unmistakable."
 )
 """What no fit to these answers can know."""
 

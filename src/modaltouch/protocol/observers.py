@@ -52,6 +52,11 @@ class TypicalSection(Section):
     detection_speed_mm_s: NotNegative = described(
         "Speed that is just felt, in the terms of the front end [mm/s].", default=1.0
     )
+    internal_noise_mm_s: NotNegative = described(
+        "Standard deviation of what each finger feels without a stimulus, as an equivalent speed: 1/0.954 of the "
+        "threshold that 75 % find in two intervals; 0 where only ratios count [mm/s].",
+        default=0.0,
+    )
     reaction: ReactionSection = described("How long answers take.", default=ReactionSection())
 
 

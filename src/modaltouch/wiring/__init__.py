@@ -7,8 +7,9 @@ from pathlib import Path
 
 from modaltouch.allotment import next_session, recorded_turn
 from modaltouch.observer import Observer
+from modaltouch.observer.file import read_observer, usual_observer
 from modaltouch.preflight import Preflight, examine_findings
-from modaltouch.protocol import Sources, examine_sources
+from modaltouch.protocol import Protocol, Sources, examine_sources
 from modaltouch.record.chain import RecordError, RecordInputError
 from modaltouch.record.folders import Mode, SessionFolder, find_log, locate
 from modaltouch.record.session import Session, read_session
@@ -71,7 +72,7 @@ def wire_run(
         rig=rig,
         answers=answers,
         window_options=window_options,
-        observer=observer or Observer(),
+        observer=observer or _usual(protocol, answers),
     )
     setup = wires.setup(schedule)
     setup = replace(setup, facts=setup.facts | calibrated)
@@ -156,6 +157,12 @@ def _begun(log: Path) -> Session:
     if shape := check_shape(session.events, str(log), to_repeat=True):
         raise RecordError("\n".join(shape))
     return session
+
+
+def _usual(protocol: Protocol, answers: AnswersBy) -> Observer:
+    """Return who is simulated if nobody says otherwise; the default observer is the shipped `paper`."""
+    name = usual_observer(protocol)
+    return Observer() if name == "paper" or answers == "window" else read_observer(name)
 
 
 def _place_anew(place: SessionFolder, session: Session) -> SessionFolder:
