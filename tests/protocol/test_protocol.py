@@ -295,6 +295,28 @@ def test_catch_trials_and_keys_beyond_reason_are_faults(edit: Edit, changes: lis
     assert fault in found
 
 
+@pytest.mark.parametrize(
+    ("keys", "place", "words"),
+    [
+        ("none: [f12]", "answers.keys.none[0]", "in an emergency where `emergency_keys` names no other"),
+        ("none: [n, f12]", "answers.keys.none[1]", "name another key under `answers.emergency_keys`"),
+        ("none: [n]\n  continue_keys: [f12]", "answers.continue_keys[0]", "'f12', which switches the outputs off"),
+        ("none: [f12]\n  emergency_keys: [f12]", "answers.emergency_keys[0]", "'f12', which is needed otherwise"),
+        ("none: [f12]\n  emergency_keys: [f11]", "", ""),
+    ],
+)
+def test_a_key_for_emergencies_is_a_fault_where_it_was_written(edit: Edit, keys: str, place: str, words: str) -> None:
+    """F12 is the default: somebody who gives it another meaning is shown that line, not a key that is not there."""
+    file = edit(FILE, ("    right: [right, num_6]", f"    right: [right, num_6]\n    {keys}"))
+    found = faults(file)
+    assert len(found) == bool(place)
+    if place:
+        line = next(n for n, text in enumerate(file.read_text(encoding="utf-8").splitlines(), 1) if "f12" in text)
+        assert f" {place}: " in found[0]
+        assert words in found[0]
+        assert f":{line + keys.count('emergency_keys')}:" in found[0]
+
+
 def test_catch_trials_need_the_burst_mode(edit: Edit) -> None:
     """A continuous record has no trigger to stop: said before a participant sits down, not at the first catch trial."""
     edit(BEAM, ("load: high_impedance", "repetition: continuous\n  load: high_impedance"))

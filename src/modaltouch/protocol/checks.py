@@ -150,6 +150,7 @@ def _check_keys(reading: Reading[Protocol]) -> Iterator[Problem]:
             path = ("answers", "keys", answer)
             yield reading.problem(path, "nothing", "a list of keys", f"add the missing key `{answer}`")
     taken: dict[str, str] = {}
+    places: dict[str, tuple[str | int, ...]] = {}
     paths = [("answers", "keys", answer) for answer in ("left", "both", "right", "none")]
     for path in paths:
         for index, name in reading.items(*path):
@@ -158,13 +159,21 @@ def _check_keys(reading: Reading[Protocol]) -> Iterator[Problem]:
                 given = f"'{name}', which answers {taken[name]} already"
                 yield reading.problem((*path, index), given, "each key for one answer", "remove one of them")
             taken.setdefault(name, path[-1])
+            places.setdefault(name, (*path, index))
     for index, name in reading.items("answers", "continue_keys"):
         yield from _check_key(reading, ("answers", "continue_keys", index), name)
         taken.setdefault(name, "to go on")
+        places.setdefault(name, ("answers", "continue_keys", index))
+    is_written = reading.find(("answers", "emergency_keys")) is not None
     for index, name in reading.items("answers", "emergency_keys"):
         path = ("answers", "emergency_keys", index)
         yield from _check_key(reading, path, name)
-        if name in taken or name == END_KEY:
+        if name in places and not is_written:
+            # The fault belongs where somebody wrote it, not at a key that is not in the file.
+            given = f"'{name}', which switches the outputs off in an emergency where `emergency_keys` names no other"
+            remedy = "choose another, or name another key under `answers.emergency_keys`"
+            yield reading.problem(places[name], given, "a key with no other meaning", remedy)
+        elif name in taken or name == END_KEY:
             given = f"'{name}', which is needed otherwise"
             yield reading.problem(path, given, "a key with no other meaning, such as f12", "choose another")
 
