@@ -13,6 +13,7 @@ import pytest
 from modaltouch.adaptive import Levels
 from modaltouch.console.experimenter import Experimenter
 from modaltouch.console.interface import Request, Silence
+from modaltouch.console.status import Status
 from modaltouch.masking.interface import MaskingError, NoMasking
 from modaltouch.protocol import Experiment, Protocol, read_protocol
 from modaltouch.record.log import SessionLog
@@ -192,6 +193,84 @@ def test_the_last_trial_can_be_repeated_while_the_participant_is_thanked(sit: Ca
     assert last == ["goodbye", *[place, "trial 12", answer, "goodbye"] * 2]
     assert len(events(sitting, "withdrawn")) == 2
     assert Session(sitting.log.path, tuple(sitting.log.events), ()).n_answered == 12
+
+
+def pressing(sitting: Sitting, *moments: int) -> Sitting:
+    """Return the sitting with `repeat` pressed while the answers of these numbers, from 1, are confirmed."""
+    console, confirmed = Keys(), list[Response]()
+    experimenter = Experimenter(console)
+    sitting.log.listener = experimenter.tell
+    confirm = sitting.window.confirm
+
+    def press(response: Response) -> None:
+        confirmed.append(response)
+        confirm(response)
+        if len(confirmed) in moments:
+            console.asked.append(Request("repeat"))
+        experimenter.attend()
+
+    sitting.window.confirm = press  # type: ignore[method-assign]
+    return replace(sitting, experimenter=experimenter)
+
+
+def asked(sitting: Sitting) -> list[str]:
+    """Return what was asked, in order."""
+    return [name for name in seen(sitting) if name.split()[0] in ("practice", "trial") and " " in name]
+
+
+def test_a_practice_trial_is_repeated_with_what_was_to_be_felt(sit: Callable[..., Sitting]) -> None:
+    """Expected: asked again at once, commented again, the first answer withdrawn and kept; the round goes on."""
+    sitting = pressing(sit(practice_trials=3, practice_feedback=True), 2)
+    conduct(sitting)
+    names = asked(sitting)
+    assert names[:4] == ["practice 1", "practice 2", "practice 2", "practice 3"]
+    shown = [name for name in seen(sitting) if name.startswith("feedback")]
+    assert len(shown) == sum(name.startswith("practice") for name in names)
+    (withdrawn,) = events(sitting, "withdrawn")
+    kept = [event for event in events(sitting, "trial") if event["trial"]["practice"] and event["trial"]["index"] == 2]
+    assert len(kept) == 2
+    assert withdrawn["lines"] == [kept[0]["n"]]
+    session = Session(sitting.log.path, tuple(sitting.log.events), ())
+    assert {kept[0]["n"], kept[1]["n"]} & {event["n"] for event in session.trials} == {kept[1]["n"]}
+    assert session.n_answered == 12
+
+
+def test_a_round_is_judged_by_the_repeated_answer(sit: Callable[..., Sitting]) -> None:
+    """The last trial of a round, answered wrongly and repeated before the round is judged: passed by the second."""
+    given: list[Trial] = []
+
+    def rule(trial: Trial) -> Answer:
+        first = trial.practice and trial.index == 3 and trial not in given
+        given.append(trial)
+        return wrong_answer(trial) if first else right_answer(trial)
+
+    sitting = pressing(sit(rule, practice_trials=3, practice_criterion=1.0), 3)
+    conduct(sitting)
+    assert asked(sitting)[:5] == ["practice 1", "practice 2", "practice 3", "practice 3", "trial 1"]
+    (judged,) = events(sitting, "practice_round")
+    assert judged["passed"]
+    assert judged["n_agreed"] == judged["n_judged"]
+
+
+def test_practice_that_is_over_is_not_repeated_and_the_console_says_so() -> None:
+    """R between practice and the first trial that counts: dropped there, and told, not done amid the trials."""
+    console, status = Keys(), Status()
+    experimenter = Experimenter(console, status=status)
+    practice = {"event": "trial", "n": 5, "clock": 1.0, "trial": {"practice": True, "index": 3},
+                "response": {"answer": "left", "reaction_time": 1.0}, "confirmed": {"confirmed": True}}  # fmt: skip
+    experimenter.tell(practice)
+    console.asked.append(Request("repeat"))
+    experimenter.attend()
+    assert (status.facts()["repeats_trial"], status.facts()["repeats_practice"]) == (3, True)
+    experimenter.tell({"event": "trial_next", "trial": {"practice": False}})
+    assert experimenter.take_repeat() is None
+    assert status.facts()["nothing_to_repeat"]
+    assert status.facts()["repeats_trial"] is None
+    experimenter.tell(practice)
+    experimenter.tell({"event": "practice_round"})
+    console.asked.append(Request("repeat"))
+    experimenter.attend()
+    assert experimenter.take_repeat() is None, "a judged round stays as it was judged"
 
 
 def test_fingers_are_placed_anew_only_where_they_change(sit: Callable[..., Sitting]) -> None:

@@ -105,18 +105,20 @@ def repeat(sitting: Sitting, previous: Trial | None) -> Trial | None:
     """Ask again what the experimenter wants repeated, and return the last trial that was run.
 
     The first answer stays in the record, withdrawn: if nothing comes after it, `resume` asks the trial again. In an
-    adaptive run, what was answered since is asked again too, for its level followed from that answer.
+    adaptive run, what was answered since is asked again too, for its level followed from that answer. A practice trial
+    may be repeated until its round is judged, or the first trial that counts begins.
     """
     while (event := sitting.experimenter.take_repeat()) is not None:
         again = [event]
-        if sitting.protocol.adaptive is not None:
+        if sitting.protocol.adaptive is not None and not event["trial"]["practice"]:
             first = event["trial"]["index"]
             again = [e for e in _counted(sitting) if not e["trial"]["practice"] and e["trial"]["index"] >= first]
         lines = [each["n"] for each in again]
         sitting.log.append("withdrawn", lines=lines, reason="the experimenter has the trial repeated")
         for each in again:
             trial = sitting.levels.settle(Trial.from_dict(each["trial"]), _counted(sitting))
-            run(sitting, trial, previous)
+            response = run(sitting, trial, previous)
+            _comment(sitting, trial, response)
             previous = trial
     return previous
 
@@ -143,16 +145,23 @@ def practise(sitting: Sitting) -> Trial | None:
         if previous is None or is_first:
             sitting.window.announce("practice" if previous is None else "practice_again")
         response = run(sitting, trial, previous)
-        expected = expected_answer(*sitting.speeds(trial))
-        if schedule.practice_feedback and expected is not None:
-            sitting.window.give_feedback(response, expected)
-        previous = trial
+        _comment(sitting, trial, response)
+        previous = repeat(sitting, trial)
         _close_rounds(sitting)
     failed = schedule.practice_criterion is not None and not _has_passed_practice(sitting)
     if failed and schedule.practice_trials and schedule.after_failed_practice == "stop":
         sitting.window.goodbye()
         raise SessionStopped("practice not passed")
     return previous
+
+
+def _comment(sitting: Sitting, trial: Trial, response: Response) -> None:
+    """Tell a participant who practises what was to be felt, where the protocol wants it and there is no doubt."""
+    if not (trial.practice and sitting.protocol.schedule.practice_feedback):
+        return
+    expected = expected_answer(*sitting.speeds(trial))
+    if expected is not None:
+        sitting.window.give_feedback(response, expected)
 
 
 def _has_passed_practice(sitting: Sitting) -> bool:
@@ -162,14 +171,15 @@ def _has_passed_practice(sitting: Sitting) -> bool:
 def _close_rounds(sitting: Sitting) -> None:
     """Write down how each round of practice went that is over and not yet judged, before a kill or after it."""
     schedule, events = sitting.protocol.schedule, sitting.log.events
+    counted = [event for event in _counted(sitting) if event["trial"]["practice"]]
     if schedule.practice_criterion is None or not schedule.practice_trials:
         return
-    done = {event["trial"]["index"] for event in events if event.get("event") == "trial" and event["trial"]["practice"]}
+    done = {event["trial"]["index"] for event in counted}
     judged = {event["round"] for event in events if event.get("event") == "practice_round"}
     for number in range(1, schedule.practice_rounds + 1):
         last = number * schedule.practice_trials
         if number not in judged and done.issuperset(range(last - schedule.practice_trials + 1, last + 1)):
-            outcome = judge_round(events, number, schedule.practice_trials)
+            outcome = judge_round(counted, number, schedule.practice_trials)
             sitting.log.append(
                 "practice_round",
                 round=number,

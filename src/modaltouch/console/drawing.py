@@ -154,9 +154,10 @@ def _describe_generator(generator: dict[str, Any]) -> list[tuple[str, str]]:
 def _describe_wishes(facts: Facts) -> str:
     wishes = []
     if facts["repeats_trial"] is not None:
-        wishes.append(f"repeat trial {facts['repeats_trial']} after this one (r takes it back)")
+        kind = "practice" if facts["repeats_practice"] else "trial"
+        wishes.append(f"repeat {kind} {facts['repeats_trial']} after this one (r takes it back)")
     elif facts["nothing_to_repeat"]:
-        wishes.append("nothing to repeat: no trial is answered yet")
+        wishes.append("nothing to repeat: no trial of this part is answered yet")
     if facts["ends_after_block"]:
         wishes.append("end after this block (b takes it back)")
     if facts["n_notes"]:

@@ -39,12 +39,14 @@ class Experimenter:
 
     def tell(self, event: dict[str, Any]) -> None:
         """Take in an event of the record, or one that happens now, and show what it changed."""
-        if event["event"] == "trial" and not event["trial"]["practice"]:
+        if event["event"] == "trial":
             self._last = event
         elif event["event"] == "withdrawn" and self._last is not None and self._last["n"] in event["lines"]:
             self._last = None
         if self._status.take(event):
             self._console.show(self._status.facts())
+        if event["event"] == "practice_round" or (event["event"] == "trial_next" and not event["trial"]["practice"]):
+            self._leave_practice()
 
     def attend(self) -> Wish | None:
         """Take in what was asked, and return what it asks of the window; cheap, called about every millisecond.
@@ -80,13 +82,22 @@ class Experimenter:
             self._show_wishes()
         return repeats
 
+    def _leave_practice(self) -> None:
+        """Repeat no practice trial any more: its round is judged, or the trials that count have begun."""
+        if self._last is not None and self._last["trial"]["practice"]:
+            self._last = None
+        if self._repeats is not None and self._repeats["trial"]["practice"]:
+            self._repeats = None
+            self._show_wishes(nothing_to_repeat=True)
+
     def _show_wishes(self, *, nothing_to_repeat: bool = False) -> None:
-        number = self._repeats["trial"]["index"] if self._repeats is not None else None
+        trial = {} if self._repeats is None else self._repeats["trial"]
         self.tell(
             {
                 "event": "wishes",
                 "ends_after_block": self.ends_after_block,
-                "repeats_trial": number,
+                "repeats_trial": trial.get("index"),
+                "repeats_practice": trial.get("practice", False),
                 "nothing_to_repeat": nothing_to_repeat,
             }
         )

@@ -49,6 +49,7 @@ class Status:
             "last": None,
             "ends_after_block": False,
             "repeats_trial": None,
+            "repeats_practice": False,
             "nothing_to_repeat": False,
             "n_notes": 0,
         }
@@ -183,7 +184,8 @@ class Status:
         self._facts["n_notes"] += event["asks"] == "note"
 
     def _on_wishes(self, event: dict[str, Any]) -> None:
-        self._facts |= {name: event[name] for name in ("ends_after_block", "repeats_trial", "nothing_to_repeat")}
+        names = ("ends_after_block", "repeats_trial", "repeats_practice", "nothing_to_repeat")
+        self._facts |= {name: event[name] for name in names}
 
     def _on_stop(self, event: dict[str, Any]) -> None:
         self._facts["generator"]["outputs"] = "off"
