@@ -21,6 +21,8 @@ THRESHOLD = Path(__file__).parents[2] / "protocols" / "threshold.yaml"
 def test_three_levels_at_equal_ratios_are_verified_between_the_bounds() -> None:
     """Of 2 to 200 mm/s a factor of 100^(1/4) = 3.162 apart; a protocol of fixed levels needs none."""
     assert levels_between(examine(THRESHOLD).require().experiment.protocol) == (6.325, 20.0, 63.25)
+    own = examine(THRESHOLD.with_name("sensation_levels.yaml")).require().experiment.protocol
+    assert levels_between(own) == (6.325, 20.0, 63.25), "participants' own levels lie anywhere between"
     assert levels_between(examine(THRESHOLD.with_name("demo.yaml")).require().experiment.protocol) == ()
 
 

@@ -47,12 +47,11 @@ def test_only_the_fingertip_has_internal_noise() -> None:
     assert named[1] > 0.85
 
 
-def test_adaptive_runs_are_simulated_by_the_fingertip(shipped: Path) -> None:
-    """And fixed levels by the paper's observer."""
-    usual = {
-        name: usual_observer(examine(shipped / f"{name}.yaml").experiment.protocol) for name in ("demo", "threshold")
-    }
-    assert usual == {"demo": "paper", "threshold": "fingertip"}
+def test_where_thresholds_matter_the_fingertip_is_simulated(shipped: Path) -> None:
+    """Adaptive runs, and levels that follow from what they found; fixed levels are the paper's observer's."""
+    names = ("demo", "threshold", "sensation_levels")
+    usual = [usual_observer(examine(shipped / f"{name}.yaml").experiment.protocol) for name in names]
+    assert usual == ["paper", "fingertip", "fingertip"]
 
 
 def test_guessing_is_a_third_of_each_answer() -> None:

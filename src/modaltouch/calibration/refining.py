@@ -20,7 +20,7 @@ from modaltouch.stimulus.correction import Correction
 FloatArray = NDArray[np.float64]
 
 N_BETWEEN = 3
-"""Levels verified between the bounds of adaptive runs."""
+"""Levels verified between bounds within which any level may be played."""
 
 CERTAIN = 3.0
 """Standard errors below which a deviation may be noise, and is not corrected [1]."""
@@ -46,17 +46,17 @@ def grounds_of(preflight: Preflight) -> dict[str, Ground]:
 
 
 def levels_between(protocol: Protocol) -> tuple[float, ...]:
-    """Return the levels between the bounds of an adaptive run that are verified too, at equal ratios [mm/s].
+    """Return the levels between a protocol's bounds that are verified too, at equal ratios [mm/s].
 
-    A run may play any level there. Without a section ``adaptive`` there are none: every level that is played is
-    measured.
+    An adaptive run, or a participant whose levels are calibrated, may get any level there. Other protocols have none:
+    every level that is played is measured.
 
     Parameters
     ----------
     protocol : Protocol
         The protocol.
     """
-    if protocol.adaptive is None:
+    if protocol.adaptive is None and protocol.conditions.sensation_levels is None:
         return ()
     low, *_, high = sorted(protocol.conditions.peak_velocities_mm_s)
     ratio = (high / low) ** (1 / (N_BETWEEN + 1))

@@ -32,8 +32,9 @@ def calibrate(
 
     Amplifier, clock, modes and vibrometer are identified first. Then velocity and displacement of every modelled mode
     are read off the free decay after the focus, and the targets of the exact law corrected, until nothing is left that
-    noise does not explain. Last, every velocity level is verified at the focus; of an adaptive protocol the lowest, the
-    highest and three between them at equal ratios (2, 6.325, 20, 63.25 and 200 of 2 to 200 mm/s). Of a protocol with
+    noise does not explain. Last, every velocity level is verified at the focus; where adaptive runs
+    or participants have levels of their own, the bounds and three levels between them at equal ratios (2, 6.325, 20,
+    63.25 and 200 of 2 to 200 mm/s). Of a protocol with
     several stimuli all are calibrated, into one file. Nothing is written before the end.
     """
     from modaltouch.calibration.loop import calibrate_each

@@ -31,7 +31,7 @@ APPARATUS = Annotated[Path, typer.Option("--apparatus", help="Apparatus, a YAML 
 _OBSERVER = "Who is simulated: a YAML file, or a shipped observer such as `paper` or `near_miss`."
 OBSERVER = Annotated[str, typer.Option(help=_OBSERVER)]
 USUAL_OBSERVER = Annotated[
-    str | None, typer.Option("--observer", help=_OBSERVER, show_default="paper; fingertip for adaptive runs")
+    str | None, typer.Option("--observer", help=_OBSERVER, show_default="paper; fingertip where thresholds matter")
 ]
 
 SESSION = Annotated[Path, typer.Argument(help="A session's folder or its session.jsonl.", show_default=False)]

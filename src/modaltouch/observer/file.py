@@ -52,15 +52,16 @@ def shipped_observers() -> dict[str, Path]:
 def usual_observer(protocol: Protocol) -> str:
     """Return the name of the shipped observer that simulates a protocol if nobody says otherwise.
 
-    Adaptive runs are of an observer whose thresholds lie within what a beam plays; `paper` tells the zones apart at
-    any level.
+    Adaptive runs, and levels that follow from their thresholds, are of an observer whose thresholds lie within what a
+    beam plays; `paper` tells the zones apart at any level.
 
     Parameters
     ----------
     protocol : Protocol
         The protocol.
     """
-    return "paper" if protocol.adaptive is None else "fingertip"
+    at_thresholds = protocol.adaptive is not None or protocol.conditions.sensation_levels is not None
+    return "fingertip" if at_thresholds else "paper"
 
 
 def observer_of(file: ObserverFile) -> Observer:
