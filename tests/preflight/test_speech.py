@@ -8,8 +8,9 @@ from typing import Any
 
 import pytest
 
-from modaltouch.preflight import examine
+from modaltouch.preflight import examine, examine_findings
 from modaltouch.preflight.speech import prepare_prompts
+from modaltouch.protocol import examine_files
 from modaltouch.speech import espeak
 from modaltouch.speech.espeak import synthesise
 from modaltouch.speech.interface import Silence, SpeechError
@@ -108,6 +109,23 @@ def test_speech_below_the_noise_is_warned_of(spoken: Callable[..., Path]) -> Non
     assert preflight.problems == ()
     (said,) = [each for each in preflight.as_dict()["warnings"] if "speech" in each]
     assert "speech at -30 dB FS under masking noise at -20 dB FS" in said
+
+
+def test_speech_that_is_loud_at_the_ear_is_warned_of(spoken: Callable[..., Path], edit: Edit) -> None:
+    """-17 dB FS are 83 dB SPL where a sine of full scale gives 100; uncalibrated, nobody knows."""
+    file = spoken("level_dB_FS: -17")
+    assert not [each for each in examine(file).as_dict()["warnings"] if "dB SPL" in each]
+    edit("apparatus/beam_100x6x2.yaml", ("\nsafety:", "\nsound: {full_scale_dB_SPL: 100}\nsafety:"))
+    (said,) = [each for each in examine(file).as_dict()["warnings"] if "dB SPL" in each]
+    assert "speech at 83 dB SPL: above 80 dB it may harm hearing" in said
+
+
+def test_a_record_is_examined_without_asking_this_machine_s_voices(spoken: Callable[..., Path]) -> None:
+    """A session recorded with a voice that this machine lacks can still be verified and resumed."""
+    file = spoken("voice: xx-gone")
+    (problem,) = examine(file).problems
+    assert "speech.voice" in str(problem)
+    assert examine_findings(examine_files(file)).problems == ()
 
 
 @pytest.mark.usefixtures("no_library")

@@ -24,12 +24,16 @@ ALL = SpeechSection().screens
 
 
 class Mouth:
-    """Notes when it was told to say what."""
+    """Notes when it was told to say what, and takes some time to say it."""
 
     def __init__(self) -> None:
         self.said: list[tuple[str, float]] = []
         self.n_written = 0
-        self.is_speaking = False
+        self.lasts = 0.0
+
+    @property
+    def is_speaking(self) -> bool:
+        return bool(self.said and self.said[-1][0]) and time.perf_counter() < self.said[-1][1] + self.lasts
 
     def describe(self) -> None:
         return None
@@ -175,6 +179,31 @@ def test_a_person_is_led_by_ear_from_welcome_to_goodbye(spoken_room: Any, trial:
     assert len(room.mouth.words) == len(begins)
     assert all(words.startswith(begin) for words, begin in zip(room.mouth.words, begins, strict=True))
     assert room.mouth.words[0].endswith("Press the space bar or click to go on")
+
+
+def test_feedback_stays_until_it_is_said(spoken_room: Any, trial: Trial) -> None:
+    """Its last word says where it was: 1.5 s on the screen are too short for it, so it stays as long as it takes."""
+    room = spoken_room
+    room.script = [("question", 0.05, press(room, "left"))]
+    response = room.window.ask(trial, PROGRESS, onset=time.perf_counter(), stop=room.stop)
+    room.mouth.lasts = 2.0
+    began = time.perf_counter()
+    room.window.give_feedback(response, "right")
+    assert room.mouth.words[-1] == "This time it was stronger on the right"
+    assert 2.0 <= time.perf_counter() - began < 2.6
+
+
+def test_the_farewell_stays_until_it_is_said(spoken_room: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Longer than it would stay on the screen alone; without an end where nothing takes the samples."""
+    room = spoken_room
+    monkeypatch.setattr("modaltouch.window.participant._FAREWELL", 0.1)
+    monkeypatch.setattr("modaltouch.window.participant._LONGEST_SPOKEN", 1.0)
+    for lasts, stays in ((0.5, 0.5), (100.0, 1.0)):
+        room.mouth.lasts = lasts
+        room.window._stage._picture = None
+        began = time.perf_counter()
+        room.window.goodbye()
+        assert time.perf_counter() - began == pytest.approx(stays, abs=0.2)
 
 
 def test_the_end_of_a_session_in_a_pause_is_told_with_what_was_said(spoken_room: Any, trial: Trial) -> None:

@@ -15,7 +15,7 @@ TROUBLES = frozenset(
     {"connection_lost", "reconnect_failed", "instrument_errors", "upload_repeated", "unconfirmed", "close_failed"}
 )
 """Events of the rig that an experimenter should know of."""
-_QUIET = frozenset({"rig", "exchange", "discarded", "ignored"})
+_QUIET = frozenset({"rig", "exchange", "discarded", "ignored", "spoken"})
 """Events that change nothing an experimenter looks at."""
 _LONGEST = 300.0
 """A trial that took longer than this was a break, and tells nothing about the next [s]."""

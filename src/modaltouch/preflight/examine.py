@@ -38,7 +38,10 @@ def examine(path: Path | str, calibration: Path | None = None, *, uncalibrated: 
     Preflight
         With every fault in its `problems`; nothing is raised for a faulty file.
     """
-    return examine_findings(examine_files(Path(path), calibration, uncalibrated=uncalibrated))
+    preflight = examine_findings(examine_files(Path(path), calibration, uncalibrated=uncalibrated))
+    # Here and not for files out of a record, which were sound where they were recorded: it asks this machine's voices.
+    spoken = tuple(check_speech(preflight.findings))
+    return replace(preflight, problems=tuple(sorted({*preflight.problems, *spoken}))) if spoken else preflight
 
 
 def examine_findings(findings: Findings) -> Preflight:
@@ -62,7 +65,7 @@ def examine_findings(findings: Findings) -> Preflight:
         except (ValueError, ArithmeticError) as error:
             problems.append(locate(error, findings))
     if findings.protocol is not None and findings.protocol.value is not None:
-        problems += [*_check_schedule(findings), *check_masking_level(findings), *check_speech(findings)]
+        problems += [*_check_schedule(findings), *check_masking_level(findings)]
     return Preflight(findings, tuple(sorted(set(problems))), ground, stimulus)
 
 
@@ -74,7 +77,7 @@ def _examine_several(findings: Findings) -> Preflight:
     together = Preflight(findings, (), first.ground, first.designed, variants)
     if not problems:
         problems.update(check_memories(findings, together.bursts))
-    problems.update([*_check_schedule(findings), *check_masking_level(findings), *check_speech(findings)])
+    problems.update([*_check_schedule(findings), *check_masking_level(findings)])
     return replace(together, problems=tuple(sorted(problems)))
 
 

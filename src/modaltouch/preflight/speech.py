@@ -11,6 +11,7 @@ import numpy as np
 from modaltouch.apparatus import Apparatus
 from modaltouch.document import Problem, suggest
 from modaltouch.masking.noise import amplitude_at, make_noise
+from modaltouch.preflight.sound import LOUD
 from modaltouch.protocol import Experiment, Findings, Protocol, Texts
 from modaltouch.speech.espeak import find_voices, has_library
 from modaltouch.speech.interface import Silence, SpeechError
@@ -153,4 +154,7 @@ def speech_warnings(experiment: Experiment) -> list[str]:
             f"speech at {section.level_dB_FS:g} dB FS under masking noise at {noise:g} dB FS: it will be hard to "
             "understand; give speech.level_dB_FS at least the level of the noise"
         )
+    full_scale = experiment.apparatus.sound.full_scale_dB_SPL
+    if full_scale is not None and section.level_dB_FS + full_scale > LOUD:
+        said.append(f"speech at {section.level_dB_FS + full_scale:g} dB SPL: above {LOUD:g} dB it may harm hearing")
     return said

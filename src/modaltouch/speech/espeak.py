@@ -27,7 +27,7 @@ from modaltouch.speech.interface import SpeechError
 PACKAGE = "espeakng-loader"
 """Brings the library and its voices as a wheel for Linux, Windows and macOS."""
 _PATIENCE = 30.0
-"""Longest time for all prompts of a protocol [s]; they take a fraction of a second."""
+"""Longest time for all prompts of a protocol [s], and a second more for each; they take a hundredth of that."""
 _LONGEST = 300
 """Longest prompt [s]; eSpeak NG is stopped there."""
 
@@ -92,7 +92,7 @@ def synthesise(texts: tuple[str, ...], voice: str, words_per_min: int) -> Synthe
             [sys.executable, "-m", __spec__.name if __spec__ else __name__],
             input=order.encode(),
             capture_output=True,
-            timeout=_PATIENCE,
+            timeout=_PATIENCE + len(texts),
             check=False,
         )
     except (OSError, subprocess.TimeoutExpired) as error:

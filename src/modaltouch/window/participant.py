@@ -30,8 +30,8 @@ _DISMISSAL = 3.0
 """How long the screen of a session that ends early stays [s]."""
 _FAREWELL = 8.0
 """How long the last screen stays if nobody presses a key [s]."""
-_SPOKEN_FAREWELL = 30.0
-"""How long it stays at most while it is being said [s]."""
+_LONGEST_SPOKEN = 30.0
+"""How long a screen that does not wait stays at most while it is being said [s]."""
 
 
 class ParticipantWindow:
@@ -186,6 +186,9 @@ class ParticipantWindow:
         if self._current is not None:
             picture = self._pictures.feedback(*self._current, response.answer, expected)
             self._rest_on(picture, time.perf_counter() + _FEEDBACK)
+            end = time.perf_counter() + _LONGEST_SPOKEN
+            while self._stage.is_speaking and time.perf_counter() < end:
+                self._rest_on(None, time.perf_counter() + _FEEDBACK / 10)
 
     def wait(self, seconds: float) -> None:
         """Let the pause between two trials pass, counted from the answer."""
@@ -202,7 +205,7 @@ class ParticipantWindow:
         """Thank the participant, until a key is pressed or some seconds have passed."""
         picture = self._pictures.page("goodbye", self._texts.goodbye, waits=False)
         shown = self._stage.show(picture, Moment("go_on"))
-        while time.perf_counter() < shown + (_SPOKEN_FAREWELL if self._stage.is_speaking else _FAREWELL):
+        while time.perf_counter() < shown + (_LONGEST_SPOKEN if self._stage.is_speaking else _FAREWELL):
             for event in self._stage.poll():
                 if event.kind == "close" or (is_press(event) and event.time > shown + SETTLE):
                     return
