@@ -51,7 +51,7 @@ def test_a_replaced_file_is_on_the_disk_before_it_has_its_name(tmp_path, monkeyp
 
 def test_a_file_that_is_there_is_refused_before_the_work(tmp_path):
     """Somebody may have used it; of a new one the folder is made."""
-    path = tmp_path / "new" / "file.yaml"
+    path = tmp_path / "new" / "folder" / "file.yaml"
     prepare_file(path)
     prepare_file(path)
     assert path.parent.is_dir()
