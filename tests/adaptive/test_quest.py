@@ -14,7 +14,7 @@ class Definition:
     """Watson (2017), equations (1) to (10), over all combinations of what is thought possible.
 
     Levels every 2 dB between the bounds, and the first one; thresholds every 1 dB to 12 dB beyond the bounds; five
-    spreads; no lapses, half the largest rate of them, all of it. Before the first answer every combination is as likely.
+    spreads; no lapses, half the largest rate of them, all of it. At first every combination is as likely.
     """
 
     def __init__(self, bounds: tuple[float, float], start: float, guess: float, lapse: float) -> None:

@@ -354,3 +354,13 @@ def test_only_confirmed_answers_to_scheduled_trials_complete_a_session():
     assert [event["n"] for event in withdrawn.trials] == [2, 4, 6]
     assert withdrawn.n_answered == 1
     assert not withdrawn.complete
+
+
+def test_levels_in_multiples_of_the_own_threshold_come_in_pairs():
+    """What multiple each level is; a record that lacks one is not read as if it were whole."""
+    start = {"n": 1, "event": "start", "sensation_levels": {"levels_mm_s": [20.0, 40.0], "multiples": [2.0, 4.0]}}
+    assert Session(Path("session.jsonl"), (start,), ()).multiples == {20.0: 2.0, 40.0: 4.0}
+    assert Session(Path("session.jsonl"), ({"n": 1, "event": "start"},), ()).multiples == {}
+    start["sensation_levels"]["multiples"].pop()
+    with pytest.raises(ValueError, match="shorter"):
+        assert Session(Path("session.jsonl"), (start,), ()).multiples

@@ -6,10 +6,12 @@ import io
 import struct
 import threading
 import time
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from modaltouch.rig import watchdog
 from modaltouch.rig.transport import InUse
 from modaltouch.rig.watchdog import (
     ARM,
@@ -169,6 +171,27 @@ def silent(instrument: Instrument, *letters: bytes, seconds: float = 0.3) -> int
 def test_silence_counts_while_armed(letters: tuple[bytes, ...], pressed: int) -> None:
     """0.3 s without a sign of life at a limit of 0.05 s: off, once; a beat alone does not arm."""
     assert silent(Instrument(), *letters) == pressed
+
+
+def test_the_longest_silence_is_the_one_that_is_promised() -> None:
+    """The README of the rig, which the processes of `test_watchdog.py` are timed against."""
+    text = (Path(watchdog.__file__).parent / "README.md").read_text(encoding="utf-8")
+    assert f"or falls silent for {watchdog.LIMIT:g} s while outputs may be on" in text
+
+
+def test_signs_of_life_keep_an_armed_session_on() -> None:
+    """A beat every 0.02 s at a limit of half a second: never off."""
+    pipe, instrument = Pipe(), Instrument()
+    serving = threading.Thread(target=Watch(instrument, limit=0.5).serve, args=(pipe, lambda data: None))
+    serving.start()
+    pipe.write(frame(OPEN, 0), frame(ARM, 0))
+    for _ in range(15):
+        time.sleep(0.02)
+        pipe.write(frame(BEAT, 0))
+    pressed = instrument.sent.count(OFF)
+    pipe.write(frame(CLEAN, 0))
+    serving.join(5)
+    assert pressed == 0
 
 
 def test_outputs_that_do_not_go_off_are_tried_again_over_new_sessions() -> None:
