@@ -20,7 +20,7 @@ from typing import Any
 from modaltouch.protocol import Protocol
 from modaltouch.record.chain import RecordError
 from modaltouch.record.folders import LOG_NAME, SessionFolder
-from modaltouch.record.locking import lock
+from modaltouch.record.locking import is_locked
 from modaltouch.record.session import Session, read_session
 from modaltouch.schedule import Turn, period_of_turns, turn_of
 
@@ -85,7 +85,7 @@ def allot(place: SessionFolder, protocol: Protocol, drawn_as: int) -> Allotment:
         if participant == place.participant:
             own = base
         else:
-            counter = filled if _is_complete(latest) or _is_running(latest) else left
+            counter = filled if _is_complete(latest) or is_locked(latest) else left
             counter[base] += 1
     if own is not None:
         reason = "the participant's earlier sessions"
@@ -192,18 +192,3 @@ def _first_turn(session: Session) -> int:
     start = session.start
     turn = recorded_turn(start) or turn_of(session.participant, int(start["seed"]), session.drawn_as)
     return turn.number - (session.drawn_as - 1)
-
-
-def _is_running(log: Path) -> bool:
-    """Return whether a process is writing a session: it holds the log's lock."""
-    try:
-        descriptor = os.open(log, os.O_RDWR)
-    except OSError:
-        return False
-    try:
-        lock(descriptor)
-    except OSError:
-        return True
-    finally:
-        os.close(descriptor)
-    return False

@@ -44,6 +44,12 @@ def test_an_existing_log_is_never_overwritten(tmp_path):
         begin(tmp_path / "session.jsonl")
 
 
+def test_a_session_that_is_being_run_is_not_to_be_resumed_beside_itself(tmp_path):
+    """Two experimenters who were both proposed p01: the second is told to take another participant id."""
+    with begin(tmp_path / "session.jsonl"), pytest.raises(RecordError, match=r"being run now.*another participant id"):
+        begin(tmp_path / "session.jsonl")
+
+
 def test_a_log_appears_only_with_its_first_event(tmp_path):
     """Whatever cuts the beginning short leaves no session that could neither be resumed nor begun anew."""
     with pytest.raises(ValueError, match="Out of range"):

@@ -81,6 +81,7 @@ def ask_session(dataset: Path, participant: str) -> int | None:
     participant : str
         Participant id.
     """
+    from modaltouch.record.locking import is_locked
     from modaltouch.record.session import read_session
 
     logs = {
@@ -92,7 +93,9 @@ def ask_session(dataset: Path, participant: str) -> int | None:
         return None
     for number, log in sorted(logs.items()):
         session = read_session(log)
-        if session.complete:
+        if is_locked(log):
+            state = "being run now, by another program"
+        elif session.complete:
             state = "complete"
         elif session.begun_anew_as:
             state = f"begun anew as session {session.begun_anew_as}"

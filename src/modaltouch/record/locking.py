@@ -34,6 +34,21 @@ PATIENCE = 10.0
 """How long to wait for a folder that another process holds [s]; each holds it for milliseconds."""
 
 
+def is_locked(path: Path) -> bool:
+    """Return whether a process keeps the lock of a file, as a session does for its log while it is run."""
+    try:
+        descriptor = os.open(path, os.O_RDWR)
+    except OSError:
+        return False
+    try:
+        lock(descriptor)
+    except OSError:
+        return True
+    finally:
+        os.close(descriptor)
+    return False
+
+
 @contextmanager
 def hold(folder: Path) -> Iterator[None]:
     """Keep other processes from changing what a folder holds in common, such as a list of participants.

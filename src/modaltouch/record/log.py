@@ -13,7 +13,7 @@ from typing import Any, Self
 from modaltouch.record.chain import GENESIS, Chain, RecordError, describe_torn, encode_line, read_chain
 from modaltouch.record.files import sync_folder
 from modaltouch.record.folders import make_folder
-from modaltouch.record.locking import lock
+from modaltouch.record.locking import is_locked, lock
 
 
 class SessionLog:
@@ -193,6 +193,11 @@ def refuse_existing(path: Path) -> None:
     RecordError
         If the log exists, with the way to go on.
     """
+    if path.exists() and is_locked(path):
+        raise RecordError(
+            f"{path}: this session is being run now, by another program; give another participant id, or wait until "
+            "it is over"
+        )
     if path.exists():
         raise RecordError(
             f"{path}: this session exists already and is never overwritten; "
