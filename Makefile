@@ -122,10 +122,15 @@ oldest: | $(filter .uv/bin/uv,$(UV))
 	PYTHONPATH=src build/oldest/bin/python -m pytest -n 2 --dist loadfile -W ignore tests/adaptive tests/analysis tests/apparatus \
 	  tests/observer tests/planning tests/preflight tests/protocol tests/record tests/schedule tests/stimulus
 
-## mutants: spoil stimulus, record and statistics, one small mistake at a time; a test must notice each
+## mutants: spoil what others rest on, from stimulus to watchdog, one small mistake at a time; a test must notice each
 .PHONY: mutants
 mutants: install
 	$(PYTHON) tests/mutation.py --out results/benchmarks/mutants.json
+
+## schemas: write the JSON Schemas for editors again, after a change to what a file may hold
+.PHONY: schemas
+schemas: install
+	$(PYTHON) -c "from pathlib import Path; from modaltouch.protocol.schemas import write_schemas; write_schemas(Path('protocols/schema'))"
 
 ## lock: resolve the dependencies again into requirements.lock
 .PHONY: lock

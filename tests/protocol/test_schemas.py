@@ -30,7 +30,7 @@ def test_committed_schemas_are_current(shipped: Path, tmp_path: Path) -> None:
     """`write_schemas` gives what protocols/schema holds."""
     for file in write_schemas(tmp_path):
         committed = (shipped / "schema" / file.name).read_text(encoding="utf-8")
-        assert committed == file.read_text(encoding="utf-8"), f"write {file.name} again with write_schemas"
+        assert committed == file.read_text(encoding="utf-8"), f"write {file.name} again with `make schemas`"
 
 
 def test_schemas_are_json_schema_2020_12(shipped: Path) -> None:
