@@ -7,6 +7,8 @@ UV := $(shell command -v uv 2>/dev/null || echo .uv/bin/uv)
 SUDO := $(shell [ "$$(id -u)" = 0 ] || echo sudo)
 export UV_SYSTEM_CERTS := 1
 export MPLBACKEND := agg
+# Tests share the cores out among processes; threads of theirs would only wait for each other, busily.
+test soak soak-identification soak-calibration fuzz oldest mutants: export OPENBLAS_NUM_THREADS := 1
 
 ## help: list the targets
 .PHONY: help
