@@ -48,10 +48,11 @@ system:
 demo: install
 	$(PYTHON) -m modaltouch demo
 
+# Three processes keep two cores busy: windows, disks and watchdogs are waited for.
 ## test: the whole test suite, window tests included, on two cores
 .PHONY: test
 test: install
-	$(PYTHON) -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+	$(PYTHON) -m pytest -n 3 --dist loadfile --no-loadscope-reorder
 
 ## check: formatting, lint, types and the import contracts
 .PHONY: check

@@ -17,7 +17,14 @@ Edit = Callable[..., Path]
 LONGEST = (
     "tests/test_readme.py",
     "tests/sessions/test_durability.py",
+    "tests/sessions/test_in_the_window.py",
     "tests/window/test_session_from_outside.py",
+    "tests/sessions/test_kill_and_resume.py",
+    "tests/test_resumption.py",
+    "tests/test_sensation.py",
+    "tests/console/test_terminal.py",
+    "tests/rig/test_watchdog.py",
+    "tests/identification/test_identify.py",
 )
 """Files that take longest, begun first, so that no process is left with one of them when the others are done."""
 
