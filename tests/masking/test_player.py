@@ -6,10 +6,11 @@ import json
 import sys
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
+import sounddevice
 
 from modaltouch.apparatus import Sound
 from modaltouch.masking import player
@@ -228,6 +229,30 @@ def test_a_device_that_asks_for_nothing_is_lost(devices: list[Any], monkeypatch:
     monkeypatch.setattr(player.time, "perf_counter", lambda: now + 1.5)
     assert masking.is_on is False
     assert events_of(log) == ["masking on", "masking_lost"]
+
+
+class Stuck:
+    """A stream that opens and does not start."""
+
+    closed: ClassVar[list[Any]] = []
+
+    def __init__(self, **options: Any) -> None:
+        self.options = options
+
+    def start(self) -> None:
+        raise sounddevice.PortAudioError("Device unavailable")
+
+    def close(self) -> None:
+        self.closed.append(self)
+
+
+@pytest.mark.usefixtures("devices")
+def test_a_device_that_refuses_to_start_is_let_go(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Opened, but it does not start: refused with what to change, and closed for others."""
+    monkeypatch.setattr(sounddevice, "OutputStream", Stuck)
+    with pytest.raises(MaskingError, match="'earphones' refuses 48000 Hz .*change sound.sampling_rate_Hz"):
+        make(SECTION)
+    assert len(Stuck.closed) == 1
 
 
 def test_no_masking_is_wanted_where_the_protocol_has_none() -> None:

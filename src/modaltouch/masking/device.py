@@ -57,6 +57,7 @@ def open_stream(sound: Sound, fill: Callable[..., None]) -> tuple[dict[str, Any]
     import sounddevice
 
     channels = max(1, min(2, int(device["max_output_channels"])))
+    stream = None
     try:
         stream = sounddevice.OutputStream(
             samplerate=sound.sampling_rate_Hz,
@@ -68,6 +69,8 @@ def open_stream(sound: Sound, fill: Callable[..., None]) -> tuple[dict[str, Any]
         )
         stream.start()
     except (sounddevice.PortAudioError, ValueError) as error:
+        if stream is not None:
+            stream.close()
         raise DeviceError(
             f"the sound device {device.get('name')!r} refuses {sound.sampling_rate_Hz:g} Hz ({error}); change "
             "sound.sampling_rate_Hz or sound.device in the apparatus"

@@ -89,7 +89,9 @@ def synthesise(texts: tuple[str, ...], voice: str, words_per_min: int) -> Synthe
     order = json.dumps({"texts": texts, "voice": voice, "words_per_min": words_per_min})
     try:
         done = subprocess.run(
-            [sys.executable, "-m", __spec__.name if __spec__ else __name__],
+            # It imports what this process would, and nothing besides out of the folder it is started in (-P).
+            [sys.executable, "-P", "-m", "modaltouch.speech.espeak"],
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
             input=order.encode(),
             capture_output=True,
             timeout=_PATIENCE + len(texts),
