@@ -17,6 +17,7 @@ from modaltouch.rig.generator import Generator
 from modaltouch.rig.guard import Watchdog
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.simulator import Simulator
+from modaltouch.rig.transport import LinkError
 from modaltouch.rig.watchdog import LIMIT
 from modaltouch.stimulus.burst import Burst
 
@@ -147,3 +148,40 @@ def test_heartbeat_costs_microseconds_and_writes_ten_times_a_second(
         calls += 1
     assert 0.55 / calls < 5e-6
     assert 3 <= len(sent) <= 6
+
+
+@pytest.mark.parametrize("clean", [True, False])
+def test_watchdog_that_is_let_go_ends_and_takes_nothing_more(single_link: Simulator, clean: bool) -> None:
+    """No process stays behind; what is asked of it afterwards is told, not swallowed."""
+    dog = Watchdog(single_link.address)
+    dog.open()
+    dog.release(clean=clean)
+    assert dog._process.wait(10) == 0
+    with pytest.raises(LinkError, match=r"is gone \(exit status 0\)"):
+        dog.arm()
+
+
+def test_how_a_watchdog_ended_is_said(single_link: Simulator) -> None:
+    """Killed in the midst of an exchange, as by a machine that runs out of memory: signal 9."""
+    dog = Watchdog(single_link.address)
+    try:
+        dog.open()
+        single_link.faults.inject("slow_command", when="IDN", value=1.0)
+        threading.Timer(0.2, dog._process.kill).start()
+        with pytest.raises(LinkError, match=r"is gone \(exit status -9\), and the connection with it"):
+            dog.exchange(b"*IDN?\n", timeout=3, reply=True)
+    finally:
+        dog.release(clean=False)
+
+
+def test_machine_that_starts_no_process_touches_no_generator(
+    single_link: Simulator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without a watchdog nothing is opened: a rig fault with what to look at."""
+
+    def refuse(*parts: object, **options: object) -> None:
+        raise OSError("Resource temporarily unavailable")
+
+    monkeypatch.setattr("modaltouch.rig.guard.subprocess.Popen", refuse)
+    with pytest.raises(RigError, match="cannot be started .Resource temporarily.*was not touched; see whether"):
+        Watchdog(single_link.address)
