@@ -151,3 +151,11 @@ def test_a_law_without_targets_is_refused_at_its_stimulus(
     assert command("calibrate", protocol, "--out", tmp_path / "c.yaml") == 2
     assert "stimuli.blunt.law: given paper, a law without targets" in " ".join(capsys.readouterr().err.split())
     assert not (tmp_path / "c.yaml").exists()
+
+
+def test_a_faulty_calibration_hides_no_fault_of_the_protocol(made: Path, edit: Callable, tmp_path: Path) -> None:
+    """All at once: a value of the file that is none, and a level beyond the apparatus."""
+    protocol = edit("two_fields.yaml", ("[80, 150]", "[80, 900]"))
+    file = changed(made, tmp_path, ("positions_mm: [", "positions_mm: [a, "))
+    paths = {problem.path for problem in examine(protocol, file).problems}
+    assert paths == {"positions_mm[0]", "conditions.peak_velocities_mm_s[1]"}

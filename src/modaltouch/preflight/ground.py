@@ -96,7 +96,8 @@ def find_ground(findings: Findings) -> Ground | None:
     limit = apparatus.sound("safety", "velocity_limit_mm_s")
     used = Apparatus.model_construct(apparatus="", zones=zones, **parts)
     calibration = _calibration_of_one(findings)
-    if findings.calibration is not None and (calibration is None or apparatus.value is None or not _fits(findings)):
+    of_others = calibration is None and findings.calibration is not None and findings.calibration.value is not None
+    if of_others or (calibration is not None and (apparatus.value is None or not _fits(findings))):
         return None
     return Ground(
         section=section,
