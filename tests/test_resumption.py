@@ -21,9 +21,10 @@ from modaltouch.record.chain import RecordInputError, read_chain
 from modaltouch.record.session import Session, read_session
 from modaltouch.resumption import examine_interruption, refuse_old
 from modaltouch.rig.interface import Firing
+from modaltouch.schedule import random_generator
 from modaltouch.sitting import Setup, begin, resume
 from modaltouch.verification import verify_session
-from modaltouch.window.interface import AnswerWindow
+from modaltouch.window.interface import AnswerWindow, SessionStopped
 from modaltouch.window.simulated import Answerer, SimulatedParticipant
 from modaltouch.wiring import wire_resume, wire_run
 
@@ -62,8 +63,6 @@ def on_paper(setup: Setup) -> Setup:
         yield PaperRig()
 
     def open_window(tick: Callable[[], None], log: Callable[..., None]) -> AnswerWindow:
-        from modaltouch.schedule import random_generator
-
         person = Observer().draw(random_generator(1, "p01", 1, "observer"))
         answerer = Answerer(person, setup.preflight.speeds, random_generator(1, "p01", 1, "answers"))
         return SimulatedParticipant(answerer, tick=tick)
@@ -148,6 +147,31 @@ def test_a_complete_session_whose_last_line_was_cut_is_made_whole(edit: Edit, tm
     assert verify_session(done.path).problems == ()
     assert asked(done) == asked(whole)
     assert done.events[-1]["reason"] == "finished"
+
+
+def test_a_session_whose_practice_was_not_passed_is_begun_anew_and_never_resumed(edit: Edit, tmp_path: Path) -> None:
+    """To go on would show the instructions, and end again: both messages name the way that leads somewhere."""
+    failing = (
+        "  practice_trials: 1",
+        "  practice_trials: 6\n  practice_criterion: 1.0\n  after_failed_practice: stop",
+    )
+    preflight = examine(edit("demo.yaml", failing)).require()
+
+    def open_window(tick: Callable[[], None], log: Callable[..., None]) -> AnswerWindow:
+        person = Observer().draw(random_generator(1, "p01", 1, "observer"))
+        answerer = Answerer(
+            person, lambda trial: preflight.speeds(trial)[::-1], random_generator(1, "p01", 1, "answers")
+        )
+        return SimulatedParticipant(answerer, tick=tick)
+
+    setup = on_paper(wire_run(preflight, "p01", answers="simulated", results=tmp_path))
+    with pytest.raises(SessionStopped, match="practice not passed") as ended:
+        begin(replace(setup, open_window=open_window))  # type: ignore[arg-type]
+    assert f"`modaltouch resume --restart {setup.place.folder}` begins it anew" in ended.value.__notes__[0]
+    before = setup.place.log.read_bytes()
+    with pytest.raises(RecordInputError, match=r"practice was not passed.*resume --restart"):
+        resume(on_paper(wire_resume(setup.place.log)))
+    assert setup.place.log.read_bytes() == before
 
 
 def test_a_stimulus_that_was_cut_is_flagged_and_offered_again(edit: Edit, tmp_path: Path) -> None:

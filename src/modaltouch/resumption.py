@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 from modaltouch.protocol import ResumeSection
@@ -86,6 +87,40 @@ def examine_interruption(session: Session, *, now: datetime, clock: float, boot:
         clock_set_back_s=round(behind, 1) if behind > CLOCK_TOLERANCE else 0.0,
         cut_trial=_cut_trial(session),
     )
+
+
+FAILED = "practice not passed"
+"""How a session ends whose participant did not pass the practice, where the protocol says so."""
+
+
+def way_on(reason: str, folder: Path) -> str:
+    """Return what can be done about a session that ended early, in words.
+
+    Parameters
+    ----------
+    reason : str
+        How it ended.
+    folder : Path
+        Where it is recorded.
+    """
+    if reason == FAILED:
+        return f"`modaltouch resume --restart {folder}` begins it anew, practice included"
+    return f"go on with `modaltouch resume {folder}`"
+
+
+def refuse_failed(session: Session, interruption: Interruption) -> None:
+    """Raise if a session ended because its practice was not passed: it would only end again.
+
+    Raises
+    ------
+    RecordInputError
+        With the way to begin it anew.
+    """
+    if interruption.reason == FAILED:
+        raise RecordInputError(
+            f"{session.path}: practice was not passed, and the protocol then ends the session "
+            f"(schedule.after_failed_practice); {way_on(FAILED, session.path.parent)}"
+        )
 
 
 def refuse_old(session: Session, interruption: Interruption, policy: ResumeSection) -> None:

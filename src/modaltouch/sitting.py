@@ -28,7 +28,7 @@ from modaltouch.record.folders import SessionFolder
 from modaltouch.record.log import SessionLog, refuse_existing
 from modaltouch.record.session import Session, read_session
 from modaltouch.record.view import describe_dataset, hold_dataset, list_participants, write_view
-from modaltouch.resumption import begin_anew, examine_interruption, go_on, refuse_old
+from modaltouch.resumption import begin_anew, examine_interruption, go_on, refuse_failed, refuse_old, way_on
 from modaltouch.rig import is_simulated
 from modaltouch.rig.interface import Rig
 from modaltouch.schedule import Schedule, draw_schedule
@@ -140,6 +140,7 @@ def resume(setup: Setup) -> Session:
         old = setup.replaces
         refuse_existing(setup.place.log)
         return _sit(setup, lambda place, facts: begin_anew(old, place, cut, facts), "start")
+    refuse_failed(session, cut)
     refuse_old(session, cut, policy)
     return _sit(setup, lambda place, facts: go_on(place, setup.schedule, policy, cut, facts), "resume")
 
@@ -182,7 +183,7 @@ def _sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessi
             conduct(replace(sitting, experimenter=experimenter, masking=masking))
         except BaseException as error:
             ending = describe_ending(error)
-            error.add_note(f"everything answered is kept; go on with `modaltouch resume {setup.place.folder}`")
+            error.add_note(f"everything answered is kept; {way_on(ending['reason'], setup.place.folder)}")
             raise
         finally:
             # Off first, then written down: nothing on disk is worth a beam that still moves.

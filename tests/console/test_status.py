@@ -315,3 +315,11 @@ def test_events_are_written_from_the_session_alone(tmp_path: Path) -> None:
     with pytest.raises(OSError, match="holds something else"):
         EventLines(protocol)
     assert protocol.read_text() == "protocol: demo\n"
+
+
+def test_a_pause_within_a_break_leads_back_to_the_break() -> None:
+    """The participant's screen does, and the console says what is on it."""
+    status = Status()
+    for event in (start(), trial(1), {"event": "rest"}, {"event": "pause"}, {"event": "continued"}):
+        status.take(event)
+    assert status.facts()["state"] == "break"

@@ -58,6 +58,7 @@ class Status:
         self._trials: dict[int, dict[str, Any]] = {}
         self._durations: list[float] = []
         self._answered_at: float | None = None
+        self._held = "waiting"
         self._unmasked = self._unspoken = ""
 
     def take(self, event: dict[str, Any]) -> bool:
@@ -168,13 +169,15 @@ class Status:
 
     def _on_pause(self, event: dict[str, Any]) -> None:
         self._facts["generator"]["outputs"] = "off"
+        # A pause within a break leads back to it.
+        self._held = "break" if self._facts["state"] == "break" else "waiting"
         self._facts["state"] = "paused"
         self._answered_at = None
 
     _on_focus_lost = _on_pause
 
     def _on_continued(self, event: dict[str, Any]) -> None:
-        self._facts["state"] = "waiting"
+        self._facts["state"] = self._held
 
     def _on_rest(self, event: dict[str, Any]) -> None:
         self._facts["state"] = "break"
