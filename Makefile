@@ -17,7 +17,7 @@ help:
 
 ## install: uv, the locked environment in .venv, and the system packages of the window
 .PHONY: install
-install: .venv/.installed system
+install: .venv/.installed compiled system
 
 .uv/bin/uv:
 	@python3 -m venv .uv >/dev/null 2>&1 || { rm -rf .uv; $(SUDO) apt-get update -q && $(SUDO) apt-get install -y -q --no-install-recommends python3-venv && python3 -m venv .uv; }
@@ -27,8 +27,12 @@ install: .venv/.installed system
 	[ -x $(PYTHON) ] || $(UV) venv --quiet --python '>=3.11,<3.13' .venv
 	$(UV) pip sync --python $(PYTHON) --require-hashes --compile-bytecode requirements.lock
 	$(UV) pip install --python $(PYTHON) --quiet --no-deps --no-build-isolation --editable .
-	$(PYTHON) -m compileall -q src
 	@touch $@
+
+# Every start of the program would compile it anew where Python is told to leave no bytecode behind.
+.PHONY: compiled
+compiled: .venv/.installed
+	@$(PYTHON) -m compileall -q src
 
 # OpenGL for the answer window, PortAudio for noise and speech, and a virtual display with its own keyboard for
 # the tests and for machines without a screen.
