@@ -19,9 +19,9 @@ from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol import ResumeSection
 from modaltouch.record.chain import RecordInputError, read_chain
 from modaltouch.record.session import Session, read_session
-from modaltouch.resumption import examine_interruption, refuse_old
+from modaltouch.resumption import answers_to_ask_again, examine_interruption, refuse_old
 from modaltouch.rig.interface import Firing
-from modaltouch.schedule import random_generator
+from modaltouch.schedule import draw_schedule, random_generator
 from modaltouch.sitting import Setup, begin, resume
 from modaltouch.verification import verify_session
 from modaltouch.window.interface import AnswerWindow, SessionStopped
@@ -299,6 +299,30 @@ def test_a_machine_that_slept_is_not_taken_for_a_clock_set_back() -> None:
     cut = examine_interruption(session, now=datetime.now(UTC), clock=1000.0 + 60, boot="one")
     assert cut.clock_set_back_s == 0
     assert cut.age_s == pytest.approx(36000, abs=1)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "hours", "said"),
+    [(0, 1, ""), (3600, 1, ""), (3601, 1, "1.0 h ago"), (10801, 3, "3.0 h ago"), (3599, 0.5, "60.0 min ago"),
+     (3600, 0.5, "1.0 h ago")],
+)  # fmt: skip
+def test_the_limit_of_age_is_kept_to_the_second(seconds: float, hours: float, said: str) -> None:
+    """By a clock that is given; where the start of the machine is unknown, the time of day alone tells."""
+    session = interrupted(0)
+    now = datetime.fromisoformat(session.events[-1]["time"]) + timedelta(seconds=seconds)
+    cut = examine_interruption(session, now=now, clock=5.0, boot="")
+    assert cut.age_s == seconds
+    if not said:
+        refuse_old(session, cut, ResumeSection(within_hours=hours))
+        return
+    with pytest.raises(RecordInputError, match=f"was interrupted {said}, and the protocol lets it go on within"):
+        refuse_old(session, cut, ResumeSection(within_hours=hours))
+
+
+def test_only_a_block_is_asked_again(edit: Edit) -> None:
+    """A session that goes on at the trial withdraws no answer."""
+    schedule = draw_schedule(with_policy(edit, "{at: trial}").experiment.protocol, "p01", 1)
+    assert answers_to_ask_again(interrupted(1), schedule, ResumeSection(at="trial")) == ()
 
 
 def test_the_record_says_when_everything_happened_and_how_surely(edit: Edit, tmp_path: Path) -> None:
