@@ -323,3 +323,18 @@ def test_a_pause_within_a_break_leads_back_to_the_break() -> None:
     for event in (start(), trial(1), {"event": "rest"}, {"event": "pause"}, {"event": "continued"}):
         status.take(event)
     assert status.facts()["state"] == "break"
+
+
+def test_the_console_says_why_a_session_is_paused() -> None:
+    """Nobody else sees that the keyboard went to another window."""
+    status = Status()
+    status.take(start())
+    for event, words in (
+        ({"event": "focus_lost"}, "PAUSED: the keyboard is another window's; click into the answer window"),
+        ({"event": "pause"}, "PAUSED by the participant"),
+        ({"event": "pause", "by": "experimenter"}, "PAUSED by the experimenter"),
+    ):
+        status.take(event)
+        file = StringIO()
+        Console(file=file, width=80).print(draw_session(status.facts(), "", width=80))
+        assert words in file.getvalue()

@@ -60,7 +60,7 @@ def draw_session(
         *(_wrap(prompt, width, "bold") or [Text("")]),
     ]
     rows = [
-        ("state", f"{state}: {facts['stopped_by']}" if facts["stopped_by"] else state),
+        ("state", f"{state}{_describe_cause(facts)}"),
         ("progress", describe_progress(facts, since_s, width - _NAMES)),
         *describe_trial(facts["trial"]),
         *_describe_generator(facts["generator"]),
@@ -91,7 +91,9 @@ def _draw_rows(rows: Sequence[tuple[str, str]], width: int, room: int) -> list[T
 
 def _draw_row(name: str, words: str, width: int) -> list[Text]:
     told = textwrap.wrap(words, max(width - _NAMES - 1, 20), max_lines=3, placeholder=" ...") or ["-"]
-    style = {"state": "bold reverse" if words == STATES["paused"] else "bold", "last error": "bold"}.get(name, "")
+    style = {"state": "bold reverse" if words.startswith(STATES["paused"]) else "bold", "last error": "bold"}.get(
+        name, ""
+    )
     return [
         Text.assemble((f" {'' if place else name:{_NAMES - 1}}", "dim"), (line, style), no_wrap=True)
         for place, line in enumerate(told)
@@ -137,6 +139,15 @@ def describe_last(last: dict[str, Any] | None) -> str:
     kind = "practice" if last["practice"] else "trial"
     since = {"first_burst": "first burst", "question": "question"}.get(last["counted_from"], last["counted_from"])
     return f"{last['answer']}, {last['reaction_time_s']:.2f} s after the {since} ({kind} {last['number']})"
+
+
+def _describe_cause(facts: Facts) -> str:
+    """Return why a session is paused or has ended, after its state."""
+    if facts["state"] == "paused" and facts["paused_by"] == "lost focus":
+        return ": the keyboard is another window's; click into the answer window"
+    if facts["state"] == "paused":
+        return f" by the {facts['paused_by']}"
+    return f": {facts['stopped_by']}" if facts["stopped_by"] else ""
 
 
 def _describe_generator(generator: dict[str, Any]) -> list[tuple[str, str]]:

@@ -43,6 +43,7 @@ class Status:
             "mode": "",
             "protocol": "",
             "state": "waiting",
+            "paused_by": "",
             "stopped_by": "",
             "trial": None,
             "generator": {"identity": "", "outputs": "off", "amplitude_Vpp": [], "confirmed": None, "last_error": ""},
@@ -117,7 +118,7 @@ class Status:
 
     def _on_resume(self, event: dict[str, Any]) -> None:
         self._facts["generator"]["identity"] = event["rig"]["identity"]
-        self._facts |= {"state": "waiting", "stopped_by": ""}
+        self._facts |= {"state": "waiting", "paused_by": "", "stopped_by": ""}
         self._answered_at = None
 
     def _on_masking(self, event: dict[str, Any]) -> None:
@@ -171,13 +172,14 @@ class Status:
         self._facts["generator"]["outputs"] = "off"
         # A pause within a break leads back to it.
         self._held = "break" if self._facts["state"] == "break" else "waiting"
-        self._facts["state"] = "paused"
+        self._facts |= {"state": "paused", "paused_by": str(event.get("by", "participant"))}
         self._answered_at = None
 
-    _on_focus_lost = _on_pause
+    def _on_focus_lost(self, event: dict[str, Any]) -> None:
+        self._on_pause({"by": "lost focus"})
 
     def _on_continued(self, event: dict[str, Any]) -> None:
-        self._facts["state"] = self._held
+        self._facts |= {"state": self._held, "paused_by": ""}
 
     def _on_rest(self, event: dict[str, Any]) -> None:
         self._facts["state"] = "break"
