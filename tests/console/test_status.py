@@ -330,7 +330,7 @@ def test_the_console_says_why_a_session_is_paused() -> None:
     status = Status()
     status.take(start())
     for event, words in (
-        ({"event": "focus_lost"}, "PAUSED: the keyboard is another window's; click into the answer window"),
+        ({"event": "focus_lost"}, "PAUSED: the window lost the keyboard; click into it"),
         ({"event": "pause"}, "PAUSED by the participant"),
         ({"event": "pause", "by": "experimenter"}, "PAUSED by the experimenter"),
     ):

@@ -144,7 +144,7 @@ def describe_last(last: dict[str, Any] | None) -> str:
 def _describe_cause(facts: Facts) -> str:
     """Return why a session is paused or has ended, after its state."""
     if facts["state"] == "paused" and facts["paused_by"] == "lost focus":
-        return ": the keyboard is another window's; click into the answer window"
+        return ": the window lost the keyboard; click into it"
     if facts["state"] == "paused":
         return f" by the {facts['paused_by']}"
     return f": {facts['stopped_by']}" if facts["stopped_by"] else ""
