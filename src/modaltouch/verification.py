@@ -188,4 +188,4 @@ def _check_view(session: Session, checks: tuple[str, ...]) -> tuple[str, list[st
     if session.trials != shown.trials:
         behind = len(checks) - n_shown
         return f"BIDS view agrees, {behind} lines behind the log: `modaltouch resume` brings it up", []
-    return f"BIDS view agrees: {len(session.trials)} answers", []
+    return f"BIDS view agrees: {len(session.trials)} answers, practice included", []

@@ -141,6 +141,8 @@ def test_an_experimenter_who_answers_is_announced(experiment: Experiment) -> Non
     assert experiment.texts.experimenter_answers in picture.texts
     triangles = [mark for mark in picture.marks if isinstance(mark, Shape) and len(mark.corners) == 3]
     assert len(triangles) == 4
+    left = next(mark for mark in picture.marks if isinstance(mark, Words) and mark.text == experiment.texts.left)
+    assert left.box.y == pictures.layout.buttons["left"].y, "in the middle of its button, which has nothing else"
 
 
 def test_practice_is_counted_on_its_own(experiment: Experiment) -> None:

@@ -43,7 +43,7 @@ class Buttons:
             if answer == "none":
                 marks += self._low_button(answer, box, pressed=answer == chosen, with_keys=with_keys)
                 continue
-            marks += self._button(answer, pressed=answer == chosen)
+            marks += self._button(answer, pressed=answer == chosen, with_keys=with_keys)
             if with_keys:
                 below = Box(box.x, box.y - 0.27 * box.height, box.width * 0.9, 0.25 * box.height)
                 marks += self._key_caps(answer, below)
@@ -62,11 +62,13 @@ class Buttons:
             *(self._key_caps(answer, beside) if with_keys else ()),
         )
 
-    def _button(self, answer: Answer, *, pressed: bool) -> tuple[Mark, ...]:
+    def _button(self, answer: Answer, *, pressed: bool, with_keys: bool) -> tuple[Mark, ...]:
+        """Return a button with its word above the keys, or in the middle where there are none."""
         theme, box, unit = self.theme, self.layout.buttons[answer], self.layout.unit
         edge = {"left": theme.left, "right": theme.right}.get(answer, theme.button_edge)
         fill, ink = (theme.pressed, theme.pressed_text) if pressed else (theme.button, theme.text)
-        upper = Box(box.x, box.y + 0.18 * box.height, box.width * 0.68, 0.52 * box.height)
+        lift = 0.18 * box.height if with_keys else 0.0
+        upper = Box(box.x, box.y + lift, box.width * 0.68, 0.52 * box.height)
         at = 0.4 * box.width
         arrows = [
             triangle(way, box.x + sign * at, upper.y - 0.004 * unit, 0.018 * unit, ink if pressed else edge)
