@@ -142,11 +142,11 @@ def test_heartbeat_costs_microseconds_and_writes_ten_times_a_second(
     sent: list[bytes] = []
     send = dogs[0]._send
     monkeypatch.setattr(dogs[0], "_send", lambda data: (sent.append(data), send(data)))
-    calls, started = 0, time.perf_counter()
+    calls, started, busy = 0, time.perf_counter(), time.thread_time()
     while time.perf_counter() < started + 0.55:
         rig.heartbeat()
         calls += 1
-    assert 0.55 / calls < 5e-6
+    assert (time.thread_time() - busy) / calls < 5e-6
     assert 3 <= len(sent) <= 6
 
 
