@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -83,3 +84,19 @@ def test_the_next_participant_follows_the_last_one(tmp_path: Path) -> None:
     for name in ("sub-anonymous", "sub-P007", "sub-P012"):
         (tmp_path / name).mkdir()
     assert propose_participant(tmp_path) == "P013"
+
+
+def test_it_asks_where_it_is_seen(
+    terminal: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With standard error in a file, the questions come on standard output: nobody waits for what nobody sees."""
+    (tmp_path / "sitecustomize.py").write_text(
+        f"import sys; sys.stderr = open({str(tmp_path / 'errors.txt')!r}, 'w')\n"
+    )
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path) + os.pathsep + os.environ.get("PYTHONPATH", ""))
+    session = terminal("run", "protocols/demo.yaml", "--answers", "simulated", "--results", tmp_path / "results")
+    expect(session, "Participant id (a code of letters and digits, never a name) [p01]: ")
+    session.type("\r")
+    expect(session, "Type start to begin")
+    session.type("q\r")
+    assert session.finish() == 130

@@ -20,6 +20,11 @@ _NUMBERED = re.compile(r"([A-Za-z]*)(\d+)\Z")
 _NAME = re.compile(r"[A-Z]?[a-z]{2,}\Z|[A-Za-z]{3,}\Z")
 
 
+def can_ask() -> bool:
+    """Return whether somebody can type at this process and see what it asks."""
+    return sys.stdin.isatty() and (sys.stderr.isatty() or sys.stdout.isatty())
+
+
 def ask_participant(dataset: Path) -> str:
     """Return a participant id that may stand in a file name, asked for until it is one.
 
@@ -36,7 +41,7 @@ def ask_participant(dataset: Path) -> str:
     from modaltouch.record.chain import RecordError
     from modaltouch.record.folders import check_participant
 
-    if not sys.stdin.isatty():
+    if not can_ask():
         raise typer.BadParameter("a session needs a participant id: give it with -p, for example -p p01")
     while True:
         words = "Participant id (a code of letters and digits, never a name)"
@@ -89,7 +94,7 @@ def ask_session(dataset: Path, participant: str) -> int | None:
         for log in dataset.glob(f"sub-{participant}/ses-*/beh/session.jsonl")
         if log.parents[1].name[4:].isdecimal()
     }
-    if not logs or not sys.stdin.isatty():
+    if not logs or not can_ask():
         return None
     for number, log in sorted(logs.items()):
         session = read_session(log)
@@ -128,9 +133,9 @@ def wait_for_start(setup: Setup, rig: str) -> None:
 
 
 def _prompt(words: str, *, default: object, shown: bool = True) -> object:
-    # On standard error: standard output is for what the command reports.
+    # On standard error: standard output is for what the command reports; but never where nobody sees it.
     try:
-        answer: object = typer.prompt(words, default=default, type=str, show_default=shown, err=True)
+        answer: object = typer.prompt(words, default=default, type=str, show_default=shown, err=sys.stderr.isatty())
     except typer.Abort:
         typer.echo("", err=True)
         leave(INTERRUPTED, "not started; nothing was recorded")
@@ -139,7 +144,7 @@ def _prompt(words: str, *, default: object, shown: bool = True) -> object:
 
 def _confirm(question: str) -> bool:
     try:
-        return typer.confirm(question, default=False, err=True)
+        return typer.confirm(question, default=False, err=sys.stderr.isatty())
     except typer.Abort:
         typer.echo("", err=True)
         leave(INTERRUPTED, "not started; nothing was recorded")

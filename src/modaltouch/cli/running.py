@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from enum import StrEnum
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from modaltouch.cli.asking import ask_participant, ask_session, wait_for_start
+from modaltouch.cli.asking import ask_participant, ask_session, can_ask, wait_for_start
 from modaltouch.cli.consoles import open_console
 from modaltouch.cli.faults import print_json, reporting
 from modaltouch.cli.options import (
@@ -140,7 +139,7 @@ def run(
         )
         refuse_existing(setup.place.log)
         _try_masking(setup)
-        if sys.stdin.isatty() and not yes and not json_output:
+        if can_ask() and not yes and not json_output:
             wait_for_start(setup, rig)
         from modaltouch.sitting import begin
 
