@@ -222,6 +222,14 @@ def test_placements_are_drawn_as_they_are(
         assert named.box.x == pytest.approx(places[zone])
 
 
+def test_no_palm_hides_the_finger_of_crossed_hands(experiment: Experiment) -> None:
+    """On neighbouring zones the hands overlap; both fingers are seen whole."""
+    crossed = Trial(1, 1, Condition("two_hands", "C", "D", 100.0, "swapped"))
+    fills = [mark.fill for mark in illustrate(experiment).feel(crossed, PROGRESS).marks if isinstance(mark, Shape)]
+    last_palm = max(place for place, fill in enumerate(fills) if fill in (DARK.hand, DARK.hand_edge))
+    assert last_palm < min(fills.index(DARK.left), fills.index(DARK.right))
+
+
 def test_pictures_of_mirrored_and_normal_placements_have_names_of_their_own(experiment: Experiment) -> None:
     """Expected: screenshots of both are kept."""
     pictures = illustrate(experiment)

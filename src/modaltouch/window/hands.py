@@ -73,12 +73,17 @@ def draw_hands(
     colours = (theme.left, theme.right)
     tips = {finger: (layout.zones[zone].x, layout.zones[zone].y) for finger, zone in zip(fingers, zones, strict=True)}
     fills = dict(zip(fingers, colours, strict=True))
-    marks: list[Mark] = []
+    palms: list[Mark] = []
+    touching: list[Mark] = []
     for side in ("left", "right"):
         own = {finger.split()[1]: tip for finger, tip in tips.items() if finger.startswith(side)}
         own_fills = {finger.split()[1]: fill for finger, fill in fills.items() if finger.startswith(side)}
         if own:
-            marks += _draw_hand(layout, theme, side, own, own_fills)
+            palm, on_beam = _draw_hand(layout, theme, side, own, own_fills)
+            palms += palm
+            touching += on_beam
+    # Crossed hands on neighbouring zones overlap: no palm hides the other hand's finger.
+    marks = [*palms, *touching]
     gap = abs(tips[fingers[1]][0] - tips[fingers[0]][0])
     for zone, name, fill in zip(zones, names, colours, strict=True):
         box = layout.zones[zone]
@@ -87,8 +92,10 @@ def draw_hands(
     return tuple(marks)
 
 
-def _draw_hand(layout: Layout, theme: Theme, side: str, tips: dict[str, Point], fills: dict[str, str]) -> list[Mark]:
-    """Return one hand: palm, resting fingers, then the touching fingers over them."""
+def _draw_hand(
+    layout: Layout, theme: Theme, side: str, tips: dict[str, Point], fills: dict[str, str]
+) -> tuple[list[Mark], list[Mark]]:
+    """Return one hand: palm and resting fingers, and the touching fingers that go over them."""
     unit = layout.unit
     outward = 1 if side == "right" else -1
     thick, thin = 0.034 * unit, 0.026 * unit
@@ -105,12 +112,13 @@ def _draw_hand(layout: Layout, theme: Theme, side: str, tips: dict[str, Point], 
     marks.append(rounded(palm.inset(-line), 0.05 * unit, theme.hand_edge))
     marks += [capsule(start, end, radius, theme.hand) for start, end, radius in resting]
     marks.append(rounded(palm, 0.048 * unit, theme.hand))
+    touching: list[Mark] = []
     for name, tip in tips.items():
         knuckle = (knuckles[name], top)
-        marks.append(capsule(knuckle, tip, thick + line, theme.ground))
-        marks.append(capsule(knuckle, tip, thick, fills[name]))
-        marks.append(_draw_nail(knuckle, tip, thick, mixed(fills[name], theme.nail, 0.65)))
-    return marks
+        touching.append(capsule(knuckle, tip, thick + line, theme.ground))
+        touching.append(capsule(knuckle, tip, thick, fills[name]))
+        touching.append(_draw_nail(knuckle, tip, thick, mixed(fills[name], theme.nail, 0.65)))
+    return marks, touching
 
 
 def _place_knuckles(layout: Layout, outward: int, tips: dict[str, Point]) -> dict[str, float]:
