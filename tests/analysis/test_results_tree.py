@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import gc
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -193,3 +194,27 @@ def test_catch_trials_of_a_session_are_counted_apart(record, tmp_path) -> None:
     assert len(responses.frame) == 48
     assert responses.frame["velocity_mm_s"].min() == 80
     assert responses.catches == {"p01": {"none": 1, "left": 1}, "p02": {"none": 1, "left": 1}}
+
+
+@pytest.mark.parametrize("was_on", [True, False])
+def test_reading_leaves_garbage_collection_as_it_was(record, tmp_path, monkeypatch, was_on) -> None:
+    """It is off while logs are read, and afterwards what it was, also where reading fails."""
+    record("p01")
+    seen: list[bool] = []
+
+    def opened(path: Path) -> None:
+        seen.append(gc.isenabled())
+        raise KeyboardInterrupt
+
+    if not was_on:
+        gc.disable()
+    try:
+        read_responses(tmp_path / "results")
+        assert gc.isenabled() is was_on
+        monkeypatch.setattr("modaltouch.analysis.results_tree.open_log", opened)
+        with pytest.raises(KeyboardInterrupt):
+            read_responses(tmp_path / "results")
+        assert seen == [False]
+        assert gc.isenabled() is was_on
+    finally:
+        gc.enable()
