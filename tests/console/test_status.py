@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from modaltouch.console.dialogue import Dialogue
+from modaltouch.console.dialogue import LONGEST_NOTE, Dialogue
 from modaltouch.console.drawing import describe_trial, draw_session
 from modaltouch.console.experimenter import Experimenter
 from modaltouch.console.interface import Request, Silence
@@ -298,6 +298,19 @@ def test_an_end_is_asked_twice_and_a_note_takes_letters_for_letters() -> None:
     assert dialogue.press("enter") == Request("note", "qx")
     assert dialogue.press("q") is None
     assert dialogue.press("y") == Request("stop")
+
+
+def test_a_note_that_is_full_says_so() -> None:
+    """What does not fit is not kept, and whoever types it is told."""
+    dialogue = Dialogue()
+    dialogue.press("n")
+    for _ in range(LONGEST_NOTE - 1):
+        dialogue.press("é")
+    assert "full" not in dialogue.prompt
+    dialogue.press("é")
+    assert f"full at {LONGEST_NOTE} characters" in dialogue.prompt
+    dialogue.press("z")
+    assert dialogue.press("enter") == Request("note", "é" * LONGEST_NOTE)
 
 
 @given(st.text(max_size=30))

@@ -75,5 +75,6 @@ class Dialogue:
             note = (note + key)[:LONGEST_NOTE]
         self._note = note
         # The end of a long note stays in sight.
-        self.prompt = f"note (Enter keeps it, Escape drops it): {note[-34:]}_"
+        full = f", full at {LONGEST_NOTE} characters" if len(note) == LONGEST_NOTE else ""
+        self.prompt = f"note (Enter keeps it, Escape drops it{full}): {note[-34:]}_"
         return None
