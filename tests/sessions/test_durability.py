@@ -91,7 +91,9 @@ def soaked():
     tally = Tally()
     yield tally
     if SOAK:
-        Path(SOAK).write_text(json.dumps({**vars(tally), "points_in_all": N_POINTS}, indent=1, sort_keys=True) + "\n")
+        Path(SOAK).write_text(
+            json.dumps({**vars(tally), "points_in_all": tally.points.total()}, indent=1, sort_keys=True) + "\n"
+        )
 
 
 @pytest.fixture(scope="module")

@@ -235,6 +235,8 @@ class Controls:
         replies = split_reply(self._link.ask(whole, timeout=self._copy_timeout))
         if len(replies) != len(queries) + 2:
             raise Unconfirmed(f"to '{what}' the generator answers {replies}")
+        if _error_number(replies[1]) != NO_ERROR:
+            self._log("instrument_errors", errors=replies[1:2])
         self._refuse_errors(what, replies[1:2])
         return replies[2:]
 
