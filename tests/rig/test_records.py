@@ -128,3 +128,15 @@ def test_continuous_codes_hold_the_burst_and_then_rest(burst: Burst) -> None:
         sample = int((n + 0.5) / (7 * n_points) / (0.05 / burst.codes.shape[1]))
         assert codes[0, n] == burst.codes[0, sample]
     assert (codes[:, 45_876:] == 8191).all()
+
+
+@pytest.mark.parametrize("message", ["DATA:DATA EMEM,", "DATA:COPY USER1,EMEM"])
+def test_error_of_an_upload_is_in_the_journal(
+    generator: Generator, simulator: Simulator, burst: Burst, heard: Any, message: str
+) -> None:
+    """The upload is repeated and succeeds; what the instrument said the first time is kept."""
+    simulator.faults.inject("scpi_error", when=message, value=-222)
+    generator.load(burst)
+    (said,) = heard.of("instrument_errors")
+    assert [error.partition(",")[0] for error in said["errors"]] == ["-222"]
+    assert [facts["memory"] for facts in heard.of("upload_repeated")] == ["USER1"]
