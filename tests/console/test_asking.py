@@ -58,6 +58,7 @@ def test_it_says_what_a_participant_has_and_takes_no_session_twice(ask: Callable
     assert ask("-p", "p07", "--yes").finish() == 0
     session = ask("-p", "p07")
     expect(session, "p07 has session 1: complete")
+    expect(session, "p07 has had its one session of the protocol: another would be one more")
     expect(session, "Session number [2]: ")
     session.type("1\r")
     expect(session, "allowed: a number from 1 that is not taken")

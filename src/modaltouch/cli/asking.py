@@ -74,7 +74,7 @@ def propose_participant(dataset: Path) -> str:
     return f"{letters}{int(digits) + 1:0{len(digits)}d}"
 
 
-def ask_session(dataset: Path, participant: str) -> int | None:
+def ask_session(dataset: Path, participant: str, n_sessions: int) -> int | None:
     """Return the number of the participant's session, asked for with the next free one proposed.
 
     None stands for the participant's next, where there is none yet or no terminal to ask in.
@@ -85,6 +85,8 @@ def ask_session(dataset: Path, participant: str) -> int | None:
         Where the sessions so far are.
     participant : str
         Participant id.
+    n_sessions : int
+        Sessions that the protocol gives each participant.
     """
     from modaltouch.record.locking import is_locked
     from modaltouch.record.session import read_session
@@ -107,6 +109,11 @@ def ask_session(dataset: Path, participant: str) -> int | None:
         else:
             state = f"{session.n_answered} answers, not complete: go on with `modaltouch resume {log.parent}`"
         typer.echo(f"{participant} has session {number}: {state}", err=True)
+    n_held = sum(session.begun_anew_as is None for session in map(read_session, logs.values()))
+    if n_held >= n_sessions:
+        has_had = "its one session" if n_sessions == 1 else f"all {n_sessions} sessions"
+        said = f"{participant} has had {has_had} of the protocol: another would be one more; Ctrl-C leaves"
+        typer.secho(said, err=True, fg=typer.colors.YELLOW)
     while True:
         given = str(_prompt("Session number", default=max(logs) + 1))
         if given.isdecimal() and int(given) >= 1 and int(given) not in logs:

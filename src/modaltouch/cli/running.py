@@ -119,12 +119,13 @@ def run(
         from modaltouch.wiring import mode_of, wire_run
 
         mode = mode_of(rig, answers.value, pilot=pilot)
-        dataset = dataset_of(results, mode, preflight.experiment.protocol.protocol)
+        design = preflight.experiment.protocol
+        dataset = dataset_of(results, mode, design.protocol)
         if participant is None:
             participant = ask_participant(dataset)
         check_participant(participant)
         if session is None:
-            session = None if yes or json_output else ask_session(dataset, participant)
+            session = None if yes or json_output else ask_session(dataset, participant, design.schedule.sessions)
         setup = wire_run(
             preflight,
             participant,
