@@ -103,6 +103,29 @@ def test_strips_show_every_answer_as_letter(paper_frame) -> None:
     assert letters.count("D") == 1
 
 
+@pytest.mark.parametrize("levels", [[2.0], [1.0, 1.5, 2.0, 3.0]])
+@pytest.mark.parametrize("conditions", [["one_hand"], ["one_hand", "two_hands"]])
+@pytest.mark.parametrize("draw", [draw_participants, draw_side, draw_order])
+def test_no_legend_is_cut_or_hides_an_answer(build, levels, conditions, draw) -> None:
+    """A narrow picture, of few levels; a mark of the legend among those of the data would pass for one."""
+    rows = [
+        {"participant": f"p{i}", "finger_condition": fingers, "zone_left": left, "zone_right": right, "trial": i + j,
+         "velocity_mm_s": level, "response": response}
+        for i in range(3) for fingers in conditions for left, right in ("AC", "CE") for level in levels
+        for j, response in enumerate(("left", "none"))
+    ]  # fmt: skip
+    frame = build["tidy"](rows)
+    answers = count_answers(frame)
+    figure = draw_order(answers, frame) if draw is draw_order else draw(answers)
+    render(figure, "png")
+    legends = [*figure.legends, *(axes.get_legend() for axes in figure.axes if axes.get_legend())]
+    assert len(legends) == 1
+    seen = legends[0].get_window_extent()
+    assert seen.x0 >= 0 and seen.x1 <= figure.bbox.x1
+    assert seen.y0 >= 0 and seen.y1 <= figure.bbox.y1
+    assert not any(seen.overlaps(axes.get_window_extent()) for axes in figure.axes)
+
+
 @pytest.mark.parametrize("kind", ["svg", "png"])
 def test_a_figure_is_the_same_bytes_every_time(paper_frame, kind) -> None:
     """No date and no random identifier."""
@@ -134,6 +157,6 @@ def test_further_figures_draw_what_they_are_given(paper_frame) -> None:
     answers = count_answers(frame)
     figures = [draw_side(answers), draw_order(answers, frame), draw_times(answers, frame), draw_speeds(answers, frame)]
     labels = " ".join(axes.get_ylabel() + axes.get_xlabel() for figure in figures if figure for axes in figure.axes)
-    for words in ("on the right", "trial of the session", "reaction time [s]", "right / left finger"):
+    for words in ("on the right", "in the order of trials", "reaction time [s]", "right / left finger"):
         assert words in labels
     assert all(render(figure, "svg").startswith(b"<?xml") for figure in figures if figure)

@@ -63,7 +63,7 @@ def draw_side(answers: AnswerCounts) -> Figure | None:
         axes.set_xlim(-0.05, 1.05)
         axes.set_ylim(-0.05, 1.05)
         axes.set_aspect("equal")
-        axes.legend(loc="lower left", frameon=False)
+        figure.legend(loc="outside lower center", ncols=4, frameon=False)
         figure.suptitle(f"Side bias: above the line, right is preferred (N = {answers.n_participants})", fontsize=9)
     return figure
 
@@ -103,9 +103,11 @@ def draw_order(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
                 markeredgecolor=INK, markeredgewidth=0.4, label=label,
             )  # fmt: skip
         axes.set_ylim(-0.04, 1.04)
-        axes.set_xlabel("trial of the session" + (f", in groups of {step}" if step > 1 else ""))
+        axes.set_xlabel(
+            "answer of the participant, in the order of trials" + (f", in groups of {step}" if step > 1 else "")
+        )
         axes.set_ylabel("share of the\ndominant zone")
-        axes.legend(loc="best", frameon=False, ncols=len(answers.pairs))
+        figure.legend(loc="outside right upper", frameon=False)
         quiet_grid(axes)
         figure.suptitle(f"Order and fatigue (N = {answers.n_participants})", fontsize=9)
     return figure

@@ -44,19 +44,20 @@ def draw_fields(start: dict[str, Any], stimulus: str = "") -> Figure | None:
     with house_style():
         figure = new_figure(7.6, 2.9)
         left, right = figure.subplots(1, 2, width_ratios=(3, 2))
-        _draw_field(left, preflight)
+        own = start.get("sensation_levels")
+        velocities = own["levels_mm_s"] if own else preflight.experiment.protocol.conditions.peak_velocities_mm_s
+        _draw_field(left, preflight, max(velocities))
         _draw_zones(right, stimuli)
-        whose = f" (levels of participant {start['participant']})" if start.get("sensation_levels") else ""
+        whose = f" (levels of participant {start['participant']})" if own else ""
         figure.suptitle(f"Stimulus: focus {preflight.experiment.protocol.stimulus.focus}, law "
                         f"{preflight.experiment.protocol.stimulus.law}{whose}", fontsize=9)  # fmt: skip
     return figure
 
 
-def _draw_field(axes: Axes, preflight: Preflight) -> None:
+def _draw_field(axes: Axes, preflight: Preflight, level: float) -> None:
     experiment, stimulus = preflight.experiment, preflight.stimulus
     half = experiment.apparatus.beam.length_mm / 2
     place = np.linspace(-half, half, POINTS)
-    level = max(experiment.protocol.conditions.peak_velocities_mm_s)
     velocity = level * 1e-3
     wished = stimulus.wish.profile(place * 1e-3) * level
     predicted = stimulus.velocity_at_focus(place * 1e-3, velocity) * 1e3
@@ -81,5 +82,7 @@ def _draw_zones(axes: Axes, stimuli: list[dict[str, Any]]) -> None:
     axes.set_ylim(0, None)
     axes.set_xlabel("zone")
     axes.set_ylabel("peak speed [mm/s]")
-    axes.legend(title="level [mm/s]", frameon=False, fontsize=7, title_fontsize=7)
+    axes.legend(
+        title="level [mm/s]", frameon=False, fontsize=7, title_fontsize=7, loc="upper left", bbox_to_anchor=(1, 1)
+    )
     quiet_grid(axes)

@@ -218,7 +218,7 @@ def draw_participants(answers: AnswerCounts) -> Figure:
     with house_style():
         size = 0.22
         width = 1.0 + size * n_columns * len(answers.finger_conditions) + 0.3 * len(answers.finger_conditions)
-        figure = new_figure(max(width, 5.0), 1.5 + size * len(shown))
+        figure = new_figure(max(width, 5.0), 1.7 + size * len(shown))
         panels = figure.subplots(1, len(answers.finger_conditions), sharey=True, squeeze=False)[0]
         for f, (axes, condition) in enumerate(zip(panels, answers.finger_conditions, strict=True)):
             _draw_strip(axes, answers, modal[:, f], shown)
@@ -233,9 +233,10 @@ def draw_participants(answers: AnswerCounts) -> Figure:
             Patch(facecolor=STRIP_COLOURS[kind], edgecolor=INK, linewidth=0.5, label=name)
             for kind, name in names.items()
         ]
-        figure.legend(handles=patches, loc="outside lower center", ncols=len(names), frameon=False)
+        n_columns = len(names) if figure.get_figwidth() > 1.4 * len(names) else 3
+        figure.legend(handles=patches, loc="outside lower center", ncols=n_columns, frameon=False)
         figure.suptitle(f"Every participant's answer in every cell{more}", fontsize=9)
-        panels[0].set_xlabel(answers.scale.quantity)
+        panels[(len(panels) - 1) // 2].set_xlabel(answers.scale.quantity, x=0.5 if len(panels) % 2 else 1.04)
     return figure
 
 
