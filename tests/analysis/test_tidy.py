@@ -362,3 +362,41 @@ def test_a_spoiled_table_is_refused_or_read_but_never_breaks(tmp_path, paper_csv
     except InputError as error:
         read = all(str(problem).startswith(f"{path}:") for problem in error.problems)
     assert read
+
+
+def in_multiples(rows):
+    """Return the levels as multiples of a threshold, beside velocities of everyone's own."""
+    return [
+        row | {"multiple_of_threshold": row["velocity_mm_s"] / 100, "velocity_mm_s": row["velocity_mm_s"] + i % 10}
+        for i, row in enumerate(rows)
+    ]
+
+
+def test_multiples_of_the_threshold_are_the_level_where_they_are_told(write_csv, paper_rows) -> None:
+    """As the record's own table has them, n/a in a catch trial; the velocities alone would fill no cells."""
+    rows = [row | {"catch": 0} for row in in_multiples(paper_rows)]
+    rows.append(rows[0] | {"catch": 1, "velocity_mm_s": 0, "multiple_of_threshold": "n/a"})
+    responses = read_responses(write_csv(rows))
+    answers = count_answers(responses.frame)
+    assert answers.levels == (0.8, 1.0, 1.5, 2.0)
+    assert answers.scale.unit == "x threshold"
+    assert responses.catches["p01"].total() == 1
+    assert "velocity_mm_s" not in responses.frame
+
+
+@pytest.mark.parametrize(
+    ("word", "words"),
+    [
+        ("n/a", "given nothing where other rows have a multiple"),
+        ("-1", "a multiple of the participant's own threshold, above 0"),
+        ("2 x", "a multiple of the participant's own threshold, above 0"),
+        ("1.5", "2 answers of participant p01 in one_hand A-C 1.5 x threshold"),
+        ("7", "'7' in 1 of 240 rows"),
+    ],
+)
+def test_a_faulty_multiple_is_told_in_its_place(write_csv, paper_rows, word, words) -> None:
+    """One row spoilt: nothing, below zero, no number, the level of another cell, one that nobody else has."""
+    rows = in_multiples(paper_rows)
+    rows[0] = rows[0] | {"multiple_of_threshold": word}
+    told = fails(write_csv(rows))
+    assert any(words in line for line in told), told

@@ -10,9 +10,9 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from modaltouch.analysis.csv_table import MOST_LISTED, Table
-from modaltouch.analysis.odd_words import KEYS, find_odd
-from modaltouch.analysis.responses import CELL, cell_of
-from modaltouch.analysis.scale import VELOCITY, LevelScale
+from modaltouch.analysis.odd_words import find_odd
+from modaltouch.analysis.responses import cell_of, keys_of
+from modaltouch.analysis.scale import VELOCITY, LevelScale, scale_of
 from modaltouch.document import Problem
 
 _ANY = "\0any"
@@ -36,19 +36,20 @@ def check_balance(table: Table, frame: pd.DataFrame, unread: pd.DataFrame | None
     frame : DataFrame
         Its rows, indexed by row of the file.
     unread : DataFrame, optional
-        Which words of them are faulty by themselves: truth values by row, a column for each of `KEYS` and one
-        ``other`` for the rest of the row. Such rows are neither counted nor missed.
+        Which words of them are faulty by themselves: truth values by row, a column for each of `keys_of` and
+        one ``other`` for the rest of the row. Such rows are neither counted nor missed.
 
     Returns
     -------
     list of Problem
     """
+    keys = list(keys_of(frame.columns))
     if unread is None:
-        unread = pd.DataFrame(False, index=frame.index, columns=[*KEYS, "other"])
+        unread = pd.DataFrame(False, index=frame.index, columns=[*keys, "other"])
     if not len(frame) or (frame["n"].sum() == 0 and not unread.to_numpy().any()):
         return [Problem(table.file, 1, 1, "", "no answers", "at least one answer that is not practice", "")]
     problems: list[Problem] = []
-    keyed = frame.loc[~_any_of(unread[list(KEYS)])]
+    keyed = frame.loc[~_any_of(unread[keys])]
     keyed = keyed.assign(n=keyed["n"].clip(lower=0))
     answers = None
     if keyed["n"].sum():
@@ -98,12 +99,13 @@ def _any_of(truths: pd.DataFrame) -> NDArray[np.bool_]:
 def _excused(answers: pd.DataFrame, frame: pd.DataFrame, unread: pd.DataFrame) -> NDArray[np.bool_]:
     """Return which missing answers may stand in faulty rows, (n_participants, n_cells) array."""
     excused = np.zeros(answers.shape, dtype=bool)
-    known = frame[list(KEYS)].astype(object).where(~unread[list(KEYS)].to_numpy(), _ANY)
+    keys = list(keys_of(frame.columns))
+    known = frame[keys].astype(object).where(~unread[keys].to_numpy(), _ANY)
     different = set(known.itertuples(index=False, name=None))
     if len(different) > _MOST_EXCUSES:
         return np.ones(answers.shape, dtype=bool)
     participants = answers.index.to_numpy()
-    cells = [answers.columns.get_level_values(name).to_numpy() for name in CELL]
+    cells = [answers.columns.get_level_values(name).to_numpy() for name in keys[1:]]
     for participant, *cell in different:
         rows = np.full(len(participants), True) if participant == _ANY else participants == participant
         columns = np.full(answers.shape[1], True)
@@ -143,7 +145,7 @@ def describe_cell(cell: Iterable[object], scale: LevelScale = VELOCITY) -> str:
 
 def _doubled(table: Table, frame: pd.DataFrame) -> list[Problem]:
     """Return rows that say the same thing twice: one repetition, or one count, given again."""
-    keys = ["participant", *CELL]
+    keys = list(keys_of(frame.columns))
     if "repetition" in table.columns:
         keys.append("repetition")
     elif "n" not in table.columns:
@@ -175,9 +177,9 @@ def _unbalanced(
     usual: int,
 ) -> list[Problem]:
     own = frame.index[(frame["participant"] == participant).to_numpy()]
-    first = int(own[0])
+    first, names, scale = int(own[0]), cell_of(frame.columns), scale_of(frame.columns)
     problems = []
-    fewer = [describe_cell(cell) for cell, n in zip(cells, row, strict=True) if n < usual]
+    fewer = [describe_cell(cell, scale) for cell, n in zip(cells, row, strict=True) if n < usual]
     if fewer:
         shown = ", ".join(fewer[:3]) + (f" and {len(fewer) - 3} more cells" if len(fewer) > 3 else "")
         what = "no answer" if usual == 1 else "too few answers"
@@ -193,14 +195,14 @@ def _unbalanced(
     for cell, n in zip(cells, row, strict=True):
         if n > usual and len(problems) < MOST_LISTED:
             inside = frame.loc[own]
-            mask = np.all([(inside[name] == value).to_numpy() for name, value in zip(CELL, cell, strict=True)], axis=0)
+            mask = np.all([(inside[name] == value).to_numpy() for name, value in zip(names, cell, strict=True)], axis=0)
             rows = inside.index[mask]
             lines = ", ".join(str(table.lines[r]) for r in rows[:5])
             problems.append(
                 table.problem(
                     int(rows[-1]),
                     "participant",
-                    f"{n} answers of participant {participant} in {describe_cell(cell)} (lines {lines})",
+                    f"{n} answers of participant {participant} in {describe_cell(cell, scale)} (lines {lines})",
                     f"{usual}, as in the other cells",
                     "remove the doubled row; repetitions must be as many in every cell",
                 )
@@ -209,7 +211,8 @@ def _unbalanced(
 
 
 def _who(row: pd.Series) -> str:
-    return f"participant {row['participant']}, {describe_cell(row[name] for name in CELL)}"
+    cell, scale = cell_of(row.index), scale_of(row.index)
+    return f"participant {row['participant']}, {describe_cell((row[name] for name in cell), scale)}"
 
 
 def _most_common(counts: NDArray[np.int64]) -> int:

@@ -13,13 +13,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from modaltouch.analysis.csv_table import MOST_LISTED, Table
-from modaltouch.analysis.responses import CELL
+from modaltouch.analysis.responses import keys_of
 from modaltouch.document import Problem
-
-KEYS = ("participant", *CELL)
-"""What tells the answers of a balanced table apart."""
-
-_CELL_FACTORS = (("finger_condition",), ("zone_left", "zone_right"), ("velocity_mm_s",))
 
 _FEW = 4
 """A word is rare where the commonest of its kind has at least as many times its rows."""
@@ -68,18 +63,21 @@ def find_odd(table: Table, frame: pd.DataFrame, usual: int) -> list[Odd]:
     usual : int
         Answers in a cell of the design.
     """
-    sums = frame.groupby(list(KEYS), observed=True)["n"].sum()
+    keys = keys_of(frame.columns)
+    sums = frame.groupby(list(keys), observed=True)["n"].sum()
     totals: Totals = dict(zip(sums.index.to_list(), sums.to_list(), strict=True))
-    odd = [each for columns in _CELL_FACTORS for each in _odd_of(table, frame, totals, columns, usual)]
+    factors = (keys[1:2], keys[2:4], keys[4:])
+    odd = [each for columns in factors for each in _odd_of(table, frame, totals, columns, usual)]
     # Where a cell exists by mistake nobody else has answers, which is no gap for a participant to fill.
     rows = frame.loc[np.concatenate([each.rows for each in odd])] if odd else frame.iloc[:0]
-    mistaken = set(rows[list(CELL)].itertuples(index=False, name=None))
+    mistaken = set(rows[list(keys[1:])].itertuples(index=False, name=None))
     real = {key: n for key, n in totals.items() if key[1:] not in mistaken}
     return odd + _odd_of(table, frame, real, ("participant",), usual)
 
 
 def _odd_of(table: Table, frame: pd.DataFrame, totals: Totals, columns: tuple[str, ...], usual: int) -> list[Odd]:
-    place = slice(KEYS.index(columns[0]), KEYS.index(columns[0]) + len(columns))
+    first = keys_of(frame.columns).index(columns[0])
+    place = slice(first, first + len(columns))
     counts: Counter[Value] = Counter()
     for key, n in totals.items():
         counts[key[place]] += n

@@ -30,6 +30,11 @@ def cell_of(columns: Container[str]) -> tuple[str, ...]:
     return (*CELL[:3], scale_of(columns).column)
 
 
+def keys_of(columns: Container[str]) -> tuple[str, ...]:
+    """Return what tells the answers of a balanced table apart: who gave them, and in which cell."""
+    return ("participant", *cell_of(columns))
+
+
 @dataclass(frozen=True)
 class LeftOut:
     """Something that was found but not analysed.

@@ -16,6 +16,7 @@ from modaltouch.analysis.balance import check_balance
 from modaltouch.analysis.csv_table import MOST_LISTED, Column, Table, read_table
 from modaltouch.analysis.mirroring import unmirror
 from modaltouch.analysis.responses import REQUIRED, LeftOut, Responses, Source
+from modaltouch.analysis.scale import OWN_THRESHOLD, VELOCITY, scale_of
 from modaltouch.document import InputError, Problem, suggest
 from modaltouch.trial import ANSWERS, ANSWERS_WITH_NONE
 
@@ -35,7 +36,8 @@ def read_csv(path: Path) -> Responses:
     path : Path
         A table with the six columns, and optionally ``n`` (count of equal answers), ``repetition``, ``practice``,
         ``catch`` (1 where nothing was driven, whatever the velocity) and any others, which are kept. Where any
-        response is ``none``, that is taken to have been an answer.
+        response is ``none``, that is taken to have been an answer. Where ``multiple_of_threshold`` is filled in, as
+        in the record's own table, that is the level in place of the velocity.
 
     Raises
     ------
@@ -49,7 +51,10 @@ def read_csv(path: Path) -> Responses:
         frame[name] = _words(table, name, problems)
     caught, caught_problems = _flags(table, "catch", "a catch trial")
     problems += caught_problems
-    frame["velocity_mm_s"] = _velocities(table, problems, caught)
+    velocities = _velocities(table, problems, caught)
+    multiples = _multiples(table, problems, caught)
+    level = VELOCITY.column if multiples is None else OWN_THRESHOLD.column
+    frame[level] = velocities if multiples is None else multiples
     frame["response"] = _answers(table, problems)
     frame["n"] = _whole_numbers(table, "n", problems, 0) if "n" in table.columns else 1
     if "repetition" in table.columns:
@@ -57,7 +62,7 @@ def read_csv(path: Path) -> Responses:
     for name, column in table.columns.items():
         if name in NUMBERS:
             frame[name] = _numbers(table, name, problems, "a number, or nothing", _anything, empty=True)
-        elif name not in frame.columns and name != "catch":
+        elif name not in frame.columns and name not in ("catch", VELOCITY.column, OWN_THRESHOLD.column):
             frame[name] = _categorical(column.codes, column.words).astype("str")
     problems += _same_zone(table, frame) + _near_conditions(table)
     unread = _unread(table, frame) if problems else None
@@ -98,9 +103,26 @@ def _velocities(table: Table, problems: list[Problem], caught: NDArray[np.bool_]
     return np.where((values == 0) & ~caught, math.nan, values)
 
 
+def _multiples(table: Table, problems: list[Problem], caught: NDArray[np.bool_]) -> NDArray[np.float64] | None:
+    """Return the multiples of each participant's own threshold, whatever stands in catch trials; None without any."""
+    name = OWN_THRESHOLD.column
+    column = table.columns.get(name)
+    if column is None or all(word in ("", "n/a") for word in column.words):
+        return None
+    allowed = "a multiple of the participant's own threshold, above 0"
+    values = _numbers(table, name, problems, allowed, _positive, empty=True)
+    absent = np.array([word in ("", "n/a") for word in column.words], dtype=bool)[column.codes]
+    bare = np.flatnonzero(absent & ~caught)
+    for row in bare[:MOST_LISTED]:
+        given, remedy = "nothing where other rows have a multiple", "fill it in, or analyse these rows by themselves"
+        problems.append(table.problem(int(row), name, given, allowed, remedy))
+    return values
+
+
 def _unread(table: Table, frame: pd.DataFrame) -> pd.DataFrame:
     """Return which words of each row are faulty: participant, cell, and ``other`` for the rest of the row."""
     words = {name: frame[name].astype(str) for name in REQUIRED[:4]}
+    level = scale_of(frame.columns).column
     # A turned beam exchanges the zones, so a fault in one leaves both unsure.
     zones = (words["zone_left"] == "") | (words["zone_right"] == "") | (words["zone_left"] == words["zone_right"])
     slips = [word for word in table.columns["finger_condition"].words if _is_near(word)]
@@ -113,7 +135,7 @@ def _unread(table: Table, frame: pd.DataFrame) -> pd.DataFrame:
             "finger_condition": words["finger_condition"].isin(["", *slips]),
             "zone_left": zones,
             "zone_right": zones,
-            "velocity_mm_s": frame["velocity_mm_s"].isna(),
+            level: frame[level].isna(),
             "other": other,
         }
     )
