@@ -243,6 +243,20 @@ def test_the_latest_complete_session_counts(
     assert facts["threshold_mm_s"] > 1.2 * session_of(results, "p01").start["sensation_levels"]["threshold_mm_s"]
 
 
+@pytest.mark.parametrize("spoil", [lambda data: data.replace(b"answer", b"answar", 1), lambda data: data[:-40]])
+def test_a_damaged_session_is_not_passed_over_for_an_older_one(
+    preflight: Preflight, results: Path, tmp_path: Path, spoil
+) -> None:
+    """The threshold of the session before may be another one: refused by name, with the way to look at it."""
+    shutil.copytree(results / "simulated" / "threshold" / "sub-p01", tmp_path / "simulated" / "threshold" / "sub-p01")
+    first = tmp_path / "simulated" / "threshold" / "sub-p01" / "ses-1"
+    shutil.copytree(first, first.with_name("ses-2"))
+    log = first.with_name("ses-2") / "beh" / "session.jsonl"
+    log.write_bytes(spoil(log.read_bytes()))
+    with pytest.raises(InputError, match=r"latest session of participant p01 is damaged \(.*ses-2.*modaltouch doctor"):
+        wire_run(preflight, "p01", answers="simulated", results=tmp_path)
+
+
 def test_a_protocol_that_is_not_adaptive_finds_no_threshold(edit, tmp_path: Path) -> None:
     """The name of a protocol of fixed levels, whose sessions are there."""
     results = tmp_path / "results"
@@ -255,7 +269,7 @@ def test_a_protocol_that_is_not_adaptive_finds_no_threshold(edit, tmp_path: Path
 def test_a_threshold_is_refused_where_levels_are_the_same_for_all(tmp_path: Path) -> None:
     """Given to a protocol of fixed levels it would be ignored, so it is refused."""
     demo = examine(PROTOCOLS / "demo.yaml").require()
-    with pytest.raises(InputError, match=r"a threshold of 20 mm/s for levels that are the same for all.*leave"):
+    with pytest.raises(InputError, match=r"a threshold of 20 mm/s for levels that do not follow from one.*leave"):
         wire_run(demo, "p01", answers="simulated", results=tmp_path, threshold_mm_s=20.0)
 
 

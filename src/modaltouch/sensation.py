@@ -70,8 +70,8 @@ def at_own_levels(
     if section is None:
         if given_mm_s is not None:
             _refuse(
-                preflight, f"a threshold of {given_mm_s:g} mm/s for levels that are the same for all", "none", "leave "
-                "--threshold out", path=("conditions", "peak_velocities_mm_s"),
+                preflight, f"a threshold of {given_mm_s:g} mm/s for levels that do not follow from one", "none",
+                "leave --threshold out", path=("conditions", "peak_velocities_mm_s"),
             )  # fmt: skip
         return preflight, {}
     own = OwnThreshold(given_mm_s, "given") if given_mm_s is not None else _find(preflight, place, section)
@@ -97,9 +97,12 @@ def recorded_levels(preflight: Preflight, start: dict[str, Any]) -> Preflight:
 
 def _find(preflight: Preflight, place: SessionFolder, section: SensationLevelsSection) -> OwnThreshold:
     """Return the threshold that the participant's latest complete session of another protocol found."""
-    log = _latest(replace(place, protocol=section.thresholds_from))
+    log, damage = _latest(replace(place, protocol=section.thresholds_from))
     who = f"participant {place.participant}"
     anew = f"run that protocol with `-p {place.participant}`, or give the threshold with --threshold"
+    if damage:
+        _refuse(preflight, f"{section.thresholds_from!r}, whose latest session of {who} is damaged ({damage})",
+                "a sound record", f"see `modaltouch doctor {log}`, or give the threshold with --threshold")  # fmt: skip
     if log is None:
         dataset = replace(place, protocol=section.thresholds_from).dataset
         _refuse(preflight, f"{section.thresholds_from!r}, of which {who} has no complete session in {dataset}",
@@ -129,18 +132,26 @@ def _find(preflight: Preflight, place: SessionFolder, section: SensationLevelsSe
     return OwnThreshold(float(f"{mean:.4g}"), "session", seen_from, read_chain(log).last_check, told)
 
 
-def _latest(place: SessionFolder) -> Path | None:
-    """Return the log of a participant's latest complete session of a protocol; None without one."""
+def _latest(place: SessionFolder) -> tuple[Path | None, str]:
+    """Return the log of a participant's latest session of a protocol that is complete, or damaged and may have been.
+
+    Also what is wrong with it: an older session behind a damaged one may tell another threshold.
+    """
     folders = place.dataset.glob(f"sub-{place.participant}/ses-*/beh")
     numbers = (folder.parent.name[4:] for folder in folders)
     for number in sorted((int(each) for each in numbers if each.isdecimal()), reverse=True):
         log = replace(place, session=number).log
-        try:
-            if read_session(log).complete:
-                return log
-        except RecordError:
+        if not log.exists():
             continue
-    return None
+        try:
+            session = read_session(log)
+        except RecordError as error:
+            return log, str(error)
+        if session.problems:
+            return log, session.problems[0]
+        if session.complete:
+            return log, ""
+    return None, ""
 
 
 def _refuse_beyond(
@@ -165,7 +176,8 @@ def _refuse_beyond(
             f"{multiple:g} times the threshold of participant {participant}, {own.value_mm_s:g} mm/s, which makes "
             f"{level:g} mm/s",
             f"{low:g} to {high:g} mm/s, so thresholds of {fits[0]:.4g} to {fits[1]:.4g} mm/s",
-            "change the multiples or conditions.peak_velocities_mm_s for all participants",
+            ("check the value of --threshold, or " if own.found == "given" else "")
+            + "change the multiples or conditions.peak_velocities_mm_s for all participants",
             path=(*_SECTION, "multiples", at),
         )
 
