@@ -88,7 +88,17 @@ def test_a_side_bias_is_told_once_the_sign_test_is_clear() -> None:
     assert "lean to the left: 10 of 10" in find_side_bias([trial(i, "left") for i in range(10)])
     assert find_side_bias([trial(i, ("left", "right")[i % 2]) for i in range(40)]) == ""
     right_for_left = [trial(i, "both", speeds=(200.0, 100.0)) for i in range(8)]
-    assert "lean to the right: 8 of 8" in find_side_bias(right_for_left)
+    right_as_felt = [trial(i, "right", speeds=(100.0, 200.0)) for i in range(8, 16)]
+    assert "lean to the right: 8 of 8" in find_side_bias(right_for_left + right_as_felt)
+
+
+@pytest.mark.parametrize("n_turned", [0, 30])
+def test_one_pair_after_the_other_is_no_side_bias(n_turned: int) -> None:
+    """Near the threshold every other answer is `both`: under (A, C) a step to the left, under (C, E) to the right."""
+    first = [trial(i, ("both", "right")[i % 2], speeds=(100.0, 200.0)) for i in range(30)]
+    then = [trial(30 + i, ("both", "left")[i % 2], speeds=(200.0, 100.0)) for i in range(n_turned)]
+    trials = first + then
+    assert {find_side_bias(trials[:n]) for n in range(len(trials) + 1)} == {""}
 
 
 @given(st.lists(st.sampled_from(["left", "both", "right"]), max_size=60))

@@ -33,17 +33,18 @@ def read_signs(trials: Sequence[dict[str, Any]], *, offers_none: bool = False) -
 
 
 def find_side_bias(trials: Sequence[dict[str, Any]]) -> str:
-    """Return to which side the answers lean, by a sign test; empty if they do not.
+    """Return to which side the answers lean, by a binomial test; empty if they do not.
 
     Each answer is compared with the one that the predicted speeds ask for: `left` for `both` and `both` for
-    `right` are departures to the left. Without a bias, departures go either way alike, whatever the design.
+    `right` are departures to the left. Without a bias they go to a side as often as trials leave room there: from
+    `right` an answer can only depart to the left, so a run of one pair after the other, or one pair alone, tells none.
 
     Parameters
     ----------
     trials : sequence of dict
         Trial events.
     """
-    left = right = 0
+    left = right = room_left = room_right = 0
     for event in trials:
         planned = event.get("planned", {})
         speeds = (planned.get("speed_left_mm_s", 0.0), planned.get("speed_right_mm_s", 0.0))
@@ -51,10 +52,15 @@ def find_side_bias(trials: Sequence[dict[str, Any]]) -> str:
         if answer in _SIDES and expected is not None and not is_catch(event):
             step = _SIDES[answer] - _SIDES[expected]
             left, right = left + (step < 0), right + (step > 0)
-    n, more = left + right, max(left, right)
-    if n < _FEWEST or min(1.0, 2 * sum(math.comb(n, k) for k in range(more, n + 1)) / 2**n) > _LEVEL:
+            room_left, room_right = room_left + (expected != "left"), room_right + (expected != "right")
+    n = left + right
+    if n < _FEWEST:
         return ""
-    side = "left" if left > right else "right"
+    on_left = room_left / (room_left + room_right)
+    side, more, share = ("left", left, on_left) if left > n * on_left else ("right", right, 1 - on_left)
+    tail = math.fsum(math.comb(n, k) * share**k * (1 - share) ** (n - k) for k in range(more, n + 1))
+    if 2 * tail > _LEVEL:
+        return ""
     return f"answers lean to the {side}: {more} of {n} departures from what was predicted"
 
 
