@@ -193,6 +193,7 @@ def test_wrong_quantity_is_refused(tmp_path: Path, frequency: np.ndarray) -> Non
     ("name", "content", "words"),
     [
         ("a.xyz", "", "files that end in '.xyz' are not read; allowed: .uff"),
+        ("a.yaml", "", "allowed: .uff, .unv, .csv, .npz, .lvm, .txt; an apparatus is named with --apparatus"),
         ("a.csv", "frequency,re\n1,2", "a.csv:1: lacks the column frequency_Hz"),
         ("a.csv", "frequency_Hz,set,position_mm,real,imag\n1,s,0,x,2", "a.csv:2: '1,s,0,x,2' is not a line of numbers"),
         ("a.csv", "frequency_Hz,set,position_mm,real,imag\n", "no line below the header"),

@@ -169,7 +169,9 @@ def _read(path: Path, how: Reading) -> Part:
     }
     reader = readers.get(path.suffix.lower())
     if reader is None:
-        raise ValueError(f"{path}: files that end in '{path.suffix}' are not read; allowed: {', '.join(readers)}")
+        remedy = "; an apparatus is named with --apparatus" if path.suffix.lower() in (".yaml", ".yml") else ""
+        said = f"files that end in '{path.suffix}' are not read; allowed: {', '.join(readers)}"
+        raise ValueError(f"{path}: {said}{remedy}")
     try:
         return reader(path, how)
     except UnicodeDecodeError as error:
