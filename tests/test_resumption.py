@@ -12,7 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from typer.testing import CliRunner
 
+from modaltouch.cli.app import app
 from modaltouch.console.interface import Facts, Request, Silence
 from modaltouch.observer import Observer
 from modaltouch.preflight import Preflight, examine
@@ -142,9 +144,14 @@ def test_a_complete_session_whose_last_line_was_cut_is_made_whole(edit: Edit, tm
     whole = begin(on_paper(wire_run(preflight, "p01", answers="simulated", results=tmp_path)))
     whole.path.write_bytes(whole.path.read_bytes()[:-cut])
     assert verify_session(whole.path).problems
+    told = CliRunner().invoke(app, ["doctor", str(whole.path)])
+    assert told.exit_code == (4 if cut > 1 else 0), "a newline is no loss"
+    assert f"go on with `modaltouch resume {whole.path.parent}`" in told.output
+    assert "--into" not in told.output
     done = resume(on_paper(wire_resume(whole.path)))
     assert done.problems == ()
     assert verify_session(done.path).problems == ()
+    assert CliRunner().invoke(app, ["doctor", str(whole.path)]).exit_code == 0
     assert asked(done) == asked(whole)
     assert done.events[-1]["reason"] == "finished"
 

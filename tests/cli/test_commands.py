@@ -1,6 +1,7 @@
 """The command line as a user meets it: words, exit statuses, one JSON object, never a traceback."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -72,6 +73,35 @@ def test_a_terminal_that_hung_up_does_not_change_the_exit_status(monkeypatch):
     with pytest.raises(typer.Exit) as left:
         leave(INTERRUPTED, "ended by SIGHUP")
     assert left.value.exit_code == INTERRUPTED
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["verify", "{}/p/simulated/demo/sub-p01/ses-1"],
+        ["doctor", "{}/p/simulated/demo/sub-p01/ses-1"],
+        ["resume", "{}/p/simulated/demo/sub-p01/ses-1"],
+        ["analyse", "{}/p/simulated"],
+    ],
+)
+def test_the_sessions_of_another_user_are_not_for_this_one(monkeypatch, tmp_path, words):
+    """Folders of sessions are their owner's alone: even to ask for a file in them is refused by the system."""
+    from typer.testing import CliRunner
+
+    from modaltouch.cli.app import app
+
+    look = os.stat
+
+    def forbid(path, *args, **kwargs):
+        if str(path).startswith(f"{tmp_path}/p/"):
+            raise PermissionError(13, "Permission denied", str(path))
+        return look(path, *args, **kwargs)
+
+    monkeypatch.setattr(os, "stat", forbid)
+    done = CliRunner().invoke(app, [word.format(tmp_path) for word in words])
+    assert done.exit_code == 2, done.exception
+    assert f"{tmp_path}/p/simulated" in done.output
+    assert "not for this user (Permission denied); what a session wrote is for its owner alone" in done.output
 
 
 def test_a_narrow_terminal_cuts_no_number(monkeypatch):

@@ -41,7 +41,7 @@ def reporting(*, json_output: bool = False) -> Iterator[None]:
         status, problems = explain(error)
         if status is None:
             raise
-        why = f"ended by {error}: the outputs are off" if status == INTERRUPTED else str(error) or type(error).__name__
+        why = f"ended by {error}: the outputs are off" if status == INTERRUPTED else _say(error)
         leave(status, "; ".join([why, *getattr(error, "__notes__", [])]), problems, json_output=json_output)
 
 
@@ -67,7 +67,20 @@ def explain(error: BaseException) -> tuple[int | None, list[dict[str, Any]]]:
         kind = getattr(sys.modules.get(module), name, None)
         if kind is not None and isinstance(error, kind):
             return status, []
-    return None, []
+    # What a session writes is its owner's alone, so to ask whether a file is there is refused to anybody else.
+    return (BAD_INPUT if _is_forbidden(error) else None), []
+
+
+def _is_forbidden(error: BaseException) -> bool:
+    return isinstance(error, PermissionError) and error.filename is not None
+
+
+def _say(error: BaseException) -> str:
+    """Return an error in words."""
+    if isinstance(error, PermissionError) and _is_forbidden(error):
+        yours = "what a session wrote is for its owner alone; work as that user, or give a folder of your own"
+        return f"{error.filename}: not for this user ({error.strerror}); {yours}"
+    return str(error) or type(error).__name__
 
 
 def leave(

@@ -87,15 +87,21 @@ def doctor(
 
 def _examine_record(session: Path, into: Path | None, *, json_output: bool) -> None:
     """Say what a record proves, and write it anew where that is asked; the exit status tells whether it is sound."""
+    from modaltouch.record.chain import read_chain
     from modaltouch.record.folders import find_log
     from modaltouch.record.recovery import recover, survey
 
     found = survey(find_log(session))
+    chain = read_chain(found.path)
     lines = found.lines
     recovered = None
     if into is not None:
         recovered = recover(found, into)
         lines.append(f"recovered into {recovered}; check it with `modaltouch verify {recovered.parent}`")
+    elif chain.problems and not chain.damage:
+        lines.append(
+            f"go on with `modaltouch resume {found.path.parent}`, which declares the cut line and keeps the rest"
+        )
     elif not found.is_sound:
         lines.append("recover it into a new results folder with --into FOLDER; this record is never touched")
     if json_output:
