@@ -2,6 +2,8 @@
 
 import json
 import os
+import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -102,6 +104,18 @@ def test_the_sessions_of_another_user_are_not_for_this_one(monkeypatch, tmp_path
     assert done.exit_code == 2, done.exception
     assert f"{tmp_path}/p/simulated" in done.output
     assert "not for this user (Permission denied); what a session wrote is for its owner alone" in done.output
+
+
+@pytest.mark.parametrize("title", ["Grip [/x] test", "Grip [red] and [b]", "[/]"])
+def test_brackets_in_a_title_are_words_and_no_markup(tmp_path, title):
+    """A title may hold anything: none of it is left out, and none of it ends the program."""
+    shutil.copytree("protocols", tmp_path / "protocols")
+    protocol = tmp_path / "protocols" / "demo.yaml"
+    text = re.sub(r"(?m)^title:.*$", f'title: "{title}"', protocol.read_text(encoding="utf-8"))
+    protocol.write_text(text, encoding="utf-8")
+    done = run("check", str(protocol))
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith(f"{title}: 12 trials")
 
 
 def test_a_narrow_terminal_cuts_no_number(monkeypatch):

@@ -83,3 +83,10 @@ def test_the_check_shows_it(protocol: Path) -> None:
     """Who speaks, how fast, how loud, how much."""
     said = " ".join(run("check", protocol).stdout.split())
     assert "voice fr, 160 words/min, -20 dB FS: 2 prompts" in said
+
+
+def test_the_check_names_the_extra_that_brings_the_voice(protocol: Path) -> None:
+    """Its brackets are words: without them `install modaltouch` would be told to who has it."""
+    done = run("check", protocol, first=NO_LIBRARY)
+    assert done.returncode == 0, done.stderr
+    assert "install modaltouch[speech]" in " ".join(done.stdout.split())

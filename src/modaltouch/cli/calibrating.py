@@ -129,8 +129,8 @@ def _show(calibration: Calibration, out: Path, protocol: Path) -> None:
         f"Amplifier: delay {amplifier.delay_us:.2f} us, corner {corner}; errors are known to {noise:.2f} mm/s "
         "(95 %, noise alone)"
     )
-    console.print(f"Written: {out}")
-    console.print(f"Next: modaltouch run {protocol} --calibration {out}")
+    console.print(f"Written: {out}", markup=False)
+    console.print(f"Next: modaltouch run {protocol} --calibration {out}", markup=False)
 
 
 def _show_stimulus(console: Console, whose: str, calibration: CalibratedStimulus) -> None:

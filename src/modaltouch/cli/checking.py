@@ -66,13 +66,14 @@ def check(
 def show(preflight: Preflight, *, compare: bool = False) -> None:
     """Print what a session of this protocol will be."""
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table
 
     console = Console()
     values = preflight.as_dict(compare=compare)
     catches = f" ({values['n_catch_trials']} of them catch trials)" if values["n_catch_trials"] else ""
     console.print(
-        f"[bold]{values['title'] or values['protocol']}[/]: {values['n_trials']} trials{catches} and "
+        f"[bold]{escape(values['title'] or values['protocol'])}[/]: {values['n_trials']} trials{catches} and "
         f"{values['n_practice_trials']} for practice, about {values['estimated_duration_min']:.0f} min"
     )
     stimuli = values["stimuli"]
@@ -87,7 +88,7 @@ def show(preflight: Preflight, *, compare: bool = False) -> None:
         )
     if calibration := values["calibration"]:
         console.print(
-            f"Calibrated {calibration['made']} on {calibration['generator']}: worst modal error then "
+            f"Calibrated {calibration['made']} on {escape(calibration['generator'])}: worst modal error then "
             f"{calibration['worst_modal_error_mm_s']:.2g} mm/s at {calibration['reference_mm_s']:g} mm/s"
         )
     if own := values["sensation_levels"]:
@@ -109,7 +110,7 @@ def show(preflight: Preflight, *, compare: bool = False) -> None:
             f"{stimulus['worst_modal_error_mm_s']:.3g} mm/s[/]"
         )
     if fallback := values.get("continuous_fallback"):
-        console.print(f"[dim]{fallback['warning']}[/]")
+        console.print(f"[dim]{escape(fallback['warning'])}[/]")
     if (speech := values["speech"]) and speech["state"] == "spoken":
         total = sum(each["duration_s"] for each in speech["prompts"])
         console.print(
@@ -118,7 +119,7 @@ def show(preflight: Preflight, *, compare: bool = False) -> None:
             f"{', '.join(speech['screens'])})"
         )
     for warning in values["warnings"]:
-        console.print(f"[yellow]{warning}[/]")
+        console.print(f"[yellow]{escape(warning)}[/]")
 
 
 def _explore(preflight: Preflight, sensitivity: bool, designs: bool, tolerance: float | None) -> dict[str, Any]:

@@ -208,13 +208,15 @@ def tell(found: Power, target: float) -> None:
         Power that is wanted [1].
     """
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table
 
     console = Console()
     study = found.study
     what = "False alarms, nothing being there to be found" if study.null else "Power"
+    observer = escape(study.observer.name)
     console.print(
-        f"[bold]{what}[/] of {study.design.title} with observer {study.observer.name}: share of {_done(found)} in "
+        f"[bold]{what}[/] of {study.design.title} with observer {observer}: share of {_done(found)} in "
         f"which at least one test of a family is significant at {study.alpha:g} after Holm's correction, in per cent "
         "with a 95 % interval"
     )
