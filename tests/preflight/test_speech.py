@@ -49,6 +49,7 @@ def no_library(monkeypatch: pytest.MonkeyPatch) -> None:
         ("voice: 'en; rm'", "", "speech.voice: given 'en; rm'"),
         ("screens: [questions]", "", "speech.screens[0]: given 'questions'"),
         ("screens: []", "", "speech.screens"),
+        ("screens: [break, break]", "", "speech.screens[1]: given break, the screen of screens[0] again"),
         ("rate_words_per_min: 1000", "", "speech.rate_words_per_min: given 1000"),
         ("level_dB_FS: -5", "", "speech.level_dB_FS: given -5 dB FS, at which the peaks of the speech pass full scale"),
         ("level_dB_FS: -18", "level_dB_FS: -14", "the peaks of the speech on top of the masking noise pass full scale"),

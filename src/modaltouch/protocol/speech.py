@@ -31,6 +31,7 @@ class SpeechSection(Section):
         "which finger goes where; feedback: after a practice trial; break: pauses, too.",
         default=("instructions", "placement", "question", "feedback", "break", "goodbye"),
         min_length=1,
+        json_schema_extra={"uniqueItems": True},
     )
     voice: VoiceName | None = described(
         "Voice of eSpeak NG, such as en, en-us, fr or fr+f2; null for the language of the texts.", default=None
