@@ -114,10 +114,11 @@ soak-identification: install
 soak-calibration: install
 	MODALTOUCH_CALIBRATED_BEAMS=40 $(PYTHON) -m pytest --timeout 600 tests/calibration/test_through_the_driver.py
 
-## fuzz: 20,000 spoilt files through every reader
+## fuzz: 20,000 spoilt files through every reader, and new examples for every property
 .PHONY: fuzz
 fuzz: install
 	MODALTOUCH_MUTATIONS=20000 $(PYTHON) -m pytest --timeout 7200 tests/test_mutated_files.py
+	$(PYTHON) -m pytest -n 2 --dist loadfile --timeout 7200 -m hypothesis --hypothesis-profile search
 
 ## oldest: the tests that need no window, with the oldest versions that pyproject.toml allows
 .PHONY: oldest

@@ -31,8 +31,11 @@ LONGEST = (
 SPLIT = ("tests/sessions/test_durability.py",)
 """Files of which each test may run in another process: one takes longer than most files."""
 
-# How long an example takes says more of what else the machine does than of the test.
-settings.register_profile("modaltouch", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+# How long an example takes says more of what else the machine does than of the test. The suite tries the same examples
+# every time, so that a change is judged by itself; `make fuzz` looks for new ones.
+_ANY_MACHINE: dict[str, Any] = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
+settings.register_profile("modaltouch", derandomize=True, **_ANY_MACHINE)
+settings.register_profile("search", derandomize=False, max_examples=500, **_ANY_MACHINE)
 settings.load_profile("modaltouch")
 
 

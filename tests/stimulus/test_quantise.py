@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from modaltouch.stimulus.burst import MID_CODE, round_amplitude
@@ -21,6 +21,7 @@ def test_shipped_levels_always_find_a_common_grid(least):
 
 
 @given(least=st.floats(0.02, 20.0), share=st.floats(0.05, 1.0))
+@example(least=9.921875, share=0.772456531187997)
 def test_any_level_is_met_within_the_grid(least, share):
     """Whatever the level, the amplitude is off by half a step of four digits or of 0.1 mV at most."""
     amplitude = full_scale(least, (share, 1.0))

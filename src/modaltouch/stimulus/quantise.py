@@ -37,7 +37,8 @@ def full_scale(least: float, shares: tuple[float, ...]) -> float:
     best, smallest_miss = round_amplitude(first * step), np.inf
     for count in range(first, last + 1):
         candidate = round_amplitude(count * step)
-        if candidate < least * (1 - 1e-12):
+        # Across 10 V the grid is coarser than the steps: rounding may leave the stretch at either end.
+        if not least * (1 - 1e-12) <= candidate <= max(least * _LONGEST_STRETCH, first * step) * (1 + 1e-12):
             continue
         miss = max((abs(round_amplitude(candidate * s) / (candidate * s) - 1) for s in shares), default=0.0)
         if miss < smallest_miss - 1e-12:
