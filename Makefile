@@ -118,7 +118,8 @@ soak-calibration: install
 .PHONY: fuzz
 fuzz: install
 	MODALTOUCH_MUTATIONS=20000 $(PYTHON) -m pytest --timeout 7200 tests/test_mutated_files.py
-	$(PYTHON) -m pytest -n 2 --dist loadfile --timeout 7200 -m hypothesis --hypothesis-profile search
+	for round in 1 2 3 4 5 6 7 8 9 10; do \
+	  $(PYTHON) -m pytest -n 2 --dist loadfile --timeout 7200 -m hypothesis --hypothesis-profile search || exit 1; done
 
 ## oldest: the tests that need no window, with the oldest versions that pyproject.toml allows
 .PHONY: oldest
