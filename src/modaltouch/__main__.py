@@ -1,7 +1,12 @@
 """``python -m modaltouch``, and the ``modaltouch`` command."""
 
+import os
 import sys
 from typing import Any, NoReturn
+
+# Before NumPy is imported. The matrices are small: further threads of BLAS only wait for each other, busily, and take
+# the processor from the window and from the process that watches the outputs.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 def _leave() -> NoReturn:

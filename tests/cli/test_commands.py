@@ -291,3 +291,14 @@ def test_a_results_folder_that_cannot_be_written_is_said(tmp_path):
     done = run("run", PROTOCOL, "-p", "p01", "--answers", "simulated", "--results", tmp_path / "results")
     assert done.returncode == 4
     assert "cannot be created" in done.stderr
+
+
+@pytest.mark.parametrize(("given", "threads"), [({}, 1), ({"OPENBLAS_NUM_THREADS": "2"}, 2)])
+def test_the_program_takes_one_thread_of_blas_unless_told_otherwise(given: dict[str, str], threads: int) -> None:
+    """Further ones only wait, busily, and take the processor from window and watchdog."""
+    ask = "import modaltouch.__main__, numpy, threadpoolctl; print(threadpoolctl.threadpool_info()[0]['num_threads'])"
+    environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
+    found = subprocess.run(
+        [sys.executable, "-c", ask], env=environment | given, check=True, capture_output=True, text=True
+    )
+    assert int(found.stdout) == min(threads, os.cpu_count() or 1)
