@@ -23,17 +23,31 @@ def is_adaptive(reading: Reading[Protocol]) -> bool:
     return node is not None and isinstance(node.content, dict)
 
 
-def _check_levels(reading: Reading[Protocol]) -> Iterator[Problem]:
+def check_bounds(reading: Reading[Protocol], when: str, reached: str) -> Iterator[Problem]:
+    """Yield why the peak velocities are no bounds, a lowest level and then a higher one.
+
+    Parameters
+    ----------
+    reading : Reading
+        The protocol file.
+    when, reached : str
+        Where they have to be, as in ``runs are adaptive``, and who stays between them, as in ``a run may reach``.
+    """
     path = ("conditions", "peak_velocities_mm_s")
     levels = [level for _, level in reading.items(*path)]
     node = reading.find(path)
     given = len(node.content) if node is not None and isinstance(node.content, list) else None
     if given is not None and given != 2:
-        words = f"{given} levels where runs are adaptive"
-        yield reading.problem(path, words, "two: the lowest and the highest that a run may reach", "give both")
+        words = f"{given} levels where {when}"
+        yield reading.problem(path, words, f"two: the lowest and the highest that {reached}", "give both")
     elif len(levels) == 2 and not levels[0] < levels[1]:
-        words = f"[{levels[0]:g}, {levels[1]:g}] where runs are adaptive"
+        words = f"[{levels[0]:g}, {levels[1]:g}] where {when}"
         yield reading.problem(path, words, "the lowest level first, then a higher one", "write the lowest first")
+
+
+def _check_levels(reading: Reading[Protocol]) -> Iterator[Problem]:
+    yield from check_bounds(reading, "runs are adaptive", "a run may reach")
+    levels = [level for _, level in reading.items("conditions", "peak_velocities_mm_s")]
     start = reading.sound("adaptive", "start_mm_s")
     if start is not None and len(levels) == 2 and levels[0] < levels[1] and not levels[0] <= start <= levels[1]:
         allowed = f"{levels[0]:g} to {levels[1]:g} mm/s, the levels of conditions.peak_velocities_mm_s"

@@ -6,11 +6,10 @@ import math
 from collections.abc import Iterator
 
 from modaltouch.document import Problem, Reading
-from modaltouch.protocol.adaptive_checks import is_adaptive
+from modaltouch.protocol.adaptive_checks import check_bounds, is_adaptive
 from modaltouch.protocol.sections import Protocol
 
 _SECTION = ("conditions", "sensation_levels")
-_VELOCITIES = ("conditions", "peak_velocities_mm_s")
 
 
 def check_sensation_levels(reading: Reading[Protocol]) -> Iterator[Problem]:
@@ -27,16 +26,12 @@ def check_sensation_levels(reading: Reading[Protocol]) -> Iterator[Problem]:
         yield reading.problem(path, given, "the name of an adaptive protocol", "name the one that finds thresholds")
     multiples = dict(reading.items(*_SECTION, "multiples"))
     yield from _check_doubles(reading, multiples)
-    levels = [level for _, level in reading.items(*_VELOCITIES)]
-    velocities = reading.find(_VELOCITIES)
-    n_given = len(velocities.content) if velocities is not None and isinstance(velocities.content, list) else None
-    if n_given is not None and n_given != 2:
-        words = f"{n_given} levels where they are calibrated by participant"
-        yield reading.problem(_VELOCITIES, words, "two: the lowest and the highest that anyone may get", "give both")
-    elif len(levels) == 2 and not levels[0] < levels[1]:
-        words = f"[{levels[0]:g}, {levels[1]:g}] where levels are calibrated by participant"
-        yield reading.problem(_VELOCITIES, words, "the lowest level first, then a higher one", "write the lowest first")
-    elif len(levels) == 2 and multiples and max(multiples.values()) / min(multiples.values()) > levels[1] / levels[0]:
+    faults = list(check_bounds(reading, "they are calibrated by participant", "anyone may get"))
+    yield from faults
+    levels = [level for _, level in reading.items("conditions", "peak_velocities_mm_s")]
+    if faults or len(levels) != 2 or not multiples:
+        return
+    if max(multiples.values()) / min(multiples.values()) > levels[1] / levels[0]:
         given = f"{min(multiples.values()):g} to {max(multiples.values()):g}, further apart than the levels allowed"
         allowed = f"a ratio of at most {levels[1] / levels[0]:.4g}, that of conditions.peak_velocities_mm_s"
         remedy = "bring them closer together, or allow lower or higher levels"
