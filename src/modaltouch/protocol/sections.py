@@ -31,6 +31,14 @@ KeyName = Annotated[Text, Field(json_schema_extra={"x-allowed": "the name of a k
 
 _UNIQUE = {"uniqueItems": True}
 
+USUAL_PRESENTATION, USUAL_LONGEST = 2.0, 60.0
+"""Length of a stimulus that stops before the question, and of one that nobody answers, unless it is given [s]."""
+
+
+def whole_bursts(seconds: float, rate: float) -> int:
+    """Return the number of bursts, one at least, whose periods come nearest to a time [s] at a rate [Hz]."""
+    return max(round(seconds * rate), 1)
+
 
 class ConditionsSection(Section):
     """The cells of the design: every finger condition with every pair of zones and every peak velocity."""
@@ -158,9 +166,31 @@ class AnswersSection(Section):
     stimulus_until: Literal["answer", "question"] = described(
         "Whether the stimulus plays until the answer, or stops before the question.", default="answer"
     )
-    presentation_s: Positive = described("Length of the stimulus where it stops before the question [s].", default=2.0)
+    presentation_bursts: Annotated[Count, Field(le=100_000)] | None = described(
+        "Bursts of the stimulus where it stops before the question; null where presentation_s says how long it is.",
+        default=None,
+    )
+    presentation_s: Positive | None = described(
+        "Length of the stimulus where it stops before the question, a whole number of bursts [s]; null for as many as "
+        "are nearest to 2 s.",
+        default=None,
+    )
+    longest_presentation_s: Positive | None = described(
+        "Longest stimulus where it plays until the answer, a whole number of bursts [s]; null for as many as are "
+        "nearest to 60 s.",
+        default=None,
+    )
+    after_longest: Literal["ask", "time_out"] = described(
+        "What follows the longest stimulus: the question stays with the beam at rest, or the trial ends as timed out.",
+        default="ask",
+    )
     question_delay_s: NotNegative = described("From the first burst to the question [s].", default=0.5)
     pause_s: NotNegative = described("Between an answer and the next stimulus [s].", default=1.0)
+    settling_s: NotNegative = described(
+        "From a confirmed placement, or an answer given by a hand or finger of those on the beam, to the next stimulus "
+        "[s]; the participant sees a countdown.",
+        default=1.5,
+    )
     keys: dict[OfferedAnswer, Annotated[tuple[KeyName, ...], Field(min_length=1)]] = described(
         "Keys of each answer; with keys for `none`, felt nowhere, that answer is offered too.",
         json_schema_extra={"required": ["left", "both", "right"]},
@@ -177,6 +207,12 @@ class AnswersSection(Section):
     def offers_none(self) -> bool:
         """Whether "felt nowhere" is one of the answers."""
         return "none" in self.keys
+
+    def n_bursts(self, rate: float) -> int:
+        """Return how many bursts a stimulus has, or may have until the answer, at a rate [Hz]."""
+        if self.stimulus_until == "answer":
+            return whole_bursts(self.longest_presentation_s or USUAL_LONGEST, rate)
+        return self.presentation_bursts or whole_bursts(self.presentation_s or USUAL_PRESENTATION, rate)
 
     def way(self, finger_condition: str) -> AnswerWay:
         """Return how answers are given in a finger condition."""

@@ -15,34 +15,80 @@ class RigError(Exception):
 
 
 @dataclass(frozen=True)
+class Bursts:
+    """The bursts of one stimulus, counted; None for what cannot be known.
+
+    Attributes
+    ----------
+    asked : int or None
+        Bursts that were due by the end of the stimulus.
+    played : int or None
+        Bursts whose trigger the instrument took.
+    whole : int or None
+        Those of them that played to their end.
+    dropped : int or None
+        Bursts left out because they would have come too late.
+    first_s : float or None
+        When the first sample of the first burst left the generator, by the record's clock [s].
+    uncertainty_s : float or None
+        How far from `first_s` it can have been, either way [s].
+    """
+
+    asked: int | None = None
+    played: int | None = None
+    whole: int | None = None
+    dropped: int | None = None
+    first_s: float | None = None
+    uncertainty_s: float | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the counts as plain values for the record."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
 class Firing:
-    """What was commanded of the instrument, and what it confirmed.
+    """One stimulus: what was commanded of the instrument, what it confirmed, what was played.
 
     Attributes
     ----------
     commanded_amplitude, confirmed_amplitude : tuple of float
         Generator amplitude of each channel, sent and read back [V peak to peak].
-    confirmed : bool
-        Whether every setting was read back within tolerance with an empty error queue.
     onset : float
-        When the trigger was armed, by `time.perf_counter` [s]; the first burst follows within
-        `onset_uncertainty`.
+        When the first burst began, by the clock of the record [s]; in the middle of what is possible.
     onset_uncertainty : float
-        Longest time from `onset` to the first burst [s].
+        How far from `onset` the first burst can have been, either way [s].
+    started : bool
+        Whether every setting was read back within tolerance with an empty error queue, and the first burst played.
+    confirmed : bool
+        Whether, at the end of the stimulus, settings and outputs still were as set and each trigger had been taken;
+        never before that end.
     reason : str
-        Why it is not confirmed.
+        Why it did not start, or is not confirmed.
+    stalled : bool
+        Whether the reason is a stall of this computer, and no fault of the instrument.
+    repetition : str
+        ``single``, ``timer``, ``continuous`` or ``wired``.
+    bursts : Bursts
+        What was played, as far as it is known.
     """
 
     commanded_amplitude: tuple[float, ...]
     confirmed_amplitude: tuple[float, ...]
-    confirmed: bool
     onset: float
     onset_uncertainty: float
+    started: bool = False
+    confirmed: bool = False
     reason: str = ""
+    stalled: bool = False
+    repetition: str = "single"
+    bursts: Bursts = Bursts()
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the firing as plain values for the record."""
-        return asdict(self)
+        """Return the firing as plain values for the record, the bursts left out."""
+        values = asdict(self)
+        del values["bursts"], values["started"]
+        return values
 
 
 class Rig(typing.Protocol):
