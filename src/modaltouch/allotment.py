@@ -20,7 +20,7 @@ from typing import Any
 from modaltouch.protocol import Protocol
 from modaltouch.record.chain import RecordError
 from modaltouch.record.folders import LOG_NAME, SessionFolder
-from modaltouch.record.locking import is_locked
+from modaltouch.locking import is_locked
 from modaltouch.record.session import Session, read_session
 from modaltouch.schedule import Turn, period_of_turns, turn_of
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import heapq
 import itertools
-import statistics
 import time
 import typing
 from collections.abc import Callable
@@ -140,6 +139,8 @@ def measure_clock(n: int = 500) -> ClockTiming:
     ValueError
         If fewer than 20 are asked for.
     """
+    import statistics
+
     if n < 20:
         raise ValueError(f"given {n} waits; allowed: 20 or more, or no 95th percentile can be told")
     about = time.get_clock_info("perf_counter")

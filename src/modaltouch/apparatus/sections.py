@@ -100,6 +100,13 @@ class Safety(Section):
     velocity_limit_mm_s: Positive = described("Highest velocity anywhere in a zone [mm/s, peak].")
 
 
+class LatencyBounds(Section):
+    """Between which bounds a delay lies."""
+
+    low: NotNegative = described("Shortest delay [ms].")
+    high: NotNegative = described("Longest delay [ms].")
+
+
 class Generator(Section):
     """The arbitrary function generator."""
 
@@ -107,11 +114,29 @@ class Generator(Section):
     load: Literal["high_impedance", "50_ohm"] = described(
         "What its outputs see: high_impedance or 50_ohm.", default="high_impedance"
     )
-    repetition: Literal["burst", "continuous"] = described(
-        "burst: one record at each tick of the trigger timer; continuous: one record that holds burst and silence, for "
-        "a generator whose burst mode cannot be used (it cannot be exact: check --compare says by how much).",
-        default="burst",
+    repetition: Literal["single", "timer", "continuous", "wired", "burst"] = described(
+        "single: each burst is triggered by a command of its own, counted and dated; timer: the generator's free timer, "
+        "whose bursts are neither; wired: a pulse source at the trigger input, which counts them; continuous: one "
+        "record that holds burst and silence, for a generator whose burst mode cannot be used (it cannot be exact: "
+        "check --compare says by how much). `burst` is the former name of timer.",
+        default="single",
     )
+    trigger_latency_ms: LatencyBounds | None = described(
+        "From the command that triggers a burst to its first sample, as measured with a scope (`rig check` says how) "
+        "[ms]; null where it is unknown, and no instant is then claimed to less than a millisecond.",
+        default=None,
+    )
+
+    @property
+    def trigger_latency(self) -> tuple[float, float] | None:
+        """Shortest and longest time from a trigger to the first sample [s]; None where it is unknown."""
+        latency = self.trigger_latency_ms
+        return None if latency is None else (latency.low * 1e-3, latency.high * 1e-3)
+
+    @property
+    def repeats(self) -> Literal["single", "timer", "continuous", "wired"]:
+        """How bursts are repeated, by the name of today."""
+        return "timer" if self.repetition == "burst" else self.repetition
 
     @property
     def load_factor(self) -> float:

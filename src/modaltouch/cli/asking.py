@@ -88,7 +88,7 @@ def ask_session(dataset: Path, participant: str, n_sessions: int) -> int | None:
     n_sessions : int
         Sessions that the protocol gives each participant.
     """
-    from modaltouch.record.locking import is_locked
+    from modaltouch.locking import is_locked
     from modaltouch.record.session import read_session
 
     logs = {

@@ -13,7 +13,7 @@ from typing import Any, Self
 from modaltouch.record.chain import GENESIS, Chain, RecordError, describe_torn, encode_line, read_chain
 from modaltouch.record.files import sync_folder
 from modaltouch.record.folders import make_folder
-from modaltouch.record.locking import is_locked, lock
+from modaltouch.locking import is_locked, lock
 
 
 class SessionLog:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from modaltouch.apparatus import Apparatus
+from modaltouch.clock import SYSTEM_CLOCK, Clock
 from modaltouch.rig.controls import CHANNELS, Controls, Unconfirmed
 from modaltouch.rig.guard import Guard
 from modaltouch.rig.interface import RigError
@@ -24,18 +24,24 @@ class Patience:
     ----------
     reply : float
         Longest wait for a reply [s].
+    trigger : float
+        Longest wait for the instrument to take a trigger [s]; PyVISA-py grants one second more.
     copy : float
         Longest wait for an upload or a copy into a USER memory [s].
     tries : int
         How often a lost connection is opened again.
     pause : float
         Before the second try; doubled before each further one [s].
+    quarantine : float
+        From a connection made anew to the next stimulus [s]: longer than any burst, relay or trigger under way.
     """
 
     reply: float = 1.0
+    trigger: float = 0.1
     copy: float = 15.0
     tries: int = 4
     pause: float = 0.25
+    quarantine: float = 0.25
 
 
 @dataclass(frozen=True)
@@ -48,16 +54,23 @@ class Found:
         Which were on.
     differences : tuple of str
         Settings that were no longer as made.
+    errors : tuple of str
+        What the error queue held.
+    renewed : bool
+        Whether a new connection had to be made, and every setting with it.
     """
 
     outputs: tuple[bool, ...]
     differences: tuple[str, ...] = ()
+    errors: tuple[str, ...] = ()
+    renewed: bool = False
 
     @property
     def faults(self) -> tuple[str, ...]:
         """Why what was played until then cannot be vouched for; empty if it can."""
         silent = [f"output {n} was off" for n, on in zip(CHANNELS, self.outputs, strict=True) if not on]
-        return (*silent, *self.differences)
+        reported = [f"the generator reports {error}" for error in self.errors]
+        return (*silent, *self.differences, *reported)
 
 
 class Connection:
@@ -75,6 +88,8 @@ class Connection:
         Takes every exchange and event.
     patience : Patience
         How long to wait.
+    clock : Clock
+        By which it waits.
     """
 
     def __init__(
@@ -85,6 +100,7 @@ class Connection:
         guard: Guard,
         log: Log,
         patience: Patience,
+        clock: Clock = SYSTEM_CLOCK,
     ) -> None:
         self.address = address
         self.identity = ""
@@ -93,6 +109,7 @@ class Connection:
         self._expected_model = apparatus.generator.model
         self._log = log
         self._patience = patience
+        self._clock = clock
         self.link = Link(guard, log=log, timeout=patience.reply)
         self.controls = Controls(self.link, revive=self._revive, log=log, copy_timeout=patience.copy)
 
@@ -114,7 +131,7 @@ class Connection:
         except InUse as error:
             raise RigError(
                 f"the generator at {self.address} is in use: {error}; it was left as it is; end the other program, "
-                "or, if there is none (a lost connection may have left its lock), switch the generator off and on"
+                "or, if there is none (a lost connection may still count as one), switch the generator off and on"
             ) from error
         except LinkError as error:
             raise RigError(
@@ -149,9 +166,9 @@ class Connection:
             If the instrument does not confirm that they are off.
         """
         try:
-            outputs = self.controls.outputs_off()
+            outputs, errors = self.controls.outputs_off()
             self.guard.disarm()
-            return Found(outputs, tuple(self.controls.differences(expected)))
+            return Found(outputs, tuple(self.controls.differences(expected)), errors)
         except (LinkError, Unconfirmed) as error:
             self._log("connection_lost", doing=doing, reason=str(error))
         return self.restore(doing, expected, replay)
@@ -164,13 +181,16 @@ class Connection:
         last: Exception = LinkError("it was not tried")
         for attempt in range(self._patience.tries):
             if attempt:
-                time.sleep(self._patience.pause * 2 ** (attempt - 1))
+                self._clock.sleep(self._patience.pause * 2 ** (attempt - 1))
             try:
-                found = Found(self._revive(), tuple(self.controls.differences(expected)))
+                outputs, errors = self._revive()
+                found = Found(outputs, tuple(self.controls.differences(expected)), errors, renewed=True)
                 reported = self.controls.pending_errors()
                 self.controls.clear_errors()
                 self._prepare()
                 replay()
+                # A trigger that the old connection had on its way is played now if ever, with the outputs off.
+                self._clock.sleep(self._patience.quarantine)
             except (LinkError, Unconfirmed) as error:
                 last = error
                 self._log("reconnect_failed", attempt=attempt + 1, reason=str(error))
@@ -204,12 +224,11 @@ class Connection:
             self.guard.disarm()
             return "the outputs are off"
         return (
-            "the outputs could not be confirmed off: SWITCH THE AMPLIFIER OFF (a watchdog process goes "
-            "on trying for half a minute)"
+            "the outputs could not be confirmed off: SWITCH THE AMPLIFIER OFF (a watchdog process goes on trying)"
         )
 
-    def _revive(self) -> tuple[bool, ...]:
-        """Open the connection anew, to the same instrument, outputs off, and return which were on."""
+    def _revive(self) -> tuple[tuple[bool, ...], tuple[str, ...]]:
+        """Open the connection anew, to the same instrument, outputs off; return what `outputs_off` does."""
         self.link.open()
         identity = self.controls.identify()
         if identity != self.identity:
@@ -217,9 +236,9 @@ class Connection:
                 f"{self.address} now answers as '{identity}', before as '{self.identity}'; the outputs of the "
                 "latter may be on: SWITCH THE AMPLIFIER OFF; connect one generator and start again"
             )
-        outputs = self.controls.outputs_off()
+        found = self.controls.outputs_off()
         self.guard.disarm()
-        return outputs
+        return found
 
     def _prepare(self) -> None:
         """Bring the instrument from any state to the one that is common to all bursts, outputs off."""

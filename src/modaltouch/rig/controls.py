@@ -12,7 +12,8 @@ from modaltouch.rig.link import Link, Log, split_reply
 from modaltouch.rig.settings import MAX_POINTS, Setting, lock_setting
 from modaltouch.rig.transport import LinkError
 
-NO_ERROR = 0
+NO_ERROR, UNDEFINED_HEADER = 0, -113
+IMMEDIATE, COMMON_TRIGGER = "TRIG:SEQ:IMM", "*TRG"
 QUERIES_PER_MESSAGE = 12
 MOST_ERRORS = 64
 N_SPOTS = 64
@@ -70,8 +71,8 @@ class Controls:
         self._link.ask("*RST;*OPC?", timeout=self._copy_timeout)
         self._refuse_errors("*RST", self.pending_errors())
 
-    def outputs_off(self) -> tuple[bool, ...]:
-        """Switch both outputs off, confirm it, and return which were on.
+    def outputs_off(self) -> tuple[tuple[bool, ...], tuple[str, ...]]:
+        """Switch both outputs off, confirm it, and return which were on and which errors were reported.
 
         Raises
         ------
@@ -84,9 +85,21 @@ class Controls:
         n = len(CHANNELS)
         if len(replies) != 2 * n + 1 or any(reply != "0" for reply in replies[n : 2 * n]):
             raise Unconfirmed(f"asked whether its outputs are off, the generator says {replies[n : 2 * n]}")
+        errors: list[str] = []
         if _error_number(replies[-1]) != NO_ERROR:
-            self.pending_errors()
-        return tuple(reply != "0" for reply in replies[:n])
+            errors = [replies[-1], *self.pending_errors()]
+        return tuple(reply != "0" for reply in replies[:n]), tuple(errors)
+
+    def trigger_command(self) -> str:
+        """Return what triggers a burst here: the trigger subsystem's command, or the common one.
+
+        To be called with the outputs off: what it tries is a trigger.
+        """
+        reply = self._link.ask(f":{IMMEDIATE};:SYST:ERR?")
+        if _error_number(reply) == NO_ERROR:
+            return IMMEDIATE
+        self.clear_errors()
+        return COMMON_TRIGGER if _error_number(reply) == UNDEFINED_HEADER else IMMEDIATE
 
     def outputs_on(self) -> None:
         """Switch both outputs on in one message.

@@ -9,20 +9,29 @@ identified, its outputs switched off and every setting made again.
 from __future__ import annotations
 
 import contextlib
-import time
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any, Self
 
 from modaltouch.apparatus import Apparatus
+from modaltouch.clock import SYSTEM_CLOCK, Clock
 from modaltouch.rig.connection import Connection, Found, Patience
 from modaltouch.rig.controls import CHANNELS, Unconfirmed
 from modaltouch.rig.guard import Guard, Watchdog
-from modaltouch.rig.interface import Firing, RigError
+from modaltouch.rig.interface import MANY, Bursts, Firing, RigError, StimulusLost
 from modaltouch.rig.link import Log
-from modaltouch.rig.player import Player, Repetition, numbers
+from modaltouch.rig.pacing import Report
+from modaltouch.rig.player import RELAYS_SETTLE, Player, Repetition, numbers
 from modaltouch.rig.transport import LinkError
+from modaltouch.rig.watchdog import LIMIT
 from modaltouch.stimulus.burst import Burst
+
+UNMEASURED = 2e-3
+"""Within this time of a trigger the first sample is taken to leave, where that has not been measured [s]."""
+
+MOST_DROPPED = 0.1
+"""A stimulus of which a larger part was left out is offered again [1]."""
 
 
 def _ignore(event: str, **facts: Any) -> None:
@@ -43,9 +52,11 @@ class Generator:
     patience : Patience
         How long to wait.
     repetition : str, optional
-        ``burst`` or ``continuous``, instead of what the apparatus says.
+        ``single``, ``timer``, ``continuous`` or ``wired``, instead of what the apparatus says.
     start_guard : callable
         Starts the watchdog for an address.
+    clock : Clock
+        Of the session.
 
     Raises
     ------
@@ -62,8 +73,14 @@ class Generator:
         patience: Patience | None = None,
         repetition: Repetition | None = None,
         start_guard: Callable[[str], Guard] = Watchdog,
+        clock: Clock = SYSTEM_CLOCK,
     ) -> None:
         self._log = log
+        self._clock = clock
+        self._patience = patience or Patience()
+        self._latency = apparatus.generator.trigger_latency
+        self._last_beat = self._longest_silence = 0.0
+        self._silent = self._is_counted = False
         self._firing: Firing | None = None
         self._on = False
         self._closed = False
@@ -72,9 +89,10 @@ class Generator:
             apparatus,
             guard=start_guard(address),
             log=log,
-            patience=patience or Patience(),
+            patience=self._patience,
+            clock=clock,
         )
-        repetition = repetition or apparatus.generator.repetition
+        repetition = repetition or apparatus.generator.repeats
         self._player = Player(self._connection.controls, self._connection.limits, repetition)
         try:
             self._connection.open()
@@ -143,13 +161,15 @@ class Generator:
             except LinkError:
                 self._connection.restore("loading the stimulus", (), self._player.replay)
 
-    def fire(self, velocity: float, *, silent: bool = False, which: int = 0) -> Firing:
-        """Set the level, switch the outputs on and repeat the burst until `stop`.
+    def fire(self, velocity: float, *, n_bursts: int = MANY, silent: bool = False, which: int = 0) -> Firing:
+        """Set the level, switch the outputs on and let bursts go until `end` or `stop`.
 
         Parameters
         ----------
         velocity : float
             Peak velocity at the focus [m/s].
+        n_bursts : int
+            How many bursts at most, where they are triggered one by one.
         silent : bool
             Whether no burst is let go, in a catch trial: the outputs are on, at the level's amplitude, and rest.
         which : int
@@ -158,8 +178,8 @@ class Generator:
         Returns
         -------
         Firing
-            Not confirmed, and the outputs off, if the instrument did not confirm a setting, or the connection
-            was lost and found again: the trial is to be offered again.
+            Not started, and the outputs off, if the instrument did not confirm a setting, or the connection was lost
+            and found again: the trial is to be offered again.
 
         Raises
         ------
@@ -169,38 +189,152 @@ class Generator:
         commanded = self._player.amplitudes(velocity, which)
         if self._on:
             self.stop()
+        self._is_counted = n_bursts < MANY
+        self._firing = Firing(commanded, (), self._clock.now(), math.inf, repetition=self._player.repetition)
+        self._last_beat, self._longest_silence = self._clock.now(), 0.0
         with self._off_after_a_failure("starting the stimulus"):
             self._on = True
             try:
-                self._connection.guard.arm()
+                self._connection.guard.arm(plays_by_itself=self._player.plays_by_itself and not silent)
                 self._player.choose(which)
-                firing = self._player.start(commanded, silent=silent)
+                read_back = self._player.prepare(commanded, silent=silent)
+                self._firing = replace(self._firing, confirmed_amplitude=numbers(read_back))
+                self._begin(n_bursts, silent=silent)
             except (Unconfirmed, LinkError) as error:
-                firing = _unconfirmed(commanded, error)
-                self._log("unconfirmed", reason=firing.reason)
+                read_back = error.read_back if isinstance(error, Unconfirmed) else ()
+                reason = str(error)
+                self._firing = replace(self._firing, confirmed_amplitude=numbers(read_back), reason=reason)
+                self._log("unconfirmed", reason=reason)
                 self._switch_off("starting the stimulus")
                 if isinstance(error, Unconfirmed):
                     # Whoever changed a setting is to find it as it was for the next try.
                     self._connection.restore("starting the stimulus", (), self._player.replay)
-        self._firing = firing
-        return firing
+        return self._firing
 
-    def stop(self) -> None:
-        """Switch both outputs off, confirm it, and see whether everything still was as set.
+    def _begin(self, n_bursts: int, *, silent: bool) -> None:
+        """Switch the outputs on and let the first burst go, and keep when that was.
+
+        Raises
+        ------
+        LinkError, Unconfirmed
+            If the instrument does not confirm a step, or the first burst is not played.
+        """
+        firing, clock = self._firing, self._clock
+        if firing is None:
+            raise RigError("a stimulus was begun before it was prepared; the outputs are off; report this")
+        started = clock.now()
+        self._player.switch_on()
+        on = clock.now()
+        if silent:
+            clock.sleep(RELAYS_SETTLE)
+            self._silent = True
+            span, bursts = (on, on), Bursts(0, 0, 0, 0)
+        elif self._player.repetition == "single":
+            self._silent = False
+            order = self._player.order(n_bursts, on + RELAYS_SETTLE, self._patience.trigger)
+            report = self._connection.guard.play(order)
+            while report.first is None and not report.ended:
+                # The first was late and left out: the stimulus begins with the next.
+                clock.sleep(self._player.period / 4)
+                report = self._connection.guard.look()
+            if report.first is None:
+                raise LinkError(report.reason or "no burst could be played in time")
+            span = self._sample_left(report.first)
+            bursts = self._count(report)
+        else:
+            self._silent = False
+            span = (started, on + (self._player.period if self._player.repetition != "continuous" else 0.0))
+            bursts = Bursts()
+        middle, half = sum(span) / 2, (span[1] - span[0]) / 2
+        if not silent:
+            bursts = replace(bursts, first_s=middle, uncertainty_s=half)
+        self._firing = replace(firing, onset=middle, onset_uncertainty=half, started=True, bursts=bursts)
+
+    def _sample_left(self, trigger: tuple[float, float]) -> tuple[float, float]:
+        """Return between which instants the first sample left, for a trigger that was sent and taken at two [s]."""
+        if self._latency is not None:
+            return trigger[0] + self._latency[0], trigger[1] + self._latency[1]
+        return trigger[0], max(trigger[1], trigger[0] + UNMEASURED)
+
+    def end(self) -> None:
+        """Let no further burst go; the one that plays comes to its end."""
+        if self._on and not self._player.plays_by_itself:
+            self._connection.guard.end()
+
+    def stop(self, *, at_once: bool = False) -> None:
+        """Switch both outputs off, confirm it, and see what was played and whether everything still was as set.
+
+        Parameters
+        ----------
+        at_once : bool
+            Whether the burst that plays is cut; else it comes to its end first, where bursts are triggered one by one.
 
         Raises
         ------
         RigError
             If the instrument cannot be brought to confirm it.
         """
-        was_on = self._on
-        found = self._switch_off("switching the outputs off")
-        if was_on and found.faults and self._firing is not None:
-            reason = "; ".join(found.faults) + " when the stimulus ended"
-            self._firing = replace(self._firing, confirmed=False, reason=reason)
-            self._log("unconfirmed", reason=reason)
-        if was_on and found.differences:
+        was_on, firing = self._on, self._firing
+        if not was_on or firing is None or not firing.started:
+            self._switch_off("switching the outputs off")
+            return
+        # Until the end is confirmed nothing is.
+        self._firing = replace(firing, reason="the end of the stimulus was not confirmed", bursts=_unknown(firing))
+        try:
+            report, fault = (None, ()) if at_once else self._ask_report(wait=True)
+            if at_once:
+                self.end()
+            if fault:
+                # Its trigger may still be on its way: the connection that carries it is given up, and it with it.
+                self._connection.link.close(broken=True)
+            off = self._clock.now()
+            found = self._switch_off("switching the outputs off")
+            if at_once:
+                report, fault = self._ask_report(wait=False)
+        except RigError as error:
+            self._firing = replace(self._firing, reason=str(error))
+            raise
+        self._firing = self._judged(firing, report, (*fault, *found.faults), off)
+        if not self._firing.confirmed:
+            self._log("unconfirmed", reason=self._firing.reason)
+        if found.differences and not found.renewed:
             self._connection.restore("making the settings again", (), self._player.replay)
+
+    def _ask_report(self, *, wait: bool) -> tuple[Report | None, tuple[str, ...]]:
+        """Return what the pacer played, and why it does not count."""
+        if self._player.plays_by_itself or self._silent:
+            return None, ()
+        try:
+            report = self._connection.guard.report(wait=wait)
+        except LinkError as error:
+            return None, (str(error),)
+        return report, (report.reason,) if report.ended == "failed" else ()
+
+    def _judged(self, firing: Firing, report: Report | None, faults: tuple[str, ...], off: float) -> Firing:
+        """Return a stimulus as it is known at its end."""
+        silence = max(self._longest_silence, self._clock.now() - self._last_beat)
+        stalled = silence > LIMIT
+        reasons = list(faults)
+        bursts = firing.bursts
+        if report is not None:
+            bursts = self._count(report, off)
+            bursts = replace(bursts, first_s=firing.bursts.first_s, uncertainty_s=firing.bursts.uncertainty_s)
+            too_many = bool(report.dropped) if self._is_counted else report.dropped > MOST_DROPPED * report.due
+            if report.ended == "stalled" or too_many:
+                stalled = True
+                reasons.append(f"{report.dropped} of {report.due} bursts would have come too late and were left out")
+        if stalled:
+            reasons.insert(0, f"this computer was held up for {silence:.1f} s")
+        if faults:
+            bursts = _unknown(firing, bursts)
+        return replace(
+            firing, confirmed=not reasons, reason="; ".join(reasons), stalled=stalled and bool(reasons), bursts=bursts
+        )
+
+    def _count(self, report: Report, off: float = math.inf) -> Bursts:
+        """Return the bursts of a report; the last one is cut if the outputs went off before its end [s]."""
+        was_cut = report.last is not None and off < report.last[1] + self._player.duration
+        return Bursts(report.due, report.played, report.played - was_cut, report.dropped)
 
     def heartbeat(self) -> None:
         """Tell the watchdog that the session is alive; costs well under a microsecond between two beats.
@@ -210,13 +344,19 @@ class Generator:
         RigError
             If the watchdog is gone while outputs may be on; they have been switched off.
         """
+        now = self._clock.now()
+        if self._on:
+            self._longest_silence = max(self._longest_silence, now - self._last_beat)
+        self._last_beat = now
         try:
-            self._connection.guard.beat()
+            lost = self._connection.guard.beat() if self._on else ""
         except LinkError as error:
             self._switch_off("going on without a watchdog")
             raise RigError(
                 f"{error}; the outputs are off, switched off over a new one; go on with `modaltouch resume`"
             ) from error
+        if lost:
+            raise StimulusLost(f"the bursts ended before the stimulus did ({lost})")
 
     def close(self) -> None:
         """Switch the outputs off and release the instrument; never raises.
@@ -272,6 +412,7 @@ class Generator:
             raise
 
 
-def _unconfirmed(commanded: tuple[float, ...], error: Exception) -> Firing:
-    read_back = numbers(error.read_back) if isinstance(error, Unconfirmed) else ()
-    return Firing(commanded, read_back, False, time.perf_counter(), 0.0, str(error))
+def _unknown(firing: Firing, counted: Bursts | None = None) -> Bursts:
+    """Return the bursts of a stimulus of whose end nothing is known."""
+    bursts = counted or firing.bursts
+    return replace(bursts, played=None, whole=None)

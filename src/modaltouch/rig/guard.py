@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import math
 import os
 import subprocess
@@ -10,8 +11,11 @@ import sys
 import threading
 import time
 import typing
+from typing import TYPE_CHECKING
 
+from modaltouch.clock import VirtualClock
 from modaltouch.rig.interface import RigError
+from modaltouch.rig.pacing import Order, Pacer, Report
 from modaltouch.rig.transport import InUse, LinkError, Transport, TransportError
 from modaltouch.rig.watchdog import (
     ARM,
@@ -20,15 +24,22 @@ from modaltouch.rig.watchdog import (
     CLOSE,
     DISARM,
     DONE,
+    END,
     EXCHANGE,
+    FLAG,
     HEAD,
     LIMIT,
+    LOOK,
     MARK,
     OPEN,
+    PLAY,
+    REPORT,
     TAKEN,
     TERMS,
     frame,
 )
+if TYPE_CHECKING:
+    from modaltouch.rig.visa import VisaSession
 
 BEAT_PERIOD = LIMIT / 10
 """Time between two signs of life [s]."""
@@ -40,18 +51,33 @@ OVERHEAD = 3.0
 """What a backend may need beyond the times it is given, before its process counts as stuck [s]."""
 
 
+ROUNDING = 1e-9
+"""What a sum of virtual times may lack [s]."""
+
 PIPE_SIZE = 1 << 20
 """What Linux grants to everybody [bytes]."""
 
 
 class Guard(Transport, typing.Protocol):
-    """What the driver asks of a watchdog: the way to the instrument, and that the outputs go off without the driver."""
+    """What the driver asks of a watchdog: the way to the instrument, bursts, and outputs off without the driver."""
 
-    def arm(self) -> None:
-        """Outputs may go on from now."""
+    def arm(self, *, plays_by_itself: bool) -> None:
+        """Outputs may go on from now; `plays_by_itself`: and what they play does not end without a command."""
 
-    def beat(self) -> None:
-        """The session is alive."""
+    def beat(self) -> str:
+        """The session is alive; return why the bursts ended that nobody ended, or nothing."""
+
+    def play(self, order: Order) -> Report:
+        """Begin to play bursts; return once it is known whether the first was played."""
+
+    def look(self) -> Report:
+        """Return what was played so far."""
+
+    def end(self) -> None:
+        """Let no further burst go."""
+
+    def report(self, *, wait: bool) -> Report:
+        """Let no further burst go, and return what was played; with `wait`, once the last burst is over."""
 
     def disarm(self) -> None:
         """Outputs are off."""
@@ -63,8 +89,7 @@ class Guard(Transport, typing.Protocol):
 class Watchdog:
     """A process that holds the VISA session, and switches the outputs off when this one dies or stalls.
 
-    One that dies or gets stuck itself is replaced by the next `open`. Use it from one thread; a sign of life may come
-    from any.
+    One that dies or gets stuck itself is replaced by the next `open`.
 
     Parameters
     ----------
@@ -77,6 +102,7 @@ class Watchdog:
         self._next_beat = 0.0
         self._armed = False
         self._number = 0
+        self._asking = threading.Lock()
         self._due = math.inf
         try:
             self._process = self._start()
@@ -118,20 +144,30 @@ class Watchdog:
         """End the VISA session; the process stays."""
         self._request(CLOSE, TERMS.pack(0.0, False, broken), 2 * OVERHEAD)
 
-    def arm(self) -> None:
+    def arm(self, *, plays_by_itself: bool) -> None:
         """Tell it that outputs may go on.
+
+        Parameters
+        ----------
+        plays_by_itself : bool
+            Whether what they play does not end without a command.
 
         Raises
         ------
         LinkError
             If it is gone.
         """
-        self._send(frame(ARM, 0))
+        self._send(frame(ARM, 0, FLAG.pack(plays_by_itself)))
         self._armed = True
         self._next_beat = time.perf_counter() + BEAT_PERIOD
 
-    def beat(self) -> None:
+    def beat(self) -> str:
         """Tell it that this process is alive, at most ten times a second.
+
+        Returns
+        -------
+        str
+            Why the bursts ended that nobody ended; empty while all is well.
 
         Raises
         ------
@@ -139,9 +175,46 @@ class Watchdog:
             If it is gone while outputs may be on.
         """
         now = time.perf_counter()
-        if self._armed and now >= self._next_beat:
-            self._next_beat = now + BEAT_PERIOD
-            self._send(frame(BEAT, 0))
+        if not self._armed or now < self._next_beat:
+            return ""
+        self._next_beat = now + BEAT_PERIOD
+        return self._request(BEAT, b"", OVERHEAD).decode()
+
+    def play(self, order: Order) -> Report:
+        """Have bursts played; return the report as it stands after the first.
+
+        Raises
+        ------
+        LinkError
+            If the process is gone.
+        """
+        limit = max(order.first - time.perf_counter(), 0.0) + order.timeout + OVERHEAD
+        return _report(self._request(PLAY, json.dumps(order.as_dict()).encode(), limit))
+
+    def look(self) -> Report:
+        """Return what was played so far.
+
+        Raises
+        ------
+        LinkError
+            If the process is gone.
+        """
+        return _report(self._request(LOOK, b"", OVERHEAD))
+
+    def end(self) -> None:
+        """Let no further burst go; never raises, for what follows finds out."""
+        with contextlib.suppress(LinkError):
+            self._send(frame(END, 0))
+
+    def report(self, *, wait: bool) -> Report:
+        """Let no further burst go, and return what was played; with `wait`, once the last burst is over.
+
+        Raises
+        ------
+        LinkError
+            If the process is gone.
+        """
+        return _report(self._request(REPORT, FLAG.pack(wait), 2 * OVERHEAD))
 
     def disarm(self) -> None:
         """Tell it that the outputs are off."""
@@ -171,7 +244,8 @@ class Watchdog:
             self._command,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
+            # A person at a terminal is told what cannot be switched off; a pipe would wait for this process to end.
+            stderr=None if sys.__stderr__ is not None and sys.__stderr__.isatty() else subprocess.DEVNULL,
             bufsize=0,
             start_new_session=True,
             env=_environment(),
@@ -182,16 +256,17 @@ class Watchdog:
 
     def _request(self, letter: bytes, content: bytes, limit: float) -> bytes:
         """Return what comes of a request."""
-        self._number = (self._number + 1) % (1 << 32)
-        self._due = time.monotonic() + limit
-        try:
-            self._send(frame(letter, self._number, content))
-            went, number, answer = self._answer()
-            # An answer that a signal kept from being read is not the next one's.
-            while number != self._number:
+        with self._asking:
+            self._number = (self._number + 1) % (1 << 32)
+            self._due = time.monotonic() + limit
+            try:
+                self._send(frame(letter, self._number, content))
                 went, number, answer = self._answer()
-        finally:
-            self._due = math.inf
+                # An answer that a signal kept from being read is not the next one's.
+                while number != self._number:
+                    went, number, answer = self._answer()
+            finally:
+                self._due = math.inf
         if went == TAKEN:
             raise InUse(answer.decode())
         if went != DONE:
@@ -245,6 +320,86 @@ class Watchdog:
         while not self._released.wait(0.25):
             if time.monotonic() > self._due:
                 self._process.kill()
+
+
+class SameProcess:
+    """The same for a session in virtual time: no process of its own, and bursts whose instants are virtual.
+
+    Nothing of it survives its process, so that it is for a twin in that process alone.
+
+    Parameters
+    ----------
+    transport : Transport
+        The way to the instrument.
+    clock : VirtualClock
+        That of the session.
+    """
+
+    def __init__(self, transport: VisaSession, clock: VirtualClock) -> None:
+        self._transport = transport
+        self._clock = clock
+        self._pacer: Pacer | None = None
+        self.open, self.exchange, self.close = transport.open, transport.exchange, transport.close
+
+    def arm(self, *, plays_by_itself: bool) -> None:
+        """Take notice of nothing: this process watches itself."""
+
+    def disarm(self) -> None:
+        """Take notice of nothing."""
+
+    def beat(self) -> str:
+        """Return why the bursts ended that nobody ended; empty while all is well."""
+        report = self._pacer.report if self._pacer is not None else Report()
+        return f"{report.ended}: {report.reason}" if report.ended == "failed" else ""
+
+    def play(self, order: Order) -> Report:
+        """Have bursts played, and let time pass until the first is; return the report as it stands then."""
+        message = order.command.encode() + b"\n"
+        pacer = self._pacer = Pacer(
+            order,
+            lambda: self._transport.exchange(message, timeout=order.timeout, reply=False),
+            lambda: True,
+            self._clock,
+        )
+
+        def step() -> None:
+            pacer.step()
+            if pacer.due is not None:
+                self._clock.call_at(pacer.due, step)
+
+        self._clock.call_at(order.first, step)
+        self._clock.sleep(order.first - self._clock.now() + ROUNDING)
+        return pacer.report
+
+    def look(self) -> Report:
+        """Return what was played so far."""
+        return self._pacer.report if self._pacer is not None else Report()
+
+    def end(self) -> None:
+        """Let no further burst go."""
+        if self._pacer is not None:
+            self._pacer.end()
+
+    def report(self, *, wait: bool) -> Report:
+        """Let no further burst go, and return what was played; with `wait`, once the last burst is over."""
+        if self._pacer is None:
+            return Report()
+        self._pacer.close()
+        if wait:
+            self._clock.sleep(self._pacer.silent_from - self._clock.now())
+        return self._pacer.report
+
+    def release(self, *, clean: bool) -> None:
+        """End the session with the instrument."""
+        self._transport.release()
+
+
+def _report(answer: bytes) -> Report:
+    values = json.loads(answer)
+    for name in ("first", "last"):
+        if values.get(name) is not None:
+            values[name] = tuple(values[name])
+    return Report(**values)
 
 
 def _reap(process: subprocess.Popen[bytes]) -> None:

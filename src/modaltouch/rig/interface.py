@@ -14,6 +14,14 @@ class RigError(Exception):
     """The rig failed; its outputs are off, or everything possible was done to switch them off."""
 
 
+class StimulusLost(RigError):  # noqa: N818
+    """The stimulus ended before anybody ended it: stop, and offer it again."""
+
+
+MANY = 1_000_000
+"""Bursts without a number: until `Rig.end` or `Rig.stop`."""
+
+
 @dataclass(frozen=True)
 class Bursts:
     """The bursts of one stimulus, counted; None for what cannot be known.
@@ -104,22 +112,31 @@ class Rig(typing.Protocol):
 
     @property
     def firing(self) -> Firing | None:
-        """The latest firing; `stop` makes it unconfirmed if the settings or outputs were no longer as set."""
+        """The latest stimulus; `stop` confirms it, or says why not."""
 
     def load(self, burst: Burst, *further: Burst) -> None:
         """Upload both channels' records of each burst and verify them, outputs off."""
 
-    def fire(self, velocity: float, *, silent: bool = False, which: int = 0) -> Firing:
-        """Set the level [m/s], switch the outputs on and repeat the burst until `stop`.
+    def fire(self, velocity: float, *, n_bursts: int = MANY, silent: bool = False, which: int = 0) -> Firing:
+        """Set the level [m/s], switch the outputs on and let bursts go, `n_bursts` at most; return after the first.
 
         With `silent` everything is the same but that no burst is let go: the outputs are on at rest.
         """
 
-    def stop(self) -> None:
-        """Switch both outputs off and confirm it."""
+    def end(self) -> None:
+        """Let no further burst go; the one that plays comes to its end. Never raises."""
+
+    def stop(self, *, at_once: bool = False) -> None:
+        """Switch both outputs off, after the burst that plays unless `at_once`, and confirm what was played."""
 
     def heartbeat(self) -> None:
-        """Tell the watchdog that the session is alive; called about every millisecond, cheap."""
+        """Tell the watchdog that the session is alive; called about every millisecond, cheap.
+
+        Raises
+        ------
+        StimulusLost
+            If the bursts ended that nobody ended.
+        """
 
     def close(self) -> None:
         """Switch the outputs off and release the instrument; never raises."""

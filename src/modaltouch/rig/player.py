@@ -1,8 +1,7 @@
-"""The burst in the instrument: its records, its settings, and the order in which it starts; no failures here."""
+"""The burst in the instrument: its records, its settings, and what has it played; no failures here."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal
@@ -11,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.rig.controls import CHANNELS, USER_MEMORIES, Controls, Unconfirmed
-from modaltouch.rig.interface import Firing, RigError
+from modaltouch.rig.interface import RigError
+from modaltouch.rig.pacing import Order
 from modaltouch.rig.settings import (
     ARMED,
     STOPPED,
@@ -30,8 +30,12 @@ from modaltouch.rig.settings import (
 )
 from modaltouch.stimulus.burst import Burst
 
-Repetition = Literal["burst", "continuous"]
-"""``burst``: one record at each tick of the trigger timer; ``continuous``: one record of a whole period."""
+Repetition = Literal["single", "timer", "continuous", "wired"]
+"""``single``: each burst is triggered by itself; ``timer``: by the free timer of the generator; ``wired``: by pulses at
+its trigger input; ``continuous``: one record of a whole period plays on and on."""
+
+RELAYS_SETTLE = 0.05
+"""From switching the outputs on to the first burst [s]: relays close and bounce in a few milliseconds."""
 
 
 class Player:
@@ -50,20 +54,36 @@ class Player:
     def __init__(self, controls: Controls, limits: Limits, repetition: Repetition) -> None:
         self._controls = controls
         self._limits = limits
+        self.repetition: Repetition = repetition
         self._continuous = repetition == "continuous"
+        self._trigger_command = ""
         self._bursts: tuple[Burst, ...] = ()
         self._peaks: tuple[tuple[float, ...], ...] = ()
         self._chosen = 0
         self._by_burst: tuple[tuple[Setting, ...], ...] = ()
         self._settings: tuple[Setting, ...] = ()
-        self._let_go = ARMED
-        self._at_rest = 0.0
+        self._let_go = STOPPED
         self._levels: tuple[Setting, ...] = ()
 
     @property
     def expected(self) -> tuple[Setting, ...]:
         """Every setting that must read back while the burst plays."""
         return (*self._settings, *self._levels, *self._trigger(self._let_go))
+
+    @property
+    def plays_by_itself(self) -> bool:
+        """Whether what is played does not end unless it is told to."""
+        return self.repetition != "single"
+
+    @property
+    def period(self) -> float:
+        """From one burst to the next [s]."""
+        return 1 / self._bursts[self._chosen].repetition_rate
+
+    @property
+    def duration(self) -> float:
+        """Of one burst [s]."""
+        return self._bursts[self._chosen].duration
 
     def take(self, bursts: Sequence[Burst]) -> None:
         """Make bursts those that can be played, the first of them chosen; `replay` brings them into the instrument.
@@ -104,9 +124,11 @@ class Player:
             for channel, record in zip(CHANNELS, self._records(burst), strict=True):
                 slots.append(self._controls.store(record, channel, slots))
                 by_burst[-1] += make(channel, slots[-1], burst)
-            by_burst[-1] += [] if self._continuous else [timer_setting(burst)]
+            by_burst[-1] += [timer_setting(burst)] if self.repetition == "timer" else []
         locks = [lock_setting(slot, "ON") for slot in dict.fromkeys(slots)]
         self._controls.apply_each([*by_burst[self._chosen], *locks])
+        if self.repetition == "single":
+            self._trigger_command = self._controls.trigger_command()
         guarded = guarded_settings(self._limits)
         self._by_burst = tuple((*guarded, *settings, *locks) for settings in by_burst)
         self._settings = self._by_burst[self._chosen]
@@ -150,41 +172,57 @@ class Player:
             )
         return amplitudes(self._bursts[which], self._peaks[which], velocity, self._limits)
 
-    def start(self, commanded: tuple[float, ...], *, silent: bool = False) -> Firing:
-        """Set both levels with the trigger stopped, see that nothing else changed, switch on, let the trigger go.
+    def prepare(self, commanded: tuple[float, ...], *, silent: bool = False) -> tuple[str, ...]:
+        """Set both levels with the trigger stopped, see that nothing else changed, and return what was read back.
 
-        `silent` goes through the same steps, so that relays and time betray nothing, but the trigger stays stopped.
+        `silent` goes through the same steps, so that relays and time betray nothing, but no burst will be let go.
 
         Raises
         ------
         RigError
-            If it shall be silent and the repetition knows no trigger.
+            If it shall be silent and the repetition would play as soon as the outputs are on.
         LinkError, Unconfirmed
             If the instrument does not confirm a step.
         """
-        if silent and self._continuous:
+        if silent and self.repetition in ("continuous", "wired"):
             raise RigError(
-                "a catch trial needs the repetition `burst`: a continuous record plays as soon as the outputs are "
-                "on; the outputs are off; leave out schedule.catch_trials"
+                f"a catch trial needs the repetition `single`: with `{self.repetition}` the beam moves as soon as the "
+                "outputs are on; the outputs are off; leave out schedule.catch_trials"
             )
-        self._let_go = STOPPED if silent else ARMED
+        self._let_go = ARMED if self.repetition == "timer" and not silent else STOPPED
         read_back = self.set_levels(commanded)
         changed = self._controls.differences([*self._settings, *self._trigger(STOPPED)])
         if changed:
             raise Unconfirmed("; ".join(changed), read_back)
-        if silent:
-            # A burst that had begun when the trigger was stopped plays to its end.
-            time.sleep(max(self._at_rest - time.perf_counter(), 0.0))
+        return read_back
+
+    def switch_on(self) -> None:
+        """Switch the outputs on; a timer is let go, and a continuous record begins with its first sample.
+
+        Raises
+        ------
+        LinkError, Unconfirmed
+            If the instrument does not confirm a step.
+        """
         if self._continuous:
             self._controls.command("SOUR1:PHAS:INIT")
-        started = time.perf_counter()
         self._controls.outputs_on()
-        if not self._continuous:
-            started = time.perf_counter()
-            self._controls.apply([self._let_go])
-        took = time.perf_counter() - started
-        period = 1 / self._bursts[self._chosen].repetition_rate if self._bursts else 0.0
-        return Firing(commanded, numbers(read_back), True, started, took + period)
+        if self._let_go is ARMED:
+            self._controls.apply([ARMED])
+
+    def order(self, n_bursts: int, first: float, timeout: float) -> Order:
+        """Return what is asked of a pacer.
+
+        Parameters
+        ----------
+        n_bursts : int
+            How many bursts at most.
+        first : float
+            When the first is due [s].
+        timeout : float
+            Longest wait for the instrument to take a trigger [s].
+        """
+        return Order(self._trigger_command, n_bursts, first, self.period, self.duration, timeout)
 
     def set_levels(self, commanded: tuple[float, ...]) -> tuple[str, ...]:
         """Set both amplitudes in one message, and return what was read back.
@@ -206,8 +244,8 @@ class Player:
         LinkError, Unconfirmed
             If the instrument does not confirm it.
         """
-        self._controls.apply_each(self._trigger(STOPPED))
-        self._at_rest = time.perf_counter() + max((burst.duration for burst in self._bursts), default=0.0)
+        if self.repetition == "timer":
+            self._controls.apply([STOPPED])
 
     def unlock(self) -> None:
         """Leave the memories to whoever comes next.

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import socket
+import struct
 import traceback
 from typing import Any
+
+KNOCKED = 2.0
+"""How long a TCP connection to the instrument may take [s]: a lost packet is sent again after one."""
 
 
 def knock(address: str) -> None:
@@ -18,17 +22,19 @@ def knock(address: str) -> None:
     """
     host, _, port = (address.split("::") + [""])[1].partition(",")
     if address.upper().startswith("TCPIP") and port.isdigit():
-        socket.create_connection((host, int(port)), timeout=5).close()
+        socket.create_connection((host, int(port)), timeout=KNOCKED).close()
 
 
 def abandon(resource: Any) -> None:
     """Cut a session, so that closing it fails at once.
 
-    Closing says goodbye, and waits five busy seconds for the reply of a peer that has gone politely. Sessions of
+    Closing says goodbye, and waits five busy seconds for the reply of a peer that has gone politely; and what was
+    sent into a dead cable would arrive when the cable lives again, a trigger among it. A reset forgets it. Sessions of
     other backends and interfaces are left to close as they do.
     """
-    session = resource.visalib.sessions[resource.session]
-    session.interface.sock.shutdown(socket.SHUT_RDWR)
+    connection = resource.visalib.sessions[resource.session].interface.sock
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    connection.close()
 
 
 class _Received(bytes):

@@ -94,7 +94,7 @@ _LONG_FORMS = {
 
 ARMED = Setting("TRIG:SOUR", "TIM")
 STOPPED = Setting("TRIG:SOUR", "EXT")
-"""The trigger runs from the timer, or waits for an input that nothing is wired to."""
+"""The trigger runs from the timer, or waits for a command or a pulse at its input."""
 
 
 @dataclass(frozen=True)

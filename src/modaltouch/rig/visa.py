@@ -1,12 +1,17 @@
-"""The one door to PyVISA: an instrument's session, shut to others where its interface can, and what can be found."""
+"""The one door to PyVISA: an instrument's session, one at a time on this machine, and what can be found."""
 
 from __future__ import annotations
 
 import contextlib
+import hashlib
+import os
+import tempfile
 import time
 import warnings
+from pathlib import Path
 from typing import Any, cast
 
+from modaltouch.locking import lock
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.quirks import abandon, close_leftovers, hush, knock
 from modaltouch.rig.transport import InUse, block_bounds
@@ -18,7 +23,7 @@ PURE_PYTHON, VENDOR = "py", "ivi"
 """PyVISA's names of its two backends."""
 
 LOCK_TIMEOUT = 1.0
-"""How long another session's lock is waited for: that of one which ends just now is gone by then [s]."""
+"""How long another program of this machine is waited for: one that ends just now is gone by then [s]."""
 
 NO_MORE_SESSIONS = "error creating link: 9"
 """How pyvisa-py says "out of resources" (VXI-11, B.5.2): all the sessions that the instrument admits are taken."""
@@ -27,21 +32,25 @@ NO_MORE_SESSIONS = "error creating link: 9"
 class VisaSession:
     """A VISA session with one instrument, as a `modaltouch.rig.transport.Transport`.
 
-    Where the interface knows locks (LAN), it is locked for the time that it is open: no other program gets a word
-    in. The operating system gives a USB instrument to one program only. Where neither is so (GPIB), a second program
-    is noticed by its changes, in what the driver reads back.
+    One program of a machine at a time has an instrument, by a lock of the machine. The instrument's own lock (VXI-11)
+    is left alone: one that a dead link holds would keep out whoever comes to switch the outputs off. A program on
+    another computer is noticed by its changes, in what the driver reads back.
 
     Parameters
     ----------
     address : str
         VISA address; ``@ivi`` after it takes the vendor's VISA library (NI-VISA, R&S VISA) instead of pyvisa-py.
+    shares : bool
+        Whether other programs of this machine may have the instrument at the same time.
     """
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, address: str, *, shares: bool = False) -> None:
         self._address, _, backend = address.partition("@")
         self._visa_library = f"@{backend or PURE_PYTHON}"
         self._resource: Any = None
         self._timeout = 0.0
+        self._shares = shares
+        self._lock: int | None = None
 
     @property
     def is_open(self) -> bool:
@@ -54,13 +63,15 @@ class VisaSession:
         Raises
         ------
         InUse
-            If another program has the instrument.
+            If another program of this machine has the instrument, or it admits no further session.
         Exception
             Whatever the backend raises: VisaIOError, OSError, ValueError and plain Exception.
         """
         import pyvisa
 
         self.close(broken=False)
+        if self._lock is None and not self._shares:
+            self._lock = _take_instrument(self._address)
         knock(self._address)
         try:
             resource = pyvisa.ResourceManager(self._visa_library).open_resource(self._address)
@@ -74,13 +85,8 @@ class VisaSession:
         hush(message_based)
         if self._address.upper().endswith("SOCKET"):
             message_based.read_termination = "\n"
-        try:
-            shut = _lock(message_based)
-        except InUse:
-            message_based.close()
-            raise
         self._resource, self._timeout = message_based, 0.0
-        return shut
+        return "other programs of this machine are kept out"
 
     def exchange(self, message: bytes, *, timeout: float, reply: bool) -> bytes:
         """Send a message, and return the reply if one is expected, within a time for each [s]."""
@@ -108,27 +114,38 @@ class VisaSession:
         with contextlib.suppress(Exception):
             resource.close()
 
+    def release(self) -> None:
+        """End it and let other programs have the instrument; never raises."""
+        self.close(broken=False)
+        descriptor, self._lock = self._lock, None
+        if descriptor is not None:
+            os.close(descriptor)
 
-def _lock(resource: Any) -> str:
-    """Lock an instrument for this session alone, if its interface can, and return what came of it in words."""
-    import pyvisa
 
+def _take_instrument(address: str) -> int:
+    """Return a descriptor that keeps other programs of this machine from an instrument until this process ends.
+
+    Raises
+    ------
+    InUse
+        If another program has it.
+    """
+    name = hashlib.sha256(address.upper().encode()).hexdigest()[:16]
+    path = Path(tempfile.gettempdir()) / f"modaltouch-{name}.lock"
+    # A file of another user's in a shared folder may be opened, but not with the wish to make it.
+    flags = os.O_RDONLY if path.exists() else os.O_RDWR | os.O_CREAT
+    descriptor = os.open(path, flags, 0o644)
     deadline = time.monotonic() + LOCK_TIMEOUT
     while True:
         try:
-            resource.lock_excl(timeout=LOCK_TIMEOUT * 1e3)
-        except pyvisa.errors.VisaIOError as error:
-            if error.error_code != pyvisa.constants.StatusCode.error_resource_locked:
-                return f"not locked: {error.abbreviation}"
-            # pyvisa-py does not wait for locks by itself.
+            lock(descriptor)
+        except OSError as error:
             if time.monotonic() > deadline:
-                raise InUse("another program has locked it") from error
+                os.close(descriptor)
+                raise InUse("another program of this machine has it") from error
             time.sleep(0.02)
-        # pyvisa-py has no lock for some interfaces, and no name for some refusals.
-        except (NotImplementedError, AttributeError, KeyError) as error:
-            return f"not locked: {type(error).__name__}"
         else:
-            return "locked out"
+            return descriptor
 
 
 def find_instruments() -> tuple[str, ...]:

@@ -1,18 +1,21 @@
-"""Holds the one session with the instrument, and switches the outputs off when its master cannot.
+"""Holds the one session with the instrument, paces its bursts, and switches the outputs off when its master cannot.
 
 ``python -m modaltouch.rig.watchdog ADDRESS`` is a process of its own. The driver asks it for every
 exchange through a pipe, so that it can go in at any time: over any interface, those that admit one session (USB)
-and those that it has locked (LAN) among them. While armed it expects a sign of life at least every `LIMIT` seconds;
-an exchange is one. If none comes, or the pipe ends without `CLEAN` (the master was killed, or its display server
-took it along), it switches the outputs off.
+among them. While armed it expects a sign of life at least every `LIMIT` seconds; an exchange is one. If none comes, no
+further burst is triggered and the outputs are switched off; so too when the pipe ends without `CLEAN` (the master was
+killed, or its display server took it along).
 
-A request is a letter, a number that its answer bears, and a length, followed by as many bytes; `OPEN`, `EXCHANGE`
-and `CLOSE` are answered, with a letter for how it went and with what came of it.
+A request is a letter, a number that its answer bears, and a length, followed by as many bytes; `OPEN`, `EXCHANGE`,
+`CLOSE`, `PLAY`, `LOOK`, `REPORT` and `BEAT` are answered, with a letter for how it went and with what came of it.
 """
 
 from __future__ import annotations
 
 import contextlib
+import functools
+import gc
+import json
 import logging
 import os
 import signal
@@ -23,10 +26,13 @@ import time
 import typing
 from collections.abc import Callable, Iterator
 
+from modaltouch.clock import SYSTEM_CLOCK
+from modaltouch.rig.pacing import Order, Pacer
 from modaltouch.rig.transport import InUse, Transport, describe_error
 from modaltouch.rig.visa import VisaSession
 
 OPEN, EXCHANGE, CLOSE, ARM, BEAT, DISARM, CLEAN = b"O", b"X", b"Z", b"A", b".", b"D", b"C"
+PLAY, LOOK, END, REPORT = b"P", b"?", b"E", b"R"
 DONE, FAILED, TAKEN = b"+", b"-", b"!"
 
 HEAD = struct.Struct(">4scII")
@@ -38,11 +44,20 @@ MARK = b"mtwd"
 TERMS = struct.Struct(">d??")
 """Before what an exchange sends, and all that a close sends: time [s], whether a reply is due, whether it is broken."""
 
+FLAG = struct.Struct(">?")
+"""Of an `ARM`: whether the output plays on by itself; of a `REPORT`: whether the last burst is waited for."""
+
 LIMIT = 1.0
 """Longest silence of an armed session [s]."""
 
 PERSISTENCE = 30.0
-"""How long it keeps trying to reach the instrument [s]."""
+"""How long it keeps trying to reach an instrument that plays nothing unless it is triggered [s]."""
+
+LONG_PERSISTENCE = 3600.0
+"""The same for one that plays on by itself [s]."""
+
+WORD_PERIOD = 10.0
+"""Time between two words to the terminal that outputs may be on [s]."""
 
 REPLY_TIMEOUT = 1.0
 OFF = b":OUTP1 OFF;:OUTP2 OFF;:OUTP1?;:OUTP2?\n"
@@ -57,18 +72,34 @@ class Watch:
         The way to the instrument, not open yet.
     limit : float
         Longest silence while armed [s].
-    persistence : float
-        How long the instrument is tried to be reached [s].
+    persistence, long_persistence : float
+        How long the instrument is tried to be reached, and the same where it plays on by itself [s].
+    say : callable
+        Takes a sentence for whoever is at the terminal.
     """
 
-    def __init__(self, transport: Transport, *, limit: float = LIMIT, persistence: float = PERSISTENCE) -> None:
+    def __init__(
+        self,
+        transport: Transport,
+        *,
+        limit: float = LIMIT,
+        persistence: float = PERSISTENCE,
+        long_persistence: float = LONG_PERSISTENCE,
+        say: Callable[[str], object] = lambda sentence: None,
+    ) -> None:
         self._transport = transport
         self._limit = limit
         self._persistence = persistence
+        self._long_persistence = long_persistence
+        self._say = say
         self._busy = threading.Lock()
+        self._answering = threading.Lock()
         self._armed = threading.Event()
+        self._plays_by_itself = False
         self._reached = False
         self._heard = 0.0
+        self._pacer: Pacer | None = None
+        self._pacing = threading.Thread()
 
     def serve(self, requests: typing.BinaryIO, answer: Callable[[bytes], object]) -> None:
         """Carry out requests until the pipe ends; the outputs are off then.
@@ -80,30 +111,50 @@ class Watch:
         answer : callable
             Takes each answer.
         """
+
+        def reply(letter: bytes, number: int, content: bytes) -> None:
+            # If nobody takes it, the requests end as well.
+            with self._answering, contextlib.suppress(OSError):
+                answer(frame(letter, number, content))
+
         threading.Thread(target=self._patrol, daemon=True, name="patrol").start()
         for letter, number, content in read_frames(requests):
-            with self._busy:
-                if letter == CLEAN:
+            self._heard = time.monotonic()
+            if letter == CLEAN:
+                with self._busy:
                     self._transport.close(broken=False)
-                    return
-                answered = self._carry_out(letter, content)
-                self._heard = time.monotonic()
+                return
+            answered = self._carry_out(letter, content, functools.partial(reply, DONE, number))
+            self._heard = time.monotonic()
             if answered is not None:
-                # If nobody takes it, the requests end as well.
-                with contextlib.suppress(OSError):
-                    answer(frame(answered[0], number, answered[1]))
+                reply(answered[0], number, answered[1])
+        self._end_bursts()
         with self._busy:
             if self._reached:
                 self.switch_off()
 
-    def _carry_out(self, letter: bytes, content: bytes) -> tuple[bytes, bytes] | None:
+    def _carry_out(
+        self, letter: bytes, content: bytes, answer_later: Callable[[bytes], None]
+    ) -> tuple[bytes, bytes] | None:
         if letter == ARM:
+            (self._plays_by_itself,) = FLAG.unpack(content)
             self._armed.set()
         elif letter == DISARM:
             self._armed.clear()
+        elif letter == BEAT:
+            return DONE, self._lost().encode()
+        elif letter == PLAY:
+            self._play(Order(**json.loads(content)), answer_later)
+        elif letter == LOOK:
+            return DONE, self._told()
+        elif letter == END:
+            self._end_bursts()
+        elif letter == REPORT:
+            return DONE, self._report(*FLAG.unpack(content))
         elif letter in (OPEN, EXCHANGE, CLOSE):
             try:
-                return DONE, self._use(letter, content)
+                with self._busy:
+                    return DONE, self._use(letter, content)
             # Backends raise VisaIOError, OSError, ValueError and plain Exception.
             except Exception as error:
                 in_use = isinstance(error, InUse)
@@ -121,10 +172,61 @@ class Watch:
             return b""
         return self._transport.exchange(content[TERMS.size :], timeout=timeout, reply=reply)
 
+    def _play(self, order: Order, answer: Callable[[bytes], None]) -> None:
+        """Begin to trigger bursts; the answer is the report as it stands after the first."""
+        self._end_bursts()
+        if self._pacing.is_alive():
+            self._pacing.join()
+        message = order.command.encode() + b"\n"
+
+        def trigger() -> None:
+            with self._busy:
+                self._transport.exchange(message, timeout=order.timeout, reply=False)
+
+        def is_wanted() -> bool:
+            return time.monotonic() - self._heard <= self._limit
+
+        pacer = self._pacer = Pacer(order, trigger, is_wanted, SYSTEM_CLOCK)
+        self._pacing = threading.Thread(
+            target=pacer.run,
+            args=(lambda: answer(self._told()),),
+            daemon=True,
+            name="pacer",
+        )
+        self._pacing.start()
+
+    def _end_bursts(self) -> None:
+        if self._pacer is not None:
+            self._pacer.end()
+
+    def _report(self, wait: bool) -> bytes:
+        """Return what became of the bursts once the pacer has ended, and the last burst too where it is waited for."""
+        if self._pacer is None:
+            return self._told()
+        self._pacer.end()
+        if self._pacing.is_alive():
+            self._pacing.join()
+        if wait and self._pacer.report.ended != "failed":
+            time.sleep(max(self._pacer.silent_from - SYSTEM_CLOCK.now(), 0.0))
+        return self._told()
+
+    def _told(self) -> bytes:
+        return b"{}" if self._pacer is None else json.dumps(self._pacer.report.as_dict()).encode()
+
+    def _lost(self) -> str:
+        """Return why the bursts ended before anybody asked for it; empty while all is well."""
+        report = self._pacer.report if self._pacer is not None else None
+        if report is None or report.ended not in ("stalled", "failed"):
+            return ""
+        return f"{report.ended}: {report.reason}"
+
     def _patrol(self) -> None:
         """Switch the outputs off when an armed master falls silent, as often as it does."""
         while self._armed.wait():
             time.sleep(self._limit / 20)
+            if time.monotonic() - self._heard <= self._limit:
+                continue
+            self._end_bursts()
             with self._busy:
                 if self._armed.is_set() and time.monotonic() - self._heard > self._limit:
                     self._armed.clear()
@@ -133,11 +235,22 @@ class Watch:
     def switch_off(self) -> bool:
         """Switch the outputs off, over new sessions if need be, and return whether the instrument confirms it."""
         started, pause = time.monotonic(), 0.02
+        next_word, said = started + REPLY_TIMEOUT, False
         while True:
             with contextlib.suppress(Exception):
                 if self._press():
+                    if said:
+                        self._say("the generator's outputs are off now")
                     return True
-            if time.monotonic() - started > self._persistence:
+            passed = time.monotonic() - started
+            gives_up = passed > (self._long_persistence if self._plays_by_itself else self._persistence)
+            if gives_up or time.monotonic() > next_word:
+                next_word, said = time.monotonic() + WORD_PERIOD, True
+                trying = "nobody goes on trying" if gives_up else "still trying"
+                self._say(
+                    f"the generator cannot be told to switch its outputs off ({trying}): SWITCH THE AMPLIFIER OFF"
+                )
+            if gives_up:
                 return False
             # The session that failed is of no use; a new one may be.
             with contextlib.suppress(Exception):
@@ -178,14 +291,22 @@ def _import_visa() -> None:
     logging.getLogger("pyvisa").disabled = True
 
 
+def _take_precedence() -> None:
+    """Run before others where the system lets one: a burst that waits for its turn is late."""
+    gc.disable()
+    with contextlib.suppress(AttributeError, OSError):
+        os.setpriority(os.PRIO_PROCESS, 0, -10)
+
+
 def main(address: str) -> int:
     """Run the watchdog for the session at the other end of standard input."""
     for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK"):
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
     _import_visa()
+    _take_precedence()
     with open(0, "rb", buffering=1 << 18, closefd=False) as requests:
-        Watch(VisaSession(address)).serve(requests, _answer)
+        Watch(VisaSession(address), say=_say).serve(requests, _answer)
     return 0
 
 
@@ -193,6 +314,12 @@ def _answer(data: bytes) -> None:
     view = memoryview(data)
     while view:
         view = view[os.write(1, view) :]
+
+
+def _say(sentence: str) -> None:
+    with contextlib.suppress(OSError, ValueError):
+        sys.stderr.write(f"\nmodaltouch: {sentence}\n")
+        sys.stderr.flush()
 
 
 if __name__ == "__main__":

@@ -1,0 +1,188 @@
+"""Single bursts, each asked for at its instant: what is ordered, the pacer that triggers and counts, its report."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+from modaltouch.clock import Clock
+from modaltouch.rig.transport import describe_error
+
+LATEST = 0.05
+"""A burst that would come later than this part of the period is left out [1]."""
+
+Ending = Literal["", "count", "asked", "stalled", "failed"]
+
+
+@dataclass(frozen=True)
+class Order:
+    """Bursts to be played.
+
+    Attributes
+    ----------
+    command : str
+        What triggers one burst.
+    n_bursts : int
+        How many at most.
+    first : float
+        When the first is due, by the machine's monotonic clock [s].
+    period : float
+        From one to the next [s].
+    duration : float
+        Of one burst [s].
+    timeout : float
+        Longest wait for the instrument to take a trigger [s].
+    """
+
+    command: str
+    n_bursts: int
+    first: float
+    period: float
+    duration: float
+    timeout: float
+
+    @property
+    def tolerance(self) -> float:
+        """How late a burst may begin, so that rhythm and burst are whole [s]."""
+        return min(LATEST * self.period, self.period - self.duration)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the order as plain values."""
+        return asdict(self)
+
+
+@dataclass
+class Report:
+    """What became of an order.
+
+    Attributes
+    ----------
+    due, played, dropped : int
+        Bursts that were due, whose trigger was taken, and that were left out because they would have come too late.
+    first, last : (sent, taken) of float or None
+        When the trigger of the first and of the last burst was sent, and taken by the instrument [s].
+    latest : float
+        Worst delay of a trigger that was sent [s].
+    ended : str
+        ``count`` (all were due), ``asked``, ``stalled`` (whoever ordered them fell silent), ``failed``; empty before.
+    reason : str
+        How it failed.
+    """
+
+    due: int = 0
+    played: int = 0
+    dropped: int = 0
+    first: tuple[float, float] | None = None
+    last: tuple[float, float] | None = None
+    latest: float = 0.0
+    ended: Ending = ""
+    reason: str = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the report as plain values."""
+        return asdict(self)
+
+
+class Pacer:
+    """Triggers bursts one by one; what is late is dropped, never repeated and never caught up.
+
+    Parameters
+    ----------
+    order : Order
+        What is to be played.
+    trigger : callable
+        Sends the command and returns once the instrument has taken it; whatever it raises ends the order.
+    is_wanted : callable
+        Whether whoever ordered the bursts still gives signs of life.
+    clock : Clock
+        Tells the time.
+    """
+
+    def __init__(
+        self, order: Order, trigger: Callable[[], object], is_wanted: Callable[[], bool], clock: Clock
+    ) -> None:
+        self.order = order
+        self.report = Report()
+        self._trigger = trigger
+        self._is_wanted = is_wanted
+        self._clock = clock
+        self._asked_to_end = threading.Event()
+
+    @property
+    def due(self) -> float | None:
+        """When the next burst is due [s]; None if none will come."""
+        if self.report.ended:
+            return None
+        return self.order.first + self.report.due * self.order.period
+
+    @property
+    def silent_from(self) -> float:
+        """When the last burst that was triggered is over [s]."""
+        return self.report.last[1] + self.order.duration if self.report.last else self.order.first
+
+    def end(self) -> None:
+        """Let no further burst go."""
+        self._asked_to_end.set()
+
+    def close(self) -> None:
+        """Let no further burst go, where no thread `run`s it."""
+        self.end()
+        self._end_if_over()
+
+    def step(self) -> None:
+        """Trigger the burst that is due now, or leave out what is overdue."""
+        report, order = self.report, self.order
+        due = self.due
+        while due is not None and self._clock.now() > due + order.tolerance:
+            report.due += 1
+            report.dropped += 1
+            self._end_if_over()
+            due = self.due
+        self._end_if_over()
+        if report.ended or due is None or self._clock.now() < due:
+            return
+        report.due += 1
+        sent = self._clock.now()
+        try:
+            self._trigger()
+        # Backends raise VisaIOError, OSError, ValueError and plain Exception.
+        except Exception as error:
+            report.ended, report.reason = "failed", f"trigger {report.due} failed ({describe_error(error)})"
+            return
+        taken = self._clock.now()
+        report.played += 1
+        report.first, report.last = report.first or (sent, taken), (sent, taken)
+        report.latest = max(report.latest, sent - due)
+        if taken - due > order.period / 2:
+            # Within that time it may have been played at any instant: no count holds for a rhythm that is not kept.
+            report.ended = "failed"
+            report.reason = f"trigger {report.due} was taken {(taken - due) * 1e3:.0f} ms after its instant"
+        self._end_if_over()
+
+    def _end_if_over(self) -> None:
+        report = self.report
+        if report.ended:
+            return
+        if report.due >= self.order.n_bursts:
+            report.ended = "count"
+        elif self._asked_to_end.is_set():
+            report.ended = "asked"
+        elif not self._is_wanted():
+            report.ended = "stalled"
+
+    def run(self, on_first: Callable[[], None]) -> None:
+        """Play to the end; `on_first` is called as soon as it is known whether the first burst was played."""
+        told = False
+        while (due := self.due) is not None:
+            wait = due - self._clock.now()
+            if wait > 0 and self._asked_to_end.wait(min(wait, 0.05)):
+                self._end_if_over()
+            elif wait <= 0:
+                self.step()
+            else:
+                self._end_if_over()
+            if not told and (self.report.due or self.report.ended):
+                told = True
+                on_first()
