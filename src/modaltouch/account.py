@@ -121,11 +121,11 @@ def describe_answer(
         },
         "commanded": {"amplitude_Vpp": list(firing.commanded_amplitude)},
         "confirmed": firing.as_dict(),
+        "bursts": firing.bursts.as_dict(),
         "response": response.as_dict(),
         "instants": describe_instants(
             onset=firing.onset,
             onset_uncertainty=firing.onset_uncertainty,
-            period=1 / protocol.stimulus_of(trial.condition.stimulus).repetition_rate_Hz,
             answered=answered,
             answer_uncertainty=response.time_uncertainty,
             question=None if response.question_after is None else firing.onset + response.question_after,
@@ -189,6 +189,10 @@ def fingers(protocol: Protocol, trial: Trial) -> tuple[str, str]:
 
 
 def _superseded(events: Sequence[dict[str, Any]], values: dict[str, Any]) -> int | None:
-    """Return the line of the answer that a new one to the same trial replaces, if there is one."""
-    trials = (event for event in reversed(events) if event["event"] == "trial")
-    return next((event["n"] for event in trials if event["trial"] == values), None)
+    """Return the line of the answer that a new one to the same trial replaces, if there is one.
+
+    What is written of one presentation, `answered` and then `trial`, replaces what was written before it alone.
+    """
+    last = max((place for place, event in enumerate(events) if event["event"] == "fired"), default=len(events))
+    answers = (event for event in reversed(events[:last]) if event["event"] in ("trial", "answered"))
+    return next((event["n"] for event in answers if event["trial"] == values), None)

@@ -17,10 +17,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from modaltouch.locking import is_locked
 from modaltouch.protocol import Protocol
 from modaltouch.record.chain import RecordError
 from modaltouch.record.folders import LOG_NAME, SessionFolder
-from modaltouch.locking import is_locked
 from modaltouch.record.session import Session, read_session
 from modaltouch.schedule import Turn, period_of_turns, turn_of
 

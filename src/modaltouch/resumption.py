@@ -14,6 +14,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from modaltouch.clock import SYSTEM_CLOCK, Clock
 from modaltouch.protocol import ResumeSection
 from modaltouch.record.chain import RecordInputError
 from modaltouch.record.folders import SessionFolder
@@ -171,7 +172,12 @@ def answers_to_ask_again(session: Session, schedule: Schedule, policy: ResumeSec
 
 
 def go_on(
-    place: SessionFolder, schedule: Schedule, policy: ResumeSection, cut: Interruption, facts: dict[str, Any]
+    place: SessionFolder,
+    schedule: Schedule,
+    policy: ResumeSection,
+    cut: Interruption,
+    facts: dict[str, Any],
+    clock: Clock = SYSTEM_CLOCK,
 ) -> SessionLog:
     """Return the open log of an interrupted session, with what the interruption cut and what is asked again.
 
@@ -187,13 +193,15 @@ def go_on(
         How it was interrupted.
     facts : dict
         What else the resume record says.
+    clock : Clock
+        Of the session.
 
     Raises
     ------
     RecordError
         If the log is damaged, in use, or cannot be written.
     """
-    log = SessionLog.reopen(place.log)
+    log = SessionLog.reopen(place.log, clock=clock)
     log.append("resume", at=policy.at, interruption=cut.as_dict(), **facts)
     if cut.cut_trial is not None:
         log.append("trial_cut", trial=cut.cut_trial, reason=f"interrupted ({cut.reason})")
@@ -203,7 +211,13 @@ def go_on(
     return log
 
 
-def begin_anew(old: SessionFolder, place: SessionFolder, cut: Interruption, facts: dict[str, Any]) -> SessionLog:
+def begin_anew(
+    old: SessionFolder,
+    place: SessionFolder,
+    cut: Interruption,
+    facts: dict[str, Any],
+    clock: Clock = SYSTEM_CLOCK,
+) -> SessionLog:
     """Close an interrupted session and return the open log of the one that takes its place.
 
     Parameters
@@ -214,6 +228,8 @@ def begin_anew(old: SessionFolder, place: SessionFolder, cut: Interruption, fact
         How the old one was interrupted.
     facts : dict
         What else the start record of the new one says.
+    clock : Clock
+        Of the session.
 
     Raises
     ------
@@ -225,7 +241,7 @@ def begin_anew(old: SessionFolder, place: SessionFolder, cut: Interruption, fact
             log.append("closed", begun_anew_as=place.session, interruption=cut.as_dict())
         write_view(old, Session(log.path, tuple(log.events), ()), log.head)
     begun = {"session": old.session, "interruption": cut.as_dict()}
-    return SessionLog.create(place.log, "start", **facts, begins_anew=begun)
+    return SessionLog.create(place.log, "start", clock=clock, **facts, begins_anew=begun)
 
 
 def _duration(seconds: float) -> str:
@@ -235,7 +251,7 @@ def _duration(seconds: float) -> str:
 def _cut_trial(session: Session) -> dict[str, Any] | None:
     """Return the trial of the last stimulus that neither an answer nor a cut follows."""
     for event in reversed(session.events):
-        if event["event"] in ("trial", "trial_cut"):
+        if event["event"] in ("answered", "trial", "trial_cut"):
             return None
         if event["event"] == "fired":
             trial: dict[str, Any] = event["trial"]

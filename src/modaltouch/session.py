@@ -2,25 +2,37 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from typing import Any
 
-from modaltouch.account import describe_answer, describe_placement, describe_trial
+from modaltouch.account import describe_answer, describe_ending, describe_placement, describe_trial
 from modaltouch.adaptive import Levels
+from modaltouch.clock import SYSTEM_CLOCK, Clock
 from modaltouch.console.experimenter import Experimenter
 from modaltouch.masking.interface import Masking, NoMasking
 from modaltouch.practice import expected_answer, judge_round
-from modaltouch.protocol import Protocol, ScheduleSection
+from modaltouch.protocol import Protocol
+from modaltouch.record.chain import RecordError
 from modaltouch.record.log import SessionLog
 from modaltouch.record.session import Session
-from modaltouch.rig.interface import Firing, Rig, RigError
+from modaltouch.rig.interface import Firing, Rig, RigError, StimulusLost
 from modaltouch.trial import Response, Trial
-from modaltouch.window.interface import AnswerWindow, Progress, SessionStopped, Tick, TrialInterrupted
+from modaltouch.window.interface import (
+    AnswerWindow,
+    Presentation,
+    Progress,
+    SessionStopped,
+    Tick,
+    TrialInterrupted,
+)
 
 ATTEMPTS = 3
-"""How often a trial whose amplitude the instrument does not confirm is set up again before the session ends."""
+"""How often a trial that the instrument does not confirm is presented before the session ends."""
+
+NOT_OVER = "the stimulus is not over yet"
+"""Why the answer is not confirmed when it is written down first."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +61,8 @@ class Sitting:
         Is told what happens, and asks for repeats and for the end of the session after a block.
     masking : Masking
         Noise that masks the sound of the beam.
+    clock : Clock
+        Of session, window, instrument and record.
     """
 
     protocol: Protocol
@@ -63,6 +77,7 @@ class Sitting:
     tick: Tick
     experimenter: Experimenter = field(default_factory=Experimenter)
     masking: Masking = field(default_factory=NoMasking)
+    clock: Clock = SYSTEM_CLOCK
 
 
 def conduct(sitting: Sitting) -> None:
@@ -78,7 +93,7 @@ def conduct(sitting: Sitting) -> None:
     """
     sitting.window.welcome(sitting.trials[0])
     previous = practise(sitting)
-    rested = time.perf_counter()
+    rested = sitting.clock.now()
     for trial in sitting.trials:
         if trial.practice:
             continue
@@ -87,10 +102,10 @@ def conduct(sitting: Sitting) -> None:
             raise SessionStopped("end of block")
         if previous is None or previous.practice:
             sitting.window.announce("start")
-        elif _rest_is_due(sitting.protocol.schedule, trial, rested):
+        elif _rest_is_due(sitting, trial, rested):
             sitting.log.append("rest", before_trial=trial.index)
             sitting.window.rest(Progress(trial.index, sitting.total))
-            rested = time.perf_counter()
+            rested = sitting.clock.now()
         # The record alone decides the next level, so that a session that was killed goes on with the very same one.
         settled = sitting.levels.settle(trial, _counted(sitting))
         run(sitting, settled, previous)
@@ -191,12 +206,12 @@ def _close_rounds(sitting: Sitting) -> None:
 
 
 def run(sitting: Sitting, trial: Trial, previous: Trial | None) -> Response:
-    """Present one trial until the instrument confirms what it played, write every answer down; return the last.
+    """Present one trial until what was played is confirmed, write every answer down; return the last.
 
     Raises
     ------
     RigError
-        If the outputs could not be switched off, or the instrument changed under every presentation.
+        If the outputs could not be switched off, or no presentation could be confirmed.
     """
     sitting.tick()
     sitting.experimenter.tell(
@@ -205,88 +220,107 @@ def run(sitting: Sitting, trial: Trial, previous: Trial | None) -> Response:
     if previous is None or _placement(trial) != _placement(previous):
         sitting.window.place_fingers(trial)
         sitting.log.append("placement", **describe_placement(sitting.protocol, trial))
-    for _ in range(ATTEMPTS):
-        response, firing, fault = present(sitting, trial)
-        write_down(sitting, trial, response, firing)
-        if fault:
-            raise fault
-        sitting.window.confirm(response)
-        sitting.window.wait(sitting.protocol.answers.pause_s)
-        if firing.confirmed:
-            return response
+    attempts, answers = 0, 0
+    while attempts < ATTEMPTS:
+        response, firing = present(sitting, trial)
+        if response is not None:
+            answers += 1
+            sitting.window.wait(sitting.protocol.answers.pause_s)
+            if firing.confirmed:
+                return response
+        if firing.stalled:
+            # Nothing is wrong with the instrument: the computer was busy, and the trial waits until it is not.
+            sitting.window.tell_stall()
+        else:
+            attempts += 1
     raise RigError(
-        f"trial {trial.index}: in {ATTEMPTS} presentations the generator's settings changed while it played "
-        f"({firing.reason}); the outputs are off and the answers are kept as unconfirmed; find out what changes "
-        "the instrument, then `modaltouch resume`"
+        f"trial {trial.index}: {ATTEMPTS} presentations could not be confirmed ({firing.reason}); the outputs are off"
+        + ("; the answers are kept as unconfirmed" if answers else "")
+        + "; check the instrument with `modaltouch rig check`, then `modaltouch resume`"
     )
 
 
-def present(sitting: Sitting, trial: Trial) -> tuple[Response, Firing, RigError | None]:
-    """Fire and ask until the trial is answered; return the answer before anything else can go wrong.
+def present(sitting: Sitting, trial: Trial) -> tuple[Response | None, Firing]:
+    """Present a trial once, or again where it is cut; the answer is on the disk before anything else can go wrong.
 
     Returns
     -------
-    response : Response
-        What the participant answered.
+    response : Response or None
+        What the participant answered; None where the stimulus did not last until then.
     firing : Firing
-        What the instrument confirmed, before the stimulus and still at its end.
-    fault : RigError or None
-        A failure to switch off, to be raised once the answer is written down.
-    """
-    progress = Progress(trial.index, sitting.total)
-    faults: list[RigError] = []
-
-    def stop() -> None:
-        try:
-            sitting.rig.stop()
-        except RigError as error:
-            faults.append(error)
-
-    while True:
-        sitting.masking.ensure(sitting.tick)
-        firing = fire(sitting, trial)
-        try:
-            # Whatever ends the session now, the record knows that this stimulus had begun.
-            sitting.log.append("fired", trial=trial.as_dict(), confirmed=firing.as_dict())
-            response = sitting.window.ask(trial, progress, onset=firing.onset, stop=stop)
-        except TrialInterrupted as cut:
-            sitting.log.append("trial_cut", trial=trial.as_dict(), reason=cut.reason, confirmed=firing.as_dict())
-        else:
-            return response, sitting.rig.firing or firing, faults[0] if faults else None
-        finally:
-            stop()
-        if faults:
-            raise faults[0]
-
-
-def fire(sitting: Sitting, trial: Trial) -> Firing:
-    """Start the stimulus, and again where the instrument does not confirm what was asked of it.
+        What was played, confirmed at its end or not.
 
     Raises
     ------
     RigError
-        If the instrument cannot be brought to confirm it.
+        If the outputs could not be switched off.
     """
+    while True:
+        sitting.masking.ensure(sitting.tick)
+        firing = fire(sitting, trial)
+        if not firing.started:
+            sitting.log.append("unconfirmed", trial=trial.as_dict(), confirmed=firing.as_dict())
+            return None, firing
+        faults: list[RigError] = []
+
+        def stop(faults: list[RigError] = faults) -> None:
+            try:
+                sitting.rig.stop()
+            except RigError as error:
+                faults.append(error)
+
+        presentation = Presentation(firing.onset, _ends(sitting, trial, firing), sitting.rig.end, stop)
+        try:
+            # Whatever ends the session now, the record knows that this stimulus had begun.
+            sitting.log.append("fired", trial=trial.as_dict(), confirmed=firing.as_dict())
+            response = sitting.window.ask(trial, Progress(trial.index, sitting.total), presentation)
+            line = _write_down(sitting, "answered", trial, response, replace(firing, reason=NOT_OVER))
+            sitting.window.confirm(response)
+        except (TrialInterrupted, StimulusLost) as cut:
+            stop()
+            firing = sitting.rig.firing or firing
+            reason = cut.reason if isinstance(cut, TrialInterrupted) else str(cut)
+            _write_cut(sitting, trial, reason, firing)
+            if faults:
+                raise faults[0] from cut
+            if isinstance(cut, StimulusLost):
+                return None, replace(firing, reason=firing.reason or reason)
+            continue
+        except BaseException as error:
+            with suppress(RigError):
+                sitting.rig.stop(at_once=True)
+            with suppress(RecordError):
+                _write_cut(sitting, trial, describe_ending(error)["reason"], sitting.rig.firing or firing)
+            raise
+        stop()
+        firing = sitting.rig.firing or firing
+        _write_down(sitting, "trial", trial, response, firing, answered=line)
+        sitting.save_view()
+        if faults:
+            raise faults[0]
+        return response, firing
+
+
+def fire(sitting: Sitting, trial: Trial) -> Firing:
+    """Start the stimulus of a trial, a catch trial's silence included."""
     # A catch trial does all that one at the lowest level does, but lets no burst go.
     silent = trial.condition.is_catch
     level = min(sitting.protocol.conditions.peak_velocities_mm_s) if silent else trial.condition.velocity_mm_s
-    names = sitting.protocol.stimulus_names
-    which = names.index(trial.condition.stimulus) if trial.condition.stimulus in names else 0
-    for attempt in range(1, ATTEMPTS + 1):
-        firing = sitting.rig.fire(level * 1e-3, silent=silent, which=which)
-        if firing.confirmed:
-            return firing
-        sitting.rig.stop()
-        sitting.log.append("unconfirmed", trial=trial.as_dict(), attempt=attempt, confirmed=firing.as_dict())
-    raise RigError(
-        f"trial {trial.index}: the generator did not confirm {trial.condition.velocity_mm_s:g} mm/s in {ATTEMPTS} "
-        f"attempts (sent {firing.commanded_amplitude} Vpp, read back {firing.confirmed_amplitude} Vpp); the outputs "
-        "are off; check the instrument with `modaltouch rig check`, then `modaltouch resume`"
-    )
+    names, stimulus = sitting.protocol.stimulus_names, trial.condition.stimulus
+    which = names.index(stimulus) if stimulus in names else 0
+    n_bursts = sitting.protocol.answers.n_bursts(sitting.protocol.stimulus_of(stimulus).repetition_rate_Hz)
+    return sitting.rig.fire(level * 1e-3, n_bursts=n_bursts, silent=silent, which=which)
 
 
-def write_down(sitting: Sitting, trial: Trial, response: Response, firing: Firing) -> None:
-    """Put the answer on the disk."""
+def _ends(sitting: Sitting, trial: Trial, firing: Firing) -> float:
+    """Return when the last burst of a stimulus is over [s]."""
+    stimulus = sitting.protocol.stimulus_of(trial.condition.stimulus)
+    n_bursts = sitting.protocol.answers.n_bursts(stimulus.repetition_rate_Hz)
+    return firing.onset + (n_bursts - 1) / stimulus.repetition_rate_Hz + stimulus.duration_ms * 1e-3
+
+
+def _write_down(sitting: Sitting, event: str, trial: Trial, response: Response, firing: Firing, **further: Any) -> int:
+    """Put an answer on the disk, and return its line."""
     facts = describe_answer(
         sitting.protocol,
         sitting.speeds(trial),
@@ -296,14 +330,25 @@ def write_down(sitting: Sitting, trial: Trial, response: Response, firing: Firin
         masked=sitting.masking.is_on,
         events=sitting.log.events,
     )
-    sitting.log.append("trial", **facts)
-    sitting.save_view()
+    return int(sitting.log.append(event, **facts, **further)["n"])
 
 
-def _rest_is_due(schedule: ScheduleSection, trial: Trial, rested: float) -> bool:
+def _write_cut(sitting: Sitting, trial: Trial, reason: str, firing: Firing) -> None:
+    """Put on the disk what was played of a stimulus that nobody answered."""
+    sitting.log.append(
+        "trial_cut",
+        trial=trial.as_dict(),
+        reason=reason,
+        confirmed=firing.as_dict(),
+        bursts=firing.bursts.as_dict(),
+    )
+
+
+def _rest_is_due(sitting: Sitting, trial: Trial, rested: float) -> bool:
     """Return whether a break comes before a trial, by count or by the time since `rested` [s]."""
+    schedule = sitting.protocol.schedule
     by_count = schedule.break_after_trials is not None and (trial.index - 1) % schedule.break_after_trials == 0
-    minutes = (time.perf_counter() - rested) / 60
+    minutes = (sitting.clock.now() - rested) / 60
     return by_count or (schedule.break_after_min is not None and minutes >= schedule.break_after_min)
 
 

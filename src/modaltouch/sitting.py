@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack, suppress
 from dataclasses import dataclass, field, replace
@@ -12,6 +11,7 @@ from typing import Any
 from modaltouch.account import describe_ending, describe_start
 from modaltouch.adaptive import Levels
 from modaltouch.allotment import allot
+from modaltouch.clock import SYSTEM_CLOCK, Clock
 from modaltouch.console.experimenter import Experimenter
 from modaltouch.console.interface import Console, Silence
 from modaltouch.console.status import Status
@@ -74,6 +74,8 @@ class Setup:
         Called with (answered, total) after each trial.
     console : Console
         Shows the experimenter how the session stands, and takes requests; closed by whoever opened it.
+    clock : Clock
+        Of window, instrument and record: the machine's, or a virtual one.
     """
 
     preflight: Preflight
@@ -87,6 +89,7 @@ class Setup:
     drawn_as: int | None = None
     on_progress: Callable[[int, int], None] = lambda answered, total: None
     console: Console = field(default_factory=Silence)
+    clock: Clock = SYSTEM_CLOCK
 
 
 def begin(setup: Setup) -> Session:
@@ -100,7 +103,7 @@ def begin(setup: Setup) -> Session:
         Whatever ended it early; outputs are off and what was answered is kept.
     """
     refuse_existing(setup.place.log)
-    return _sit(setup, lambda place, facts: SessionLog.create(place.log, "start", **facts), "start")
+    return _sit(setup, lambda place, facts: SessionLog.create(place.log, "start", clock=setup.clock, **facts), "start")
 
 
 def resume(setup: Setup) -> Session:
@@ -134,15 +137,15 @@ def resume(setup: Setup) -> Session:
             f"({session.start['versions']['modaltouch']})"
         )
 
-    cut = examine_interruption(session, now=datetime.now(UTC), clock=time.perf_counter(), boot=boot())
+    cut = examine_interruption(session, now=datetime.now(UTC), clock=setup.clock.now(), boot=boot())
     policy = setup.preflight.experiment.protocol.schedule.resume
     if setup.replaces is not None:
         old = setup.replaces
         refuse_existing(setup.place.log)
-        return _sit(setup, lambda place, facts: begin_anew(old, place, cut, facts), "start")
+        return _sit(setup, lambda place, facts: begin_anew(old, place, cut, facts, setup.clock), "start")
     refuse_failed(session, cut)
     refuse_old(session, cut, policy)
-    return _sit(setup, lambda place, facts: go_on(place, setup.schedule, policy, cut, facts), "resume")
+    return _sit(setup, lambda place, facts: go_on(place, setup.schedule, policy, cut, facts, setup.clock), "resume")
 
 
 def _sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], SessionLog], first: str) -> Session:
@@ -252,6 +255,7 @@ def _sitting(
         log=log,
         save_view=save_view,
         tick=tick,
+        clock=setup.clock,
     )
 
 

@@ -10,6 +10,8 @@ ANSWERS: tuple[Answer, ...] = ("left", "right", "both")
 """The paper's answers."""
 ANSWERS_WITH_NONE: tuple[Answer, ...] = (*ANSWERS, "none")
 """The same with "felt nowhere", where a protocol offers it."""
+TIME_OUT: Literal["time_out"] = "time_out"
+"""What is recorded where no answer came in time; never offered."""
 
 FINGERS: dict[tuple[str, str], tuple[str, str]] = {
     ("one_hand", "right"): ("right index", "right middle"),
@@ -122,9 +124,10 @@ class Response:
     Attributes
     ----------
     answer : str
-        ``left``, ``right`` or ``both``, as the participant sees the beam, or ``none`` where the protocol offers it.
+        ``left``, ``right`` or ``both``, as the participant sees the beam, or ``none`` where the protocol offers it;
+        ``time_out`` where none came in time.
     reaction_time : float
-        From the onset named by `onset` to the answer event [s].
+        From the onset named by `onset` to the answer event, or to the end of the time [s].
     onset : str
         ``first_burst`` or ``question`` (where the stimulus stops before the question).
     answered_by : str
@@ -133,7 +136,7 @@ class Response:
         ``free_hand``, ``lifting`` (a finger off the beam), ``foot_switch`` or ``experimenter``, as the protocol
         has it; empty without a window.
     device : str
-        ``key``, ``mouse`` or ``model`` (an observer without a window).
+        ``key``, ``mouse``, ``console``, ``model`` (an observer without a window), or ``none`` at a time-out.
     key : str
         Name of the key or of the button clicked.
     double : bool
@@ -146,7 +149,7 @@ class Response:
         Longest time the answer event may have waited before it was stamped [s].
     """
 
-    answer: Answer
+    answer: Answer | Literal["time_out"]
     reaction_time: float
     onset: str = "first_burst"
     answered_by: str = "participant"

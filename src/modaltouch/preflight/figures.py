@@ -101,7 +101,8 @@ def estimated_duration(protocol: Protocol) -> float:
     n_trials = protocol.n_trials + schedule.practice_trials
     before_question = answers.question_delay_s
     if answers.stimulus_until == "question":
-        before_question = max(before_question, answers.presentation_s)
+        rate = protocol.stimulus.repetition_rate_Hz
+        before_question = max(before_question, answers.n_bursts(rate) / rate)
     # The fingers move wherever the pair differs from the one before.
     n_pairs = len(protocol.conditions.zone_pairs)
     n_placements = 1 + (n_trials - 1) * (1 - 1 / n_pairs)

@@ -10,7 +10,6 @@ def describe_instants(
     *,
     onset: float,
     onset_uncertainty: float,
-    period: float,
     answered: float,
     answer_uncertainty: float,
     question: float | None,
@@ -19,17 +18,14 @@ def describe_instants(
 ) -> dict[str, Interval | None]:
     """Return the instants of one trial for its record.
 
-    The generator's trigger timer runs on its own: once it is armed, the first burst comes with its next tick,
-    within one period. A picture is on the screen between the call that flips it and the call's return; a
+    A picture is on the screen between the call that flips it and the call's return; a
     monitor's own latency, which no program can see, comes on top. A press is stamped when it is read, at most one
     poll after it happened.
 
     Parameters
     ----------
     onset, onset_uncertainty : float
-        When arming began, and the longest time from then to the first burst [s].
-    period : float
-        From one burst to the next [s].
+        When the first burst began, and how far from then it can have been, either way [s].
     answered, answer_uncertainty : float
         When the answer was read, and how long it can have waited by then [s].
     question, question_uncertainty : float or None, float
@@ -38,8 +34,7 @@ def describe_instants(
         Whether no burst was let go, in a catch trial: there is then no first one.
     """
     return {
-        "trigger": _between(onset, onset + max(onset_uncertainty - period, 0.0)),
-        "first_burst": None if silent else _between(onset, onset + onset_uncertainty),
+        "first_burst": None if silent else _between(onset - onset_uncertainty, onset + onset_uncertainty),
         "question": None if question is None else _between(question - question_uncertainty, question),
         "answer": _between(answered - answer_uncertainty, answered),
     }

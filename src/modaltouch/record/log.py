@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from modaltouch.clock import SYSTEM_CLOCK, Clock
+from modaltouch.locking import is_locked, lock
 from modaltouch.record.chain import GENESIS, Chain, RecordError, describe_torn, encode_line, read_chain
 from modaltouch.record.files import sync_folder
 from modaltouch.record.folders import make_folder
-from modaltouch.locking import is_locked, lock
 
 
 class SessionLog:
@@ -22,10 +22,11 @@ class SessionLog:
     Use `create` for a new session and `reopen` for one that was interrupted.
     """
 
-    def __init__(self, path: Path, descriptor: int, chain: Chain | None) -> None:
+    def __init__(self, path: Path, descriptor: int, chain: Chain | None, clock: Clock = SYSTEM_CLOCK) -> None:
         self.path = path
         self.events: list[dict[str, Any]] = list(chain.events) if chain else []
         self._descriptor = descriptor
+        self._clock = clock
         self._check = chain.last_check if chain else GENESIS
         self._torn = chain.torn if chain else b""
         self._needs_newline = bool(chain and not chain.ends_in_newline)
@@ -35,7 +36,7 @@ class SessionLog:
         """Hears of each event once it is on the disk."""
 
     @classmethod
-    def create(cls, path: Path, event: str, **facts: Any) -> Self:
+    def create(cls, path: Path, event: str, *, clock: Clock = SYSTEM_CLOCK, **facts: Any) -> Self:
         """Create a log that does not exist yet, with its first event, readable by its owner alone.
 
         The file appears under its name only with the first event in it: whatever cuts this short, there is
@@ -47,6 +48,8 @@ class SessionLog:
             Where the log will be.
         event : str
             What happened first.
+        clock : Clock
+            Of the session.
         **facts
             Plain values that say how.
 
@@ -64,7 +67,7 @@ class SessionLog:
                 f"{path}: cannot be created ({error.strerror}); give a folder you may write to with --results"
             ) from error
         _take(path, descriptor)
-        log = cls(path, descriptor, None)
+        log = cls(path, descriptor, None, clock)
         try:
             log.append(event, **facts)
             _publish(draft, path)
@@ -76,7 +79,7 @@ class SessionLog:
         return log
 
     @classmethod
-    def reopen(cls, path: Path) -> Self:
+    def reopen(cls, path: Path, *, clock: Clock = SYSTEM_CLOCK) -> Self:
         """Open an interrupted log to append to it; a cut last line stays and is declared by the next one.
 
         Raises
@@ -95,7 +98,7 @@ class SessionLog:
         if chain.damage or not chain.events:
             os.close(descriptor)
             raise RecordError("\n".join(chain.damage) or f"{path}: holds no whole line: there is nothing to continue")
-        return cls(path, descriptor, chain)
+        return cls(path, descriptor, chain, clock)
 
     def append(self, event: str, **facts: Any) -> dict[str, Any]:
         """Write one event and return it once it is on the disk.
@@ -118,7 +121,7 @@ class SessionLog:
         line = {
             "n": len(self.events) + 1,
             "time": datetime.now(UTC).isoformat(timespec="milliseconds"),
-            "clock": round(time.perf_counter(), 6),
+            "clock": round(self._clock.now(), 6),
             "event": event,
             **({"torn": describe_torn(self._torn)} if self._torn else {}),
             **facts,

@@ -163,8 +163,9 @@ def recover(found: Recovery, results: Path) -> Path:
     with SessionLog.create(place.log, "start", **_facts(first)) as log:
         for event in others:
             facts = _facts(event)
-            if event.get("supersedes"):
-                facts["supersedes"] = new_numbers.get(event["supersedes"])
+            for reference in ("supersedes", "answered"):
+                if event.get(reference):
+                    facts[reference] = new_numbers.get(event[reference])
             log.append(event["event"], **facts)
         log.append(
             "recovered",

@@ -72,8 +72,12 @@ class Session:
         """The trial events that count: answered, not superseded by a later one, and not to be asked again."""
         superseded = {event["supersedes"] for event in self.events if event.get("supersedes")}
         withdrawn = {line for event in self.events if event.get("event") == "withdrawn" for line in event["lines"]}
-        gone = superseded | withdrawn
-        return tuple(event for event in self.events if event.get("event") == "trial" and event["n"] not in gone)
+        # An answer is written down at once, and again once the end of its stimulus is confirmed.
+        confirmed = {event.get("answered") for event in self.events if event.get("event") == "trial"}
+        gone = superseded | withdrawn | confirmed
+        return tuple(
+            event for event in self.events if event.get("event") in ("trial", "answered") and event["n"] not in gone
+        )
 
     @cached_property
     def answered(self) -> frozenset[tuple[bool, int]]:

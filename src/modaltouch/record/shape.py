@@ -5,8 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-SCHEMA = 1
-"""Version of the session log's format, carried by its first line."""
+SCHEMA = 2
+"""Version of the session log's format, carried by its first line: since 2 bursts are counted, and an answer has a line
+of its own before its trial is confirmed."""
+
+READABLE = (1, 2)
+"""Versions that are read."""
 
 _NEEDED: dict[str, tuple[tuple[tuple[str, ...], type | tuple[type, ...]], ...]] = {
     "start": (
@@ -66,11 +70,12 @@ def check_shape(events: Iterable[dict[str, Any]], name: str, *, to_repeat: bool 
         if not isinstance(kind, str) or not isinstance(event.get("n"), int):
             problems.append(f"{name}:{number}: is no event of a session; nothing is known of such a line")
             continue
-        if kind == "start" and event.get("schema", SCHEMA) != SCHEMA:
+        if kind == "start" and event.get("schema", 1) not in READABLE:
             problems.append(
-                f"{name}:{number}: was written in format {event.get('schema')}, this program knows {SCHEMA}; use the "
-                "version of the program that wrote it"
+                f"{name}:{number}: was written in format {event.get('schema')}, this program knows "
+                f"{' and '.join(map(str, READABLE))}; use the version of the program that wrote it"
             )
+        kind = "trial" if kind == "answered" else kind
         if kind == "trial" and _is_whole(event):
             continue
         repeated = _NEEDED["start, to be repeated"] if to_repeat and kind == "start" else ()

@@ -17,10 +17,10 @@ from pathlib import Path
 from typing import Any
 
 from modaltouch import __version__
+from modaltouch.locking import LOCK_NAME, hold
 from modaltouch.record.chain import RecordError
 from modaltouch.record.files import OWNER_ALONE, replace_file
 from modaltouch.record.folders import LOG_NAME, SessionFolder, make_folder
-from modaltouch.locking import LOCK_NAME, hold
 from modaltouch.record.session import Session
 
 BIDS_VERSION = "1.10.0"

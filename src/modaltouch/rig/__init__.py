@@ -12,10 +12,14 @@ What measures the beam (`acquisition`) is an instrument of its own: ``simulator.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
+
+from modaltouch.clock import SYSTEM_CLOCK, Clock, VirtualClock
 
 if TYPE_CHECKING:
     from modaltouch.apparatus import Apparatus
+    from modaltouch.rig.guard import Guard
     from modaltouch.rig.interface import Rig
     from modaltouch.rig.link import Log
     from modaltouch.rig.simulator import Simulator
@@ -50,7 +54,17 @@ def is_simulated(identity: str) -> bool:
     return "SIMULATED" in identity.split(",")
 
 
-def start_simulator(apparatus: Apparatus, seed: int | None = None, *, port: int = 0) -> Simulator:
+def same_process(clock: VirtualClock) -> Callable[[str], Guard]:
+    """Return what stands in a watchdog's place for a session in virtual time, as `open_rig`'s ``start_guard``."""
+    from modaltouch.rig.guard import SameProcess
+    from modaltouch.rig.visa import VisaSession
+
+    return lambda address: SameProcess(VisaSession(address), clock)
+
+
+def start_simulator(
+    apparatus: Apparatus, seed: int | None = None, *, port: int = 0, clock: Clock = SYSTEM_CLOCK
+) -> Simulator:
     """Return a running simulator of a rig, with its address.
 
     Parameters
@@ -61,7 +75,9 @@ def start_simulator(apparatus: Apparatus, seed: int | None = None, *, port: int 
         Instead of the seed in ``twin``.
     port : int
         TCP port on 127.0.0.1; 0 takes a free one.
+    clock : Clock
+        By which it plays.
     """
     from modaltouch.rig.simulator import Simulator
 
-    return Simulator(apparatus, seed, port=port)
+    return Simulator(apparatus, seed, port=port, clock=clock)

@@ -190,7 +190,14 @@ class Generator:
         if self._on:
             self.stop()
         self._is_counted = n_bursts < MANY
-        self._firing = Firing(commanded, (), self._clock.now(), math.inf, repetition=self._player.repetition)
+        self._firing = Firing(
+            commanded,
+            (),
+            self._clock.now(),
+            math.inf,
+            repetition=self._player.repetition,
+            trigger_latency="unknown" if self._latency is None else "measured",
+        )
         self._last_beat, self._longest_silence = self._clock.now(), 0.0
         with self._off_after_a_failure("starting the stimulus"):
             self._on = True

@@ -38,6 +38,7 @@ from modaltouch.rig.watchdog import (
     TERMS,
     frame,
 )
+
 if TYPE_CHECKING:
     from modaltouch.rig.visa import VisaSession
 

@@ -77,6 +77,8 @@ class Firing:
         Whether the reason is a stall of this computer, and no fault of the instrument.
     repetition : str
         ``single``, ``timer``, ``continuous`` or ``wired``.
+    trigger_latency : str
+        ``measured``, or ``unknown``: then nothing is claimed of `onset` to less than a millisecond.
     bursts : Bursts
         What was played, as far as it is known.
     """
@@ -90,6 +92,7 @@ class Firing:
     reason: str = ""
     stalled: bool = False
     repetition: str = "single"
+    trigger_latency: str = "unknown"
     bursts: Bursts = Bursts()
 
     def as_dict(self) -> dict[str, Any]:

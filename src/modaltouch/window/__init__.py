@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from modaltouch.clock import SYSTEM_CLOCK, Clock
 from modaltouch.window.interface import AnswerWindow, Log, Tick
 
 if TYPE_CHECKING:
@@ -54,6 +55,7 @@ def open_window(
     answerer: Answerer | None = None,
     options: WindowOptions | None = None,
     speech: Speech | None = None,
+    clock: Clock = SYSTEM_CLOCK,
 ) -> AnswerWindow:
     """Return an open answer window.
 
@@ -78,6 +80,8 @@ def open_window(
         How the window is opened, where there is one.
     speech : Speech, optional
         Says what is on the screen.
+    clock : Clock
+        Of the session.
 
     Raises
     ------
@@ -91,7 +95,14 @@ def open_window(
     if answers == "simulated" and answerer is not None:
         from modaltouch.window.simulated import SimulatedParticipant
 
-        return SimulatedParticipant(answerer, tick=tick, log=log, stimulus_until=protocol.answers.stimulus_until)
+        return SimulatedParticipant(
+            answerer,
+            tick=tick,
+            log=log,
+            stimulus_until=protocol.answers.stimulus_until,
+            after_longest=protocol.answers.after_longest,
+            clock=clock,
+        )
     from modaltouch.window.participant import ParticipantWindow
     from modaltouch.window.robot import Robot
     from modaltouch.window.theme import THEMES
@@ -110,6 +121,7 @@ def open_window(
             screenshots=options.screenshots,
             robot=Robot(answerer, protocol.answers) if answers == "robot" and answerer is not None else None,
             speech=speech,
+            clock=clock,
         )
     except BaseException:
         display.close()

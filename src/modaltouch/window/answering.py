@@ -32,8 +32,10 @@ class AnswerTaker:
         self._pictures = pictures
         self._reader = reader
 
-    def await_answer(self, trial: Trial, interrupt: Callable[[Event], NoReturn]) -> tuple[Answer, Event]:
-        """Return the first answer and its event; what came after it is left to be read.
+    def await_answer(
+        self, trial: Trial, interrupt: Callable[[Event], NoReturn], times_out: Callable[[], bool] | None = None
+    ) -> tuple[Answer, Event] | None:
+        """Return the first answer and its event, or None once time is up; what came after it is left to be read.
 
         Parameters
         ----------
@@ -41,6 +43,8 @@ class AnswerTaker:
             What is asked.
         interrupt : callable
             Called with an event that cuts the trial; raises.
+        times_out : callable, optional
+            Asked at every poll whether the time for an answer is up.
         """
         while True:
             events = self._stage.poll()
@@ -53,6 +57,8 @@ class AnswerTaker:
                     return answer, event
                 if is_press(event):
                     self._stage.note("ignored", trial=trial.index, **describe_press(event))
+            if times_out is not None and times_out():
+                return None
 
     def await_confirmation(
         self,
@@ -76,7 +82,10 @@ class AnswerTaker:
         while True:
             picture = self._pictures.question(trial, progress, chosen=answer, confirmed=False)
             self._stage.show(picture, Moment("confirm", trial))
-            again, press = self.await_answer(trial, interrupt)
+            chosen = self.await_answer(trial, interrupt)
+            if chosen is None:
+                continue
+            again, press = chosen
             if again == answer and press.time < event.time + SETTLE:
                 # A double click, or a foot switch whose contact bounces, decides nothing twice.
                 self._stage.note("discarded", when="as it was chosen", trial=trial.index, **describe_press(press))

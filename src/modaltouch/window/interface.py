@@ -54,6 +54,28 @@ Log = Callable[..., None]
 
 
 @dataclass(frozen=True)
+class Presentation:
+    """The stimulus that plays while the window asks.
+
+    Attributes
+    ----------
+    onset : float
+        When its first burst began, by the clock of the session [s].
+    ends : float
+        When the last of its bursts is over, if nothing ends it before [s].
+    end : callable
+        Lets no further burst go; cheap, never raises.
+    stop : callable
+        Has the outputs off after the burst that plays; never raises.
+    """
+
+    onset: float
+    ends: float
+    end: Callable[[], None]
+    stop: Callable[[], None]
+
+
+@dataclass(frozen=True)
 class Progress:
     """Where the session stands, as the participant may see it: trial `number` of `total`."""
 
@@ -80,15 +102,15 @@ class AnswerWindow(typing.Protocol):
     def announce(self, text: str) -> None:
         """Show one text of the protocol (``practice``, ``practice_again``, ``start``) until the participant goes on."""
 
-    def ask(self, trial: Trial, progress: Progress, *, onset: float, stop: Callable[[], None]) -> Response:
+    def ask(self, trial: Trial, progress: Progress, presentation: Presentation) -> Response:
         """Show the trial and return the answer, as soon as it is known and without confirming it on screen.
 
         The session writes the answer to the disk first and calls `confirm` then, so that an answer the
         participant saw confirmed is never lost. From the accepted answer to the return nothing may raise,
         `tick` included.
 
-        `onset` is when the stimulus began (`time.perf_counter`) [s]. `stop` ends the stimulus; it is called at
-        the answer, at any interruption, and after the presentation where the protocol stops it first.
+        `presentation.end` is called at the answer, `presentation.stop` at any interruption and when the last burst
+        is over.
 
         Raises
         ------
@@ -106,6 +128,9 @@ class AnswerWindow(typing.Protocol):
 
     def wait(self, seconds: float) -> None:
         """Let the pause between two trials pass, counted from the answer; a simulated participant does not wait."""
+
+    def tell_stall(self) -> None:
+        """Say that the computer was held up and the stimulus comes again."""
 
     def rest(self, progress: Progress) -> None:
         """Show the break until the participant goes on."""

@@ -8,12 +8,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn, Self
 
+from modaltouch.clock import SYSTEM_CLOCK, Clock
 from modaltouch.protocol import Protocol, Texts
 from modaltouch.speech.interface import Silence, Speech
-from modaltouch.trial import Answer, Response, Trial
+from modaltouch.trial import TIME_OUT, Answer, Response, Trial
 from modaltouch.window.answering import AnswerTaker
 from modaltouch.window.events import Event, canonical_key
-from modaltouch.window.interface import Log, Progress, Tick, TrialInterrupted
+from modaltouch.window.interface import Log, Presentation, Progress, Tick, TrialInterrupted
 from modaltouch.window.layout import lay_out
 from modaltouch.window.marks import Picture
 from modaltouch.window.pausing import SETTLE, Pauser
@@ -74,8 +75,10 @@ class ParticipantWindow:
         screenshots: Path | None = None,
         robot: Sitter | None = None,
         speech: Speech | None = None,
+        clock: Clock = SYSTEM_CLOCK,
     ) -> None:
         self._display = display
+        self._clock = clock
         self._answers = protocol.answers
         self._n_practice, self._n_trials = protocol.schedule.practice_trials, protocol.n_trials
         self._texts = texts
@@ -124,7 +127,7 @@ class ParticipantWindow:
         words = str(getattr(self._texts, text))
         self._go_on(lambda: self._pictures.page(text, words))
 
-    def ask(self, trial: Trial, progress: Progress, *, onset: float, stop: Callable[[], None]) -> Response:
+    def ask(self, trial: Trial, progress: Progress, presentation: Presentation) -> Response:
         """Show the trial and return the answer as soon as it is known.
 
         Raises
@@ -134,56 +137,76 @@ class ParticipantWindow:
         SessionStopped
             If the session was ended.
         """
-        answers = self._answers
+        answers, onset = self._answers, presentation.onset
         stops_first = answers.stimulus_until == "question"
-        due = onset + max(answers.question_delay_s, answers.presentation_s if stops_first else 0.0)
+        due = onset + answers.question_delay_s
         progress = self._count(trial, progress)
         self._current = (trial, progress)
         self._stage.attend(Moment("feel", trial, onset))
         question = self._pictures.question(trial, progress)
-        self._feel(trial, question, stop, until=onset + answers.presentation_s if stops_first else due)
         if stops_first:
-            stop()
-            self._feel(trial, question, stop, until=due)
+            self._feel(trial, question, presentation.stop, until=presentation.ends)
+            presentation.stop()
+        self._feel(trial, question, presentation.stop, until=due)
         asked = self._stage.show(question, Moment("answer", trial, onset))
         flip_took = self._stage.flip_took
         # What is read now was pressed while the question was being drawn: it cannot answer it.
         for event in self._stage.poll_quietly():
-            self._before_question(event, trial, stop)
+            self._before_question(event, trial, presentation.stop)
 
         def interrupt(event: Event) -> NoReturn:
-            self._interrupt(trial, event, stop)
+            self._interrupt(trial, event, presentation.stop)
 
-        answer, event = self._taker.await_answer(trial, interrupt)
+        taken = self._taker.await_answer(trial, interrupt, None if stops_first else self._end_of(presentation))
         gap = self._stage.poll_gap
-        if answers.change_until_confirmed:
-            answer, event = self._taker.await_confirmation(trial, progress, answer, event, interrupt)
+        if taken is not None and answers.change_until_confirmed:
+            taken = self._taker.await_confirmation(trial, progress, *taken, interrupt)
         self._stage.hush()
-        stop()
-        self._answered = time.perf_counter() if answers.change_until_confirmed else event.time
+        presentation.end()
+        answered = taken[1].time if taken is not None else self._clock.now()
+        self._answered = self._clock.now() if taken is None or answers.change_until_confirmed else answered
         return Response(
-            answer=answer,
-            reaction_time=event.time - (asked if stops_first else onset),
+            answer=taken[0] if taken is not None else TIME_OUT,
+            reaction_time=answered - (asked if stops_first else onset),
             onset="question" if stops_first else "first_burst",
             answered_by=self._answered_by or self._who(trial),
             way=answers.way(trial.condition.finger_condition),
-            device="key" if event.kind == "key" else "mouse",
-            key=self._reader.name(event) or answer,
-            double=self._taker.watch_double(answer, event),
+            device=self._device(taken[1]) if taken is not None else "none",
+            key=(self._reader.name(taken[1]) or taken[0]) if taken is not None else "",
+            double=taken is not None and self._taker.watch_double(*taken),
             question_after=asked - onset,
             question_uncertainty=flip_took,
             time_uncertainty=gap,
         )
 
+    def _end_of(self, presentation: Presentation) -> Callable[[], bool]:
+        """Return what, asked again and again, ends the longest stimulus and tells whether the trial ends with it."""
+        is_over = False
+
+        def times_out() -> bool:
+            nonlocal is_over
+            if not is_over and self._clock.now() >= presentation.ends:
+                is_over = True
+                presentation.stop()
+            return is_over and self._answers.after_longest == "time_out"
+
+        return times_out
+
+    @staticmethod
+    def _device(event: Event) -> str:
+        return "key" if event.kind == "key" else "mouse"
+
     def confirm(self, response: Response) -> None:
         """Show which answer was taken; it is on the disk."""
-        if self._current is not None:
+        if self._current is not None and response.answer == TIME_OUT:
+            self._stage.show(self._pictures.ready(*self._current), Moment())
+        elif self._current is not None and response.answer != TIME_OUT:
             self._stage.show(self._pictures.question(*self._current, chosen=response.answer), Moment())
         self._stage.write_notes()
 
     def give_feedback(self, response: Response, expected: Answer) -> None:
         """Show for a moment where the vibration was stronger, after a practice trial."""
-        if self._current is not None:
+        if self._current is not None and response.answer != TIME_OUT:
             picture = self._pictures.feedback(*self._current, response.answer, expected)
             self._rest_on(picture, time.perf_counter() + _FEEDBACK)
             end = time.perf_counter() + _LONGEST_SPOKEN
@@ -196,6 +219,9 @@ class ParticipantWindow:
         self._rest_on(None, min(until, self._answered + _CONFIRMATION))
         if time.perf_counter() < until:
             self._rest_on(self._ready_picture(), until)
+
+    def tell_stall(self) -> None:
+        """Say that the computer was held up and the stimulus comes again."""
 
     def rest(self, progress: Progress) -> None:
         """Show the break until the participant goes on."""

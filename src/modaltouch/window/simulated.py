@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,9 +10,10 @@ from typing import Any, Self
 
 import numpy as np
 
+from modaltouch.clock import SYSTEM_CLOCK, Clock
 from modaltouch.observer import Participant
-from modaltouch.trial import ANSWERS, Answer, Response, Trial
-from modaltouch.window.interface import Log, Progress, Tick, TrialInterrupted
+from modaltouch.trial import ANSWERS, TIME_OUT, Answer, Response, Trial
+from modaltouch.window.interface import Log, Presentation, Progress, Tick, TrialInterrupted
 
 
 @dataclass(frozen=True)
@@ -69,8 +71,12 @@ class SimulatedParticipant:
         Takes the pauses for the record.
     stimulus_until : str
         ``answer``, or ``question`` where the stimulus stops before the question.
-    waits : bool
-        Whether reaction times and pauses really pass.
+    after_longest : str
+        ``ask``, or ``time_out`` where the trial ends with the longest stimulus.
+    clock : Clock
+        By which reaction times and pauses pass.
+    step : float
+        Time between two ticks [s].
     """
 
     def __init__(
@@ -80,17 +86,21 @@ class SimulatedParticipant:
         tick: Tick,
         log: Log = lambda event, **facts: None,
         stimulus_until: str = "answer",
-        waits: bool = False,
+        after_longest: str = "ask",
+        clock: Clock = SYSTEM_CLOCK,
+        step: float = 1e-3,
     ) -> None:
         self._answerer = answerer
         self._ticks = tick
         self._log = log
         self._onset_is = "question" if stimulus_until == "question" else "first_burst"
-        self._waits = waits
+        self._after_longest = after_longest
+        self._clock = clock
+        self._step = step
 
     def describe(self) -> dict[str, Any]:
         """Return the backend for the start record."""
-        return {"backend": "simulated", "answered_by": "simulated", "waits": self._waits}
+        return {"backend": "simulated", "answered_by": "simulated"}
 
     def welcome(self, trial: Trial) -> None:
         """Read nothing."""
@@ -104,19 +114,33 @@ class SimulatedParticipant:
         """Read nothing."""
         self._tick()
 
-    def ask(self, trial: Trial, progress: Progress, *, onset: float, stop: Callable[[], None]) -> Response:
-        """Return the observer's answer."""
+    def ask(self, trial: Trial, progress: Progress, presentation: Presentation) -> Response:
+        """Return the observer's answer once its reaction time has passed, and the stimulus ended where that is first."""
         answer, reaction_time = self._answerer.answer(trial)
-        if self._pass(reaction_time):
-            raise TrialInterrupted("experimenter")
-        stop()
+        stops_first = self._onset_is == "question"
+        start = presentation.ends if stops_first else presentation.onset
+        if stops_first:
+            self._pass_until(start, presentation)
+            presentation.stop()
+        limit = math.inf if stops_first or self._after_longest != "time_out" else presentation.ends - start
+        timed_out = reaction_time > limit
+        if not stops_first and start + reaction_time > presentation.ends:
+            self._pass_until(presentation.ends, presentation)
+            presentation.stop()
+        self._pass_until(start + min(reaction_time, limit), presentation)
+        presentation.end()
         return Response(
-            answer=answer,
-            reaction_time=reaction_time,
+            answer=TIME_OUT if timed_out else answer,
+            reaction_time=min(reaction_time, limit),
             onset=self._onset_is,
             answered_by="simulated",
-            device="model",
+            device="none" if timed_out else "model",
         )
+
+    def _pass_until(self, instant: float, presentation: Presentation) -> None:
+        if self._pass(instant - self._clock.now()):
+            presentation.stop()
+            raise TrialInterrupted("experimenter")
 
     def confirm(self, response: Response) -> None:
         """Look at nothing."""
@@ -125,8 +149,11 @@ class SimulatedParticipant:
         """Learn nothing."""
 
     def wait(self, seconds: float) -> None:
-        """Go on at once, unless time passes."""
+        """Let the pause pass."""
         self._pass(seconds)
+
+    def tell_stall(self) -> None:
+        """Wait for the stimulus to come again."""
 
     def rest(self, progress: Progress) -> None:
         """Need no break."""
@@ -149,21 +176,21 @@ class SimulatedParticipant:
         self.close()
 
     def _pass(self, seconds: float) -> bool:
-        """Tick once, or for as long as the time takes; return whether a pause came between."""
+        """Let time pass, ticking meanwhile; return whether a pause came between."""
         paused = self._tick()
-        end = time.perf_counter() + seconds if self._waits else 0.0
-        while time.perf_counter() < end:
+        end = self._clock.now() + seconds
+        while (left := end - self._clock.now()) > 0:
+            self._clock.sleep(min(left, self._step))
             paused |= self._tick()
-            time.sleep(1e-3)
         return paused
 
     def _tick(self) -> bool:
         """Tick, hold where the experimenter wishes it, and return whether that was so."""
         if self._ticks() != "pause":
             return False
-        began = time.perf_counter()
+        began = self._clock.now()
         self._log("pause", trial=None, by="experimenter")
         while self._ticks() != "continue":
             time.sleep(1e-3)
-        self._log("continued", paused_s=round(time.perf_counter() - began, 3))
+        self._log("continued", paused_s=round(self._clock.now() - began, 3))
         return True

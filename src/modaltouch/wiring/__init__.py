@@ -134,6 +134,7 @@ def wire_resume(
         answers=answers,
         window_options=window_options,
         observer=observer,
+        after=float(session.events[-1]["clock"]),
     )
     setup = wires.setup(schedule)
     if anew is None:

@@ -7,6 +7,7 @@ from contextlib import ExitStack, contextmanager
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+from modaltouch.clock import SYSTEM_CLOCK, Clock, VirtualClock
 from modaltouch.masking.interface import Masking, NoMasking
 from modaltouch.masking.player import open_masking
 from modaltouch.observer import Observer
@@ -14,7 +15,7 @@ from modaltouch.observer.felt import Felt
 from modaltouch.preflight import Preflight
 from modaltouch.preflight.speech import prepare_prompts
 from modaltouch.record.folders import SessionFolder
-from modaltouch.rig import open_rig, start_simulator
+from modaltouch.rig import open_rig, same_process, start_simulator
 from modaltouch.rig.interface import Rig
 from modaltouch.schedule import Schedule, random_generator
 from modaltouch.sitting import Setup
@@ -50,6 +51,8 @@ class Wires:
         How the answer window is opened, where there is one.
     observer : Observer
         Population that a simulated participant is drawn from.
+    after : float
+        What a virtual clock must not read less than: the record's, where one is continued [s].
     """
 
     def __init__(
@@ -62,6 +65,7 @@ class Wires:
         answers: AnswersBy,
         window_options: WindowOptions | None,
         observer: Observer,
+        after: float = 0.0,
     ) -> None:
         self._preflight = preflight
         self._place = place
@@ -71,6 +75,9 @@ class Wires:
         self._window_options = window_options
         self._observer = observer
         self._simulator: Simulator | None = None
+        # Nobody waits for a simulated participant before the twin in this very process.
+        is_virtual = rig == SIMULATED and answers == "simulated"
+        self.clock: Clock = VirtualClock(max(SYSTEM_CLOCK.now(), after)) if is_virtual else SYSTEM_CLOCK
         self._speech: Speech = Silence()
 
     def setup(self, schedule: Schedule) -> Setup:
@@ -79,17 +86,20 @@ class Wires:
         if self._answers != "window":
             facts["observer"] = self._observer.as_dict()
         opened = self.open_rig, self.open_window, self.open_masking
-        return Setup(self._preflight, schedule, self._place, *opened, facts)
+        return Setup(self._preflight, schedule, self._place, *opened, facts, clock=self.clock)
 
     @contextmanager
     def open_rig(self, log: Callable[..., None]) -> Iterator[Rig]:
         """Open the driver, on the twin's address where no other is given."""
         apparatus, address = self._preflight.experiment.apparatus, self._rig
         with ExitStack() as stack:
+            options: dict[str, Any] = {}
             if self._rig == SIMULATED:
-                self._simulator = stack.enter_context(start_simulator(apparatus))
+                self._simulator = stack.enter_context(start_simulator(apparatus, clock=self.clock))
                 address = self._simulator.address
-            yield stack.enter_context(open_rig(address, apparatus, log=log))
+            if isinstance(self.clock, VirtualClock):
+                options = {"clock": self.clock, "start_guard": same_process(self.clock)}
+            yield stack.enter_context(open_rig(address, apparatus, log=log, **options))
 
     def open_window(self, tick: Tick, log: Callable[..., None]) -> AnswerWindow:
         """Open the answer window, with a simulated participant where no person answers."""
@@ -105,6 +115,7 @@ class Wires:
             answerer=None if self._answers == "window" else self._answerer(),
             options=self._window_options,
             speech=self._speech,
+            clock=self.clock,
         )
 
     def open_masking(self, log: Callable[..., None]) -> Masking:

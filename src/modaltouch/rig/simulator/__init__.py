@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.apparatus import Apparatus
+from modaltouch.clock import SYSTEM_CLOCK, Clock
 from modaltouch.rig.simulator.afg import Afg
 from modaltouch.rig.simulator.behaviour import Behaviour
 from modaltouch.rig.simulator.channel import Playback
@@ -60,9 +61,10 @@ class Simulator:
         *,
         port: int = 0,
         behaviour: Behaviour | None = None,
+        clock: Clock = SYSTEM_CLOCK,
     ) -> None:
         self.apparatus = apparatus
-        self.afg = Afg(behaviour or Behaviour())
+        self.afg = Afg(behaviour or Behaviour(), now=clock.now)
         self.faults = Faults()
         self.twin = Twin(apparatus, apparatus.twin.seed if seed is None else seed)
         self.touched: tuple[float, ...] = ()
