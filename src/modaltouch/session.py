@@ -17,7 +17,7 @@ from modaltouch.protocol import Protocol
 from modaltouch.record.chain import RecordError
 from modaltouch.record.log import SessionLog
 from modaltouch.record.session import Session
-from modaltouch.rig.interface import Firing, Rig, RigError, StimulusLost
+from modaltouch.rig.interface import Bursts, Firing, Rig, RigError, StimulusLost
 from modaltouch.trial import Response, Trial
 from modaltouch.window.interface import (
     AnswerWindow,
@@ -274,7 +274,7 @@ def present(sitting: Sitting, trial: Trial) -> tuple[Response | None, Firing]:
             # Whatever ends the session now, the record knows that this stimulus had begun.
             sitting.log.append("fired", trial=trial.as_dict(), confirmed=firing.as_dict())
             response = sitting.window.ask(trial, Progress(trial.index, sitting.total), presentation)
-            line = _write_down(sitting, "answered", trial, response, replace(firing, reason=NOT_OVER))
+            line = _write_down(sitting, "answered", trial, response, replace(firing, reason=NOT_OVER, bursts=Bursts()))
             sitting.window.confirm(response)
         except (TrialInterrupted, StimulusLost) as cut:
             stop()

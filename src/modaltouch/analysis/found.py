@@ -12,6 +12,7 @@ from typing import Any
 from modaltouch.analysis.record_facts import SessionFacts, take_facts
 from modaltouch.record.chain import RecordError
 from modaltouch.record.session import Session, read_session
+from modaltouch.trial import TIME_OUT
 
 
 @dataclass(frozen=True)
@@ -174,6 +175,9 @@ def _unfit(session: Session) -> str:
     if not session.complete:
         total = session.start.get("schedule", {}).get("n_trials", 0)
         return f"incomplete: {session.n_answered} of {total} trials answered (go on with `modaltouch resume`)"
+    n_timed_out = sum(event["response"]["answer"] == TIME_OUT for event in session.trials)
+    if n_timed_out:
+        return f"without an answer to {n_timed_out} trials, which timed out"
     return ""
 
 

@@ -20,6 +20,7 @@ def check_apparatus(reading: Reading[Apparatus]) -> list[Problem]:
         *_check_unlisted(reading),
         *check_shapes(reading),
         *check_patches(reading),
+        *_check_latency(reading),
     ]
 
 
@@ -114,3 +115,10 @@ def _unknown_set(
     kind = "a set of actuator_sets" if at_key else "a set with a gain in this mode"
     remedy = f"did you mean '{meant}'?" if meant else ""
     return reading.problem(path, f"'{name}', which is not {kind}", ", ".join(allowed), remedy, at_key=at_key)
+
+
+def _check_latency(reading: Reading[Apparatus]) -> Iterator[Problem]:
+    low, high = (reading.sound("generator", "trigger_latency_ms", bound) for bound in ("low", "high"))
+    if low is not None and high is not None and low > high:
+        path = ("generator", "trigger_latency_ms", "low")
+        yield reading.problem(path, f"{low:g} ms, above the longest of {high:g} ms", f"at most {high:g}", "swap them")

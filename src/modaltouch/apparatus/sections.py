@@ -115,9 +115,9 @@ class Generator(Section):
         "What its outputs see: high_impedance or 50_ohm.", default="high_impedance"
     )
     repetition: Literal["single", "timer", "continuous", "wired", "burst"] = described(
-        "single: each burst is triggered by a command of its own, counted and dated; timer: the generator's free timer, "
-        "whose bursts are neither; wired: a pulse source at the trigger input, which counts them; continuous: one "
-        "record that holds burst and silence, for a generator whose burst mode cannot be used (it cannot be exact: "
+        "single: each burst is triggered by a command of its own, counted and dated; timer: the generator's free "
+        "timer, whose bursts are neither; wired: a pulse source at the trigger input, which counts them; continuous: "
+        "one record that holds burst and silence, for a generator whose burst mode cannot be used (it cannot be exact: "
         "check --compare says by how much). `burst` is the former name of timer.",
         default="single",
     )

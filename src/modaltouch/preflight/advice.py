@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from modaltouch.apparatus import Apparatus
 from modaltouch.document import Reading
 from modaltouch.document.section import Section
 from modaltouch.document.tree import Node
@@ -50,6 +51,31 @@ def field_warnings(ground: Ground, stimulus: Stimulus, figures: list[dict[str, A
     if stimulus.reconstruction_error > _UNREACHED:
         said.append(f"at {stimulus.wish.velocity * 1e3:g} mm/s {stimulus.projection.unreached()}")
     return said
+
+
+_UNPROMISED = {
+    "timer": "the free timer of the generator dates the first burst to a period and counts none",
+    "continuous": "a continuous record dates the first burst to a command and counts none",
+    "wired": "the pulse source at the trigger input counts the bursts, and this program neither counts nor dates them",
+}
+
+
+def repetition_warnings(apparatus: Apparatus) -> list[str]:
+    """Return what a repetition other than ``single`` cannot promise.
+
+    Parameters
+    ----------
+    apparatus : Apparatus
+        What is on the table.
+    """
+    section = apparatus.generator
+    if section.repeats == "single":
+        return []
+    former = " (`burst` is its former name)" if section.repetition == "burst" else ""
+    return [
+        f"generator.repetition is {section.repeats}{former}: {_UNPROMISED[section.repeats]}, and only the watchdog "
+        "process ends it if this program dies; `single` promises all three"
+    ]
 
 
 def answer_warnings(protocol: Protocol) -> list[str]:

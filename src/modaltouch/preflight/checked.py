@@ -8,7 +8,13 @@ from typing import Any, Self
 
 from modaltouch.apparatus import offered_gains
 from modaltouch.document import InputError, Problem
-from modaltouch.preflight.advice import answer_warnings, default_warnings, field_warnings, taken_defaults
+from modaltouch.preflight.advice import (
+    answer_warnings,
+    default_warnings,
+    field_warnings,
+    repetition_warnings,
+    taken_defaults,
+)
 from modaltouch.preflight.figures import (
     contrasts,
     estimated_duration,
@@ -235,6 +241,7 @@ class Preflight:
             "warnings": [
                 *self._stimulus_warnings(),
                 *answer_warnings(protocol),
+                *repetition_warnings(self.experiment.apparatus),
                 *sound_warnings(protocol, self.experiment.apparatus),
                 *speech_warnings(self.experiment),
                 *default_warnings(values["defaults"]),

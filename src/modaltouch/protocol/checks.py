@@ -190,7 +190,7 @@ def _check_key(reading: Reading[Protocol], path: tuple[str | int, ...], name: st
 
 
 def _check_times(reading: Reading[Protocol]) -> Iterator[Problem]:
-    for key in ("presentation_s", "question_delay_s", "pause_s"):
+    for key in ("presentation_s", "longest_presentation_s", "question_delay_s", "pause_s", "settling_s"):
         value = reading.sound("answers", key)
         if value is not None and value > 600:
             yield reading.problem(("answers", key), f"{value:g} s", "at most 600 s", "shorten it")

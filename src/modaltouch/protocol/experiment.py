@@ -14,6 +14,7 @@ from modaltouch.protocol.checks import check_protocol
 from modaltouch.protocol.fit import check_fit
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.texts import Texts, check_words
+from modaltouch.protocol.timing_checks import check_timing
 from modaltouch.protocol.wished import read_points
 
 if TYPE_CHECKING:
@@ -195,6 +196,7 @@ def examine_files(path: Path, calibration: Path | None = None, *, uncalibrated: 
     if named is not None:
         texts = read(named, Texts)
         problems += [*texts.problems, *check_words(protocol, texts)]
+    problems += check_timing(protocol, apparatus)
     calibrated = None if uncalibrated else _examine_calibration(protocol, apparatus, calibration, problems)
     field = _load_named(protocol, ("stimulus", "field", "file"), problems)
     if field is not None:

@@ -22,7 +22,6 @@ def check_fit(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> lis
         *_check_modes(protocol, apparatus),
         *_check_delay(protocol, apparatus),
         *_check_levels(protocol, apparatus),
-        *_check_repetition(protocol, apparatus),
         *check_masking(protocol, apparatus),
     ]
 
@@ -114,11 +113,3 @@ def _check_levels(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) ->
             given = f"{velocity:g} mm/s, beyond the safety limit of the apparatus"
             path = ("conditions", "peak_velocities_mm_s", index)
             yield protocol.problem(path, given, f"at most {limit:g} mm/s", "lower the level")
-
-
-def _check_repetition(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> Iterator[Problem]:
-    n_catch = protocol.sound("schedule", "catch_trials")
-    if n_catch and apparatus.sound("generator", "repetition") == "continuous":
-        given = f"{n_catch}, where the generator of the apparatus repeats a continuous record"
-        allowed = "0 without burst mode: only a stopped trigger keeps an output silent that is on"
-        yield protocol.problem(("schedule", "catch_trials"), given, allowed, "set generator.repetition to burst")

@@ -72,6 +72,36 @@ COLUMNS: dict[str, dict[str, Any]] = {
     "log_line": {"Description": f"Number of the line in {LOG_NAME}"},
 }
 
+COUNTED: dict[str, dict[str, Any]] = {
+    "onset": {
+        "Description": "When the first sample of the first burst left the generator, by the clock of the session log; "
+        "the focus comes at the protocol's focusing_instant_ms after it",
+        "Units": "s",
+    },
+    "onset_uncertainty": {
+        "Description": "How far from the onset it can have been, either way: half the time from the command that "
+        "triggered the burst to the instrument's having taken it, and the bounds of the trigger latency; where that "
+        "latency has not been measured, nothing is claimed to less than a millisecond",
+        "Units": "s",
+    },
+    "n_bursts": {"Description": "Whole bursts that were played; n/a where they cannot be counted"},
+    "n_bursts_dropped": {"Description": "Bursts left out because they would have come too late"},
+    "repetition_by": {
+        "Description": "What repeats the bursts",
+        "Levels": {
+            "single": "each burst has a command of its own",
+            "timer": "the free timer of the generator: bursts are not counted, the first is known to a period",
+            "continuous": "one record plays on: bursts are not counted",
+            "wired": "a pulse source at the trigger input: bursts are counted there",
+        },
+    },
+    "presentation": {"Description": "How often this trial had been presented by then, from 1"},
+    "device": {"Description": "What the answer came from: key, mouse, console, model, or none at a time-out"},
+    "speed_left_mm_s": {"Description": "Predicted peak speed of the beam under the left finger", "Units": "mm/s"},
+    "speed_right_mm_s": {"Description": "Predicted peak speed of the beam under the right finger", "Units": "mm/s"},
+}
+"""Columns of sessions whose bursts are counted, since format 2 of the log."""
+
 CATCH: dict[str, Any] = {
     "Description": "Catch trial: nothing was driven, the velocity is 0",
     "Levels": {"0": "no", "1": "yes"},
@@ -129,6 +159,9 @@ def _columns(session: Session) -> dict[str, dict[str, Any]]:
     """Return the columns of a session's table: those for catch trials and the answer none only where it has them."""
     design = session.start.get("design", {})
     columns = dict(COLUMNS)
+    if session.start.get("schema", 1) > 1:
+        line = columns.pop("log_line")
+        columns |= {**COUNTED, "log_line": line}
     if design.get("schedule", {}).get("catch_trials"):
         columns["catch"] = CATCH
     if session.multiples:
@@ -140,6 +173,9 @@ def _columns(session: Session) -> dict[str, dict[str, Any]]:
     if "none" in design.get("answers", {}).get("keys", {}):
         response = columns["response"]
         columns["response"] = {**response, "Levels": {**response["Levels"], "none": "neither finger"}}
+    if design.get("answers", {}).get("after_longest") == "time_out":
+        response = columns["response"]
+        columns["response"] = {**response, "Levels": {**response["Levels"], "time_out": "no answer in time"}}
     return columns
 
 
@@ -223,6 +259,7 @@ def _row(event: dict[str, Any], columns: dict[str, dict[str, Any]], multiples: d
     trial, response = event["trial"], event["response"]
     condition = trial["condition"]
     multiple = multiples.get(condition["velocity_mm_s"])
+    bursts, planned = event.get("bursts") or {}, event.get("planned") or {}
     values = {
         "trial": trial["index"],
         "block": trial["block"],
@@ -245,6 +282,19 @@ def _row(event: dict[str, Any], columns: dict[str, dict[str, Any]], multiples: d
         "answered_by": response["answered_by"],
         "way": response["way"] or "n/a",
         "confirmed": int(event["confirmed"]["confirmed"]),
+        "onset": _number(bursts.get("first_s"), ".4f"),
+        "onset_uncertainty": _number(bursts.get("uncertainty_s"), ".4f"),
+        "n_bursts": _number(bursts.get("whole"), "d"),
+        "n_bursts_dropped": _number(bursts.get("dropped"), "d"),
+        "repetition_by": event["confirmed"].get("repetition", "n/a"),
+        "presentation": event.get("presentation", "n/a"),
+        "device": response.get("device", "n/a"),
+        "speed_left_mm_s": _number(planned.get("speed_left_mm_s"), "g"),
+        "speed_right_mm_s": _number(planned.get("speed_right_mm_s"), "g"),
         "log_line": event["n"],
     }
     return [str(values[column]).replace("\t", " ").replace("\n", " ") for column in columns]
+
+
+def _number(value: float | None, form: str) -> str:
+    return "n/a" if value is None else format(value, form)

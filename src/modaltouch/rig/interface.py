@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import typing
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Self
@@ -51,7 +52,7 @@ class Bursts:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the counts as plain values for the record."""
-        return asdict(self)
+        return {name: round(value, 6) if isinstance(value, float) else value for name, value in asdict(self).items()}
 
 
 @dataclass(frozen=True)
@@ -99,6 +100,8 @@ class Firing:
         """Return the firing as plain values for the record, the bursts left out."""
         values = asdict(self)
         del values["bursts"], values["started"]
+        for name in ("onset", "onset_uncertainty"):
+            values[name] = round(values[name], 6) if math.isfinite(values[name]) else None
         return values
 
 

@@ -115,7 +115,7 @@ class SimulatedParticipant:
         self._tick()
 
     def ask(self, trial: Trial, progress: Progress, presentation: Presentation) -> Response:
-        """Return the observer's answer once its reaction time has passed, and the stimulus ended where that is first."""
+        """Return the observer's answer once its reaction time has passed."""
         answer, reaction_time = self._answerer.answer(trial)
         stops_first = self._onset_is == "question"
         start = presentation.ends if stops_first else presentation.onset

@@ -13,7 +13,7 @@ from modaltouch.protocol import Protocol, Sources, examine_sources
 from modaltouch.record.chain import RecordError, RecordInputError
 from modaltouch.record.folders import Mode, SessionFolder, find_log, locate
 from modaltouch.record.session import Session, read_session
-from modaltouch.record.shape import check_shape
+from modaltouch.record.shape import SCHEMA, check_shape
 from modaltouch.schedule import draw_schedule
 from modaltouch.sensation import at_own_levels, recorded_levels
 from modaltouch.sitting import Setup
@@ -108,6 +108,12 @@ def wire_resume(
     log = find_log(path)
     session = _begun(log)
     start = session.start
+    if start.get("schema", 1) < SCHEMA and not (session.complete or restart):
+        raise RecordInputError(
+            f"{log}: was begun by a version whose bursts were not counted "
+            f"({start['versions'].get('modaltouch', 'unknown')}); half a session of each is no session: "
+            f"`modaltouch resume --restart {log.parent}` begins it anew, and keeps what was answered"
+        )
     place = locate(log, session.mode, session.protocol)
     rig, answers = rig or start["rig_choice"], answers or start["answers_choice"]
     as_begun = (rig, answers) == (start["rig_choice"], start["answers_choice"])
