@@ -283,7 +283,7 @@ def _play(
             check()
             laboratory.load(each.burst)
             firing = laboratory.rig.fire(velocity)
-            if not firing.confirmed:
+            if not firing.started:
                 raise RigError(f"the generator does not confirm the drive of {each.method.name}: {firing.reason}")
             sent.append(laboratory.simulator.playbacks)
             laboratory.rig.stop()

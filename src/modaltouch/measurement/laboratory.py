@@ -5,23 +5,27 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 from modaltouch.apparatus import Apparatus
 from modaltouch.rig import is_simulated, open_rig, start_simulator
 from modaltouch.rig.acquisition import Acquisition, Recording, Scope
-from modaltouch.rig.interface import Rig, RigError
+from modaltouch.rig.interface import Firing, Rig, RigError, StimulusLost
 from modaltouch.stimulus.burst import Burst
 
 if TYPE_CHECKING:
+    from modaltouch.rig.player import Repetition
     from modaltouch.rig.simulator import Simulator
 
 Mode = Literal["simulated", "real"]
 
 SIMULATED = "simulated"
 """What stands in a rig's place for the digital twin."""
+
+ATTEMPTS = 3
+"""How often a record is taken that a stall of the computer spoils."""
 
 BEAT_PERIOD = 0.1
 """Time between two signs of life for the watchdog while a record is taken [s]."""
@@ -97,28 +101,39 @@ class Laboratory:
         Raises
         ------
         RigError
-            If the rig fails, or the generator does not confirm before and after the record what it plays.
+            If the rig fails, or the generator does not confirm before and after the record what it plays. A record
+            spoilt by a stall of this computer is taken again, three times at most.
         """
         self.scope.configure(acquisition)
         self.aim(position)
+        for _ in range(ATTEMPTS):
+            recording, firing = self._record_once(position, velocity, acquisition)
+            if firing is not None and firing.confirmed and recording is not None:
+                return recording
+            if firing is None or not firing.stalled:
+                break
+        reason = "nothing was played" if firing is None else firing.reason
+        raise RigError(f"at {position * 1e3:g} mm the record is void: {reason}; the outputs are off; measure again")
+
+    def _record_once(
+        self, position: float, velocity: float, acquisition: Acquisition
+    ) -> tuple[Recording | None, Firing | None]:
+        """Return a record, None if the bursts ended within it, and what was played."""
         firing = self.rig.fire(velocity)
-        if not firing.confirmed:
+        if not firing.started:
             raise RigError(
                 f"the generator does not confirm what it is to play ({firing.reason}); the outputs are off; see "
                 "`modaltouch rig check`"
             )
+        recording = None
         try:
             longest = acquisition.n_records * acquisition.n_samples / acquisition.sampling_rate + SLOWEST
-            with self._alive(self.settling_time + longest):
+            with suppress(StimulusLost), self._alive(self.settling_time + longest):
                 time.sleep(self.settling_time)
                 recording = self.scope.measure(position)
         finally:
             self.rig.stop()
-        after = self.rig.firing
-        if after is None or not after.confirmed:
-            reason = "nothing was played" if after is None else after.reason
-            raise RigError(f"at {position * 1e3:g} mm the record is void: {reason}; the outputs are off; measure again")
-        return recording
+        return recording, self.rig.firing
 
     @contextmanager
     def _alive(self, longest: float) -> Iterator[None]:
@@ -151,7 +166,7 @@ def open_laboratory(
     address: str = SIMULATED,
     *,
     seed: int | None = None,
-    repetition: Literal["burst", "continuous"] = "burst",
+    repetition: Repetition | None = None,
     aim: Callable[[float], None] = _stay,
     log: Callable[..., None] = _ignore,
     **options: Any,
@@ -166,9 +181,9 @@ def open_laboratory(
         ``simulated``, or the generator's VISA address; beside a real one a PicoScope is opened.
     seed : int, optional
         Of the twin, instead of that in its apparatus file.
-    repetition : str
-        ``burst``: one record at each tick of the trigger timer, as in a session; ``continuous``: one record after
-        the other without a gap, as for a periodic chirp.
+    repetition : str, optional
+        ``continuous``: one record after the other without a gap, as for a periodic chirp; None for what the
+        apparatus says, as in a session.
     aim : callable
         Brings the vibrometer's spot to a position [m from mid-beam]; the twin's needs nobody.
     log : callable
