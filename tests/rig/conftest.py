@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 
 from modaltouch.apparatus import Apparatus, read_apparatus
+from modaltouch.clock import VirtualClock
 from modaltouch.rig.connection import Patience
 from modaltouch.rig.generator import Generator
+from modaltouch.rig.guard import SameProcess
 from modaltouch.rig.simulator import Simulator
 from modaltouch.rig.simulator.behaviour import Behaviour
 from modaltouch.rig.visa import VisaSession
@@ -45,31 +47,28 @@ class Heard:
         self.events.clear()
 
 
-class QuietGuard(VisaSession):
-    """Stands at the process boundary in tests that are not about it: the watchdog's VISA session, in this process.
+class QuietGuard(SameProcess):
+    """Stands at the process boundary in tests that are not about it: VISA session and pacer, in this process.
 
     It is what starts a watchdog, too: given an address, it is the one for it.
     """
 
-    def __init__(self) -> None:
-        super().__init__("")
+    def __init__(self, clock: VirtualClock) -> None:
+        super().__init__(VisaSession(""), clock)
         self.told: list[str] = []
 
     def __call__(self, address: str) -> QuietGuard:
-        super().__init__(address)
+        super().__init__(VisaSession(address), self._clock)
         return self
 
-    def arm(self) -> None:
+    def arm(self, *, plays_by_itself: bool) -> None:
         self.told.append("arm")
-
-    def beat(self) -> None:
-        pass
 
     def disarm(self) -> None:
         self.told.append("disarm")
 
     def release(self, *, clean: bool) -> None:
-        self.close(broken=False)
+        super().release(clean=clean)
         self.told.append("clean" if clean else "left watching")
 
 
@@ -86,9 +85,15 @@ def apparatus() -> Apparatus:
 
 
 @pytest.fixture
-def simulator(apparatus: Apparatus) -> Iterator[Simulator]:
-    """Return a running simulator."""
-    with Simulator(apparatus) as running:
+def clock() -> VirtualClock:
+    """Return the clock of driver and twin, in which nobody waits."""
+    return VirtualClock(100.0)
+
+
+@pytest.fixture
+def simulator(apparatus: Apparatus, clock: VirtualClock) -> Iterator[Simulator]:
+    """Return a running simulator in virtual time."""
+    with Simulator(apparatus, clock=clock) as running:
         yield running
 
 
@@ -106,9 +111,9 @@ def heard() -> Heard:
 
 
 @pytest.fixture
-def guard() -> QuietGuard:
+def guard(clock: VirtualClock) -> QuietGuard:
     """Return the stand-in for the watchdog that `open_generator` uses."""
-    return QuietGuard()
+    return QuietGuard(clock)
 
 
 @pytest.fixture
@@ -119,7 +124,7 @@ def patience() -> Patience:
 
 @pytest.fixture
 def open_generator(
-    apparatus: Apparatus, simulator: Simulator, heard: Heard, guard: QuietGuard, patience: Patience
+    apparatus: Apparatus, simulator: Simulator, heard: Heard, guard: QuietGuard, patience: Patience, clock: VirtualClock
 ) -> Iterator[Callable[..., Generator]]:
     """Return what opens the driver at the simulator; whatever it opens is closed."""
     opened: list[Generator] = []
@@ -129,6 +134,7 @@ def open_generator(
             "log": heard,
             "patience": patience,
             "start_guard": guard,
+            "clock": clock,
         }
         opened.append(Generator(simulator.address, apparatus, **(defaults | options)))
         return opened[-1]

@@ -59,7 +59,7 @@ def test_every_question_is_met(usual: list[Row]) -> None:
         (7, "refused with -222.*reads 0.1 Vpp", "cut without an error; the level reads 2 Vpp"),
         (8, "first -113.*last -350.*; 32 entries", r"last -350.*; 5 entries"),
         (9, r"b'\\n' after a block of 2006 bytes", r"b'xx\\n' after"),
-        (11, "no: this session has locked it", "no: it admits no further session"),
+        (11, "yes: a second session is answered", "no: it admits no further session"),
         (12, "still on", "still on"),
     ],
 )

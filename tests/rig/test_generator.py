@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 
 from modaltouch.apparatus import Apparatus
+from modaltouch.apparatus.sections import LatencyBounds
+from modaltouch.clock import VirtualClock
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.simulator import Simulator
@@ -31,13 +33,16 @@ def test_firing_is_confirmed_and_felt(loaded: Generator, simulator: Simulator) -
     """Between fire and stop both outputs are on and fingers feel something; before and after they do not."""
     assert simulator.felt_velocity(["A", "C"]).tolist() == [0, 0]
     firing = loaded.fire(0.2)
-    assert firing.confirmed
+    assert firing.started
+    assert not firing.confirmed
     assert firing.confirmed_amplitude == firing.commanded_amplitude == (12.0, 8.0)
     assert simulator.outputs == (True, True)
     assert (simulator.felt_velocity(["A", "C"]) > 0).all()
     loaded.stop()
     assert simulator.outputs == (False, False)
     assert simulator.felt_velocity(["A", "C"]).tolist() == [0, 0]
+    assert loaded.firing is not None
+    assert loaded.firing.confirmed
 
 
 def test_a_catch_trial_does_everything_but_play(loaded: Generator, simulator: Simulator) -> None:
@@ -45,7 +50,7 @@ def test_a_catch_trial_does_everything_but_play(loaded: Generator, simulator: Si
     loaded.fire(0.1)
     loaded.stop()
     firing = loaded.fire(0.08, silent=True)
-    assert firing.confirmed
+    assert firing.started
     assert firing.confirmed_amplitude == firing.commanded_amplitude != (0, 0)
     assert simulator.outputs == (True, True)
     assert simulator.felt_velocity(["A", "C"]).tolist() == [0, 0]
@@ -53,33 +58,73 @@ def test_a_catch_trial_does_everything_but_play(loaded: Generator, simulator: Si
     assert simulator.outputs == (False, False)
     assert loaded.firing is not None
     assert loaded.firing.confirmed
-    assert loaded.fire(0.08).confirmed
+    assert loaded.fire(0.08).started
     assert (simulator.felt_velocity(["A", "C"]) > 0).all()
 
 
-def test_a_catch_trial_takes_the_commands_of_any_other(loaded: Generator, heard: Any) -> None:
-    """The same number of messages, so that neither time nor relays tell; one differs: the trigger's source."""
-    sent = []
+def test_a_catch_trial_takes_the_commands_and_the_time_of_any_other(
+    loaded: Generator, heard: Any, clock: VirtualClock
+) -> None:
+    """The same messages in the same time, so that neither relays nor delays tell; only the triggers are left out."""
+    sent, took = [], []
     for silent in (False, True):
         heard.clear()
+        began = clock.now()
         loaded.fire(0.08, silent=silent)
+        took.append(clock.now() - began)
         loaded.stop()
         sent.append(heard.sent)
-    assert len(sent[0]) == len(sent[1])
-    ((let_go, kept),) = [pair for pair in zip(*sent, strict=True) if pair[0] != pair[1]]
-    assert let_go.startswith(":TRIG:SOUR TIM;")
-    assert kept == let_go.replace("TIM", "EXT")
+    assert sent[0] == sent[1]
+    assert took[0] == pytest.approx(took[1], abs=1e-6)
 
 
-def test_a_continuous_record_cannot_be_silent(
-    simulator: Simulator, open_generator: Callable[..., Generator], burst: Burst
+@pytest.mark.parametrize("repetition", ["continuous", "wired"])
+def test_a_record_that_plays_by_itself_cannot_be_silent(
+    simulator: Simulator, open_generator: Callable[..., Generator], burst: Burst, repetition: str
 ) -> None:
     """It plays as soon as the outputs are on, so a catch trial is refused and they stay off."""
-    generator = open_generator(repetition="continuous")
+    generator = open_generator(repetition=repetition)
     generator.load(burst)
-    with pytest.raises(RigError, match="needs the repetition `burst`"):
+    with pytest.raises(RigError, match="needs the repetition `single`"):
         generator.fire(0.1, silent=True)
     assert simulator.outputs == (False, False)
+
+
+@pytest.mark.parametrize("n_bursts", [1, 2, 14])
+def test_whole_bursts_are_played_and_counted(loaded: Generator, clock: VirtualClock, heard: Any, n_bursts: int) -> None:
+    """As many triggers as asked, a period apart, none after the last; all of them whole."""
+    loaded.fire(0.1, n_bursts=n_bursts)
+    for _ in range(30):
+        clock.sleep(0.1)
+        loaded.heartbeat()
+    loaded.stop()
+    assert loaded.firing is not None
+    assert loaded.firing.confirmed
+    bursts = loaded.firing.bursts
+    assert (bursts.asked, bursts.played, bursts.whole, bursts.dropped) == (n_bursts, n_bursts, n_bursts, 0)
+
+
+def test_stimulus_ends_between_bursts(loaded: Generator, clock: VirtualClock, simulator: Simulator) -> None:
+    """Stopped 10 ms into the third burst: that one comes to its end, 40 ms later, and no other follows."""
+    firing = loaded.fire(0.1)
+    clock.sleep(2 / 7 + 0.01 - (clock.now() - firing.onset))
+    loaded.end()
+    stopped = clock.now()
+    loaded.stop()
+    assert clock.now() - stopped == pytest.approx(0.04, abs=2e-3)
+    assert loaded.firing is not None
+    assert (loaded.firing.bursts.played, loaded.firing.bursts.whole) == (3, 3)
+
+
+def test_emergency_stop_cuts_the_burst_that_plays(loaded: Generator, clock: VirtualClock) -> None:
+    """Outputs off at once, 10 ms into the first burst, which is counted as played and as not whole."""
+    loaded.fire(0.1)
+    clock.sleep(0.01)
+    stopped = clock.now()
+    loaded.stop(at_once=True)
+    assert clock.now() == pytest.approx(stopped, abs=1e-6)
+    assert loaded.firing is not None
+    assert (loaded.firing.bursts.played, loaded.firing.bursts.whole) == (1, 0)
 
 
 def test_level_scales_what_is_felt(loaded: Generator, simulator: Simulator) -> None:
@@ -93,7 +138,7 @@ def test_level_scales_what_is_felt(loaded: Generator, simulator: Simulator) -> N
 
 
 def test_instrument_is_set_as_the_burst_asks(loaded: Generator, simulator: Simulator) -> None:
-    """State of the instrument while it fires: 20 Hz, one cycle a trigger, 1/7 s, 12 and 8 Vpp, no offset."""
+    """State of the instrument while it fires: 20 Hz, one cycle a trigger, 12 and 8 Vpp, no offset."""
     loaded.fire(0.2)
     for channel, memory, amplitude in zip(simulator.afg.channels.values(), ("USER1", "USER2"), (12, 8), strict=True):
         assert channel.function == memory
@@ -101,8 +146,36 @@ def test_instrument_is_set_as_the_burst_asks(loaded: Generator, simulator: Simul
         assert (channel.offset, channel.delay, channel.polarity) == (0, 0, "NORM")
         assert math.isinf(channel.load)
         assert channel.amplitude == pytest.approx(amplitude)
+    assert simulator.afg.trigger_source == "EXT"
+
+
+def test_timer_runs_at_the_rate_of_the_burst(
+    simulator: Simulator, open_generator: Callable[..., Generator], burst: Burst
+) -> None:
+    """`timer`, as in the paper: source TIM at 1/7 s while it fires, the first burst known to a period, none counted."""
+    rig = open_generator(repetition="timer")
+    rig.load(burst)
+    firing = rig.fire(0.2)
     assert simulator.afg.trigger_source == "TIM"
     assert simulator.afg.timer == pytest.approx(1 / 7, rel=1e-8)
+    assert 2 * firing.onset_uncertainty == pytest.approx(1 / 7, rel=1e-6)
+    rig.stop()
+    assert rig.firing is not None
+    assert rig.firing.confirmed
+    assert rig.firing.bursts.played is None
+
+
+@pytest.mark.parametrize("knows", [True, False])
+def test_trigger_is_that_of_the_instrument(
+    simulator: Simulator, open_generator: Callable[..., Generator], burst: Burst, heard: Any, knows: bool
+) -> None:
+    """TRIG:SEQ:IMM where the instrument has it; where it is an undefined header (-113), *TRG."""
+    if not knows:
+        simulator.faults.inject("wrong_reply", when="SEQ:IMM", value='-113,"Undefined header"')
+    rig = open_generator()
+    rig.load(burst)
+    assert rig._player.order(1, 0.0, 0.1).command == ("TRIG:SEQ:IMM" if knows else "*TRG")
+    assert rig.fire(0.1).started
 
 
 def test_every_set_reads_the_error_queue(loaded: Generator, heard: Any) -> None:
@@ -115,7 +188,7 @@ def test_every_set_reads_the_error_queue(loaded: Generator, heard: Any) -> None:
 
 
 def test_level_change_sends_no_record(loaded: Generator, heard: Any) -> None:
-    """A trial sets two amplitudes, the outputs and the trigger source; nothing else (promise list)."""
+    """A trial sets two amplitudes and the outputs; nothing else (promise list)."""
     for level in LEVELS:
         loaded.fire(level)
         loaded.stop()
@@ -153,7 +226,7 @@ def test_silent_channel_plays_nothing(generator: Generator, simulator: Simulator
     codes[1] = 8191
     generator.load(replace(burst, codes=codes, amplitude=(12.0, 0.0)))
     firing = generator.fire(0.2)
-    assert firing.confirmed
+    assert firing.started
     assert firing.commanded_amplitude == (12.0, 0.1)
 
 
@@ -170,17 +243,32 @@ def test_another_model_is_refused(simulator: Simulator, apparatus: Apparatus, gu
 def test_fire_while_firing_stops_first(loaded: Generator, simulator: Simulator) -> None:
     """A second fire changes the level with the outputs off in between, and is confirmed."""
     loaded.fire(0.1)
-    assert loaded.fire(0.2).confirmed
+    assert loaded.fire(0.2).started
     assert simulator.outputs == (True, True)
 
 
-def test_onset_bounds_the_first_burst(loaded: Generator) -> None:
-    """The timer runs free: the first burst comes within one period of 1/7 s after the trigger was armed."""
-    before = time.perf_counter()
+def test_onset_comes_after_the_relays_have_settled(loaded: Generator, clock: VirtualClock) -> None:
+    """50 ms from the outputs' being on to the first trigger; no millisecond is claimed of an unmeasured latency."""
+    before = clock.now()
     firing = loaded.fire(0.1)
-    after = time.perf_counter()
-    assert before < firing.onset < after
-    assert 1 / 7 < firing.onset_uncertainty < 1 / 7 + (after - before)
+    assert firing.onset - firing.onset_uncertainty == pytest.approx(before + 0.05, abs=1e-6)
+    assert firing.onset_uncertainty == pytest.approx(1e-3)
+    assert firing.trigger_latency == "unknown"
+
+
+def test_measured_latency_dates_the_first_sample(
+    simulator: Simulator, apparatus: Apparatus, guard: Any, burst: Burst, clock: VirtualClock
+) -> None:
+    """`generator.trigger_latency_ms`: the interval is that of the trigger, later by the bounds."""
+    own = apparatus.generator.model_copy(update={"trigger_latency_ms": LatencyBounds(low=3.0, high=3.4)})
+    measured = apparatus.model_copy(update={"generator": own})
+    with Generator(simulator.address, measured, start_guard=guard, clock=clock) as rig:
+        rig.load(burst)
+        before = clock.now()
+        firing = rig.fire(0.1)
+    assert firing.onset == pytest.approx(before + 0.05 + 3.2e-3, abs=1e-6)
+    assert firing.onset_uncertainty == pytest.approx(0.2e-3, abs=1e-6)
+    assert firing.trigger_latency == "measured"
 
 
 def test_repetition_is_the_apparatus_s(simulator: Simulator, apparatus: Apparatus, guard: Any, burst: Burst) -> None:
@@ -188,7 +276,7 @@ def test_repetition_is_the_apparatus_s(simulator: Simulator, apparatus: Apparatu
     lasting = apparatus.generator.model_copy(update={"repetition": "continuous"})
     with Generator(simulator.address, apparatus.model_copy(update={"generator": lasting}), start_guard=guard) as rig:
         rig.load(burst)
-        assert rig.fire(0.1).confirmed
+        assert rig.fire(0.1).started
         assert not simulator.afg.channels[1].burst
         assert simulator.afg.channels[1].frequency == pytest.approx(7)
 
@@ -199,10 +287,10 @@ def test_continuous_record_repeats_without_trigger(
     """Without burst mode one record of 1/7 s holds burst and silence; what is felt differs by under 2 %."""
     burst = make(n_samples=125_000)
     felt = []
-    for repetition in ("burst", "continuous"):
+    for repetition in ("single", "continuous"):
         with open_generator(repetition=repetition) as rig:
             rig.load(burst)
-            assert rig.fire(0.2).confirmed
+            assert rig.fire(0.2).started
             felt.append(simulator.felt_velocity(["A", "C", "E"]))
             rig.stop()
             assert rig.firing is not None

@@ -58,7 +58,7 @@ def test_slow_instrument_is_no_stalled_session(apparatus: Apparatus, single_link
         rig.stop()
         single_link.faults.inject("delayed_reply", value=0.3, times=99)
         started = time.monotonic()
-        assert rig.fire(0.1).confirmed
+        assert rig.fire(0.1).started
         assert time.monotonic() - started > LIMIT
         assert single_link.outputs == (True, True)
         single_link.faults.clear()
@@ -86,7 +86,7 @@ def test_watchdog_that_is_gone_stops_the_stimulus_and_is_replaced(
     with pytest.raises(RigError, match="watchdog process .* is gone.*the outputs are off"):
         rig.heartbeat()
     assert single_link.outputs == (False, False)
-    assert rig.fire(0.1).confirmed
+    assert rig.fire(0.1).started
     assert single_link.outputs == (True, True)
 
 
@@ -101,7 +101,7 @@ def test_watchdog_that_is_stuck_is_ended_and_replaced(
     rig.stop()
     assert stuck.poll() == -signal.SIGKILL
     assert single_link.outputs == (False, False)
-    assert rig.fire(0.1).confirmed
+    assert rig.fire(0.1).started
 
 
 def test_signal_in_the_midst_of_an_exchange_mixes_up_no_answers(rig: Generator, single_link: Simulator) -> None:
@@ -158,7 +158,7 @@ def test_watchdog_that_is_let_go_ends_and_takes_nothing_more(single_link: Simula
     dog.release(clean=clean)
     assert dog._process.wait(10) == 0
     with pytest.raises(LinkError, match=r"is gone \(exit status 0\)"):
-        dog.arm()
+        dog.arm(plays_by_itself=False)
 
 
 def test_how_a_watchdog_ended_is_said(single_link: Simulator) -> None:

@@ -69,7 +69,7 @@ def test_fifty_ohm_load_halves_the_volts_at_the_beam(
     strong = replace(burst, amplitude=(20.0, 8.0))
     with Generator(simulator.address, terminated, start_guard=guard) as generator:
         generator.load(strong)
-        assert generator.fire(0.2).confirmed
+        assert generator.fire(0.2).started
 
 
 @pytest.mark.parametrize(("end", "code"), [(0, 8191 + 100), (-1, 8191 - 100)])
@@ -111,7 +111,7 @@ def test_fire_after_a_load_that_failed_is_refused(
     assert not any("OUTP1 ON" in message for message in heard.sent)
     simulator.faults.clear()
     generator.load(burst)
-    assert generator.fire(0.1).confirmed
+    assert generator.fire(0.1).started
 
 
 @pytest.mark.parametrize("erased", ["nothing", "the memories too"])
@@ -122,7 +122,7 @@ def test_fire_after_a_power_cycle_sends_no_output_on_before_all_is_verified_agai
     simulator.power_cycle()
     if erased == "the memories too":
         simulator.front_panel("SYST:SEC:IMM")
-    assert not loaded.fire(0.1).confirmed
+    assert not loaded.fire(0.1).started
     assert not any("OUTP1 ON" in message for message in heard.sent)
     assert len(heard.of("record_sent" if erased == "the memories too" else "record_found")) == 2
-    assert loaded.fire(0.1).confirmed
+    assert loaded.fire(0.1).started

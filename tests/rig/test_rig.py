@@ -21,7 +21,7 @@ def test_front_door_leads_to_driver_and_simulator(apparatus: Apparatus, burst: B
         open_rig(simulator.address, apparatus, log=heard, start_guard=guard) as rig,
     ):
         rig.load(burst)
-        assert rig.fire(0.1).confirmed
+        assert rig.fire(0.1).started
         assert rig.address == simulator.address
         assert rig.identity.startswith("TEKTRONIX,AFG3022B,")
         assert simulator.felt_velocity(["C"]) > 0
@@ -53,7 +53,7 @@ def test_simulator_runs_in_a_process_of_its_own(burst: Burst, apparatus: Apparat
         address = process.stdout.readline().strip()
         with open_rig(address, apparatus, log=heard, start_guard=guard) as rig:
             rig.load(burst)
-            assert rig.fire(0.1).confirmed
+            assert rig.fire(0.1).started
         process.terminate()
         assert process.wait(10) == 0
 

@@ -22,8 +22,10 @@ from modaltouch.rig.watchdog import (
     DONE,
     EXCHANGE,
     FAILED,
+    FLAG,
     OFF,
     OPEN,
+    REPORT,
     TAKEN,
     TERMS,
     Watch,
@@ -89,6 +91,11 @@ def serve(instrument: Instrument, *requests: bytes) -> list[tuple[bytes, int, by
     return list(read_frames(io.BytesIO(bytes(answers))))
 
 
+def request(letter: bytes) -> bytes:
+    """Return a request without an interesting content."""
+    return frame(letter, 0, FLAG.pack(False) if letter in (ARM, REPORT) else b"")
+
+
 def ask(number: int, message: bytes) -> bytes:
     """Return the request for an exchange."""
     return frame(EXCHANGE, number, TERMS.pack(1.0, True, False) + message)
@@ -111,7 +118,7 @@ def ask(number: int, message: bytes) -> bytes:
 def test_pipe_that_ends_without_a_clean_end_switches_off(requests: list[bytes], pressed: bool) -> None:
     """Whoever had the instrument and did not say that it ends cleanly is taken for dead (module docstring)."""
     instrument = Instrument()
-    serve(instrument, *(frame(letter, 0) for letter in requests))
+    serve(instrument, *map(request, requests))
     assert (OFF in instrument.sent) is pressed
 
 
@@ -156,7 +163,7 @@ def silent(instrument: Instrument, *letters: bytes, seconds: float = 0.3) -> int
     watch = Watch(instrument, limit=0.05, persistence=0.1)
     serving = threading.Thread(target=watch.serve, args=(pipe, lambda data: None))
     serving.start()
-    pipe.write(*(frame(letter, 0) for letter in letters))
+    pipe.write(*map(request, letters))
     time.sleep(seconds)
     pressed = instrument.sent.count(OFF)
     pipe.write(frame(CLEAN, 0))
@@ -184,7 +191,7 @@ def test_signs_of_life_keep_an_armed_session_on() -> None:
     pipe, instrument = Pipe(), Instrument()
     serving = threading.Thread(target=Watch(instrument, limit=0.5).serve, args=(pipe, lambda data: None))
     serving.start()
-    pipe.write(frame(OPEN, 0), frame(ARM, 0))
+    pipe.write(request(OPEN), request(ARM))
     for _ in range(15):
         time.sleep(0.02)
         pipe.write(frame(BEAT, 0))

@@ -256,6 +256,7 @@ class Generator:
         if not silent:
             bursts = replace(bursts, first_s=middle, uncertainty_s=half)
         self._firing = replace(firing, onset=middle, onset_uncertainty=half, started=True, bursts=bursts)
+        self._last_beat = clock.now()
 
     def _sample_left(self, trigger: tuple[float, float]) -> tuple[float, float]:
         """Return between which instants the first sample left, for a trigger that was sent and taken at two [s]."""
@@ -285,6 +286,7 @@ class Generator:
         if not was_on or firing is None or not firing.started:
             self._switch_off("switching the outputs off")
             return
+        self._longest_silence = max(self._longest_silence, self._clock.now() - self._last_beat)
         # Until the end is confirmed nothing is.
         self._firing = replace(firing, reason="the end of the stimulus was not confirmed", bursts=_unknown(firing))
         try:
@@ -319,9 +321,8 @@ class Generator:
 
     def _judged(self, firing: Firing, report: Report | None, faults: tuple[str, ...], off: float) -> Firing:
         """Return a stimulus as it is known at its end."""
-        silence = max(self._longest_silence, self._clock.now() - self._last_beat)
-        stalled = silence > LIMIT
-        reasons = list(faults)
+        stalled = self._longest_silence > LIMIT
+        reasons = [f"{'; '.join(faults)} when the stimulus ended"] if faults else []
         bursts = firing.bursts
         if report is not None:
             bursts = self._count(report, off)
@@ -331,7 +332,7 @@ class Generator:
                 stalled = True
                 reasons.append(f"{report.dropped} of {report.due} bursts would have come too late and were left out")
         if stalled:
-            reasons.insert(0, f"this computer was held up for {silence:.1f} s")
+            reasons.insert(0, f"this computer was held up for {self._longest_silence:.1f} s")
         if faults:
             bursts = _unknown(firing, bursts)
         return replace(
