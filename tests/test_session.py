@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 import pytest
 
 from modaltouch.adaptive import Levels
+from modaltouch.clock import VirtualClock
 from modaltouch.console.experimenter import Experimenter
 from modaltouch.console.interface import Request, Silence
 from modaltouch.console.status import Status
@@ -18,11 +18,11 @@ from modaltouch.masking.interface import MaskingError, NoMasking
 from modaltouch.protocol import Experiment, Protocol, read_protocol
 from modaltouch.record.log import SessionLog
 from modaltouch.record.session import Session
-from modaltouch.rig.interface import Firing, RigError
+from modaltouch.rig.interface import Bursts, Firing, RigError, StimulusLost
 from modaltouch.schedule import draw_schedule
 from modaltouch.session import Sitting, conduct
 from modaltouch.trial import Answer, Response, Trial
-from modaltouch.window.interface import Progress, SessionStopped, TrialInterrupted
+from modaltouch.window.interface import Presentation, Progress, SessionStopped, TrialInterrupted
 
 SPEEDS = {"A": 0.12, "B": 0.115, "C": 0.2, "D": 0.115, "E": 0.12}
 
@@ -32,18 +32,38 @@ class PaperRig:
     """Fires nothing, and notes what it was told."""
 
     told: list[str] = field(default_factory=list)
+    unstarted: int = 0
     unconfirmed: int = 0
+    stalled: int = 0
+    breaks: bool = False
     firing: Firing | None = None
 
-    def fire(self, velocity: float, *, silent: bool = False, which: int = 0) -> Firing:
+    def fire(self, velocity: float, *, n_bursts: int, silent: bool = False, which: int = 0) -> Firing:
         self.told.append(f"silent {velocity:g}" if silent else f"fire {velocity:g}")
-        confirmed = self.unconfirmed == 0
-        self.unconfirmed = max(self.unconfirmed - 1, 0)
-        self.firing = Firing((1.0, 1.0), (1.0, 1.0), confirmed, time.perf_counter(), 0.14)
+        started = self.unstarted == 0
+        self.unstarted = max(self.unstarted - 1, 0)
+        reason = "" if started else "the amplitude reads 5"
+        self.firing = Firing((1.0, 1.0), (1.0, 1.0), 0.0, 0.001, started=started, reason=reason)
         return self.firing
 
-    def stop(self) -> None:
-        self.told.append("stop")
+    def end(self) -> None:
+        self.told.append("end")
+
+    def stop(self, *, at_once: bool = False) -> None:
+        self.told.append("cut" if at_once else "stop")
+        if self.firing is None:
+            return
+        if self.breaks:
+            self.firing = replace(self.firing, reason="the link broke")
+            raise RigError("the outputs could not be confirmed off")
+        failed = self.unconfirmed > 0 or self.stalled > 0
+        stalled = self.stalled > 0
+        self.unconfirmed, self.stalled = max(self.unconfirmed - 1, 0), max(self.stalled - 1, 0)
+        reason = "held up" if stalled else "the knob was turned"
+        bursts = Bursts(8, 8, 8, 0, 0.0, 0.001)
+        self.firing = replace(
+            self.firing, confirmed=not failed, stalled=stalled, reason=reason if failed else "", bursts=bursts
+        )
 
 
 @dataclass
@@ -52,7 +72,7 @@ class Person:
 
     rule: Callable[[Trial], Answer]
     seen: list[str] = field(default_factory=list)
-    cut: list[str] = field(default_factory=list)
+    cut: list[str | Exception] = field(default_factory=list)
 
     def welcome(self, trial: Trial) -> None:
         self.seen.append("welcome " + "".join(trial.condition.pair))
@@ -63,11 +83,12 @@ class Person:
     def place_fingers(self, trial: Trial) -> None:
         self.seen.append("place " + "".join(trial.condition.pair))
 
-    def ask(self, trial: Trial, progress: Progress, *, onset: float, stop: Callable[[], None]) -> Response:
+    def ask(self, trial: Trial, progress: Progress, presentation: Presentation) -> Response:
         self.seen.append(f"{'practice' if trial.practice else 'trial'} {trial.index}")
-        stop()
         if self.cut:
-            raise TrialInterrupted(self.cut.pop())
+            cut = self.cut.pop()
+            raise cut if isinstance(cut, Exception) else TrialInterrupted(cut)
+        presentation.end()
         return Response(self.rule(trial), 1.0, way="free_hand")
 
     def confirm(self, response: Response) -> None:
@@ -81,6 +102,9 @@ class Person:
 
     def rest(self, progress: Progress) -> None:
         self.seen.append("rest")
+
+    def tell_stall(self) -> None:
+        self.seen.append("stall")
 
     def goodbye(self) -> None:
         self.seen.append("goodbye")
@@ -166,7 +190,7 @@ def test_every_trial_is_answered_once_in_order(sit: Callable[..., Sitting]) -> N
     told = sitting.rig.told  # type: ignore[attr-defined]
     fired = [place for place, command in enumerate(told) if command.startswith("fire")]
     assert len(fired) == 13
-    assert all(told[place + 1] == "stop" for place in fired)
+    assert all(told[place + 1 : place + 3] == ["end", "stop"] for place in fired)
     first = "".join(sitting.trials[0].condition.pair)
     assert seen(sitting)[:2] == [f"welcome {first}", "practice"], "the fingers of the first trial, as they are placed"
     assert seen(sitting)[-1] == "goodbye"
@@ -286,18 +310,24 @@ def test_fingers_are_placed_anew_only_where_they_change(sit: Callable[..., Sitti
 
 
 def test_an_answer_is_confirmed_only_once_it_is_written(sit: Callable[..., Sitting]) -> None:
-    """Expected: when the window confirms, the log's last line is that trial."""
+    """Expected: when the window confirms, the log's last line is that answer; the stimulus is not over yet."""
     sitting = sit()
     confirm = sitting.window.confirm
     last: list[str] = []
 
     def note(response: Response) -> None:
         last.append(sitting.log.events[-1]["event"])
+        assert not sitting.log.events[-1]["confirmed"]["confirmed"]
         confirm(response)
 
     sitting.window.confirm = note  # type: ignore[method-assign]
     conduct(sitting)
-    assert set(last) == {"trial"}
+    assert set(last) == {"answered"}
+    answered = {event["n"]: event for event in events(sitting, "answered")}
+    for event in events(sitting, "trial"):
+        assert event["response"] == answered[event["answered"]]["response"]
+        assert event["confirmed"]["confirmed"]
+        assert event["bursts"]["whole"] == 8
 
 
 def test_a_cut_trial_is_offered_again(sit: Callable[..., Sitting]) -> None:
@@ -310,17 +340,74 @@ def test_a_cut_trial_is_offered_again(sit: Callable[..., Sitting]) -> None:
     assert len(events(sitting, "trial")) == 13
 
 
-def test_an_unconfirmed_firing_is_stopped_and_tried_again(sit: Callable[..., Sitting]) -> None:
-    """Expected: no question before the instrument confirms; three attempts, then RigError."""
+def test_a_stimulus_that_does_not_start_is_tried_again(sit: Callable[..., Sitting]) -> None:
+    """Expected: no question before it has started; three attempts, then RigError."""
     sitting = sit()
-    sitting.rig.unconfirmed = 1  # type: ignore[attr-defined]
+    sitting.rig.unstarted = 1  # type: ignore[attr-defined]
     conduct(sitting)
     assert len(events(sitting, "unconfirmed")) == 1
     sitting = sit()
-    sitting.rig.unconfirmed = 3  # type: ignore[attr-defined]
-    with pytest.raises(RigError, match="did not confirm .* in 3 attempts"):
+    sitting.rig.unstarted = 3  # type: ignore[attr-defined]
+    with pytest.raises(RigError, match=r"3 presentations could not be confirmed .the amplitude reads 5.; the outputs"):
         conduct(sitting)
     assert "practice 1" not in seen(sitting)
+
+
+def test_an_answer_to_an_unconfirmed_stimulus_is_kept_and_its_trial_offered_again(sit: Callable[..., Sitting]) -> None:
+    """Expected: two answers to the first trial, the second in place of the first; three in a row end the session."""
+    sitting = sit()
+    sitting.rig.unconfirmed = 1  # type: ignore[attr-defined]
+    conduct(sitting)
+    first, second = events(sitting, "trial")[:2]
+    assert (first["confirmed"]["confirmed"], second["confirmed"]["confirmed"]) == (False, True)
+    assert second["supersedes"] == first["n"]
+    assert (first["presentation"], second["presentation"]) == (1, 2)
+    sitting = sit()
+    sitting.rig.unconfirmed = 3  # type: ignore[attr-defined]
+    with pytest.raises(RigError, match=r"the knob was turned.*the answers are kept as unconfirmed"):
+        conduct(sitting)
+
+
+def test_stalls_use_up_no_attempt_and_are_told_to_the_participant(sit: Callable[..., Sitting]) -> None:
+    """Expected: ten stalls in a row, ten words to the participant, and the session goes on."""
+    sitting = sit()
+    sitting.rig.stalled = 10  # type: ignore[attr-defined]
+    conduct(sitting)
+    assert seen(sitting).count("stall") == 10
+    assert Session(sitting.log.path, tuple(sitting.log.events), ()).n_answered == 12
+
+
+def test_a_stimulus_that_ends_by_itself_gets_no_answer(sit: Callable[..., Sitting]) -> None:
+    """The link is lost while the participant feels: the trial is cut, in the record, and offered again."""
+    sitting = sit()
+    sitting.window.cut.append(StimulusLost("the bursts ended"))  # type: ignore[attr-defined]
+    conduct(sitting)
+    (cut,) = events(sitting, "trial_cut")
+    assert cut["reason"] == "the bursts ended"
+    assert len(events(sitting, "trial")) == 13
+
+
+def test_an_instrument_that_dies_in_a_stimulus_confirms_nothing(sit: Callable[..., Sitting]) -> None:
+    """The outputs cannot be switched off at the end: the answer is on the disk, unconfirmed, and the session ends."""
+    sitting = sit()
+    sitting.rig.breaks = True  # type: ignore[attr-defined]
+    with pytest.raises(RigError, match="could not be confirmed off"):
+        conduct(sitting)
+    (trial,) = events(sitting, "trial")
+    assert not trial["confirmed"]["confirmed"]
+    assert trial["confirmed"]["reason"] == "the link broke"
+
+
+def test_an_emergency_stop_cuts_the_burst_and_is_recorded_as_cut(sit: Callable[..., Sitting]) -> None:
+    """Expected: outputs off at once, not after the burst, and a line that says what was played until then."""
+    sitting = sit()
+    sitting.window.cut.append(SessionStopped("emergency stop"))  # type: ignore[attr-defined]
+    with pytest.raises(SessionStopped, match="emergency stop"):
+        conduct(sitting)
+    assert sitting.rig.told[-1] == "cut"  # type: ignore[attr-defined]
+    (cut,) = events(sitting, "trial_cut")
+    assert cut["reason"] == "emergency stop"
+    assert cut["bursts"]["played"] == 8
 
 
 @pytest.mark.parametrize(("rule", "passed"), [(right_answer, True), (wrong_answer, False)])
@@ -359,7 +446,7 @@ def test_a_round_answered_before_a_kill_is_judged_after_it(sit: Callable[..., Si
     trials = [event for event in events(sitting, "trial") if event["trial"]["practice"]]
     killed = sit(practice_trials=2, practice_criterion=1.0, practice_rounds=3)
     for event in trials:
-        killed.log.append("trial", **{name: event[name] for name in ("trial", "planned", "response")})
+        killed.log.append("trial", **{name: event[name] for name in ("trial", "planned", "response", "confirmed")})
     conduct(replace(killed, trials=tuple(t for t in killed.trials if not t.practice or t.index > 2)))
     assert [event["passed"] for event in events(killed, "practice_round")] == [True]
     assert not any(name.startswith("practice") for name in seen(killed))
@@ -383,14 +470,18 @@ def test_breaks_come_by_count(sit: Callable[..., Sitting]) -> None:
     assert [place for place, name in enumerate(names) if name == "rest"] == [4, 9]
 
 
-def test_breaks_come_by_time(sit: Callable[..., Sitting], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Expected: at the first trial after five minutes, on a clock that runs 70 s a look: every five trials."""
-    now = iter(range(0, 10**6, 70))
-    monkeypatch.setattr("modaltouch.session.time.perf_counter", lambda: float(next(now)))
-    sitting = sit(break_after_trials=None, break_after_min=5.0, practice_trials=0)
-    sitting.rig.fire = lambda velocity, **_: Firing((1.0,), (1.0,), True, 0.0, 0.1)  # type: ignore[method-assign]
+def test_breaks_come_by_time(sit: Callable[..., Sitting]) -> None:
+    """Expected: at the first trial after five minutes, where each answer takes 70 s: after every fifth of twelve."""
+    clock = VirtualClock()
+
+    def slowly(trial: Trial) -> Answer:
+        clock.sleep(70.0)
+        return right_answer(trial)
+
+    sitting = replace(sit(slowly, break_after_trials=None, break_after_min=5.0, practice_trials=0), clock=clock)
     conduct(sitting)
-    assert seen(sitting).count("rest") >= 2
+    names = [name for name in seen(sitting) if name == "rest" or name.startswith("trial")]
+    assert [place for place, name in enumerate(names) if name == "rest"] == [5, 11]
 
 
 def test_no_breaks_where_none_are_asked_for(sit: Callable[..., Sitting]) -> None:

@@ -201,7 +201,7 @@ def go_on(
     RecordError
         If the log is damaged, in use, or cannot be written.
     """
-    log = SessionLog.reopen(place.log, clock=clock)
+    log = SessionLog.reopen(place.log, timed_by=clock)
     log.append("resume", at=policy.at, interruption=cut.as_dict(), **facts)
     if cut.cut_trial is not None:
         log.append("trial_cut", trial=cut.cut_trial, reason=f"interrupted ({cut.reason})")
@@ -241,7 +241,7 @@ def begin_anew(
             log.append("closed", begun_anew_as=place.session, interruption=cut.as_dict())
         write_view(old, Session(log.path, tuple(log.events), ()), log.head)
     begun = {"session": old.session, "interruption": cut.as_dict()}
-    return SessionLog.create(place.log, "start", clock=clock, **facts, begins_anew=begun)
+    return SessionLog.create(place.log, "start", timed_by=clock, **facts, begins_anew=begun)
 
 
 def _duration(seconds: float) -> str:

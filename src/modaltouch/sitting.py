@@ -103,7 +103,9 @@ def begin(setup: Setup) -> Session:
         Whatever ended it early; outputs are off and what was answered is kept.
     """
     refuse_existing(setup.place.log)
-    return _sit(setup, lambda place, facts: SessionLog.create(place.log, "start", clock=setup.clock, **facts), "start")
+    return _sit(
+        setup, lambda place, facts: SessionLog.create(place.log, "start", timed_by=setup.clock, **facts), "start"
+    )
 
 
 def resume(setup: Setup) -> Session:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import pytest
 
+from modaltouch.clock import VirtualClock
 from modaltouch.observer import Observer, Participant
 from modaltouch.trial import Condition, Trial
 from modaltouch.window import WindowOptions, open_window
-from modaltouch.window.interface import Progress
+from modaltouch.window.interface import Presentation, Progress
 from modaltouch.window.simulated import Answerer, SimulatedParticipant
 
 PROGRESS = Progress(1, 1)
@@ -48,32 +47,50 @@ def test_trials_seeds_and_practice_have_streams_of_their_own() -> None:
     assert len(times) == 15
 
 
-def test_answers_come_at_once_with_their_reaction_time() -> None:
-    """Expected: a session of a second's answers passes in no time, and stops its stimulus."""
-    stopped: list[float] = []
+def present(told: list[str], ends: float = 60.0) -> Presentation:
+    """Return a stimulus that began at 0 s and notes what becomes of it."""
+    return Presentation(0.0, ends, lambda: told.append("end"), lambda: told.append("stop"))
+
+
+def test_the_reaction_time_passes_on_the_clock() -> None:
+    """Expected: a second's answer takes a second of virtual time, ticks meanwhile, and ends its stimulus."""
+    told: list[str] = []
     ticks: list[None] = []
-    with SimulatedParticipant(make_answerer(), tick=lambda: ticks.append(None)) as window:
-        start = time.perf_counter()
-        response = window.ask(make_trial(1), PROGRESS, onset=start, stop=lambda: stopped.append(0.0))
+    clock = VirtualClock()
+    with SimulatedParticipant(make_answerer(), tick=lambda: ticks.append(None), clock=clock) as window:
+        response = window.ask(make_trial(1), PROGRESS, present(told))
+        assert clock.now() == pytest.approx(response.reaction_time)
         window.confirm(response)
         window.wait(10.0)
-        assert time.perf_counter() - start < 0.5
+    assert clock.now() == pytest.approx(response.reaction_time + 10.0)
     assert response.reaction_time > 0.3
     assert (response.answered_by, response.device, response.onset) == ("simulated", "model", "first_burst")
-    assert len(stopped) == 1
-    assert len(ticks) >= 2
+    assert told == ["end"]
+    assert len(ticks) > 1000 * response.reaction_time
 
 
-def test_time_passes_where_it_is_told_to() -> None:
-    """Expected: the reaction time really passes, with ticks about every millisecond."""
-    quick = Participant(quickest=0.1, decision_time=0.0)
-    ticks: list[float] = []
-    answerer = Answerer(quick, lambda trial: (0.1, 0.2), np.random.default_rng(1))
-    window = SimulatedParticipant(answerer, tick=lambda: ticks.append(time.perf_counter()), waits=True)
-    start = time.perf_counter()
-    response = window.ask(make_trial(1), PROGRESS, onset=start, stop=lambda: None)
-    assert time.perf_counter() - start >= response.reaction_time
-    assert len(ticks) > 20
+def test_a_stimulus_that_nobody_answers_in_time_ends() -> None:
+    """At its longest it stops; the question stays, or the trial times out where the protocol says so."""
+    for after_longest, answer in (("ask", "both"), ("time_out", "time_out")):
+        told: list[str] = []
+        clock = VirtualClock()
+        window = SimulatedParticipant(make_answerer(), tick=lambda: None, after_longest=after_longest, clock=clock)
+        response = window.ask(make_trial(1), PROGRESS, present(told, ends=0.2))
+        assert told == ["stop", "end"]
+        assert (response.answer == "time_out") is (answer == "time_out")
+        assert clock.now() == pytest.approx(response.reaction_time)
+        assert (response.reaction_time == pytest.approx(0.2)) is (answer == "time_out")
+
+
+def test_where_the_stimulus_stops_first_the_answer_follows_the_question() -> None:
+    """Expected: stopped when its last burst is over, and the reaction time counted from there."""
+    told: list[str] = []
+    clock = VirtualClock()
+    window = SimulatedParticipant(make_answerer(), tick=lambda: None, stimulus_until="question", clock=clock)
+    response = window.ask(make_trial(1), PROGRESS, present(told, ends=2.0))
+    assert told == ["stop", "end"]
+    assert response.onset == "question"
+    assert clock.now() == pytest.approx(2.0 + response.reaction_time)
 
 
 def test_what_the_tick_raises_passes_through() -> None:
@@ -82,9 +99,9 @@ def test_what_the_tick_raises_passes_through() -> None:
     def tick() -> None:
         raise KeyboardInterrupt
 
-    window = SimulatedParticipant(make_answerer(), tick=tick)
+    window = SimulatedParticipant(make_answerer(), tick=tick, clock=VirtualClock())
     with pytest.raises(KeyboardInterrupt):
-        window.ask(make_trial(1), PROGRESS, onset=0.0, stop=lambda: None)
+        window.ask(make_trial(1), PROGRESS, present([]))
 
 
 def test_a_generator_without_a_seed_sequence_is_refused() -> None:

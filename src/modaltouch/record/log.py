@@ -36,7 +36,7 @@ class SessionLog:
         """Hears of each event once it is on the disk."""
 
     @classmethod
-    def create(cls, path: Path, event: str, *, clock: Clock = SYSTEM_CLOCK, **facts: Any) -> Self:
+    def create(cls, path: Path, event: str, *, timed_by: Clock = SYSTEM_CLOCK, **facts: Any) -> Self:
         """Create a log that does not exist yet, with its first event, readable by its owner alone.
 
         The file appears under its name only with the first event in it: whatever cuts this short, there is
@@ -48,8 +48,8 @@ class SessionLog:
             Where the log will be.
         event : str
             What happened first.
-        clock : Clock
-            Of the session.
+        timed_by : Clock
+            Clock of the session.
         **facts
             Plain values that say how.
 
@@ -67,7 +67,7 @@ class SessionLog:
                 f"{path}: cannot be created ({error.strerror}); give a folder you may write to with --results"
             ) from error
         _take(path, descriptor)
-        log = cls(path, descriptor, None, clock)
+        log = cls(path, descriptor, None, timed_by)
         try:
             log.append(event, **facts)
             _publish(draft, path)
@@ -79,7 +79,7 @@ class SessionLog:
         return log
 
     @classmethod
-    def reopen(cls, path: Path, *, clock: Clock = SYSTEM_CLOCK) -> Self:
+    def reopen(cls, path: Path, *, timed_by: Clock = SYSTEM_CLOCK) -> Self:
         """Open an interrupted log to append to it; a cut last line stays and is declared by the next one.
 
         Raises
@@ -98,7 +98,7 @@ class SessionLog:
         if chain.damage or not chain.events:
             os.close(descriptor)
             raise RecordError("\n".join(chain.damage) or f"{path}: holds no whole line: there is nothing to continue")
-        return cls(path, descriptor, chain, clock)
+        return cls(path, descriptor, chain, timed_by)
 
     def append(self, event: str, **facts: Any) -> dict[str, Any]:
         """Write one event and return it once it is on the disk.
