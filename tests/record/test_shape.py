@@ -46,7 +46,10 @@ def test_a_session_of_today_says_all_it_must(log):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda events: events[0].update(schema=2), "session.jsonl:1: was written in format 2, this program knows 1"),
+        (
+            lambda events: events[0].update(schema=3),
+            "session.jsonl:1: was written in format 3, this program knows 1 and 2",
+        ),
         (
             lambda events: events[0].pop("participant"),
             "session.jsonl:1: the event `start` does not say its participant",
@@ -58,11 +61,11 @@ def test_another_format_is_told_by_every_reader(rewritten, change, said):
     """Verify names the line, resume refuses, the analysis leaves the session out with the reason."""
     path = rewritten(change)
     assert said in verify_session(path).problems[0]
-    with pytest.raises(RecordError, match="format 2|does not say|is no event"):
+    with pytest.raises(RecordError, match="format 3|does not say|is no event"):
         wire_resume(path)
     from modaltouch.analysis.reading import read_responses
 
-    with pytest.raises(InputError, match=r"damaged: .*(format 2|does not say|is no event)"):
+    with pytest.raises(InputError, match=r"damaged: .*(format 3|does not say|is no event)"):
         read_responses(path.parent)
 
 

@@ -1,0 +1,131 @@
+"""Bursts triggered one by one in virtual time: what is late is dropped, what fails is never repeated."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from modaltouch.clock import SYSTEM_CLOCK, VirtualClock
+from modaltouch.rig.pacing import LATEST, Order, Pacer
+
+PERIOD = 1 / 7
+ORDER = Order("TRIG:SEQ:IMM", n_bursts=14, first=10.0, period=PERIOD, duration=0.05, timeout=0.1)
+
+
+class Beam:
+    """Notes when it was triggered; may take its time, or fail, at the n-th trigger."""
+
+    def __init__(self, clock: VirtualClock, *, takes: dict[int, float] | None = None, fails_at: int = 0) -> None:
+        self.clock = clock
+        self.takes = takes or {}
+        self.fails_at = fails_at
+        self.triggered: list[float] = []
+
+    def trigger(self) -> None:
+        self.triggered.append(self.clock.now())
+        self.clock.sleep(self.takes.get(len(self.triggered), 0.0))
+        if len(self.triggered) == self.fails_at:
+            raise TimeoutError("no reply")
+
+
+def play(pacer: Pacer, clock: VirtualClock, *, stalls: dict[int, float] | None = None) -> None:
+    """Step a pacer to its end; before the n-th burst the computer is held up for some seconds."""
+    number = 0
+    while (due := pacer.due) is not None:
+        number += 1
+        clock.sleep(max(due - clock.now(), 0.0) + 1e-9 + (stalls or {}).get(number, 0.0))
+        pacer.step()
+
+
+def test_bursts_come_a_period_apart_from_the_first_instant_on() -> None:
+    """Fourteen triggers at 10 s + k/7 s, all counted, and none after them."""
+    clock = VirtualClock(9.9)
+    beam = Beam(clock)
+    pacer = Pacer(ORDER, beam.trigger, lambda: True, clock)
+    play(pacer, clock)
+    assert beam.triggered == pytest.approx([10 + k * PERIOD for k in range(14)], abs=1e-6)
+    report = pacer.report
+    assert (report.due, report.played, report.dropped, report.ended) == (14, 14, 0, "count")
+    assert report.first == pytest.approx((10.0, 10.0), abs=1e-6)
+    assert pacer.silent_from == pytest.approx(10 + 13 * PERIOD + 0.05, abs=1e-6)
+
+
+@given(st.dictionaries(st.integers(1, 14), st.floats(0, 2.0), max_size=5))
+def test_no_burst_is_later_than_a_twentieth_of_the_period_and_none_is_caught_up(stalls: dict[int, float]) -> None:
+    """Whatever holds the computer up: each trigger within 5 % of its own instant; due = played + dropped."""
+    clock = VirtualClock(9.9)
+    beam = Beam(clock)
+    pacer = Pacer(ORDER, beam.trigger, lambda: True, clock)
+    play(pacer, clock, stalls=stalls)
+    phases = [(instant - 10.0) % PERIOD for instant in beam.triggered]
+    assert all(min(phase, PERIOD - phase) <= LATEST * PERIOD + 1e-6 for phase in phases)
+    gaps = [b - a for a, b in zip(beam.triggered, beam.triggered[1:], strict=False)]
+    assert all(gap >= ORDER.duration for gap in gaps), "no trigger within a burst"
+    assert pacer.report.due == pacer.report.played + pacer.report.dropped == 14
+    assert pacer.report.played == len(beam.triggered)
+    assert pacer.report.latest <= LATEST * PERIOD + 1e-6
+
+
+def test_rare_silence_leaves_less_room_for_delay() -> None:
+    """Of 140 ms in 142.9 a burst may be 2.9 ms late, not 7.1: the next one must not meet it."""
+    assert replace(ORDER, duration=0.14).tolerance == pytest.approx(PERIOD - 0.14)
+    assert ORDER.tolerance == pytest.approx(0.05 * PERIOD)
+
+
+def test_trigger_that_fails_is_the_last() -> None:
+    """Nobody knows whether it was played: no second try, no further burst."""
+    clock = VirtualClock(9.9)
+    beam = Beam(clock, fails_at=3)
+    pacer = Pacer(ORDER, beam.trigger, lambda: True, clock)
+    play(pacer, clock)
+    assert len(beam.triggered) == 3
+    assert pacer.report.ended == "failed"
+    assert pacer.report.reason == "trigger 3 failed (TimeoutError: no reply)"
+
+
+def test_trigger_that_is_taken_long_after_its_instant_ends_the_stimulus() -> None:
+    """Taken half a period late or more, it may have been played at any time: what is felt is no longer the rhythm."""
+    clock = VirtualClock(9.9)
+    pacer = Pacer(ORDER, Beam(clock, takes={5: 0.08}).trigger, lambda: True, clock)
+    play(pacer, clock)
+    assert pacer.report.ended == "failed"
+    assert pacer.report.reason == "trigger 5 was taken 80 ms after its instant"
+
+
+def test_nobody_who_wants_them_any_more_is_no_further_burst() -> None:
+    """The session has fallen silent: the bursts end by themselves."""
+    clock = VirtualClock(9.9)
+    beam = Beam(clock)
+    pacer = Pacer(ORDER, beam.trigger, lambda: clock.now() < 10.3, clock)
+    play(pacer, clock)
+    assert len(beam.triggered) == 3
+    assert pacer.report.ended == "stalled"
+
+
+def test_order_that_comes_too_late_plays_nothing() -> None:
+    """A request that lay in a pipe until all its instants had passed: all dropped."""
+    clock = VirtualClock(20.0)
+    beam = Beam(clock)
+    pacer = Pacer(ORDER, beam.trigger, lambda: True, clock)
+    pacer.step()
+    assert beam.triggered == []
+    assert (pacer.report.due, pacer.report.dropped, pacer.report.ended) == (14, 14, "count")
+
+
+def test_end_lets_no_further_burst_go() -> None:
+    """Asked for between two bursts: those triggered by then are all there are; who waits for the first is told."""
+    told = threading.Event()
+    order = replace(ORDER, first=SYSTEM_CLOCK.now(), period=0.02, duration=0.01, n_bursts=1_000_000)
+    triggered: list[float] = []
+    pacer = Pacer(order, lambda: triggered.append(SYSTEM_CLOCK.now()), lambda: True, SYSTEM_CLOCK)
+    thread = threading.Thread(target=pacer.run, args=(told.set,))
+    thread.start()
+    assert told.wait(10)
+    pacer.end()
+    thread.join(10)
+    assert pacer.report.ended == "asked"
+    assert pacer.report.played == len(triggered) >= 1 or pacer.report.dropped
