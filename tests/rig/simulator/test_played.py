@@ -135,6 +135,18 @@ def test_burst_that_plays_when_the_twin_ends_is_told(
     assert (line["end_s"], line["whole"]) == (pytest.approx(clock.now()), False)
 
 
+def test_full_disk_is_said(
+    apparatus: Apparatus, playback: Callable[..., Playback], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The twin goes on without."""
+    clock = VirtualClock(50.0)
+    with Simulator(apparatus, clock=clock, played=Path("/dev/full")) as simulator:
+        arm(simulator, playback())
+        simulator.front_panel("*TRG")
+        clock.sleep(0.1)
+    assert capsys.readouterr().err.startswith("/dev/full: No space left on device; no burst is told from here on")
+
+
 def test_links_are_told_apart(apparatus: Apparatus, playback: Callable[..., Playback], tmp_path: Path) -> None:
     """By message and by VXI-11's own trigger, of two links; 0 is the front panel, null the timer."""
     clock = VirtualClock(50.0)

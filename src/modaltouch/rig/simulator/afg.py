@@ -273,10 +273,10 @@ class Afg:
         idle = {"first": record[:2], "last": record[-2:]}.get(self.behaviour.idle_level)
         idle_code = MID_CODE if idle is None else int.from_bytes(idle, "big")
         duration = 1 / channel.frequency
-        once = Playback(record, sign * channel.amplitude, channel.offset, duration, duration, idle_code)
+        level = sign * channel.amplitude, channel.offset
         if math.isinf(channel.burst_length) or not channel.burst:
-            return once
-        return replace(once, period=math.inf, n_cycles=int(channel.n_cycles), delay=channel.delay)
+            return Playback(record, *level, duration, duration, idle_code)
+        return Playback(record, *level, duration, math.inf, idle_code, int(channel.n_cycles), channel.delay)
 
     def _situation(self) -> Situation:
         """Return the settings that bursts depend on."""

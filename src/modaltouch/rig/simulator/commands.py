@@ -42,12 +42,16 @@ SHAPES = (
 )
 HIGHEST_BURST_FREQUENCY = 6.25e6
 
+FORCED = ("*TRG", "TRIGger[:SEQuence][:IMMediate]")
+"""Triggers, which change no setting; nothing is to delay them."""
+
 
 def afg_commands(afg: Afg) -> CommandTable:
     """Return what the simulated instrument understands."""
     groups = (_common, memory_commands, _waveform, _levels, _burst, _trigger, _system)
     commands = ChainMap(*(group(afg) for group in groups))
-    return CommandTable({header: _changing(afg, command) for header, command in commands.items()}, afg.n_channels)
+    noticed = {header: _changing(afg, command) for header, command in commands.items() if header not in FORCED}
+    return CommandTable({**commands, **noticed}, afg.n_channels)
 
 
 def _changing(afg: Afg, command: Command) -> Command:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import queue
+import sys
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -68,13 +70,19 @@ class PlayedLog:
         """Write what has ended, and end."""
         self._closing.set()
         self._thread.join()
-        self._file.close()
+        with contextlib.suppress(OSError):
+            self._file.close()
 
     def _keep_writing(self) -> None:
-        while not self._closing.wait(TICK):
-            self._settle()
+        try:
+            while not self._closing.wait(TICK):
+                self._settle()
+                self._write()
             self._write()
-        self._write()
+        except OSError as error:
+            sys.stderr.write(
+                f"{self._file.name}: {error.strerror}; no burst is told from here on; start the twin anew\n"
+            )
 
     def _write(self) -> None:
         while not self._ended.empty():

@@ -135,7 +135,7 @@ class Timeline:
         self._situation = Situation()
         self._closed: dict[int, float] = {}
         self._switching: list[tuple[float, int, bool]] = []
-        self._aligned = 0.0
+        self._cycle_length = self._reach = self._aligned = 0.0
         self._burst: _Run | None = None
         self._cycle: _Run | None = None
 
@@ -143,6 +143,9 @@ class Timeline:
         """Take new settings; what they change of a running burst ends it here."""
         self.advance(now)
         before, self._situation = self._situation, situation
+        if before == situation:
+            return
+        self._cycle_length, self._reach = _cycle_length(situation), _reach(situation)
         if (before.sent, before.length, before.in_burst) != (situation.sent, situation.length, situation.in_burst):
             self._cut(now)
             self.align(now)
@@ -176,7 +179,7 @@ class Timeline:
         self.advance(now)
         self._cut(now)
         self._closed, self._switching, self.triggers = {}, [], ()
-        self._situation = Situation()
+        self._situation, self._cycle_length, self._reach = Situation(), 0.0, 0.0
 
     def advance(self, now: float) -> None:
         """Let time pass up to an instant [s]; never back."""
@@ -213,9 +216,7 @@ class Timeline:
         """Leave out what nobody can tell: long spans in which nothing listens, or no relay is closed."""
         if self.told is not None and (self._closed or self._switching):
             return
-        lengths = [length for length in self._situation.length if math.isfinite(length)]
-        delays = [sent.delay for sent in self._situation.sent if sent is not None]
-        target = now - 3 * max([self._situation.tick or 0.0, *lengths]) - max(delays, default=0.0)
+        target = now - self._reach
         if target > self._now:
             self._switch(target)
             self._now = target
@@ -232,24 +233,16 @@ class Timeline:
 
     def _next_beat(self) -> float:
         """Return when the next cycle of what repeats without trigger begins [s]."""
-        length = self._cycle_length()
-        return math.inf if length == 0 else _after(self._now, self._aligned, length)
-
-    def _cycle_length(self) -> float:
-        """Return how long a cycle of what repeats without trigger is, of the slower channel [s]; 0 for none."""
-        rows = zip(self._situation.sent, self._situation.length, self._situation.in_burst, strict=True)
-        length = max((length for sent, length, in_burst in rows if sent is not None and not in_burst), default=0.0)
-        return length * math.ceil(FINEST / length) if length else 0.0
+        return math.inf if self._cycle_length == 0 else _after(self._now, self._aligned, self._cycle_length)
 
     def _run(self, begin: float, link: int | None, *, in_burst: bool) -> _Run | None:
         """Return what begins at an instant, of the channels that are in burst or of the others."""
         situation = self._situation
-        cycle = self._cycle_length()
         spans = {}
         for channel, sent in enumerate(situation.sent):
             if sent is not None and situation.in_burst[channel] == in_burst:
                 first = begin + (sent.delay if in_burst else 0.0)
-                spans[channel] = first, first + (situation.length[channel] if in_burst else cycle)
+                spans[channel] = first, first + (situation.length[channel] if in_burst else self._cycle_length)
         return _Run(situation.sent, spans, link) if spans else None
 
     def _take(self, now: float, begin: float, link: int | None) -> None:
@@ -313,6 +306,20 @@ class Timeline:
                 link=run.link,
             )
         )
+
+
+def _cycle_length(situation: Situation) -> float:
+    """Return how long a cycle of what repeats without trigger is, of the slower channel [s]; 0 for none."""
+    rows = zip(situation.sent, situation.length, situation.in_burst, strict=True)
+    length = max((length for sent, length, in_burst in rows if sent is not None and not in_burst), default=0.0)
+    return length * math.ceil(FINEST / length) if length else 0.0
+
+
+def _reach(situation: Situation) -> float:
+    """Return how far back what matters now has begun, the interval between two triggers included [s]."""
+    lengths = [length for length in situation.length if math.isfinite(length)]
+    delays = [sent.delay for sent in situation.sent if sent is not None]
+    return 3 * max([situation.tick or 0.0, *lengths]) + max(delays, default=0.0)
 
 
 def _since(start: float, span: tuple[float, float]) -> tuple[float, float]:
