@@ -2,7 +2,7 @@
 
 ::
 
-    with Cable(simulator) as cable:
+    with Cable(port_of_the_twin) as cable:
         rig = Generator(cable.address, apparatus)
         cable.cut()           # as a pulled cable: both ways, also for links that are still to come
         cable.cut("to")       # nothing reaches the instrument any more

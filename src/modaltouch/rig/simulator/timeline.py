@@ -192,12 +192,7 @@ class Timeline:
             if instant > now:
                 break
             self._now = max(self._now, instant)
-            self._switch(instant)
-            for run in (self._burst, self._cycle):
-                if run is not None and run.end <= instant:
-                    self._finish(run, run.end)
-            self._burst = None if self._burst is None or self._burst.end <= instant else self._burst
-            self._cycle = None if self._cycle is None or self._cycle.end <= instant else self._cycle
+            self._settle(instant)
             if tick == instant:
                 self._take(instant, instant, None)
             if beat == instant:
@@ -218,10 +213,18 @@ class Timeline:
             return
         target = now - self._reach
         if target > self._now:
-            self._switch(target)
+            self._settle(target)
             self._now = target
-            self._burst = None if self._burst is None or self._burst.end <= target else self._burst
-            self._cycle = None if self._cycle is None or self._cycle.end <= target else self._cycle
+
+    def _settle(self, now: float) -> None:
+        """Let the relays move that are to, and end what is over."""
+        self._switch(now)
+        if self._burst is not None and self._burst.end <= now:
+            self._finish(self._burst, self._burst.end)
+            self._burst = None
+        if self._cycle is not None and self._cycle.end <= now:
+            self._finish(self._cycle, self._cycle.end)
+            self._cycle = None
 
     def _next_tick(self) -> float:
         """Return when the next trigger comes by itself [s]: of a clock that knows nothing of the settings."""
