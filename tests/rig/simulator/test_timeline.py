@@ -157,10 +157,15 @@ def test_output_that_is_left_off_is_missed_nowhere_and_one_that_comes_late_is(st
     stage.wait(0.1)
     stage.tell("*TRG")
     stage.wait(0.1)
-    stage.tell("*TRG", "OUTP2 ON")
-    stage.wait(0.1)
-    assert [burst.whole for burst in stage.played] == [True, False]
-    assert [burst.sent[1] is None for burst in stage.played] == [True, False]
+    for wait in (0.01, LENGTH - RELAY / 2):
+        stage.tell("*TRG")
+        stage.wait(wait)
+        stage.tell("OUTP2 ON")
+        stage.wait(0.1)
+        stage.tell("OUTP2 OFF")
+        stage.wait(0.1)
+    assert [burst.whole for burst in stage.played] == [True, False, False]
+    assert [burst.sent[1] is None for burst in stage.played] == [True, False, True]
 
 
 @pytest.mark.parametrize(("retrigger", "starts"), [("ignored", [0.0]), ("restarts", [0.0, 0.03])])
