@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
+from modaltouch.document import fault
 from modaltouch.document.section import (
     DampingRatio,
     Label,
@@ -89,6 +90,32 @@ class Scope(Section):
     )
 
 
+class Latency(Section):
+    """Bounds of the time from a trigger's command to its burst."""
+
+    low: NotNegative = described("At least [ms].")
+    high: NotNegative = described("At most [ms].")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.low > self.high:
+            raise fault(f"low: {self.low:g} above high: {self.high:g}", "the lower bound as low", "exchange them")
+        return self
+
+
+class TrueGenerator(Section):
+    """The generator as it is: how long its hardware takes."""
+
+    trigger_latency_ms: Latency = described(
+        "From the command of a trigger to the first sample of its burst, anywhere between two bounds.",
+        default=Latency(low=0.1, high=0.3),
+    )
+    relay_ms: NotNegative = described("From the command to the relay of an output, on or off [ms].", default=4.0)
+    external_pulses_Hz: Positive | None = described(  # noqa: N815
+        "Rate of the pulse source at the trigger input [Hz]; null with nothing wired to it.", default=None
+    )
+
+
 class Twin(Section):
     """What the simulated rig has and the identified tables have not."""
 
@@ -116,5 +143,6 @@ class Twin(Section):
         "What a finger adds to the beam where it touches; null for fingers that only feel.", default=None
     )
     amplifier: TrueAmplifier = described("The amplifier as it is.", default=TrueAmplifier())
+    generator: TrueGenerator = described("The generator as it is.", default=TrueGenerator())
     vibrometer: Vibrometer = described("The vibrometer as it is.", default=Vibrometer())
     scope: Scope = described("The oscilloscope as it is.", default=Scope())

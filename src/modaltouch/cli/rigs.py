@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -62,13 +63,20 @@ def simulate(
     apparatus: APPARATUS = SHIPPED_APPARATUS,
     port: Annotated[int, typer.Option(min=0, max=65535, help="TCP port on this machine; 0 takes a free one.")] = 0,
     seed: SEED_OF_TWIN = None,
+    played: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Append a JSON line for each burst when it ends.", show_default=False),
+    ] = None,
 ) -> None:
     """Run a simulated rig for other programs, on this machine alone, until it is interrupted.
 
-    The first line on standard output is its VISA address.
+    The first line on standard output is its VISA address. `--played` tells what it really played: `start_s` and
+    `end_s` on this machine's monotonic clock, whether the burst is `whole`, `amplitude_Vpp` of both outputs, the peak
+    speed `zone_peak_mm_s` at each zone's centre, and the `link` that triggered it: 0 for the front panel, null for a
+    burst that came by itself.
     """
     from modaltouch.apparatus import read_apparatus
     from modaltouch.rig.simulator import serve
 
     with reporting():
-        serve(read_apparatus(apparatus), port=port, seed=seed)
+        serve(read_apparatus(apparatus), port=port, seed=seed, played=played)

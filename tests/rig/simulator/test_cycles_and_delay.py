@@ -9,6 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from modaltouch.apparatus import Apparatus
+from modaltouch.clock import VirtualClock
 from modaltouch.rig.simulator import Simulator
 from modaltouch.rig.simulator.channel import Playback
 from modaltouch.rig.simulator.twin import MOST_SAMPLES, Twin
@@ -115,15 +117,16 @@ def test_edit_memory_and_phase_are_played(simulator: Simulator) -> None:
     np.testing.assert_array_equal(np.frombuffer(sent.record, ">u2"), np.roll(straight, -250))
 
 
-def test_forced_trigger_plays_until_its_last_cycle_ends(simulator: Simulator) -> None:
-    """*TRG: 10 ms of delay and three cycles of 50 ms, nothing before it and nothing after 160 ms."""
-    clock = [100.0]
-    simulator.afg.now = lambda: clock[0]
-    simulator.front_panel("DATA:COPY USER1;:SOUR1:FUNC USER1;:SOUR1:FREQ 20;:SOUR1:BURS:STAT ON;:OUTP1 ON")
-    simulator.front_panel("SOUR1:BURS:NCYC 3;:SOUR1:BURS:TDEL 10MS;:TRIG:SOUR EXT")
-    assert simulator.playbacks[0] is None
-    simulator.front_panel("*TRG")
-    clock[0] += 0.159
-    assert simulator.playbacks[0] is not None
-    clock[0] += 0.002
-    assert simulator.playbacks[0] is None
+def test_forced_triggers_are_no_closer_than_their_bursts(apparatus: Apparatus) -> None:
+    """*TRG: 10 ms of delay and three cycles of 50 ms; a trigger 159 ms later is lost, the next one counts."""
+    clock = VirtualClock(100.0)
+    with Simulator(apparatus, clock=clock) as simulator:
+        simulator.front_panel("DATA:COPY USER1;:SOUR1:FUNC USER1;:SOUR1:FREQ 20;:SOUR1:BURS:STAT ON;:OUTP1 ON")
+        simulator.front_panel("SOUR1:BURS:NCYC 3;:SOUR1:BURS:TDEL 10MS;:TRIG:SOUR EXT")
+        assert simulator.playbacks[0] is None
+        simulator.front_panel("*TRG")
+        for wait in (0.159, 0.041):
+            assert math.isinf(simulator.playbacks[0].period)  # type: ignore[union-attr]
+            clock.sleep(wait)
+            simulator.front_panel("*TRG")
+        assert simulator.playbacks[0].period == pytest.approx(0.2)  # type: ignore[union-attr]

@@ -6,6 +6,7 @@ import math
 
 import pytest
 
+from modaltouch.clock import VirtualClock
 from modaltouch.rig.simulator.afg import Afg
 from modaltouch.rig.simulator.behaviour import Behaviour
 from modaltouch.rig.simulator.faults import Faults
@@ -18,8 +19,8 @@ class Bench:
     """An instrument without transport."""
 
     def __init__(self, behaviour: Behaviour | None = None) -> None:
-        self.time = 100.0
-        self.afg = Afg(behaviour or Behaviour(), now=lambda: self.time)
+        self.clock = VirtualClock(100.0)
+        self.afg = Afg(behaviour or Behaviour(), clock=self.clock)
         self.instrument = Instrument(self.afg, Faults())
 
     def ask(self, message: str | bytes) -> str:
@@ -254,8 +255,8 @@ def test_output_plays_only_when_everything_is_set(bench: Bench) -> None:
     assert bench.afg.playback(1) is None
 
 
-def test_external_trigger_plays_once(bench: Bench) -> None:
-    """With EXT and nothing wired *TRG is the only trigger; it plays both channels for one burst of 50 ms."""
+def test_external_triggers_are_described_until_the_outputs_are_off(bench: Bench) -> None:
+    """With EXT and nothing wired *TRG is the only trigger, for both channels; the period is the latest interval."""
     bench.upload([8191, 9000, 8000, 8191])
     for n in (1, 2):
         bench.ask(f"SOUR{n}:FUNC USER1;FREQ 20;:SOUR{n}:BURS:STAT ON;NCYC 1;:OUTP{n} ON")
@@ -266,7 +267,16 @@ def test_external_trigger_plays_once(bench: Bench) -> None:
         playback = bench.afg.playback(n)
         assert playback is not None
         assert math.isinf(playback.period)
-    bench.time += 0.051
+    bench.clock.sleep(0.2002)
+    bench.ask("TRIG:SEQ:IMM")
+    bench.clock.sleep(0.15)
+    bench.ask("TRIG")
+    assert bench.afg.playback(2).period == 0.15  # type: ignore[union-attr]
+    bench.ask("ABOR")
+    assert bench.afg.playback(1) is None
+    bench.ask("*TRG")
+    assert bench.afg.playback(1) is not None
+    bench.ask("OUTP1 OFF;:OUTP1 ON")
     assert bench.afg.playback(1) is None
 
 

@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import contextlib
+import json
+import os
+import signal
 import socket
 import struct
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -38,19 +44,27 @@ def visa(simulator: Simulator) -> Iterator[Any]:
 class RawClient:
     """Speaks VXI-11 by hand, from the text of the standard: a stranger to PyVISA."""
 
-    def __init__(self, simulator: Simulator) -> None:
-        port = int(simulator.address.partition(",")[2].partition(":")[0])
+    def __init__(self, address: str) -> None:
+        port = int(address.partition(",")[2].partition(":")[0])
         self._socket = socket.create_connection(("127.0.0.1", port), timeout=5)
         self._number = 0
 
     def call(self, procedure: int, parameters: bytes, *, program: int = 0x0607AF) -> bytes:
         """Call a procedure and return its results."""
+        self.ask(procedure, parameters, program=program)
+        return self.answer()
+
+    def ask(self, procedure: int, parameters: bytes, *, program: int = 0x0607AF) -> None:
+        """Call a procedure."""
         self._number += 1
         call = struct.pack(">10I", self._number, 0, 2, program, 1, procedure, 0, 0, 0, 0) + parameters
         # Two fragments, as RFC 5531 allows.
         half = len(call) // 2 // 4 * 4
         self._socket.sendall(struct.pack(">I", half) + call[:half])
         self._socket.sendall(struct.pack(">I", 0x80000000 | (len(call) - half)) + call[half:])
+
+    def answer(self) -> bytes:
+        """Return the results of the procedure that was called."""
         (word,) = struct.unpack(">I", self._receive(4))
         reply = self._receive(word & 0x7FFFFFFF)
         assert struct.unpack(">I", reply[:4])[0] == self._number
@@ -68,10 +82,7 @@ class RawClient:
 
     def write(self, link: int, data: bytes, *, end: bool = True) -> tuple[int, int]:
         """Write, and return error and size."""
-        flags = 8 if end else 0
-        padding = bytes(-len(data) % 4)
-        parameters = struct.pack(">iIIiI", link, 1000, 1000, flags, len(data)) + data + padding
-        return struct.unpack(">iI", self.call(11, parameters))  # type: ignore[return-value]
+        return struct.unpack(">iI", self.call(11, written(link, data, end=end)))  # type: ignore[return-value]
 
     def read(self, link: int, size: int = 1024, *, terminator: int | None = None) -> tuple[int, int, bytes]:
         """Read, and return error, reason and data."""
@@ -85,8 +96,10 @@ class RawClient:
         """Call a procedure with generic parameters."""
         return self.call(procedure, struct.pack(">iiII", link, 0, 300, 300))
 
-    def close(self) -> None:
-        """Close the connection."""
+    def close(self, *, reset: bool = False) -> None:
+        """Close the connection, or reset it."""
+        if reset:
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
         self._socket.close()
 
     def _receive(self, n: int) -> bytes:
@@ -96,10 +109,16 @@ class RawClient:
         return data
 
 
+def written(link: int, data: bytes, *, end: bool = True) -> bytes:
+    """Return the parameters of a write."""
+    flags = 8 if end else 0
+    return struct.pack(">iIIiI", link, 1000, 1000, flags, len(data)) + data + bytes(-len(data) % 4)
+
+
 @pytest.fixture
 def raw(simulator: Simulator) -> Iterator[RawClient]:
     """Return a client that is not PyVISA."""
-    client = RawClient(simulator)
+    client = RawClient(simulator.address)
     yield client
     client.close()
 
@@ -185,7 +204,7 @@ def test_status_byte_tells_of_messages_and_errors(raw: RawClient) -> None:
 
 def test_lock_keeps_other_links_out(raw: RawClient, simulator: Simulator) -> None:
     """VXI-11 error 11 for another link while one holds the lock; its end frees it."""
-    other = RawClient(simulator)
+    other = RawClient(simulator.address)
     mine, theirs = raw.link(), other.link()
     assert struct.unpack(">i", raw.call(18, struct.pack(">iiI", mine, 0, 0))) == (0,)
     assert other.write(theirs, b"*IDN?")[0] == 11
@@ -227,7 +246,7 @@ def test_sessions_do_not_mix(simulator: Simulator) -> None:
 def test_sessions_are_counted_and_freed(apparatus: Apparatus) -> None:
     """An instrument of one session refuses the second until the first is closed (error 9)."""
     with Simulator(apparatus, behaviour=Behaviour(max_sessions=1)) as simulator:
-        first, second = RawClient(simulator), RawClient(simulator)
+        first, second = RawClient(simulator.address), RawClient(simulator.address)
         mine = first.link()
         name = struct.pack(">iIII", 1, 0, 0, 5) + b"inst0" + bytes(3)
         assert struct.unpack(">i", second.call(10, name)[:4]) == (9,)
@@ -279,3 +298,37 @@ def test_closed_simulator_refuses(apparatus: Apparatus) -> None:
     simulator.close()
     with pytest.raises(ConnectionRefusedError):
         socket.create_connection(("127.0.0.1", port), timeout=1)
+
+
+@pytest.mark.parametrize(("reset", "links"), [(True, [2]), (False, [1, 2])])
+def test_frozen_twin_plays_what_a_closed_link_left_and_not_what_a_reset_one_did(
+    tmp_path: Path, reset: bool, links: list[int]
+) -> None:
+    """Stopped, sent a trigger, left by its client, and woken; a real instrument may play both."""
+    file = tmp_path / "played"
+    command = [sys.executable, "-m", "modaltouch", "rig", "simulate", "--played", str(file)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            address = process.stdout.readline()
+            first = RawClient(address)
+            link = first.link()
+            first.write(link, b"DATA:DEF EMEM,100;:DATA:COPY USER1;:TRIG:SOUR EXT;:SOUR1:FUNC USER1;FREQ 20")
+            # A burst that is as short as it can be listed: the second trigger must not be inside the first.
+            first.write(link, b"SOUR1:FREQ 1000;:SOUR1:BURS:STAT ON;NCYC 1;:OUTP1 ON")
+            time.sleep(0.1)  # the relay, by the twin's own clock
+            process.send_signal(signal.SIGSTOP)
+            os.waitpid(process.pid, os.WUNTRACED)
+            first.ask(11, written(link, b"TRIG:SEQ:IMM"))
+            first.close(reset=reset)
+            process.send_signal(signal.SIGCONT)
+            second = RawClient(address)
+            link = second.link()
+            time.sleep(0.1)  # until the first has played, if it does
+            second.write(link, b"TRIG:SEQ:IMM")
+            time.sleep(0.1)
+            second.close()
+        finally:
+            process.send_signal(signal.SIGCONT)
+            process.terminate()
+    assert [json.loads(line)["link"] for line in file.read_text().splitlines()] == links

@@ -11,6 +11,7 @@ import signal
 import sys
 import threading
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Self
 
 import numpy as np
@@ -23,7 +24,9 @@ from modaltouch.rig.simulator.behaviour import Behaviour
 from modaltouch.rig.simulator.channel import Playback
 from modaltouch.rig.simulator.faults import Faults
 from modaltouch.rig.simulator.instrument import Instrument
+from modaltouch.rig.simulator.played import PlayedLog
 from modaltouch.rig.simulator.scope import SimulatedScope
+from modaltouch.rig.simulator.timeline import Delays
 from modaltouch.rig.simulator.twin import TrueState, Twin
 from modaltouch.rig.simulator.vxi11 import Vxi11Server
 
@@ -41,6 +44,15 @@ class Simulator:
         TCP port on 127.0.0.1; 0 takes a free one.
     behaviour : Behaviour, optional
         What is not publicly known of the real generator.
+    clock : Clock
+        By which it plays; its transport waits in real time.
+    played : Path, optional
+        File that gets a line for each burst when it ends; times are those of `clock`.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
 
     Attributes
     ----------
@@ -62,12 +74,20 @@ class Simulator:
         port: int = 0,
         behaviour: Behaviour | None = None,
         clock: Clock = SYSTEM_CLOCK,
+        played: Path | None = None,
     ) -> None:
         self.apparatus = apparatus
-        self.afg = Afg(behaviour or Behaviour(), now=clock.now)
+        true, seed = apparatus.twin.generator, apparatus.twin.seed if seed is None else seed
+        latency = true.trigger_latency_ms.low * 1e-3, true.trigger_latency_ms.high * 1e-3
+        delays = Delays(latency, true.relay_ms * 1e-3, true.external_pulses_Hz)
+        self.afg = Afg(behaviour or Behaviour(), delays=delays, seed=seed, clock=clock)
         self.faults = Faults()
-        self.twin = Twin(apparatus, apparatus.twin.seed if seed is None else seed)
+        self.twin = Twin(apparatus, seed)
         self.touched: tuple[float, ...] = ()
+        self._played: PlayedLog | None = None
+        if played is not None:
+            self._played = PlayedLog(played, self.twin, self.afg.settle, lambda: self.touched)
+            self.afg.timeline.told = self._played.take
         self._instrument = Instrument(self.afg, self.faults)
         self._server = Vxi11Server(self._instrument, port)
 
@@ -178,8 +198,12 @@ class Simulator:
         self.twin.tripped = False
 
     def close(self) -> None:
-        """Stop serving."""
+        """Stop serving, and switch the generator off."""
         self._server.close()
+        self.afg.power_off()
+        if self._played is not None:
+            self._played.close()
+            self._played = None
 
     def __enter__(self) -> Self:
         return self
@@ -188,12 +212,29 @@ class Simulator:
         self.close()
 
 
-def serve(apparatus: Apparatus, *, port: int = 0, seed: int | None = None) -> None:
-    """Run a simulator until SIGINT or SIGTERM; its address is the first line on standard output."""
+def serve(apparatus: Apparatus, *, port: int = 0, seed: int | None = None, played: Path | None = None) -> None:
+    """Run a simulator until SIGINT or SIGTERM; its address is the first line on standard output.
+
+    Parameters
+    ----------
+    apparatus : Apparatus
+        What is on the table.
+    port : int
+        TCP port on 127.0.0.1; 0 takes a free one.
+    seed : int, optional
+        Instead of the seed in ``twin``.
+    played : Path, optional
+        File that gets a line for each burst when it ends.
+
+    Raises
+    ------
+    InputError
+        If that file cannot be written.
+    """
     ended = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: ended.set())
-    with Simulator(apparatus, seed, port=port) as simulator:
+    with Simulator(apparatus, seed, port=port, played=played) as simulator:
         sys.stdout.write(simulator.address + "\n")
         sys.stdout.flush()
         ended.wait()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 
 from modaltouch.apparatus import read_apparatus
 from modaltouch.document import InputError
@@ -17,13 +18,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("apparatus", help="apparatus file (YAML)")
     parser.add_argument("--port", type=int, default=0, help="TCP port on 127.0.0.1; 0 takes a free one")
     parser.add_argument("--seed", type=int, default=None, help="instead of the seed in the file")
+    parser.add_argument("--played", type=Path, default=None, help="file that gets a JSON line for each burst")
     options = parser.parse_args(arguments)
     try:
-        apparatus = read_apparatus(options.apparatus)
+        serve(read_apparatus(options.apparatus), port=options.port, seed=options.seed, played=options.played)
     except InputError as error:
         sys.stderr.write(f"{error}\n")
         return 2
-    serve(apparatus, port=options.port, seed=options.seed)
     return 0
 
 

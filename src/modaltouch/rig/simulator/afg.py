@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import threading
-import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from modaltouch.clock import SYSTEM_CLOCK, Clock
 from modaltouch.rig.simulator.behaviour import Behaviour
 from modaltouch.rig.simulator.channel import MID_CODE, Channel, Playback
 from modaltouch.rig.simulator.scpi import ScpiError
+from modaltouch.rig.simulator.timeline import Delays, Situation, Timeline
 
 MAX_CODE = 16382
 """Highest code of a point."""
@@ -30,6 +32,14 @@ class Afg:
     ----------
     clip_amplitude : float
         Fault: amplitude beyond which the output stage silently stays behind [V peak to peak, open circuit].
+    delays : Delays
+        How long the hardware takes.
+    seed : int
+        Of the phase of its timer, and of its latencies.
+    clock : Clock
+        By which bursts begin and end.
+    link : int
+        Number of the link whose message is being carried out; 0 for the front panel.
     """
 
     behaviour: Behaviour = field(default_factory=Behaviour)
@@ -37,7 +47,10 @@ class Afg:
     min_points: int = 2
     max_points: int = 131_072
     clip_amplitude: float = math.inf
-    now: Callable[[], float] = time.monotonic
+    delays: Delays = Delays()
+    seed: int = 0
+    clock: Clock = SYSTEM_CLOCK
+    link: int = 0
     lock: threading.RLock = field(default_factory=threading.RLock, repr=False)
 
     def __post_init__(self) -> None:
@@ -45,22 +58,44 @@ class Afg:
         self.locked: dict[int, bool] = dict.fromkeys(self.user, False)
         self.saved: dict[int, tuple[dict[int, Channel], str, float]] = {}
         self.errors: deque[str] = deque()
+        self.timeline = Timeline(self.delays, self.behaviour.retrigger, self.seed)
         self.power_on()
+
+    @contextlib.contextmanager
+    def changing(self) -> Iterator[None]:
+        """Let what is sent be as set before until now, and as set within from now on."""
+        with self.lock:
+            self.timeline.advance(self.clock.now())
+            try:
+                yield
+            finally:
+                self.timeline.change(self.clock.now(), self._situation())
+
+    def settle(self) -> None:
+        """Have every burst told that has ended by now."""
+        with self.lock:
+            self.timeline.advance(self.clock.now())
+
+    def power_off(self) -> None:
+        """End whatever plays, at once."""
+        with self.lock:
+            self.timeline.power_cut(self.clock.now())
 
     def power_on(self) -> None:
         """Start as after a power cut: USER memories kept, everything else at its default, outputs off."""
+        self.power_off()
         with self.lock:
             self.errors.clear()
             self.event_status, self.event_enable, self.service_enable = 128, 0, 0
             self.edit = blank_record(1000)
             self.reset()
+            self.timeline.change(self.clock.now(), self._situation())
 
     def reset(self) -> None:
         """Do what ``*RST`` does; USER memories, status and errors stay."""
         with self.lock:
             self.channels = {number: Channel() for number in range(1, self.n_channels + 1)}
             self.trigger_source, self.timer = "TIM", 1e-3
-            self.last_trigger = -math.inf
             self.level_concurrent = self.frequency_concurrent = False
             self.trigger_output = "TRIG"
             self.clock_source = "INT"
@@ -111,7 +146,7 @@ class Afg:
         """Store the edit memory; a playing channel that selects the memory plays the new record."""
         if self.locked[number]:
             raise ScpiError(-221, f"USER{number} is locked")
-        time.sleep(self.behaviour.copy_time)
+        self.clock.sleep(self.behaviour.copy_time)
         with self.lock:
             self.user[number] = self.edit
 
@@ -165,22 +200,22 @@ class Afg:
 
     # trigger
 
-    def set_trigger_source(self, source: str) -> None:
-        """Choose TIMer (free running) or EXTernal; the timer starts with a trigger."""
-        with self.lock:
-            if source == "TIM" and self.trigger_source != "TIM":
-                self.last_trigger = self.now()
-            self.trigger_source = source
-
     def trigger(self) -> None:
         """Force one trigger, for both channels."""
-        if not any(channel.burst for channel in self.channels.values()):
-            raise ScpiError(-211, "no channel is in burst")
-        self.last_trigger = self.now()
+        with self.lock:
+            if not any(channel.burst for channel in self.channels.values()):
+                raise ScpiError(-211, "no channel is in burst")
+            self.timeline.trigger(self.clock.now(), self.link)
 
     def abort(self) -> None:
-        """Reset the trigger system."""
-        self.last_trigger = -math.inf
+        """Reset the trigger system; a burst that it began ends here."""
+        with self.lock:
+            self.timeline.abort(self.clock.now())
+
+    def align(self) -> None:
+        """Begin anew what repeats without trigger."""
+        with self.lock:
+            self.timeline.align(self.clock.now())
 
     def copy_channel(self, target: int, source: int) -> None:
         """Give a channel the settings of the other; its output stays as it is."""
@@ -203,38 +238,57 @@ class Afg:
     # what comes out
 
     def playback(self, number: int) -> Playback | None:
-        """Return what a channel sends, None where its output is off or no arbitrary record is playing."""
-        with self.lock:
-            channel = self.channels[number]
-            if not channel.output or not channel.function.startswith(("USER", "EMEM")):
-                return None
-            record = self.edit if channel.function == "EMEM" else self.user[int(channel.function[4:])]
-            duration = 1 / channel.frequency
-            period = self._burst_period(channel, duration)
-            if record is None or period is None:
-                return None
-            # A phase is where in its record a channel begins.
-            first = 2 * round(channel.phase / (2 * math.pi) * (len(record) // 2)) % len(record)
-            record = record[first:] + record[:first]
-            sign = -1.0 if channel.polarity == "INV" else 1.0
-            idle = {"first": record[:2], "last": record[-2:]}.get(self.behaviour.idle_level)
-            idle_code = MID_CODE if idle is None else int.from_bytes(idle, "big")
-            level = sign * channel.amplitude, channel.offset
-            if math.isinf(channel.burst_length) or not channel.burst:
-                return Playback(record, *level, duration, period, idle_code)
-            return Playback(record, *level, duration, period, idle_code, int(channel.n_cycles), channel.delay)
+        """Return what a channel sends, None where its output is off or no arbitrary record is playing.
 
-    def _burst_period(self, channel: Channel, duration: float) -> float | None:
-        """Return the time between bursts [s], None where no trigger comes."""
-        if not channel.burst:
-            return duration
-        length = channel.burst_length
-        if self.trigger_source == "TIM":
-            # A burst without end has one trigger, the first.
-            return duration if math.isinf(length) else self.timer
-        if self.now() - self.last_trigger > length or math.isinf(self.last_trigger):
+        Where bursts wait for an external trigger this is the latest of them, if one came since the outputs were
+        switched, and their period is the latest interval, to the millisecond.
+        """
+        with self.lock:
+            self.timeline.advance(self.clock.now())
+            channel = self.channels[number]
+            sent = self._sent(channel) if channel.output else None
+            if sent is None or not channel.burst:
+                return sent
+            endless = math.isinf(channel.burst_length)
+            if self.trigger_source == "TIM":
+                # A burst without end has one trigger, the first.
+                return sent if endless else replace(sent, period=self.timer)
+            triggers = self.timeline.triggers
+            if not triggers or endless:
+                return sent if triggers else None
+            interval = round(triggers[-1] - triggers[0], 3)
+            return sent if len(triggers) == 1 else replace(sent, period=max(interval, channel.burst_length))
+
+    def _sent(self, channel: Channel) -> Playback | None:
+        """Return a burst of a channel, alone, or what it repeats without trigger; None where it has no record."""
+        if not channel.function.startswith(("USER", "EMEM")):
             return None
-        return duration if math.isinf(length) else math.inf
+        record = self.edit if channel.function == "EMEM" else self.user[int(channel.function[4:])]
+        if record is None:
+            return None
+        # A phase is where in its record a channel begins.
+        first = 2 * round(channel.phase / (2 * math.pi) * (len(record) // 2)) % len(record)
+        record = record[first:] + record[:first]
+        sign = -1.0 if channel.polarity == "INV" else 1.0
+        idle = {"first": record[:2], "last": record[-2:]}.get(self.behaviour.idle_level)
+        idle_code = MID_CODE if idle is None else int.from_bytes(idle, "big")
+        duration = 1 / channel.frequency
+        level = sign * channel.amplitude, channel.offset
+        if math.isinf(channel.burst_length) or not channel.burst:
+            return Playback(record, *level, duration, duration, idle_code)
+        return Playback(record, *level, duration, math.inf, idle_code, int(channel.n_cycles), channel.delay)
+
+    def _situation(self) -> Situation:
+        """Return the settings that bursts depend on."""
+        channels = tuple(self.channels.values())
+        pulses = self.delays.pulses
+        return Situation(
+            sent=tuple(self._sent(channel) for channel in channels),
+            length=tuple((each.n_cycles if each.burst else 1.0) / each.frequency for each in channels),
+            in_burst=tuple(each.burst for each in channels),
+            outputs=tuple(each.output for each in channels),
+            tick=self.timer if self.trigger_source == "TIM" else None if pulses is None else 1 / pulses,
+        )
 
 
 def blank_record(n_points: int) -> bytes:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from modaltouch.rig.simulator.timeline import Retrigger
+
 
 @dataclass(frozen=True)
 class Behaviour:
@@ -30,6 +32,8 @@ class Behaviour:
         Links accepted at the same time.
     queue_depth : int
         Errors kept.
+    retrigger : str
+        Whether a trigger inside a running burst is ``ignored``, without an error, or ``restarts`` the burst.
     """
 
     identity: str = "TEKTRONIX,AFG3022B,SIMULATED,SCPI:99.0 FV:3.2.2"
@@ -41,3 +45,4 @@ class Behaviour:
     block_end: bytes = b"\n"
     max_sessions: int = 16
     queue_depth: int = 32
+    retrigger: Retrigger = "ignored"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import ChainMap
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from modaltouch.rig.simulator.afg import MEMORIES, Afg
@@ -41,11 +42,29 @@ SHAPES = (
 )
 HIGHEST_BURST_FREQUENCY = 6.25e6
 
+FORCED = ("*TRG", "TRIGger[:SEQuence][:IMMediate]")
+"""Triggers, which change no setting; nothing is to delay them."""
+
 
 def afg_commands(afg: Afg) -> CommandTable:
     """Return what the simulated instrument understands."""
     groups = (_common, memory_commands, _waveform, _levels, _burst, _trigger, _system)
-    return CommandTable(dict(ChainMap(*(group(afg) for group in groups))), afg.n_channels)
+    commands = ChainMap(*(group(afg) for group in groups))
+    noticed = {header: _changing(afg, command) for header, command in commands.items() if header not in FORCED}
+    return CommandTable({**commands, **noticed}, afg.n_channels)
+
+
+def _changing(afg: Afg, command: Command) -> Command:
+    """Return a command whose setting ends what it changes of a running burst."""
+    carry_out = command.set
+    if carry_out is None:
+        return command
+
+    def change(channel: int, arguments: Arguments) -> None:
+        with afg.changing():
+            carry_out(channel, arguments)
+
+    return replace(command, set=change)
 
 
 def _common(afg: Afg) -> dict[str, Command]:
@@ -114,7 +133,7 @@ def _waveform(afg: Afg) -> dict[str, Command]:
             ),
             get=_get_number(afg, "phase", -math.pi, math.pi, "{:.4E}"),
         ),
-        "[SOURce#]:PHASe:INITiate": Command(set=lambda n, a: None),
+        "[SOURce#]:PHASe:INITiate": Command(set=lambda n, a: afg.align()),
     }
 
 
@@ -197,7 +216,7 @@ def _trigger(afg: Afg) -> dict[str, Command]:
 
     return {
         "TRIGger[:SEQuence]:SOURce": Command(
-            set=lambda c, a: afg.set_trigger_source(read_choice(one(a), ("TIMer", "EXTernal"))),
+            set=lambda c, a: setattr(afg, "trigger_source", read_choice(one(a), ("TIMer", "EXTernal"))),
             get=lambda c, a: afg.trigger_source,
         ),
         "TRIGger[:SEQuence]:TIMer": Command(

@@ -38,8 +38,8 @@ class Device(typing.Protocol):
     def status_byte(self) -> int:
         """Status byte without the message-available bit."""
 
-    def execute(self, message: bytes) -> Reply:
-        """Carry out one message."""
+    def execute(self, message: bytes, link: int) -> Reply:
+        """Carry out one message that came over a link of this number."""
 
     def perform(self, message: bytes) -> Reply:
         """Carry out one message as the front panel would, past every fault."""
@@ -47,5 +47,5 @@ class Device(typing.Protocol):
     def fail(self, error: ScpiError) -> None:
         """Put an error in the instrument's queue."""
 
-    def trigger(self) -> None:
-        """Take a group execute trigger."""
+    def trigger(self, link: int) -> None:
+        """Take a group execute trigger that came over a link of this number, 0 for the front panel."""

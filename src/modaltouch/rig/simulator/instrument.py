@@ -44,16 +44,21 @@ class Instrument:
         """Put an error in the queue."""
         self.afg.fail(error)
 
-    def trigger(self) -> None:
+    def trigger(self, link: int) -> None:
         """Take a group execute trigger, as ``*TRG``."""
-        self.perform(b"*TRG")
+        with self._busy:
+            self._run(b"*TRG", link)
 
     def perform(self, message: bytes) -> Reply:
         """Carry out a message as the front panel would, past every fault."""
         with self._busy:
-            return Reply(_joined(self._table.run(message, fail=self.afg.fail)))
+            return Reply(_joined(self._run(message, 0)))
 
-    def execute(self, message: bytes) -> Reply:
+    def _run(self, message: bytes, link: int) -> list[bytes]:
+        self.afg.link = link
+        return self._table.run(message, fail=self.afg.fail)
+
+    def execute(self, message: bytes, link: int = 1) -> Reply:
         """Carry out a message that came over a link."""
         met = self.faults.take(message)
         with self._busy:
@@ -65,7 +70,7 @@ class Instrument:
                 return Reply(b"lost", delay=math.inf) if b"?" in message[:4096] else Reply()
             if "slow_command" in met:
                 time.sleep(float(met["slow_command"].value))
-            replies = self._table.run(_spoil_upload(message, met), fail=self.afg.fail)
+            replies = self._run(_spoil_upload(message, met), link)
             if "scpi_error" in met:
                 self.afg.fail(ScpiError(int(float(met["scpi_error"].value))))
             if "front_panel" in met:

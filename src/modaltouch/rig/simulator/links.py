@@ -157,7 +157,7 @@ class Links:
         if link.leaving:
             self._device.fail(ScpiError(-410))
             link.leaving = b""
-        reply = self._device.perform(message) if link.panel else self._device.execute(message)
+        reply = self._device.perform(message) if link.panel else self._device.execute(message, link.number)
         if reply.hang_up:
             raise HangUp
         link.leaving, link.ready_at = reply.data, time.monotonic() + reply.delay
@@ -193,9 +193,10 @@ class Links:
 
     def _trigger(self, parameters: bytes, own: set[int]) -> bytes:
         number, flags, lock_timeout = struct.unpack_from(">iiI", parameters)
-        error = self._access(self._of(number, own), flags, lock_timeout)
-        if not error:
-            self._device.trigger()
+        link = self._of(number, own)
+        error = self._access(link, flags, lock_timeout)
+        if not error and link is not None:
+            self._device.trigger(0 if link.panel else link.number)
         return struct.pack(">i", error)
 
     def _clear(self, parameters: bytes, own: set[int]) -> bytes:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -21,6 +22,9 @@ ComplexArray = NDArray[np.complex128]
 
 MOST_SAMPLES = 1 << 22
 """Of one burst, many cycles together: a third of a second at least, many times what any mode remembers."""
+
+SETTINGS_KEPT = 64
+"""Settings of which the peaks are kept."""
 
 Setting = tuple[Playback | None, ...]
 """What each channel sends."""
@@ -69,8 +73,7 @@ class Twin:
     seed: int
     tripped: bool = False
     n_computed: int = field(default=0, init=False)
-    _setting: Setting = field(default=(), init=False, repr=False)
-    _felt: dict[tuple[float, ...], float] = field(default_factory=dict, init=False, repr=False)
+    _felt: dict[Setting, dict[tuple[float, ...], float]] = field(default_factory=dict, init=False, repr=False)
     _systems: dict[tuple[float, ...], DiagonalSystem] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -93,7 +96,13 @@ class Twin:
             self._systems[key] = self.beam.equations(self.amplifier, key)
         return self._systems[key]
 
-    def felt(self, playbacks: Sequence[Playback | None], positions: Sequence[float]) -> FloatArray:
+    def felt(
+        self,
+        playbacks: Sequence[Playback | None],
+        positions: Sequence[float],
+        *,
+        touched: Sequence[float] | None = None,
+    ) -> FloatArray:
         """Return the peak speed at points of the beam while the generator sends what it sends.
 
         Parameters
@@ -102,6 +111,8 @@ class Twin:
             What each channel sends.
         positions : sequence of float
             Where fingers lie, origin at mid-beam [m].
+        touched : sequence of float, optional
+            Where they lie instead, if other places are asked for [m].
 
         Returns
         -------
@@ -114,16 +125,17 @@ class Twin:
         setting, scale = tuple(playbacks), 1.0
         if not self._any_saturates(playbacks):
             setting, scale = _at_unit_level(playbacks, level), level
-        if setting != self._setting:
-            self._setting, self._felt = setting, {}
+        felt = self._felt.setdefault(_once(setting), {})
+        for oldest in list(self._felt)[:-SETTINGS_KEPT]:
+            self._felt.pop(oldest, None)
         # Fingers that weigh change the beam for each other; others feel it as it is.
-        touched = tuple(sorted(positions)) if self.beam.fingers is not None else ()
-        missing = [x for x in dict.fromkeys(positions) if (x, *touched) not in self._felt]
+        fingers = tuple(sorted(positions if touched is None else touched)) if self.beam.fingers is not None else ()
+        missing = [x for x in dict.fromkeys(positions) if (x, *fingers) not in felt]
         if missing:
             self.n_computed += 1
-            peaks = self._peaks(setting, missing, touched)
-            self._felt.update({(x, *touched): speed for x, speed in zip(missing, peaks, strict=True)})
-        return scale * np.array([self._felt[(x, *touched)] for x in positions])
+            peaks = self._peaks(_once(setting), missing, fingers)
+            felt.update({(x, *fingers): speed for x, speed in zip(missing, peaks, strict=True)})
+        return scale * np.array([felt[(x, *fingers)] for x in positions])
 
     def motions(
         self,
@@ -263,6 +275,16 @@ def _at_unit_level(playbacks: Sequence[Playback | None], level: float) -> Settin
     return tuple(
         p if p is None else replace(p, amplitude=round(p.amplitude / level, 12), offset=0.0) for p in playbacks
     )
+
+
+def _once(setting: Setting) -> Setting:
+    """Return bursts with a pause after them as if they came once, which the peak of each, from rest, is that of."""
+    playing = [playback for playback in setting if playback is not None]
+    if len({_clock(playback) for playback in playing}) > 1:
+        return setting
+    if playing[0].period <= playing[0].delay + playing[0].duration * playing[0].n_cycles:
+        return setting
+    return tuple(playback and replace(playback, period=math.inf) for playback in setting)
 
 
 def _clock(playback: Playback) -> tuple[float, ...]:

@@ -100,8 +100,8 @@ class Vxi11Server:
             with connection, connection.makefile("rb") as stream:
                 while True:
                     call = read_record(stream, 4 * LARGEST_MESSAGE)
-                    # What still arrives over a connection that is being reset is not heard.
-                    if connection not in self._connections:
+                    # What still arrives over a connection that is being reset, from either side, is not heard.
+                    if connection not in self._connections or _was_reset(connection):
                         return
                     body = self._answer(call, own)
                     connection.sendall(as_record(body))
@@ -120,6 +120,11 @@ class Vxi11Server:
         if procedure == 0:
             return accept(transaction)
         return accept(transaction) + self._links.call(procedure, parameters, own)
+
+
+def _was_reset(connection: socket.socket) -> bool:
+    """Return whether the client has reset a connection, of which requests may be left to read."""
+    return connection.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR) != 0
 
 
 def _reset(connection: socket.socket) -> None:

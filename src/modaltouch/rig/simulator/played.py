@@ -1,0 +1,121 @@
+"""What a twin really played, told to other processes: a line of JSON for each burst."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import queue
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from modaltouch.document import InputError, Problem
+from modaltouch.rig.simulator.channel import Playback
+from modaltouch.rig.simulator.timeline import Played
+from modaltouch.rig.simulator.twin import MOST_SAMPLES, Twin
+
+TICK = 2e-3
+"""Time between two looks at what has ended [s]."""
+
+
+class PlayedLog:
+    """Appends a line for each burst when it ends, from a thread of its own.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    twin : Twin
+        What the bursts move.
+    settle : callable
+        Has every burst that has ended by now given to `take`.
+    touched : callable
+        Returns where fingers lie [m].
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
+
+    def __init__(
+        self, path: Path, twin: Twin, settle: Callable[[], None], touched: Callable[[], Sequence[float]]
+    ) -> None:
+        try:
+            # The file stays open until `close`.
+            self._file = path.open("a", encoding="utf-8")
+        except OSError as error:
+            given = f"a file that cannot be written ({error.strerror})"
+            remedy = "name another one after --played"
+            raise InputError([Problem(str(path), 0, 0, "", given, "a file in a folder of yours", remedy)]) from error
+        self._twin = twin
+        self._settle = settle
+        self._touched = touched
+        self._ended: queue.SimpleQueue[tuple[Played, bool]] = queue.SimpleQueue()
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._keep_writing, daemon=True, name="twin-played")
+        self._thread.start()
+
+    def take(self, played: Played) -> None:
+        """Have a burst written."""
+        self._ended.put((played, self._twin.tripped))
+
+    def close(self) -> None:
+        """Write what has ended, and end."""
+        self._closing.set()
+        self._thread.join()
+        with contextlib.suppress(OSError):
+            self._file.close()
+
+    def _keep_writing(self) -> None:
+        try:
+            while not self._closing.wait(TICK):
+                self._settle()
+                self._write()
+            self._write()
+        except OSError as error:
+            sys.stderr.write(
+                f"{self._file.name}: {error.strerror}; no burst is told from here on; start the twin anew\n"
+            )
+
+    def _write(self) -> None:
+        while not self._ended.empty():
+            played, tripped = self._ended.get()
+            self._file.write(json.dumps(self._line(played, tripped=tripped)) + "\n")
+            self._file.flush()
+
+    def _line(self, played: Played, *, tripped: bool) -> dict[str, Any]:
+        zones = {name: zone.centre_mm * 1e-3 for name, zone in self._twin.apparatus.zones.items()}
+        sent = played.sent if played.whole else tuple(map(_passed, played.sent, played.passed))
+        alone = [None if playback is None or tripped else replace(playback, period=math.inf) for playback in sent]
+        peaks = self._twin.felt(alone, list(zones.values()), touched=self._touched())
+        return {
+            "start_s": round(played.start, 9),
+            "end_s": round(played.end, 9),
+            "whole": played.whole,
+            "amplitude_Vpp": [0.0 if playback is None else abs(playback.amplitude) for playback in played.sent],
+            "zone_peak_mm_s": {name: round(peak * 1e3, 4) for name, peak in zip(zones, peaks.tolist(), strict=True)},
+            "link": played.link,
+        }
+
+
+def _passed(playback: Playback | None, span: tuple[float, float] | None) -> Playback | None:
+    """Return as one record what of a burst passed between two instants since its first sample [s]."""
+    if playback is None or span is None:
+        return None
+    n_samples = len(playback.record) // 2
+    # What went before was heard and is forgotten.
+    before = max(
+        math.floor(span[0] / playback.duration), math.ceil(span[1] / playback.duration) - MOST_SAMPLES // n_samples
+    )
+    n_cycles = max(1, math.ceil(span[1] / playback.duration) - before)
+    codes = np.tile(np.frombuffer(playback.record, ">u2"), n_cycles)
+    start, end = ((instant / playback.duration - before) * n_samples for instant in span)
+    codes[: max(math.floor(start), 0)] = codes[math.ceil(end) :] = playback.idle_code
+    return replace(playback, record=codes.tobytes(), duration=playback.duration * n_cycles, n_cycles=1)

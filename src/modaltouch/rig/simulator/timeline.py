@@ -1,0 +1,337 @@
+"""What leaves a generator's outputs over time: bursts that begin, end or are cut, and what the relays let pass."""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Literal
+
+from modaltouch.rig.simulator.channel import Playback
+
+FINEST = 1e-3
+"""Of bursts that come by themselves and follow each other faster, one in this time is counted [s]."""
+
+ROUNDING = 1e-9
+"""By how much less a burst that follows at once may come before the end of the last [s]."""
+
+Retrigger = Literal["ignored", "restarts"]
+"""What a trigger inside a running burst does."""
+
+
+@dataclass(frozen=True)
+class Delays:
+    """How long the hardware takes.
+
+    Attributes
+    ----------
+    latency : (float, float)
+        Bounds of the time from a trigger's command to the first sample [s].
+    relay : float
+        From the command to the relay of an output, on or off [s].
+    pulses : float or None
+        Rate of the pulses at the trigger input [Hz]; None with nothing wired to it.
+    """
+
+    latency: tuple[float, float] = (1e-4, 3e-4)
+    relay: float = 4e-3
+    pulses: float | None = None
+
+
+@dataclass(frozen=True)
+class Situation:
+    """All settings that bursts depend on, a value to each channel.
+
+    Attributes
+    ----------
+    sent : tuple of Playback or None
+        What a channel sends while its relay is closed, once for a burst.
+    length : tuple of float
+        From first to last sample of its burst, or of a cycle of what repeats without trigger [s].
+    in_burst : tuple of bool
+        Whether it waits for triggers.
+    outputs : tuple of bool
+        Whether its output is commanded on.
+    tick : float or None
+        Time between triggers that come by themselves [s].
+    """
+
+    sent: tuple[Playback | None, ...] = ()
+    length: tuple[float, ...] = ()
+    in_burst: tuple[bool, ...] = ()
+    outputs: tuple[bool, ...] = ()
+    tick: float | None = None
+
+
+@dataclass(frozen=True)
+class Played:
+    """A burst, or what of it passed the relays.
+
+    Attributes
+    ----------
+    start, end : float
+        First and last instant at which one of the outputs let it pass [s].
+    whole : bool
+        Whether all of it passed, at every output.
+    sent : tuple of Playback or None
+        What each output let pass.
+    passed : tuple of (float, float) or None
+        From when to when, since the first sample of the channel [s].
+    link : int or None
+        Number of the link that triggered it, 0 for the front panel; None where it came by itself.
+    """
+
+    start: float
+    end: float
+    whole: bool
+    sent: tuple[Playback | None, ...]
+    passed: tuple[tuple[float, float] | None, ...]
+    link: int | None
+
+
+@dataclass
+class _Run:
+    """A burst in the making: first and last instant of each channel, and those between which its relay was closed."""
+
+    sent: tuple[Playback | None, ...]
+    spans: dict[int, tuple[float, float]]
+    link: int | None
+    passed: dict[int, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def end(self) -> float:
+        return max(last for _, last in self.spans.values())
+
+
+class Timeline:
+    """Follows the outputs of a generator; between two calls the settings are constant.
+
+    Parameters
+    ----------
+    delays : Delays
+        How long the hardware takes.
+    retrigger : str
+        What a trigger inside a running burst does.
+    seed : int
+        Of the phases of timer and pulses, and of the latencies.
+
+    Attributes
+    ----------
+    told : callable or None
+        Takes each burst when it ends.
+    triggers : tuple of float
+        When the latest two bursts began since outputs or trigger source were last switched [s].
+    """
+
+    def __init__(self, delays: Delays, retrigger: Retrigger = "ignored", seed: int = 0) -> None:
+        self._delays = delays
+        self._retrigger = retrigger
+        self._random = random.Random(seed)
+        self._phase = self._random.random()
+        self.told: Callable[[Played], None] | None = None
+        self.triggers: tuple[float, ...] = ()
+        self._now = -math.inf
+        self._situation = Situation()
+        self._closed: dict[int, float] = {}
+        self._switching: list[tuple[float, int, bool]] = []
+        self._cycle_length = self._reach = self._aligned = 0.0
+        self._burst: _Run | None = None
+        self._cycle: _Run | None = None
+
+    def change(self, now: float, situation: Situation) -> None:
+        """Take new settings; what they change of a running burst ends it here."""
+        self.advance(now)
+        before, self._situation = self._situation, situation
+        if before == situation:
+            return
+        self._cycle_length, self._reach = _cycle_length(situation), _reach(situation)
+        if (before.sent, before.length, before.in_burst) != (situation.sent, situation.length, situation.in_burst):
+            self._cut(now)
+            self.align(now)
+        if (before.outputs, before.tick) != (situation.outputs, situation.tick):
+            self.triggers = ()
+        for channel, on in enumerate(situation.outputs):
+            if on != (channel < len(before.outputs) and before.outputs[channel]):
+                self._switching.append((now + self._delays.relay, channel, on))
+
+    def trigger(self, now: float, link: int) -> None:
+        """Take a trigger that was commanded over a link."""
+        self.advance(now)
+        self._take(now, now + self._random.uniform(*self._delays.latency), link)
+
+    def abort(self, now: float) -> None:
+        """End the burst that a trigger began."""
+        self.advance(now)
+        if self._burst is not None:
+            self._finish(self._burst, now)
+        self._burst, self.triggers = None, ()
+
+    def align(self, now: float) -> None:
+        """Begin anew what repeats without trigger."""
+        self.advance(now)
+        if self._cycle is not None:
+            self._finish(self._cycle, now)
+        self._aligned, self._cycle = now, self._run(now, None, in_burst=False)
+
+    def power_cut(self, now: float) -> None:
+        """End everything and open the relays at once."""
+        self.advance(now)
+        self._cut(now)
+        self._closed, self._switching, self.triggers = {}, [], ()
+        self._situation, self._cycle_length, self._reach = Situation(), 0.0, 0.0
+
+    def advance(self, now: float) -> None:
+        """Let time pass up to an instant [s]; never back."""
+        if now <= self._now:
+            return
+        self._skip(now)
+        while True:
+            tick, beat = self._next_tick(), self._next_beat()
+            instant = min(tick, beat, *self._others())
+            if instant > now:
+                break
+            self._now = max(self._now, instant)
+            self._settle(instant)
+            if tick == instant:
+                self._take(instant, instant, None)
+            if beat == instant:
+                if self._cycle is not None:
+                    self._finish(self._cycle, self._cycle.end)
+                self._cycle = self._run(instant, None, in_burst=False)
+        self._now = now
+
+    def _others(self) -> Iterator[float]:
+        """Yield when relays switch and bursts end [s]."""
+        yield self._switching[0][0] if self._switching else math.inf
+        yield math.inf if self._burst is None else self._burst.end
+        yield math.inf if self._cycle is None else self._cycle.end
+
+    def _skip(self, now: float) -> None:
+        """Leave out what nobody can tell: long spans in which nothing listens, or no relay is closed."""
+        if self.told is not None and (self._closed or self._switching):
+            return
+        target = now - self._reach
+        if target > self._now:
+            self._settle(target)
+            self._now = target
+
+    def _settle(self, now: float) -> None:
+        """Let the relays move that are to, and end what is over."""
+        self._switch(now)
+        if self._burst is not None and self._burst.end <= now:
+            self._finish(self._burst, self._burst.end)
+            self._burst = None
+        if self._cycle is not None and self._cycle.end <= now:
+            self._finish(self._cycle, self._cycle.end)
+            self._cycle = None
+
+    def _next_tick(self) -> float:
+        """Return when the next trigger comes by itself [s]: of a clock that knows nothing of the settings."""
+        situation = self._situation
+        if situation.tick is None or not any(situation.in_burst):
+            return math.inf
+        period = situation.tick * math.ceil(FINEST / situation.tick)
+        return _after(self._now, self._phase * period, period)
+
+    def _next_beat(self) -> float:
+        """Return when the next cycle of what repeats without trigger begins [s]."""
+        return math.inf if self._cycle_length == 0 else _after(self._now, self._aligned, self._cycle_length)
+
+    def _run(self, begin: float, link: int | None, *, in_burst: bool) -> _Run | None:
+        """Return what begins at an instant, of the channels that are in burst or of the others."""
+        situation = self._situation
+        spans = {}
+        for channel, sent in enumerate(situation.sent):
+            if sent is not None and situation.in_burst[channel] == in_burst:
+                first = begin + (sent.delay if in_burst else 0.0)
+                spans[channel] = first, first + (situation.length[channel] if in_burst else self._cycle_length)
+        return _Run(situation.sent, spans, link) if spans else None
+
+    def _take(self, now: float, begin: float, link: int | None) -> None:
+        running = self._burst
+        if running is not None and now < running.end - ROUNDING and self._retrigger == "ignored":
+            return
+        if running is not None:
+            self._finish(running, running.end if now >= running.end - ROUNDING else begin)
+        self._burst = self._run(begin, link, in_burst=True)
+        if self._burst is not None:
+            self.triggers = (*self.triggers[-1:], begin)
+
+    def _switch(self, now: float) -> None:
+        """Let the relays move that have been told to."""
+        while self._switching and self._switching[0][0] <= now:
+            instant, channel, on = self._switching.pop(0)
+            if on:
+                self._closed.setdefault(channel, instant)
+                continue
+            for run in (self._burst, self._cycle):
+                if run is not None:
+                    self._pass(run, channel, instant)
+            self._closed.pop(channel, None)
+            for run in (self._burst, self._cycle):
+                if run is not None and not any(each in self._closed for each in run.spans):
+                    self._tell(run)
+
+    def _cut(self, now: float) -> None:
+        for run in (self._burst, self._cycle):
+            if run is not None:
+                self._finish(run, now)
+        self._burst = self._cycle = None
+
+    def _finish(self, run: _Run, at: float) -> None:
+        for channel in run.spans:
+            self._pass(run, channel, at)
+        self._tell(run)
+
+    def _pass(self, run: _Run, channel: int, until: float) -> None:
+        """Note what of a run went through a relay that has been closed until now."""
+        if channel in run.spans and channel in self._closed:
+            first, last = max(self._closed[channel], run.spans[channel][0]), min(until, run.spans[channel][1])
+            if last > first:
+                run.passed[channel] = first, last
+
+    def _tell(self, run: _Run) -> None:
+        """Report what of a run went through the relays, once."""
+        passed, run.passed = run.passed, {}
+        if not passed or self.told is None:
+            return
+        outputs = self._situation.outputs
+        due = [channel for channel in run.spans if channel in passed or outputs[channel]]
+        n_channels = range(len(run.sent))
+        self.told(
+            Played(
+                start=min(first for first, _ in passed.values()),
+                end=max(last for _, last in passed.values()),
+                whole=all(passed.get(channel) == run.spans[channel] for channel in due),
+                sent=tuple(run.sent[channel] if channel in passed else None for channel in n_channels),
+                passed=tuple(_since(run.spans[n][0], passed[n]) if n in passed else None for n in n_channels),
+                link=run.link,
+            )
+        )
+
+
+def _cycle_length(situation: Situation) -> float:
+    """Return how long a cycle of what repeats without trigger is, of the slower channel [s]; 0 for none."""
+    rows = zip(situation.sent, situation.length, situation.in_burst, strict=True)
+    length = max((length for sent, length, in_burst in rows if sent is not None and not in_burst), default=0.0)
+    return length * math.ceil(FINEST / length) if length else 0.0
+
+
+def _reach(situation: Situation) -> float:
+    """Return how far back what matters now has begun, the interval between two triggers included [s]."""
+    lengths = [length for length in situation.length if math.isfinite(length)]
+    delays = [sent.delay for sent in situation.sent if sent is not None]
+    return 3 * max([situation.tick or 0.0, *lengths]) + max(delays, default=0.0)
+
+
+def _since(start: float, span: tuple[float, float]) -> tuple[float, float]:
+    return span[0] - start, span[1] - start
+
+
+def _after(now: float, origin: float, period: float) -> float:
+    """Return the first of the instants ``origin + n period`` that is later than now [s]."""
+    n = math.floor((now - origin) / period) + 1
+    while origin + n * period <= now:
+        n += 1
+    return origin + n * period
