@@ -79,7 +79,7 @@ def test_chirp_through_the_driver_gives_the_true_transfer_function(
         simulator.scope() as scope,
     ):
         rig.load(chirp_burst())
-        assert rig.fire(0.1).confirmed
+        assert rig.fire(0.1).started
         scope.configure(Acquisition(sampling_rate=2.5e6, n_samples=5 * 131_072, drives=(1, 2)))
         seen = scope.measure(0.05)
         beam = simulator.twin.beam
