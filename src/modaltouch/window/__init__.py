@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from modaltouch.clock import SYSTEM_CLOCK, Clock
 from modaltouch.window.interface import AnswerWindow, Log, Tick
 
 if TYPE_CHECKING:
@@ -54,6 +55,7 @@ def open_window(
     answerer: Answerer | None = None,
     options: WindowOptions | None = None,
     speech: Speech | None = None,
+    clock: Clock = SYSTEM_CLOCK,
 ) -> AnswerWindow:
     """Return an open answer window.
 
@@ -78,6 +80,8 @@ def open_window(
         How the window is opened, where there is one.
     speech : Speech, optional
         Says what is on the screen.
+    clock : Clock
+        Stamps what happens.
 
     Raises
     ------
@@ -97,7 +101,7 @@ def open_window(
     from modaltouch.window.theme import THEMES
 
     options = options or WindowOptions()
-    display = _open_screen(protocol.title, options)
+    display = _open_screen(protocol.title, options, clock)
     try:
         return ParticipantWindow(
             display,
@@ -110,13 +114,14 @@ def open_window(
             screenshots=options.screenshots,
             robot=Robot(answerer, protocol.answers) if answers == "robot" and answerer is not None else None,
             speech=speech,
+            clock=clock,
         )
     except BaseException:
         display.close()
         raise
 
 
-def _open_screen(title: str, options: WindowOptions) -> Screen:
+def _open_screen(title: str, options: WindowOptions, clock: Clock) -> Screen:
     """Return an open window, its ground that of the theme."""
     from modaltouch.window.screen import Screen
     from modaltouch.window.theme import THEMES
@@ -129,4 +134,5 @@ def _open_screen(title: str, options: WindowOptions) -> Screen:
         monitor=options.screen,
         ground=THEMES[options.theme].ground,
         title=title,
+        clock=clock,
     )

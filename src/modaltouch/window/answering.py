@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from typing import NoReturn
 
@@ -105,7 +104,7 @@ class AnswerTaker:
                     is_double = True
                     after = other.time - event.time
                     self._stage.note_later("double", first=answer, second=second, after_s=after)
-            if time.perf_counter() > event.time + DOUBLE_WINDOW:
+            if self._stage.clock.now() > event.time + DOUBLE_WINDOW:
                 self._stage.put_back(rest)
                 return is_double
-            time.sleep(0.002)
+            self._stage.clock.sleep(0.002)

@@ -8,11 +8,11 @@ inside one would be swallowed on Windows.
 from __future__ import annotations
 
 import sys
-import time
 from collections import deque
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from modaltouch.clock import SYSTEM_CLOCK, Clock
 from modaltouch.protocol.keys import KEY_ALIASES
 
 EventKind = Literal["key", "release", "click", "close", "focus", "blur", "expose", "pause", "continue"]
@@ -37,7 +37,7 @@ class Event:
     Attributes
     ----------
     time : float
-        When it was received, by `time.perf_counter` [s].
+        When it was received, by the window's clock [s].
     kind : str
         ``key``, ``release``, ``click``, ``close``, ``focus``, ``blur`` or ``expose``; or ``pause`` and
         ``continue``, which the experimenter asks for.
@@ -78,12 +78,15 @@ class EventTap:
     ----------
     window : pyglet window
         The window that PsychoPy draws into (its ``winHandle``).
+    clock : Clock
+        Stamps the events.
     """
 
-    def __init__(self, window: Any) -> None:
+    def __init__(self, window: Any, clock: Clock = SYSTEM_CLOCK) -> None:
         from pyglet.window import key, mouse
 
         self._window = window
+        self._clock = clock
         self._queue: deque[Event] = deque()
         self._held: set[str] = set()
         self._symbol_name = key.symbol_string
@@ -124,7 +127,7 @@ class EventTap:
         return True
 
     def _add(self, kind: EventKind, key: str = "", x: float = 0.0, y: float = 0.0) -> bool:
-        self._queue.append(Event(time.perf_counter(), kind, key, x, y, self._digits.get(key, "")))
+        self._queue.append(Event(self._clock.now(), kind, key, x, y, self._digits.get(key, "")))
         return True
 
     def _on_key_press(self, symbol: int, modifiers: int) -> bool:

@@ -87,7 +87,7 @@ class AnswerWindow(typing.Protocol):
         participant saw confirmed is never lost. From the accepted answer to the return nothing may raise,
         `tick` included.
 
-        `onset` is when the stimulus began (`time.perf_counter`) [s]. `stop` ends the stimulus; it is called at
+        `onset` is when the stimulus began by the window's clock [s]. `stop` ends the stimulus; it is called at
         the answer, at any interruption, and after the presentation where the protocol stops it first.
 
         Raises

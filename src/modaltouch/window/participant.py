@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn, Self
 
+from modaltouch.clock import SYSTEM_CLOCK, Clock
 from modaltouch.protocol import Protocol, Texts
 from modaltouch.speech.interface import Silence, Speech
 from modaltouch.trial import Answer, Response, Trial
@@ -59,6 +59,8 @@ class ParticipantWindow:
         Answers in a person's place, through the display's own event queue.
     speech : Speech, optional
         Says what is on the screen.
+    clock : Clock
+        Stamps what happens; the display has the same one.
     """
 
     def __init__(
@@ -74,7 +76,9 @@ class ParticipantWindow:
         screenshots: Path | None = None,
         robot: Sitter | None = None,
         speech: Speech | None = None,
+        clock: Clock = SYSTEM_CLOCK,
     ) -> None:
+        self._clock = clock
         self._display = display
         self._answers = protocol.answers
         self._n_practice, self._n_trials = protocol.schedule.practice_trials, protocol.n_trials
@@ -90,6 +94,7 @@ class ParticipantWindow:
             sitter=robot or Nobody(),
             emergency_keys=frozenset(map(canonical_key, protocol.answers.emergency_keys)),
             speech=speech or Silence(),
+            clock=clock,
         )
         self._answered_by = "simulated" if robot else ""
         self._reader = Reader.of(protocol.answers, layout)
@@ -160,7 +165,7 @@ class ParticipantWindow:
             answer, event = self._taker.await_confirmation(trial, progress, answer, event, interrupt)
         self._stage.hush()
         stop()
-        self._answered = time.perf_counter() if answers.change_until_confirmed else event.time
+        self._answered = self._clock.now() if answers.change_until_confirmed else event.time
         return Response(
             answer=answer,
             reaction_time=event.time - (asked if stops_first else onset),
@@ -185,16 +190,16 @@ class ParticipantWindow:
         """Show for a moment where the vibration was stronger, after a practice trial."""
         if self._current is not None:
             picture = self._pictures.feedback(*self._current, response.answer, expected)
-            self._rest_on(picture, time.perf_counter() + _FEEDBACK)
-            end = time.perf_counter() + _LONGEST_SPOKEN
-            while self._stage.is_speaking and time.perf_counter() < end:
-                self._rest_on(None, time.perf_counter() + _FEEDBACK / 10)
+            self._rest_on(picture, self._clock.now() + _FEEDBACK)
+            end = self._clock.now() + _LONGEST_SPOKEN
+            while self._stage.is_speaking and self._clock.now() < end:
+                self._rest_on(None, self._clock.now() + _FEEDBACK / 10)
 
     def wait(self, seconds: float) -> None:
         """Let the pause between two trials pass, counted from the answer."""
         until = self._answered + seconds
         self._rest_on(None, min(until, self._answered + _CONFIRMATION))
-        if time.perf_counter() < until:
+        if self._clock.now() < until:
             self._rest_on(self._ready_picture(), until)
 
     def rest(self, progress: Progress) -> None:
@@ -205,7 +210,7 @@ class ParticipantWindow:
         """Thank the participant, until a key is pressed or some seconds have passed."""
         picture = self._pictures.page("goodbye", self._texts.goodbye, waits=False)
         shown = self._stage.show(picture, Moment("go_on"))
-        while time.perf_counter() < shown + (_LONGEST_SPOKEN if self._stage.is_speaking else _FAREWELL):
+        while self._clock.now() < shown + (_LONGEST_SPOKEN if self._stage.is_speaking else _FAREWELL):
             for event in self._stage.poll():
                 if event.kind == "close" or (is_press(event) and event.time > shown + SETTLE):
                     return
@@ -215,9 +220,9 @@ class ParticipantWindow:
         # Whatever ended the session may have taken the display, too, and is what is to be told.
         with contextlib.suppress(Exception):
             shown = self._stage.show(self._pictures.page("session_ended", self._texts.session_ended, waits=False))
-            while time.perf_counter() < shown + _DISMISSAL:
+            while self._clock.now() < shown + _DISMISSAL:
                 self._stage.poll_quietly()
-                time.sleep(POLL_INTERVAL)
+                self._clock.sleep(POLL_INTERVAL)
 
     def close(self) -> None:
         """Close the window; never raises."""
@@ -269,7 +274,7 @@ class ParticipantWindow:
         """Show a picture, or leave the one that is on, until a time; presses do not count."""
         if picture is not None:
             self._stage.show(picture, Moment())
-        while time.perf_counter() < until:
+        while self._clock.now() < until:
             for event in self._stage.poll():
                 if self._reader.interrupts(event):
                     self._pauser.pause(None, event, self._ready_picture())
@@ -281,10 +286,10 @@ class ParticipantWindow:
 
     def _feel(self, trial: Trial, question: Picture, stop: Callable[[], None], until: float) -> None:
         """Show the beam until a time, the question drawn meanwhile; presses do not count yet."""
-        if self._current is not None and time.perf_counter() < until:
+        if self._current is not None and self._clock.now() < until:
             self._stage.show(self._pictures.feel(*self._current))
         self._stage.draw_ahead(question)
-        while time.perf_counter() < until:
+        while self._clock.now() < until:
             for event in self._stage.poll():
                 self._before_question(event, trial, stop)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import NoReturn
 
 from modaltouch.trial import Trial
@@ -60,7 +59,7 @@ class Pauser:
         name = "focus_lost" if event.kind == "blur" else "pause"
         by = {"by": "experimenter"} if event.kind == "pause" else {}
         self._stage.note(name, trial=trial.index if trial else None, **by)
-        began = time.perf_counter()
+        began = self._stage.clock.now()
         shown = self._stage.show(self._pictures.pause(trial), Moment("go_on", trial))
         while True:
             for press in self._stage.poll():
@@ -79,8 +78,8 @@ class Pauser:
         if ready is None:
             return None
         self._stage.show(ready, Moment())
-        end = time.perf_counter() + self._fingers_need
-        while time.perf_counter() < end:
+        end = self._stage.clock.now() + self._fingers_need
+        while self._stage.clock.now() < end:
             for event in self._stage.poll():
                 if self._reader.interrupts(event):
                     return event
