@@ -243,6 +243,7 @@ def present(sitting: Sitting, trial: Trial) -> tuple[Response, Firing, RigError 
             faults.append(error)
 
     while True:
+        sitting.window.settle(trial, progress)
         sitting.masking.ensure(sitting.tick)
         firing = fire(sitting, trial)
         try:

@@ -141,7 +141,7 @@ def test_other_keys_are_ignored_and_logged(paper_room: Callable[..., Any], trial
 def test_a_cut_trial_is_offered_again_with_time_for_the_fingers(
     paper_room: Callable[..., Any], trial: Trial, kind: str, reason: str, screen: str
 ) -> None:
-    """Expected: stop, pause, the go-on key, then the pause between trials (pause_s) before the stimulus returns."""
+    """Expected: stop, pause, then pause_s from the go-on key before the stimulus returns."""
     room = paper_room(answers={"pause_s": 0.2})
     room.script = [
         (screen, 0.05, send(room, kind, "escape" if kind == "key" else "")),
@@ -149,10 +149,11 @@ def test_a_cut_trial_is_offered_again_with_time_for_the_fingers(
     ]
     with pytest.raises(TrialInterrupted, match=reason):
         ask(room, trial)
-    now = room.clock.now()
+    pressed = room.clock.now()
+    room.window.settle(trial, PROGRESS)
     assert len(room.stopped) == 1
     assert room.names[-2:] == ["pause", "ready_one_hand_AC"]
-    assert now - room.shown[-1][1] == pytest.approx(0.2, abs=0.05)
+    assert room.clock.now() - pressed == pytest.approx(0.2, abs=0.002)
 
 
 def wish(room: Any, what: str) -> Callable[[], None]:
@@ -170,7 +171,7 @@ def test_the_experimenter_pauses_a_trial_and_goes_on(paper_room: Callable[..., A
     assert len(room.stopped) == 1
     assert room.log[0] == ("pause", {"trial": trial.index, "by": "experimenter"})
     assert room.log[1][0] == "continued"
-    assert room.names[-2:] == ["pause", "ready_one_hand_AC"]
+    assert room.names[-1] == "pause"
 
 
 def test_a_wish_to_go_on_leads_past_no_other_screen_by_accident(paper_room: Callable[..., Any]) -> None:
@@ -230,6 +231,8 @@ def test_a_focus_lost_while_the_fingers_return_pauses_again(paper_room: Callable
     ]
     with pytest.raises(TrialInterrupted, match="escape"):
         ask(room, trial)
+    room.window.settle(trial, PROGRESS)
+    assert room.names[-3:] == ["ready_one_hand_AC", "pause_between_trials", "ready_one_hand_AC"]
     assert [event for event, _ in room.log] == ["pause", "continued", "focus_lost", "continued"]
 
 
@@ -410,14 +413,99 @@ def test_the_way_of_answering_is_recorded(
     assert (response.way, response.answered_by) == (way, who)
 
 
-def test_lifted_fingers_get_time_to_return_before_the_stimulus(paper_room: Callable[..., Any]) -> None:
-    """Expected: after the key of the placement the beam is shown for pause_s; nothing fires meanwhile."""
-    trial = Trial(1, 1, Condition("two_hands", "A", "C", 100.0))
-    room = paper_room(answers={"pause_s": 0.3})
+TWO_HANDS = Trial(1, 1, Condition("two_hands", "A", "C", 100.0))
+COUNTDOWN = ["ready_two_hands_AC_3", "ready_two_hands_AC_2", "ready_two_hands_AC_1"]
+
+
+@pytest.mark.parametrize("screen", ["place_fingers", "start", "rest"])
+def test_a_hand_of_the_beam_that_went_on_is_counted_back(paper_room: Callable[..., Any], screen: str) -> None:
+    """Expected: settling_s from the key, whatever screen it left, in three equal steps."""
+    room = paper_room(answers={"pause_s": 0.2, "settling_s": 1.5})
+    room.script = [(screen, 0.3, send(room, "key", "space"))]
+    if screen == "place_fingers":
+        room.window.place_fingers(TWO_HANDS)
+    elif screen == "start":
+        room.window.announce("start")
+    else:
+        room.window.rest(PROGRESS)
+    pressed = room.clock.now()
+    room.window.settle(TWO_HANDS, PROGRESS)
+    assert room.names[1:] == COUNTDOWN
+    assert room.clock.now() - pressed == pytest.approx(1.5, abs=0.003)
+    steps = np.diff([when for _, when in room.shown[1:]] + [room.clock.now()])
+    assert steps == pytest.approx([0.5] * 3, abs=0.003)
+    room.window.settle(TWO_HANDS, PROGRESS)
+    assert room.names[1:] == COUNTDOWN, "a hand that is back is not counted again"
+
+
+def test_an_answer_of_a_hand_of_the_beam_is_followed_by_the_countdown(paper_room: Callable[..., Any]) -> None:
+    """Expected: the mark for 0.4 s, then the countdown, the stimulus 1.5 s after the key."""
+    room = paper_room(answers={"pause_s": 1.0, "settling_s": 1.5})
+    room.script = [("question", 0.05, send(room, "key", "left"))]
+    onset = room.clock.now()
+    response = ask(room, TWO_HANDS, onset)
+    room.window.confirm(response)
+    room.window.wait(1.0)
+    assert room.names[-1] == "answered_left"
+    room.window.settle(TWO_HANDS, PROGRESS)
+    assert room.names[-3:] == COUNTDOWN
+    assert room.clock.now() - onset - response.reaction_time == pytest.approx(1.5, abs=0.003)
+    assert room.shown[-3][1] - onset - response.reaction_time == pytest.approx(0.4, abs=0.003)
+
+
+def test_a_countdown_that_is_paused_begins_again(paper_room: Callable[..., Any]) -> None:
+    """Expected: from three, from the key that ended the pause on."""
+    room = paper_room(answers={"settling_s": 1.5})
+    room.script = [
+        ("place_fingers", 0.3, send(room, "key", "space")),
+        ("ready_two_hands_AC_2", 0.1, send(room, "blur")),
+        ("pause", 0.3, send(room, "key", "space")),
+    ]
+    room.window.place_fingers(TWO_HANDS)
+    room.window.settle(TWO_HANDS, PROGRESS)
+    assert room.names[1:] == [*COUNTDOWN[:2], "pause_between_trials", *COUNTDOWN]
+    assert room.clock.now() - room.shown[-3][1] == pytest.approx(1.5, abs=0.003)
+
+
+@pytest.mark.parametrize("way", ["foot_switch", "experimenter"])
+def test_hands_that_never_leave_the_beam_need_no_countdown(paper_room: Callable[..., Any], way: str) -> None:
+    """Expected: pause_s alone after the placement."""
+    room = paper_room(answers={"pause_s": 0.2, "ways": {"two_hands": way}})
     room.script = [("place_fingers", 0.3, send(room, "key", "space"))]
-    room.window.place_fingers(trial)
-    assert room.names == ["place_fingers_two_hands_AC", "ready_two_hands_AC"]
-    assert room.clock.now() - room.shown[-1][1] >= 0.3
+    room.window.place_fingers(TWO_HANDS)
+    pressed = room.clock.now()
+    room.window.settle(TWO_HANDS, PROGRESS)
+    assert room.names[1:] == ["ready_two_hands_AC"]
+    assert room.clock.now() - pressed == pytest.approx(0.2, abs=0.002)
+
+
+def test_a_placement_that_the_experimenter_confirms_needs_no_countdown(paper_room: Callable[..., Any]) -> None:
+    """Expected: whoever goes on at the console has no hand on the beam."""
+    room = paper_room(answers={"pause_s": 0.2})
+    room.script = [("place_fingers", 0.3, wish(room, "continue"))]
+    room.window.place_fingers(TWO_HANDS)
+    room.window.settle(TWO_HANDS, PROGRESS)
+    assert room.names[1:] == ["ready_two_hands_AC"]
+
+
+def test_feedback_is_followed_by_the_countdown(paper_room: Callable[..., Any]) -> None:
+    """Expected: a finger that is lifted while its owner reads gets its whole time afterwards."""
+    room = paper_room(answers={"settling_s": 1.5})
+    room.script = [("question", 0.05, send(room, "key", "left"))]
+    room.window.give_feedback(ask(room, TWO_HANDS), "right")
+    read = room.clock.now()
+    room.window.settle(TWO_HANDS, PROGRESS)
+    assert room.clock.now() - read == pytest.approx(1.5, abs=0.003)
+
+
+def test_a_stall_is_told_before_the_stimulus_comes_again(paper_room: Callable[..., Any], trial: Trial) -> None:
+    """Expected: two seconds of words, then the pause before a stimulus."""
+    room = paper_room(answers={"pause_s": 0.2})
+    began = room.clock.now()
+    room.window.tell_stall()
+    room.window.settle(trial, PROGRESS)
+    assert room.names == ["stalled", "ready_one_hand_AC"]
+    assert room.clock.now() - began == pytest.approx(2.2, abs=0.003)
 
 
 def test_feedback_is_shown_for_a_moment(paper_room: Callable[..., Any], trial: Trial) -> None:

@@ -50,7 +50,7 @@ def protocol(edit: Callable[..., Path]) -> Path:
     return edit(
         "differentiated_stimulation.yaml",
         ("question_delay_s: 0.5", "question_delay_s: 0.1"),
-        ("pause_s: 1.0", "pause_s: 0.1"),
+        ("pause_s: 1.5", "pause_s: 0.1\n  settling_s: 0.1"),
         ("practice_trials: 3", "practice_trials: 1"),
     )
 

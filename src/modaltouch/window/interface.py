@@ -77,6 +77,15 @@ class AnswerWindow(typing.Protocol):
     def place_fingers(self, trial: Trial) -> None:
         """Show which finger goes on which zone until it is confirmed."""
 
+    def settle(self, trial: Trial, progress: Progress) -> None:
+        """Let hands and fingers come to rest before a stimulus: the pause since the last answer or key to go on.
+
+        Where a hand of those on the beam pressed, the participant sees a countdown. Called before every stimulus.
+        """
+
+    def tell_stall(self) -> None:
+        """Tell for a moment that the computer was held up, and that the last stimulus comes again."""
+
     def announce(self, text: str) -> None:
         """Show one text of the protocol (``practice``, ``practice_again``, ``start``) until the participant goes on."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn, Self
@@ -24,6 +25,10 @@ from modaltouch.window.theme import Theme
 
 _CONFIRMATION = 0.4
 """How long the chosen answer stays marked, at most [s]."""
+_COUNTDOWN = (3, 2, 1)
+"""What is counted down while hands come back to the beam, in equal steps of the time they have."""
+_STALL = 2.0
+"""How long it is told that the computer was held up [s]."""
 _FEEDBACK = 1.5
 """How long practice feedback stays [s]."""
 _DISMISSAL = 3.0
@@ -81,7 +86,7 @@ class ParticipantWindow:
         self._clock = clock
         self._display = display
         self._answers = protocol.answers
-        self._n_practice, self._n_trials = protocol.schedule.practice_trials, protocol.n_trials
+        self._n_practice = protocol.schedule.practice_trials
         self._texts = texts
         layout = lay_out(*display.size, zones, offers_none=protocol.answers.offers_none)
         spoken = protocol.speech.screens if protocol.speech is not None else ()
@@ -98,10 +103,10 @@ class ParticipantWindow:
         )
         self._answered_by = "simulated" if robot else ""
         self._reader = Reader.of(protocol.answers, layout)
-        self._pauser = Pauser(self._stage, self._pictures, self._reader, protocol.answers.pause_s)
+        self._pauser = Pauser(self._stage, self._pictures, self._reader)
         self._taker = AnswerTaker(self._stage, self._pictures, self._reader)
         self._current: tuple[Trial, Progress] | None = None
-        self._answered = 0.0
+        self._answered, self._by_hand = -math.inf, True
 
     def describe(self) -> dict[str, Any]:
         """Return size, backend and versions for the start record."""
@@ -115,14 +120,31 @@ class ParticipantWindow:
         self._go_on(lambda: self._pictures.answering(trial))
 
     def place_fingers(self, trial: Trial) -> None:
-        """Show which finger goes on which zone until it is confirmed, and wait for a lifted finger to return."""
+        """Show which finger goes on which zone until it is confirmed."""
         self._make_ready(trial)
         self._go_on(lambda: self._pictures.placement(trial), trial)
-        if self._answers.way(trial.condition.finger_condition) == "lifting":
-            ready = self._pictures.ready(trial, self._count(trial, Progress(trial.index, self._n_trials)))
-            event = self._pauser.let_fingers_return(ready)
-            if event is not None:
-                self._pauser.pause(trial, event, ready)
+
+    def settle(self, trial: Trial, progress: Progress) -> None:
+        """Let the fingers come to rest before a stimulus, counted down where a hand of those on the beam pressed."""
+        self._current = (trial, self._count(trial, progress))
+        is_at_rest = False
+        while not is_at_rest:
+            counts = self._by_hand and self._settles
+            needed = self._answers.pause(trial.condition.finger_condition) if counts else self._answers.pause_s
+            now, end = self._clock.now(), self._answered + needed
+            if now >= end:
+                return
+            steps = _COUNTDOWN if counts else (0,)
+            # A pause begins the count anew, from the key that ended it.
+            is_at_rest = all(
+                self._rest_on(self._pictures.ready(*self._current, step), end - (end - now) * place / len(steps))
+                for place, step in zip(reversed(range(len(steps))), steps, strict=True)
+            )
+
+    def tell_stall(self) -> None:
+        """Tell for a moment that the computer was held up, and that the last stimulus comes again."""
+        self._rest_on(self._pictures.page("stalled", self._texts.stalled, waits=False), self._clock.now() + _STALL)
+        self._answered = self._clock.now()
 
     def announce(self, text: str) -> None:
         """Show one text of the protocol, such as ``practice`` or ``start``, until the participant goes on."""
@@ -182,6 +204,7 @@ class ParticipantWindow:
 
     def confirm(self, response: Response) -> None:
         """Show which answer was taken; it is on the disk."""
+        self._by_hand = True
         if self._current is not None:
             self._stage.show(self._pictures.question(*self._current, chosen=response.answer), Moment())
         self._stage.write_notes()
@@ -194,13 +217,16 @@ class ParticipantWindow:
             end = self._clock.now() + _LONGEST_SPOKEN
             while self._stage.is_speaking and self._clock.now() < end:
                 self._rest_on(None, self._clock.now() + _FEEDBACK / 10)
+            if self._settles:
+                # Who reads has not put the finger back yet.
+                self._answered = self._clock.now()
 
     def wait(self, seconds: float) -> None:
-        """Let the pause between two trials pass, counted from the answer."""
+        """Let the pause between two trials pass, counted from the answer; the countdown of `settle` is part of it."""
         until = self._answered + seconds
         self._rest_on(None, min(until, self._answered + _CONFIRMATION))
-        if self._clock.now() < until:
-            self._rest_on(self._ready_picture(), until)
+        if self._clock.now() < until and self._current is not None and not self._settles:
+            self._rest_on(self._pictures.ready(*self._current), until)
 
     def rest(self, progress: Progress) -> None:
         """Show the break until the participant goes on."""
@@ -259,30 +285,44 @@ class ParticipantWindow:
         while True:
             for event in self._stage.poll():
                 if self._reader.pauses(event):
-                    self._pauser.hold(trial, event)
+                    self._hold(trial, event)
                     shown = self._stage.show(draw(), Moment("go_on", trial))
                 elif event.time < shown + SETTLE:
                     self._pauser.discard(event, "as the screen appeared")
                 elif event.kind == "click" or self._reader.goes_on(event):
                     self._stage.hush()
                     self._stage.write_notes()
+                    self._note_press(event)
                     return
                 elif event.kind == "key":
                     self._stage.note("ignored", key=event.key)
 
-    def _rest_on(self, picture: Picture | None, until: float) -> None:
-        """Show a picture, or leave the one that is on, until a time; presses do not count."""
+    def _rest_on(self, picture: Picture | None, until: float) -> bool:
+        """Show a picture, or leave the one that is on, until a time; return whether no pause came between.
+
+        Presses do not count.
+        """
         if picture is not None:
             self._stage.show(picture, Moment())
         while self._clock.now() < until:
             for event in self._stage.poll():
                 if self._reader.interrupts(event):
-                    self._pauser.pause(None, event, self._ready_picture())
-                    return
+                    self._hold(None, event)
+                    return False
                 self._pauser.discard(event, "between trials")
+        return True
 
-    def _ready_picture(self) -> Picture | None:
-        return self._pictures.ready(*self._current) if self._current is not None else None
+    def _hold(self, trial: Trial | None, event: Event) -> None:
+        """Pause until the session goes on."""
+        self._note_press(self._pauser.hold(trial, event))
+
+    def _note_press(self, event: Event) -> None:
+        """Keep when something was pressed, and whether it was by somebody at the window."""
+        self._answered, self._by_hand = event.time, is_press(event)
+
+    @property
+    def _settles(self) -> bool:
+        return self._current is not None and self._answers.settles(self._current[0].condition.finger_condition)
 
     def _feel(self, trial: Trial, question: Picture, stop: Callable[[], None], until: float) -> None:
         """Show the beam until a time, the question drawn meanwhile; presses do not count yet."""
@@ -301,5 +341,5 @@ class ParticipantWindow:
     def _interrupt(self, trial: Trial, event: Event, stop: Callable[[], None]) -> NoReturn:
         """Stop the stimulus, pause, and have the trial offered again."""
         stop()
-        self._pauser.pause(trial, event, self._ready_picture())
+        self._hold(trial, event)
         raise TrialInterrupted({"blur": "focus lost", "pause": "experimenter"}.get(event.kind, "escape"))

@@ -100,6 +100,14 @@ class SimulatedParticipant:
         """Place the fingers at once."""
         self._tick()
 
+    def settle(self, trial: Trial, progress: Progress) -> None:
+        """Never lift a finger."""
+        self._tick()
+
+    def tell_stall(self) -> None:
+        """Read nothing."""
+        self._tick()
+
     def announce(self, text: str) -> None:
         """Read nothing."""
         self._tick()
