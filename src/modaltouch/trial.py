@@ -133,7 +133,7 @@ class Response:
         ``free_hand``, ``lifting`` (a finger off the beam), ``foot_switch`` or ``experimenter``, as the protocol
         has it; empty without a window.
     device : str
-        ``key``, ``mouse`` or ``model`` (an observer without a window).
+        ``key``, ``mouse``, ``console`` (the experimenter's) or ``model`` (an observer without a window).
     key : str
         Name of the key or of the button clicked.
     double : bool

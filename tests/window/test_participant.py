@@ -12,7 +12,7 @@ import pytest
 from modaltouch.observer import Participant
 from modaltouch.trial import Condition, Response, Trial
 from modaltouch.window.events import Event
-from modaltouch.window.interface import Progress, SessionStopped, TrialInterrupted, WindowError
+from modaltouch.window.interface import Progress, SessionStopped, TrialInterrupted, TypedAnswer, WindowError, Wish
 from modaltouch.window.marks import Picture
 from modaltouch.window.robot import Robot
 from modaltouch.window.simulated import Answerer
@@ -156,7 +156,7 @@ def test_a_cut_trial_is_offered_again_with_time_for_the_fingers(
     assert room.clock.now() - pressed == pytest.approx(0.2, abs=0.002)
 
 
-def wish(room: Any, what: str) -> Callable[[], None]:
+def wish(room: Any, what: Wish) -> Callable[[], None]:
     """Return a step that lets the experimenter wish something now."""
     return lambda: room.wishes.append(what)
 
@@ -343,6 +343,31 @@ def test_an_experimenters_answer_is_recorded_as_such(paper_room: Callable[..., A
     room = paper_room(answers={"given_by": "experimenter"})
     room.script = [("question", 0.05, send(room, "key", "right"))]
     assert ask(room, trial).answered_by == "experimenter"
+
+
+def test_an_answer_typed_at_the_console_is_taken_with_its_own_time(
+    paper_room: Callable[..., Any], trial: Trial
+) -> None:
+    """Expected: stamped where it was typed; the window lacks the keyboard all the while, and that pauses nothing."""
+    room = paper_room(answers={"given_by": "experimenter", "question_delay_s": 0.5})
+
+    def answer() -> None:
+        room.wishes.append(TypedAnswer("right", "3", room.clock.now() - 0.02))
+
+    room.script = [
+        ("feel", 0.1, send(room, "blur")),
+        ("feel", 0.2, wish(room, TypedAnswer("left", "1", room.clock.now() + 0.2))),
+        ("question", 0.01, wish(room, TypedAnswer("left", "1", room.clock.now() + 0.4))),
+        ("question", 0.3, answer),
+    ]
+    response = ask(room, trial)
+    assert (response.answer, response.device, response.key) == ("right", "console", "3")
+    assert (response.way, response.answered_by) == ("experimenter", "experimenter")
+    assert response.reaction_time == pytest.approx(0.5 + 0.3 - 0.02, abs=0.003)
+    early = room.events("discarded")
+    assert [(each["when"], each["key"], each["device"]) for each in early] == [
+        ("before the question", "1", "console")
+    ] * 2
 
 
 def test_keys_are_those_of_the_protocol(paper_room: Callable[..., Any], trial: Trial) -> None:

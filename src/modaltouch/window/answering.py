@@ -46,6 +46,10 @@ class AnswerTaker:
             for place, event in enumerate(events):
                 if self._reader.interrupts(event):
                     interrupt(event)
+                if event.kind == "answer" and event.time < self._stage.shown:
+                    # Typed at the console before the question came, and on its way since.
+                    self._stage.note("discarded", when="before the question", **describe_press(event))
+                    continue
                 answer = self._reader.answer(event)
                 if answer is not None:
                     self._stage.put_back(events[place + 1 :])

@@ -14,8 +14,9 @@ from typing import Any, Literal
 
 from modaltouch.clock import SYSTEM_CLOCK, Clock
 from modaltouch.protocol.keys import KEY_ALIASES
+from modaltouch.trial import Answer
 
-EventKind = Literal["key", "release", "click", "close", "focus", "blur", "expose", "pause", "continue"]
+EventKind = Literal["key", "release", "click", "close", "focus", "blur", "expose", "pause", "continue", "answer"]
 
 _ALIASES = {
     **KEY_ALIASES,
@@ -39,12 +40,14 @@ class Event:
     time : float
         When it was received, by the window's clock [s].
     kind : str
-        ``key``, ``release``, ``click``, ``close``, ``focus``, ``blur`` or ``expose``; or ``pause`` and
-        ``continue``, which the experimenter asks for.
+        ``key``, ``release``, ``click``, ``close``, ``focus``, ``blur`` or ``expose``; or ``pause``,
+        ``continue`` and ``answer``, which the experimenter asks for.
     key : str
-        Name of the key, for ``key`` and ``release``.
+        Name of the key, for ``key``, ``release`` and ``answer``.
     digit : str
         Digit engraved on the key, where the layout wants Shift for it: the window takes the key for that digit too.
+    answer : str or None
+        What is answered, for ``answer``.
     x, y : float
         Place of a click [window heights], origin in the middle of the window, y upwards.
     """
@@ -55,6 +58,7 @@ class Event:
     x: float = 0.0
     y: float = 0.0
     digit: str = ""
+    answer: Answer | None = None
 
 
 def canonical_key(name: str) -> str:

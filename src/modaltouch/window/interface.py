@@ -43,7 +43,26 @@ class TrialInterrupted(Exception):  # noqa: N818
         self.reason = reason
 
 
-Wish = typing.Literal["pause", "continue"]
+@dataclass(frozen=True)
+class TypedAnswer:
+    """An answer that the experimenter typed at the console, for the participant.
+
+    Attributes
+    ----------
+    answer : str
+        Which one.
+    key : str
+        Name of the key.
+    time : float
+        When it was read, by the window's clock [s].
+    """
+
+    answer: Answer
+    key: str
+    time: float
+
+
+Wish = typing.Literal["pause", "continue"] | TypedAnswer
 """What the experimenter asks of the window."""
 
 Tick = Callable[[], Wish | None]
@@ -65,7 +84,8 @@ class AnswerWindow(typing.Protocol):
     """Shows the session to the participant and collects the answers.
 
     Every method that waits calls the `tick` given at opening about every millisecond; `tick` may raise, and what
-    it returns is done: ``pause`` holds the session until ``continue`` or a press to go on.
+    it returns is done: ``pause`` holds the session until ``continue`` or a press to go on; an answer is
+    taken as if it had been given at the window.
     """
 
     def describe(self) -> dict[str, Any]:

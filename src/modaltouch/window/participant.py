@@ -19,7 +19,7 @@ from modaltouch.window.layout import lay_out
 from modaltouch.window.marks import Picture
 from modaltouch.window.pausing import SETTLE, Pauser
 from modaltouch.window.pictures import Illustrator
-from modaltouch.window.reading import Reader, is_press
+from modaltouch.window.reading import DEVICES, Reader, is_press
 from modaltouch.window.stage import POLL_INTERVAL, Display, Moment, Nobody, Sitter, Stage
 from modaltouch.window.theme import Theme
 
@@ -194,7 +194,7 @@ class ParticipantWindow:
             onset="question" if stops_first else "first_burst",
             answered_by=self._answered_by or self._who(trial),
             way=answers.way(trial.condition.finger_condition),
-            device="key" if event.kind == "key" else "mouse",
+            device=DEVICES[event.kind],
             key=self._reader.name(event) or answer,
             double=self._taker.watch_double(answer, event),
             question_after=asked - onset,

@@ -13,7 +13,7 @@ from modaltouch.clock import SYSTEM_CLOCK, Clock
 from modaltouch.speech.interface import Silence, Speech
 from modaltouch.trial import Trial
 from modaltouch.window.events import Event
-from modaltouch.window.interface import Log, SessionStopped, Tick, WindowError
+from modaltouch.window.interface import Log, SessionStopped, Tick, TypedAnswer, WindowError
 from modaltouch.window.marks import Picture
 
 POLL_INTERVAL = 1e-3
@@ -144,7 +144,8 @@ class Stage:
         self._unwritten: list[tuple[str, dict[str, Any]]] = []
         self._picture: Picture | None = None
         self._ahead: Picture | None = None
-        self._shown = 0.0
+        self.shown = 0.0
+        """Since when the picture is on the screen [s]."""
         self._drawn = 0.0
         self._is_stale = False
         self._last_poll = self.clock.now()
@@ -170,14 +171,14 @@ class Stage:
             self.draw_ahead(picture)
             screenshot = self._screenshot(picture)
             began = self.clock.now()
-            self._shown = self._drawn = self._display.flip(screenshot)
-            self.flip_took = self._shown - began
+            self.shown = self._drawn = self._display.flip(screenshot)
+            self.flip_took = self.shown - began
             self._picture, self._ahead = picture, None
             self._is_stale = False
             self._speech.say(picture.spoken)
         if moment is not None:
-            self._sitter.see(moment, self._shown)
-        return self._shown
+            self._sitter.see(moment, self.shown)
+        return self.shown
 
     def draw_ahead(self, picture: Picture) -> None:
         """Draw the picture that comes next out of sight, so that `show` takes no longer than a frame."""
@@ -203,7 +204,11 @@ class Stage:
         if self._is_emergency:
             raise SessionStopped("emergency stop")
         if wish is not None:
-            events.append(Event(self.clock.now(), wish))
+            events.append(
+                Event(wish.time, "answer", wish.key, answer=wish.answer)
+                if isinstance(wish, TypedAnswer)
+                else Event(self.clock.now(), wish)
+            )
         self._refresh()
         if not events:
             self.clock.sleep(POLL_INTERVAL)
