@@ -47,7 +47,18 @@ def test_the_experimenter_pauses_what_the_participant_sees_and_the_key_for_emerg
     events_of: Callable[[Path], list[dict[str, Any]]],
 ) -> None:
     """P cuts the trial that is on and holds the window, P again goes on; F12 in the window switches off at once."""
-    session = terminal("run", "protocols/demo.yaml", "-p", "p01", "--yes", "--results", tmp_path, DISPLAY=press.display)
+    session = terminal(
+        "run",
+        "protocols/demo.yaml",
+        "-p",
+        "p01",
+        "--rig",
+        "simulated",
+        "--yes",
+        "--results",
+        tmp_path,
+        DISPLAY=press.display,
+    )
     session.wait_for("between trials", 90)
 
     def answer_until(holds: Callable[[], bool], what: str) -> None:

@@ -70,7 +70,19 @@ def start(empty_display: str, tmp_path: Path, protocol: Path) -> Iterator[Callab
             temporary = Path(tempfile.gettempdir())
             for folder in (each for each in (tmp_path, *tmp_path.parents) if temporary in each.parents):
                 folder.chmod(0o755)
-        words = [sys.executable, "-m", "modaltouch", "run", str(protocol), "-p", "p01", "--yes", "--json"]
+        words = [
+            sys.executable,
+            "-m",
+            "modaltouch",
+            "run",
+            str(protocol),
+            "-p",
+            "p01",
+            "--rig",
+            "simulated",
+            "--yes",
+            "--json",
+        ]
         opened.append(
             subprocess.Popen(
                 [*(AS_NOBODY if as_nobody else ()), *words, "--results", str(results)],

@@ -21,7 +21,7 @@ from modaltouch.window.pausing import SETTLE, Pauser
 from modaltouch.window.pictures import Illustrator
 from modaltouch.window.reading import DEVICES, Reader, is_press
 from modaltouch.window.stage import POLL_INTERVAL, Display, Moment, Nobody, Sitter, Stage
-from modaltouch.window.theme import Theme
+from modaltouch.window.theme import THEMES, Theme
 
 _CONFIRMATION = 0.4
 """How long the chosen answer stays marked, at most [s]."""
@@ -88,6 +88,7 @@ class ParticipantWindow:
         self._answers = protocol.answers
         self._n_practice = protocol.schedule.practice_trials
         self._texts = texts
+        self._theme = next((name for name, known in THEMES.items() if known == theme), "")
         layout = lay_out(*display.size, zones, offers_none=protocol.answers.offers_none)
         spoken = protocol.speech.screens if protocol.speech is not None else ()
         self._pictures = Illustrator(layout, theme, texts, protocol.answers, protocol.conditions.hand, spoken)
@@ -110,7 +111,8 @@ class ParticipantWindow:
 
     def describe(self) -> dict[str, Any]:
         """Return size, backend and versions for the start record."""
-        return {**self._display.describe(), "language": self._texts.language, "answered_by": self._answered_by}
+        told = {"theme": self._theme, "language": self._texts.language, "answered_by": self._answered_by}
+        return {**self._display.describe(), **told}
 
     def welcome(self, trial: Trial) -> None:
         """Show the instructions until the participant goes on; the first trial is drawn ahead meanwhile."""

@@ -60,6 +60,7 @@ class Screen:
         self._clock = clock
         visual, monitors = _import_psychopy()
         self._visual = visual
+        self._place: dict[str, Any] = {"fullscreen": fullscreen, "monitor": monitor}
         _load_fonts()
         self._ready: OrderedDict[Mark, tuple[Any, ...]] = OrderedDict()
         self._window = _open(
@@ -100,6 +101,7 @@ class Screen:
             "pyglet": pyglet.version,
             "renderer": self._window.winHandle.context.get_info().get_renderer(),
             "size_px": list(self.size),
+            **self._place,
             "detectable_key_repeat": self._tap.repeats_are_detectable,
         }
 
