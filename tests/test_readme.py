@@ -74,7 +74,7 @@ def lab(tmp_path_factory):
         ("[80, 100, 150, 200]", "[200]"),
         ("practice_trials: 3", "practice_trials: 0"),
         ("question_delay_s: 0.5", "question_delay_s: 0.05"),
-        ("pause_s: 1.0", "pause_s: 0.05"),
+        ("pause_s: 1.5", "pause_s: 0.05\n  settling_s: 0.05"),
     ):
         assert long in text
         text = text.replace(long, short)

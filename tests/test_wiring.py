@@ -1,5 +1,6 @@
 """What is simulated, a pilot or real is decided in one place, and a session goes on as it began."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -7,6 +8,8 @@ import pytest
 from modaltouch.preflight import examine
 from modaltouch.record.chain import RecordError
 from modaltouch.sitting import begin
+from modaltouch.window import WindowOptions
+from modaltouch.window.interface import SessionStopped
 from modaltouch.wiring import wire_resume, wire_run
 
 PROTOCOL = Path(__file__).parents[1] / "protocols" / "demo.yaml"
@@ -56,3 +59,43 @@ def test_a_simulated_participant_is_not_masked_and_the_record_says_so(edit, tmp_
     table = next(session.path.parent.glob("*_beh.tsv")).read_text().splitlines()
     assert table[0].split("\t")[-1] == "masked"
     assert {row.split("\t")[-1] for row in table[1:]} == {"0"}
+
+
+@pytest.mark.parametrize(
+    ("recorded", "given", "opened"),
+    [
+        (
+            {"size_px": [1024, 768], "fullscreen": False, "monitor": 1, "theme": "light"},
+            {},
+            WindowOptions((1024, 768), False, "light", 1),
+        ),
+        (
+            {"size_px": [1024, 768], "fullscreen": False, "monitor": 1, "theme": "light"},
+            {"theme": "dark", "screen": 0},
+            WindowOptions((1024, 768), False, "dark", 0),
+        ),
+        (
+            {"size_px": [1920, 1080], "fullscreen": True, "monitor": 0, "theme": "dark"},
+            {},
+            WindowOptions(fullscreen=True),
+        ),
+        ({"size_px": [1920, 1080], "fullscreen": True, "theme": "dark"}, {"fullscreen": False}, WindowOptions()),
+        ({"backend": "psychopy", "size_px": [800, 600]}, {}, WindowOptions((800, 600))),
+    ],
+)
+def test_a_window_opens_again_as_it_was_unless_told_otherwise(preflight, tmp_path, recorded, given, opened):
+    """Of a full screen the size is the monitor's; what records of before do not say is as usual."""
+    setup = wire_run(preflight, "p01", answers="simulated", results=tmp_path)
+
+    def open_window(tick, log):
+        def leave(trial):
+            raise SessionStopped("experimenter")
+
+        window = setup.open_window(tick, log)
+        window.describe, window.welcome = lambda: recorded, leave
+        return window
+
+    with pytest.raises(SessionStopped):
+        begin(replace(setup, open_window=open_window))
+    again = wire_resume(setup.place.log, window=given)
+    assert again.open_window.__self__._window_options == opened

@@ -256,6 +256,7 @@ def present(sitting: Sitting, trial: Trial) -> tuple[Response | None, Firing]:
         If the outputs could not be switched off.
     """
     while True:
+        sitting.window.settle(trial, Progress(trial.index, sitting.total))
         sitting.masking.ensure(sitting.tick)
         firing = fire(sitting, trial)
         if not firing.started:

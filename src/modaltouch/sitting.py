@@ -177,8 +177,9 @@ def _sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessi
             setup = _allotted(setup)
             log = stack.enter_context(open_log(setup.place, _describe(setup, rig, window, masking, first)))
         journal.open(log)
+        begun = max(event["n"] for event in log.events if event["event"] == first)
         for event in log.events:
-            experimenter.tell(event)
+            experimenter.tell(event, replayed=event["n"] < begun)
         log.listener = experimenter.tell
         ending = {"reason": "finished"}
         try:

@@ -136,7 +136,8 @@ class Response:
         ``free_hand``, ``lifting`` (a finger off the beam), ``foot_switch`` or ``experimenter``, as the protocol
         has it; empty without a window.
     device : str
-        ``key``, ``mouse``, ``console``, ``model`` (an observer without a window), or ``none`` at a time-out.
+        ``key``, ``mouse``, ``console`` (the experimenter's), ``model`` (an observer without a window), or ``none`` at
+        a time-out.
     key : str
         Name of the key or of the button clicked.
     double : bool

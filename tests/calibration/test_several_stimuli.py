@@ -94,7 +94,19 @@ def test_a_session_keeps_it_and_is_verified(made: Path, edit: Callable, tmp_path
     protocol = edit("two_fields.yaml", ("repetitions: 2", "repetitions: 1"))
     copy = tmp_path / "calibration.yaml"
     copy.write_bytes(made.read_bytes())
-    words = ("run", protocol, "-p", "p01", "--answers", "simulated", "--results", tmp_path / "results", "--yes")
+    words = (
+        "run",
+        protocol,
+        "-p",
+        "p01",
+        "--rig",
+        "simulated",
+        "--answers",
+        "simulated",
+        "--results",
+        tmp_path / "results",
+        "--yes",
+    )
     assert command(*words, "--calibration", copy) == 0
     copy.unlink()
     (log,) = (tmp_path / "results").rglob("session.jsonl")

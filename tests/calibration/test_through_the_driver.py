@@ -82,7 +82,19 @@ def test_session_keeps_its_calibration(made: Path, edit: Callable, tmp_path: Pat
     protocol = edit("demo.yaml")
     copy = tmp_path / "calibration.yaml"
     copy.write_bytes(made.read_bytes())
-    words = ("run", protocol, "-p", "p01", "--answers", "simulated", "--results", tmp_path / "results", "--yes")
+    words = (
+        "run",
+        protocol,
+        "-p",
+        "p01",
+        "--rig",
+        "simulated",
+        "--answers",
+        "simulated",
+        "--results",
+        tmp_path / "results",
+        "--yes",
+    )
     assert command(*words, "--calibration", copy) == 0
     (log,) = (tmp_path / "results").rglob("session.jsonl")
     start = read_chain(log).events[0]
@@ -98,7 +110,19 @@ def test_another_generator_is_refused(
     """A serial number that is not the open generator's: exit 2 with the place in the file, before any record."""
     protocol, other = edit("demo.yaml"), tmp_path / "other.yaml"
     other.write_text(made.read_text(encoding="utf-8").replace(",SIMULATED,", ",C012345,"), encoding="utf-8")
-    words = ("run", protocol, "-p", "p01", "--answers", "simulated", "--results", tmp_path / "results", "--yes")
+    words = (
+        "run",
+        protocol,
+        "-p",
+        "p01",
+        "--rig",
+        "simulated",
+        "--answers",
+        "simulated",
+        "--results",
+        tmp_path / "results",
+        "--yes",
+    )
     assert command(*words, "--calibration", other) == 2
     said = " ".join(capsys.readouterr().err.split())
     assert "instruments.generator: given TEKTRONIX,AFG3022B,C012345" in said

@@ -219,8 +219,14 @@ def test_all_faults_are_reported_at_once_with_their_place(tmp_path):
     ("words", "status", "message"),
     [
         (("check", "nowhere.yaml"), 2, "nowhere.yaml"),
-        (("run", "protocols/demo.yaml", "-p", "../x", "--answers", "simulated"), 2, "letters and digits"),
-        (("run", "protocols/demo.yaml", "--answers", "simulated"), 2, "participant id"),
+        (
+            ("run", "protocols/demo.yaml", "-p", "../x", "--rig", "simulated", "--answers", "simulated"),
+            2,
+            "letters and digits",
+        ),
+        (("run", "protocols/demo.yaml", "--rig", "simulated", "--answers", "simulated"), 2, "participant id"),
+        (("run", "protocols/demo.yaml", "-p", "p01"), 2, "or --rig simulated, where nothing vibrates"),
+        (("run", "protocols/demo.yaml", "-p", "p01", "--yes"), 2, "a session needs a rig: give --rig"),
         (("run", "protocols/demo.yaml", "-p", "p01", "--size", "big"), 2, "WIDTHxHEIGHT"),
         (
             (
@@ -271,7 +277,7 @@ def test_json_is_one_object_on_failure_too(words):
 def test_a_window_without_a_display_says_what_to_do(tmp_path, monkeypatch):
     """Exit status 3 before anything is recorded: the session can be begun again."""
     monkeypatch.delenv("DISPLAY", raising=False)
-    done = run("run", "protocols/demo.yaml", "-p", "p01", "--results", tmp_path)
+    done = run("run", "protocols/demo.yaml", "-p", "p01", "--rig", "simulated", "--results", tmp_path)
     assert done.returncode == 3
     assert "display" in done.stderr
     assert list(tmp_path.rglob("session.jsonl")) == []
@@ -288,7 +294,9 @@ def test_doctor_reports_as_json():
 def test_a_results_folder_that_cannot_be_written_is_said(tmp_path):
     """A file stands where the results folder should be."""
     (tmp_path / "results").write_text("")
-    done = run("run", PROTOCOL, "-p", "p01", "--answers", "simulated", "--results", tmp_path / "results")
+    done = run(
+        "run", PROTOCOL, "-p", "p01", "--rig", "simulated", "--answers", "simulated", "--results", tmp_path / "results"
+    )
     assert done.returncode == 4
     assert "cannot be created" in done.stderr
 

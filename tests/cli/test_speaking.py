@@ -68,7 +68,7 @@ def test_a_protocol_without_speech_has_nothing_to_say(shipped: Path) -> None:
     assert "add `speech: {}`" in " ".join(done.stderr.split())
 
 
-@pytest.mark.parametrize("command", [("speak",), ("run", "-p", "p01", "--yes")])
+@pytest.mark.parametrize("command", [("speak",), ("run", "-p", "p01", "--rig", "simulated", "--yes")])
 def test_without_the_library_nothing_begins(protocol: Path, tmp_path: Path, command: tuple[str, ...]) -> None:
     """Exit status 3 with the remedy, before any device, window or record."""
     results = ("--results", tmp_path / "results") if command[0] == "run" else ()

@@ -19,7 +19,8 @@ def ask(terminal: Callable[..., Any], tmp_path: Path) -> Callable[..., Any]:
     """Start the demonstration on a terminal, answered by a model."""
 
     def start(*words: Any) -> Any:
-        return terminal("run", "protocols/demo.yaml", "--answers", "simulated", "--results", tmp_path, *words)
+        given = ("--rig", "simulated", "--answers", "simulated", "--results", tmp_path)
+        return terminal("run", "protocols/demo.yaml", *given, *words)
 
     return start
 
@@ -95,9 +96,26 @@ def test_it_asks_where_it_is_seen(
         f"import sys; sys.stderr = open({str(tmp_path / 'errors.txt')!r}, 'w')\n"
     )
     monkeypatch.setenv("PYTHONPATH", str(tmp_path) + os.pathsep + os.environ.get("PYTHONPATH", ""))
-    session = terminal("run", "protocols/demo.yaml", "--answers", "simulated", "--results", tmp_path / "results")
+    given = ("--rig", "simulated", "--answers", "simulated", "--results", tmp_path / "results")
+    session = terminal("run", "protocols/demo.yaml", *given)
     expect(session, "Participant id (a code of letters and digits, never a name) [p01]: ")
     session.type("\r")
     expect(session, "Type start to begin")
+    session.type("q\r")
+    assert session.finish() == 130
+
+
+def test_it_asks_for_the_rig_and_takes_what_is_one(terminal: Callable[..., Any], tmp_path: Path) -> None:
+    """A forgotten option leaves nobody at a silent beam: Enter proposes nothing, and `simulated` is typed by name."""
+    session = terminal("run", "protocols/demo.yaml", "--answers", "simulated", "--results", tmp_path)
+    expect(session, "Generator's VISA address")
+    session.type("\r")
+    expect(session, "given ''; allowed: a VISA address, or simulated")
+    session.type("17\r")
+    expect(session, "given '17'; allowed")
+    session.type("simulated\r")
+    expect(session, "Participant id")
+    session.type("\r")
+    expect(session, "rig simulated (simulated data)")
     session.type("q\r")
     assert session.finish() == 130

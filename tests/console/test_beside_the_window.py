@@ -47,7 +47,18 @@ def test_the_experimenter_pauses_what_the_participant_sees_and_the_key_for_emerg
     events_of: Callable[[Path], list[dict[str, Any]]],
 ) -> None:
     """P cuts the trial that is on and holds the window, P again goes on; F12 in the window switches off at once."""
-    session = terminal("run", "protocols/demo.yaml", "-p", "p01", "--yes", "--results", tmp_path, DISPLAY=press.display)
+    session = terminal(
+        "run",
+        "protocols/demo.yaml",
+        "-p",
+        "p01",
+        "--rig",
+        "simulated",
+        "--yes",
+        "--results",
+        tmp_path,
+        DISPLAY=press.display,
+    )
     session.wait_for("between trials", 90)
 
     def answer_until(holds: Callable[[], bool], what: str) -> None:
@@ -88,6 +99,48 @@ def test_the_experimenter_pauses_what_the_participant_sees_and_the_key_for_emerg
     assert "OUTP1 OFF" in " ".join(each.get("sent", "") for each in exchanges[-12:])
     # Both clocks are the machine's monotonic one; 20 ms of it is the key's own way up.
     assert stop["clock"] - pressed < 5.0
+
+
+def test_the_experimenter_leads_and_answers_from_the_terminal_alone(
+    terminal: Callable[..., Any],
+    press: Any,
+    edit: Callable[..., Path],
+    tmp_path: Path,
+    events_of: Callable[[Path], list[dict[str, Any]]],
+) -> None:
+    """As over ssh, no key reaches the window: Space goes on, and the keys that the console shows answer."""
+    protocol = edit("demo.yaml", ("given_by: participant", "given_by: experimenter"))
+    words = ("run", protocol, "-p", "p01", "--rig", "simulated", "--yes", "--results", tmp_path / "results")
+    session = terminal(*words, DISPLAY=press.display)
+    session.wait_for("between trials", 90)
+
+    def lead_until(holds: Callable[[], bool], what: str) -> None:
+        end = time.monotonic() + 60
+        while not holds():
+            assert time.monotonic() < end, f"{what} did not come:\n" + "\n".join(session.picture)
+            session.type(" ")
+            time.sleep(0.4)
+
+    for keys, answer, named in (("\x1b[D", "left", "left"), ("3", "right", "3"), ("2", "both", "2")):
+        n_before = len(_answers(events_of(tmp_path)))
+        lead_until(lambda: any("left: left arrow or 4 or 1" in line for line in session.picture), "a question")
+        while len(_answers(events_of(tmp_path))) == n_before:
+            session.type(keys)
+            time.sleep(0.3)
+        response = _answers(events_of(tmp_path))[-1]["response"]
+        given = {name: response[name] for name in ("answer", "device", "key", "answered_by", "way")}
+        told = {"answer": answer, "device": "console", "key": named}
+        assert given == {**told, "answered_by": "experimenter", "way": "experimenter"}
+        assert 0 < response["reaction_time"] < 60
+    session.type("q")
+    session.wait_for("stop the session now?")
+    session.type("y")
+    assert session.finish() == 130
+
+
+def _answers(events: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the answers of a record, each once."""
+    return named(events, "trial")
 
 
 def _plays(events: list[dict[str, Any]], press: Callable[[str], None]) -> bool:

@@ -25,6 +25,8 @@ def run(terminal: Callable[..., Any], long_protocol: Path, tmp_path: Path) -> Ca
             long_protocol,
             "-p",
             "p01",
+            "--rig",
+            "simulated",
             "--answers",
             "simulated",
             "--results",

@@ -139,7 +139,7 @@ def test_a_session_that_demands_noise_does_not_begin_without(
     """Exit status 3 with the remedy, before any window or record; `required: false` gets past the sound device."""
     old = "answers:\n  given_by"
     protocol = edit("demo.yaml", (old, "masking: {noise: pink, level_dB_FS: -20}\n" + old))
-    words = ["run", str(protocol), "-p", "p01", "--yes", "--results", str(tmp_path / "results")]
+    words = ["run", str(protocol), "-p", "p01", "--rig", "simulated", "--yes", "--results", str(tmp_path / "results")]
     script = f"import sys; from modaltouch.__main__ import main; sys.argv = ['modaltouch']; main({words!r})"
     run = in_a_process(script, no_device)
     assert run.returncode == 3

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -324,3 +325,38 @@ def test_catch_trials_need_the_burst_mode(edit: Edit) -> None:
     (found,) = faults(edit(FILE, ("practice_trials: 3", "catch_trials: 2\n  practice_trials: 3")))
     assert "catch_trials: given 2, where the generator of the apparatus repeats a continuous record" in found
     assert "set generator.repetition to burst" in found
+
+
+@pytest.mark.parametrize(
+    ("changes", "line"),
+    [
+        ([("pause_s: 1.5", "pause_s: 1.0")], True),
+        ([("pause_s: 1.5", "pause_s: 1.5\n  settling_s: 2")], True),
+        ([("pause_s: 1.5", "pause_s: 0.9\n  settling_s: 0.9")], False),
+        ([("pause_s: 1.5", "# pause_s: 1.0")], False),
+        ([("[one_hand, two_hands]", "[one_hand]"), ("pause_s: 1.5", "pause_s: 1.0")], False),
+        (
+            [("[one_hand, two_hands]", "[one_hand]"), ("pause_s: 1.5", "pause_s: 1.0\n  ways: {one_hand: lifting}")],
+            True,
+        ),
+        ([("pause_s: 1.5", "pause_s: 1.0\n  ways: {two_hands: foot_switch}")], False),
+        ([("pause_s: 1.5", "pause_s: 1.0\n  ways: {two_hands: free_hand}")], True),
+        ([("given_by: participant ", "given_by: experimenter "), ("pause_s: 1.5", "pause_s: 1.0")], False),
+    ],
+)
+def test_a_pause_in_which_a_hand_cannot_come_back_is_a_fault(
+    edit: Edit, changes: list[tuple[str, str]], line: bool
+) -> None:
+    """Expected: only where a hand of those on the beam presses, and only if it is written."""
+    found = faults(edit("differentiated_stimulation.yaml", *changes))
+    assert [": answers.pause_s: given" in fault for fault in found] == [True] * line
+    assert all(":39:" in fault and "at least " in fault and "foot_switch" in fault for fault in found)
+
+
+def test_a_record_with_a_short_pause_is_restored(edit: Edit) -> None:
+    """Expected: it goes on, with the time that the hands need."""
+    experiment = read_protocol(edit("differentiated_stimulation.yaml"))
+    text = experiment.sources.protocol.text.replace("pause_s: 1.5", "pause_s: 1.0")
+    sources = replace(experiment.sources, protocol=replace(experiment.sources.protocol, text=text))
+    answers = restore_experiment(sources).protocol.answers
+    assert (answers.pause("one_hand"), answers.pause("two_hands")) == (1.0, 1.5)

@@ -19,7 +19,19 @@ from modaltouch.verification import verify_session
 def sound(tmp_path_factory):
     """The bytes of a whole simulated session's log."""
     results = tmp_path_factory.mktemp("sound")
-    words = ["run", "protocols/demo.yaml", "-p", "p07", "--answers", "simulated", "--yes", "--results", str(results)]
+    words = [
+        "run",
+        "protocols/demo.yaml",
+        "-p",
+        "p07",
+        "--rig",
+        "simulated",
+        "--answers",
+        "simulated",
+        "--yes",
+        "--results",
+        str(results),
+    ]
     ended = CliRunner().invoke(app, words)
     assert ended.exit_code == 0, ended.output
     return next(results.rglob("session.jsonl")).read_bytes()

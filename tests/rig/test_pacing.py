@@ -45,7 +45,7 @@ def test_bursts_come_a_period_apart_from_the_first_instant_on() -> None:
     """Fourteen triggers at 10 s + k/7 s, all counted, and none after them."""
     clock = VirtualClock(9.9)
     beam = Beam(clock)
-    pacer = Pacer(ORDER, beam.trigger, lambda: True, clock)
+    pacer = Pacer(ORDER, beam.trigger, lambda: 0.0, clock)
     play(pacer, clock)
     assert beam.triggered == pytest.approx([10 + k * PERIOD for k in range(14)], abs=1e-6)
     report = pacer.report
@@ -59,7 +59,7 @@ def test_no_burst_is_later_than_a_twentieth_of_the_period_and_none_is_caught_up(
     """Whatever holds the computer up: each trigger within 5 % of its own instant; due = played + dropped."""
     clock = VirtualClock(9.9)
     beam = Beam(clock)
-    pacer = Pacer(ORDER, beam.trigger, lambda: True, clock)
+    pacer = Pacer(ORDER, beam.trigger, lambda: 0.0, clock)
     play(pacer, clock, stalls=stalls)
     phases = [(instant - 10.0) % PERIOD for instant in beam.triggered]
     assert all(min(phase, PERIOD - phase) <= LATEST * PERIOD + 1e-6 for phase in phases)
@@ -80,7 +80,7 @@ def test_trigger_that_fails_is_the_last() -> None:
     """Nobody knows whether it was played: no second try, no further burst."""
     clock = VirtualClock(9.9)
     beam = Beam(clock, fails_at=3)
-    pacer = Pacer(ORDER, beam.trigger, lambda: True, clock)
+    pacer = Pacer(ORDER, beam.trigger, lambda: 0.0, clock)
     play(pacer, clock)
     assert len(beam.triggered) == 3
     assert pacer.report.ended == "failed"
@@ -90,27 +90,35 @@ def test_trigger_that_fails_is_the_last() -> None:
 def test_trigger_that_is_taken_long_after_its_instant_ends_the_stimulus() -> None:
     """Taken half a period late or more, it may have been played at any time: what is felt is no longer the rhythm."""
     clock = VirtualClock(9.9)
-    pacer = Pacer(ORDER, Beam(clock, takes={5: 0.08}).trigger, lambda: True, clock)
+    pacer = Pacer(ORDER, Beam(clock, takes={5: 0.08}).trigger, lambda: 0.0, clock)
     play(pacer, clock)
     assert pacer.report.ended == "failed"
     assert pacer.report.reason == "trigger 5 was taken 80 ms after its instant"
 
 
-def test_nobody_who_wants_them_any_more_is_no_further_burst() -> None:
-    """The session has fallen silent: the bursts end by themselves."""
+@pytest.mark.parametrize(
+    ("silence", "n_played", "ended"), [(0.1, 14, "count"), (0.5, 12, "count"), (9.0, 3, "stalled")]
+)
+def test_bursts_that_nobody_is_known_to_want_are_left_out(silence: float, n_played: int, ended: str) -> None:
+    """A silence from 10.3 s on: bursts more than 0.18 s into it are left out, and after a second no other comes."""
     clock = VirtualClock(9.9)
     beam = Beam(clock)
-    pacer = Pacer(ORDER, beam.trigger, lambda: clock.now() < 10.3, clock)
+
+    def quiet() -> float:
+        return clock.now() - 10.3 if 10.3 < clock.now() < 10.3 + silence else 0.0
+
+    pacer = Pacer(ORDER, beam.trigger, quiet, clock)
     play(pacer, clock)
-    assert len(beam.triggered) == 3
-    assert pacer.report.ended == "stalled"
+    assert len(beam.triggered) == pacer.report.played
+    assert pacer.report.ended == ended
+    assert pacer.report.played == (4 if ended == "stalled" else n_played)
 
 
 def test_order_that_comes_too_late_plays_nothing() -> None:
     """A request that lay in a pipe until all its instants had passed: all dropped."""
     clock = VirtualClock(20.0)
     beam = Beam(clock)
-    pacer = Pacer(ORDER, beam.trigger, lambda: True, clock)
+    pacer = Pacer(ORDER, beam.trigger, lambda: 0.0, clock)
     pacer.step()
     assert beam.triggered == []
     assert (pacer.report.due, pacer.report.dropped, pacer.report.ended) == (14, 14, "count")
@@ -121,7 +129,7 @@ def test_end_lets_no_further_burst_go() -> None:
     told = threading.Event()
     order = replace(ORDER, first=SYSTEM_CLOCK.now(), period=0.02, duration=0.01, n_bursts=1_000_000)
     triggered: list[float] = []
-    pacer = Pacer(order, lambda: triggered.append(SYSTEM_CLOCK.now()), lambda: True, SYSTEM_CLOCK)
+    pacer = Pacer(order, lambda: triggered.append(SYSTEM_CLOCK.now()), lambda: 0.0, SYSTEM_CLOCK)
     thread = threading.Thread(target=pacer.run, args=(told.set,))
     thread.start()
     assert told.wait(10)

@@ -10,7 +10,7 @@ import pytest
 from modaltouch.record.chain import GENESIS, encode_line, read_chain
 from modaltouch.verification import verify_session
 
-RUN = ("--answers", "simulated", "--yes")
+RUN = ("--rig", "simulated", "--answers", "simulated", "--yes")
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import pytest
 
 from modaltouch.record.session import read_session
 
-RUN = ("--answers", "simulated", "--yes")
+RUN = ("--rig", "simulated", "--answers", "simulated", "--yes")
 
 
 @pytest.fixture

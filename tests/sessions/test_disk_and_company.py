@@ -9,7 +9,7 @@ import pytest
 
 from modaltouch.record.session import read_session
 
-RUN = ("--answers", "simulated", "--yes")
+RUN = ("--rig", "simulated", "--answers", "simulated", "--yes")
 CAN_MOUNT = os.name == "posix" and os.geteuid() == 0
 
 

@@ -9,7 +9,7 @@ import pytest
 from modaltouch.record.chain import read_chain
 from modaltouch.record.session import read_session
 
-RUN = ("--answers", "simulated", "--yes")
+RUN = ("--rig", "simulated", "--answers", "simulated", "--yes")
 KILL_POINTS = [(n, seed) for seed, n in enumerate((0, 1, 3, 4, 8, 12, 15, 16, 21, 26))]
 
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from modaltouch.clock import SYSTEM_CLOCK, Clock, VirtualClock
 from modaltouch.protocol import Experiment, read_protocol
 from modaltouch.trial import Condition, Trial
 from modaltouch.window.events import Event
@@ -60,7 +61,8 @@ def trial() -> Trial:
 class PaperDisplay:
     """A display without a window: keeps the pictures, reports the events it is given."""
 
-    def __init__(self, size: tuple[int, int] = (1280, 800)) -> None:
+    def __init__(self, clock: Clock, size: tuple[int, int] = (1280, 800)) -> None:
+        self.clock = clock
         self.size = size
         self.typed: list[tuple[str, bool]] = []
         self.events: list[Event] = []
@@ -79,7 +81,7 @@ class PaperDisplay:
     def flip(self, screenshot: Path | None = None) -> float:
         if screenshot is not None:
             screenshot.write_text(self.drawn.name)
-        return time.perf_counter()
+        return self.clock.now()
 
     def poll(self) -> list[Event]:
         events, self.events = self.events, []
@@ -87,7 +89,7 @@ class PaperDisplay:
 
     def type_key(self, key: str, *, down: bool) -> None:
         self.typed.append((key, down))
-        self.events.append(Event(time.perf_counter(), "key" if down else "release", key))
+        self.events.append(Event(self.clock.now(), "key" if down else "release", key))
 
     def close(self) -> None:
         self.is_open = False
@@ -102,6 +104,7 @@ class Room:
     """
 
     display: Any
+    clock: Clock
     window: Any = None
     log: list[tuple[str, dict[str, Any]]] = field(default_factory=list)
     shown: list[tuple[str, float]] = field(default_factory=list)
@@ -112,7 +115,7 @@ class Room:
 
     def tick(self) -> Any:
         """Play the script; fail the test instead of hanging it."""
-        now = time.perf_counter()
+        now = self.clock.now()
         if now > self.deadline:
             raise TimeoutError(f"the window waits; shown {self.shown[-3:]}, log {self.log[-3:]}, script {self.script}")
         if self.script and self.shown:
@@ -123,7 +126,7 @@ class Room:
         return self.wishes.pop(0) if self.wishes else None
 
     def stop(self) -> None:
-        self.stopped.append(time.perf_counter())
+        self.stopped.append(self.clock.now())
 
     def events(self, name: str) -> list[dict[str, Any]]:
         return [facts for event, facts in self.log if event == name]
@@ -155,9 +158,9 @@ class Watched:
         return shown
 
 
-def furnish(display: Any, experiment: Experiment, *, seconds: float = 15.0, **options: Any) -> Room:
+def furnish(display: Any, experiment: Experiment, clock: Clock, *, seconds: float = 15.0, **options: Any) -> Room:
     """Return a window on a display, with its log and script."""
-    room = Room(display, deadline=time.perf_counter() + seconds)
+    room = Room(display, clock, deadline=clock.now() + seconds)
     changes = options.pop("answers", {})
     protocol = experiment.protocol
     if changes:
@@ -170,6 +173,7 @@ def furnish(display: Any, experiment: Experiment, *, seconds: float = 15.0, **op
         theme=options.pop("theme", DARK),
         tick=room.tick,
         log=lambda event, **facts: room.log.append((event, facts)),
+        clock=clock,
         **options,
     )
     return room
@@ -177,10 +181,11 @@ def furnish(display: Any, experiment: Experiment, *, seconds: float = 15.0, **op
 
 @pytest.fixture
 def paper_room(experiment: Experiment) -> Callable[..., Room]:
-    """Give a window's rules without a window."""
+    """Give a window's rules without a window, in virtual time."""
 
-    def make(**options: Any) -> Room:
-        return furnish(PaperDisplay(), experiment, **options)
+    def make(*, clock: Clock | None = None, **options: Any) -> Room:
+        clock = clock or VirtualClock(100.0)
+        return furnish(PaperDisplay(clock), experiment, clock, **options)
 
     return make
 
@@ -193,7 +198,7 @@ def room(screen: Any, experiment: Experiment) -> Callable[..., Room]:
         settle = time.perf_counter() + 0.05
         while time.perf_counter() < settle:
             screen.poll()
-        return furnish(screen, experiment, **options)
+        return furnish(screen, experiment, SYSTEM_CLOCK, **options)
 
     return make
 

@@ -1,8 +1,7 @@
-"""The window's rules on a display of paper: every screen, every way on and out, in milliseconds."""
+"""The window's rules on a display of paper: every screen, every way on and out, in virtual time."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ import pytest
 from modaltouch.observer import Participant
 from modaltouch.trial import Condition, Response, Trial
 from modaltouch.window.events import Event
-from modaltouch.window.interface import Progress, SessionStopped, TrialInterrupted, WindowError
+from modaltouch.window.interface import Progress, SessionStopped, TrialInterrupted, TypedAnswer, WindowError, Wish
 from modaltouch.window.marks import Picture
 from modaltouch.window.robot import Robot
 from modaltouch.window.simulated import Answerer
@@ -26,24 +25,24 @@ def send(room: Any, kind: str, key: str = "", x: float = 0.0, y: float = 0.0) ->
     """Return a step that lets one event happen now."""
 
     def act() -> None:
-        room.display.events.append(Event(time.perf_counter(), kind, key, x, y))
+        room.display.events.append(Event(room.clock.now(), kind, key, x, y))
 
     return act
 
 
 def ask(room: Any, trial: Trial, onset: float | None = None) -> Response:
     """Ask one trial whose stimulus begins now."""
-    return room.window.ask(trial, PROGRESS, onset=onset or time.perf_counter(), stop=room.stop)
+    return room.window.ask(trial, PROGRESS, onset=onset or room.clock.now(), stop=room.stop)
 
 
 def test_the_question_comes_after_its_delay(paper_room: Callable[..., Any], trial: Trial) -> None:
     """Expected delay: answers.question_delay_s, counted from the onset of the stimulus."""
     room = paper_room(answers={"question_delay_s": 0.2})
     room.script = [("question", 0.05, send(room, "key", "left"))]
-    onset = time.perf_counter()
+    onset = room.clock.now()
     response = ask(room, trial, onset)
     assert room.names[:2] == ["feel_one_hand_AC", "question_one_hand_AC"]
-    assert response.question_after == pytest.approx(0.2, abs=0.03)
+    assert response.question_after == pytest.approx(0.2, abs=0.002)
     assert 0 < response.time_uncertainty < 0.05
 
 
@@ -53,23 +52,23 @@ def test_a_stimulus_that_stops_first_is_stopped_before_the_question(
     """Expected: stopped after presentation_s; the reaction time counts from the question on the screen."""
     room = paper_room(answers={"stimulus_until": "question", "presentation_s": 0.3, "question_delay_s": 0.1})
     room.script = [("question", 0.1, send(room, "key", "up"))]
-    onset = time.perf_counter()
+    onset = room.clock.now()
     response = ask(room, trial, onset)
     asked = room.shown[1][1]
     assert onset + 0.3 <= room.stopped[0] <= asked
-    assert room.stopped[0] < onset + 0.35
+    assert room.stopped[0] < onset + 0.302
     assert response.onset == "question"
-    assert 0.1 <= response.reaction_time < 0.15
+    assert 0.1 <= response.reaction_time < 0.102
 
 
 def test_a_question_may_come_later_than_the_stop(paper_room: Callable[..., Any], trial: Trial) -> None:
     """Expected: the later of presentation_s and question_delay_s."""
     room = paper_room(answers={"stimulus_until": "question", "presentation_s": 0.1, "question_delay_s": 0.3})
     room.script = [("question", 0.02, send(room, "key", "up"))]
-    onset = time.perf_counter()
+    onset = room.clock.now()
     ask(room, trial, onset)
-    assert room.stopped[0] == pytest.approx(onset + 0.1, abs=0.03)
-    assert room.shown[1][1] == pytest.approx(onset + 0.3, abs=0.03)
+    assert room.stopped[0] == pytest.approx(onset + 0.1, abs=0.002)
+    assert room.shown[1][1] == pytest.approx(onset + 0.3, abs=0.002)
 
 
 def test_the_second_of_two_answers_in_one_poll_is_the_double(paper_room: Callable[..., Any], trial: Trial) -> None:
@@ -112,7 +111,7 @@ def test_nothing_raises_between_the_answer_and_its_return(paper_room: Callable[.
 
     room.script = [("question", 0.05, answer_and_close)]
     assert ask(room, trial).answer == "left"
-    room.deadline = time.perf_counter() + 5
+    room.deadline = room.clock.now() + 5
     with pytest.raises(SessionStopped, match="window closed"):
         room.window.wait(1.0)
 
@@ -142,7 +141,7 @@ def test_other_keys_are_ignored_and_logged(paper_room: Callable[..., Any], trial
 def test_a_cut_trial_is_offered_again_with_time_for_the_fingers(
     paper_room: Callable[..., Any], trial: Trial, kind: str, reason: str, screen: str
 ) -> None:
-    """Expected: stop, pause, the go-on key, then the pause between trials (pause_s) before the stimulus returns."""
+    """Expected: stop, pause, then pause_s from the go-on key before the stimulus returns."""
     room = paper_room(answers={"pause_s": 0.2})
     room.script = [
         (screen, 0.05, send(room, kind, "escape" if kind == "key" else "")),
@@ -150,13 +149,14 @@ def test_a_cut_trial_is_offered_again_with_time_for_the_fingers(
     ]
     with pytest.raises(TrialInterrupted, match=reason):
         ask(room, trial)
-    now = time.perf_counter()
+    pressed = room.clock.now()
+    room.window.settle(trial, PROGRESS)
     assert len(room.stopped) == 1
     assert room.names[-2:] == ["pause", "ready_one_hand_AC"]
-    assert now - room.shown[-1][1] == pytest.approx(0.2, abs=0.05)
+    assert room.clock.now() - pressed == pytest.approx(0.2, abs=0.002)
 
 
-def wish(room: Any, what: str) -> Callable[[], None]:
+def wish(room: Any, what: Wish) -> Callable[[], None]:
     """Return a step that lets the experimenter wish something now."""
     return lambda: room.wishes.append(what)
 
@@ -171,7 +171,7 @@ def test_the_experimenter_pauses_a_trial_and_goes_on(paper_room: Callable[..., A
     assert len(room.stopped) == 1
     assert room.log[0] == ("pause", {"trial": trial.index, "by": "experimenter"})
     assert room.log[1][0] == "continued"
-    assert room.names[-2:] == ["pause", "ready_one_hand_AC"]
+    assert room.names[-1] == "pause"
 
 
 def test_a_wish_to_go_on_leads_past_no_other_screen_by_accident(paper_room: Callable[..., Any]) -> None:
@@ -213,7 +213,6 @@ def test_a_session_that_ends_early_is_told_for_a_moment(
     paper_room: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Expected: one screen of words, no tick, and no error even if the display is gone."""
-    monkeypatch.setattr("modaltouch.window.participant._DISMISSAL", 0.05)
     room = paper_room(seconds=0.0)
     room.window.dismiss()
     assert room.names == ["session_ended"]
@@ -232,6 +231,8 @@ def test_a_focus_lost_while_the_fingers_return_pauses_again(paper_room: Callable
     ]
     with pytest.raises(TrialInterrupted, match="escape"):
         ask(room, trial)
+    room.window.settle(trial, PROGRESS)
+    assert room.names[-3:] == ["ready_one_hand_AC", "pause_between_trials", "ready_one_hand_AC"]
     assert [event for event, _ in room.log] == ["pause", "continued", "focus_lost", "continued"]
 
 
@@ -246,7 +247,7 @@ def test_a_click_does_not_end_a_pause(paper_room: Callable[..., Any], trial: Tri
     ]
     with pytest.raises(TrialInterrupted, match="focus lost"):
         ask(room, trial)
-    assert time.perf_counter() - room.shown[2][1] >= 0.5
+    assert room.clock.now() - room.shown[2][1] >= 0.5
 
 
 @pytest.mark.parametrize("screen", ["feel", "question", "pause"])
@@ -290,7 +291,7 @@ def test_a_press_meant_for_the_last_screen_does_not_skip_the_next(paper_room: Ca
         ("rest", 0.35, send(room, "key", "space")),
     ]
     room.window.rest(PROGRESS)
-    assert time.perf_counter() - room.shown[0][1] >= 0.35
+    assert room.clock.now() - room.shown[0][1] >= 0.35
     assert [event for event, _ in room.log] == ["discarded", "ignored"]
 
 
@@ -315,28 +316,26 @@ def test_the_chosen_answer_is_marked_and_then_the_screen_rests(paper_room: Calla
         ("question", 0.05, send(room, "key", "left")),
         ("answered_left", 0.1, send(room, "key", "right")),
     ]
-    onset = time.perf_counter()
+    onset = room.clock.now()
     response = ask(room, trial, onset)
     room.window.confirm(response)
     answered = onset + response.reaction_time
     room.window.wait(0.6)
-    assert time.perf_counter() - answered == pytest.approx(0.6, abs=0.03)
+    assert room.clock.now() - answered == pytest.approx(0.6, abs=0.002)
     assert room.names[-2:] == ["answered_left", "ready_one_hand_AC"]
-    assert room.shown[-1][1] - answered == pytest.approx(0.4, abs=0.03)
+    assert room.shown[-1][1] - answered == pytest.approx(0.4, abs=0.002)
     assert room.events("discarded")[0]["when"] == "between trials"
 
 
-def test_goodbye_ends_by_itself_or_by_a_key(paper_room: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Expected: eight seconds unless somebody presses a key; shortened here."""
-    monkeypatch.setattr("modaltouch.window.participant._FAREWELL", 0.4)
+def test_goodbye_ends_by_itself_or_by_a_key(paper_room: Callable[..., Any]) -> None:
+    """Expected: eight seconds unless somebody presses a key."""
     room = paper_room()
     room.window.goodbye()
-    assert time.perf_counter() - room.shown[0][1] == pytest.approx(0.4, abs=0.05)
+    assert room.clock.now() - room.shown[0][1] == pytest.approx(8.0, abs=0.002)
     room = paper_room()
     room.script = [("goodbye", 0.3, send(room, "key", "x"))]
-    monkeypatch.setattr("modaltouch.window.participant._FAREWELL", 5)
     room.window.goodbye()
-    assert time.perf_counter() - room.shown[0][1] < 1
+    assert room.clock.now() - room.shown[0][1] < 1
 
 
 def test_an_experimenters_answer_is_recorded_as_such(paper_room: Callable[..., Any], trial: Trial) -> None:
@@ -344,6 +343,31 @@ def test_an_experimenters_answer_is_recorded_as_such(paper_room: Callable[..., A
     room = paper_room(answers={"given_by": "experimenter"})
     room.script = [("question", 0.05, send(room, "key", "right"))]
     assert ask(room, trial).answered_by == "experimenter"
+
+
+def test_an_answer_typed_at_the_console_is_taken_with_its_own_time(
+    paper_room: Callable[..., Any], trial: Trial
+) -> None:
+    """Expected: stamped where it was typed; the window lacks the keyboard all the while, and that pauses nothing."""
+    room = paper_room(answers={"given_by": "experimenter", "question_delay_s": 0.5})
+
+    def answer() -> None:
+        room.wishes.append(TypedAnswer("right", "3", room.clock.now() - 0.02))
+
+    room.script = [
+        ("feel", 0.1, send(room, "blur")),
+        ("feel", 0.2, wish(room, TypedAnswer("left", "1", room.clock.now() + 0.2))),
+        ("question", 0.01, wish(room, TypedAnswer("left", "1", room.clock.now() + 0.4))),
+        ("question", 0.3, answer),
+    ]
+    response = ask(room, trial)
+    assert (response.answer, response.device, response.key) == ("right", "console", "3")
+    assert (response.way, response.answered_by) == ("experimenter", "experimenter")
+    assert response.reaction_time == pytest.approx(0.5 + 0.3 - 0.02, abs=0.003)
+    early = room.events("discarded")
+    assert [(each["when"], each["key"], each["device"]) for each in early] == [
+        ("before the question", "1", "console")
+    ] * 2
 
 
 def test_keys_are_those_of_the_protocol(paper_room: Callable[..., Any], trial: Trial) -> None:
@@ -361,11 +385,11 @@ def test_an_answer_may_be_changed_until_it_is_chosen_again(paper_room: Callable[
         ("chosen_left", 0.1, send(room, "key", "right")),
         ("chosen_right", 0.3, send(room, "key", "right")),
     ]
-    onset = time.perf_counter()
+    onset = room.clock.now()
     response = ask(room, trial, onset)
     assert response.answer == "right"
     chosen = next(when for name, when in room.shown if name == "chosen_right")
-    assert response.reaction_time == pytest.approx(chosen - onset, abs=0.02)
+    assert response.reaction_time == pytest.approx(chosen - onset, abs=0.002)
     assert room.stopped[0] >= chosen + 0.3
     assert [(facts["first"], facts["to"]) for facts in room.events("changed")] == [("left", "right")]
 
@@ -414,27 +438,110 @@ def test_the_way_of_answering_is_recorded(
     assert (response.way, response.answered_by) == (way, who)
 
 
-def test_lifted_fingers_get_time_to_return_before_the_stimulus(paper_room: Callable[..., Any]) -> None:
-    """Expected: after the key of the placement the beam is shown for pause_s; nothing fires meanwhile."""
-    trial = Trial(1, 1, Condition("two_hands", "A", "C", 100.0))
-    room = paper_room(answers={"pause_s": 0.3})
+TWO_HANDS = Trial(1, 1, Condition("two_hands", "A", "C", 100.0))
+COUNTDOWN = ["ready_two_hands_AC_3", "ready_two_hands_AC_2", "ready_two_hands_AC_1"]
+
+
+@pytest.mark.parametrize("screen", ["place_fingers", "start", "rest"])
+def test_a_hand_of_the_beam_that_went_on_is_counted_back(paper_room: Callable[..., Any], screen: str) -> None:
+    """Expected: settling_s from the key, whatever screen it left, in three equal steps."""
+    room = paper_room(answers={"pause_s": 0.2, "settling_s": 1.5})
+    room.script = [(screen, 0.3, send(room, "key", "space"))]
+    if screen == "place_fingers":
+        room.window.place_fingers(TWO_HANDS)
+    elif screen == "start":
+        room.window.announce("start")
+    else:
+        room.window.rest(PROGRESS)
+    pressed = room.clock.now()
+    room.window.settle(TWO_HANDS, PROGRESS)
+    assert room.names[1:] == COUNTDOWN
+    assert room.clock.now() - pressed == pytest.approx(1.5, abs=0.003)
+    steps = np.diff([when for _, when in room.shown[1:]] + [room.clock.now()])
+    assert steps == pytest.approx([0.5] * 3, abs=0.003)
+    room.window.settle(TWO_HANDS, PROGRESS)
+    assert room.names[1:] == COUNTDOWN, "a hand that is back is not counted again"
+
+
+def test_an_answer_of_a_hand_of_the_beam_is_followed_by_the_countdown(paper_room: Callable[..., Any]) -> None:
+    """Expected: the mark for 0.4 s, then the countdown, the stimulus 1.5 s after the key."""
+    room = paper_room(answers={"pause_s": 1.0, "settling_s": 1.5})
+    room.script = [("question", 0.05, send(room, "key", "left"))]
+    onset = room.clock.now()
+    response = ask(room, TWO_HANDS, onset)
+    room.window.confirm(response)
+    room.window.wait(1.0)
+    assert room.names[-1] == "answered_left"
+    room.window.settle(TWO_HANDS, PROGRESS)
+    assert room.names[-3:] == COUNTDOWN
+    assert room.clock.now() - onset - response.reaction_time == pytest.approx(1.5, abs=0.003)
+    assert room.shown[-3][1] - onset - response.reaction_time == pytest.approx(0.4, abs=0.003)
+
+
+def test_a_countdown_that_is_paused_begins_again(paper_room: Callable[..., Any]) -> None:
+    """Expected: from three, from the key that ended the pause on."""
+    room = paper_room(answers={"settling_s": 1.5})
+    room.script = [
+        ("place_fingers", 0.3, send(room, "key", "space")),
+        ("ready_two_hands_AC_2", 0.1, send(room, "blur")),
+        ("pause", 0.3, send(room, "key", "space")),
+    ]
+    room.window.place_fingers(TWO_HANDS)
+    room.window.settle(TWO_HANDS, PROGRESS)
+    assert room.names[1:] == [*COUNTDOWN[:2], "pause_between_trials", *COUNTDOWN]
+    assert room.clock.now() - room.shown[-3][1] == pytest.approx(1.5, abs=0.003)
+
+
+@pytest.mark.parametrize("way", ["foot_switch", "experimenter"])
+def test_hands_that_never_leave_the_beam_need_no_countdown(paper_room: Callable[..., Any], way: str) -> None:
+    """Expected: pause_s alone after the placement."""
+    room = paper_room(answers={"pause_s": 0.2, "ways": {"two_hands": way}})
     room.script = [("place_fingers", 0.3, send(room, "key", "space"))]
-    room.window.place_fingers(trial)
-    assert room.names == ["place_fingers_two_hands_AC", "ready_two_hands_AC"]
-    assert time.perf_counter() - room.shown[-1][1] >= 0.3
+    room.window.place_fingers(TWO_HANDS)
+    pressed = room.clock.now()
+    room.window.settle(TWO_HANDS, PROGRESS)
+    assert room.names[1:] == ["ready_two_hands_AC"]
+    assert room.clock.now() - pressed == pytest.approx(0.2, abs=0.002)
 
 
-def test_feedback_is_shown_for_a_moment(
-    paper_room: Callable[..., Any], trial: Trial, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Expected: agreed, or where it was; then the session goes on by itself."""
-    monkeypatch.setattr("modaltouch.window.participant._FEEDBACK", 0.1)
+def test_a_placement_that_the_experimenter_confirms_needs_no_countdown(paper_room: Callable[..., Any]) -> None:
+    """Expected: whoever goes on at the console has no hand on the beam."""
+    room = paper_room(answers={"pause_s": 0.2})
+    room.script = [("place_fingers", 0.3, wish(room, "continue"))]
+    room.window.place_fingers(TWO_HANDS)
+    room.window.settle(TWO_HANDS, PROGRESS)
+    assert room.names[1:] == ["ready_two_hands_AC"]
+
+
+def test_feedback_is_followed_by_the_countdown(paper_room: Callable[..., Any]) -> None:
+    """Expected: a finger that is lifted while its owner reads gets its whole time afterwards."""
+    room = paper_room(answers={"settling_s": 1.5})
+    room.script = [("question", 0.05, send(room, "key", "left"))]
+    room.window.give_feedback(ask(room, TWO_HANDS), "right")
+    read = room.clock.now()
+    room.window.settle(TWO_HANDS, PROGRESS)
+    assert room.clock.now() - read == pytest.approx(1.5, abs=0.003)
+
+
+def test_a_stall_is_told_before_the_stimulus_comes_again(paper_room: Callable[..., Any], trial: Trial) -> None:
+    """Expected: two seconds of words, then the pause before a stimulus."""
+    room = paper_room(answers={"pause_s": 0.2})
+    began = room.clock.now()
+    room.window.tell_stall()
+    room.window.settle(trial, PROGRESS)
+    assert room.names == ["stalled", "ready_one_hand_AC"]
+    assert room.clock.now() - began == pytest.approx(2.2, abs=0.003)
+
+
+def test_feedback_is_shown_for_a_moment(paper_room: Callable[..., Any], trial: Trial) -> None:
+    """Expected: agreed, or where it was, 1.5 s each; then the session goes on by itself."""
     room = paper_room()
     room.script = [("question", 0.05, send(room, "key", "left"))]
     response = ask(room, trial)
     room.window.give_feedback(response, "left")
     room.window.give_feedback(response, "right")
     assert room.names[-2:] == ["feedback_agreed", "feedback_right"]
+    assert room.shown[-1][1] - room.shown[-2][1] == pytest.approx(1.5, abs=0.002)
 
 
 def test_practice_rounds_count_from_one_again(paper_room: Callable[..., Any], experiment: Any) -> None:
@@ -444,7 +551,7 @@ def test_practice_rounds_count_from_one_again(paper_room: Callable[..., Any], ex
     room.window.ask(
         Trial(2, 0, Condition("one_hand", "A", "C", 100.0), practice=True),
         Progress(2, 12),
-        onset=time.perf_counter(),
+        onset=room.clock.now(),
         stop=room.stop,
     )
     assert room.window._current[1] == Progress(1, experiment.protocol.schedule.practice_trials)
@@ -456,14 +563,16 @@ def test_a_covered_window_is_drawn_again_at_most_four_times_a_second(paper_room:
     display, shown = room.display, []
 
     def flip(screenshot: Path | None = None) -> float:
-        shown.append(time.perf_counter())
+        shown.append(room.clock.now())
         return shown[-1]
 
     display.flip = flip
-    uncover = lambda: display.events.append(Event(time.perf_counter(), "expose"))  # noqa: E731
-    stage = Stage(display, tick=uncover, log=lambda event, **facts: None, screenshots=None, sitter=Nobody())
+    uncover = lambda: display.events.append(Event(room.clock.now(), "expose"))  # noqa: E731
+    stage = Stage(
+        display, tick=uncover, log=lambda event, **facts: None, screenshots=None, sitter=Nobody(), clock=room.clock
+    )
     began = stage.show(Picture("any", ()))
-    while time.perf_counter() < began + 0.6:
+    while room.clock.now() < began + 0.6:
         assert stage.poll() == []
     assert len(shown) == 3
     assert stage.show(Picture("any", ())) == began

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -238,21 +239,51 @@ def test_pictures_of_mirrored_and_normal_placements_have_names_of_their_own(expe
 
 
 @pytest.mark.parametrize(
-    ("ways", "words"),
-    [({}, "lift_to_answer"), ({"two_hands": "foot_switch"}, "foot_switch_answers")],
+    ("fingers", "ways", "placed", "answered"),
+    [
+        ("one_hand", {}, "with your left hand", "Answer with your left hand"),
+        (
+            "one_hand",
+            {"one_hand": "lifting"},
+            "with your right hand, then put it back",
+            "Press the answer with your right hand",
+        ),
+        ("two_hands", {}, "with your right hand, then put it back", "lifting is no answer"),
+        ("two_hands", {"two_hands": "free_hand"}, "then put it back", "Press the answer with your right hand"),
+        ("two_hands", {"two_hands": "foot_switch"}, "or click to go on", "Answer with your foot"),
+        ("two_hands", {"two_hands": "experimenter"}, "Tell the experimenter", "Say your answer aloud"),
+    ],
 )
-def test_busy_hands_are_told_how_to_answer(experiment: Experiment, ways: dict[str, str], words: str) -> None:
-    """Expected: the way of the protocol in words under the buttons, with both index fingers on the beam."""
-    picture = illustrate(experiment, ways=ways).question(make_trial("AC", "two_hands"), PROGRESS)
-    assert getattr(experiment.texts, words) in picture.texts
-    assert getattr(experiment.texts, words) not in illustrate(experiment).question(make_trial(), PROGRESS).texts
+def test_a_participant_is_told_who_presses_and_with_which_hand(
+    experiment: Experiment, fingers: str, ways: dict[str, str], placed: str, answered: str
+) -> None:
+    """Expected: the hand that is not on the beam; where both are, always the same one, which then goes back."""
+    pictures, trial = illustrate(experiment, ways=ways), make_trial("AC", fingers)
+    assert placed in pictures.placement(trial).texts[-1]
+    assert any(answered in text for text in pictures.question(trial, PROGRESS).texts)
 
 
-def test_lifted_fingers_are_asked_back(experiment: Experiment) -> None:
-    """Expected: between trials, where fingers are lifted to answer, and only there."""
-    pictures, words = illustrate(experiment), experiment.texts.fingers_back
-    assert words in pictures.ready(make_trial("AC", "two_hands"), PROGRESS).texts
-    assert words not in pictures.ready(make_trial("AC", "one_hand"), PROGRESS).texts
+def test_the_other_hand_presses_where_hands_are_swapped(experiment: Experiment) -> None:
+    """Expected: the left hand on the beam leaves the right one free."""
+    swapped = Trial(1, 1, Condition("one_hand", "A", "C", 100.0, "swapped"))
+    assert "Answer with your right hand" in illustrate(experiment).question(swapped, PROGRESS).texts
+
+
+def test_texts_that_know_no_hand_still_read(experiment: Experiment) -> None:
+    """Expected: what files of before lack is left out, or said as it was then."""
+    missing = ("placed_by_free_hand", "placed_by_hand_on_beam", "placed_by_experimenter", "free_hand_answers")
+    texts = experiment.texts.model_copy(update=dict.fromkeys(missing) | {"lift_to_answer": "Lift a finger to answer"})
+    pictures = replace(illustrate(experiment), texts=texts)
+    assert pictures.placement(make_trial()).texts[-1] == "Press the space bar or click to go on"
+    assert "Lift a finger to answer" in pictures.question(make_trial("AC", "two_hands"), PROGRESS).texts
+
+
+def test_the_fingers_are_counted_back_to_the_beam(experiment: Experiment) -> None:
+    """Expected: the words and one number, the beam and the hands as between any two trials."""
+    pictures, trial = illustrate(experiment), make_trial("AC", "two_hands")
+    alone, counted = pictures.ready(trial, PROGRESS), pictures.ready(trial, PROGRESS, 3)
+    assert set(counted.texts) - set(alone.texts) == {experiment.texts.fingers_back, "3"}
+    assert set(alone.marks) < set(counted.marks)
 
 
 @pytest.mark.parametrize("expected", ["left", "both", "right"])

@@ -184,7 +184,7 @@ def test_the_start_record_says_what_drew(screen: Any) -> None:
 
 @pytest.mark.parametrize("theme", THEMES)
 def test_a_session_opens_in_either_theme(display: str, experiment: Experiment, theme: str, tmp_path: Path) -> None:
-    """Expected: the theme's ground in the corner of the first screen, in a window of the asked size."""
+    """Expected: the theme's ground in the corner of the first screen, and a window whose record can open it again."""
     from PIL import Image
 
     from modaltouch.window import WindowOptions, open_window
@@ -205,6 +205,7 @@ def test_a_session_opens_in_either_theme(display: str, experiment: Experiment, t
         log=lambda event, **facts: None,
         options=WindowOptions(size=(800, 600), theme=theme, screenshots=tmp_path),
     )
+    assert WindowOptions.recorded(window.describe()) == WindowOptions(size=(800, 600), theme=theme)
     with window, pytest.raises(LeaveError):
         window.welcome(Trial(1, 0, Condition("one_hand", "A", "C", 80.0), practice=True))
     with Image.open(tmp_path / "welcome.png") as image:

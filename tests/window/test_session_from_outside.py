@@ -50,7 +50,7 @@ def protocol(edit: Callable[..., Path]) -> Path:
     return edit(
         "differentiated_stimulation.yaml",
         ("question_delay_s: 0.5", "question_delay_s: 0.1"),
-        ("pause_s: 1.0", "pause_s: 0.1"),
+        ("pause_s: 1.5", "pause_s: 0.1\n  settling_s: 0.1"),
         ("practice_trials: 3", "practice_trials: 1"),
     )
 
@@ -70,7 +70,19 @@ def start(empty_display: str, tmp_path: Path, protocol: Path) -> Iterator[Callab
             temporary = Path(tempfile.gettempdir())
             for folder in (each for each in (tmp_path, *tmp_path.parents) if temporary in each.parents):
                 folder.chmod(0o755)
-        words = [sys.executable, "-m", "modaltouch", "run", str(protocol), "-p", "p01", "--yes", "--json"]
+        words = [
+            sys.executable,
+            "-m",
+            "modaltouch",
+            "run",
+            str(protocol),
+            "-p",
+            "p01",
+            "--rig",
+            "simulated",
+            "--yes",
+            "--json",
+        ]
         opened.append(
             subprocess.Popen(
                 [*(AS_NOBODY if as_nobody else ()), *words, "--results", str(results)],

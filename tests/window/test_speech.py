@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from modaltouch.clock import Clock, VirtualClock
 from modaltouch.protocol import Experiment, Protocol, SpeechSection, read_protocol
 from modaltouch.schedule import draw_schedule
 from modaltouch.trial import ANSWERS, Trial
@@ -26,20 +26,21 @@ ALL = SpeechSection().screens
 class Mouth:
     """Notes when it was told to say what, and takes some time to say it."""
 
-    def __init__(self) -> None:
+    def __init__(self, clock: Clock) -> None:
+        self.clock = clock
         self.said: list[tuple[str, float]] = []
         self.n_written = 0
         self.lasts = 0.0
 
     @property
     def is_speaking(self) -> bool:
-        return bool(self.said and self.said[-1][0]) and time.perf_counter() < self.said[-1][1] + self.lasts
+        return bool(self.said and self.said[-1][0]) and self.clock.now() < self.said[-1][1] + self.lasts
 
     def describe(self) -> None:
         return None
 
     def say(self, words: str) -> None:
-        self.said.append((words, time.perf_counter()))
+        self.said.append((words, self.clock.now()))
 
     def hush(self) -> None:
         self.say("")
@@ -65,7 +66,7 @@ def speaking(experiment: Experiment, *screens: str, **conditions: Any) -> Experi
 
 def press(room: Any, key: str) -> Callable[[], None]:
     """Return a step that presses a key now."""
-    return lambda: room.display.events.append(Event(time.perf_counter(), "key", key))
+    return lambda: room.display.events.append(Event(room.clock.now(), "key", key))
 
 
 @pytest.fixture(scope="module")
@@ -77,8 +78,9 @@ def experiment() -> Experiment:
 @pytest.fixture
 def spoken_room(paper_room: Callable[..., Any]) -> Any:
     """Give a window without a display, and what it says."""
-    mouth = Mouth()
-    room = paper_room(speech=mouth)
+    clock = VirtualClock()
+    mouth = Mouth(clock)
+    room = paper_room(speech=mouth, clock=clock)
     room.mouth = mouth
     return room
 
@@ -129,7 +131,7 @@ def test_the_question_is_spoken_when_it_is_shown_and_an_answer_ends_it(spoken_ro
     """Said with the picture, hushed at the answer, before the record is written; the answer waits for no prompt."""
     room = spoken_room
     room.script = [("question", 0.1, press(room, "left"))]
-    response = room.window.ask(trial, PROGRESS, onset=time.perf_counter(), stop=room.stop)
+    response = room.window.ask(trial, PROGRESS, onset=room.clock.now(), stop=room.stop)
     assert response.answer == "left"
     (words, said_at), (end, hushed_at) = [each for each in room.mouth.said if each[1] >= room.shown[1][1] - 1e-3][-2:]
     assert words == "Where did you feel the vibration?"
@@ -150,7 +152,7 @@ def test_a_pause_ends_the_question_and_says_how_to_go_on(spoken_room: Any, trial
         ("pause", 0.3, press(room, "space")),
     ]
     with pytest.raises(TrialInterrupted):
-        room.window.ask(trial, PROGRESS, onset=time.perf_counter(), stop=room.stop)
+        room.window.ask(trial, PROGRESS, onset=room.clock.now(), stop=room.stop)
     question, pause = room.mouth.words
     assert question == "Where did you feel the vibration?"
     assert pause.startswith("Paused. The beam is still.")
@@ -185,12 +187,12 @@ def test_feedback_stays_until_it_is_said(spoken_room: Any, trial: Trial) -> None
     """Its last word says where it was: 1.5 s on the screen are too short for it, so it stays as long as it takes."""
     room = spoken_room
     room.script = [("question", 0.05, press(room, "left"))]
-    response = room.window.ask(trial, PROGRESS, onset=time.perf_counter(), stop=room.stop)
+    response = room.window.ask(trial, PROGRESS, onset=room.clock.now(), stop=room.stop)
     room.mouth.lasts = 2.0
-    began = time.perf_counter()
+    began = room.clock.now()
     room.window.give_feedback(response, "right")
     assert room.mouth.words[-1] == "This time it was stronger on the right"
-    assert 2.0 <= time.perf_counter() - began < 2.6
+    assert 2.0 <= room.clock.now() - began < 2.2
 
 
 def test_the_farewell_stays_until_it_is_said(spoken_room: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -201,9 +203,9 @@ def test_the_farewell_stays_until_it_is_said(spoken_room: Any, monkeypatch: pyte
     for lasts, stays in ((0.5, 0.5), (100.0, 1.0)):
         room.mouth.lasts = lasts
         room.window._stage._picture = None
-        began = time.perf_counter()
+        began = room.clock.now()
         room.window.goodbye()
-        assert time.perf_counter() - began == pytest.approx(stays, abs=0.2)
+        assert room.clock.now() - began == pytest.approx(stays, abs=0.002)
 
 
 def test_the_end_of_a_session_in_a_pause_is_told_with_what_was_said(spoken_room: Any, trial: Trial) -> None:
@@ -211,4 +213,4 @@ def test_the_end_of_a_session_in_a_pause_is_told_with_what_was_said(spoken_room:
     room = spoken_room
     room.script = [("question", 0.05, press(room, "escape")), ("pause", 0.3, press(room, "q"))]
     with pytest.raises(SessionStopped, match="escape"):
-        room.window.ask(trial, PROGRESS, onset=time.perf_counter(), stop=room.stop)
+        room.window.ask(trial, PROGRESS, onset=room.clock.now(), stop=room.stop)

@@ -48,7 +48,18 @@ def test_a_spoken_session_is_answered_before_its_prompts_are_over(
     sections = "speech: {screens: [instructions, question, goodbye]}\nmasking: {level_dB_FS: -25, fade_s: 0.1}\n"
     fewer = (("[[A, C], [B, D], [C, E]]", "[[A, C]]"), ("max_same_pair_running: 2", "max_same_pair_running: null"))
     protocol = edit("demo.yaml", (OLD, sections + OLD), *fewer)
-    words = ["run", str(protocol), "-p", "p01", "--yes", "--json", "--results", str(tmp_path / "results")]
+    words = [
+        "run",
+        str(protocol),
+        "-p",
+        "p01",
+        "--rig",
+        "simulated",
+        "--yes",
+        "--json",
+        "--results",
+        str(tmp_path / "results"),
+    ]
     hands = make_hands(own_display)
     env = {**os.environ, "DISPLAY": own_display, "ALSA_CONFIG_PATH": str(tmp_path / "asound.conf")}
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}

@@ -1,4 +1,4 @@
-"""What ``modaltouch run`` asks for where it was not given: who, which session, and whether to start."""
+"""What ``modaltouch run`` asks for where it was not given: which rig, who, which session, and whether to start."""
 
 from __future__ import annotations
 
@@ -23,6 +23,45 @@ _NAME = re.compile(r"[A-Z]?[a-z]{2,}\Z|[A-Za-z]{3,}\Z")
 def can_ask() -> bool:
     """Return whether somebody can type at this process and see what it asks."""
     return sys.stdin.isatty() and (sys.stderr.isatty() or sys.stdout.isatty())
+
+
+def ask_rig(may_ask: bool) -> str:
+    """Return the generator's address, or ``simulated``, asked for with those that this machine can see.
+
+    Parameters
+    ----------
+    may_ask : bool
+        Whether somebody is there to answer.
+
+    Raises
+    ------
+    typer.BadParameter
+        If nobody is: a forgotten option must not leave a participant at a beam that is silent.
+    """
+    from modaltouch.rig.interface import RigError
+    from modaltouch.rig.visa import find_instruments
+    from modaltouch.wiring.parts import SIMULATED
+
+    if not may_ask:
+        raise typer.BadParameter(
+            "a session needs a rig: give --rig with the generator's VISA address (`modaltouch rig list` shows what "
+            "this machine can see), or --rig simulated, where nothing vibrates"
+        )
+    try:
+        found = find_instruments()
+    except RigError as error:
+        found = ()
+        typer.secho(str(error), err=True, fg=typer.colors.YELLOW)
+    for number, address in enumerate(found, start=1):
+        typer.echo(f"{number}  {address}", err=True)
+    hint = "its number above" if found else "none is seen; one on the network answers at TCPIP::<its address>::INSTR"
+    while True:
+        given = str(_prompt(f"Generator's VISA address ({hint}), or {SIMULATED}", default="", shown=False)).strip()
+        if given.isdecimal() and 1 <= int(given) <= len(found):
+            return found[int(given) - 1]
+        if given.casefold() == SIMULATED or "::" in given:
+            return given if "::" in given else SIMULATED
+        typer.secho(f"given {given!r}; allowed: a VISA address, or {SIMULATED}", err=True, fg=typer.colors.RED)
 
 
 def ask_participant(dataset: Path) -> str:

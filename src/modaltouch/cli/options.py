@@ -40,9 +40,20 @@ SEED = Annotated[int, typer.Option(min=0, help="Seed of the study; the same for 
 MODE = Annotated[str | None, typer.Option(help="Which sessions of a results folder: real, pilot or simulated.")]
 
 FULLSCREEN = Annotated[bool, typer.Option("--fullscreen/--windowed", help="Answer window over the whole screen.")]
-SIZE = Annotated[str, typer.Option(help="Size of the answer window in pixels, where it is not full screen.")]
-THEME = Annotated[Theme, typer.Option(help="Colours of the answer window.")]
-SCREEN = Annotated[int, typer.Option(min=0, help="Which screen shows the answer window.")]
+_SIZE = "Size of the answer window in pixels, where it is not full screen."
+SIZE = Annotated[str, typer.Option(help=_SIZE)]
+_THEME = "Colours of the answer window."
+THEME = Annotated[Theme, typer.Option(help=_THEME)]
+_SCREEN = "Which screen shows the answer window."
+SCREEN = Annotated[int, typer.Option(min=0, help=_SCREEN)]
+_AS_IT_WAS = "as it was"
+FULLSCREEN_AGAIN = Annotated[
+    bool | None,
+    typer.Option("--fullscreen/--windowed", help="Answer window over the whole screen.", show_default=_AS_IT_WAS),
+]
+SIZE_AGAIN = Annotated[str | None, typer.Option("--size", help=_SIZE, show_default=_AS_IT_WAS)]
+THEME_AGAIN = Annotated[Theme | None, typer.Option("--theme", help=_THEME, show_default=_AS_IT_WAS)]
+SCREEN_AGAIN = Annotated[int | None, typer.Option("--screen", min=0, help=_SCREEN, show_default=_AS_IT_WAS)]
 SCREENSHOTS = Annotated[Path | None, typer.Option(help="Folder for a picture of each kind of screen.")]
 
 EVENTS = Annotated[

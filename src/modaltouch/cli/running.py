@@ -11,23 +11,27 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from modaltouch.cli.asking import ask_participant, ask_session, can_ask, wait_for_start
+from modaltouch.cli.asking import ask_participant, ask_rig, ask_session, can_ask, wait_for_start
 from modaltouch.cli.consoles import open_console
 from modaltouch.cli.faults import print_json, reporting
 from modaltouch.cli.options import (
     CALIBRATION,
     EVENTS,
     FULLSCREEN,
+    FULLSCREEN_AGAIN,
     JSON,
     PLAIN,
     PROTOCOL,
     RESULTS,
     SCREEN,
+    SCREEN_AGAIN,
     SCREENSHOTS,
     SEED,
     SESSION,
     SIZE,
+    SIZE_AGAIN,
     THEME,
+    THEME_AGAIN,
     USUAL_OBSERVER,
     Theme,
 )
@@ -48,7 +52,11 @@ class Answers(StrEnum):
 
 
 RIG = Annotated[
-    str, typer.Option(help="`simulated`, or the generator's VISA address, such as TCPIP::192.168.1.20::INSTR.")
+    str | None,
+    typer.Option(
+        help="The generator's VISA address, such as TCPIP::192.168.1.20::INSTR, or `simulated`: nothing then vibrates.",
+        show_default="asked",
+    ),
 ]
 ANSWERS = Annotated[
     Answers,
@@ -84,7 +92,7 @@ def run(
     protocol: PROTOCOL,
     participant: PARTICIPANT = None,
     session: SESSION_NUMBER = None,
-    rig: RIG = "simulated",
+    rig: RIG = None,
     answers: ANSWERS = Answers.window,
     pilot: PILOT = False,
     seed: SEED = 1,
@@ -118,6 +126,7 @@ def run(
         from modaltouch.record.log import refuse_existing
         from modaltouch.wiring import mode_of, wire_run
 
+        rig = rig or ask_rig(can_ask() and not yes and not json_output)
         mode = mode_of(rig, answers.value, pilot=pilot)
         design = preflight.experiment.protocol
         dataset = dataset_of(results, mode, design.protocol)
@@ -164,10 +173,10 @@ def resume(
     restart: Annotated[
         bool, typer.Option("--restart", help="Close it, its answers kept, and begin it anew as the next session.")
     ] = False,
-    fullscreen: FULLSCREEN = False,
-    size: SIZE = "1280x800",
-    theme: THEME = Theme.dark,
-    screen: SCREEN = 0,
+    fullscreen: FULLSCREEN_AGAIN = None,
+    size: SIZE_AGAIN = None,
+    theme: THEME_AGAIN = None,
+    screen: SCREEN_AGAIN = None,
     screenshots: SCREENSHOTS = None,
     events: EVENTS = None,
     plain: PLAIN = False,
@@ -177,18 +186,26 @@ def resume(
 
     Where the protocol says so (`schedule.resume`), the block that was cut begins anew, or the whole session does.
 
-    Everything is taken from the record itself, so it does not matter what became of the protocol's files.
+    Everything is taken from the record itself, so it does not matter what became of the protocol's files. The answer
+    window opens as it was, unless an option says otherwise.
     """
     from modaltouch.sitting import resume as go_on
     from modaltouch.wiring import wire_resume
 
     with reporting(json_output=json_output):
+        given = {
+            "fullscreen": fullscreen,
+            "size": None if size is None else _read_size(size),
+            "theme": None if theme is None else theme.value,
+            "screen": screen,
+            "screenshots": screenshots,
+        }
         setup = wire_resume(
             session,
             rig=rig,
             answers=answers.value if answers else None,
             restart=restart,
-            window_options=_window_options(fullscreen, size, theme, screen, screenshots),
+            window={name: value for name, value in given.items() if value is not None},
         )
         _conduct(go_on, setup, events, plain=plain, json_output=json_output)
 
@@ -267,10 +284,15 @@ def _window_options(
 ) -> WindowOptions:
     from modaltouch.window import WindowOptions
 
+    return WindowOptions(_read_size(size), fullscreen, theme.value, screen, screenshots)
+
+
+def _read_size(size: str) -> tuple[int, int]:
+    """Return width and height [pixels]."""
     width, _, height = size.partition("x")
     if not (width.isdecimal() and height.isdecimal() and int(width) >= 640 and int(height) >= 480):
         raise typer.BadParameter(f"given {size!r}; allowed: WIDTHxHEIGHT in pixels, at least 640x480")
-    return WindowOptions((int(width), int(height)), fullscreen, theme.value, screen, screenshots)
+    return int(width), int(height)
 
 
 def _conduct(

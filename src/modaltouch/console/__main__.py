@@ -20,6 +20,7 @@ from typing import Any, TextIO
 from rich.console import Console, ConsoleDimensions
 from rich.live import Live
 
+from modaltouch.clock import SYSTEM_CLOCK
 from modaltouch.console.dialogue import Dialogue
 from modaltouch.console.drawing import draw_session
 from modaltouch.console.keyboard import Keyboard, open_keyboard
@@ -44,9 +45,9 @@ def main() -> None:
             signal.signal(getattr(signal, name), _end)
     target = "CONOUT$" if sys.platform == "win32" else screen
     news: News = queue.Queue()
-    threading.Thread(target=_listen, args=(news,), daemon=True).start()
+    dialogue = Dialogue(emergency)
+    threading.Thread(target=_listen, args=(news, dialogue), daemon=True).start()
     with open(target, "w", encoding="utf-8", closefd=sys.platform == "win32") as file, open_keyboard(keys) as keyboard:
-        dialogue = Dialogue(emergency)
         # A thread of its own, so that no key waits for a picture.
         threading.Thread(target=_read, args=(keyboard, dialogue, news), daemon=True).start()
         with suppress(OSError):  # the terminal is gone
@@ -86,20 +87,24 @@ def _read(keyboard: Keyboard, dialogue: Dialogue, news: News) -> None:
     try:
         while True:
             for key in keyboard.read(_GLANCE):
+                at = SYSTEM_CLOCK.now()
                 request = dialogue.press(key)
                 if request is not None:
-                    sys.stdout.write(json.dumps({"command": request.command, "text": request.text}) + "\n")
+                    said = {"command": request.command, "text": request.text, "at": at}
+                    sys.stdout.write(json.dumps(said) + "\n")
                     sys.stdout.flush()
                 news.put({})
     except (EOFError, OSError):
         news.put(None)
 
 
-def _listen(news: News) -> None:
+def _listen(news: News, dialogue: Dialogue) -> None:
     """Take facts from standard input until it ends."""
     try:
         for line in sys.stdin:
-            news.put(json.loads(line))
+            facts = json.loads(line)
+            dialogue.hear(facts)
+            news.put(facts)
     finally:
         news.put(None)
 

@@ -1,17 +1,25 @@
-"""What the experimenter's keys mean: most ask at once, a note is typed, the end is asked twice."""
+"""What the experimenter's keys mean: most ask at once, a note is typed, the end is asked twice.
+
+Where the experimenter gives the answers, the keys of the answers are typed here too, while a trial is on. The console's
+own keys keep their meaning then: `x` has to be the emergency at every moment.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from modaltouch.console.interface import Command, Request
+from modaltouch.console.interface import Command, Facts, Request
 
 _AT_ONCE: dict[str, tuple[Command, str]] = {
     "p": ("pause", ""),
     "r": ("repeat", ""),
     "b": ("end_after_block", ""),
+    " ": ("go_on", ""),
+    "enter": ("go_on", ""),
     "x": ("emergency_stop", "EMERGENCY STOP"),
 }
+OWN_KEYS = frozenset({*_AT_ONCE, "n", "q", "space", "escape"})
+"""Keys that never answer."""
 LONGEST_NOTE = 500
 """A note is a remark, not a protocol [characters]."""
 
@@ -30,8 +38,16 @@ class Dialogue:
         self.emergency = next(iter(emergency), "x")
         self._note: str | None = None
         self._asks_to_stop = False
+        self._answers: dict[str, str] = {}
+        self._is_open = False
         self.prompt = ""
         """The line that tells what was asked, or is being typed."""
+
+    def hear(self, facts: Facts) -> None:
+        """Take in how the session stands: by which keys is answered, and whether now."""
+        question = facts.get("question") or {"open": False, "keys": {}}
+        self._answers = {key: answer for answer, keys in question["keys"].items() for key in keys}
+        self._is_open = question["open"]
 
     def press(self, key: str) -> Request | None:
         """Take in a key and return what it asks for, if anything.
@@ -55,6 +71,11 @@ class Dialogue:
             self._note, self.prompt = "", "note (Enter keeps it, Escape drops it): _"
         elif key == "q":
             self._asks_to_stop, self.prompt = True, "stop the session now? y: yes, any other key: no"
+        elif key in self._answers and self._is_open:
+            self.prompt = f"typed: {self._answers[key]}"
+            return Request("answer", key)
+        elif key in self._answers:
+            self.prompt = f"{self._answers[key]} is not taken: no trial is on"
         return None
 
     def _ask(self, command: Command, prompt: str) -> Request:

@@ -19,8 +19,9 @@ STATES = {
     "break": "break",
     "ended": "ended",
 }
-HELP = ("p pause/go on", "r repeat last trial", "n note", "b end after this block", "q stop")
-_HELP_IN_SHORT = ("p pause", "r repeat", "n note", "b end block", "q stop")
+HELP = ("p pause", "space go on", "r repeat last trial", "n note", "b end after this block", "q stop")
+_HELP_IN_SHORT = ("p pause", "space go on", "r repeat", "n note", "b end block", "q stop")
+_ARROWS = {name: f"{name} arrow" for name in ("left", "right", "up", "down")}
 _LOW = 20
 """A terminal of fewer lines than this is told less [lines]."""
 _BAR = 40
@@ -61,6 +62,7 @@ def draw_session(
     ]
     rows = [
         ("state", f"{state}{_describe_cause(facts)}"),
+        *([("answer by", _describe_question(facts["question"]))] if facts["question"] is not None else []),
         ("progress", describe_progress(facts, since_s, width - _NAMES)),
         *describe_trial(facts["trial"]),
         *_describe_generator(facts["generator"]),
@@ -162,8 +164,18 @@ def _describe_generator(generator: dict[str, Any]) -> list[tuple[str, str]]:
     ]
 
 
+def _describe_question(question: dict[str, Any]) -> str:
+    """Return by which keys of the console each answer is typed, while a trial is on."""
+    if not question["open"]:
+        return "-"
+    named = {answer: " or ".join(_ARROWS.get(key, key) for key in keys) for answer, keys in question["keys"].items()}
+    return "; ".join(f"{answer}: {keys}" for answer, keys in named.items())
+
+
 def _describe_wishes(facts: Facts) -> str:
     wishes = []
+    if facts["too_early"]:
+        wishes.append(f"{facts['too_early']} came before the question and does not count")
     if facts["repeats_trial"] is not None:
         kind = "practice" if facts["repeats_practice"] else "trial"
         wishes.append(f"repeat {kind} {facts['repeats_trial']} after this one (r takes it back)")

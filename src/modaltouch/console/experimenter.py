@@ -7,7 +7,7 @@ from typing import Any
 
 from modaltouch.console.interface import Console, Silence
 from modaltouch.console.status import Status
-from modaltouch.window.interface import SessionStopped, Wish
+from modaltouch.window.interface import SessionStopped, TypedAnswer, Wish
 
 
 class Experimenter:
@@ -37,13 +37,16 @@ class Experimenter:
         self.ends_after_block = False
         """Whether the session ends before the next block."""
 
-    def tell(self, event: dict[str, Any]) -> None:
-        """Take in an event of the record, or one that happens now, and show what it changed."""
-        if event["event"] == "trial":
+    def tell(self, event: dict[str, Any], *, replayed: bool = False) -> None:
+        """Take in an event of the record, replayed or new, or one that happens now, and show what it changed."""
+        if event["event"] in ("answered", "trial"):
             self._last = event
+            if self._repeats is not None and self._repeats["n"] == event.get("answered"):
+                # Asked for as the answer stood there, before its trial was over: the line that counts is this one.
+                self._repeats = event
         elif event["event"] == "withdrawn" and self._last is not None and self._last["n"] in event["lines"]:
             self._last = None
-        if self._status.take(event):
+        if self._status.take(event, replayed=replayed):
             self._console.show(self._status.facts())
         if event["event"] == "practice_round" or (event["event"] == "trial_next" and not event["trial"]["practice"]):
             self._leave_practice()
@@ -61,11 +64,18 @@ class Experimenter:
             if request.command == "emergency_stop":
                 # Nothing is written before the outputs are off; the stop record will say why.
                 raise SessionStopped("emergency stop")
+            if request.command == "answer":
+                # The line of the answer says it all; nothing is written while a question is open.
+                answer = self._status.answer_by(request.text)
+                wish = wish if answer is None else TypedAnswer(answer, request.text, request.at)
+                continue
             self._record("experimenter", asks=request.command, **({"text": request.text} if request.text else {}))
             if request.command == "stop":
                 raise SessionStopped("experimenter")
             if request.command == "pause":
                 wish = "continue" if self._status.paused else "pause"
+            elif request.command == "go_on":
+                wish = "continue"
             elif request.command == "end_after_block":
                 self.ends_after_block = not self.ends_after_block
                 self._show_wishes()

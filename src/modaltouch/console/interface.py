@@ -6,7 +6,7 @@ import typing
 from dataclasses import dataclass
 from typing import Any, Self
 
-Command = typing.Literal["pause", "repeat", "note", "end_after_block", "stop", "emergency_stop"]
+Command = typing.Literal["pause", "go_on", "answer", "repeat", "note", "end_after_block", "stop", "emergency_stop"]
 COMMANDS: tuple[Command, ...] = typing.get_args(Command)
 
 Facts = dict[str, Any]
@@ -20,14 +20,18 @@ class Request:
     Attributes
     ----------
     command : str
-        ``pause`` (and go on), ``repeat`` (the last answered trial once more), ``note``, ``end_after_block`` (and
-        take it back), ``stop`` or ``emergency_stop``.
+        ``pause`` (and go on), ``go_on`` (from a screen that waits), ``answer`` (for the participant), ``repeat`` (the
+        last answered trial once more), ``note``, ``end_after_block`` (and take it back), ``stop`` or
+        ``emergency_stop``.
     text : str
-        The note.
+        The note, or the key that answers.
+    at : float
+        When the key was read that answers, by `clock.SYSTEM_CLOCK` [s].
     """
 
     command: Command
     text: str = ""
+    at: float = 0.0
 
 
 class Console(typing.Protocol):

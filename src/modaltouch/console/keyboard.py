@@ -12,22 +12,29 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-_FUNCTION_KEYS = {
+_ARROWS = ("up", "down", "right", "left")
+_NAMED_KEYS = {
+    **{f"\x1b{opening}{letter}": name for opening in "[O" for letter, name in zip("ABCD", _ARROWS, strict=True)},
     **{f"\x1bO{letter}": f"f{number}" for number, letter in enumerate("PQRS", start=1)},
     **{
         f"\x1b[{code}~": f"f{number}" for number, code in enumerate((11, 12, 13, 14, 15, 17, 18, 19, 20, 21, 23, 24), 1)
     },
 }
-"""What terminals send for function keys (xterm and VT220)."""
-_WINDOWS_KEYS = {**{chr(58 + number): f"f{number}" for number in range(1, 11)}, "\x85": "f11", "\x86": "f12"}
-"""What follows a NUL or an 0xE0 in Windows's console for function keys."""
+"""What terminals send for arrows and function keys (xterm and VT220)."""
+_WINDOWS_KEYS = {
+    **dict(zip("HPMK", _ARROWS, strict=True)),
+    **{chr(58 + number): f"f{number}" for number in range(1, 11)},
+    "\x85": "f11",
+    "\x86": "f12",
+}
+"""What follows a NUL or an 0xE0 in Windows's console for arrows and function keys."""
 _NAMES = {"\r": "enter", "\n": "enter", "\x7f": "backspace", "\b": "backspace", "\x1b": "escape"}
 _SEQUENCE_PAUSE = 0.05
 """The rest of a key's sequence comes within this time, or it is Escape itself [s]."""
 
 
 class Keyboard(typing.Protocol):
-    """Gives keys: a printable character as itself, others by name (`enter`, `backspace`, `escape`, `f12`)."""
+    """Gives keys: a printable character as itself, others by name (`enter`, `backspace`, `escape`, `left`, `f12`)."""
 
     def read(self, patience: float) -> list[str]:
         """Return the keys that come within some time [s]; empty if none does."""
@@ -162,8 +169,8 @@ def split_keys(text: str) -> list[str]:
 
     Examples
     --------
-    >>> split_keys("p\x1b[24~\r\x1b[A")
-    ['p', 'f12', 'enter']
+    >>> split_keys("p\x1b[24~\r\x1b[A\x1b[Z")
+    ['p', 'f12', 'enter', 'up']
     """
     keys: list[str] = []
     place = 0
@@ -172,7 +179,7 @@ def split_keys(text: str) -> list[str]:
             end = place + 2
             while end < len(text) and not ("@" <= text[end] <= "~"):
                 end += 1
-            name = _FUNCTION_KEYS.get(text[place : end + 1])
+            name = _NAMED_KEYS.get(text[place : end + 1])
             keys += [name] if name else []
             place = end + 1
             continue

@@ -33,11 +33,13 @@ class PlainLines(Silence):
         self._file = file
         self._warned: set[str] = set()
         self._error = ""
+        self._told: int | None = None
 
     def show(self, facts: Facts) -> None:
         """Write what is new."""
         last, minutes = facts["last"], facts["time_left_s"] / 60
-        if facts["event"] == "trial":
+        if facts["event"] in ("answered", "trial") and last["line"] != self._told:
+            self._told = last["line"]
             done = f"{facts['n_answered']} of {facts['n_trials']} answered"
             self._write(f"{done}: {describe_last(last)}; {minutes:.0f} min left")
         elif facts["event"] in ("pause", "focus_lost", "continued", "rest", "stop"):

@@ -8,8 +8,10 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
+from modaltouch.console.answers import typed_keys
 from modaltouch.console.interface import Facts
 from modaltouch.console.signs import read_signs
+from modaltouch.trial import Answer
 
 TROUBLES = frozenset(
     {"connection_lost", "reconnect_failed", "instrument_errors", "upload_repeated", "unconfirmed", "close_failed"}
@@ -38,6 +40,8 @@ class Status:
         self._began = clock()
         self._facts: Facts = {
             "event": "",
+            "line": None,
+            "replayed": False,
             "participant": "",
             "session": 0,
             "mode": "",
@@ -48,6 +52,8 @@ class Status:
             "trial": None,
             "generator": {"identity": "", "outputs": "off", "amplitude_Vpp": [], "confirmed": None, "last_error": ""},
             "last": None,
+            "question": None,
+            "too_early": "",
             "ends_after_block": False,
             "repeats_trial": None,
             "repeats_practice": False,
@@ -62,13 +68,15 @@ class Status:
         self._held = "waiting"
         self._unmasked = self._unspoken = ""
 
-    def take(self, event: dict[str, Any]) -> bool:
+    def take(self, event: dict[str, Any], *, replayed: bool = False) -> bool:
         """Take in an event of the record, or one that happens now, and return whether it changed what is shown.
 
         Parameters
         ----------
         event : dict
-            With its name under ``event``.
+            With its name under ``event``, and the number of its line under ``n`` where it is one of the record.
+        replayed : bool
+            Whether it is of an earlier sitting, read again as the session goes on.
         """
         name = str(event["event"])
         react = getattr(self, f"_on_{name}", None)
@@ -76,10 +84,16 @@ class Status:
             react(event)
         if name in TROUBLES:
             self._facts["generator"]["last_error"] = _words(name, event)
-        if name in _QUIET:
-            return event.get("what") in TROUBLES
-        self._facts["event"] = name
+        if name in _QUIET and event.get("what") not in TROUBLES and not event.get("device"):
+            return False
+        self._facts |= {"event": name, "line": event.get("n"), "replayed": replayed}
         return True
+
+    def answer_by(self, key: str) -> Answer | None:
+        """Return the answer that a key of the console gives now, if any."""
+        question = self._facts["question"]
+        keys = question["keys"].items() if question is not None and question["open"] else ()
+        return next((answer for answer, named in keys if key in named), None)
 
     @property
     def paused(self) -> bool:
@@ -113,13 +127,25 @@ class Status:
         facts = self._facts
         facts |= {name: event.get(name, facts[name]) for name in ("participant", "session", "mode", "protocol")}
         self._total = event["schedule"]["n_trials"]
-        self._offers_none = "none" in event.get("design", {}).get("answers", {}).get("keys", {})
+        answers = event.get("design", {}).get("answers", {})
+        self._offers_none = "none" in answers.get("keys", {})
+        if "experimenter" in (answers.get("given_by"), *answers.get("ways", {}).values()):
+            facts["question"] = {"open": False, "keys": typed_keys(answers["keys"])}
         self._on_resume(event)
 
     def _on_resume(self, event: dict[str, Any]) -> None:
         self._facts["generator"]["identity"] = event["rig"]["identity"]
         self._facts |= {"state": "waiting", "paused_by": "", "stopped_by": ""}
         self._answered_at = None
+        self._ask(on=False)
+        # An answer whose stimulus was never confirmed is asked for again.
+        self._trials = {index: event for index, event in self._trials.items() if event["event"] == "trial"}
+
+    def _ask(self, *, on: bool) -> None:
+        """Take answers at the console, or no more."""
+        self._facts["too_early"] = ""
+        if self._facts["question"] is not None:
+            self._facts["question"] = {**self._facts["question"], "open": on}
 
     def _on_masking(self, event: dict[str, Any]) -> None:
         self._unmasked = self._unmasked if event["state"] == "off" else ""
@@ -139,15 +165,37 @@ class Status:
     def _on_fired(self, event: dict[str, Any]) -> None:
         firing = event["confirmed"]
         self._facts["state"] = "trial"
+        self._ask(on=(self._facts["trial"] or {}).get("way") == "experimenter")
         self._facts["generator"] |= {
             "outputs": "on",
             "amplitude_Vpp": list(firing["commanded_amplitude"]),
-            "confirmed": firing["confirmed"],
+            # As it begins nothing is confirmed yet, and nothing speaks against it.
+            "confirmed": firing["confirmed"] or (False if firing.get("reason") else None),
         }
 
+    def _on_discarded(self, event: dict[str, Any]) -> None:
+        if event.get("device"):
+            self._facts["too_early"] = str(event["key"])
+
     def _on_trial(self, event: dict[str, Any]) -> None:
-        self._facts["generator"] |= {"outputs": "off", "confirmed": event["confirmed"]["confirmed"]}
+        firing, index = event["confirmed"], event["trial"]["index"]
+        self._facts["generator"] |= {"outputs": "off", "confirmed": firing["confirmed"]}
+        if firing.get("stalled"):
+            said = f"trial {index}: the computer was held up, and the stimulus comes again"
+            self._facts["generator"]["last_error"] = said
+        # Since format 2 of the record the line `answered` has told the answer already.
+        if event.get("answered") is None:
+            self._on_answered(event)
+        if not event["trial"]["practice"]:
+            if firing["confirmed"]:
+                self._trials[index] = event
+            elif event.get("answered") is not None:
+                self._trials.pop(index, None)
+
+    def _on_answered(self, event: dict[str, Any]) -> None:
+        self._ask(on=False)
         self._facts["last"] = {
+            "line": event.get("n"),
             "number": event["trial"]["index"],
             "practice": event["trial"]["practice"],
             "answer": event["response"]["answer"],
@@ -158,7 +206,7 @@ class Status:
         if self._answered_at is not None and event["clock"] - self._answered_at < _LONGEST:
             self._durations.append(event["clock"] - self._answered_at)
         self._answered_at = event["clock"]
-        if not event["trial"]["practice"] and event["confirmed"]["confirmed"]:
+        if event["event"] == "answered" and not event["trial"]["practice"]:
             self._trials[event["trial"]["index"]] = event
 
     def _on_withdrawn(self, event: dict[str, Any]) -> None:
@@ -167,9 +215,11 @@ class Status:
 
     def _on_trial_cut(self, event: dict[str, Any]) -> None:
         self._facts["generator"]["outputs"] = "off"
+        self._ask(on=False)
 
     def _on_pause(self, event: dict[str, Any]) -> None:
         self._facts["generator"]["outputs"] = "off"
+        self._ask(on=False)
         # A pause within a break leads back to it.
         self._held = "break" if self._facts["state"] == "break" else "waiting"
         self._facts |= {"state": "paused", "paused_by": str(event.get("by", "participant"))}
@@ -193,6 +243,7 @@ class Status:
         self._facts |= {name: event[name] for name in names}
 
     def _on_stop(self, event: dict[str, Any]) -> None:
+        self._ask(on=False)
         self._facts["generator"]["outputs"] = "off"
         self._facts |= {"state": "ended", "stopped_by": event["reason"]}
 

@@ -135,4 +135,4 @@ class TerminalConsole(Silence):
             for line in pipe:
                 asked = json.loads(line)
                 if asked.get("command") in COMMANDS:
-                    self._asked.append(Request(asked["command"], str(asked.get("text", ""))))
+                    self._asked.append(Request(asked["command"], str(asked.get("text", "")), float(asked.get("at", 0))))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from statistics import fmean
 from typing import Any
 
 import numpy as np
@@ -103,12 +104,13 @@ def estimated_duration(protocol: Protocol) -> float:
     if answers.stimulus_until == "question":
         rate = protocol.stimulus.repetition_rate_Hz
         before_question = max(before_question, answers.n_bursts(rate) / rate)
+    pause = fmean(map(answers.pause, protocol.conditions.finger_conditions))
     # The fingers move wherever the pair differs from the one before.
     n_pairs = len(protocol.conditions.zone_pairs)
     n_placements = 1 + (n_trials - 1) * (1 - 1 / n_pairs)
     n_breaks = (protocol.n_trials - 1) // schedule.break_after_trials if schedule.break_after_trials else 0
     seconds = (
-        n_trials * (before_question + ANSWER_S + answers.pause_s)
+        n_trials * (before_question + ANSWER_S + pause)
         + n_placements * PLACEMENT_S
         + n_breaks * BREAK_S
         + INSTRUCTIONS_S

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from modaltouch.document import Problem, Reading, suggest
 from modaltouch.protocol.adaptive_checks import check_adaptive, is_adaptive
 from modaltouch.protocol.keys import END_KEY, KEY_ALIASES, KEY_NAMES, RESERVED_KEYS
-from modaltouch.protocol.sections import Protocol
+from modaltouch.protocol.sections import AnswersSection, Protocol
 from modaltouch.protocol.sensation_checks import check_sensation_levels
 from modaltouch.protocol.wished import check_wished
 
@@ -30,6 +30,22 @@ def check_protocol(reading: Reading[Protocol]) -> list[Problem]:
         *_check_keys(reading),
         *_check_times(reading),
     ]
+
+
+def check_settling(reading: Reading[Protocol]) -> Iterator[Problem]:
+    """Return the fault of a written pause in which a hand that presses cannot come back to the beam.
+
+    For fresh files alone: a record that was begun with such a pause goes on, with `AnswersSection.settling_s`.
+    """
+    answers = reading.sound("answers")
+    if not isinstance(answers, AnswersSection) or reading.find(("answers", "pause_s")) is None:
+        return
+    settling = [fingers for _, fingers in reading.items("conditions", "finger_conditions") if answers.settles(fingers)]
+    if settling and answers.pause_s < answers.settling_s:
+        given = f"{answers.pause_s:g} s, but in {settling[0]} a hand or finger of those on the beam answers"
+        allowed = f"at least {answers.settling_s:g} s (answers.settling_s), for it to come back and rest"
+        remedy = "leave it out, or have a foot_switch or the experimenter answer (answers.ways)"
+        yield reading.problem(("answers", "pause_s"), given, allowed, remedy)
 
 
 def _check_stimulus(reading: Reading[Protocol]) -> Iterator[Problem]:

@@ -10,7 +10,7 @@ from modaltouch.apparatus import Apparatus, examine_apparatus
 from modaltouch.document import InputError, Problem, Reading, Source, load_source, read
 from modaltouch.document.source import YAML_FILE
 from modaltouch.protocol.calibration_file import check_age, check_calibration, examine_calibration
-from modaltouch.protocol.checks import check_protocol
+from modaltouch.protocol.checks import check_protocol, check_settling
 from modaltouch.protocol.fit import check_fit
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.texts import Texts, check_words
@@ -186,7 +186,7 @@ def examine_files(path: Path, calibration: Path | None = None, *, uncalibrated: 
     except InputError as error:
         return Findings(None, None, None, error.problems)
     protocol = read(source, Protocol)
-    problems = [*protocol.problems, *check_protocol(protocol)]
+    problems = [*protocol.problems, *check_protocol(protocol), *check_settling(protocol)]
     apparatus, texts = None, None
     named = _load_named(protocol, ("apparatus",), problems)
     if named is not None:

@@ -185,10 +185,14 @@ class AnswersSection(Section):
         default="ask",
     )
     question_delay_s: NotNegative = described("From the first burst to the question [s].", default=0.5)
-    pause_s: NotNegative = described("Between an answer and the next stimulus [s].", default=1.0)
+    pause_s: NotNegative = described(
+        "Between an answer, or a key to go on, and the next stimulus [s]; settling_s where that is longer and a hand "
+        "of those on the beam has to come back to it.",
+        default=1.0,
+    )
     settling_s: NotNegative = described(
-        "From a confirmed placement, or an answer given by a hand or finger of those on the beam, to the next stimulus "
-        "[s]; the participant sees a countdown.",
+        "The same where a hand or finger of those on the beam presses: in two_hands without foot switch or "
+        "experimenter, and in lifting [s]; the participant sees a countdown.",
         default=1.5,
     )
     keys: dict[OfferedAnswer, Annotated[tuple[KeyName, ...], Field(min_length=1)]] = described(
@@ -221,6 +225,15 @@ class AnswersSection(Section):
         if finger_condition == "two_hands":
             return self.ways.get("two_hands", "lifting")
         return self.ways.get("one_hand", "free_hand")
+
+    def settles(self, finger_condition: str) -> bool:
+        """Return whether a hand or finger of those on the beam presses, and then has to settle there again."""
+        way = self.way(finger_condition)
+        return way == "lifting" or (way == "free_hand" and finger_condition == "two_hands")
+
+    def pause(self, finger_condition: str) -> float:
+        """Return the time from an answer, or a key to go on, to the next stimulus [s]."""
+        return max(self.pause_s, self.settling_s) if self.settles(finger_condition) else self.pause_s
 
 
 class CalibrationSection(Section):

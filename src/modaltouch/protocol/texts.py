@@ -21,8 +21,14 @@ _PLACEHOLDERS: dict[str, frozenset[str]] = {
     "pause": frozenset({"key", "end_key"}),
     "pause_between_trials": frozenset({"key", "end_key"}),
     "press_to_continue": frozenset({"key"}),
+    "placed_by_free_hand": frozenset({"key", "hand"}),
+    "placed_by_hand_on_beam": frozenset({"key", "hand"}),
+    "free_hand_answers": frozenset({"hand"}),
 }
 """Words in braces that a text must contain; every other text must contain none."""
+
+_OPTIONAL: dict[str, frozenset[str]] = {"lift_to_answer": frozenset({"hand"})}
+"""Words in braces that a text may contain: files were written before the window could fill them in."""
 
 
 LanguageCode = Annotated[
@@ -69,9 +75,26 @@ class Texts(Section):
     goodbye: Text = described("Thanks at the end.")
     press_to_continue: Text = described("How to go on; holds {key}.")
     experimenter_answers: Text = described("Says that the experimenter types the spoken answer.")
-    lift_to_answer: Text = described("Says that a finger is lifted off the beam to answer.")
+    placed_by_free_hand: Text | None = described(
+        "Instead of press_to_continue where a hand that is not on the beam confirms a placement; holds {key}, {hand}.",
+        default=None,
+    )
+    placed_by_hand_on_beam: Text | None = described(
+        "The same where a hand of those on the beam confirms it and then returns; holds {key}, {hand}.", default=None
+    )
+    placed_by_experimenter: Text | None = described("The same where the experimenter confirms it.", default=None)
+    free_hand_answers: Text | None = described("Says that the free hand answers; holds {hand}.", default=None)
+    lift_to_answer: Text = described(
+        "Says that a hand or finger leaves the beam to press the answer, and that lifting it is none; may hold {hand}."
+    )
     foot_switch_answers: Text = described("Says that the foot switch answers.")
-    fingers_back: Text = described("Asks for the fingers back on the beam before the next trial.")
+    fingers_back: Text = described(
+        "Asks for the fingers back on the beam, over the countdown to the next stimulus or alone."
+    )
+    stalled: Text = described(
+        "Shown for a moment where the computer was held up and a stimulus comes again.",
+        default="One moment, please.\n\nThe computer was held up.\n\nThe last vibration comes again.",
+    )
     confirm_answer: Text = described("How to confirm or change an answer, where the protocol lets it be changed.")
     practice_agreed: Text = described("After a practice trial: the answer was the stronger finger.")
     practice_was_left: Text = described("After a practice trial: the left finger's vibration was the stronger one.")
@@ -82,6 +105,8 @@ class Texts(Section):
     right_middle: Text = described("The right middle finger.")
     left_index: Text = described("The left index finger.")
     left_middle: Text = described("The left middle finger.")
+    right_hand: Text = described("The right hand, that which presses.", default="right hand")
+    left_hand: Text = described("The left hand, that which presses.", default="left hand")
     key_names: dict[str, Text] = described(
         "Keys as the participant knows them, by the name a protocol gives them.", default={}
     )
@@ -95,13 +120,14 @@ class Texts(Section):
         if not text.strip():
             raise fault("an empty text", "at least one word", "write what the participant reads")
         wanted = _PLACEHOLDERS.get(str(info.field_name), frozenset())
+        optional = _OPTIONAL.get(str(info.field_name), frozenset())
         needed = ", ".join(f"{{{name}}}" for name in sorted(wanted)) or "no words in braces"
         try:
             fields = [field for field in string.Formatter().parse(text) if field[1] is not None]
         except ValueError as error:
             raise fault(f"{text!r} ({error})", needed, "close every brace") from None
         found = {str(name) for _, name, _, _ in fields}
-        if found != wanted or any(spec or conversion for _, _, spec, conversion in fields):
+        if found - optional != wanted or any(spec or conversion for _, _, spec, conversion in fields):
             given = ", ".join(f"{{{name}}}" for name in sorted(found)) or "no words in braces"
             raise fault(f"{given} in {text!r}", f"exactly {needed}", "write each of them once")
         return text

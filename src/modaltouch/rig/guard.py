@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from modaltouch.clock import VirtualClock
 from modaltouch.rig.interface import RigError
-from modaltouch.rig.pacing import Order, Pacer, Report
+from modaltouch.rig.pacing import LEASE, Order, Pacer, Report
 from modaltouch.rig.transport import InUse, LinkError, Transport, TransportError
 from modaltouch.rig.watchdog import (
     ARM,
@@ -42,7 +42,7 @@ from modaltouch.rig.watchdog import (
 if TYPE_CHECKING:
     from modaltouch.rig.visa import VisaSession
 
-BEAT_PERIOD = LIMIT / 10
+BEAT_PERIOD = LEASE / 4
 """Time between two signs of life [s]."""
 
 OPEN_LIMIT = 20.0
@@ -100,8 +100,10 @@ class Watchdog:
 
     def __init__(self, address: str) -> None:
         self._command = [sys.executable, "-P", "-m", "modaltouch.rig.watchdog", address]
-        self._next_beat = 0.0
-        self._armed = False
+        self._came_round = 0.0
+        self._armed = threading.Event()
+        self._lost = ""
+        self._broken: LinkError | None = None
         self._number = 0
         self._asking = threading.Lock()
         self._due = math.inf
@@ -113,7 +115,8 @@ class Watchdog:
                 f"touched; see whether this machine can start {sys.executable}"
             ) from error
         self._released = threading.Event()
-        threading.Thread(target=self._end_if_stuck, daemon=True, name="watchdog").start()
+        for work in (self._end_if_stuck, self._keep_beating):
+            threading.Thread(target=work, daemon=True, name=f"watchdog{work.__name__}").start()
 
     def open(self) -> str:
         """Open the instrument anew and return in words how others are kept out.
@@ -127,7 +130,7 @@ class Watchdog:
         """
         if self._process.poll() is not None:
             _close_pipes(self._process)
-            self._armed = False
+            self._armed.clear()
             self._process = self._start()
         return self._request(OPEN, b"", OPEN_LIMIT).decode()
 
@@ -159,11 +162,12 @@ class Watchdog:
             If it is gone.
         """
         self._send(frame(ARM, 0, FLAG.pack(plays_by_itself)))
-        self._armed = True
-        self._next_beat = time.perf_counter() + BEAT_PERIOD
+        self._lost, self._broken = "", None
+        self._came_round = time.monotonic()
+        self._armed.set()
 
     def beat(self) -> str:
-        """Tell it that this process is alive, at most ten times a second.
+        """Say that the session comes round; as long as it does, a thread tells the watchdog so.
 
         Returns
         -------
@@ -173,13 +177,26 @@ class Watchdog:
         Raises
         ------
         LinkError
-            If it is gone while outputs may be on.
+            If the watchdog is gone while outputs may be on.
         """
-        now = time.perf_counter()
-        if not self._armed or now < self._next_beat:
-            return ""
-        self._next_beat = now + BEAT_PERIOD
-        return self._request(BEAT, b"", OVERHEAD).decode()
+        self._came_round = time.monotonic()
+        if self._armed.is_set() and self._broken is not None:
+            raise self._broken
+        return self._lost if self._armed.is_set() else ""
+
+    def _keep_beating(self) -> None:
+        """Give signs of life while outputs may be on, as long as the session comes round."""
+        while not self._released.wait(BEAT_PERIOD):
+            self._armed.wait(BEAT_PERIOD)
+            if not self._armed.is_set() or time.monotonic() - self._came_round > LIMIT:
+                continue
+            try:
+                lost = self._request(BEAT, b"", OVERHEAD).decode()
+            except (LinkError, TransportError) as error:
+                # A request that was cut short in the meantime told the session itself.
+                self._broken = self._broken or LinkError(str(error))
+            else:
+                self._lost = self._lost or lost
 
     def play(self, order: Order) -> Report:
         """Have bursts played; return the report as it stands after the first.
@@ -219,8 +236,8 @@ class Watchdog:
 
     def disarm(self) -> None:
         """Tell it that the outputs are off."""
-        if self._armed:
-            self._armed = False
+        if self._armed.is_set():
+            self._armed.clear()
             with contextlib.suppress(LinkError):
                 self._send(frame(DISARM, 0))
 
@@ -359,7 +376,7 @@ class SameProcess:
         pacer = self._pacer = Pacer(
             order,
             lambda: self._transport.exchange(message, timeout=order.timeout, reply=False),
-            lambda: True,
+            lambda: 0.0,
             self._clock,
         )
 

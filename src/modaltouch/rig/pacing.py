@@ -13,6 +13,12 @@ from modaltouch.rig.transport import describe_error
 LATEST = 0.05
 """A burst that would come later than this part of the period is left out [1]."""
 
+LEASE = 0.18
+"""A burst is left out if whoever ordered it has given no sign of life for this long [s]."""
+
+PATIENCE = 1.0
+"""After this long without a sign of life no further burst is played at all [s]."""
+
 Ending = Literal["", "count", "asked", "stalled", "failed"]
 
 
@@ -60,7 +66,8 @@ class Report:
     Attributes
     ----------
     due, played, dropped : int
-        Bursts that were due, whose trigger was taken, and that were left out because they would have come too late.
+        Bursts that were due, whose trigger was taken, and that were left out because they would have come too late, or
+        nobody was known to want them.
     first, last : (sent, taken) of float or None
         When the trigger of the first and of the last burst was sent, and taken by the instrument [s].
     latest : float
@@ -94,19 +101,17 @@ class Pacer:
         What is to be played.
     trigger : callable
         Sends the command and returns once the instrument has taken it; whatever it raises ends the order.
-    is_wanted : callable
-        Whether whoever ordered the bursts still gives signs of life.
+    silence : callable
+        For how long whoever ordered the bursts has given no sign of life [s].
     clock : Clock
         Tells the time.
     """
 
-    def __init__(
-        self, order: Order, trigger: Callable[[], object], is_wanted: Callable[[], bool], clock: Clock
-    ) -> None:
+    def __init__(self, order: Order, trigger: Callable[[], object], silence: Callable[[], float], clock: Clock) -> None:
         self.order = order
         self.report = Report()
         self._trigger = trigger
-        self._is_wanted = is_wanted
+        self._silence = silence
         self._clock = clock
         self._asked_to_end = threading.Event()
 
@@ -144,6 +149,10 @@ class Pacer:
         if report.ended or due is None or self._clock.now() < due:
             return
         report.due += 1
+        if self._silence() > LEASE:
+            report.dropped += 1
+            self._end_if_over()
+            return
         sent = self._clock.now()
         try:
             self._trigger()
@@ -169,7 +178,7 @@ class Pacer:
             report.ended = "count"
         elif self._asked_to_end.is_set():
             report.ended = "asked"
-        elif not self._is_wanted():
+        elif self._silence() > PATIENCE:
             report.ended = "stalled"
 
     def run(self, on_first: Callable[[], None]) -> None:

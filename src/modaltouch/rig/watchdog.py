@@ -27,7 +27,7 @@ import typing
 from collections.abc import Callable, Iterator
 
 from modaltouch.clock import SYSTEM_CLOCK
-from modaltouch.rig.pacing import Order, Pacer
+from modaltouch.rig.pacing import PATIENCE, Order, Pacer
 from modaltouch.rig.transport import InUse, Transport, describe_error
 from modaltouch.rig.visa import VisaSession
 
@@ -47,7 +47,7 @@ TERMS = struct.Struct(">d??")
 FLAG = struct.Struct(">?")
 """Of an `ARM`: whether the output plays on by itself; of a `REPORT`: whether the last burst is waited for."""
 
-LIMIT = 1.0
+LIMIT = PATIENCE
 """Longest silence of an armed session [s]."""
 
 PERSISTENCE = 30.0
@@ -183,10 +183,7 @@ class Watch:
             with self._busy:
                 self._transport.exchange(message, timeout=order.timeout, reply=False)
 
-        def is_wanted() -> bool:
-            return time.monotonic() - self._heard <= self._limit
-
-        pacer = self._pacer = Pacer(order, trigger, is_wanted, SYSTEM_CLOCK)
+        pacer = self._pacer = Pacer(order, trigger, lambda: time.monotonic() - self._heard, SYSTEM_CLOCK)
         self._pacing = threading.Thread(
             target=pacer.run,
             args=(lambda: answer(self._told()),),

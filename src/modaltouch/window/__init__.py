@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 from modaltouch.clock import SYSTEM_CLOCK, Clock
 from modaltouch.window.interface import AnswerWindow, Log, Tick
@@ -42,6 +43,27 @@ class WindowOptions:
     theme: str = "dark"
     screen: int = 0
     screenshots: Path | None = None
+
+    @classmethod
+    def recorded(cls, window: Mapping[str, Any]) -> Self:
+        """Return how the window of a record was opened; what older records do not say is as usual.
+
+        Parameters
+        ----------
+        window : mapping
+            What the record's line `start` or `resume` says of the window.
+        """
+        from modaltouch.window.theme import THEMES
+
+        usual, size = cls(), window.get("size_px")
+        fullscreen, theme = bool(window.get("fullscreen", False)), window.get("theme")
+        return cls(
+            # Of a full screen it is the monitor's.
+            size=(int(size[0]), int(size[1])) if size and not fullscreen else usual.size,
+            fullscreen=fullscreen,
+            theme=theme if theme in THEMES else usual.theme,
+            screen=int(window.get("monitor", usual.screen)),
+        )
 
 
 def open_window(
@@ -108,7 +130,7 @@ def open_window(
     from modaltouch.window.theme import THEMES
 
     options = options or WindowOptions()
-    display = _open_screen(protocol.title, options)
+    display = _open_screen(protocol.title, options, clock)
     try:
         return ParticipantWindow(
             display,
@@ -128,7 +150,7 @@ def open_window(
         raise
 
 
-def _open_screen(title: str, options: WindowOptions) -> Screen:
+def _open_screen(title: str, options: WindowOptions, clock: Clock) -> Screen:
     """Return an open window, its ground that of the theme."""
     from modaltouch.window.screen import Screen
     from modaltouch.window.theme import THEMES
@@ -141,4 +163,5 @@ def _open_screen(title: str, options: WindowOptions) -> Screen:
         monitor=options.screen,
         ground=THEMES[options.theme].ground,
         title=title,
+        clock=clock,
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from typing import NoReturn
 
@@ -51,6 +50,10 @@ class AnswerTaker:
             for place, event in enumerate(events):
                 if self._reader.interrupts(event):
                     interrupt(event)
+                if event.kind == "answer" and event.time < self._stage.shown:
+                    # Typed at the console before the question came, and on its way since.
+                    self._stage.note("discarded", when="before the question", **describe_press(event))
+                    continue
                 answer = self._reader.answer(event)
                 if answer is not None:
                     self._stage.put_back(events[place + 1 :])
@@ -114,7 +117,7 @@ class AnswerTaker:
                     is_double = True
                     after = other.time - event.time
                     self._stage.note_later("double", first=answer, second=second, after_s=after)
-            if time.perf_counter() > event.time + DOUBLE_WINDOW:
+            if self._stage.clock.now() > event.time + DOUBLE_WINDOW:
                 self._stage.put_back(rest)
                 return is_double
-            time.sleep(0.002)
+            self._stage.clock.sleep(0.002)

@@ -8,14 +8,15 @@ inside one would be swallowed on Windows.
 from __future__ import annotations
 
 import sys
-import time
 from collections import deque
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from modaltouch.clock import SYSTEM_CLOCK, Clock
 from modaltouch.protocol.keys import KEY_ALIASES
+from modaltouch.trial import Answer
 
-EventKind = Literal["key", "release", "click", "close", "focus", "blur", "expose", "pause", "continue"]
+EventKind = Literal["key", "release", "click", "close", "focus", "blur", "expose", "pause", "continue", "answer"]
 
 _ALIASES = {
     **KEY_ALIASES,
@@ -37,14 +38,16 @@ class Event:
     Attributes
     ----------
     time : float
-        When it was received, by `time.perf_counter` [s].
+        When it was received, by the window's clock [s].
     kind : str
-        ``key``, ``release``, ``click``, ``close``, ``focus``, ``blur`` or ``expose``; or ``pause`` and
-        ``continue``, which the experimenter asks for.
+        ``key``, ``release``, ``click``, ``close``, ``focus``, ``blur`` or ``expose``; or ``pause``,
+        ``continue`` and ``answer``, which the experimenter asks for.
     key : str
-        Name of the key, for ``key`` and ``release``.
+        Name of the key, for ``key``, ``release`` and ``answer``.
     digit : str
         Digit engraved on the key, where the layout wants Shift for it: the window takes the key for that digit too.
+    answer : str or None
+        What is answered, for ``answer``.
     x, y : float
         Place of a click [window heights], origin in the middle of the window, y upwards.
     """
@@ -55,6 +58,7 @@ class Event:
     x: float = 0.0
     y: float = 0.0
     digit: str = ""
+    answer: Answer | None = None
 
 
 def canonical_key(name: str) -> str:
@@ -78,12 +82,15 @@ class EventTap:
     ----------
     window : pyglet window
         The window that PsychoPy draws into (its ``winHandle``).
+    clock : Clock
+        Stamps the events.
     """
 
-    def __init__(self, window: Any) -> None:
+    def __init__(self, window: Any, clock: Clock = SYSTEM_CLOCK) -> None:
         from pyglet.window import key, mouse
 
         self._window = window
+        self._clock = clock
         self._queue: deque[Event] = deque()
         self._held: set[str] = set()
         self._symbol_name = key.symbol_string
@@ -124,7 +131,7 @@ class EventTap:
         return True
 
     def _add(self, kind: EventKind, key: str = "", x: float = 0.0, y: float = 0.0) -> bool:
-        self._queue.append(Event(time.perf_counter(), kind, key, x, y, self._digits.get(key, "")))
+        self._queue.append(Event(self._clock.now(), kind, key, x, y, self._digits.get(key, "")))
         return True
 
     def _on_key_press(self, symbol: int, modifiers: int) -> bool:

@@ -43,7 +43,26 @@ class TrialInterrupted(Exception):  # noqa: N818
         self.reason = reason
 
 
-Wish = typing.Literal["pause", "continue"]
+@dataclass(frozen=True)
+class TypedAnswer:
+    """An answer that the experimenter typed at the console, for the participant.
+
+    Attributes
+    ----------
+    answer : str
+        Which one.
+    key : str
+        Name of the key.
+    time : float
+        When it was read, by the window's clock [s].
+    """
+
+    answer: Answer
+    key: str
+    time: float
+
+
+Wish = typing.Literal["pause", "continue"] | TypedAnswer
 """What the experimenter asks of the window."""
 
 Tick = Callable[[], Wish | None]
@@ -87,7 +106,8 @@ class AnswerWindow(typing.Protocol):
     """Shows the session to the participant and collects the answers.
 
     Every method that waits calls the `tick` given at opening about every millisecond; `tick` may raise, and what
-    it returns is done: ``pause`` holds the session until ``continue`` or a press to go on.
+    it returns is done: ``pause`` holds the session until ``continue`` or a press to go on; an answer is
+    taken as if it had been given at the window.
     """
 
     def describe(self) -> dict[str, Any]:
@@ -98,6 +118,15 @@ class AnswerWindow(typing.Protocol):
 
     def place_fingers(self, trial: Trial) -> None:
         """Show which finger goes on which zone until it is confirmed."""
+
+    def settle(self, trial: Trial, progress: Progress) -> None:
+        """Let hands and fingers come to rest before a stimulus: the pause since the last answer or key to go on.
+
+        Where a hand of those on the beam pressed, the participant sees a countdown. Called before every stimulus.
+        """
+
+    def tell_stall(self) -> None:
+        """Tell for a moment that the computer was held up, and that the last stimulus comes again."""
 
     def announce(self, text: str) -> None:
         """Show one text of the protocol (``practice``, ``practice_again``, ``start``) until the participant goes on."""
@@ -128,9 +157,6 @@ class AnswerWindow(typing.Protocol):
 
     def wait(self, seconds: float) -> None:
         """Let the pause between two trials pass, counted from the answer; a simulated participant does not wait."""
-
-    def tell_stall(self) -> None:
-        """Say that the computer was held up and the stimulus comes again."""
 
     def rest(self, progress: Progress) -> None:
         """Show the break until the participant goes on."""

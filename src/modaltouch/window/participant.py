@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import time
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn, Self
@@ -19,12 +19,16 @@ from modaltouch.window.layout import lay_out
 from modaltouch.window.marks import Picture
 from modaltouch.window.pausing import SETTLE, Pauser
 from modaltouch.window.pictures import Illustrator
-from modaltouch.window.reading import Reader, is_press
+from modaltouch.window.reading import DEVICES, Reader, is_press
 from modaltouch.window.stage import POLL_INTERVAL, Display, Moment, Nobody, Sitter, Stage
-from modaltouch.window.theme import Theme
+from modaltouch.window.theme import THEMES, Theme
 
 _CONFIRMATION = 0.4
 """How long the chosen answer stays marked, at most [s]."""
+_COUNTDOWN = (3, 2, 1)
+"""What is counted down while hands come back to the beam, in equal steps of the time they have."""
+_STALL = 2.0
+"""How long it is told that the computer was held up [s]."""
 _FEEDBACK = 1.5
 """How long practice feedback stays [s]."""
 _DISMISSAL = 3.0
@@ -60,6 +64,8 @@ class ParticipantWindow:
         Answers in a person's place, through the display's own event queue.
     speech : Speech, optional
         Says what is on the screen.
+    clock : Clock
+        Stamps what happens; the display has the same one.
     """
 
     def __init__(
@@ -77,11 +83,12 @@ class ParticipantWindow:
         speech: Speech | None = None,
         clock: Clock = SYSTEM_CLOCK,
     ) -> None:
-        self._display = display
         self._clock = clock
+        self._display = display
         self._answers = protocol.answers
-        self._n_practice, self._n_trials = protocol.schedule.practice_trials, protocol.n_trials
+        self._n_practice = protocol.schedule.practice_trials
         self._texts = texts
+        self._theme = next((name for name, known in THEMES.items() if known == theme), "")
         layout = lay_out(*display.size, zones, offers_none=protocol.answers.offers_none)
         spoken = protocol.speech.screens if protocol.speech is not None else ()
         self._pictures = Illustrator(layout, theme, texts, protocol.answers, protocol.conditions.hand, spoken)
@@ -93,17 +100,19 @@ class ParticipantWindow:
             sitter=robot or Nobody(),
             emergency_keys=frozenset(map(canonical_key, protocol.answers.emergency_keys)),
             speech=speech or Silence(),
+            clock=clock,
         )
         self._answered_by = "simulated" if robot else ""
         self._reader = Reader.of(protocol.answers, layout)
-        self._pauser = Pauser(self._stage, self._pictures, self._reader, protocol.answers.pause_s)
+        self._pauser = Pauser(self._stage, self._pictures, self._reader)
         self._taker = AnswerTaker(self._stage, self._pictures, self._reader)
         self._current: tuple[Trial, Progress] | None = None
-        self._answered = 0.0
+        self._answered, self._by_hand = -math.inf, True
 
     def describe(self) -> dict[str, Any]:
         """Return size, backend and versions for the start record."""
-        return {**self._display.describe(), "language": self._texts.language, "answered_by": self._answered_by}
+        told = {"theme": self._theme, "language": self._texts.language, "answered_by": self._answered_by}
+        return {**self._display.describe(), **told}
 
     def welcome(self, trial: Trial) -> None:
         """Show the instructions until the participant goes on; the first trial is drawn ahead meanwhile."""
@@ -113,14 +122,31 @@ class ParticipantWindow:
         self._go_on(lambda: self._pictures.answering(trial))
 
     def place_fingers(self, trial: Trial) -> None:
-        """Show which finger goes on which zone until it is confirmed, and wait for a lifted finger to return."""
+        """Show which finger goes on which zone until it is confirmed."""
         self._make_ready(trial)
         self._go_on(lambda: self._pictures.placement(trial), trial)
-        if self._answers.way(trial.condition.finger_condition) == "lifting":
-            ready = self._pictures.ready(trial, self._count(trial, Progress(trial.index, self._n_trials)))
-            event = self._pauser.let_fingers_return(ready)
-            if event is not None:
-                self._pauser.pause(trial, event, ready)
+
+    def settle(self, trial: Trial, progress: Progress) -> None:
+        """Let the fingers come to rest before a stimulus, counted down where a hand of those on the beam pressed."""
+        self._current = (trial, self._count(trial, progress))
+        is_at_rest = False
+        while not is_at_rest:
+            counts = self._by_hand and self._settles
+            needed = self._answers.pause(trial.condition.finger_condition) if counts else self._answers.pause_s
+            now, end = self._clock.now(), self._answered + needed
+            if now >= end:
+                return
+            steps = _COUNTDOWN if counts else (0,)
+            # A pause begins the count anew, from the key that ended it.
+            is_at_rest = all(
+                self._rest_on(self._pictures.ready(*self._current, step), end - (end - now) * place / len(steps))
+                for place, step in zip(reversed(range(len(steps))), steps, strict=True)
+            )
+
+    def tell_stall(self) -> None:
+        """Tell for a moment that the computer was held up, and that the last stimulus comes again."""
+        self._rest_on(self._pictures.page("stalled", self._texts.stalled, waits=False), self._clock.now() + _STALL)
+        self._answered = self._clock.now()
 
     def announce(self, text: str) -> None:
         """Show one text of the protocol, such as ``practice`` or ``start``, until the participant goes on."""
@@ -171,7 +197,7 @@ class ParticipantWindow:
             onset="question" if stops_first else "first_burst",
             answered_by=self._answered_by or self._who(trial),
             way=answers.way(trial.condition.finger_condition),
-            device=self._device(taken[1]) if taken is not None else "none",
+            device=DEVICES[taken[1].kind] if taken is not None else "none",
             key=(self._reader.name(taken[1]) or taken[0]) if taken is not None else "",
             double=taken is not None and self._taker.watch_double(*taken),
             question_after=asked - onset,
@@ -192,12 +218,9 @@ class ParticipantWindow:
 
         return times_out
 
-    @staticmethod
-    def _device(event: Event) -> str:
-        return "key" if event.kind == "key" else "mouse"
-
     def confirm(self, response: Response) -> None:
         """Show which answer was taken; it is on the disk."""
+        self._by_hand = response.answer != TIME_OUT
         if self._current is not None and response.answer == TIME_OUT:
             self._stage.show(self._pictures.ready(*self._current), Moment())
         elif self._current is not None and response.answer != TIME_OUT:
@@ -208,20 +231,20 @@ class ParticipantWindow:
         """Show for a moment where the vibration was stronger, after a practice trial."""
         if self._current is not None and response.answer != TIME_OUT:
             picture = self._pictures.feedback(*self._current, response.answer, expected)
-            self._rest_on(picture, time.perf_counter() + _FEEDBACK)
-            end = time.perf_counter() + _LONGEST_SPOKEN
-            while self._stage.is_speaking and time.perf_counter() < end:
-                self._rest_on(None, time.perf_counter() + _FEEDBACK / 10)
+            self._rest_on(picture, self._clock.now() + _FEEDBACK)
+            end = self._clock.now() + _LONGEST_SPOKEN
+            while self._stage.is_speaking and self._clock.now() < end:
+                self._rest_on(None, self._clock.now() + _FEEDBACK / 10)
+            if self._settles:
+                # Who reads has not put the finger back yet.
+                self._answered = self._clock.now()
 
     def wait(self, seconds: float) -> None:
-        """Let the pause between two trials pass, counted from the answer."""
+        """Let the pause between two trials pass, counted from the answer; the countdown of `settle` is part of it."""
         until = self._answered + seconds
         self._rest_on(None, min(until, self._answered + _CONFIRMATION))
-        if time.perf_counter() < until:
-            self._rest_on(self._ready_picture(), until)
-
-    def tell_stall(self) -> None:
-        """Say that the computer was held up and the stimulus comes again."""
+        if self._clock.now() < until and self._current is not None and not self._settles:
+            self._rest_on(self._pictures.ready(*self._current), until)
 
     def rest(self, progress: Progress) -> None:
         """Show the break until the participant goes on."""
@@ -231,7 +254,7 @@ class ParticipantWindow:
         """Thank the participant, until a key is pressed or some seconds have passed."""
         picture = self._pictures.page("goodbye", self._texts.goodbye, waits=False)
         shown = self._stage.show(picture, Moment("go_on"))
-        while time.perf_counter() < shown + (_LONGEST_SPOKEN if self._stage.is_speaking else _FAREWELL):
+        while self._clock.now() < shown + (_LONGEST_SPOKEN if self._stage.is_speaking else _FAREWELL):
             for event in self._stage.poll():
                 if event.kind == "close" or (is_press(event) and event.time > shown + SETTLE):
                     return
@@ -241,9 +264,9 @@ class ParticipantWindow:
         # Whatever ended the session may have taken the display, too, and is what is to be told.
         with contextlib.suppress(Exception):
             shown = self._stage.show(self._pictures.page("session_ended", self._texts.session_ended, waits=False))
-            while time.perf_counter() < shown + _DISMISSAL:
+            while self._clock.now() < shown + _DISMISSAL:
                 self._stage.poll_quietly()
-                time.sleep(POLL_INTERVAL)
+                self._clock.sleep(POLL_INTERVAL)
 
     def close(self) -> None:
         """Close the window; never raises."""
@@ -280,37 +303,51 @@ class ParticipantWindow:
         while True:
             for event in self._stage.poll():
                 if self._reader.pauses(event):
-                    self._pauser.hold(trial, event)
+                    self._hold(trial, event)
                     shown = self._stage.show(draw(), Moment("go_on", trial))
                 elif event.time < shown + SETTLE:
                     self._pauser.discard(event, "as the screen appeared")
                 elif event.kind == "click" or self._reader.goes_on(event):
                     self._stage.hush()
                     self._stage.write_notes()
+                    self._note_press(event)
                     return
                 elif event.kind == "key":
                     self._stage.note("ignored", key=event.key)
 
-    def _rest_on(self, picture: Picture | None, until: float) -> None:
-        """Show a picture, or leave the one that is on, until a time; presses do not count."""
+    def _rest_on(self, picture: Picture | None, until: float) -> bool:
+        """Show a picture, or leave the one that is on, until a time; return whether no pause came between.
+
+        Presses do not count.
+        """
         if picture is not None:
             self._stage.show(picture, Moment())
-        while time.perf_counter() < until:
+        while self._clock.now() < until:
             for event in self._stage.poll():
                 if self._reader.interrupts(event):
-                    self._pauser.pause(None, event, self._ready_picture())
-                    return
+                    self._hold(None, event)
+                    return False
                 self._pauser.discard(event, "between trials")
+        return True
 
-    def _ready_picture(self) -> Picture | None:
-        return self._pictures.ready(*self._current) if self._current is not None else None
+    def _hold(self, trial: Trial | None, event: Event) -> None:
+        """Pause until the session goes on."""
+        self._note_press(self._pauser.hold(trial, event))
+
+    def _note_press(self, event: Event) -> None:
+        """Keep when something was pressed, and whether it was by somebody at the window."""
+        self._answered, self._by_hand = event.time, is_press(event)
+
+    @property
+    def _settles(self) -> bool:
+        return self._current is not None and self._answers.settles(self._current[0].condition.finger_condition)
 
     def _feel(self, trial: Trial, question: Picture, stop: Callable[[], None], until: float) -> None:
         """Show the beam until a time, the question drawn meanwhile; presses do not count yet."""
-        if self._current is not None and time.perf_counter() < until:
+        if self._current is not None and self._clock.now() < until:
             self._stage.show(self._pictures.feel(*self._current))
         self._stage.draw_ahead(question)
-        while time.perf_counter() < until:
+        while self._clock.now() < until:
             for event in self._stage.poll():
                 self._before_question(event, trial, stop)
 
@@ -322,5 +359,5 @@ class ParticipantWindow:
     def _interrupt(self, trial: Trial, event: Event, stop: Callable[[], None]) -> NoReturn:
         """Stop the stimulus, pause, and have the trial offered again."""
         stop()
-        self._pauser.pause(trial, event, self._ready_picture())
+        self._hold(trial, event)
         raise TrialInterrupted({"blur": "focus lost", "pause": "experimenter"}.get(event.kind, "escape"))

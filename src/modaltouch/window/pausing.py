@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import time
 from typing import NoReturn
 
 from modaltouch.trial import Trial
 from modaltouch.window.events import Event
 from modaltouch.window.interface import SessionStopped
-from modaltouch.window.marks import Picture
 from modaltouch.window.pictures import Illustrator
 from modaltouch.window.reading import Reader, describe_press, is_press
 from modaltouch.window.stage import Moment, Stage
@@ -24,31 +22,15 @@ class Pauser:
     ----------
     stage, pictures, reader
         Where it is shown, what is shown, and what the answers mean.
-    fingers_need : float
-        Time for the fingers to return to the beam [s].
     """
 
-    def __init__(self, stage: Stage, pictures: Illustrator, reader: Reader, fingers_need: float) -> None:
+    def __init__(self, stage: Stage, pictures: Illustrator, reader: Reader) -> None:
         self._stage = stage
         self._pictures = pictures
         self._reader = reader
-        self._fingers_need = fingers_need
 
-    def pause(self, trial: Trial | None, event: Event, ready: Picture | None) -> None:
-        """Hold, then show `ready` while the fingers return; hold again if that is cut short.
-
-        Raises
-        ------
-        SessionStopped
-            If the session was ended.
-        """
-        cut: Event | None = event
-        while cut is not None:
-            self.hold(trial, cut)
-            cut = self.let_fingers_return(ready)
-
-    def hold(self, trial: Trial | None, event: Event) -> None:
-        """Show the pause screen until the session goes on.
+    def hold(self, trial: Trial | None, event: Event) -> Event:
+        """Show the pause screen until the session goes on, and return what made it go on.
 
         Raises
         ------
@@ -60,7 +42,7 @@ class Pauser:
         name = "focus_lost" if event.kind == "blur" else "pause"
         by = {"by": "experimenter"} if event.kind == "pause" else {}
         self._stage.note(name, trial=trial.index if trial else None, **by)
-        began = time.perf_counter()
+        began = self._stage.clock.now()
         shown = self._stage.show(self._pictures.pause(trial), Moment("go_on", trial))
         while True:
             for press in self._stage.poll():
@@ -72,20 +54,8 @@ class Pauser:
                     self._end("escape")
                 elif self._reader.goes_on(press):
                     self._stage.note("continued", paused_s=round(press.time - began, 3))
-                    return
-
-    def let_fingers_return(self, ready: Picture | None) -> Event | None:
-        """Show the beam while the fingers return; return what cuts it short, or None."""
-        if ready is None:
-            return None
-        self._stage.show(ready, Moment())
-        end = time.perf_counter() + self._fingers_need
-        while time.perf_counter() < end:
-            for event in self._stage.poll():
-                if self._reader.interrupts(event):
-                    return event
-                self.discard(event, "between trials")
-        return None
+                    self._stage.hush()
+                    return press
 
     def discard(self, event: Event, when: str, trial: Trial | None = None) -> None:
         """Write down a press that does not count."""

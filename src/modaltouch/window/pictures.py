@@ -89,18 +89,21 @@ class Illustrator:
             right_finger=right,
             right_zone=trial.condition.zone_right,
         )
+        then = self._confirm_placement(trial)
         return Picture(
             f"place_fingers_{_tag(trial)}",
-            (self._headline(words, 0.046), *self._beam(trial), *self._go_on()),
-            self._say("placement", words, self._press_to_go_on()),
+            (self._headline(words, 0.046), *self._beam(trial), *self._go_on(then)),
+            self._say("placement", words, then),
         )
 
-    def ready(self, trial: Trial, progress: Progress) -> Picture:
-        """Return the beam alone, between two trials."""
+    def ready(self, trial: Trial, progress: Progress, count: int = 0) -> Picture:
+        """Return the beam alone, between two trials, with a number where one is counted down."""
         marks: tuple[Mark, ...] = (*self._beam(trial), *self._progress(trial, progress))
-        if self.answers.way(trial.condition.finger_condition) == "lifting":
-            marks = (self._headline(self.texts.fingers_back, 0.056), *marks)
-        return Picture(f"ready_{_tag(trial)}", marks)
+        if not count:
+            return Picture(f"ready_{_tag(trial)}", marks)
+        # Where the answers will be, so that the eyes need not move; in the colour of what is of second rank.
+        number = Words(str(count), self.layout.buttons["both"], 0.13 * self.layout.type_scale, self.theme.dim)
+        return Picture(f"ready_{_tag(trial)}_{count}", (self._headline(self.texts.fingers_back, 0.056), *marks, number))
 
     def feel(self, trial: Trial, progress: Progress) -> Picture:
         """Return the screen while the stimulus runs and the question is not yet asked."""
@@ -118,26 +121,28 @@ class Illustrator:
     ) -> Picture:
         """Return the question with its answers; `chosen` is shown as taken, or as still to be confirmed."""
         layout, way = self.layout, self.answers.way(trial.condition.finger_condition)
+        texts, hand = self.texts, self._pressing_hand(trial)
         if chosen and not confirmed:
             name, words = f"chosen_{chosen}", self.texts.confirm_answer
         else:
             name = f"answered_{chosen}" if chosen else f"question_{_tag(trial)}"
             words = {
-                "experimenter": self.texts.experimenter_answers,
-                "lifting": self.texts.lift_to_answer,
-                "foot_switch": self.texts.foot_switch_answers,
-            }.get(way, "")
+                "experimenter": texts.experimenter_answers,
+                "lifting": texts.lift_to_answer.format(hand=hand),
+                "foot_switch": texts.foot_switch_answers,
+                "free_hand": (texts.free_hand_answers or "").format(hand=hand),
+            }["lifting" if self.answers.settles(trial.condition.finger_condition) else way]
         note = (Words(words, layout.note, 0.034 * layout.type_scale, self.theme.text),) if words else ()
         return Picture(
             name,
             (
-                self._headline(self.texts.question, 0.056),
+                self._headline(texts.question, 0.056),
                 *self._beam(trial),
                 *self._buttons.draw(chosen, with_keys=way != "experimenter"),
                 *note,
                 *self._progress(trial, progress),
             ),
-            self._say("question", self.texts.question) if chosen is None else "",
+            self._say("question", texts.question) if chosen is None else "",
         )
 
     def feedback(self, trial: Trial, progress: Progress, answer: str, expected: str) -> Picture:
@@ -202,6 +207,30 @@ class Illustrator:
         }
         return named[left], named[right]
 
+    def _pressing_hand(self, trial: Trial) -> str:
+        """Return what the participant calls the hand that presses.
+
+        With both hands on the beam it is always the same one; with one hand there, the other, unless a finger lifts.
+        """
+        condition = trial.condition
+        on_beam = {finger.split()[0] for finger in condition.fingers(self.hand)}
+        if len(on_beam) == 2:
+            is_right = self.hand == "right"
+        else:
+            is_right = ("right" in on_beam) == self.answers.settles(condition.finger_condition)
+        return self.texts.right_hand if is_right else self.texts.left_hand
+
+    def _confirm_placement(self, trial: Trial) -> str:
+        """Return who confirms a placement, by which key and with which hand."""
+        texts, way = self.texts, self.answers.way(trial.condition.finger_condition)
+        if self.answers.settles(trial.condition.finger_condition):
+            words = texts.placed_by_hand_on_beam
+        else:
+            words = {"free_hand": texts.placed_by_free_hand, "experimenter": texts.placed_by_experimenter}.get(way)
+        if words is None:
+            return self._press_to_go_on()
+        return words.format(key=key_name(texts, self.answers.continue_keys[0]), hand=self._pressing_hand(trial))
+
     def _headline(self, words: str, size: float, *, dim: bool = False) -> Words:
         fill = self.theme.dim if dim else self.theme.text
         return Words(words, self.layout.headline, size * self.layout.type_scale, fill, bold=not dim)
@@ -227,11 +256,11 @@ class Illustrator:
             *draw_hands(layout, self.theme, condition.pair, fingers, self.finger_names(trial)),
         )
 
-    def _go_on(self) -> tuple[Mark, ...]:
+    def _go_on(self, words: str = "") -> tuple[Mark, ...]:
         layout, theme = self.layout, self.theme
         return (
             *framed(layout.go_on, 0.043, theme.button_edge, theme.button, 0.003),
-            Words(self._press_to_go_on(), layout.go_on.inset(0.012), 0.036 * layout.type_scale, theme.text),
+            Words(words or self._press_to_go_on(), layout.go_on.inset(0.012), 0.036 * layout.type_scale, theme.text),
         )
 
     def _press_to_go_on(self) -> str:

@@ -10,6 +10,9 @@ from modaltouch.trial import Answer
 from modaltouch.window.events import Event, canonical_key
 from modaltouch.window.layout import Layout
 
+DEVICES = {"key": "key", "click": "mouse", "answer": "console"}
+"""Where an answer comes from, by the kind of its event."""
+
 
 @dataclass(frozen=True)
 class Reader:
@@ -23,25 +26,30 @@ class Reader:
         Answer by key.
     continue_keys : frozenset of str
         Keys that go on from one screen to the next.
+    needs_focus : bool
+        Whether answers come from the window alone; the experimenter has the console, too.
     """
 
     layout: Layout
     keys: dict[str, Answer]
     continue_keys: frozenset[str]
+    needs_focus: bool = True
 
     @classmethod
     def of(cls, answers: AnswersSection, layout: Layout) -> Self:
         """Return the reader for a protocol's keys."""
         keys = {canonical_key(key): answer for answer, given in answers.keys.items() for key in given}
-        return cls(layout, keys, frozenset(map(canonical_key, answers.continue_keys)))
+        return cls(
+            layout, keys, frozenset(map(canonical_key, answers.continue_keys)), answers.given_by == "participant"
+        )
 
     def answer(self, event: Event) -> Answer | None:
-        """Return the answer that a key press or a click gives, or None."""
+        """Return the answer that a key press, a click or the experimenter gives, or None."""
         if event.kind == "key":
             return self.keys.get(event.key) or self.keys.get(event.digit)
         if event.kind == "click":
             return self.layout.answer_at(event.x, event.y)
-        return None
+        return event.answer
 
     def goes_on(self, event: Event) -> bool:
         """Return whether the event is a key to go on, or the experimenter's wish to."""
@@ -58,7 +66,7 @@ class Reader:
 
     def interrupts(self, event: Event) -> bool:
         """Return whether the event cuts a trial: a pause, or keys that now go to another window."""
-        return event.kind == "blur" or self.pauses(event)
+        return (event.kind == "blur" and self.needs_focus) or self.pauses(event)
 
     def ends(self, event: Event) -> bool:
         """Return whether the event ends the session from the pause screen."""
@@ -66,12 +74,14 @@ class Reader:
 
 
 def is_press(event: Event) -> bool:
-    """Return whether the event is a key press or a click."""
-    return event.kind in ("key", "click")
+    """Return whether the event is a key press or a click, or a key typed at the console."""
+    return event.kind in ("key", "click", "answer")
 
 
 def describe_press(event: Event) -> dict[str, Any]:
     """Return a press as the record names it."""
+    if event.kind == "answer":
+        return {"key": event.key, "device": DEVICES["answer"]}
     if event.kind == "key":
         return {"key": event.key}
     return {"click": [round(event.x, 3), round(event.y, 3)]}

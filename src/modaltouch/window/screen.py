@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import sys
-import time
 from collections import OrderedDict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from modaltouch.clock import SYSTEM_CLOCK, Clock
 from modaltouch.window.environment import explain, few_imports, fit, prepare_environment
 from modaltouch.window.events import Event, EventTap
 from modaltouch.window.interface import WindowError
@@ -38,6 +38,8 @@ class Screen:
         Background colour as ``#RRGGBB``.
     title : str
         Title of the window.
+    clock : Clock
+        Stamps pictures and events.
 
     Raises
     ------
@@ -53,9 +55,12 @@ class Screen:
         monitor: int = 0,
         ground: str = "#000000",
         title: str = "modaltouch",
+        clock: Clock = SYSTEM_CLOCK,
     ) -> None:
+        self._clock = clock
         visual, monitors = _import_psychopy()
         self._visual = visual
+        self._place: dict[str, Any] = {"fullscreen": fullscreen, "monitor": monitor}
         _load_fonts()
         self._ready: OrderedDict[Mark, tuple[Any, ...]] = OrderedDict()
         self._window = _open(
@@ -76,7 +81,7 @@ class Screen:
             title=title,
         )
         self._window.mouseVisible = True
-        self._tap = EventTap(self._window.winHandle)
+        self._tap = EventTap(self._window.winHandle, clock)
         self._loss = Loss(self._tap.poll)
 
     @property
@@ -96,6 +101,7 @@ class Screen:
             "pyglet": pyglet.version,
             "renderer": self._window.winHandle.context.get_info().get_renderer(),
             "size_px": list(self.size),
+            **self._place,
             "detectable_key_repeat": self._tap.repeats_are_detectable,
         }
 
@@ -118,7 +124,7 @@ class Screen:
             glFinish()
 
     def flip(self, screenshot: Path | None = None) -> float:
-        """Bring what is drawn onto the screen, and return when it was there, by `time.perf_counter` [s].
+        """Bring what is drawn onto the screen, and return when it was there, by the window's clock [s].
 
         Parameters
         ----------
@@ -133,7 +139,7 @@ class Screen:
         with self._loss.told():
             image = self._window._getFrame(buffer="back") if screenshot is not None else None
             self._window.flip()
-            shown = time.perf_counter()
+            shown = self._clock.now()
         if image is not None and screenshot is not None:
             try:
                 image.convert("RGB").save(screenshot)

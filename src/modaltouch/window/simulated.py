@@ -110,6 +110,14 @@ class SimulatedParticipant:
         """Place the fingers at once."""
         self._tick()
 
+    def settle(self, trial: Trial, progress: Progress) -> None:
+        """Never lift a finger."""
+        self._tick()
+
+    def tell_stall(self) -> None:
+        """Read nothing."""
+        self._tick()
+
     def announce(self, text: str) -> None:
         """Read nothing."""
         self._tick()
@@ -151,9 +159,6 @@ class SimulatedParticipant:
     def wait(self, seconds: float) -> None:
         """Let the pause pass."""
         self._pass(seconds)
-
-    def tell_stall(self) -> None:
-        """Wait for the stimulus to come again."""
 
     def rest(self, progress: Progress) -> None:
         """Need no break."""

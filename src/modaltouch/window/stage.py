@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 import typing
 from collections import deque
 from collections.abc import Callable
@@ -10,10 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from modaltouch.clock import SYSTEM_CLOCK, Clock
 from modaltouch.speech.interface import Silence, Speech
 from modaltouch.trial import Trial
 from modaltouch.window.events import Event
-from modaltouch.window.interface import Log, SessionStopped, Tick, WindowError
+from modaltouch.window.interface import Log, SessionStopped, Tick, TypedAnswer, WindowError
 from modaltouch.window.marks import Picture
 
 POLL_INTERVAL = 1e-3
@@ -62,7 +62,7 @@ class Moment:
     trial : Trial or None
         The trial that is on.
     onset : float
-        When its stimulus began, by `time.perf_counter` [s].
+        When its stimulus began, by the window's clock [s].
     """
 
     wants: typing.Literal["go_on", "feel", "answer", "confirm", "nothing"] = "nothing"
@@ -109,6 +109,8 @@ class Stage:
         Keys that end the session at once, on every screen.
     speech : Speech
         Says what is on the screen: each picture ends what was said of the one before.
+    clock : Clock
+        Stamps what happens, and rests between two polls; the display has the same one.
 
     Raises
     ------
@@ -126,7 +128,9 @@ class Stage:
         sitter: Sitter,
         emergency_keys: frozenset[str] = frozenset(),
         speech: Speech | None = None,
+        clock: Clock = SYSTEM_CLOCK,
     ) -> None:
+        self.clock = clock
         self._display = display
         self._tick = tick
         self._log = log
@@ -140,10 +144,11 @@ class Stage:
         self._unwritten: list[tuple[str, dict[str, Any]]] = []
         self._picture: Picture | None = None
         self._ahead: Picture | None = None
-        self._shown = 0.0
+        self.shown = 0.0
+        """Since when the picture is on the screen [s]."""
         self._drawn = 0.0
         self._is_stale = False
-        self._last_poll = time.perf_counter()
+        self._last_poll = self.clock.now()
         self.poll_gap = 0.0
         """Time between the last two polls: the longest an event of the last one can have waited [s]."""
         self.flip_took = 0.0
@@ -165,15 +170,15 @@ class Stage:
         if picture != self._picture:
             self.draw_ahead(picture)
             screenshot = self._screenshot(picture)
-            began = time.perf_counter()
-            self._shown = self._drawn = self._display.flip(screenshot)
-            self.flip_took = self._shown - began
+            began = self.clock.now()
+            self.shown = self._drawn = self._display.flip(screenshot)
+            self.flip_took = self.shown - began
             self._picture, self._ahead = picture, None
             self._is_stale = False
             self._speech.say(picture.spoken)
         if moment is not None:
-            self._sitter.see(moment, self._shown)
-        return self._shown
+            self._sitter.see(moment, self.shown)
+        return self.shown
 
     def draw_ahead(self, picture: Picture) -> None:
         """Draw the picture that comes next out of sight, so that `show` takes no longer than a frame."""
@@ -183,7 +188,7 @@ class Stage:
 
     def attend(self, moment: Moment) -> None:
         """Tell a robot what happens apart from the screen."""
-        self._sitter.see(moment, time.perf_counter())
+        self._sitter.see(moment, self.clock.now())
 
     def poll(self) -> list[Event]:
         """Tick, and return what happened since the last poll; rests a millisecond if that is nothing.
@@ -194,21 +199,25 @@ class Stage:
             At a key for emergencies, be it one that was read while nothing might raise.
         """
         wish = self._tick()
-        self._sitter.act(time.perf_counter(), self._display.type_key)
+        self._sitter.act(self.clock.now(), self._display.type_key)
         events = self.poll_quietly()
         if self._is_emergency:
             raise SessionStopped("emergency stop")
         if wish is not None:
-            events.append(Event(time.perf_counter(), wish))
+            events.append(
+                Event(wish.time, "answer", wish.key, answer=wish.answer)
+                if isinstance(wish, TypedAnswer)
+                else Event(self.clock.now(), wish)
+            )
         self._refresh()
         if not events:
-            time.sleep(POLL_INTERVAL)
+            self.clock.sleep(POLL_INTERVAL)
         return events
 
     def poll_quietly(self) -> list[Event]:
         """Return what happened since the last poll, without a tick, so that nothing can raise."""
         events = self._display.poll()
-        self.poll_gap, self._last_poll = time.perf_counter() - self._last_poll, time.perf_counter()
+        self.poll_gap, self._last_poll = self.clock.now() - self._last_poll, self.clock.now()
         self._is_stale = self._is_stale or any(event.kind == "expose" for event in events)
         self._is_emergency |= any(event.kind == "key" and event.key in self._emergency_keys for event in events)
         unread = list(self._unread)
@@ -245,7 +254,7 @@ class Stage:
 
     def _refresh(self) -> None:
         """Draw again what another window has covered."""
-        due = time.perf_counter() - self._drawn > _REDRAW_INTERVAL
+        due = self.clock.now() - self._drawn > _REDRAW_INTERVAL
         if self._is_stale and due and self._picture is not None:
             self._display.draw(self._picture)
             self._drawn = self._display.flip()

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from modaltouch.allotment import next_session, recorded_turn
 from modaltouch.observer import Observer
@@ -85,7 +87,7 @@ def wire_resume(
     rig: str | None = None,
     answers: AnswersBy | None = None,
     restart: bool = False,
-    window_options: WindowOptions | None = None,
+    window: Mapping[str, Any] | None = None,
 ) -> Setup:
     """Return what an interrupted session needs to go on, all of it from the session's own record.
 
@@ -97,8 +99,8 @@ def wire_resume(
         Others than the recorded ones, of the same kind.
     restart : bool
         Whether it is begun anew as another session, whatever its protocol says.
-    window_options : WindowOptions, optional
-        How the answer window is opened.
+    window : mapping, optional
+        What of the answer window is to be otherwise than it was, by the names of `WindowOptions`.
 
     Raises
     ------
@@ -138,7 +140,7 @@ def wire_resume(
         seed=start["seed"],
         rig=rig,
         answers=answers,
-        window_options=window_options,
+        window_options=replace(WindowOptions.recorded(_latest_window(session)), **(window or {})),
         observer=observer,
         after=float(session.events[-1]["clock"]),
     )
@@ -147,6 +149,12 @@ def wire_resume(
         return setup
     calibrated = {name: start[name] for name in ("sensation_levels",) if name in start}
     return replace(setup, replaces=place, facts=setup.facts | calibrated)
+
+
+def _latest_window(session: Session) -> dict[str, Any]:
+    """Return what the record says of the window of the latest sitting."""
+    sittings = (event for event in reversed(session.events) if event["event"] in ("start", "resume"))
+    return next(sittings).get("window") or {}
 
 
 def _begun(log: Path) -> Session:

@@ -1,0 +1,219 @@
+"""Answers that the experimenter types at the console, and answers that a record tells in two lines."""
+
+from __future__ import annotations
+
+import json
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.console import Console
+
+from modaltouch.console.answers import typed_keys
+from modaltouch.console.dialogue import OWN_KEYS, Dialogue
+from modaltouch.console.drawing import draw_session
+from modaltouch.console.experimenter import Experimenter
+from modaltouch.console.interface import Request, Silence
+from modaltouch.console.lines import EventLines, PlainLines
+from modaltouch.console.status import Status
+from modaltouch.window.interface import TypedAnswer
+
+TRIAL = {
+    "number": 7, "practice": False, "block": 1, "velocity_mm_s": 100.0, "predicted_left_mm_s": 100.0,
+    "predicted_right_mm_s": 100.0, "finger_condition": "one_hand", "placement": "normal", "zone_left": "A",
+    "zone_right": "C", "finger_left": "right index", "finger_right": "right middle",
+}  # fmt: skip
+
+
+def start() -> dict[str, Any]:
+    """Return a start record, as far as the console looks at it."""
+    named = {"participant": "p01", "session": 1, "mode": "real", "protocol": "demo", "rig": {"identity": "x"}}
+    return {"n": 1, "event": "start", **named, "schedule": {"n_trials": 24}, "clock": 0.0}
+
+
+def trial(index: int, *, clock: float = 0.0) -> dict[str, Any]:
+    """Return a trial event, as far as the console looks at it."""
+    return {
+        "n": 10 + index,
+        "event": "trial",
+        "clock": clock,
+        "trial": {"index": index, "practice": False, "block": 1, "condition": {"velocity_mm_s": 100.0}},
+        "confirmed": {"confirmed": True},
+        "response": {"answer": "both", "reaction_time": 0.9, "onset": "first_burst", "question_after": 0.5},
+    }
+
+
+class Asked(Silence):
+    """A console at which somebody asks."""
+
+    def __init__(self, *asked: Request) -> None:
+        self.asked = list(asked)
+
+    def requests(self) -> list[Request]:
+        asked, self.asked = self.asked, []
+        return asked
+
+
+def draw(facts: dict[str, Any], width: int, height: int) -> str:
+    """Return the console's picture as one line of words."""
+    file = StringIO()
+    console = Console(file=file, width=width, height=height, force_terminal=False)
+    console.print(draw_session(facts, "", width=width, height=height))
+    return " ".join(file.getvalue().split())
+
+
+def experimenters(**answers: Any) -> dict[str, Any]:
+    """Return a start record of a session whose answers the experimenter types."""
+    keys = {"left": ["left", "num_4"], "both": ["up"], "right": ["n", "right"]}
+    return {**start(), "design": {"answers": {"given_by": "experimenter", "keys": keys, **answers}}}
+
+
+def asked(way: str = "experimenter") -> list[dict[str, Any]]:
+    """Return what happens until a stimulus plays."""
+    firing = {"commanded_amplitude": [1.0, 1.0], "confirmed": False, "reason": ""}
+    return [{"event": "trial_next", "trial": {**TRIAL, "way": way}}, {"n": 5, "event": "fired", "confirmed": firing}]
+
+
+def test_every_answer_has_a_key_that_is_not_the_consoles_own() -> None:
+    """`p`, `r`, `n`, `b`, `q` and `x` keep their meaning; the screen's order numbers the answers."""
+    keys = typed_keys({"left": ["p"], "both": ["q"], "right": ["1"], "none": ["x", "num_enter"]})
+    assert keys == {"left": ["5"], "both": ["2"], "right": ["1", "3"], "none": ["4"]}
+    own = typed_keys({answer: ["n", "b", "r"] for answer in ("left", "both", "right")})
+    assert own == {"left": ["1"], "both": ["2"], "right": ["3"]}
+
+
+@given(st.permutations(["p", "q", "1", "2", "3", "4", "left", "num_4", "f5", "space"]))
+def test_no_key_answers_twice_and_none_lacks_a_key(names: list[str]) -> None:
+    """Whatever keys a protocol gives its answers."""
+    given = {answer: names[place : place + 2] for place, answer in enumerate(["left", "both", "right", "none"])}
+    keys = typed_keys(given)
+    typed = [key for named in keys.values() for key in named]
+    assert len(typed) == len(set(typed)) and all(keys.values())
+    assert not OWN_KEYS.intersection(typed)
+
+
+def test_the_console_answers_while_a_trial_is_on_and_only_then() -> None:
+    """Before it and after it a word tells that the key is not taken; the console's own keys work at every moment."""
+    status, dialogue = Status(), Dialogue()
+    for event in (experimenters(), *asked()[:1]):
+        status.take(event)
+    dialogue.hear(status.facts())
+    assert dialogue.press("left") is None
+    assert dialogue.prompt == "left is not taken: no trial is on"
+    status.take(asked()[1])
+    dialogue.hear(status.facts())
+    assert dialogue.press("1") == Request("answer", "1")
+    assert dialogue.prompt == "typed: left"
+    assert dialogue.press("x") == Request("emergency_stop")
+    assert dialogue.press("n") is None
+    assert dialogue.prompt.startswith("note")
+    assert dialogue.press("1") is None
+    assert dialogue.press("escape") is None
+    status.take(trial(1))
+    dialogue.hear(status.facts())
+    assert dialogue.press("1") is None
+
+
+@pytest.mark.parametrize("way", ["free_hand", "lifting", "foot_switch"])
+def test_a_participants_answer_is_not_typed_at_the_console(way: str) -> None:
+    """Where one finger condition is the experimenter's and another is not."""
+    status = Status()
+    for event in (experimenters(given_by="participant", ways={"two_hands": "experimenter"}), *asked(way)):
+        status.take(event)
+    assert status.answer_by("1") is None
+    for event in asked():
+        status.take(event)
+    assert status.answer_by("1") == "left"
+
+
+def test_a_typed_answer_reaches_the_window_with_its_key_and_its_time() -> None:
+    """Nothing is written for it: the line of the answer says it. A key that answers nothing is not sent on."""
+    console, recorded = Asked(Request("answer", "up", 12.5), Request("answer", "8", 12.6)), []
+    experimenter = Experimenter(console, lambda event, **facts: recorded.append(event))
+    for event in (experimenters(), *asked()):
+        experimenter.tell(event)
+    assert experimenter.attend() == TypedAnswer("both", "up", 12.5)
+    console.asked = [Request("go_on")]
+    assert experimenter.attend() == "continue"
+    assert recorded == ["experimenter"]
+
+
+def test_the_picture_shows_the_keys_while_a_trial_is_on() -> None:
+    """And a key that came too early is told."""
+    status = Status()
+    for event in (experimenters(), asked()[0]):
+        status.take(event)
+    assert "left arrow" not in draw(status.facts(), 100, 30)
+    status.take(asked()[1])
+    assert "left: left arrow or 4 or 1; both: up arrow or 2; right: right arrow or 3" in draw(status.facts(), 100, 30)
+    assert status.take({"n": 6, "event": "discarded", "when": "before the question", "key": "up", "device": "console"})
+    assert "up came before the question and does not count" in draw(status.facts(), 100, 30)
+
+
+def answered_then_confirmed(index: int, *, confirmed: bool = True, **firing: Any) -> list[dict[str, Any]]:
+    """Return the two lines of an answer since format 2 of the record."""
+    line = {**trial(index, clock=10.0 * index), "n": 10 * index, "event": "answered"}
+    after = {**line, "n": 10 * index + 1, "event": "trial", "answered": 10 * index}
+    return [
+        {**line, "confirmed": {"confirmed": False, "reason": ""}},
+        {**after, "confirmed": {"confirmed": confirmed, "reason": "", **firing}},
+    ]
+
+
+def test_an_answer_in_two_lines_is_told_once() -> None:
+    """At its first line; the second adds what was confirmed, and counts nothing again."""
+    status, file = Status(), StringIO()
+    lines = PlainLines(file)
+    status.take(start())
+    for index in (1, 2):
+        for event in answered_then_confirmed(index):
+            assert status.take(event)
+            lines.show(status.facts())
+            facts = status.facts()
+            assert (facts["n_answered"], facts["last"]["line"], facts["line"]) == (index, 10 * index, event["n"])
+    assert [line[:7] for line in file.getvalue().splitlines()] == ["1 of 24", "2 of 24"]
+    assert status._durations == [10.0]
+    status.take({"event": "withdrawn", "lines": [21], "reason": "x"})
+    assert status.facts()["n_answered"] == 1
+
+
+def test_an_answer_whose_end_is_not_confirmed_does_not_count() -> None:
+    """Neither where the instrument changed, nor where a kill came between its two lines."""
+    status = Status()
+    status.take(start())
+    for event in answered_then_confirmed(1, confirmed=False, stalled=True):
+        status.take(event)
+    assert status.facts()["n_answered"] == 0
+    assert "the computer was held up" in status.facts()["generator"]["last_error"]
+    status.take(answered_then_confirmed(2)[0])
+    assert status.facts()["n_answered"] == 1
+    status.take({"event": "resume", "rig": {"identity": "x"}})
+    assert status.facts()["n_answered"] == 0
+
+
+def test_lines_are_numbered_and_say_what_is_replayed(tmp_path: Path) -> None:
+    """The number is that of the log's line; what is none of the record has none."""
+    path, status = tmp_path / "events.jsonl", Status()
+    experimenter = Experimenter(EventLines(path), status=status)
+    experimenter.tell(start(), replayed=True)
+    experimenter.tell(trial(1), replayed=True)
+    experimenter.tell({"n": 12, "event": "resume", "rig": {"identity": "x"}})
+    experimenter.tell({"event": "trial_next", "trial": {**TRIAL, "practice": True}})
+    told = [json.loads(line) for line in path.read_text().splitlines()]
+    assert [(each["event"], each["line"], each["replayed"]) for each in told] == [
+        ("start", 1, True),
+        ("trial", 11, True),
+        ("resume", 12, False),
+        ("trial_next", None, False),
+    ]
+
+
+@pytest.mark.parametrize(("reason", "confirmed"), [("", None), ("amplitude off", False)])
+def test_a_stimulus_that_begins_is_not_told_as_unconfirmed(reason: str, confirmed: bool | None) -> None:
+    """It is confirmed at its end; a reason against it is told at once."""
+    status = Status()
+    status.take({"n": 5, "event": "fired", "confirmed": {**asked()[1]["confirmed"], "reason": reason}})
+    assert status.facts()["generator"]["confirmed"] is confirmed
