@@ -38,7 +38,7 @@ class PaperRig:
     breaks: bool = False
     firing: Firing | None = None
 
-    def fire(self, velocity: float, *, n_bursts: int, silent: bool = False, which: int = 0) -> Firing:
+    def fire(self, velocity: float, *, silent: bool = False, **_: object) -> Firing:
         self.told.append(f"silent {velocity:g}" if silent else f"fire {velocity:g}")
         started = self.unstarted == 0
         self.unstarted = max(self.unstarted - 1, 0)
@@ -102,6 +102,9 @@ class Person:
 
     def rest(self, progress: Progress) -> None:
         self.seen.append("rest")
+
+    def settle(self, trial: Trial, progress: Progress) -> None:
+        pass
 
     def tell_stall(self) -> None:
         self.seen.append("stall")

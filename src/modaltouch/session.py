@@ -310,7 +310,8 @@ def fire(sitting: Sitting, trial: Trial) -> Firing:
     names, stimulus = sitting.protocol.stimulus_names, trial.condition.stimulus
     which = names.index(stimulus) if stimulus in names else 0
     n_bursts = sitting.protocol.answers.n_bursts(sitting.protocol.stimulus_of(stimulus).repetition_rate_Hz)
-    return sitting.rig.fire(level * 1e-3, n_bursts=n_bursts, silent=silent, which=which)
+    exactly = sitting.protocol.answers.stimulus_until == "question"
+    return sitting.rig.fire(level * 1e-3, n_bursts=n_bursts, exactly=exactly, silent=silent, which=which)
 
 
 def _ends(sitting: Sitting, trial: Trial, firing: Firing) -> float:

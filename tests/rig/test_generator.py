@@ -104,6 +104,26 @@ def test_whole_bursts_are_played_and_counted(loaded: Generator, clock: VirtualCl
     assert (bursts.asked, bursts.played, bursts.whole, bursts.dropped) == (n_bursts, n_bursts, n_bursts, 0)
 
 
+@pytest.mark.parametrize(("n_dropped", "exactly", "confirmed"), [(1, False, True), (1, True, False), (3, False, False)])
+def test_bursts_that_were_left_out_may_spoil_a_stimulus(
+    loaded: Generator, guard: Any, clock: VirtualClock, n_dropped: int, exactly: bool, confirmed: bool
+) -> None:
+    """Of a fixed number none may be missing; else one may, and is recorded; what is spoilt is a stall, no fault."""
+    loaded.fire(0.1, n_bursts=14, exactly=exactly)
+    clock.sleep(0.01)
+    clock._due, due = [], clock._due
+    clock.sleep(n_dropped / 7)
+    clock._due = due
+    loaded.heartbeat()
+    clock.sleep(0.8)
+    loaded.heartbeat()
+    loaded.stop()
+    assert loaded.firing is not None
+    assert loaded.firing.bursts.dropped == n_dropped
+    assert loaded.firing.confirmed is confirmed
+    assert loaded.firing.stalled is not confirmed
+
+
 def test_stimulus_ends_between_bursts(loaded: Generator, clock: VirtualClock, simulator: Simulator) -> None:
     """Stopped 10 ms into the third burst: that one comes to its end, 40 ms later, and no other follows."""
     firing = loaded.fire(0.1)

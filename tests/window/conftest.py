@@ -15,6 +15,7 @@ from modaltouch.clock import SYSTEM_CLOCK, Clock, VirtualClock
 from modaltouch.protocol import Experiment, read_protocol
 from modaltouch.trial import Condition, Trial
 from modaltouch.window.events import Event
+from modaltouch.window.interface import Presentation
 from modaltouch.window.marks import Picture
 from modaltouch.window.participant import ParticipantWindow
 from modaltouch.window.theme import DARK
@@ -109,6 +110,7 @@ class Room:
     log: list[tuple[str, dict[str, Any]]] = field(default_factory=list)
     shown: list[tuple[str, float]] = field(default_factory=list)
     stopped: list[float] = field(default_factory=list)
+    ended: list[float] = field(default_factory=list)
     script: list[tuple[str, float, Callable[[], None]]] = field(default_factory=list)
     deadline: float = 0.0
     wishes: list[Any] = field(default_factory=list)
@@ -127,6 +129,11 @@ class Room:
 
     def stop(self) -> None:
         self.stopped.append(self.clock.now())
+
+    def present(self, onset: float | None = None, seconds: float = 60.0) -> Presentation:
+        """Return a stimulus that begins now and has bursts for some seconds; what becomes of it is noted."""
+        onset = self.clock.now() if onset is None else onset
+        return Presentation(onset, onset + seconds, lambda: self.ended.append(self.clock.now()), self.stop)
 
     def events(self, name: str) -> list[dict[str, Any]]:
         return [facts for event, facts in self.log if event == name]

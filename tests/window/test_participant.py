@@ -30,9 +30,9 @@ def send(room: Any, kind: str, key: str = "", x: float = 0.0, y: float = 0.0) ->
     return act
 
 
-def ask(room: Any, trial: Trial, onset: float | None = None) -> Response:
-    """Ask one trial whose stimulus begins now."""
-    return room.window.ask(trial, PROGRESS, onset=onset or room.clock.now(), stop=room.stop)
+def ask(room: Any, trial: Trial, onset: float | None = None, seconds: float = 60.0) -> Response:
+    """Ask one trial whose stimulus begins now and lasts some seconds at most."""
+    return room.window.ask(trial, PROGRESS, room.present(onset, seconds))
 
 
 def test_the_question_comes_after_its_delay(paper_room: Callable[..., Any], trial: Trial) -> None:
@@ -53,7 +53,7 @@ def test_a_stimulus_that_stops_first_is_stopped_before_the_question(
     room = paper_room(answers={"stimulus_until": "question", "presentation_s": 0.3, "question_delay_s": 0.1})
     room.script = [("question", 0.1, send(room, "key", "up"))]
     onset = room.clock.now()
-    response = ask(room, trial, onset)
+    response = ask(room, trial, onset, 0.3)
     asked = room.shown[1][1]
     assert onset + 0.3 <= room.stopped[0] <= asked
     assert room.stopped[0] < onset + 0.302
@@ -66,9 +66,43 @@ def test_a_question_may_come_later_than_the_stop(paper_room: Callable[..., Any],
     room = paper_room(answers={"stimulus_until": "question", "presentation_s": 0.1, "question_delay_s": 0.3})
     room.script = [("question", 0.02, send(room, "key", "up"))]
     onset = room.clock.now()
-    ask(room, trial, onset)
+    ask(room, trial, onset, 0.1)
     assert room.stopped[0] == pytest.approx(onset + 0.1, abs=0.002)
     assert room.shown[1][1] == pytest.approx(onset + 0.3, abs=0.002)
+
+
+def test_the_longest_stimulus_stops_and_the_question_stays(paper_room: Callable[..., Any], trial: Trial) -> None:
+    """Nobody answers for a second: the beam comes to rest then, once, and an answer given later still counts."""
+    room = paper_room()
+    room.script = [("question", 2.0, send(room, "key", "left"))]
+    onset = room.clock.now()
+    response = ask(room, trial, onset, 1.0)
+    assert room.stopped == pytest.approx([onset + 1.0], abs=0.002)
+    assert response.answer == "left"
+    assert response.reaction_time > 2.0
+
+
+def test_a_trial_may_end_with_the_longest_stimulus(paper_room: Callable[..., Any], trial: Trial) -> None:
+    """`after_longest: time_out`: no answer within a second is the outcome, told by no device, and nothing is marked."""
+    room = paper_room(answers={"after_longest": "time_out"})
+    onset = room.clock.now()
+    response = ask(room, trial, onset, 1.0)
+    assert (response.answer, response.device, response.key) == ("time_out", "none", "")
+    assert response.reaction_time == pytest.approx(1.0, abs=0.002)
+    room.window.confirm(response)
+    assert not any("chosen" in name for name in room.names)
+    room.window.wait(1.0)
+    assert room.clock.now() == pytest.approx(onset + 2.0, abs=0.01)
+
+
+def test_an_answer_lets_no_further_burst_go_before_it_is_written(paper_room: Callable[..., Any], trial: Trial) -> None:
+    """Ended within a millisecond of the key, and not stopped: the outputs are switched after the burst that plays."""
+    room = paper_room()
+    room.script = [("question", 0.1, send(room, "key", "left"))]
+    onset = room.clock.now()
+    response = ask(room, trial, onset)
+    assert room.ended == pytest.approx([onset + response.reaction_time], abs=0.002)
+    assert room.stopped == []
 
 
 def test_the_second_of_two_answers_in_one_poll_is_the_double(paper_room: Callable[..., Any], trial: Trial) -> None:
@@ -390,7 +424,8 @@ def test_an_answer_may_be_changed_until_it_is_chosen_again(paper_room: Callable[
     assert response.answer == "right"
     chosen = next(when for name, when in room.shown if name == "chosen_right")
     assert response.reaction_time == pytest.approx(chosen - onset, abs=0.002)
-    assert room.stopped[0] >= chosen + 0.3
+    assert room.stopped == []
+    assert room.ended[0] >= chosen + 0.3
     assert [(facts["first"], facts["to"]) for facts in room.events("changed")] == [("left", "right")]
 
 
@@ -551,8 +586,7 @@ def test_practice_rounds_count_from_one_again(paper_room: Callable[..., Any], ex
     room.window.ask(
         Trial(2, 0, Condition("one_hand", "A", "C", 100.0), practice=True),
         Progress(2, 12),
-        onset=room.clock.now(),
-        stop=room.stop,
+        room.present(),
     )
     assert room.window._current[1] == Progress(1, experiment.protocol.schedule.practice_trials)
 

@@ -24,7 +24,7 @@ TITLE = "modaltouch under test"
 
 def ask(room: Any, trial: Trial) -> Any:
     """Ask one trial whose stimulus begins now."""
-    return room.window.ask(trial, PROGRESS, onset=time.perf_counter(), stop=room.stop)
+    return room.window.ask(trial, PROGRESS, room.present())
 
 
 @pytest.mark.parametrize(
@@ -61,12 +61,12 @@ def test_reaction_time_runs_from_the_first_burst_to_the_key(room: Callable[..., 
     made = room()
     made.script = [("question", 0.2, lambda: hands.key("Right"))]
     onset = time.perf_counter()
-    response = made.window.ask(trial, PROGRESS, onset=onset, stop=made.stop)
+    response = made.window.ask(trial, PROGRESS, made.present(onset))
     error = response.reaction_time - (hands.pressed[0] - onset)
     assert -0.002 < error < 0.05
     assert response.onset == "first_burst"
     assert response.question_after == pytest.approx(made.shown[1][1] - onset)
-    assert made.stopped[0] >= onset + response.reaction_time
+    assert made.ended[0] >= onset + response.reaction_time
 
 
 def test_a_click_on_a_button_answers_and_one_beside_it_does_not(
@@ -140,7 +140,7 @@ def test_escape_stops_the_stimulus_and_space_offers_the_trial_again(
     with pytest.raises(TrialInterrupted, match="escape"):
         ask(made, trial)
     paused = next(when for name, when in made.shown if name == "pause")
-    assert made.stopped[0] < paused
+    assert made.ended[0] < paused
     assert [event for event, _ in made.log] == ["pause", "continued"]
 
 

@@ -131,7 +131,7 @@ def test_the_question_is_spoken_when_it_is_shown_and_an_answer_ends_it(spoken_ro
     """Said with the picture, hushed at the answer, before the record is written; the answer waits for no prompt."""
     room = spoken_room
     room.script = [("question", 0.1, press(room, "left"))]
-    response = room.window.ask(trial, PROGRESS, onset=room.clock.now(), stop=room.stop)
+    response = room.window.ask(trial, PROGRESS, room.present())
     assert response.answer == "left"
     (words, said_at), (end, hushed_at) = [each for each in room.mouth.said if each[1] >= room.shown[1][1] - 1e-3][-2:]
     assert words == "Where did you feel the vibration?"
@@ -152,7 +152,7 @@ def test_a_pause_ends_the_question_and_says_how_to_go_on(spoken_room: Any, trial
         ("pause", 0.3, press(room, "space")),
     ]
     with pytest.raises(TrialInterrupted):
-        room.window.ask(trial, PROGRESS, onset=room.clock.now(), stop=room.stop)
+        room.window.ask(trial, PROGRESS, room.present())
     question, pause = room.mouth.words
     assert question == "Where did you feel the vibration?"
     assert pause.startswith("Paused. The beam is still.")
@@ -187,7 +187,7 @@ def test_feedback_stays_until_it_is_said(spoken_room: Any, trial: Trial) -> None
     """Its last word says where it was: 1.5 s on the screen are too short for it, so it stays as long as it takes."""
     room = spoken_room
     room.script = [("question", 0.05, press(room, "left"))]
-    response = room.window.ask(trial, PROGRESS, onset=room.clock.now(), stop=room.stop)
+    response = room.window.ask(trial, PROGRESS, room.present())
     room.mouth.lasts = 2.0
     began = room.clock.now()
     room.window.give_feedback(response, "right")
@@ -213,4 +213,4 @@ def test_the_end_of_a_session_in_a_pause_is_told_with_what_was_said(spoken_room:
     room = spoken_room
     room.script = [("question", 0.05, press(room, "escape")), ("pause", 0.3, press(room, "q"))]
     with pytest.raises(SessionStopped, match="escape"):
-        room.window.ask(trial, PROGRESS, onset=room.clock.now(), stop=room.stop)
+        room.window.ask(trial, PROGRESS, room.present())

@@ -31,7 +31,8 @@ UNMEASURED = 2e-3
 """Within this time of a trigger the first sample is taken to leave, where that has not been measured [s]."""
 
 MOST_DROPPED = 0.1
-"""A stimulus of which a larger part was left out is offered again [1]."""
+"""Where their number is not fixed, a stimulus of which two bursts or more, and a larger part, were left out is offered
+again [1]; a single one that is missing is recorded."""
 
 
 def _ignore(event: str, **facts: Any) -> None:
@@ -161,7 +162,9 @@ class Generator:
             except LinkError:
                 self._connection.restore("loading the stimulus", (), self._player.replay)
 
-    def fire(self, velocity: float, *, n_bursts: int = MANY, silent: bool = False, which: int = 0) -> Firing:
+    def fire(
+        self, velocity: float, *, n_bursts: int = MANY, exactly: bool = False, silent: bool = False, which: int = 0
+    ) -> Firing:
         """Set the level, switch the outputs on and let bursts go until `end` or `stop`.
 
         Parameters
@@ -170,6 +173,8 @@ class Generator:
             Peak velocity at the focus [m/s].
         n_bursts : int
             How many bursts at most, where they are triggered one by one.
+        exactly : bool
+            Whether a single burst that is left out spoils the stimulus.
         silent : bool
             Whether no burst is let go, in a catch trial: the outputs are on, at the level's amplitude, and rest.
         which : int
@@ -189,7 +194,7 @@ class Generator:
         commanded = self._player.amplitudes(velocity, which)
         if self._on:
             self.stop()
-        self._is_counted = n_bursts < MANY
+        self._is_counted = exactly
         self._firing = Firing(
             commanded,
             (),
@@ -327,7 +332,7 @@ class Generator:
         if report is not None:
             bursts = self._count(report, off)
             bursts = replace(bursts, first_s=firing.bursts.first_s, uncertainty_s=firing.bursts.uncertainty_s)
-            too_many = bool(report.dropped) if self._is_counted else report.dropped > MOST_DROPPED * report.due
+            too_many = report.dropped > (0 if self._is_counted else max(MOST_DROPPED * report.due, 1))
             if report.ended == "stalled" or too_many:
                 stalled = True
                 reasons.append(f"{report.dropped} of {report.due} bursts would have come too late and were left out")

@@ -123,10 +123,12 @@ class Rig(typing.Protocol):
     def load(self, burst: Burst, *further: Burst) -> None:
         """Upload both channels' records of each burst and verify them, outputs off."""
 
-    def fire(self, velocity: float, *, n_bursts: int = MANY, silent: bool = False, which: int = 0) -> Firing:
+    def fire(
+        self, velocity: float, *, n_bursts: int = MANY, exactly: bool = False, silent: bool = False, which: int = 0
+    ) -> Firing:
         """Set the level [m/s], switch the outputs on and let bursts go, `n_bursts` at most; return after the first.
 
-        With `silent` everything is the same but that no burst is let go: the outputs are on at rest.
+        With `exactly` a single burst that is left out spoils the stimulus. With `silent` everything is the same but that no burst is let go: the outputs are on at rest.
         """
 
     def end(self) -> None:
