@@ -39,7 +39,7 @@ def test_a_key_of_the_protocol_gives_its_answer(
     made.script = [("question", 0.1, lambda: hands.key(key))]
     response = ask(made, trial)
     assert (response.answer, response.device, response.answered_by) == (answer, "key", "participant")
-    assert len(made.stopped) == 1
+    assert len(made.ended) == 1
 
 
 def test_the_answer_none_is_given_by_key_and_by_click(room: Callable[..., Any], hands: Any, trial: Trial) -> None:
@@ -140,7 +140,7 @@ def test_escape_stops_the_stimulus_and_space_offers_the_trial_again(
     with pytest.raises(TrialInterrupted, match="escape"):
         ask(made, trial)
     paused = next(when for name, when in made.shown if name == "pause")
-    assert made.ended[0] < paused
+    assert made.stopped[0] < paused
     assert [event for event, _ in made.log] == ["pause", "continued"]
 
 
@@ -150,7 +150,7 @@ def test_q_in_the_pause_ends_the_session(room: Callable[..., Any], hands: Any, t
     made.script = [("feel", 0.05, lambda: hands.key("Escape")), ("pause", 0.4, lambda: hands.key("q"))]
     with pytest.raises(SessionStopped, match="escape"):
         ask(made, trial)
-    assert len(made.stopped) == 1
+    assert len(made.ended) == 1
 
 
 def test_the_close_button_ends_the_session(room: Callable[..., Any], hands: Any, trial: Trial) -> None:
@@ -159,7 +159,7 @@ def test_the_close_button_ends_the_session(room: Callable[..., Any], hands: Any,
     made.script = [("question", 0.1, lambda: hands.press_close_button(TITLE))]
     with pytest.raises(SessionStopped, match="window closed"):
         ask(made, trial)
-    assert len(made.stopped) == 1
+    assert len(made.ended) == 1
 
 
 def test_a_lost_focus_stops_the_stimulus_and_pauses(room: Callable[..., Any], hands: Any, trial: Trial) -> None:
@@ -183,7 +183,7 @@ def test_a_lost_focus_stops_the_stimulus_and_pauses(room: Callable[..., Any], ha
     with pytest.raises(TrialInterrupted, match="focus lost"):
         ask(made, trial)
     assert [event for event, _ in made.log] == ["focus_lost", "continued"]
-    assert len(made.stopped) == 1
+    assert len(made.ended) == 1
 
 
 def test_a_robot_answers_by_the_windows_own_event_queue(
