@@ -159,7 +159,7 @@ class Course:
             faults += self._follows(event, trial)
             self._pending = None
         if event["event"] == "answered":
-            self._unfinished[number] = event
+            self._counted[number] = self._unfinished[number] = event
             faults += ["is confirmed before its end"] if event["confirmed"]["confirmed"] else []
         else:
             self._n_finished += 1
@@ -189,6 +189,7 @@ class Course:
     def _finishes(self, event: Event) -> Iterator[str]:
         """Check that a finished trial says what its answer said, and that no other does."""
         answer = self._unfinished.pop(event["answered"], None)
+        self._counted.pop(event["answered"], None)
         if answer is None:
             yield f"finishes the answer of line {event['answered']}, which is none that waits for its end"
             return

@@ -90,6 +90,8 @@ def check_instants(event: Event, trial: Trial) -> Iterator[str]:
     for name, (earliest, latest) in between.items():
         if not earliest <= latest:
             yield f"its {name.replace('_', ' ')} came between {earliest} and {latest} s"
+    if not between["answer"][0] <= event["clock"] + _INSTANT:
+        yield f"its answer came at {between['answer'][0]} s, after its line was written at {event['clock']} s"
     known = [name for name in _IN_ORDER if name in between]
     for place, name in enumerate(known):
         late = next((each for each in known[place + 1 :] if between[each][1] < between[name][0] - _INSTANT), None)
@@ -120,6 +122,9 @@ def check_bursts(event: Event, trial: Trial, given: Given) -> Iterator[str]:
     if any(each is not None and (type(each) is not int or each < 0) for each in counts):
         yield f"its bursts are counted as {counts}"
         return
+    repeats = given.restored.preflight.experiment.apparatus.generator.repeats
+    if confirmed["repetition"] != repeats:
+        yield f"its bursts were repeated as {confirmed['repetition']!r}, its apparatus file says {repeats!r}"
     sound = confirmed["confirmed"]
     if sound and confirmed["repetition"] == "single":
         if None in counts or (first is None) is not trial.condition.is_catch:
@@ -156,7 +161,7 @@ def _check_number(event: Event, trial: Trial, given: Given) -> Iterator[str]:
     answer = event["instants"]["answer"]
     due = (answer["earliest_s"] - first - around) * rate + 1
     possible = (event["clock"] - first + around) * rate + 1
-    if not min(due - _ONE_MORE, most) <= asked <= min(possible + _ONE_MORE, most):
+    if not (min(due - _ONE_MORE, most) <= asked <= most and event["bursts"]["played"] <= possible + _ONE_MORE):
         yield (
             f"{asked} bursts were asked, at {rate:g} Hz {max(due, 1):.0f} were due by its answer and {possible:.0f} by "
             f"its end, at most {most}"
