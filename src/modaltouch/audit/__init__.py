@@ -64,7 +64,7 @@ def audit(session: Session, chain: Chain) -> Audit:
         restored = restore(Sources.from_dict(session.start["sources"]))
         protocol = levels_of(restored.protocol, session.start)
         schedule = draw_again(session, protocol)
-        checked = [each for each in check_beginning(session, restored, schedule) if each[1]]
+        checked = [each for each in check_beginning(session, restored, protocol, schedule) if each[1]]
         lines += [said for holds, said in checked if holds]
         problems += [said for holds, said in checked if not holds]
         course = Course(session, Given(restored, protocol, session.start.get("schema", 1)), schedule)

@@ -24,7 +24,7 @@ def levels_of(protocol: Protocol, start: dict[str, Any]) -> Protocol:
     return protocol.with_levels(tuple(own["levels_mm_s"])) if own else protocol
 
 
-def check_beginning(session: Session, restored: Restored, schedule: Schedule) -> Checked:
+def check_beginning(session: Session, restored: Restored, protocol: Protocol, schedule: Schedule) -> Checked:
     """Yield for each part of the start record whether it holds, and in which words.
 
     Parameters
@@ -33,11 +33,13 @@ def check_beginning(session: Session, restored: Restored, schedule: Schedule) ->
         As its log tells it.
     restored : Restored
         What its texts give.
+    protocol : Protocol
+        The protocol at the participant's own levels, where there are such.
     schedule : Schedule
         The order drawn again.
     """
     place = f"{session.path}:1:"
-    yield _check_texts(session.start, restored, place)
+    yield _check_texts(session.start, protocol, place)
     yield _check_mode(session.start, place)
     seed = session.start["seed"]
     if schedule.as_dict() == session.start["schedule"]:
@@ -63,16 +65,16 @@ def draw_again(session: Session, protocol: Protocol) -> Schedule:
     return draw_schedule(protocol, start["participant"], start["seed"], session.drawn_as, given=recorded_turn(start))
 
 
-def _check_texts(start: dict[str, Any], restored: Restored, place: str) -> tuple[bool, str]:
+def _check_texts(start: dict[str, Any], protocol: Protocol, place: str) -> tuple[bool, str]:
     for name, source in start["sources"].items():
         if "sha256" in source and hashlib.sha256(source["text"].encode()).hexdigest() != source["sha256"]:
             return False, f"{place} the text of its {name} file has another hash than it says"
-    if start["protocol"] != restored.protocol.protocol:
+    if start["protocol"] != protocol.protocol:
         return (
             False,
-            f"{place} is a session of {start['protocol']!r}, its protocol file is {restored.design['protocol']!r}",
+            f"{place} is a session of {start['protocol']!r}, its protocol file is {protocol.protocol!r}",
         )
-    differing = _first_difference(start["design"], restored.design, start.get("schema", 1))
+    differing = _first_difference(start["design"], protocol.model_dump(mode="json"), start.get("schema", 1))
     if differing:
         return False, f"{place} its design has another {differing} than its protocol file"
     return True, ""

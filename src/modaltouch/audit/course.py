@@ -119,8 +119,13 @@ class Course:
             return
         there, here = ({**t.as_dict(), **t.as_dict()["condition"]} for t in (planned, trial))
         differing = next(name for name in here if name != "condition" and here[name] != there.get(name))
-        source = "the answers before it lead to" if planned.condition != self._order[key].condition else "its order has"
-        yield f"{_name(trial)} has {differing} {here[differing]}, {source} {there.get(differing)}"
+        if differing == "velocity_mm_s" and self._given.protocol.adaptive is not None:
+            yield (
+                f"the answers before {_name(trial)} lead to {there[differing]:g} mm/s, the record says "
+                f"{here[differing]:g} mm/s"
+            )
+            return
+        yield f"{_name(trial)} has the {differing} {here[differing]}, its order has {there.get(differing)}"
 
     def _settle(self, planned: Trial) -> Trial:
         """Return a trial of an adaptive run at the level to which the answers that count so far lead."""

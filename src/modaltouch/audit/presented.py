@@ -18,8 +18,8 @@ _SPEED = 2e-3
 """Speeds are written to 0.001 mm/s [mm/s]."""
 _INSTANT = 5e-6
 """Instants are written to the microsecond, and sums of them are compared [s]."""
-_ONE_MORE = 1.5
-"""A stimulus may end, or the answer be read, within the burst that is due: as many periods either way [1]."""
+_LATE = 0.2
+"""How late a burst may be, as far as counts go; a burst that is later than a twentieth is dropped [periods]."""
 _IN_ORDER = ("trigger", "first_burst", "question", "answer")
 _COUNTS = ("asked", "played", "whole", "dropped")
 
@@ -161,7 +161,7 @@ def _check_number(event: Event, trial: Trial, given: Given) -> Iterator[str]:
     answer = event["instants"]["answer"]
     due = (answer["earliest_s"] - first - around) * rate + 1
     possible = (event["clock"] - first + around) * rate + 1
-    if not (min(due - _ONE_MORE, most) <= asked <= most and event["bursts"]["played"] <= possible + _ONE_MORE):
+    if not (min(due - 1 - _LATE, most) <= asked <= most and event["bursts"]["played"] <= possible + _LATE):
         yield (
             f"{asked} bursts were asked, at {rate:g} Hz {max(due, 1):.0f} were due by its answer and {possible:.0f} by "
             f"its end, at most {most}"

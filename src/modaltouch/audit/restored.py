@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import cached_property, lru_cache
-from typing import Any
 
 from modaltouch.adaptive import Levels
 from modaltouch.preflight import examine_findings
@@ -46,11 +45,6 @@ class Restored:
     def hashes(self) -> dict[str, str]:
         """Hash of the codes of each stimulus, by name."""
         return self.preflight.content_hashes
-
-    @cached_property
-    def design(self) -> dict[str, Any]:
-        """The protocol as a start record keeps it."""
-        return self.protocol.model_dump(mode="json")
 
     def speeds_mm_s(self, trial: Trial) -> tuple[float, float]:
         """Return the predicted peak speeds under the left and the right finger in a trial [mm/s]."""
