@@ -123,17 +123,18 @@ def next_session(place: SessionFolder, n_sessions: int) -> tuple[SessionFolder, 
     latest = every[-1]
     folder = latest.path.parent
     number = _number(latest.path) + 1
+    faults = "".join(f"\n{fault}" for fault in latest.problems)
     if not latest.complete:
         raise RecordError(
             f"{latest.path}: this session exists already and is not complete; continue it with `modaltouch resume "
-            f"{folder}`, or begin another with --session {number}"
+            f"{folder}`, or begin another with --session {number}{faults}"
         )
     held = [session for session in every if session.begun_anew_as is None]
     if len(held) >= n_sessions:
         what = "its one session" if n_sessions == 1 else f"all {n_sessions} sessions"
         raise RecordError(
             f"{latest.path}: participant {place.participant} exists already and has had {what} of the protocol, and "
-            f"nothing is overwritten; give another participant id, or --session {number} for one more"
+            f"nothing is overwritten; give another participant id, or --session {number} for one more{faults}"
         )
     return replace(place, session=number), len(held) + 1
 
