@@ -79,8 +79,8 @@ def write_tree(root: Path, n_sessions: int, n_repetitions: int, seed: int = 1) -
         mode: Mode = kind if kind in ("pilot", "simulated") else "real"  # type: ignore[assignment]
         place = SessionFolder(root, mode, "differentiated_stimulation", f"p{i:05d}")
         schedule = draw_schedule(preflight.experiment.protocol, place.participant, seed)
-        start = {**describe_start(preflight, schedule, place), "schema": 1, "seed": seed, "rig_choice": "TCPIP::1::INSTR",
-                 "answers_choice": "window", "rig": {"identity": "AFG"}, "versions": {}, "boot": ""}  # fmt: skip
+        about = {"seed": seed, "rig_choice": "TCPIP::1::INSTR", "answers_choice": "window", "rig": {"identity": "AFG"}}
+        start = {**describe_start(preflight, schedule, place), "schema": 1, "versions": {}, "boot": "", **about}
         events: list[dict[str, Any]] = [{"event": "start", **start}]
         trials = (*schedule.practice, *schedule.trials[: -4 if kind == "incomplete" else None])
         for trial in trials:

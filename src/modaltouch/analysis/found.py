@@ -13,7 +13,6 @@ from modaltouch.analysis.record_facts import SessionFacts, take_facts
 from modaltouch.audit import audit
 from modaltouch.record.chain import Chain, RecordError, read_chain
 from modaltouch.record.session import Session
-from modaltouch.record.shape import check_shape
 from modaltouch.trial import TIME_OUT
 
 
@@ -145,7 +144,7 @@ def open_log(path: Path) -> Found:
         chain = read_chain(path)
     except RecordError as error:
         return Found(path, reason=f"unreadable: {error}")
-    session = Session(path, chain.events, (*chain.problems, *check_shape(chain.events, str(path))))
+    session = Session(path, chain.events, chain.problems)
     if not session.start:
         damage = f"damaged: {session.problems[0]}" if session.problems else "cut before it began"
         return Found(path, reason=damage)

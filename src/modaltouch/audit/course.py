@@ -47,9 +47,10 @@ class Course:
         self._whole_from = max(recovered, default=0)
         self._counted: dict[int, Event] = {}
         self._done: Counter[Key] = Counter()
-        self._n_fired: Counter[Trial] = Counter()
+        self._n_fired: Counter[tuple[bool, int, float]] = Counter()
         self._pending: Trial | None = None
-        self._last_line: dict[Trial, int] = {}
+        self._last_line: dict[tuple[bool, int, float], int] = {}
+        self._trial, self._written, self._faulty = next(iter(self._order.values())), dict[str, object](), False
         self._next = 1
         self._unfinished: dict[int, Event] = {}
         self._settled: tuple[Trial, Trial] | None = None
@@ -62,8 +63,8 @@ class Course:
             "fired": self._fired,
             "answered": self._answered,
             "trial": self._answered,
-            "unconfirmed": self._mentioned,
-            "trial_cut": self._mentioned,
+            "unconfirmed": self._named,
+            "trial_cut": self._named,
             "withdrawn": self._withdrawn,
             "practice_round": self._judged,
             "stop": self._stopped,
@@ -105,9 +106,12 @@ class Course:
             yield f"its clock says {clock} s, the line before {self._clock} s"
         self._boot, self._clock = boot, clock
 
-    def _mentioned(self, number: int, event: Event) -> Iterator[str]:
-        """Check that a line speaks of a trial of the order, and at its level."""
-        trial = Trial.from_dict(event["trial"])
+    def _named(self, number: int, event: Event) -> Iterator[str]:
+        """Check that a line speaks of a trial of the order, and at its level; this is then the one at hand."""
+        if event["trial"] == self._written and not self._faulty:
+            return
+        trial = self._trial = Trial.from_dict(event["trial"])
+        self._written, self._faulty = event["trial"], True
         key = trial.practice, trial.index
         planned = self._order.get(key)
         if planned is None:
@@ -115,7 +119,8 @@ class Course:
             return
         if self._given.protocol.adaptive is not None and number > self._whole_from:
             planned = self._settle(planned)
-        if trial == planned:
+        self._faulty = trial != planned
+        if not self._faulty:
             return
         there, here = ({**t.as_dict(), **t.as_dict()["condition"]} for t in (planned, trial))
         differing = next(name for name in here if name != "condition" and here[name] != there.get(name))
@@ -134,13 +139,12 @@ class Course:
         return self._settled[1]
 
     def _fired(self, number: int, event: Event) -> Iterator[str]:
-        yield from self._mentioned(number, event)
-        trial = Trial.from_dict(event["trial"])
-        due = self._due()
+        yield from self._named(number, event)
+        trial, due = self._trial, self._due()
         if number > self._whole_from and (trial.practice, trial.index) != due:
             yield f"{_name(trial)} was presented out of its order; due was {_name(self._order[due]) if due else 'none'}"
         self._pending = trial
-        self._n_fired[trial] += 1
+        self._n_fired[_key(trial)] += 1
         for fault in check_amplitudes(event, trial, self._given):
             yield f"{_name(trial)}: {fault}"
 
@@ -154,8 +158,8 @@ class Course:
 
     def _answered(self, number: int, event: Event) -> Iterator[str]:
         """Check the line of an answer, or of a trial that is finished."""
-        yield from self._mentioned(number, event)
-        trial, schema = Trial.from_dict(event["trial"]), self._given.schema
+        yield from self._named(number, event)
+        trial, schema = self._trial, self._given.schema
         faults = [*check_amplitudes(event, trial, self._given), *check_answered(event, trial, self._given)]
         if schema > 1:
             faults += check_instants(event, trial)
@@ -173,7 +177,7 @@ class Course:
             faults += self._finishes(event) if schema > 1 and number > self._whole_from else []
             self._counted[number] = event
             self._done[trial.practice, trial.index] += bool(event["confirmed"]["confirmed"])
-            self._last_line[trial] = number
+            self._last_line[_key(trial)] = number
         if event.get("supersedes"):
             self._take_back(event["supersedes"])
         for fault in faults:
@@ -183,11 +187,12 @@ class Course:
         """Check that an answer follows its stimulus, and names the answer that it replaces."""
         if self._pending != trial:
             yield "was answered without having been presented"
-        if event["presentation"] != self._n_fired[trial]:
-            yield f"is called presentation {event['presentation']}, its stimulus began {self._n_fired[trial]} times"
+        n_fired = self._n_fired[_key(trial)]
+        if event["presentation"] != n_fired:
+            yield f"is called presentation {event['presentation']}, its stimulus began {n_fired} times"
         # An answer whose stimulus was never confirmed to have ended may be named as well.
         unfinished = [n for n, each in self._unfinished.items() if each["trial"] == event["trial"]]
-        before = self._last_line.get(trial)
+        before = self._last_line.get(_key(trial))
         if event["supersedes"] not in (before, *unfinished):
             yield f"replaces the answer of line {event['supersedes']}, its last one is of line {before}"
 
@@ -216,7 +221,7 @@ class Course:
             if number > self._whole_from and line not in self._counted:
                 yield f"withdraws line {line}, which is no answer that counts"
             self._take_back(line)
-        self._settled = None
+        self._settled, self._written = None, {}
 
     def _judged(self, number: int, event: Event) -> Iterator[str]:
         """Check a verdict on a round of practice."""
@@ -232,6 +237,11 @@ class Course:
         n_done = sum(n > 0 for (practice, _), n in self._done.items() if not practice)
         if number > self._whole_from and (event["n_answered"], event["complete"]) != (n_done, n_done >= self._n_trials):
             yield f"says that {event['n_answered']} trials are answered, {n_done} are"
+
+
+def _key(trial: Trial) -> tuple[bool, int, float]:
+    """Return what tells a trial from others, and an adaptive one from the same at another level."""
+    return trial.practice, trial.index, trial.condition.velocity_mm_s
 
 
 def _name(trial: Trial) -> str:

@@ -48,18 +48,22 @@ def check_amplitudes(event: Event, trial: Trial, given: Given) -> Iterator[str]:
     silent, confirmed = trial.condition.is_catch, event["confirmed"]
     # A catch trial does all that one at the lowest level does.
     level = min(given.protocol.conditions.peak_velocities_mm_s) if silent else trial.condition.velocity_mm_s
+    sent, back = tuple(confirmed["commanded_amplitude"]), tuple(confirmed["confirmed_amplitude"])
+    said = (sent, tuple(event["commanded"]["amplitude_Vpp"])) if "commanded" in event else (sent,)
+    found = trial.condition.stimulus, level, sent, back
+    if found in given.restored.agreed and said[-1] == sent:
+        return
     needed = given.restored.amplitudes(trial.condition.stimulus, level)
-    said = [tuple(confirmed["commanded_amplitude"])]
-    said += [tuple(event["commanded"]["amplitude_Vpp"])] if "commanded" in event else []
     for amplitude in said:
         if amplitude != needed:
             yield f"{level:g} mm/s takes {_listed(needed)} Vpp, {_listed(amplitude)} Vpp were commanded"
             return
-    back = tuple(confirmed["confirmed_amplitude"])
     pairs = zip(needed, back, strict=False)
     agree = len(back) == len(needed) and all(level_setting(1, a).confirmed_by(str(b)) for a, b in pairs)
     if (confirmed["confirmed"] or event["event"] == "fired") and not agree:
         yield f"{level:g} mm/s takes {_listed(needed)} Vpp, {_listed(back)} Vpp were read back"
+    if agree:
+        given.restored.agreed.add(found)
 
 
 def check_answered(event: Event, trial: Trial, given: Given) -> Iterator[str]:

@@ -34,6 +34,8 @@ class Restored:
         self.protocol = self.preflight.experiment.protocol
         self._limits = Limits.of(self.preflight.experiment.apparatus)
         self._speeds: dict[Condition, tuple[float, float]] = {}
+        self.agreed: set[tuple[str, float, tuple[float, ...], tuple[float, ...]]] = set()
+        """Stimulus, level, commanded and read back amplitudes that were found to agree."""
         self._amplitudes: dict[tuple[str, float], tuple[float, ...]] = {}
 
     @cached_property
