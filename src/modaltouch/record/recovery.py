@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from modaltouch.clock import SYSTEM_CLOCK, VirtualClock
 from modaltouch.record.chain import (
     GENESIS,
     TAIL,
@@ -169,10 +168,7 @@ def recover(found: Recovery, results: Path) -> Path:
     refuse_existing(place.log)
     describe_dataset(place, first.get("design", {}).get("title", ""))
     new_numbers = {event["n"]: number for number, event in enumerate(found.events, 1)}
-    # It keeps the clock of its lines, as all of them keep theirs.
-    began, facts = VirtualClock(float(first["clock"])), {**_facts(first)}
-    del facts["clock"]
-    with SessionLog.create(place.log, "start", clock=began, **facts) as log:
+    with SessionLog.create(place.log, "start", **_facts(first)) as log:
         for event in others:
             facts = _facts(event)
             for reference in ("supersedes", "answered"):
@@ -183,7 +179,6 @@ def recover(found: Recovery, results: Path) -> Path:
             log.append(event["event"], **facts)
         log.append(
             "recovered",
-            clock=round(SYSTEM_CLOCK.now(), 6),
             sha256=found.sha256,
             lines=[event["n"] for event in found.events],
             missing=list(found.missing),
