@@ -127,6 +127,18 @@ def test_a_complete_session_is_not_rewritten(folder, tmp_path):
     assert {path: (path.read_bytes(), path.stat()) for path in folder.iterdir()} == before
 
 
+@pytest.mark.parametrize("cut", [1, 40])
+def test_a_complete_session_is_given_the_last_line_that_was_cut(folder, tmp_path, cut):
+    """By a power cut, newline alone or half the line: no answer is missing, and it is sound again."""
+    place = tmp_path / "simulated" / "demo" / "sub-p01" / "ses-1"
+    place.mkdir(parents=True)
+    log = folder.rename(place / "beh") / "session.jsonl"
+    log.write_bytes(log.read_bytes()[:-cut])
+    assert verify_session(log).problems
+    assert resume(wire_resume(log)).complete
+    assert verify_session(log).problems == ()
+
+
 UNREADABLE = {
     "no JSON": b'{"n":3,"event":nothing',
     "nested without end": b'{"n":3,"event":"rig","deep":' + b"[" * 100_000 + b"]" * 100_000,

@@ -71,7 +71,7 @@ def audit(session: Session, chain: Chain) -> Audit:
         course.walk()
         problems += course.problems
         lines += course.lines
-        seen = check_view(session, chain.checks)
+        seen = check_view(session, chain.checks, is_cut=bool(chain.torn))
     except InputError as error:
         return Audit((), (*problems, f"{place} its files do not hold: {error}"))
     except RecordError as error:
@@ -80,10 +80,10 @@ def audit(session: Session, chain: Chain) -> Audit:
         said = f"does not say what its order and drive follow from ({type(error).__name__}: {error})"
         return Audit((), (*problems, f"{place} {said}"))
     cut = () if chain.damage else chain.problems
-    missing = (seen.problem,) if seen.is_missing else ()
+    mendable = (seen.problem,) if seen.is_mendable else ()
     lines += [seen.line] if seen.line else []
     problems += [seen.problem] if seen.problem else []
-    return Audit(tuple(lines), tuple(problems), (*cut, *missing))
+    return Audit(tuple(lines), tuple(problems), (*cut, *mendable))
 
 
 def require_sound(log: Path) -> Session:

@@ -20,19 +20,19 @@ class ViewFound:
         What holds, in words; empty where nothing does.
     problem : str
         What does not hold; empty for a sound view.
-    is_missing : bool
-        Whether the problem is that there is none, which `resume` mends.
+    is_mendable : bool
+        Whether the problem is that there is none, or that it knows the very line that was cut: `resume` mends both.
     is_current : bool
         Whether it was made from the whole log, so that nothing is to be written.
     """
 
     line: str = ""
     problem: str = ""
-    is_missing: bool = False
+    is_mendable: bool = False
     is_current: bool = False
 
 
-def check_view(session: Session, checks: Sequence[str]) -> ViewFound:
+def check_view(session: Session, checks: Sequence[str], *, is_cut: bool = False) -> ViewFound:
     """Return how the BIDS view beside a log stands to it.
 
     Parameters
@@ -41,11 +41,13 @@ def check_view(session: Session, checks: Sequence[str]) -> ViewFound:
         As its log tells it.
     checks : sequence of str
         The check of each line of the log.
+    is_cut : bool
+        Whether the log ends in the remains of a line.
     """
     tables = sorted(session.path.parent.glob("*_beh.tsv"))
     if len(tables) != 1:
         said = f"{session.path.parent}: holds {len(tables)} BIDS tables (*_beh.tsv), exactly one is needed"
-        return ViewFound(problem=said, is_missing=not tables)
+        return ViewFound(problem=said, is_mendable=not tables)
     table, side = tables[0], tables[0].with_suffix(".json")
     try:
         head = json.loads(side.read_text(encoding="utf-8"))["SessionLog"]
@@ -55,7 +57,8 @@ def check_view(session: Session, checks: Sequence[str]) -> ViewFound:
     if n_lines > len(checks):
         return ViewFound(
             problem=f"{session.path}: the BIDS view was made from {n_lines} lines, the log has {len(checks)}: "
-            "lines were removed from its end"
+            "lines were removed from its end",
+            is_mendable=is_cut and n_lines == len(checks) + 1,
         )
     if n_lines > 0 and checks[n_lines - 1] != check:
         return ViewFound(problem=f"{side}: was made from another log")
