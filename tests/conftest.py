@@ -84,3 +84,63 @@ def edit(tmp_path: Path) -> Edit:
         return file
 
     return change
+
+
+@pytest.fixture(scope="session")
+def scribe() -> Callable[..., Path]:
+    """Return a function that records a session as a sitting does, in format 1, without a rig."""
+    return _record_session
+
+
+def _record_session(
+    preflight: Any,
+    results: Path,
+    participant: str = "p01",
+    *,
+    mode: Any = "real",
+    session: int = 1,
+    n_answered: int | None = None,
+    answer: Callable[[Any], str] = lambda trial: "both",
+    also: tuple[dict[str, Any], ...] = (),
+) -> Path:
+    """Record the answers that a function of the trial gives, and `also` further events; return the log."""
+    from modaltouch.account import describe_start, fingers
+    from modaltouch.record.folders import SessionFolder
+    from modaltouch.record.log import SessionLog
+    from modaltouch.record.session import Session
+    from modaltouch.record.view import write_view
+    from modaltouch.schedule import draw_schedule
+
+    protocol, burst = preflight.experiment.protocol, preflight.stimulus.burst
+    place = SessionFolder(results, mode, protocol.protocol, participant, session)
+    schedule = draw_schedule(protocol, participant, 1, session)
+    facts = {
+        **describe_start(preflight, schedule, place), "schema": 1, "seed": 1, "rig_choice": "TCPIP::10.0.0.1::INSTR",
+        "answers_choice": "window", "rig": {"identity": "TEKTRONIX,AFG3022B,C010101,SCPI:99.0 FV:3.2.2"},
+        "versions": {}, "boot": "",
+    }  # fmt: skip
+    silent = min(protocol.conditions.peak_velocities_mm_s)
+    with SessionLog.create(place.log, "start", **facts) as log:
+        for trial in (*schedule.practice, *schedule.trials[:n_answered]):
+            amplitudes = list(burst.amplitude_for((trial.condition.velocity_mm_s or silent) * 1e-3))
+            left, right = (round(speed * 1e3, 3) for speed in preflight.speeds(trial))
+            speeds = {"speed_left_mm_s": left, "speed_right_mm_s": right}
+            confirmed = {"commanded_amplitude": amplitudes, "confirmed_amplitude": amplitudes, "confirmed": True}
+            log.append("fired", trial=trial.as_dict(), confirmed=confirmed)
+            log.append(
+                "trial",
+                trial=trial.as_dict(),
+                presentation=1,
+                fingers=list(fingers(protocol, trial)),
+                **({"catch": True} if trial.condition.is_catch else {}),
+                planned={"velocity_mm_s": trial.condition.velocity_mm_s, **speeds},
+                commanded={"amplitude_Vpp": amplitudes},
+                confirmed=confirmed,
+                response={"answer": answer(trial), "reaction_time": 0.8, "onset": "first_burst", "way": "free_hand",
+                          "answered_by": "participant", "device": "key", "double": False},
+                supersedes=None,
+            )  # fmt: skip
+        for event in also:
+            log.append(**event)
+        write_view(place, Session(log.path, tuple(log.events), ()), log.head)
+    return place.log

@@ -11,12 +11,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from modaltouch.allotment import allot, next_session, recorded_turn
+from modaltouch.allotment import allot, next_session
 from modaltouch.protocol import Protocol, read_protocol
 from modaltouch.record.chain import RecordError
 from modaltouch.record.folders import SessionFolder
 from modaltouch.record.log import SessionLog
-from modaltouch.schedule import draw_schedule, period_of_turns, turn_of
+from modaltouch.schedule import draw_schedule, period_of_turns, recorded_turn, turn_of
 
 PAPER = read_protocol(Path(__file__).parents[1] / "protocols" / "differentiated_stimulation.yaml").protocol
 
@@ -44,7 +44,8 @@ def sit(
     drawn_as = drawn_as or place.session
     allotment = allot(place, protocol, drawn_as)
     schedule = draw_schedule(protocol, place.participant, 1, drawn_as, given=allotment.turn)
-    facts = {"participant": place.participant, "session": place.session, "seed": 1}
+    about = {"mode": place.mode, "protocol": place.protocol}
+    facts = {**about, "participant": place.participant, "session": place.session, "seed": 1}
     log = SessionLog.create(place.log, "start", **facts, schedule={**schedule.as_dict(), "n_trials": int(not complete)})
     return allotment.turn.number, log
 

@@ -1,16 +1,18 @@
-"""A session is checked against itself: chain, order, drive and BIDS view, all recomputed."""
+"""A session is checked against itself: chain, order, drive and BIDS view, all recomputed; test_audit has the rest."""
 
 import json
 import shutil
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
+from modaltouch.cli.app import app
 from modaltouch.preflight import examine
-from modaltouch.record.chain import GENESIS, encode_line, read_chain
-from modaltouch.sitting import begin
+from modaltouch.record.chain import GENESIS, encode_line, line_check, read_chain
+from modaltouch.sitting import begin, resume
 from modaltouch.verification import verify_session
-from modaltouch.wiring import wire_run
+from modaltouch.wiring import wire_resume, wire_run
 
 PROTOCOL = Path(__file__).parents[1] / "protocols" / "demo.yaml"
 
@@ -115,32 +117,74 @@ def test_a_view_behind_its_log_is_said_to_be_behind(folder):
     assert any("lines behind the log" in line for line in verdict.lines)
 
 
-def test_a_trial_that_was_repeated_later_does_not_unsettle_the_levels(tmp_path):
-    """The level after a trial followed from its first answer, though a second one replaced it afterwards."""
-    from dataclasses import replace
+def test_a_complete_session_is_not_rewritten(folder, tmp_path):
+    """Gone on with, it keeps every file as it is, the time of its last change included."""
+    place = tmp_path / "simulated" / "demo" / "sub-p01" / "ses-1"
+    place.mkdir(parents=True)
+    folder = folder.rename(place / "beh")
+    before = {path: (path.read_bytes(), path.stat()) for path in folder.iterdir()}
+    assert resume(wire_resume(folder)).complete
+    assert {path: (path.read_bytes(), path.stat()) for path in folder.iterdir()} == before
 
-    from modaltouch.adaptive import Levels
-    from modaltouch.record.session import Session
-    from modaltouch.schedule import draw_schedule
-    from modaltouch.verification import _check_levels
 
-    experiment = examine(PROTOCOL.with_name("threshold.yaml")).experiment
-    levels, order = Levels(experiment.protocol), draw_schedule(experiment.protocol, "p01", 1).trials
-    driven = [trial for trial in order if not trial.condition.is_catch][:4]
-    start = {"event": "start", "n": 1, "sources": experiment.sources.as_dict()}
-    session = Session(tmp_path / "session.jsonl", (start,), ())
+@pytest.mark.parametrize("cut", [1, 40])
+def test_a_complete_session_is_given_the_last_line_that_was_cut(folder, tmp_path, cut):
+    """By a power cut, newline alone or half the line: no answer is missing, and it is sound again."""
+    place = tmp_path / "simulated" / "demo" / "sub-p01" / "ses-1"
+    place.mkdir(parents=True)
+    log = folder.rename(place / "beh") / "session.jsonl"
+    log.write_bytes(log.read_bytes()[:-cut])
+    assert verify_session(log).problems
+    assert resume(wire_resume(log)).complete
+    assert verify_session(log).problems == ()
 
-    def add(**event):
-        return replace(session, events=(*session.events, {"n": len(session.events) + 1, **event}))
 
-    def answer(trial, word):
-        return add(event="trial", trial=trial.as_dict(), confirmed={"confirmed": True}, response={"answer": word})
+UNREADABLE = {
+    "no JSON": b'{"n":3,"event":nothing',
+    "nested without end": b'{"n":3,"event":"rig","deep":' + b"[" * 100_000 + b"]" * 100_000,
+    "a number of 6,000 digits": b'{"n":3,"event":"rig","number":' + b"7" * 6000,
+}
+COMMANDS = {
+    "verify": "verify SESSION",
+    "resume": "resume SESSION",
+    "restart": "resume --restart SESSION",
+    "analyse": "analyse SESSION --out OUT",
+    "analyse a tree": "analyse TREE --out OUT",
+    "run": "run PROTOCOL -p p01 --results RESULTS --rig simulated --answers simulated --yes",
+    "fit": "fit PROTOCOL TREE --out OUT",
+    "doctor": "doctor SESSION",
+    "recover": "doctor SESSION --into OUT",
+}
 
-    first = levels.settle(driven[0], session.trials)
-    session = answer(first, "right")
-    session = answer(levels.settle(driven[1], session.trials), "none")
-    session = add(event="withdrawn", lines=[2])
-    session = answer(first, "none")
-    session = answer(levels.settle(driven[2], session.trials), "right")
-    assert [event["n"] for event in session.trials] == [3, 5, 6]
-    assert _check_levels(session) == (True, "levels of 3 trials follow from the answers before them")
+
+@pytest.mark.parametrize("kind", UNREADABLE)
+@pytest.mark.parametrize("line", [1, 3])
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_line_that_nobody_can_read_ends_in_a_sentence(sound, tmp_path, command, line, kind):
+    """Its check is right, so that only what it says can tell; every command that reads the log names its place."""
+    folder = tmp_path / "results" / "simulated" / "demo" / "sub-p01" / "ses-1" / "beh"
+    log = Path(shutil.copytree(sound, folder)) / "session.jsonl"
+    check, lines = GENESIS, []
+    for number, event in enumerate(read_chain(log).events, 1):
+        data, after = encode_line(event, check)
+        if number == line:
+            body = UNREADABLE[kind]
+            after = line_check(check, body)
+            data = body + b',"check":"' + after.encode() + b'"}\n'
+        lines.append(data)
+        check = after
+    log.write_bytes(b"".join(lines))
+    places = {"SESSION": folder, "TREE": tmp_path / "results", "RESULTS": tmp_path / "results", "PROTOCOL": PROTOCOL}
+    words = [str(places.get(word, tmp_path / "out" if word == "OUT" else word)) for word in COMMANDS[command].split()]
+    told = CliRunner().invoke(app, words)
+    assert isinstance(told.exception, SystemExit | None), told.exception
+    if command == "recover" and line == 3:
+        assert told.exit_code == 0
+    else:
+        assert told.exit_code in (2, 4)
+    if command == "recover" and line == 1:
+        assert "its start record does not prove itself" in told.output
+    elif command in ("doctor", "recover"):
+        assert f"line {line} is left out: it cannot be read: " in told.output
+    else:
+        assert f"session.jsonl:{line}: cannot be read: " in told.output

@@ -9,7 +9,6 @@ otherwise filled alike, since it may still be resumed.
 
 from __future__ import annotations
 
-import json
 import os
 from collections import Counter
 from collections.abc import Iterator
@@ -19,10 +18,11 @@ from typing import Any
 
 from modaltouch.locking import is_locked
 from modaltouch.protocol import Protocol
-from modaltouch.record.chain import RecordError
+from modaltouch.record.chain import RecordError, UnreadableLineError, read_object
 from modaltouch.record.folders import LOG_NAME, SessionFolder
 from modaltouch.record.session import Session, read_session
-from modaltouch.schedule import Turn, period_of_turns, turn_of
+from modaltouch.record.shape import check_shape
+from modaltouch.schedule import Turn, period_of_turns, recorded_turn, turn_of
 
 _TAIL = 4096
 """Bytes at the end of a log that hold its last line, if that is a stop."""
@@ -95,18 +95,6 @@ def allot(place: SessionFolder, protocol: Protocol, drawn_as: int) -> Allotment:
     return Allotment(Turn(own + drawn_as - 1, reason), n_turns, dict(filled), dict(left))
 
 
-def recorded_turn(start: dict[str, Any]) -> Turn | None:
-    """Return the turn that a start record keeps; None where the participant's number or hash decided.
-
-    Parameters
-    ----------
-    start : dict
-        Start record of a session.
-    """
-    schedule = start.get("schedule", {})
-    return Turn(int(schedule["turn"]), str(schedule["turn_by"])) if "turn" in schedule else None
-
-
 def next_session(place: SessionFolder, n_sessions: int) -> tuple[SessionFolder, int]:
     """Return the place of a participant's next session, and its number in the participant's own count.
 
@@ -124,24 +112,29 @@ def next_session(place: SessionFolder, n_sessions: int) -> tuple[SessionFolder, 
     RecordError
         If the latest session is not complete, or there are as many as the protocol has.
     """
-    every = map(read_session, _logs_of(place.dataset / f"sub-{place.participant}"))
-    sessions = [session for session in every if session.start]
-    if not sessions:
+    every = [read_session(log) for log in _logs_of(place.dataset / f"sub-{place.participant}")]
+    for each in every:
+        if not each.start or check_shape(each.events, ""):
+            fault = (*each.problems, f"{each.path}:1: is no start record")[0]
+            way = f"see `modaltouch doctor {each.path.parent}`, or give --session"
+            raise RecordError(f"{fault}; so the participant's next session is not known: {way}")
+    if not every:
         return replace(place, session=1), 1
-    latest = sessions[-1]
+    latest = every[-1]
     folder = latest.path.parent
     number = _number(latest.path) + 1
+    faults = "".join(f"\n{fault}" for fault in latest.problems)
     if not latest.complete:
         raise RecordError(
             f"{latest.path}: this session exists already and is not complete; continue it with `modaltouch resume "
-            f"{folder}`, or begin another with --session {number}"
+            f"{folder}`, or begin another with --session {number}{faults}"
         )
-    held = [session for session in sessions if session.begun_anew_as is None]
+    held = [session for session in every if session.begun_anew_as is None]
     if len(held) >= n_sessions:
         what = "its one session" if n_sessions == 1 else f"all {n_sessions} sessions"
         raise RecordError(
             f"{latest.path}: participant {place.participant} exists already and has had {what} of the protocol, and "
-            f"nothing is overwritten; give another participant id, or --session {number} for one more"
+            f"nothing is overwritten; give another participant id, or --session {number} for one more{faults}"
         )
     return replace(place, session=number), len(held) + 1
 
@@ -161,8 +154,8 @@ def _participants(dataset: Path) -> Iterator[tuple[str, Session, Path]]:
 def _first_line(log: Path) -> tuple[dict[str, Any], ...]:
     try:
         with log.open("rb") as file:
-            return (json.loads(file.readline()),)
-    except (OSError, ValueError):
+            return (read_object(file.readline()),)
+    except (OSError, UnreadableLineError):
         return ()
 
 
@@ -171,8 +164,8 @@ def _is_complete(log: Path) -> bool:
     try:
         with log.open("rb") as file:
             file.seek(max(file.seek(0, os.SEEK_END) - _TAIL, 0))
-            last = json.loads(file.read().rstrip(b"\n").rsplit(b"\n", 1)[-1])
-    except (OSError, ValueError):
+            last = read_object(file.read().rstrip(b"\n").rsplit(b"\n", 1)[-1])
+    except (OSError, UnreadableLineError):
         last = {}
     return bool(last.get("event") == "stop" and last.get("complete")) or read_session(log).complete
 

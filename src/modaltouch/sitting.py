@@ -11,6 +11,7 @@ from typing import Any
 from modaltouch.account import describe_ending, describe_start
 from modaltouch.adaptive import Levels
 from modaltouch.allotment import allot
+from modaltouch.audit.view import check_view
 from modaltouch.clock import SYSTEM_CLOCK, Clock
 from modaltouch.console.experimenter import Experimenter
 from modaltouch.console.interface import Console, Silence
@@ -23,7 +24,7 @@ from modaltouch.preflight import Preflight
 from modaltouch.preflight.figures import estimated_duration
 from modaltouch.protocol.calibration_file import generator_problem
 from modaltouch.provenance import boot, commit, versions
-from modaltouch.record.chain import RecordError
+from modaltouch.record.chain import RecordError, read_chain
 from modaltouch.record.folders import SessionFolder
 from modaltouch.record.log import SessionLog, refuse_existing
 from modaltouch.record.session import Session, read_session
@@ -111,8 +112,8 @@ def begin(setup: Setup) -> Session:
 def resume(setup: Setup) -> Session:
     """Continue an interrupted session as its protocol has it, the trials that are left in the order they had.
 
-    A session that lacks no answer is only given what the interruption may have kept from it: the BIDS view, and the
-    last line, where that was cut.
+    A session that lacks no answer is left as it is, but for what the interruption kept from it: the BIDS view, and
+    the last line, where that was cut.
     One that is begun anew (`Setup.replaces`) is closed, and all its trials come in the same order.
 
     Raises
@@ -124,13 +125,10 @@ def resume(setup: Setup) -> Session:
         Whatever ended it early again.
     """
     place = setup.replaces or setup.place
-    session = read_session(place.log)
+    chain = read_chain(place.log)
+    session = Session(place.log, chain.events, chain.problems)
     if session.complete:
-        with SessionLog.reopen(place.log) as log:
-            if not log.ends_well:
-                log.append("stop", reason="finished", complete=True, n_answered=session.n_answered)
-            write_view(place, Session(log.path, tuple(log.events), ()), log.head)
-        return read_session(place.log)
+        return session if check_view(session, chain.checks).is_current and not session.problems else _mend(setup, place)
     recorded = session.start["schedule"]
     if recorded["order_hash"] != setup.schedule.order_hash:
         raise RecordError(
@@ -148,6 +146,16 @@ def resume(setup: Setup) -> Session:
     refuse_failed(session, cut)
     refuse_old(session, cut, policy)
     return _sit(setup, lambda place, facts: go_on(place, setup.schedule, policy, cut, facts, setup.clock), "resume")
+
+
+def _mend(setup: Setup, place: SessionFolder) -> Session:
+    """Write what an interruption kept from a complete session: its last line, its BIDS view."""
+    with SessionLog.reopen(place.log, timed_by=setup.clock) as log:
+        session = Session(log.path, tuple(log.events), ())
+        if not log.ends_well:
+            log.append("stop", reason="finished", complete=True, n_answered=session.n_answered)
+        write_view(place, Session(log.path, tuple(log.events), ()), log.head)
+    return read_session(place.log)
 
 
 def _sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], SessionLog], first: str) -> Session:

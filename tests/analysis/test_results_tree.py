@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import gc
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,60 +10,49 @@ import pytest
 from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.reading import read_responses
 from modaltouch.document import InputError
-from modaltouch.record.log import SessionLog
+from modaltouch.preflight import Preflight, examine
+from modaltouch.record.chain import read_chain
+from modaltouch.trial import Trial
+from modaltouch.verification import verify_session
 
+KINDS = ("fired", "trial")
+NAMED = ("protocol: differentiated_stimulation", "protocol: two")
+FEWER = ("[80, 100, 150, 200]", "[80, 100, 150]")
+MIRRORED = ("  hand: right ", "  placements: [mirrored]\n  hand: right ")
+CATCHES = ("  practice_trials: 3", "  practice_trials: 3\n  catch_trials: 1")
+NONE = ("    both: [up, down, num_8]", "    both: [up, num_8]\n    none: [down]")
+SHIPPED = Path(__file__).parents[2] / "protocols"
 Write = Callable[..., Path]
 
 
-@pytest.fixture
-def record(tmp_path: Path, build: dict[str, Any]) -> Write:
-    """Write a session log as a sitting does, from the synthetic answers of one participant."""
+def altered(edit: Callable[..., Path], *changes: tuple[str, str]) -> Preflight:
+    """Return the paper's protocol with some of its text changed."""
+    return examine(edit("differentiated_stimulation.yaml", *changes)).require()
 
-    def write(
-        participant: str = "p01",
-        *,
-        mode: str = "real",
-        protocol: str = "touch",
-        session: int = 1,
-        n_answered: int | None = None,
-        placement: str = "normal",
-        keep: Callable[[dict[str, Any]], bool] = lambda row: True,
-    ) -> Path:
-        rows = [row for row in build["paper"]() if row["participant"] == "p01" and keep(row)]
-        root = tmp_path / "results" if mode == "real" else tmp_path / "results" / mode
-        path = root / protocol / f"sub-{participant}" / f"ses-{session}" / "beh" / "session.jsonl"
-        start = {
-            "mode": mode, "participant": participant, "session": session, "protocol": protocol,
-            "schedule": {"n_trials": len(rows)}, "design": {"stimulus": {"focus": "C", "repetition_rate_Hz": 7.0}},
-            "rig": {"identity": "TEKTRONIX,AFG3022B"}, "seed": 1,
-        }  # fmt: skip
-        with SessionLog.create(path, "start", **start) as log:
-            log.append("trial", **trial(0, {**rows[0], "response": "left"}, practice=True))
-            for index, row in enumerate(rows[:n_answered], 1):
-                log.append("trial", **trial(index, row, placement=placement))
-        return path
+
+@pytest.fixture(scope="module")
+def paper() -> Preflight:
+    """Return the paper's protocol."""
+    return examine(SHIPPED / "differentiated_stimulation.yaml").require()
+
+
+@pytest.fixture
+def record(tmp_path: Path, build: dict[str, Any], scribe: Write, paper: Preflight) -> Write:
+    """Write a session log as a sitting does, with the synthetic answers of one participant."""
+    rows = (row for row in build["paper"]() if row["participant"] == "p01")
+    cells = ("finger_condition", "zone_left", "zone_right", "velocity_mm_s")
+    words = {tuple(row[name] for name in cells): row["response"] for row in rows}
+
+    def answer(trial: Trial) -> str:
+        condition = trial.condition
+        pair = condition.pair[::-1] if condition.is_mirrored else condition.pair
+        word = str(words[condition.finger_condition, *pair, condition.velocity_mm_s])
+        return {"left": "right", "right": "left"}.get(word, word) if condition.is_mirrored else word
+
+    def write(participant: str = "p01", preflight: Preflight = paper, **options: Any) -> Path:
+        return scribe(preflight, tmp_path / "results", participant, **{"answer": answer, **options})
 
     return write
-
-
-def trial(index: int, row: dict[str, Any], *, practice: bool = False, placement: str = "normal") -> dict[str, Any]:
-    """Return the facts of one answered trial, as `session.write_down` records them."""
-    zones, response, speeds = (row["zone_left"], row["zone_right"]), row["response"], [40.0, 80.0]
-    if placement.startswith("mirrored"):
-        zones, speeds = zones[::-1], speeds[::-1]
-        response = {"left": "right", "right": "left"}.get(response, response)
-    condition = {
-        "finger_condition": row["finger_condition"], "zone_left": zones[0], "zone_right": zones[1],
-        "velocity_mm_s": float(row["velocity_mm_s"]), "placement": placement,
-    }  # fmt: skip
-    return {
-        "trial": {"index": index, "block": 1, "condition": condition, "repetition": 1, "practice": practice},
-        "planned": {"speed_left_mm_s": speeds[0], "speed_right_mm_s": speeds[1]},
-        "commanded": {"amplitude_Vpp": [1.0, 2.0]},
-        "confirmed": {"confirmed": True, "confirmed_amplitude": [1.0, 2.0]},
-        "response": {"answer": response, "reaction_time": 0.8, "onset": "first_burst", "answered_by": "participant"},
-        "supersedes": None,
-    }
 
 
 def reasons(responses) -> dict[str, str]:
@@ -90,17 +78,26 @@ def test_any_folder_of_the_tree_or_the_log_itself_can_be_given(record, tmp_path,
     assert len(read_responses(chain[depth]).frame) == 24
 
 
-def test_a_superseded_answer_does_not_count(record, tmp_path, build) -> None:
-    """A repeated trial replaces the record it names, nothing is rewritten."""
-    path = record("p01")
-    lines = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-    old = lines[2]
-    with SessionLog.reopen(path) as log:
-        facts = {key: old[key] for key in ("trial", "planned", "commanded", "confirmed", "response")}
-        log.append("trial", **{**facts, "response": {**old["response"], "answer": "both"}}, supersedes=old["n"])
+def test_a_superseded_answer_does_not_count(record) -> None:
+    """An answer withdrawn and asked again replaces the one it names, nothing is rewritten."""
+    first = record("p01")
+    events = read_chain(first).events
+    fired, old = (next(e for e in events if e["event"] == kind and not e["trial"]["practice"]) for kind in KINDS)
+    facts = {key: value for key, value in old.items() if key not in ("n", "time", "clock")}
+    response = {**old["response"], "answer": "both" if old["response"]["answer"] != "both" else "left"}
+    first.unlink()
+    path = record(
+        "p01",
+        also=(
+            {"event": "withdrawn", "lines": [old["n"]]},
+            {"event": "fired", "trial": fired["trial"], "confirmed": fired["confirmed"]},
+            {**facts, "presentation": 2, "response": response, "supersedes": old["n"]},
+        ),
+    )
+    assert verify_session(path).problems == ()
     frame = read_responses(path).frame
     assert len(frame) == 24
-    assert frame[frame["trial"] == 1]["response"].tolist() == ["both"]
+    assert frame[frame["trial"] == 1]["response"].tolist() == [response["answer"]]
 
 
 def test_what_stays_out_is_named_with_its_reason(record, tmp_path) -> None:
@@ -108,10 +105,9 @@ def test_what_stays_out_is_named_with_its_reason(record, tmp_path) -> None:
     record("p01")
     record("p02", n_answered=20)
     damaged = record("p03")
-    damaged.write_bytes(damaged.read_bytes().replace(b'"left"', b'"both"', 1))
+    damaged.write_bytes(damaged.read_bytes().replace(b'"answer":"left"', b'"answer":"both"', 1))
     record("p04", mode="pilot"), record("p05", mode="simulated")
-    with SessionLog.reopen(record("p06", n_answered=3)) as log:
-        log.append("closed", begun_anew_as=2)
+    record("p06", n_answered=3, also=({"event": "closed", "begun_anew_as": 2},))
     responses = read_responses(tmp_path / "results")
     told = reasons(responses)
     assert set(responses.frame["participant"]) == {"p01"}
@@ -135,18 +131,20 @@ def test_a_chosen_mode_leaves_the_others_out(record, tmp_path) -> None:
     ("sessions", "mode", "words"),
     [
         ([{"mode": "pilot"}, {"mode": "simulated"}], None, r"several modes \(1 pilot, 1 simulated\).*--mode"),
-        ([{"protocol": "one"}, {"protocol": "two"}], None, r"several protocols \(1 of 'one', 1 of 'two'\)"),
-        ([{}, {"keep": lambda row: row["velocity_mm_s"] < 200}], None, "answered different conditions"),
+        ([{}, {"change": NAMED}], None, r"several protocols \(1 of 'differentiated_stimulation', 1 of 'two'\)"),
+        ([{}, {"change": FEWER}], None, "answered different conditions"),
         ([{"n_answered": 3}], None, r"no session that can be analysed \(1 incomplete: 3 of 24"),
         ([{}], "virtual", r"mode 'virtual'; allowed: real, pilot, simulated"),
         ([], None, "a folder without a recorded session"),
     ],
 )
-def test_what_cannot_be_pooled_is_refused_with_a_way_out(record, tmp_path, sessions, mode, words) -> None:
+def test_what_cannot_be_pooled_is_refused_with_a_way_out(record, edit, paper, tmp_path, sessions, mode, words) -> None:
     """Modes, protocols and designs are never mixed; InputError, not a traceback."""
     (tmp_path / "results").mkdir()
     for i, options in enumerate(sessions):
-        record(f"p{i:02d}", **options)
+        change = options.get("change")
+        facts = {name: value for name, value in options.items() if name != "change"}
+        record(f"p{i:02d}", altered(edit, change) if change else paper, **facts)
     with pytest.raises(InputError, match=words):
         read_responses(tmp_path / "results", mode=mode)
 
@@ -173,27 +171,26 @@ def test_two_sessions_of_everyone_are_repetitions(record, tmp_path) -> None:
     assert count_answers(read_responses(tmp_path / "results").frame).n_repetitions == 2
 
 
-def test_a_turned_beam_is_told_by_zone(record, tmp_path) -> None:
+def test_a_turned_beam_is_told_by_zone(record, edit, tmp_path) -> None:
     """Mirrored placement of the second participant: same zones chosen, same speeds under them, other side."""
-    record("p01"), record("p02", placement="mirrored")
+    record("p01"), record("p02", altered(edit, MIRRORED))
     responses = read_responses(tmp_path / "results")
     answers = count_answers(responses.frame, responses.focus)
     assert (answers.counts[0] == answers.counts[1]).all()
     assert answers.facing.tolist() == [1, -1]
-    assert set(responses.frame["speed_left_mm_s"]) == {40.0}
+    cells = responses.frame.groupby(["finger_condition", "zone_left", "zone_right", "velocity_mm_s"], observed=True)
+    assert (cells["speed_left_mm_s"].nunique() == 1).all()
 
 
-def test_catch_trials_of_a_session_are_counted_apart(record, tmp_path) -> None:
-    """Two catch trials more, answered none and left: no row of the table, and counted with their participant."""
-    for participant in ("p01", "p02"):
-        with SessionLog.reopen(record(participant)) as log:
-            for index, answer in enumerate(("none", "left"), 25):
-                row = {"finger_condition": "one_hand", "zone_left": "A", "zone_right": "C", "velocity_mm_s": 0}
-                log.append("trial", **trial(index, {**row, "response": answer}), catch=True)
+def test_catch_trials_of_a_session_are_counted_apart(record, edit, tmp_path) -> None:
+    """One catch trial more for each finger condition: no row of the table, and counted with its participant."""
+    preflight = altered(edit, CATCHES, NONE)
+    for participant, word in (("p01", "none"), ("p02", "left")):
+        record(participant, preflight, answer=lambda trial, word=word: word if trial.condition.is_catch else "both")
     responses = read_responses(tmp_path / "results")
     assert len(responses.frame) == 48
     assert responses.frame["velocity_mm_s"].min() == 80
-    assert responses.catches == {"p01": {"none": 1, "left": 1}, "p02": {"none": 1, "left": 1}}
+    assert responses.catches == {"p01": {"none": 2}, "p02": {"left": 2}}
 
 
 @pytest.mark.parametrize("was_on", [True, False])

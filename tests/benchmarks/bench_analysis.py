@@ -14,12 +14,23 @@ import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from modaltouch.account import describe_start
+from modaltouch.document import Source
+from modaltouch.preflight import Preflight, examine, examine_findings
+from modaltouch.protocol import examine_sources
 from modaltouch.record.chain import GENESIS, encode_line
+from modaltouch.record.folders import Mode, SessionFolder, make_folder
+from modaltouch.record.session import Session
+from modaltouch.record.view import write_view
+from modaltouch.schedule import draw_schedule
+from modaltouch.trial import Condition, Trial
 
 ROOT = Path(__file__).parents[2]
 SHARES = {("A", "C"): (0.02, 0.06, 0.92), ("B", "D"): (0.25, 0.70, 0.05), ("C", "E"): (0.93, 0.06, 0.01)}
@@ -52,31 +63,60 @@ def write_table(path: Path, n_participants: int, n_repetitions: int, seed: int =
 
 
 def write_tree(root: Path, n_sessions: int, n_repetitions: int, seed: int = 1) -> None:
-    """Write synthetic session logs, every tenth of them incomplete, damaged, pilot or simulated in turn."""
+    """Write session logs of the paper's protocol, every tenth incomplete, damaged, pilot or simulated in turn.
+
+    Orders, amplitudes and speeds are the true ones, since the analysis leaves out what does not follow from a log's own
+    start record; the answers are synthetic.
+    """
+    text = (ROOT / "protocols" / "differentiated_stimulation.yaml").read_text(encoding="utf-8")
+    sources = examine(ROOT / "protocols" / "differentiated_stimulation.yaml").experiment.sources
+    repeated = text.replace("repetitions: 1", f"repetitions: {n_repetitions}")
+    sources = replace(sources, protocol=Source(sources.protocol.path, repeated))
+    preflight = examine_findings(examine_sources(sources)).require()
     rng = np.random.default_rng(seed)
     for i in range(n_sessions):
         kind = ("incomplete", "damaged", "pilot", "simulated")[i // 10 % 4] if i % 10 == 0 else "sound"
-        mode = kind if kind in ("pilot", "simulated") else "real"
-        folder = (root if mode == "real" else root / mode) / "bench" / f"sub-p{i:05d}" / "ses-1" / "beh"
-        folder.mkdir(parents=True)
-        cells = [(c, pair, level) for c in CONDITIONS for pair in SHARES for level in LEVELS] * n_repetitions
-        start = {"mode": mode, "participant": f"p{i:05d}", "session": 1, "protocol": "bench",
-                 "schedule": {"n_trials": len(cells)}}  # fmt: skip
+        mode: Mode = kind if kind in ("pilot", "simulated") else "real"  # type: ignore[assignment]
+        place = SessionFolder(root, mode, "differentiated_stimulation", f"p{i:05d}")
+        schedule = draw_schedule(preflight.experiment.protocol, place.participant, seed)
+        about = {"seed": seed, "rig_choice": "TCPIP::1::INSTR", "answers_choice": "window", "rig": {"identity": "AFG"}}
+        start = {**describe_start(preflight, schedule, place), "schema": 1, "versions": {}, "boot": "", **about}
         events: list[dict[str, Any]] = [{"event": "start", **start}]
-        for index, (condition, pair, level) in enumerate(cells[: -4 if kind == "incomplete" else None], 1):
-            where = {"finger_condition": condition, "zone_left": pair[0], "zone_right": pair[1], "velocity_mm_s": level}
-            answer = ANSWERS[rng.choice(3, p=SHARES[pair])]
-            events.append({"event": "trial", "trial": {"index": index, "block": 1, "condition": where,
-                           "repetition": (index - 1) // len(set(cells)) + 1,
-                           "practice": False}, "planned": {"speed_left_mm_s": 50.0, "speed_right_mm_s": 80.0},
-                           "commanded": {"amplitude_Vpp": [1.0, 2.0]},
-                           "confirmed": {"confirmed": True, "confirmed_amplitude": [1.0, 2.0]},
-                           "response": {"answer": answer, "reaction_time": 0.8}, "supersedes": None})  # fmt: skip
+        trials = (*schedule.practice, *schedule.trials[: -4 if kind == "incomplete" else None])
+        for trial in trials:
+            answer = ANSWERS[rng.choice(3, p=SHARES[trial.condition.pair])]
+            events += _presented(preflight, trial, answer)
         data, check = b"", GENESIS
         for n, event in enumerate(events, 1):
-            line, check = encode_line({"n": n, **event}, check)
+            events[n - 1] = {"n": n, "time": "2026-01-02T10:00:00+00:00", "clock": float(n), **event}
+            line, check = encode_line(events[n - 1], check)
             data += line
-        (folder / "session.jsonl").write_bytes(data.replace(b'"both"', b'"BOTH"') if kind == "damaged" else data)
+        make_folder(place.folder)
+        place.log.write_bytes(data.replace(b'"answer":"both"', b'"answer":"BOTH"') if kind == "damaged" else data)
+        write_view(place, Session(place.log, tuple(events), ()), {"lines": len(events), "check": check})
+
+
+def _presented(preflight: Preflight, trial: Trial, answer: str) -> list[dict[str, Any]]:
+    """Return the lines of one trial."""
+    values, amplitudes, (left, right) = trial.as_dict(), *_figures(preflight, trial.condition)
+    confirmed = {"commanded_amplitude": amplitudes, "confirmed_amplitude": amplitudes, "confirmed": True}
+    fired = {"event": "fired", "trial": values, "confirmed": confirmed}
+    response = {"answer": answer, "reaction_time": 0.8, "onset": "first_burst", "way": "", "answered_by": "participant"}
+    planned = {"velocity_mm_s": trial.condition.velocity_mm_s, "speed_left_mm_s": left, "speed_right_mm_s": right}
+    return [
+        fired,
+        {"event": "trial", "trial": values, "presentation": 1, "fingers": list(trial.condition.fingers("right")),
+         "planned": planned, "commanded": {"amplitude_Vpp": amplitudes}, "confirmed": confirmed, "response": response,
+         "supersedes": None},
+    ]  # fmt: skip
+
+
+@lru_cache
+def _figures(preflight: Preflight, condition: Condition) -> tuple[list[float], tuple[float, float]]:
+    """Return the amplitudes [V peak to peak] and the speeds under the fingers [mm/s] of a condition."""
+    left, right = preflight.speeds(Trial(1, 1, condition))
+    amplitudes = preflight.stimulus.burst.amplitude_for(condition.velocity_mm_s * 1e-3)
+    return list(amplitudes), (round(left * 1e3, 3), round(right * 1e3, 3))
 
 
 def measure(source: Path, out: Path) -> dict[str, Any]:

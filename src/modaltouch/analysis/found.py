@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from modaltouch.analysis.record_facts import SessionFacts, take_facts
-from modaltouch.record.chain import RecordError
-from modaltouch.record.session import Session, read_session
+from modaltouch.audit import audit
+from modaltouch.record.chain import Chain, RecordError, read_chain
+from modaltouch.record.session import Session
 from modaltouch.trial import TIME_OUT
 
 
@@ -140,13 +141,14 @@ def _one(word: object) -> str:
 def open_log(path: Path) -> Found:
     """Read a session and keep only what an analysis needs of it: a thousand logs would not fit in memory."""
     try:
-        session = read_session(path)
+        chain = read_chain(path)
     except RecordError as error:
         return Found(path, reason=f"unreadable: {error}")
+    session = Session(path, chain.events, chain.problems)
     if not session.start:
         damage = f"damaged: {session.problems[0]}" if session.problems else "cut before it began"
         return Found(path, reason=damage)
-    found = Found(path, session.mode, session.participant, session.protocol, unfit=_unfit(session))
+    found = Found(path, session.mode, session.participant, session.protocol, unfit=_unfit(session, chain))
     if found.unfit:
         return found
     design = session.start.get("design", {})
@@ -167,9 +169,9 @@ def open_log(path: Path) -> Found:
     )
 
 
-def _unfit(session: Session) -> str:
-    if session.problems:
-        return f"damaged: {session.problems[0]}"
+def _unfit(session: Session, chain: Chain) -> str:
+    if faults := session.problems or audit(session, chain).problems:
+        return f"damaged: {faults[0]}"
     if not session.complete and session.begun_anew_as is not None:
         return f"closed: begun anew as session {session.begun_anew_as}"
     if not session.complete:

@@ -129,6 +129,7 @@ def ask_session(dataset: Path, participant: str, n_sessions: int) -> int | None:
     """
     from modaltouch.locking import is_locked
     from modaltouch.record.session import read_session
+    from modaltouch.record.shape import check_shape
 
     logs = {
         int(log.parents[1].name[4:]): log
@@ -141,6 +142,8 @@ def ask_session(dataset: Path, participant: str, n_sessions: int) -> int | None:
         session = read_session(log)
         if is_locked(log):
             state = "being run now, by another program"
+        elif not session.start or check_shape(session.events, ""):
+            state = f"cannot be read: {(*session.problems, 'has no start record')[0]}"
         elif session.complete:
             state = "complete"
         elif session.begun_anew_as:

@@ -34,6 +34,22 @@ class RecordInputError(RecordError):
     """What was named is no participant id, or no session; no record is at risk."""
 
 
+class UnreadableLineError(Exception):
+    """A line whose check is right and that is no JSON object that can be read.
+
+    Parameters
+    ----------
+    reason : str
+        Why.
+    check : str
+        Its check.
+    """
+
+    def __init__(self, reason: object, check: str = "") -> None:
+        super().__init__(f"cannot be read: {reason}")
+        self.check = check
+
+
 @dataclass(frozen=True)
 class Chain:
     """What a file of chained lines holds.
@@ -136,7 +152,13 @@ def parse_chain(data: bytes, name: str) -> Chain:
     pending_line = 0
     previous = GENESIS
     for number, line in enumerate(_lines(data), start=1):
-        event, check = _decode(line.removesuffix(b"\n"), previous)
+        try:
+            event, check = _decode(line.removesuffix(b"\n"), previous)
+        except UnreadableLineError as error:
+            # Its check is right, so that the lines after it still prove themselves.
+            damage.append(f"{name}:{number}: {error}, though its check is right")
+            previous = error.check
+            continue
         if event is None or (pending and not _declares(event, pending)):
             pending = pending + line if pending else line
             pending_line = pending_line or number
@@ -180,9 +202,33 @@ def _decode(line: bytes, previous: str) -> tuple[dict[str, Any] | None, str]:
     body, check = line[: tail.start()], tail.group(1).decode()
     if line_check(previous, body) != check:
         return None, ""
-    # A results tree holds hundreds of thousands of lines; json.loads would guess the encoding of each.
-    event = _DECODER.decode(body.decode("utf-8", "surrogatepass") + "}")
-    return event, check
+    try:
+        return read_object(body + b"}"), check
+    except UnreadableLineError as error:
+        error.check = check
+        raise
+
+
+def read_object(line: bytes) -> dict[str, Any]:
+    """Return the JSON object that a line holds.
+
+    Raises
+    ------
+    UnreadableLineError
+        If it is no JSON, no object, nested beyond what can be read, or holds a number of thousands of digits.
+    """
+    try:
+        # A results tree holds hundreds of thousands of lines; json.loads would guess the encoding of each.
+        value = _DECODER.decode(line.decode("utf-8", "surrogatepass"))
+    except json.JSONDecodeError as error:
+        raise UnreadableLineError(f"it is no JSON from its character {error.pos + 1} on") from error
+    except RecursionError as error:
+        raise UnreadableLineError("it is nested too deep") from error
+    except ValueError as error:
+        raise UnreadableLineError("it holds a number of too many digits, or is no UTF-8") from error
+    if not isinstance(value, dict):
+        raise UnreadableLineError("it is no JSON object")
+    return value
 
 
 def _declares(event: dict[str, Any], torn: bytes) -> bool:

@@ -8,12 +8,20 @@ right. A line whose predecessor is gone cannot be proved: it is left out and kep
 from __future__ import annotations
 
 import hashlib
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from modaltouch.record.chain import GENESIS, TAIL, RecordError, describe_torn, line_check, read_log
+from modaltouch.record.chain import (
+    GENESIS,
+    TAIL,
+    RecordError,
+    UnreadableLineError,
+    describe_torn,
+    line_check,
+    read_log,
+    read_object,
+)
 from modaltouch.record.folders import SessionFolder
 from modaltouch.record.log import SessionLog, refuse_existing
 from modaltouch.record.session import Session
@@ -166,6 +174,8 @@ def recover(found: Recovery, results: Path) -> Path:
             for reference in ("supersedes", "answered"):
                 if event.get(reference):
                     facts[reference] = new_numbers.get(event[reference])
+            if event["event"] == "withdrawn":
+                facts["lines"] = [new_numbers[line] for line in event["lines"] if line in new_numbers]
             log.append(event["event"], **facts)
         log.append(
             "recovered",
@@ -200,14 +210,21 @@ def _prove(lines: list[bytes], claimed: dict[int, str], number: int) -> dict[str
     likely = [claimed[number - 1]] if number - 1 in claimed else []
     for previous in (*likely, GENESIS, *claimed.values()):
         if line_check(previous, body) == check:
-            event = json.loads(body + b"}")
-            return event if isinstance(event, dict) and isinstance(event.get("n"), int) else None
+            try:
+                event = read_object(body + b"}")
+            except UnreadableLineError:
+                return None
+            return event if isinstance(event.get("n"), int) else None
     return None
 
 
 def _why(line: bytes, claimed: dict[int, str], number: int) -> str:
     if number not in claimed:
         return "it was cut or its end was changed"
+    try:
+        read_object(line)
+    except UnreadableLineError as error:
+        return f"it {error}"
     return "it was changed, or the line before it is gone, so that it cannot be proved"
 
 

@@ -16,6 +16,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from modaltouch.clock import SYSTEM_CLOCK, Clock, VirtualClock
+from modaltouch.rig.interface import is_simulated as is_simulated
 
 if TYPE_CHECKING:
     from modaltouch.apparatus import Apparatus
@@ -47,11 +48,6 @@ def open_rig(address: str, apparatus: Apparatus, *, log: Log, **options: Any) ->
     from modaltouch.rig.generator import Generator
 
     return Generator(address, apparatus, log=log, **options)
-
-
-def is_simulated(identity: str) -> bool:
-    """Return whether a reply to ``*IDN?`` is the simulator's: it bears the word where others have their number."""
-    return "SIMULATED" in identity.split(",")
 
 
 def same_process(clock: VirtualClock) -> Callable[[str], Guard]:

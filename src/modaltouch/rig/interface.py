@@ -153,3 +153,8 @@ class Rig(typing.Protocol):
     def __enter__(self) -> Self: ...
 
     def __exit__(self, *exc: object) -> None: ...
+
+
+def is_simulated(identity: str) -> bool:
+    """Return whether a reply to ``*IDN?`` is the simulator's: it bears the word where others have their number."""
+    return "SIMULATED" in identity.split(",")

@@ -7,7 +7,7 @@
 ``draw``     draw_schedule
 """
 
-from modaltouch.schedule.draw import Block, Schedule, Turn, draw_schedule, period_of_turns, turn_of
+from modaltouch.schedule.draw import Block, Schedule, Turn, draw_schedule, period_of_turns, recorded_turn, turn_of
 from modaltouch.schedule.orders import count_orders, draw_order
 from modaltouch.schedule.streams import Stream, random_generator
 
@@ -21,5 +21,6 @@ __all__ = [
     "draw_schedule",
     "period_of_turns",
     "random_generator",
+    "recorded_turn",
     "turn_of",
 ]

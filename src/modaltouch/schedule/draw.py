@@ -229,6 +229,18 @@ def turn_of(participant: str, seed: int, session: int) -> Turn:
     return Turn(stream.below(2**64) + session - 1, "hash of the participant")
 
 
+def recorded_turn(start: dict[str, Any]) -> Turn | None:
+    """Return the turn that a start record keeps; None where the participant's number or hash decided.
+
+    Parameters
+    ----------
+    start : dict
+        Start record of a session.
+    """
+    schedule = start.get("schedule", {})
+    return Turn(int(schedule["turn"]), str(schedule["turn_by"])) if "turn" in schedule else None
+
+
 def _check_arguments(participant: str, seed: int, session: int) -> None:
     if not participant:
         raise ValueError("participant is empty; give an identifier such as p01")

@@ -7,16 +7,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from modaltouch.allotment import next_session, recorded_turn
+from modaltouch.allotment import next_session
+from modaltouch.audit import require_sound
 from modaltouch.observer import Observer
 from modaltouch.observer.file import read_observer, usual_observer
 from modaltouch.preflight import Preflight, examine_findings
 from modaltouch.protocol import Protocol, Sources, examine_sources
 from modaltouch.record.chain import RecordError, RecordInputError
 from modaltouch.record.folders import Mode, SessionFolder, find_log, locate
-from modaltouch.record.session import Session, read_session
-from modaltouch.record.shape import SCHEMA, check_shape
-from modaltouch.schedule import draw_schedule
+from modaltouch.record.session import Session
+from modaltouch.record.shape import SCHEMA
+from modaltouch.schedule import draw_schedule, recorded_turn
 from modaltouch.sensation import at_own_levels, recorded_levels
 from modaltouch.sitting import Setup
 from modaltouch.window import AnswersBy, WindowOptions
@@ -105,10 +106,11 @@ def wire_resume(
     Raises
     ------
     RecordError
-        If there is no such session, it is damaged or has been begun anew, or a real one would go on simulated.
+        If there is no such session, `modaltouch verify` refuses it, it has been begun anew, or a real one would go on
+        simulated.
     """
     log = find_log(path)
-    session = _begun(log)
+    session = require_sound(log)
     start = session.start
     if start.get("schema", 1) < SCHEMA and not (session.complete or restart):
         raise RecordInputError(
@@ -155,23 +157,6 @@ def _latest_window(session: Session) -> dict[str, Any]:
     """Return what the record says of the window of the latest sitting."""
     sittings = (event for event in reversed(session.events) if event["event"] in ("start", "resume"))
     return next(sittings).get("window") or {}
-
-
-def _begun(log: Path) -> Session:
-    """Return a session of whose beginning enough is recorded to go on with it.
-
-    Raises
-    ------
-    RecordError
-        If there is not.
-    """
-    session = read_session(log)
-    if not session.start:
-        damage = "".join(f"\n{problem}" for problem in session.problems)
-        raise RecordError(f"{log}: has no start record, so there is nothing to continue{damage}")
-    if shape := check_shape(session.events, str(log), to_repeat=True):
-        raise RecordError("\n".join(shape))
-    return session
 
 
 def _usual(protocol: Protocol, answers: AnswersBy) -> Observer:
