@@ -128,8 +128,8 @@ class Rig(typing.Protocol):
     ) -> Firing:
         """Set the level [m/s], switch the outputs on and let bursts go, `n_bursts` at most; return after the first.
 
-        With `exactly` a single burst that is left out spoils the stimulus. With `silent` everything is the same but that
-        no burst is let go: the outputs are on at rest.
+        With `exactly` a single burst that is left out spoils the stimulus. With `silent` everything is the same but
+        that no burst is let go: the outputs are on at rest.
         """
 
     def end(self) -> None:
