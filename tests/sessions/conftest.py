@@ -6,8 +6,8 @@ import time
 from pathlib import Path
 
 import pytest
+from quickly import run
 
-from modaltouch.__main__ import main
 from modaltouch.record.chain import read_chain
 
 REPOSITORY = Path(__file__).parents[2]
@@ -33,7 +33,7 @@ def start(context):
     started = []
 
     def begin(*words):
-        process = context.Process(target=main, args=([str(word) for word in words],))
+        process = context.Process(target=run, args=([str(word) for word in words],))
         process.start()
         started.append(process)
         return process

@@ -14,6 +14,7 @@ import json
 import math
 import os
 import random
+import re
 import runpy
 import shutil
 import signal
@@ -32,7 +33,7 @@ from modaltouch.rig.simulator import Simulator
 from modaltouch.verification import verify_session
 
 CUT_SHORT = Path(__file__).with_name("cut_short.py")
-N_POINTS = int(os.environ.get("MODALTOUCH_KILL_POINTS", "300"))
+N_POINTS = int(os.environ.get("MODALTOUCH_KILL_POINTS", "60"))
 FIRST_SEED = int(os.environ.get("MODALTOUCH_FIRST_SEED", "1"))
 SOAK = os.environ.get("MODALTOUCH_SOAK_RESULTS", "")
 PROTOCOLS = ("differentiated_stimulation", "with_catch_trials", "two_fields", "threshold")
@@ -140,7 +141,7 @@ class Subject:
         return [
             (event["trial"]["practice"], event["trial"]["index"], event["trial"]["condition"], event["response"])
             for event in read_chain(self.log).events
-            if event["event"] == "trial"
+            if event["event"] == "answered"
         ]
 
     @property
@@ -164,6 +165,12 @@ def subject(context, simulator, protocol_path, tmp_path, tmp_path_factory):
     """Make participants whose sessions can be cut short."""
     folder = tmp_path_factory.mktemp("shipped") / "protocols"
     shutil.copytree(protocol_path.parent, folder)
+    for file in folder.glob("*.yaml"):
+        # Nobody's fingers have to come back to the beam.
+        text = re.sub(r"\n  pause_s: .*", "", file.read_text(encoding="utf-8"))
+        file.write_text(
+            text.replace("\nanswers:\n", "\nanswers:\n  pause_s: 0.0\n  settling_s: 0.0\n"), encoding="utf-8"
+        )
     file = folder / "threshold.yaml"
     text = file.read_text(encoding="utf-8").replace("trials: 40", "trials: 12")
     file.write_text(text.replace("catch_trials: 10", "catch_trials: 3"), encoding="utf-8")

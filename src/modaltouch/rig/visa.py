@@ -22,7 +22,7 @@ CHUNK = 1 << 20
 PURE_PYTHON, VENDOR = "py", "ivi"
 """PyVISA's names of its two backends."""
 
-LOCK_TIMEOUT = 1.0
+LOCK_TIMEOUT = 3.0
 """How long another program of this machine is waited for: one that ends just now is gone by then [s]."""
 
 NO_MORE_SESSIONS = "error creating link: 9"

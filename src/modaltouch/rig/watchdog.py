@@ -253,7 +253,7 @@ class Watch:
             with contextlib.suppress(Exception):
                 self._transport.close(broken=True)
             time.sleep(pause)
-            pause = min(2 * pause, 1.0)
+            pause = min(2 * pause, 0.5)
             with contextlib.suppress(Exception):
                 self._transport.open()
 
