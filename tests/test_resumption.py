@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -22,7 +21,7 @@ from modaltouch.protocol import ResumeSection
 from modaltouch.record.chain import RecordInputError, read_chain
 from modaltouch.record.session import Session, read_session
 from modaltouch.resumption import answers_to_ask_again, examine_interruption, refuse_old
-from modaltouch.rig.interface import Firing
+from modaltouch.rig.interface import Bursts, Firing
 from modaltouch.schedule import draw_schedule, random_generator
 from modaltouch.sitting import Setup, begin, resume
 from modaltouch.verification import verify_session
@@ -34,21 +33,38 @@ Edit = Callable[..., Path]
 
 
 class PaperRig:
-    """Fires nothing and confirms it."""
+    """Fires nothing and confirms it, in the time that bursts would take."""
 
     identity = "TEKTRONIX,AFG3022B,SIMULATED,paper"
     address = "paper"
     firing: Firing | None = None
 
-    def load(self, burst: Any) -> None:
+    def __init__(self, setup: Setup) -> None:
+        self._bursts, self._clock = setup.preflight.bursts, setup.clock
+        self._chosen, self._most = 0, 0
+
+    def load(self, *bursts: Any) -> None:
         pass
 
-    def fire(self, velocity: float, *, silent: bool = False, which: int = 0) -> Firing:
-        self.firing = Firing((1.0, 1.0), (1.0, 1.0), True, time.perf_counter(), 0.15)
+    def fire(self, velocity: float, *, n_bursts: int, silent: bool = False, which: int = 0, **_: object) -> Firing:
+        amplitude = self._bursts[which].amplitude_for(velocity)
+        self._chosen, self._most = which, 0 if silent else n_bursts
+        self._clock.sleep(0.05)
+        self.firing = Firing(amplitude, amplitude, self._clock.now(), 0.001, started=True)
+        self._clock.sleep(0.001)
         return self.firing
 
-    def stop(self) -> None:
+    def end(self) -> None:
         pass
+
+    def stop(self, *, at_once: bool = False) -> None:
+        if self.firing is None or self.firing.confirmed:
+            return
+        burst, onset = self._bursts[self._chosen], self.firing.onset
+        n = min(int((self._clock.now() - onset) * burst.repetition_rate) + 1, self._most)
+        self._clock.sleep(onset + (n - 1) / burst.repetition_rate + burst.duration - self._clock.now() if n else 0.0)
+        counted = Bursts(n, n, n, 0, *((onset, 0.001) if n else ()))
+        self.firing = replace(self.firing, confirmed=True, bursts=counted)
 
     def heartbeat(self) -> None:
         pass
@@ -62,12 +78,13 @@ def on_paper(setup: Setup) -> Setup:
 
     @contextmanager
     def open_rig(log: Callable[..., None]) -> Iterator[PaperRig]:
-        yield PaperRig()
+        yield PaperRig(setup)
 
     def open_window(tick: Callable[[], None], log: Callable[..., None]) -> AnswerWindow:
         person = Observer().draw(random_generator(1, "p01", 1, "observer"))
         answerer = Answerer(person, setup.preflight.speeds, random_generator(1, "p01", 1, "answers"))
-        return SimulatedParticipant(answerer, tick=tick)
+        until = setup.preflight.experiment.protocol.answers.stimulus_until
+        return SimulatedParticipant(answerer, tick=tick, stimulus_until=until, clock=setup.clock, step=0.1)
 
     return replace(setup, open_rig=open_rig, open_window=open_window)  # type: ignore[arg-type]
 
@@ -169,7 +186,7 @@ def test_a_session_whose_practice_was_not_passed_is_begun_anew_and_never_resumed
         answerer = Answerer(
             person, lambda trial: preflight.speeds(trial)[::-1], random_generator(1, "p01", 1, "answers")
         )
-        return SimulatedParticipant(answerer, tick=tick)
+        return SimulatedParticipant(answerer, tick=tick, clock=setup.clock)
 
     setup = on_paper(wire_run(preflight, "p01", answers="simulated", results=tmp_path))
     with pytest.raises(SessionStopped, match="practice not passed") as ended:
@@ -333,14 +350,14 @@ def test_only_a_block_is_asked_again(edit: Edit) -> None:
 
 
 def test_the_record_says_when_everything_happened_and_how_surely(edit: Edit, tmp_path: Path) -> None:
-    """Issue, item 7: trigger, first burst and answer of each trial as intervals, in their order."""
+    """Issue, item 7: first burst and answer of each trial as intervals, in their order."""
     preflight = with_policy(edit, "{at: trial}")
     done = begin(on_paper(wire_run(preflight, "p01", answers="simulated", results=tmp_path)))
     for event in done.trials:
-        instants = event["instants"]
+        instants, bursts = event["instants"], event["bursts"]
         assert instants["question"] is None
-        trigger, burst, answer = (instants[name] for name in ("trigger", "first_burst", "answer"))
-        assert trigger["earliest_s"] == burst["earliest_s"] <= trigger["latest_s"] <= burst["latest_s"]
-        assert burst["latest_s"] - trigger["latest_s"] == pytest.approx(1 / 7, abs=1e-3)
+        burst, answer = (instants[name] for name in ("first_burst", "answer"))
+        assert burst["earliest_s"] == pytest.approx(bursts["first_s"] - bursts["uncertainty_s"], abs=2e-6)
+        assert burst["latest_s"] == pytest.approx(bursts["first_s"] + bursts["uncertainty_s"], abs=2e-6)
         expected = event["confirmed"]["onset"] + event["response"]["reaction_time"]
         assert answer["latest_s"] == pytest.approx(expected, abs=1e-5)
