@@ -96,6 +96,7 @@ COLUMNS = (
     "block",
     "response_time",
     "response_onset",
+    "response_uncertainty",
     "answered_by",
     "double",
     "speed_left_mm_s",
@@ -125,12 +126,23 @@ def _row(participant: str, session: int, event: dict[str, Any], multiples: dict[
         float(trial["block"]),
         float(response["reaction_time"]),
         _one(response.get("onset", "")),
+        _uncertainty(event),
         _one(response.get("answered_by", "")),
         bool(response.get("double", False)),
         float(planned.get("speed_left_mm_s", float("nan"))),
         float(planned.get("speed_right_mm_s", float("nan"))),
         bool(event.get("confirmed", {}).get("confirmed", False)),
     )
+
+
+def _uncertainty(event: dict[str, Any]) -> float:
+    """Return how far off a reaction time can be: by the first burst, where it counts from that, and by the answer."""
+    response, onset = event["response"], event.get("confirmed", {}).get("onset_uncertainty")
+    from_burst = response.get("onset") == "first_burst"
+    if from_burst and onset is None:
+        return float("nan")
+    start = onset if from_burst else response.get("question_uncertainty", 0.0)
+    return float(start) + float(response.get("time_uncertainty", 0.0))
 
 
 def _one(word: object) -> str:

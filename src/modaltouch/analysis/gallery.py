@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import pandas as pd
 from matplotlib.figure import Figure
 
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.courses import draw_order, draw_side, draw_speeds, draw_times
 from modaltouch.analysis.figures import draw_counts, draw_overview, draw_participants
 from modaltouch.analysis.responses import Responses
+from modaltouch.analysis.secondary import known_to
 from modaltouch.analysis.tables import figure_names, tabulate, zone_table
 
 FIELDS = (
@@ -75,7 +77,7 @@ def draw_all(answers: AnswerCounts, responses: Responses) -> tuple[Picture, ...]
             "reaction_times",
             draw_times(answers, frame),
             f"{_rhythm(responses)} An answer may wait for the next burst, so reaction times are quantised and small "
-            "differences mean little. Answers too early to be answers are left out.",
+            f"differences mean little.{_known(frame)} Answers too early to be answers are left out.",
         ),
         (
             "speed_ratio",
@@ -97,6 +99,11 @@ def _rhythm(responses: Responses) -> str:
     if not rate:
         return "The stimulus repeats at a fixed rate."
     return f"Bursts repeat at {rate:g} Hz, one every {1000 / rate:.0f} ms."
+
+
+def _known(frame: pd.DataFrame) -> str:
+    known = known_to(frame)
+    return f" They are known to {known * 1e3:.2g} ms (95 % of them)." if known else ""
 
 
 def _bars(answers: AnswerCounts) -> list[Picture]:

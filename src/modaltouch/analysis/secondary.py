@@ -149,7 +149,7 @@ def order_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Findi
 def time_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Finding]:
     """Yield whether reaction times differ between pairs: medians within participants, sign flips over them."""
     kept = frame[frame["response_time"] >= ANTICIPATION]
-    dropped = len(frame) - len(kept)
+    dropped, known = len(frame) - len(kept), known_to(frame)
     for condition in answers.finger_conditions:
         # Where every answer to a pair came too early, there is no median to compare.
         pairs = [pair.label for pair in answers.pairs]
@@ -160,11 +160,29 @@ def time_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Findin
             test, unfiltered = (sign_flip_test(np.rint(values * 1000).astype(np.int64)) for values in (gap, every))
             notes = [f"{dropped} of {len(frame)} answers below {ANTICIPATION:g} s left out in all"]
             notes += [f"with them p = {unfiltered.p:.2g}"] if dropped else []
+            notes += [f"reaction times are known to {known * 1e3:.2g} ms"] if known else []
             yield finding_of(
                 "time", "exact sign-flip test of median reaction times",
                 f"{condition} {first.label} - {second.label}", test, "difference of medians [s]",
-                student_interval(gap), int(gap.size), notes=notes,
+                _rounded(student_interval(gap), known), int(gap.size), notes=notes,
             )  # fmt: skip
+
+
+def known_to(frame: pd.DataFrame) -> float:
+    """Return how far off 95 % of the reaction times can be at most [s]; 0 where the table does not say."""
+    if not has_values(frame, "response_uncertainty"):
+        return 0.0
+    return float(frame["response_uncertainty"].quantile(0.95))
+
+
+def _rounded(interval: Interval, known: float) -> Interval:
+    """Return an interval without digits that nobody knows."""
+    if not known > 0:
+        return interval
+    digits = max(0, -math.ceil(math.log10(known)))
+    return Interval(
+        *(round(each, digits) for each in (interval.estimate, interval.low, interval.high)), interval.n_effective
+    )
 
 
 def speed_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Finding]:
