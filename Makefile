@@ -103,6 +103,16 @@ soak: install
 	MODALTOUCH_KILL_POINTS=1200 MODALTOUCH_SOAK_RESULTS=results/benchmarks/soak.json \
 	  $(PYTHON) -m pytest --timeout 7200 tests/sessions/test_durability.py
 
+## accounted: a session of 240 trials in real time, its record against what the twin played
+.PHONY: accounted
+accounted: install
+	$(PYTHON) tests/sessions/accounted.py --out results/benchmarks/accounted.json
+
+## stops: 1,000 seeded deaths and dead links while bursts play; what came of them goes into results/benchmarks/stops.json
+.PHONY: stops
+stops: install
+	$(PYTHON) tests/rig/stops.py --cases 1000 --out results/benchmarks/stops.json
+
 ## soak-identification: intervals judged by 200 seeds, and all nine modes through the whole driver, chirp and multisine
 .PHONY: soak-identification
 soak-identification: install

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import combinations, product
 from statistics import NormalDist
 
@@ -180,9 +181,8 @@ def _rounded(interval: Interval, known: float) -> Interval:
     if not known > 0:
         return interval
     digits = max(0, -math.ceil(math.log10(known)))
-    return Interval(
-        *(round(each, digits) for each in (interval.estimate, interval.low, interval.high)), interval.n_effective
-    )
+    estimate, low, high = (round(each, digits) for each in (interval.estimate, interval.low, interval.high))
+    return replace(interval, estimate=estimate, low=low, high=high)
 
 
 def speed_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Finding]:

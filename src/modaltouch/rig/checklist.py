@@ -1,7 +1,6 @@
 """What no manual says of a generator: found out where software can, told to a person where it cannot.
 
-The questions are the twelve of the project's notes on the instrument. Nothing is played: a burst never starts,
-and the amplitude is the lowest there is.
+Nothing is played: the outputs are off whenever a burst starts, and the amplitude is the lowest there is.
 """
 
 from __future__ import annotations
@@ -74,7 +73,7 @@ def check_rig(
     Returns
     -------
     list of Row
-        Question 0 and the twelve of the notes, in order.
+        In the order of the questions.
 
     Raises
     ------

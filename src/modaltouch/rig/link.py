@@ -92,6 +92,16 @@ class Link:
 
         return self._exchange(message, message.encode("ascii"), timeout, read)
 
+    def send(self, message: str) -> None:
+        """Send a message that asks nothing; return once the instrument has taken it.
+
+        Raises
+        ------
+        LinkError
+            If it cannot be sent.
+        """
+        self._exchange(message, message.encode("ascii"), None, None)
+
     def send_block(self, command: str, block: bytes, *, timeout: float) -> None:
         """Send a command whose last argument is a definite block.
 

@@ -21,6 +21,7 @@ N_POINTS = 125_000
 STEPS = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 N_CHANGES = 3
 N_ERRORS = 40
+N_TRIGGERS, BURST_LENGTH = 50, 0.05
 
 State = Literal["found", "person", "unanswered"]
 
@@ -230,6 +231,30 @@ def _sessions(bench: Bench) -> Finding:
     )
 
 
+def _trigger(bench: Bench) -> Finding:
+    controls = bench.connection.controls
+    controls.apply([STOPPED])
+    for channel in CHANNELS:
+        source = f"SOUR{channel}"
+        controls.apply_each([Setting(f"{source}:FREQ", 20.0, "HZ"), Setting(f"{source}:BURS:STAT", "ON")])
+    command = controls.trigger_command()
+    took = []
+    for _ in range(N_TRIGGERS):
+        started = time.perf_counter()
+        bench.link.send(command)
+        took.append((time.perf_counter() - started) * 1e3)
+        time.sleep(BURST_LENGTH)
+    took.sort()
+    return (
+        "person",
+        f"{command} is taken after {took[len(took) // 2]:.2f} ms, {took[-1]:.2f} ms at most; when the first sample "
+        "leaves cannot be seen from the bus",
+        "raise a line that an oscilloscope sees (RTS of a serial port) right before the command, measure from its edge "
+        "to the first sample of 50 bursts, and write the least and the greatest as generator.trigger_latency_ms {low, "
+        "high}; without it no instant is claimed to less than a millisecond",
+    )
+
+
 def _after_link_loss(bench: Bench) -> Finding:
     controls = bench.connection.controls
     controls.apply([STOPPED])
@@ -264,4 +289,5 @@ QUESTIONS: tuple[tuple[int, str, Callable[[Bench], Finding]], ...] = (
     (10, "How far apart do the channels start?", _skew),
     (11, "Does it admit a second session?", _sessions),
     (12, "What do the outputs do when the link is lost?", _after_link_loss),
+    (13, "How soon after its command does a burst begin?", _trigger),
 )
