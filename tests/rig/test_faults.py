@@ -13,10 +13,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from cable import Cable
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import modaltouch.rig
+from modaltouch.apparatus import Apparatus
 from modaltouch.clock import VirtualClock
 from modaltouch.rig.connection import Patience
 from modaltouch.rig.generator import Generator
@@ -111,6 +113,19 @@ DISTURBANCES: list[tuple[str, str, bool, str]] = [
     ("dropped connection", "cable out and in", True, ""),
 ]
 
+LINKS: list[tuple[str, str, str]] = [
+    # fault, phase, what is seen
+    ("half-open link", "upload", "recovers"),
+    ("half-open link", "arm", "unconfirmed"),
+    ("half-open link", "trial", "unconfirmed"),
+    ("half-open link", "stop", "recovers"),
+    ("mute link", "upload", "recovers"),
+    ("mute link", "arm", "unconfirmed"),
+    ("mute link", "trial", "unconfirmed"),
+    ("mute link", "stop", "unconfirmed"),
+]
+"""The link there is dies without a word, both ways or on the way back; new ones work."""
+
 ELSEWHERE: list[tuple[str, str, str, str]] = [
     # fault, phase, what is seen, the test of this file that proves it
     ("refused connection", "connect", "refused", "test_refused_connection_is_reported"),
@@ -131,6 +146,8 @@ def test_readme_says_what_the_matrix_proves() -> None:
         proved.setdefault((fault.replace("_", " "), phase), set()).add(words[seen])
     for fault, _, confirmed, _ in DISTURBANCES:
         proved.setdefault((fault, "trial"), set()).add("goes on" if confirmed else "trial again")
+    for fault, phase, seen in LINKS:
+        proved.setdefault((fault, phase), set()).add(words[seen])
     for fault, phase, seen, test in ELSEWHERE:
         assert test in globals(), f"{test} is gone: say what proves {fault} at {phase}"
         proved.setdefault((fault, phase), set()).add(words[seen])
@@ -228,6 +245,42 @@ def test_disturbance_during_a_trial_takes_the_confirmation_back(
     assert loaded.firing.confirmed is confirmed
     assert re.search(words, loaded.firing.reason)
     assert loaded.fire(0.1).started
+
+
+@pytest.mark.parametrize(("fault", "phase", "seen"), LINKS)
+def test_a_dead_link_is_given_up_for_a_new_one(
+    fault: str,
+    phase: str,
+    seen: str,
+    simulator: Simulator,
+    apparatus: Apparatus,
+    guard: Any,
+    patience: Patience,
+    clock: VirtualClock,
+    burst: Burst,
+) -> None:
+    """Nothing waits longer than it was given; no lock keeps the new link out; what is unsure is offered again."""
+    port = int(simulator.address.split(",")[1].split(":")[0])
+    with (
+        Cable(port) as cable,
+        Generator(cable.address, apparatus, start_guard=guard, patience=patience, clock=clock) as rig,
+    ):
+        steps: dict[str, Callable[[], object]] = {
+            "upload": lambda: rig.load(burst),
+            "arm": lambda: rig.fire(0.1),
+            "trial": lambda: clock.sleep(0.3),
+            "stop": lambda: rig.stop(),
+        }
+        for name, step in steps.items():
+            if name == phase:
+                cable.cut("both" if fault == "half-open link" else "from", new=False)
+            step()
+        assert rig.firing is not None
+        assert rig.firing.confirmed is (seen == "recovers")
+        assert simulator.outputs == (False, False)
+        rig.fire(0.1)
+        rig.stop()
+        assert rig.firing.confirmed
 
 
 def test_completion_that_never_comes_is_bounded(
