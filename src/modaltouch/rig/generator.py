@@ -30,6 +30,9 @@ from modaltouch.stimulus.burst import Burst
 UNMEASURED = 2e-3
 """Within this time of a trigger the first sample is taken to leave, where that has not been measured [s]."""
 
+MOST_AWAITED = 5
+"""Bursts of which the first that is played begins a stimulus; if none of them is, it has not begun."""
+
 MOST_DROPPED = 0.1
 """Where their number is not fixed, a stimulus of which two bursts or more, and a larger part, were left out is offered
 again [1]; a single one that is missing is recorded."""
@@ -217,6 +220,9 @@ class Generator:
                 reason = str(error)
                 self._firing = replace(self._firing, confirmed_amplitude=numbers(read_back), reason=reason)
                 self._log("unconfirmed", reason=reason)
+                if isinstance(error, LinkError):
+                    # A trigger of its own may still be on its way over it.
+                    self._connection.link.close(broken=True)
                 self._switch_off("starting the stimulus")
                 if isinstance(error, Unconfirmed):
                     # Whoever changed a setting is to find it as it was for the next try.
@@ -245,12 +251,13 @@ class Generator:
             self._silent = False
             order = self._player.order(n_bursts, on + RELAYS_SETTLE, self._patience.trigger)
             report = self._connection.guard.play(order)
-            while report.first is None and not report.ended:
+            while report.first is None and not report.ended and report.due < MOST_AWAITED:
                 # The first was late and left out: the stimulus begins with the next.
                 clock.sleep(self._player.period / 4)
                 report = self._connection.guard.look()
             if report.first is None:
-                raise LinkError(report.reason or "no burst could be played in time")
+                self._firing = replace(firing, stalled=report.ended != "failed")
+                raise LinkError(report.reason or "this computer was held up: no burst could be played in time")
             span = self._sample_left(report.first)
             bursts = self._count(report)
         else:
