@@ -16,7 +16,6 @@ from modaltouch.record.instants import describe_instants
 from modaltouch.record.shape import SCHEMA
 from modaltouch.rig.interface import Firing, RigError
 from modaltouch.schedule import Schedule
-from modaltouch.speech.interface import SpeechError
 from modaltouch.trial import Response, Trial
 from modaltouch.window.interface import SessionStopped, WindowError
 
@@ -69,12 +68,9 @@ def describe_ending(error: BaseException) -> dict[str, str]:
         return {"reason": error.reason}
     if isinstance(error, Interrupted):
         return {"reason": error.signal_name}
-    kinds: dict[
-        type[BaseException], Literal["rig fault", "window lost", "record fault", "masking lost", "speech lost"]
-    ] = {
+    kinds: dict[type[BaseException], Literal["rig fault", "window lost", "record fault", "masking lost"]] = {
         RigError: "rig fault",
         MaskingError: "masking lost",
-        SpeechError: "speech lost",
         WindowError: "window lost",
         RecordError: "record fault",
     }

@@ -19,7 +19,6 @@ FAULTS = {
     "stop": "sittings ended early",
     "rig": "troubles with the instrument, all overcome or followed by an end",
     "masking_lost": "losses of the masking noise",
-    "speech_lost": "losses of the spoken prompts",
     "torn": "lines cut while they were written",
 }
 
@@ -235,7 +234,7 @@ def _kinds_of_fault(event: dict[str, Any]) -> Iterator[str]:
     if kind in RIG_TROUBLES or any(exchange.get("what") in RIG_TROUBLES for exchange in event.get("exchanges", ())):
         yield "rig"
     # Every sitting ends with a stop; only one before the last trial is a deviation.
-    told = ("trial_cut", "unconfirmed", "resume", "masking_lost", "speech_lost")
+    told = ("trial_cut", "unconfirmed", "resume", "masking_lost")
     if kind in told or (kind == "stop" and not event.get("complete")):
         yield kind
 
@@ -258,7 +257,6 @@ def _settings_of(start: dict[str, Any]) -> dict[str, object]:
         "protocol": start.get("protocol"),
         "apparatus": start.get("apparatus"),
         "masking noise": _masking_in_words(start.get("masking")),
-        "spoken prompts": _speech_in_words(start.get("speech")),
         "study seed": start.get("seed"),
         "burst": str(start.get("stimulus", {}).get("content_hash", ""))[:16],
         "modaltouch": start.get("versions", {}).get("modaltouch"),
@@ -275,16 +273,6 @@ def _masking_in_words(masking: dict[str, Any] | None) -> str:
     at_ear = masking["level_dB_SPL"]
     level = f"{masking['level_dB_FS']:g} dB FS" + (f", {at_ear:g} dB SPL" if at_ear is not None else "")
     return f"{masking['noise']}, {level}, on {masking['device']}"
-
-
-def _speech_in_words(speech: dict[str, Any] | None) -> str:
-    if not speech:
-        return ""
-    if speech["state"] != "spoken":
-        return f"none: {speech['reason']}"
-    return (
-        f"{', '.join(speech['screens'])}, voice {speech['voice']}, {speech['level_dB_FS']:g} dB FS, {speech['library']}"
-    )
 
 
 def _settings(sessions: Sequence[SessionFacts]) -> dict[str, str]:

@@ -12,7 +12,6 @@ from modaltouch.window.interface import AnswerWindow, Log, Tick
 
 if TYPE_CHECKING:
     from modaltouch.protocol import Protocol, Texts
-    from modaltouch.speech.interface import Speech
     from modaltouch.window.screen import Screen
     from modaltouch.window.simulated import Answerer
 
@@ -76,7 +75,6 @@ def open_window(
     log: Log,
     answerer: Answerer | None = None,
     options: WindowOptions | None = None,
-    speech: Speech | None = None,
     clock: Clock = SYSTEM_CLOCK,
 ) -> AnswerWindow:
     """Return an open answer window.
@@ -100,8 +98,6 @@ def open_window(
         The observer, for ``robot`` and ``simulated``.
     options : WindowOptions, optional
         How the window is opened, where there is one.
-    speech : Speech, optional
-        Says what is on the screen.
     clock : Clock
         Of the session.
 
@@ -142,7 +138,6 @@ def open_window(
             log=log,
             screenshots=options.screenshots,
             robot=Robot(answerer, protocol.answers) if answers == "robot" and answerer is not None else None,
-            speech=speech,
             clock=clock,
         )
     except BaseException:
