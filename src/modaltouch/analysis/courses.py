@@ -29,11 +29,6 @@ MOST_TRIALS = 40
 def draw_side(answers: AnswerCounts) -> Figure | None:
     """Return each participant's choice of the focus when it lies right against when it lies left.
 
-    Parameters
-    ----------
-    answers : AnswerCounts
-        Counts of the answers.
-
     Returns
     -------
     Figure or None
@@ -116,13 +111,6 @@ def draw_order(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
 def draw_times(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
     """Return reaction times by pair and answer.
 
-    Parameters
-    ----------
-    answers : AnswerCounts
-        Counts of the answers.
-    frame : DataFrame
-        Tidy answers.
-
     Returns
     -------
     Figure or None
@@ -157,13 +145,6 @@ def draw_times(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
 
 def draw_speeds(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
     """Return the shares of the three answers against the predicted ratio of speeds under the two fingers.
-
-    Parameters
-    ----------
-    answers : AnswerCounts
-        Counts of the answers.
-    frame : DataFrame
-        Tidy answers.
 
     Returns
     -------

@@ -130,13 +130,7 @@ class SessionFacts:
 
 
 def take_facts(session: Session) -> SessionFacts:
-    """Return what a session's log tells beside the answers.
-
-    Parameters
-    ----------
-    session : Session
-        A session as read from its log.
-    """
+    """Return what a session's log tells beside the answers."""
     start, trials, multiples = session.start, session.trials, session.multiples
     counted = [event for event in trials if not event["trial"]["practice"]]
     by_level: dict[tuple[str, float], list[dict[str, Any]]] = {}
@@ -159,13 +153,7 @@ def take_facts(session: Session) -> SessionFacts:
 
 
 def describe_record(sessions: Sequence[SessionFacts]) -> RecordFacts | None:
-    """Return what the logs of the analysed sessions tell; None for a CSV, which has none.
-
-    Parameters
-    ----------
-    sessions : sequence of SessionFacts
-        The analysed sessions.
-    """
+    """Return what the logs of the analysed sessions tell; None for a CSV, which has none."""
     if not sessions:
         return None
     return RecordFacts(

@@ -60,11 +60,6 @@ def inverse_filter(known: Knowledge) -> FloatArray:
     the focusing instant, by the recordings, among those within the voltage limit; where none are, those that need
     the least.
 
-    Parameters
-    ----------
-    known : Knowledge
-        The recordings at all control points.
-
     Returns
     -------
     (n_channels, n_samples) array
@@ -131,11 +126,6 @@ def inverse_filter_at_instant(known: Knowledge) -> FloatArray:
     Noise adds to :math:`R R^T` what is known of it from record to record, on the average on its diagonal alone: that
     is the regularisation. Directions that do not stand ABOVE_NOISE out of it are left out, since a drive that leans on
     them leans on noise; more are where it would pass the voltage limit.
-
-    Parameters
-    ----------
-    known : Knowledge
-        The recordings at all control points.
 
     Returns
     -------

@@ -220,15 +220,7 @@ def learn(
 
 
 def identified_model(found: Identification, apparatus: Apparatus) -> ModalModel:
-    """Return the modes of the table with the values that were identified; those not found keep the table's.
-
-    Parameters
-    ----------
-    found : Identification
-        From the recordings.
-    apparatus : Apparatus
-        The table, and which output feeds which set.
-    """
+    """Return the modes of the table with the values that were identified; those not found keep the table's."""
     table = apparatus.modal_model()
     frequency, ratio, gain = (
         np.array(values) for values in (table.natural_frequency, table.damping_ratio, table.modal_gain)

@@ -131,13 +131,7 @@ class Texts(Section):
 
 
 def check_words(protocol: Reading[Protocol], texts: Reading[Texts]) -> list[Problem]:
-    """Return the texts that a protocol needs and its language file lacks.
-
-    Parameters
-    ----------
-    protocol, texts : Reading
-        Both files, as far as they are sound.
-    """
+    """Return the texts that a protocol needs and its language file lacks."""
     problems: list[Problem] = []
     keys = protocol.find(("answers", "keys"))
     if keys is None or not isinstance(keys.content, dict) or "none" not in keys.content:

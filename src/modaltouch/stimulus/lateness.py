@@ -25,13 +25,6 @@ _LEFT = 1e-12
 def late_gains(system: DiagonalSystem, timing: Timing) -> list[ComplexArray]:
     """Return what a step late by d leaves in the states at the end of its sample, term by term in d.
 
-    Parameters
-    ----------
-    system : DiagonalSystem
-        The beam behind its amplifier.
-    timing : Timing
-        Clock of the samples.
-
     Returns
     -------
     list of (n_states, n_channels) complex arrays
@@ -84,13 +77,6 @@ def late_steps(voltage: FloatArray, timing: Timing, start: int, stop: int) -> It
 
 def clock_pushes(system: DiagonalSystem, timing: Timing) -> ComplexArray:
     """Return what a unit of each of `clock_inputs` leaves in the states at the end of its sample.
-
-    Parameters
-    ----------
-    system : DiagonalSystem
-        The beam behind its amplifier.
-    timing : Timing
-        Clock of the samples.
 
     Returns
     -------
