@@ -12,7 +12,6 @@ from modaltouch.preflight import Preflight
 from modaltouch.protocol import Protocol
 from modaltouch.record.chain import RecordError
 from modaltouch.record.folders import SessionFolder
-from modaltouch.record.instants import describe_instants
 from modaltouch.record.shape import SCHEMA
 from modaltouch.rig.interface import Firing, RigError
 from modaltouch.schedule import Schedule
@@ -119,7 +118,7 @@ def describe_answer(
         "confirmed": firing.as_dict(),
         "bursts": firing.bursts.as_dict(),
         "response": response.as_dict(),
-        "instants": describe_instants(
+        "instants": _instants(
             onset=firing.onset,
             onset_uncertainty=firing.onset_uncertainty,
             answered=answered,
@@ -192,3 +191,29 @@ def _superseded(events: Sequence[dict[str, Any]], values: dict[str, Any]) -> int
     last = max((place for place, event in enumerate(events) if event["event"] == "fired"), default=len(events))
     answers = (event for event in reversed(events[:last]) if event["event"] in ("trial", "answered"))
     return next((event["n"] for event in answers if event["trial"] == values), None)
+
+
+def _instants(
+    *,
+    onset: float,
+    onset_uncertainty: float,
+    answered: float,
+    answer_uncertainty: float,
+    question: float | None,
+    question_uncertainty: float,
+    silent: bool,
+) -> dict[str, dict[str, float] | None]:
+    """Return the earliest and the latest instant of first burst, question and answer, by the record's clock [s].
+
+    A picture is on the screen between the call that flips it and the call's return; a monitor's own latency, which no
+    program can see, comes on top. A press is stamped when it is read, at most one poll after it happened.
+    """
+    return {
+        "first_burst": None if silent else _between(onset - onset_uncertainty, onset + onset_uncertainty),
+        "question": None if question is None else _between(question - question_uncertainty, question),
+        "answer": _between(answered - answer_uncertainty, answered),
+    }
+
+
+def _between(earliest: float, latest: float) -> dict[str, float]:
+    return {"earliest_s": round(earliest, 6), "latest_s": round(latest, 6)}

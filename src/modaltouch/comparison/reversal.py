@@ -29,7 +29,7 @@ FloatArray = NDArray[np.float64]
 
 
 def time_reversal(known: Knowledge) -> FloatArray:
-    """Return the impulse responses at the focus, reversed in time, at the level or the limit.
+    """Return the recorded impulse responses at the focus alone, reversed in time, at the level or the limit.
 
     Returns
     -------

@@ -200,10 +200,8 @@ def learn(
 
     Parameters
     ----------
-    preflight : Preflight
-        The protocol, examined.
-    settings : Settings
-        How much is measured.
+    preflight, settings
+        As for `contest`.
     folder : Path, optional
         Where the recordings are kept; a scan that was stopped goes on there.
     on_progress, check : callable

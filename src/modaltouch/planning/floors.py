@@ -88,10 +88,8 @@ def find_floor(design: Design, family: str, n_repetitions: int, alpha: float = A
 
     Parameters
     ----------
-    design : Design
-        The cells.
-    family : str
-        One of `modaltouch.planning.questions.FAMILIES`.
+    design, family
+        As for `smallest_p`.
     n_repetitions : int
         Answers of each participant in each cell.
     alpha : float

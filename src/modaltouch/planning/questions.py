@@ -126,10 +126,8 @@ def half_widths(answers: Answers, family: str) -> FloatArray:
 
     Parameters
     ----------
-    answers : Answers
-        Simulated experiments.
-    family : str
-        One of `FAMILIES`.
+    answers, family
+        As for `p_values`.
 
     Returns
     -------

@@ -91,12 +91,8 @@ def clock_inputs(voltage: FloatArray, timing: Timing, start: int, stop: int, n_i
 
     Parameters
     ----------
-    voltage : (n_channels, n_samples) array
-        Held samples from the start of the burst [V].
-    timing : Timing
-        Clock of the samples.
-    start, stop : int
-        First sample, and the one after the last.
+    voltage, timing, start, stop
+        As for `late_steps`.
     n_inputs : int
         As many as `clock_pushes` has columns.
 

@@ -156,12 +156,8 @@ def modal_history(
     ----------
     model : ModalModel
         The beam.
-    voltage : (n_channels, n_samples) array
-        Held samples at the beam [V].
-    timing : Timing
-        Clock of the samples.
-    amplifier : Amplifier, optional
-        Pole and delay before the beam.
+    voltage, timing, amplifier
+        As for `velocity_history`.
 
     Returns
     -------
@@ -183,16 +179,10 @@ def peak_velocity(
 
     Parameters
     ----------
-    model : ModalModel
-        The beam.
-    voltage : (n_channels, n_samples) array
-        Held samples at the beam [V].
-    timing : Timing
-        Clock of the samples.
-    positions : (n_positions,) array_like
-        Where, origin at mid-beam [m].
-    amplifier : Amplifier, optional
-        Pole and delay before the beam.
+    model, voltage, timing
+        As for `modal_history`.
+    positions, amplifier
+        As for `velocity_history`.
 
     Returns
     -------

@@ -84,22 +84,12 @@ def open_window(
     answers : str
         ``window`` (a person), ``robot`` (an observer typing into the real window) or ``simulated`` (an observer
         without a window).
-    protocol : Protocol
-        What is asked, and by which keys it is answered.
-    texts : Texts
-        Every word on the screen.
-    zones : tuple of str
-        Names of the beam's zones, from the participant's left.
-    tick : callable
-        Called about every millisecond while the window waits; may raise, and returns what the experimenter wishes.
-    log : callable
-        Takes the window's events for the record, as ``log(event, **facts)``.
+    protocol, texts, zones, tick, log, clock
+        As for `participant.ParticipantWindow`.
     answerer : Answerer, optional
         The observer, for ``robot`` and ``simulated``.
     options : WindowOptions, optional
         How the window is opened, where there is one.
-    clock : Clock
-        Of the session.
 
     Raises
     ------

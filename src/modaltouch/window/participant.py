@@ -52,9 +52,9 @@ class ParticipantWindow:
     theme : Theme
         Colours.
     tick : callable
-        Called about every millisecond; may raise.
+        Called about every millisecond while the window waits; may raise, and returns what the experimenter wishes.
     log : callable
-        Takes the window's events for the record.
+        Takes the window's events for the record, as ``log(event, **facts)``.
     screenshots : Path, optional
         Folder for one PNG of each kind of screen.
     robot : Sitter, optional
