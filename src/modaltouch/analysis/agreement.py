@@ -26,17 +26,12 @@ _LEVEL = 0.05
 
 
 def pairwise_agreement(ratings: ArrayLike) -> float:
-    """Return the chance that two participants, drawn at random, gave the same answer to the same item.
+    """Return the chance that two participants, drawn at random, gave one answer to an item [1]; NaN where none has two.
 
     Parameters
     ----------
     ratings : (n_items, n_categories) array
         How many participants put each item into each category.
-
-    Returns
-    -------
-    float
-        Agreement [1]; not a number if no item has two answers.
     """
     table = np.asarray(ratings, dtype=float)
     raters = table.sum(axis=1)
@@ -47,18 +42,13 @@ def pairwise_agreement(ratings: ArrayLike) -> float:
 
 
 def gwet_ac1(ratings: ArrayLike) -> float:
-    """Return Gwet's agreement coefficient AC1 for any number of raters and nominal categories.
+    """Return Gwet's AC1 for any number of raters and categories [1]; 1 when all agree, NaN where no item has two answers.
 
     Parameters
     ----------
     ratings : (n_items, n_categories) array
         How many participants put each item into each category; every category that could be chosen has its
         column. Items may have different numbers of ratings.
-
-    Returns
-    -------
-    float
-        Agreement beyond chance [1]; 1 when all agree; not a number if no item has two answers.
     """
     table = np.asarray(ratings, dtype=float)
     agreement = pairwise_agreement(table)
@@ -69,7 +59,7 @@ def gwet_ac1(ratings: ArrayLike) -> float:
 
 
 def ac1_interval(answers: ArrayLike) -> Interval:
-    """Return AC1 with an interval over participants.
+    """Return AC1 with an interval over participants; from -1 to 1 with fewer than three.
 
     The interval is the jackknife over participants. Where all agree the jackknife has no width; the lower
     bound is then the smallest AC1 compatible with the exact upper bound on the share of participants who would
@@ -79,11 +69,6 @@ def ac1_interval(answers: ArrayLike) -> Interval:
     ----------
     answers : (n_participants, n_items, n_categories) array
         How often each participant gave each answer to each item.
-
-    Returns
-    -------
-    Interval
-        AC1; bounds -1 to 1 with fewer than three participants.
     """
     table = np.asarray(answers, dtype=float)
     n = table.shape[0]

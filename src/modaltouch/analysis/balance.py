@@ -98,17 +98,12 @@ def _excused(answers: pd.DataFrame, frame: pd.DataFrame, unread: pd.DataFrame) -
 
 
 def answers_per_cell(frame: pd.DataFrame) -> pd.DataFrame:
-    """Return how many answers each participant gave in each cell of the crossed design.
+    """Return how many answers each participant gave in each cell of the crossed design, a row each, a column a cell.
 
     Parameters
     ----------
     frame : DataFrame
         Tidy answers with a count ``n``.
-
-    Returns
-    -------
-    DataFrame
-        Participants by (finger_condition, zone_left, zone_right, level).
     """
     cell = cell_of(frame.columns)
     sums = frame.groupby(["participant", *cell], observed=True)["n"].sum()

@@ -112,7 +112,7 @@ def multinomial_test(counts: ArrayLike, probabilities: Sequence[float] | None = 
 
 
 def sign_flip_test(scores: ArrayLike) -> ExactTest:
-    """Return the exact test that scores are symmetric about zero.
+    """Return the exact test that scores are symmetric about zero; the statistic is their sum.
 
     Under the null hypothesis every participant's score could as well have had the other sign.
 
@@ -120,11 +120,6 @@ def sign_flip_test(scores: ArrayLike) -> ExactTest:
     ----------
     scores : (n_participants,) array of int
         One net score per participant.
-
-    Returns
-    -------
-    ExactTest
-        The statistic is the sum of the scores; without any non-zero score p is 1.
 
     Examples
     --------
@@ -144,17 +139,12 @@ def sign_flip_test(scores: ArrayLike) -> ExactTest:
 
 
 def sign_test(scores: ArrayLike) -> ExactTest:
-    """Return the exact sign test: how many participants lean one way, zeros left out.
+    """Return the exact sign test: how many participants, the statistic, lean to the positive side, zeros left out.
 
     Parameters
     ----------
     scores : (n_participants,) array of int
         One net score per participant.
-
-    Returns
-    -------
-    ExactTest
-        The statistic is the number of positive scores.
     """
     values = whole_numbers(scores, "scores")
     test = sign_flip_test(np.sign(values))

@@ -38,7 +38,7 @@ class Interval:
 
 
 def clopper_pearson(successes: float, n: float, confidence: float = CONFIDENCE) -> Interval:
-    """Return the exact interval of a proportion.
+    """Return the exact interval of a proportion; 0 to 1 about NaN where n is zero.
 
     Parameters
     ----------
@@ -46,11 +46,6 @@ def clopper_pearson(successes: float, n: float, confidence: float = CONFIDENCE) 
         Successes out of n; need not be whole, as a design effect may have scaled both.
     confidence : float
         Confidence of the interval [1].
-
-    Returns
-    -------
-    Interval
-        0 to 1 where n is zero, with an estimate that is not a number.
 
     Raises
     ------
@@ -90,7 +85,7 @@ def wilson(successes: float, n: float) -> Interval:
 
 
 def korn_graubard(successes: ArrayLike, n_answers: int) -> Interval:
-    """Return the interval of a proportion when each participant gave several answers.
+    """Return the interval of a proportion of all answers when each participant gave several.
 
     The Clopper-Pearson interval at the effective number of answers. The design effect is held between 1 and
     the answers per participant, and is the latter where all participants agree: ten participants who always
@@ -102,11 +97,6 @@ def korn_graubard(successes: ArrayLike, n_answers: int) -> Interval:
         How many of each participant's answers count.
     n_answers : int
         Answers per participant.
-
-    Returns
-    -------
-    Interval
-        Proportion over all answers.
     """
     counts = np.asarray(successes, dtype=float)
     n, total = counts.size, float(counts.size * n_answers)
@@ -175,7 +165,7 @@ def _restricted_discordance(b: float, c: float, n: float, difference: float) -> 
 
 
 def clustered_difference(first: ArrayLike, second: ArrayLike, n_answers: int) -> Interval:
-    """Return the interval of a paired difference when each participant gave several answers.
+    """Return the interval of a share less another, paired, when each participant gave several answers.
 
     Tango's interval at the effective number of answers, found as in `korn_graubard`: the design effect is held
     between 1 and the answers per participant, and is the latter where nothing varies.
@@ -187,11 +177,6 @@ def clustered_difference(first: ArrayLike, second: ArrayLike, n_answers: int) ->
         second.
     n_answers : int
         Answers, or pairs of answers, per participant.
-
-    Returns
-    -------
-    Interval
-        Share of the first less share of the second.
     """
     b, c = np.asarray(first, dtype=float), np.asarray(second, dtype=float)
     n, total = b.size, float(b.size * n_answers)
@@ -205,7 +190,7 @@ def clustered_difference(first: ArrayLike, second: ArrayLike, n_answers: int) ->
 
 
 def paired_mean(scores: ArrayLike, scale: float) -> Interval:
-    """Return a never degenerate interval for the mean of bounded scores, one per participant.
+    """Return a never degenerate interval for the mean of score / scale, one bounded score per participant.
 
     A score of `scale` counts as a whole pair discordant one way, half of it as half a pair; this overstates the
     spread of fractional scores, so the interval is conservative. Where all scores are zero it is Tango's.
@@ -216,11 +201,6 @@ def paired_mean(scores: ArrayLike, scale: float) -> Interval:
         Scores between -scale and scale.
     scale : float
         Largest size a score can have.
-
-    Returns
-    -------
-    Interval
-        Mean of score / scale.
     """
     shares = np.asarray(scores, dtype=float) / scale
     positive, negative = float(shares[shares > 0].sum()), float(-shares[shares < 0].sum())

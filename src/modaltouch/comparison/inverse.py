@@ -54,16 +54,11 @@ ENDS = 1e-3
 
 
 def inverse_filter(known: Knowledge) -> FloatArray:
-    """Return the drives of the inverse filter throughout the burst, at the level or the limit.
+    """Return the drives of the inverse filter at the level or the limit, (n_channels, n_samples) array at the beam [V].
 
     Of the pulses in `PULSES` and the regularisations in `STRENGTHS` those which come closest to the wished field at
     the focusing instant, by the recordings, among those within the voltage limit; where none are, those that need
     the least.
-
-    Returns
-    -------
-    (n_channels, n_samples) array
-        Voltages of the whole burst at the beam [V].
     """
     step, n_before = known.step, known.n_before
     n_after = (known.timing.n_samples - n_before * known.stride) // known.stride

@@ -29,13 +29,7 @@ FloatArray = NDArray[np.float64]
 
 
 def time_reversal(known: Knowledge) -> FloatArray:
-    """Return the recorded impulse responses at the focus alone, reversed in time, at the level or the limit.
-
-    Returns
-    -------
-    (n_channels, n_samples) array
-        Voltages of the whole burst at the beam; 0 after the focusing instant [V].
-    """
+    """Return the recorded impulse responses at the focus alone, reversed, as voltages at the level or limit [V]."""
     return known.to_level(known.towards[:, known.focus, ::-1])
 
 

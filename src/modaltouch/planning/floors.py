@@ -44,7 +44,7 @@ class Floor:
 
 
 def smallest_p(design: Design, family: str, n_participants: int, n_repetitions: int) -> float:
-    """Return the smallest p that a test of a family can give, however the answers fall.
+    """Return the smallest p that a test of a family can give, however the answers fall [1].
 
     Parameters
     ----------
@@ -54,11 +54,6 @@ def smallest_p(design: Design, family: str, n_participants: int, n_repetitions: 
         One of `modaltouch.planning.questions.FAMILIES`.
     n_participants, n_repetitions : int
         Size of the experiment.
-
-    Returns
-    -------
-    float
-        p of the most extreme answers [1].
     """
     if family == "a1":
         return multinomial_test([n_participants, 0, 0]).p

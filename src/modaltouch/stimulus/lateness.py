@@ -76,13 +76,7 @@ def late_steps(voltage: FloatArray, timing: Timing, start: int, stop: int) -> It
 
 
 def clock_pushes(system: DiagonalSystem, timing: Timing) -> ComplexArray:
-    """Return what a unit of each of `clock_inputs` leaves in the states at the end of its sample.
-
-    Returns
-    -------
-    (n_states, n_inputs) complex array
-        For held voltages, then for the terms of late steps.
-    """
+    """Return what a unit of each of `clock_inputs` leaves in the states after a sample, (n_states, n_inputs) array."""
     return np.concatenate([system.held_gain(timing.hold), *late_gains(system, timing)], axis=1)
 
 

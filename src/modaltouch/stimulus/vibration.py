@@ -150,7 +150,7 @@ def velocity_history(
 def modal_history(
     model: ModalModel, voltage: FloatArray, timing: Timing, amplifier: Amplifier | None = None
 ) -> FloatArray:
-    """Return the modal velocities during a burst that starts from rest.
+    """Return the modal velocities as each sample arrives, (n_modes, n_samples) array [m/s], from rest.
 
     Parameters
     ----------
@@ -158,11 +158,6 @@ def modal_history(
         The beam.
     voltage, timing, amplifier
         As for `velocity_history`.
-
-    Returns
-    -------
-    (n_modes, n_samples) array
-        Modal velocities at the start of each sample as it arrives [m/s].
     """
     system = modal_system(model, amplifier)
     return _history(system, system.velocity, _checked(voltage, model), timing)
