@@ -42,7 +42,7 @@ def pairwise_agreement(ratings: ArrayLike) -> float:
 
 
 def gwet_ac1(ratings: ArrayLike) -> float:
-    """Return Gwet's AC1 for any number of raters and categories [1]; 1 when all agree, NaN where no item has two answers.
+    """Return Gwet's AC1 for any number of raters and categories [1]; 1 when all agree, NaN where none has two answers.
 
     Parameters
     ----------
