@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import string
-from typing import Annotated
 
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import ValidationInfo, field_validator
 
 from modaltouch.document import Problem, Reading, fault
 from modaltouch.document.section import Section, Text, described
@@ -30,22 +29,11 @@ _OPTIONAL: dict[str, frozenset[str]] = {"lift_to_answer": frozenset({"hand"})}
 """Words in braces that a text may contain: files were written before the window could fill them in."""
 
 
-LanguageCode = Annotated[
-    str,
-    Field(
-        strict=True,
-        pattern=r"^[A-Za-z]{2,3}(-[A-Za-z0-9]+)*$",
-        max_length=35,
-        json_schema_extra={"x-allowed": "a code such as en, en-us or fr"},
-    ),
-]
-
-
 class Texts(Section):
     """Every word the participant reads, in one language."""
 
     language: Text = described("Name of the language, in that language.")
-    language_code: LanguageCode | None = described("Its code (BCP 47), such as en or fr.", default=None)
+    language_code: Text | None = described("Its code (BCP 47), such as en or fr.", default=None)
     welcome: Text = described("Greeting on the first screen.")
     instructions: Text = described("What the experiment asks of the participant.")
     how_to_answer: Text = described("How to answer and to pause; holds {pause_key}.")
