@@ -34,7 +34,7 @@ install: .venv/.installed compiled system
 compiled: .venv/.installed
 	@$(PYTHON) -m compileall -q src
 
-# OpenGL for the answer window, PortAudio for noise and speech, and a virtual display with its own keyboard for
+# OpenGL for the answer window, PortAudio for noise, and a virtual display with its own keyboard for
 # the tests and for machines without a screen.
 DEBIAN_PACKAGES := libgl1 libgl1-mesa-dri libglx-mesa0 libglu1-mesa libx11-6 libxext6 libportaudio2 xvfb
 .PHONY: system

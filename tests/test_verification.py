@@ -51,6 +51,17 @@ def test_a_sound_session_passes(folder):
     assert verdict.lines[-1] == "complete"
 
 
+def test_a_session_whose_screens_were_spoken_is_read_as_any_other(edit, tmp_path):
+    """The key `speech` is ignored, also with what former versions added to it in the record; the view alone differs."""
+    protocol = edit("demo.yaml", ("answers:\n  given_by", "speech: {voice: en}\nanswers:\n  given_by"))
+    setup = wire_run(examine(protocol).require(), "p01", answers="simulated", results=tmp_path / "results")
+    folder = begin(setup).path.parent
+    former = {"voice": "en", "screens": ["question"], "rate_words_per_min": 160, "level_dB_FS": -20.0}
+    forge(folder, lambda start: start["design"].update(speech=former))
+    (problem,) = verify_session(folder).problems
+    assert "was made from another log" in problem
+
+
 def test_lines_removed_from_the_end_are_noticed(folder):
     """The chain alone cannot tell; the BIDS side file knows how far the log had come."""
     log = folder / "session.jsonl"

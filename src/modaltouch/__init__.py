@@ -13,7 +13,6 @@ The stages, in the order in which values flow through them:
 ``rig``        plays the burst: an AFG3022B over PyVISA, or its simulated twin behind the same driver
 ``window``     asks the question: a PsychoPy window, or a simulated participant
 ``masking``    noise, so that the beam is felt and not heard
-``speech``     the words of a screen as samples
 ``console``    the experimenter's view and keys
 ``observer``   models of a participant, for simulated sessions and for planning
 ``record``     the append-only session log and its BIDS view

@@ -12,11 +12,9 @@ from modaltouch.preflight import Preflight
 from modaltouch.protocol import Protocol
 from modaltouch.record.chain import RecordError
 from modaltouch.record.folders import SessionFolder
-from modaltouch.record.instants import describe_instants
 from modaltouch.record.shape import SCHEMA
 from modaltouch.rig.interface import Firing, RigError
 from modaltouch.schedule import Schedule
-from modaltouch.speech.interface import SpeechError
 from modaltouch.trial import Response, Trial
 from modaltouch.window.interface import SessionStopped, WindowError
 
@@ -69,12 +67,9 @@ def describe_ending(error: BaseException) -> dict[str, str]:
         return {"reason": error.reason}
     if isinstance(error, Interrupted):
         return {"reason": error.signal_name}
-    kinds: dict[
-        type[BaseException], Literal["rig fault", "window lost", "record fault", "masking lost", "speech lost"]
-    ] = {
+    kinds: dict[type[BaseException], Literal["rig fault", "window lost", "record fault", "masking lost"]] = {
         RigError: "rig fault",
         MaskingError: "masking lost",
-        SpeechError: "speech lost",
         WindowError: "window lost",
         RecordError: "record fault",
     }
@@ -123,7 +118,7 @@ def describe_answer(
         "confirmed": firing.as_dict(),
         "bursts": firing.bursts.as_dict(),
         "response": response.as_dict(),
-        "instants": describe_instants(
+        "instants": _instants(
             onset=firing.onset,
             onset_uncertainty=firing.onset_uncertainty,
             answered=answered,
@@ -196,3 +191,29 @@ def _superseded(events: Sequence[dict[str, Any]], values: dict[str, Any]) -> int
     last = max((place for place, event in enumerate(events) if event["event"] == "fired"), default=len(events))
     answers = (event for event in reversed(events[:last]) if event["event"] in ("trial", "answered"))
     return next((event["n"] for event in answers if event["trial"] == values), None)
+
+
+def _instants(
+    *,
+    onset: float,
+    onset_uncertainty: float,
+    answered: float,
+    answer_uncertainty: float,
+    question: float | None,
+    question_uncertainty: float,
+    silent: bool,
+) -> dict[str, dict[str, float] | None]:
+    """Return the earliest and the latest instant of first burst, question and answer, by the record's clock [s].
+
+    A picture is on the screen between the call that flips it and the call's return; a monitor's own latency, which no
+    program can see, comes on top. A press is stamped when it is read, at most one poll after it happened.
+    """
+    return {
+        "first_burst": None if silent else _between(onset - onset_uncertainty, onset + onset_uncertainty),
+        "question": None if question is None else _between(question - question_uncertainty, question),
+        "answer": _between(answered - answer_uncertainty, answered),
+    }
+
+
+def _between(earliest: float, latest: float) -> dict[str, float]:
+    return {"earliest_s": round(earliest, 6), "latest_s": round(latest, 6)}

@@ -58,7 +58,6 @@ def examine_machine(results: Path) -> tuple[Finding, ...]:
         _opengl(),
         _virtual_display(),
         _sound(),
-        _speech(),
         _visa(),
         _usb(),
         _disk(results),
@@ -124,21 +123,10 @@ def _sound() -> Finding:
     try:
         device = default_device()
     except DeviceError as error:
-        remedy = "connect one, or install libportaudio2, where a protocol wants masking noise or speech"
+        remedy = "connect one, or install libportaudio2, where a protocol wants masking noise"
         return Finding("sound", "warning", str(error).partition(";")[0], remedy)
     found = f"{device['name']}, {device['default_samplerate']:g} Hz, {device['max_output_channels']} channels"
     return Finding("sound", "ok", found)
-
-
-def _speech() -> Finding:
-    from modaltouch.speech.espeak import synthesise
-    from modaltouch.speech.interface import SpeechError
-
-    try:
-        return Finding("speech", "ok", synthesise(("modaltouch",), "en", 160).library)
-    except SpeechError as error:
-        remedy = "needed only where a protocol wants screens spoken"
-        return Finding("speech", "warning", str(error), remedy)
 
 
 def _visa() -> Finding:

@@ -271,11 +271,10 @@ def _sitting(
 
 
 def _describe(setup: Setup, rig: Rig, window: AnswerWindow, masking: Masking, first: str) -> dict[str, Any]:
-    noise, speech = masking.describe(), masking.speech.describe()
+    noise = masking.describe()
     about = {
         **setup.facts,
         **({"masking": noise} if noise is not None else {}),
-        **({"speech": speech} if speech is not None else {}),
         "rig": {"identity": rig.identity, "address": rig.address},
         "window": window.describe(),
         "versions": versions(),

@@ -84,7 +84,10 @@ def test_folder_holds_table_shapes_and_figures(found: Identification, tmp_path: 
     assert float(first["half_power_damping_ratio"]) == pytest.approx(float(first["damping_ratio"]), rel=0.25)
     assert "nan" not in files["table_1.csv"].read_text()
     json.loads(files["identification.json"].read_text())
-    shapes = MeasuredShapes.from_csv(files["shapes.csv"], 0.1)
+    table = np.genfromtxt(files["shapes.csv"], delimiter=",", names=True)
+    labels = tuple(int(column.removeprefix("mode_")) for column in table.dtype.names[1:])
+    values = np.array([table[column] for column in table.dtype.names[1:]])
+    shapes = MeasuredShapes(labels, table["position_mm"] * 1e-3, values, 0.1)
     row = shapes.label.index(13)
     np.testing.assert_allclose(shapes.shape[row], found.mode(13).shape, rtol=2e-3, atol=2e-3)
     for picture in ("responses", "coherence", "fig_4"):

@@ -16,7 +16,7 @@ from modaltouch.apparatus import Sound
 from modaltouch.masking import player
 from modaltouch.masking.interface import MaskingError, NoMasking
 from modaltouch.masking.noise import amplitude_at, make_noise
-from modaltouch.masking.player import SoundOutput, open_masking
+from modaltouch.masking.player import NoiseMasking, open_masking
 from modaltouch.protocol import MaskingSection
 
 SECTION = MaskingSection(noise="pink", level_dB_FS=-20.0, fade_s=0.05)
@@ -31,12 +31,12 @@ import json
 import numpy as np
 from modaltouch.apparatus import Sound
 from modaltouch.masking.noise import amplitude_at, make_noise
-from modaltouch.masking.player import SoundOutput
+from modaltouch.masking.player import NoiseMasking
 from modaltouch.protocol import MaskingSection
 
 events, blocks = [], []
 section = MaskingSection(noise="pink", level_dB_FS=-20.0, fade_s=0.05)
-masking = SoundOutput(section, Sound(), lambda event, **facts: events.append((event, facts)))
+masking = NoiseMasking(section, Sound(), lambda event, **facts: events.append((event, facts)))
 fill = masking._playback.fill
 def spy(out):
     fill(out)
@@ -153,10 +153,10 @@ def events_of(log: list[tuple[str, dict[str, Any]]]) -> list[str]:
     return [f"{name} {facts.get('state', '')}".strip() for name, facts in log]
 
 
-def make(section: MaskingSection) -> tuple[SoundOutput, list[tuple[str, dict[str, Any]]]]:
+def make(section: MaskingSection) -> tuple[NoiseMasking, list[tuple[str, dict[str, Any]]]]:
     """Return masking and what it tells."""
     log: list[tuple[str, dict[str, Any]]] = []
-    return SoundOutput(section, Sound(full_scale_dB_SPL=100.0), lambda event, **facts: log.append((event, facts))), log
+    return NoiseMasking(section, Sound(full_scale_dB_SPL=100.0), lambda event, **facts: log.append((event, facts))), log
 
 
 def test_a_trial_waits_for_the_noise_to_be_at_its_level(devices: list[Any]) -> None:

@@ -111,36 +111,27 @@ def test_overlapping_shapes_do_not_add_up():
     assert wish.profile([-0.01, 0.0, 0.01]) == pytest.approx([1, 2 / 3, 1])
 
 
-def test_sampled_wish_comes_from_a_file(tmp_path, model):
-    """A triangle written as three points is the triangle."""
-    file = tmp_path / "wish.csv"
-    file.write_text("position_mm,velocity\n-28,0\n0,350\n28,0\n", encoding="utf-8")
-    sampled = Wish.from_csv(file, velocity=0.2)
-    assert sampled.centre == 0.0
+def test_sampled_wish_of_three_points_is_the_triangle(model):
+    """A triangle given as three points, in any unit, is the triangle."""
+    sampled = Wish("sampled", points=((-0.028, 0.0), (0.0, 350.0), (0.028, 0.0)))
     expected = Projection(model, Wish())
     assert Projection(model, sampled).target == pytest.approx(expected.target, abs=1e-15)
     assert Projection(model, sampled).selected == (1, 3, 5, 7, 11, 13)
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    ("points", "message"),
     [
-        ("x,v\n0,1\n", r"wish\.csv:1: the columns are \['x', 'v'\]; needed are position_mm, velocity"),
-        ("position_mm,velocity\n0,1\n5,nan\n", r"wish\.csv:3: velocity is 'nan'; it must be a finite number"),
-        ("position_mm,velocity\n0,1\nfar,1\n", r"wish\.csv:3: position_mm is 'far'"),
-        ("position_mm,velocity\n0,1\n5\n", r"wish\.csv:3: velocity is None"),
-        ("position_mm,velocity\n0,1\n", r"1 points; a field needs at least 2"),
-        ("position_mm,velocity\n0,1\n0,2\n", r"from 0 m to 0 m; positions must increase"),
-        ("position_mm,velocity\n0,-1\n5,-2\n", r"relative velocity -1 at its centre of 0 mm"),
-        ("", r"the columns are None"),
+        (((0.0, 1.0), (0.005, float("nan"))), r"a point of the sampled field is \(0.005, nan\)"),
+        (((0.0, 1.0),), r"has 1 points; give at least 2"),
+        (((0.0, 1.0), (0.0, 2.0)), r"from 0 m to 0 m; positions must increase"),
+        (((0.0, -1.0), (0.005, -2.0)), r"relative velocity -1 at its centre of 0 mm"),
     ],
 )
-def test_files_that_hold_no_field_are_refused_with_their_line(tmp_path, text, message):
-    """NaN, text, short lines, doubles and wrong columns (physics.md section 6: a clear error with its place)."""
-    file = tmp_path / "wish.csv"
-    file.write_text(text, encoding="utf-8")
+def test_points_that_make_no_field_are_refused(points, message):
+    """NaN, a single point, doubles and a centre that stands still."""
     with pytest.raises(ValueError, match=message):
-        Wish.from_csv(file, velocity=0.2)
+        Wish("sampled", points=points)
 
 
 def test_width_is_asked_between_nothing_and_the_peak(model):

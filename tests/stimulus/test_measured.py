@@ -76,38 +76,19 @@ def test_dependent_shapes_are_refused_with_the_closest_pair():
         scan(8)
 
 
-def test_scan_comes_from_a_file(tmp_path):
-    """One line to each point, one column to each mode."""
-    place = np.linspace(-50, 50, 41)
-    shape = mode_shapes([1, 3, 5], place * 1e-3, 0.1)
-    lines = ["position_mm,mode_1,mode_3,mode_5"]
-    lines += [f"{x:.6f},{a:.9f},{b:.9f},{c:.9f}" for x, (a, b, c) in zip(place, shape.T, strict=True)]
-    file = tmp_path / "scan.csv"
-    file.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    measured = MeasuredShapes.from_csv(file, 0.1)
-    assert measured.label == (1, 3, 5)
-    assert measured.shape == pytest.approx(shape, abs=1e-7)
-
-
 @pytest.mark.parametrize(
-    ("text", "message"),
+    ("place", "shape", "message"),
     [
-        ("x,mode_1\n0,1\n", r"scan\.csv:1: the columns are \['x', 'mode_1'\]"),
-        ("position_mm,first\n0,1\n", r"scan\.csv:1: the columns are"),
-        ("position_mm,mode_1\n0,1\n1,inf\n", r"scan\.csv:3: 'inf' is not a finite number"),
-        ("position_mm,mode_1\n0,1\n1\n", r"scan\.csv:3: 1 cells; the header has 2"),
-        ("position_mm,mode_1\n", r"no line below the header"),
-        ("position_mm,mode_1\n5,1\n3,1\n", r"scan grid runs from 5 to 3 mm; it must increase"),
-        ("position_mm,mode_1\n0,1\n70,1\n", r"scan grid runs from 0 to 70 mm; .* on the beam of 100 mm"),
-        ("position_mm,mode_1\n0,0\n1,0\n", r"mode 1 is zero at every point"),
+        ([0.005, 0.003], [1.0, 1.0], r"scan grid runs from 5 to 3 mm; it must increase"),
+        ([0.0, 0.07], [1.0, 1.0], r"scan grid runs from 0 to 70 mm; .* on the beam of 100 mm"),
+        ([0.0, 0.001], [0.0, 0.0], r"mode 1 is zero at every point"),
+        ([0.0, 0.001], [1.0, np.inf], r"is not a finite number"),
     ],
 )
-def test_files_that_hold_no_scan_are_refused_with_their_line(tmp_path, text, message):
-    """Each fault is told with its place and remedy."""
-    file = tmp_path / "scan.csv"
-    file.write_text(text, encoding="utf-8")
+def test_what_is_no_scan_is_refused(place, shape, message):
+    """Each fault is told with its remedy."""
     with pytest.raises(ValueError, match=message):
-        MeasuredShapes.from_csv(file, 0.1)
+        MeasuredShapes((1,), np.array(place), np.array([shape]), 0.1)
 
 
 def test_basis_and_model_must_agree(model):

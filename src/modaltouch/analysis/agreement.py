@@ -21,19 +21,17 @@ from modaltouch.analysis.intervals import CONFIDENCE, Interval
 
 FloatArray = NDArray[np.float64]
 
+_LEVEL = 0.05
+"""Level of the tests within participants [1]."""
+
 
 def pairwise_agreement(ratings: ArrayLike) -> float:
-    """Return the chance that two participants, drawn at random, gave the same answer to the same item.
+    """Return the chance that two participants, drawn at random, gave one answer to an item [1]; NaN where none has two.
 
     Parameters
     ----------
     ratings : (n_items, n_categories) array
         How many participants put each item into each category.
-
-    Returns
-    -------
-    float
-        Agreement [1]; not a number if no item has two answers.
     """
     table = np.asarray(ratings, dtype=float)
     raters = table.sum(axis=1)
@@ -44,18 +42,13 @@ def pairwise_agreement(ratings: ArrayLike) -> float:
 
 
 def gwet_ac1(ratings: ArrayLike) -> float:
-    """Return Gwet's agreement coefficient AC1 for any number of raters and nominal categories.
+    """Return Gwet's AC1 for any number of raters and categories [1]; 1 when all agree, NaN where none has two answers.
 
     Parameters
     ----------
     ratings : (n_items, n_categories) array
         How many participants put each item into each category; every category that could be chosen has its
         column. Items may have different numbers of ratings.
-
-    Returns
-    -------
-    float
-        Agreement beyond chance [1]; 1 when all agree; not a number if no item has two answers.
     """
     table = np.asarray(ratings, dtype=float)
     agreement = pairwise_agreement(table)
@@ -65,8 +58,8 @@ def gwet_ac1(ratings: ArrayLike) -> float:
     return (agreement - chance) / (1 - chance)
 
 
-def ac1_interval(answers: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
-    """Return AC1 with an interval over participants.
+def ac1_interval(answers: ArrayLike) -> Interval:
+    """Return AC1 with an interval over participants; from -1 to 1 with fewer than three.
 
     The interval is the jackknife over participants. Where all agree the jackknife has no width; the lower
     bound is then the smallest AC1 compatible with the exact upper bound on the share of participants who would
@@ -76,13 +69,6 @@ def ac1_interval(answers: ArrayLike, confidence: float = CONFIDENCE) -> Interval
     ----------
     answers : (n_participants, n_items, n_categories) array
         How often each participant gave each answer to each item.
-    confidence : float
-        Confidence of the interval [1].
-
-    Returns
-    -------
-    Interval
-        AC1; bounds -1 to 1 with fewer than three participants.
     """
     table = np.asarray(answers, dtype=float)
     n = table.shape[0]
@@ -92,17 +78,17 @@ def ac1_interval(answers: ArrayLike, confidence: float = CONFIDENCE) -> Interval
         return Interval(estimate, -1.0, 1.0, n)
     left_out = np.array([gwet_ac1(total - one) for one in table]) if n <= 200 else _grouped_jackknife(table, total)
     if np.ptp(left_out) < 1e-12:
-        low = min(_least_ac1(1 - ((1 - confidence) / 2) ** (1 / n)), estimate)
+        low = min(_least_ac1(1 - ((1 - CONFIDENCE) / 2) ** (1 / n)), estimate)
         return Interval(estimate, low, max(estimate, low), n)
     from scipy.special import stdtrit
 
     groups = left_out.size
     error = math.sqrt((groups - 1) / groups * float(((left_out - left_out.mean()) ** 2).sum()))
-    half = float(stdtrit(groups - 1, 1 - (1 - confidence) / 2)) * error
+    half = float(stdtrit(groups - 1, 1 - (1 - CONFIDENCE) / 2)) * error
     return Interval(estimate, max(estimate - half, -1.0), min(estimate + half, 1.0), n)
 
 
-def prevalence(n_positive: int, n_participants: int, false_positive_rate: float = 0.05) -> float:
+def prevalence(n_positive: int, n_participants: int) -> float:
     """Return the likeliest share of the population that would show an effect within its own data.
 
     Parameters
@@ -111,15 +97,13 @@ def prevalence(n_positive: int, n_participants: int, false_positive_rate: float 
         Participants whose own test was significant.
     n_participants : int
         All participants.
-    false_positive_rate : float
-        Level of the test within participants [1].
 
     Returns
     -------
     float
         Ince et al. (2021): (k/n - alpha) / (1 - alpha), not below zero [1].
     """
-    return max((n_positive / n_participants - false_positive_rate) / (1 - false_positive_rate), 0.0)
+    return max((n_positive / n_participants - _LEVEL) / (1 - _LEVEL), 0.0)
 
 
 def _least_ac1(deviating: float) -> float:

@@ -83,13 +83,7 @@ def default_folder(path: Path, stimulus: str = "") -> Path:
 
 
 def render_files(analysis: Analysis) -> dict[str, bytes]:
-    """Return the contents of every file of an analysis, by name.
-
-    Parameters
-    ----------
-    analysis : Analysis
-        What was found.
-    """
+    """Return the contents of every file of an analysis, by name."""
     from modaltouch.analysis.gallery import draw_all
     from modaltouch.analysis.report import render_report
     from modaltouch.analysis.style import render

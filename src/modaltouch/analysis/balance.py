@@ -10,7 +10,6 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from modaltouch.analysis.csv_table import MOST_LISTED, Table
-from modaltouch.analysis.odd_words import find_odd
 from modaltouch.analysis.responses import cell_of, keys_of
 from modaltouch.analysis.scale import VELOCITY, LevelScale, scale_of
 from modaltouch.document import Problem
@@ -23,7 +22,7 @@ _MOST_EXCUSES = 10_000
 
 
 def check_balance(table: Table, frame: pd.DataFrame, unread: pd.DataFrame | None = None) -> list[Problem]:
-    """Return words that are probably a slip, doubled rows, missing cells and unequal numbers of answers.
+    """Return doubled rows, missing cells and unequal numbers of answers.
 
     The design is every finger condition with every zone pair at every level that occurs. Rows of the same
     participant and cell are repetitions where a column ``repetition`` tells them apart, or where all cells have
@@ -38,35 +37,18 @@ def check_balance(table: Table, frame: pd.DataFrame, unread: pd.DataFrame | None
     unread : DataFrame, optional
         Which words of them are faulty by themselves: truth values by row, a column for each of `keys_of` and
         one ``other`` for the rest of the row. Such rows are neither counted nor missed.
-
-    Returns
-    -------
-    list of Problem
     """
     keys = list(keys_of(frame.columns))
     if unread is None:
         unread = pd.DataFrame(False, index=frame.index, columns=[*keys, "other"])
     if not len(frame) or (frame["n"].sum() == 0 and not unread.to_numpy().any()):
         return [Problem(table.file, 1, 1, "", "no answers", "at least one answer that is not practice", "")]
-    problems: list[Problem] = []
-    keyed = frame.loc[~_any_of(unread[keys])]
-    keyed = keyed.assign(n=keyed["n"].clip(lower=0))
-    answers = None
-    if keyed["n"].sum():
-        answers = answers_per_cell(keyed)
-        usual = _most_common(answers.to_numpy().ravel())
-        odd = find_odd(table, keyed, usual) if (answers != usual).to_numpy().any() else []
-        unread = unread.copy() if odd else unread
-        for each in odd:
-            unread.loc[each.rows, list(each.columns)] = True
-        problems += [each.problem for each in odd]
     faulty = _any_of(unread)
     sound = frame.loc[~faulty]
     if sound["n"].sum() == 0:
-        return problems
-    problems += _doubled(table, sound)
-    if answers is None or faulty.any():
-        answers = answers_per_cell(sound)
+        return []
+    problems = _doubled(table, sound)
+    answers = answers_per_cell(sound)
     usual = _most_common(answers.to_numpy().ravel())
     counted = np.where(_excused(answers, frame.loc[faulty], unread.loc[faulty]), np.maximum(answers, usual), answers)
     return problems + _unequal(table, sound, answers, counted, usual)
@@ -116,17 +98,12 @@ def _excused(answers: pd.DataFrame, frame: pd.DataFrame, unread: pd.DataFrame) -
 
 
 def answers_per_cell(frame: pd.DataFrame) -> pd.DataFrame:
-    """Return how many answers each participant gave in each cell of the crossed design.
+    """Return how many answers each participant gave in each cell of the crossed design, a row each, a column a cell.
 
     Parameters
     ----------
     frame : DataFrame
         Tidy answers with a count ``n``.
-
-    Returns
-    -------
-    DataFrame
-        Participants by (finger_condition, zone_left, zone_right, level).
     """
     cell = cell_of(frame.columns)
     sums = frame.groupby(["participant", *cell], observed=True)["n"].sum()

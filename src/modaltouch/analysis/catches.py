@@ -55,15 +55,7 @@ class CatchRow:
 
 
 def catch_rows(answers: AnswerCounts, catches: Catches) -> tuple[CatchRow, ...]:
-    """Return a row for each participant and one for all; empty where there is neither catch trial nor answer none.
-
-    Parameters
-    ----------
-    answers : AnswerCounts
-        Counts of the answers to trials with a stimulus.
-    catches : mapping of str to Counter
-        Answers to catch trials by participant.
-    """
+    """Return a row for each participant and one for all; empty where there is neither catch trial nor answer none."""
     if not catches and not answers.offers_none:
         return ()
     missed = _missed(answers)

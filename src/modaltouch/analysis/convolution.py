@@ -47,7 +47,7 @@ class Kernel:
 
 
 def tail_probability(kernels: Sequence[Kernel], lower: int, upper: int) -> float:
-    """Return the probability that the sum is at most `lower` or at least `upper`.
+    """Return the probability that the sum is at most `lower` or at least `upper` [1].
 
     Parameters
     ----------
@@ -55,11 +55,6 @@ def tail_probability(kernels: Sequence[Kernel], lower: int, upper: int) -> float
         Independent parts of the sum.
     lower, upper : int
         Bounds of the two tails, lower < upper.
-
-    Returns
-    -------
-    float
-        Probability of both tails together [1].
     """
     width = sum(kernel.count * (kernel.ends[1] - kernel.ends[0]) for kernel in kernels) + 1
     n_copies = sum(kernel.count * len(kernel.distribution[0]) for kernel in kernels)

@@ -205,11 +205,6 @@ def count_answers(frame: pd.DataFrame, focus: str = "") -> AnswerCounts:
 def find_focus(zones: Sequence[tuple[str, str]]) -> str:
     """Return the zone that most pairs share; where no one zone leads, C if it is touched, else none.
 
-    Parameters
-    ----------
-    zones : sequence of (str, str)
-        Zone pairs.
-
     Examples
     --------
     >>> find_focus([("A", "C"), ("B", "D"), ("C", "E")])

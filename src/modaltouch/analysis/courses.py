@@ -27,18 +27,7 @@ MOST_TRIALS = 40
 
 
 def draw_side(answers: AnswerCounts) -> Figure | None:
-    """Return each participant's choice of the focus when it lies right against when it lies left.
-
-    Parameters
-    ----------
-    answers : AnswerCounts
-        Counts of the answers.
-
-    Returns
-    -------
-    Figure or None
-        None where the design never has the focus on both sides.
-    """
+    """Return each choice of the focus when it lies right against when it lies left; None where it never does both."""
     right = [q for q, pair in enumerate(answers.pairs) if pair.focused and pair.dominant_index == RIGHT]
     left = [q for q, pair in enumerate(answers.pairs) if pair.focused and pair.dominant_index == LEFT]
     if not (right and left):
@@ -114,20 +103,7 @@ def draw_order(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
 
 
 def draw_times(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
-    """Return reaction times by pair and answer.
-
-    Parameters
-    ----------
-    answers : AnswerCounts
-        Counts of the answers.
-    frame : DataFrame
-        Tidy answers.
-
-    Returns
-    -------
-    Figure or None
-        None where the table holds no reaction times.
-    """
+    """Return reaction times by pair and answer; None where the table holds none."""
     if not has_values(frame, "response_time"):
         return None
     kept = frame[frame["response_time"] >= ANTICIPATION]
@@ -156,20 +132,7 @@ def draw_times(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
 
 
 def draw_speeds(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
-    """Return the shares of the three answers against the predicted ratio of speeds under the two fingers.
-
-    Parameters
-    ----------
-    answers : AnswerCounts
-        Counts of the answers.
-    frame : DataFrame
-        Tidy answers.
-
-    Returns
-    -------
-    Figure or None
-        None where the table holds no predicted speeds.
-    """
+    """Return the shares of the answers against the predicted ratio of speeds; None where the table holds none."""
     if not (has_values(frame, "speed_left_mm_s") and has_values(frame, "speed_right_mm_s")):
         return None
     ratio = _gathered((frame["speed_right_mm_s"] / frame["speed_left_mm_s"]).to_numpy(dtype=float))

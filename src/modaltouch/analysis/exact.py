@@ -6,7 +6,7 @@ are integers, which leaves no doubt about ties. Every test also returns the smal
 References
 ----------
 Fisher, "The Design of Experiments" (1935), section 21 (sign flips); Pitman, J. R. Stat. Soc. Suppl. 4 (1937)
-(randomisation); Engels, "XNomial" (exact multinomial test and its three orderings).
+(randomisation); Engels, "XNomial" (exact multinomial test).
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,7 +25,6 @@ from modaltouch.analysis.convolution import Kernel, tail_probability
 
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
-Ordering = Literal["likelihood_ratio", "probability", "chi_square"]
 
 
 @dataclass(frozen=True)
@@ -56,12 +54,10 @@ class ExactTest:
             object.__setattr__(self, name, min(max(getattr(self, name), sys.float_info.min), 1.0))
 
 
-def multinomial_tests(
-    counts: ArrayLike, probabilities: Sequence[float] | None = None, *, ordering: Ordering = "likelihood_ratio"
-) -> tuple[ExactTest, ...]:
+def multinomial_tests(counts: ArrayLike, probabilities: Sequence[float] | None = None) -> tuple[ExactTest, ...]:
     """Return exact goodness-of-fit tests of several count vectors with the same total.
 
-    Every possible outcome is enumerated once for all of them.
+    Every possible outcome is enumerated once for all of them, the more extreme the larger its likelihood ratio.
 
     Parameters
     ----------
@@ -69,13 +65,11 @@ def multinomial_tests(
         Observed counts; all rows have the same total.
     probabilities : sequence of float, optional
         Probability of each category under the null hypothesis [1]; equal by default.
-    ordering : {"likelihood_ratio", "probability", "chi_square"}
-        What makes one outcome more extreme than another; they give different p values.
 
     Returns
     -------
     tuple of ExactTest
-        One test per row; the statistic is that of the ordering.
+        One test per row; the statistic is the likelihood ratio, twice its logarithm.
 
     Raises
     ------
@@ -88,7 +82,7 @@ def multinomial_tests(
     n = int(observed[0].sum())
     if n == 0:
         return tuple(ExactTest(0.0, 1.0, 1.0, 0) for _ in observed)
-    log_p, extremeness = _tables(n, null, ordering)
+    log_p, extremeness = _tables(n, null)
     categories = np.arange(null.size)
     reached = extremeness[categories, observed].sum(axis=1)
     tolerance = 1e-9 * np.maximum(1.0, np.abs(reached))
@@ -106,9 +100,7 @@ def multinomial_tests(
     return tuple(ExactTest(float(s), float(q), min(p_min, float(q)), n) for s, q in zip(reached, p, strict=True))
 
 
-def multinomial_test(
-    counts: ArrayLike, probabilities: Sequence[float] | None = None, *, ordering: Ordering = "likelihood_ratio"
-) -> ExactTest:
+def multinomial_test(counts: ArrayLike, probabilities: Sequence[float] | None = None) -> ExactTest:
     """Return the exact goodness-of-fit test of one count vector; see `multinomial_tests`.
 
     Examples
@@ -116,11 +108,11 @@ def multinomial_test(
     >>> round(multinomial_test([10, 0, 0]).p, 8)  # three such outcomes, each of probability (1/3)^10
     5.081e-05
     """
-    return multinomial_tests(np.asarray(counts)[np.newaxis], probabilities, ordering=ordering)[0]
+    return multinomial_tests(np.asarray(counts)[np.newaxis], probabilities)[0]
 
 
 def sign_flip_test(scores: ArrayLike) -> ExactTest:
-    """Return the exact test that scores are symmetric about zero.
+    """Return the exact test that scores are symmetric about zero; the statistic is their sum.
 
     Under the null hypothesis every participant's score could as well have had the other sign.
 
@@ -128,11 +120,6 @@ def sign_flip_test(scores: ArrayLike) -> ExactTest:
     ----------
     scores : (n_participants,) array of int
         One net score per participant.
-
-    Returns
-    -------
-    ExactTest
-        The statistic is the sum of the scores; without any non-zero score p is 1.
 
     Examples
     --------
@@ -152,17 +139,12 @@ def sign_flip_test(scores: ArrayLike) -> ExactTest:
 
 
 def sign_test(scores: ArrayLike) -> ExactTest:
-    """Return the exact sign test: how many participants lean one way, zeros left out.
+    """Return the exact sign test: how many participants, the statistic, lean to the positive side, zeros left out.
 
     Parameters
     ----------
     scores : (n_participants,) array of int
         One net score per participant.
-
-    Returns
-    -------
-    ExactTest
-        The statistic is the number of positive scores.
     """
     values = whole_numbers(scores, "scores")
     test = sign_flip_test(np.sign(values))
@@ -181,20 +163,14 @@ def _check_multinomial(observed: IntArray, probabilities: Sequence[float] | None
     return null
 
 
-def _tables(n: int, null: FloatArray, ordering: Ordering) -> tuple[FloatArray, FloatArray]:
+def _tables(n: int, null: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return, per category and count, its share of the log probability and of the statistic."""
     x = np.arange(n + 1)
     log_factorial = np.concatenate([[0.0], np.cumsum(np.log(x[1:]))])
     log_p = x * np.log(null)[:, np.newaxis] - log_factorial
     log_p[0] += log_factorial[n]
     expected = n * null[:, np.newaxis]
-    if ordering == "likelihood_ratio":
-        return log_p, np.asarray(2 * x * np.log(np.maximum(x, 1) / expected), dtype=float)
-    if ordering == "chi_square":
-        return log_p, (x - expected) ** 2 / expected
-    if ordering == "probability":
-        return log_p, -log_p
-    raise ValueError(f"ordering {ordering!r} is not known: use likelihood_ratio, probability or chi_square")
+    return log_p, np.asarray(2 * x * np.log(np.maximum(x, 1) / expected), dtype=float)
 
 
 def _outcomes(n: int, k: int) -> Iterator[tuple[tuple[int, ...], IntArray]]:

@@ -147,13 +147,7 @@ def _draw_group(
 
 
 def draw_overview(answers: AnswerCounts) -> Figure:
-    """Return the share of the dominant zone over level, every pair and finger condition in one row.
-
-    Parameters
-    ----------
-    answers : AnswerCounts
-        Counts of the answers.
-    """
+    """Return the share of the dominant zone over level, every pair and finger condition in one row."""
     markers = ("o", "s", "^", "D", "v", "P")
     lines = ("-", "--", "-.", ":")
     with house_style():

@@ -113,11 +113,6 @@ def correct(findings: Iterable[Finding]) -> list[Finding]:
     """Return the findings with Holm's p within each family.
 
     All tests of a family count, also those that could not have become significant; these are named in the note.
-
-    Parameters
-    ----------
-    findings : iterable of Finding
-        Tests of any number of families.
     """
     rows = list(findings)
     for family in dict.fromkeys(row.family for row in rows if row.family):

@@ -47,15 +47,7 @@ class Picture:
 
 
 def draw_all(answers: AnswerCounts, responses: Responses) -> tuple[Picture, ...]:
-    """Return every figure that the answers allow.
-
-    Parameters
-    ----------
-    answers : AnswerCounts
-        Counts of the answers.
-    responses : Responses
-        The answers themselves.
-    """
+    """Return every figure that the answers allow."""
     pictures = list(_bars(answers))
     pictures.append(
         Picture(

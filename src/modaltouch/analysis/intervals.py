@@ -38,7 +38,7 @@ class Interval:
 
 
 def clopper_pearson(successes: float, n: float, confidence: float = CONFIDENCE) -> Interval:
-    """Return the exact interval of a proportion.
+    """Return the exact interval of a proportion; 0 to 1 about NaN where n is zero.
 
     Parameters
     ----------
@@ -46,11 +46,6 @@ def clopper_pearson(successes: float, n: float, confidence: float = CONFIDENCE) 
         Successes out of n; need not be whole, as a design effect may have scaled both.
     confidence : float
         Confidence of the interval [1].
-
-    Returns
-    -------
-    Interval
-        0 to 1 where n is zero, with an estimate that is not a number.
 
     Raises
     ------
@@ -74,27 +69,23 @@ def clopper_pearson(successes: float, n: float, confidence: float = CONFIDENCE) 
     return Interval(successes / n, low, high, n)
 
 
-def wilson(successes: float, n: float, confidence: float = CONFIDENCE) -> Interval:
+def wilson(successes: float, n: float) -> Interval:
     """Return the score interval of a proportion, as used for Monte Carlo shares.
 
     Parameters
     ----------
     successes, n : float
         Successes out of n, n above zero.
-    confidence : float
-        Confidence of the interval [1].
     """
-    z2 = _normal_quantile(confidence) ** 2
+    z2 = _normal_quantile(CONFIDENCE) ** 2
     p = successes / n
     centre = (p + z2 / (2 * n)) / (1 + z2 / n)
     half = math.sqrt(z2 * (p * (1 - p) / n + z2 / (4 * n * n))) / (1 + z2 / n)
     return Interval(p, max(centre - half, 0.0), min(centre + half, 1.0), n)
 
 
-def korn_graubard(
-    successes: ArrayLike, n_answers: int, confidence: float = CONFIDENCE, *, small_sample: bool = False
-) -> Interval:
-    """Return the interval of a proportion when each participant gave several answers.
+def korn_graubard(successes: ArrayLike, n_answers: int) -> Interval:
+    """Return the interval of a proportion of all answers when each participant gave several.
 
     The Clopper-Pearson interval at the effective number of answers. The design effect is held between 1 and
     the answers per participant, and is the latter where all participants agree: ten participants who always
@@ -106,27 +97,13 @@ def korn_graubard(
         How many of each participant's answers count.
     n_answers : int
         Answers per participant.
-    confidence : float
-        Confidence of the interval [1].
-    small_sample : bool
-        Multiply the effective number by Korn and Graubard's ratio of t quantiles; wider.
-
-    Returns
-    -------
-    Interval
-        Proportion over all answers.
     """
     counts = np.asarray(successes, dtype=float)
     n, total = counts.size, float(counts.size * n_answers)
     p = float(counts.sum() / total)
     between = float(np.var(counts / n_answers, ddof=1)) / n if n > 1 else math.inf
     effective = float(n) if p in (0.0, 1.0) else min(max(p * (1 - p) / between if between > 0 else total, n), total)
-    if small_sample and n > 1:
-        from scipy.special import stdtrit
-
-        tail = 1 - (1 - confidence) / 2
-        effective *= float(stdtrit(total - 1, tail) / stdtrit(n - 1, tail)) ** 2
-    inner = clopper_pearson(p * effective, effective, confidence)
+    inner = clopper_pearson(p * effective, effective)
     return Interval(p, inner.low, inner.high, effective)
 
 
@@ -187,10 +164,8 @@ def _restricted_discordance(b: float, c: float, n: float, difference: float) -> 
     return (math.sqrt(max(linear * linear - 8 * n * constant, 0.0)) - linear) / (4 * n)
 
 
-def clustered_difference(
-    first: ArrayLike, second: ArrayLike, n_answers: int, confidence: float = CONFIDENCE
-) -> Interval:
-    """Return the interval of a paired difference when each participant gave several answers.
+def clustered_difference(first: ArrayLike, second: ArrayLike, n_answers: int) -> Interval:
+    """Return the interval of a share less another, paired, when each participant gave several answers.
 
     Tango's interval at the effective number of answers, found as in `korn_graubard`: the design effect is held
     between 1 and the answers per participant, and is the latter where nothing varies.
@@ -202,13 +177,6 @@ def clustered_difference(
         second.
     n_answers : int
         Answers, or pairs of answers, per participant.
-    confidence : float
-        Confidence of the interval [1].
-
-    Returns
-    -------
-    Interval
-        Share of the first less share of the second.
     """
     b, c = np.asarray(first, dtype=float), np.asarray(second, dtype=float)
     n, total = b.size, float(b.size * n_answers)
@@ -218,11 +186,11 @@ def clustered_difference(
     worth = single / between if between > 0 else total
     effective = float(n) if single <= 1e-12 else min(max(worth, n), total)
     share = effective / total
-    return tango(float(b.sum()) * share, float(c.sum()) * share, effective, confidence)
+    return tango(float(b.sum()) * share, float(c.sum()) * share, effective)
 
 
-def paired_mean(scores: ArrayLike, scale: float, confidence: float = CONFIDENCE) -> Interval:
-    """Return a never degenerate interval for the mean of bounded scores, one per participant.
+def paired_mean(scores: ArrayLike, scale: float) -> Interval:
+    """Return a never degenerate interval for the mean of score / scale, one bounded score per participant.
 
     A score of `scale` counts as a whole pair discordant one way, half of it as half a pair; this overstates the
     spread of fractional scores, so the interval is conservative. Where all scores are zero it is Tango's.
@@ -233,35 +201,26 @@ def paired_mean(scores: ArrayLike, scale: float, confidence: float = CONFIDENCE)
         Scores between -scale and scale.
     scale : float
         Largest size a score can have.
-    confidence : float
-        Confidence of the interval [1].
-
-    Returns
-    -------
-    Interval
-        Mean of score / scale.
     """
     shares = np.asarray(scores, dtype=float) / scale
     positive, negative = float(shares[shares > 0].sum()), float(-shares[shares < 0].sum())
-    return tango(positive, negative, float(shares.size), confidence)
+    return tango(positive, negative, float(shares.size))
 
 
-def matched_odds_ratio(only_first: int, only_second: int, confidence: float = CONFIDENCE) -> Interval:
+def matched_odds_ratio(only_first: int, only_second: int) -> Interval:
     """Return the conditional odds ratio of pairs, by transforming the exact interval of b / (b + c).
 
     Parameters
     ----------
     only_first, only_second : int
         Pairs that succeeded only the first way, and only the second way.
-    confidence : float
-        Confidence of the interval [1].
 
     Returns
     -------
     Interval
         0 to infinity, with an estimate that is not a number, where no pair is discordant.
     """
-    share = clopper_pearson(only_first, only_first + only_second, confidence)
+    share = clopper_pearson(only_first, only_first + only_second)
 
     def odds(p: float) -> float:
         return math.inf if p == 1 else p / (1 - p)

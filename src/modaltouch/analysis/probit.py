@@ -45,7 +45,7 @@ class ProbitFit:
 
 
 def fit_ordered_probit(predictor: ArrayLike, answers: ArrayLike, participants: ArrayLike) -> ProbitFit:
-    """Return the ordered probit of answers on one predictor, standard errors clustered by participant.
+    """Return the ordered probit of answers on one predictor, errors clustered by participant; never a p value.
 
     Parameters
     ----------
@@ -55,11 +55,6 @@ def fit_ordered_probit(predictor: ArrayLike, answers: ArrayLike, participants: A
         0 left, 1 both, 2 right.
     participants : (n,) array
         Who answered.
-
-    Returns
-    -------
-    ProbitFit
-        Never a p value.
     """
     x, y = np.asarray(predictor, dtype=float), np.asarray(answers, dtype=int)
     _, groups = np.unique(np.asarray(participants), return_inverse=True)

@@ -19,7 +19,6 @@ FAULTS = {
     "stop": "sittings ended early",
     "rig": "troubles with the instrument, all overcome or followed by an end",
     "masking_lost": "losses of the masking noise",
-    "speech_lost": "losses of the spoken prompts",
     "torn": "lines cut while they were written",
 }
 
@@ -131,13 +130,7 @@ class SessionFacts:
 
 
 def take_facts(session: Session) -> SessionFacts:
-    """Return what a session's log tells beside the answers.
-
-    Parameters
-    ----------
-    session : Session
-        A session as read from its log.
-    """
+    """Return what a session's log tells beside the answers."""
     start, trials, multiples = session.start, session.trials, session.multiples
     counted = [event for event in trials if not event["trial"]["practice"]]
     by_level: dict[tuple[str, float], list[dict[str, Any]]] = {}
@@ -160,13 +153,7 @@ def take_facts(session: Session) -> SessionFacts:
 
 
 def describe_record(sessions: Sequence[SessionFacts]) -> RecordFacts | None:
-    """Return what the logs of the analysed sessions tell; None for a CSV, which has none.
-
-    Parameters
-    ----------
-    sessions : sequence of SessionFacts
-        The analysed sessions.
-    """
+    """Return what the logs of the analysed sessions tell; None for a CSV, which has none."""
     if not sessions:
         return None
     return RecordFacts(
@@ -235,7 +222,7 @@ def _kinds_of_fault(event: dict[str, Any]) -> Iterator[str]:
     if kind in RIG_TROUBLES or any(exchange.get("what") in RIG_TROUBLES for exchange in event.get("exchanges", ())):
         yield "rig"
     # Every sitting ends with a stop; only one before the last trial is a deviation.
-    told = ("trial_cut", "unconfirmed", "resume", "masking_lost", "speech_lost")
+    told = ("trial_cut", "unconfirmed", "resume", "masking_lost")
     if kind in told or (kind == "stop" and not event.get("complete")):
         yield kind
 
@@ -258,7 +245,6 @@ def _settings_of(start: dict[str, Any]) -> dict[str, object]:
         "protocol": start.get("protocol"),
         "apparatus": start.get("apparatus"),
         "masking noise": _masking_in_words(start.get("masking")),
-        "spoken prompts": _speech_in_words(start.get("speech")),
         "study seed": start.get("seed"),
         "burst": str(start.get("stimulus", {}).get("content_hash", ""))[:16],
         "modaltouch": start.get("versions", {}).get("modaltouch"),
@@ -275,16 +261,6 @@ def _masking_in_words(masking: dict[str, Any] | None) -> str:
     at_ear = masking["level_dB_SPL"]
     level = f"{masking['level_dB_FS']:g} dB FS" + (f", {at_ear:g} dB SPL" if at_ear is not None else "")
     return f"{masking['noise']}, {level}, on {masking['device']}"
-
-
-def _speech_in_words(speech: dict[str, Any] | None) -> str:
-    if not speech:
-        return ""
-    if speech["state"] != "spoken":
-        return f"none: {speech['reason']}"
-    return (
-        f"{', '.join(speech['screens'])}, voice {speech['voice']}, {speech['level_dB_FS']:g} dB FS, {speech['library']}"
-    )
 
 
 def _settings(sessions: Sequence[SessionFacts]) -> dict[str, str]:

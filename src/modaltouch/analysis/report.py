@@ -24,17 +24,7 @@ TEMPLATE = "report.html.j2"
 
 
 def render_report(analysis: Analysis, pictures: Sequence[Picture], vectors: Mapping[str, bytes]) -> str:
-    """Return the report as HTML.
-
-    Parameters
-    ----------
-    analysis : Analysis
-        What was found.
-    pictures : sequence of Picture
-        The figures.
-    vectors : mapping of str to bytes
-        Each figure as SVG, by name.
-    """
+    """Return the report as HTML."""
     from modaltouch.analysis.record_facts import describe_record
     from modaltouch.provenance import commit, versions
 
@@ -64,13 +54,7 @@ def render_report(analysis: Analysis, pictures: Sequence[Picture], vectors: Mapp
 
 
 def design_limits(analysis: Analysis) -> list[str]:
-    """Return what the design of these answers cannot tell, in words.
-
-    Parameters
-    ----------
-    analysis : Analysis
-        What was found.
-    """
+    """Return what the design of these answers cannot tell, in words."""
     answers = analysis.answers
     pairs = {(pair.left, pair.right) for pair in answers.pairs}
     limits = []

@@ -112,13 +112,7 @@ def _no_search_for_cycles() -> Iterator[None]:
 
 
 def find_logs(place: Path) -> list[Path]:
-    """Return the session logs under a folder, in order of their names.
-
-    Parameters
-    ----------
-    place : Path
-        A folder, or one log.
-    """
+    """Return the session logs under a folder, in order of their names."""
     return [place] if place.is_file() else sorted(place.rglob(LOG_NAME))
 
 

@@ -62,15 +62,13 @@ class ShuffleTest:
         return f"Monte Carlo: {between}, {self.n_shuffles} shuffles, seed {self.seed}"
 
 
-def level_association(table: IntArray, seed: int = SEED) -> ShuffleTest:
+def level_association(table: IntArray) -> ShuffleTest:
     """Return the generalised Cochran-Mantel-Haenszel test of level against answer, participants as strata.
 
     Parameters
     ----------
     table : (n_participants, n_levels, n_answers) array of int
         Counts; answers are shuffled over the levels within each participant.
-    seed : int
-        Seed of the generator.
     """
     margins = table.sum(axis=1)
     moving = (margins > 0).sum(axis=1) > 1
@@ -95,18 +93,16 @@ def level_association(table: IntArray, seed: int = SEED) -> ShuffleTest:
         sums = np.bincount((places * n_kinds + dealt).ravel(), minlength=size * n_levels * n_kinds)
         return statistic(sums.reshape(size, n_levels, n_kinds))
 
-    return _monte_carlo(statistic(sub.sum(axis=0)), shuffle, cards.size, int(moving.sum()), seed)
+    return _monte_carlo(statistic(sub.sum(axis=0)), shuffle, cards.size, int(moving.sum()))
 
 
-def pair_association(table: IntArray, seed: int = SEED) -> ShuffleTest:
+def pair_association(table: IntArray) -> ShuffleTest:
     """Return the omnibus test of pair against answer, whole pairs swapped within each participant.
 
     Parameters
     ----------
     table : (n_participants, n_pairs, n_answers) array of int
         Counts over all levels.
-    seed : int
-        Seed of the generator.
 
     Notes
     -----
@@ -127,18 +123,16 @@ def pair_association(table: IntArray, seed: int = SEED) -> ShuffleTest:
         swapped = np.take_along_axis(sub[np.newaxis], order[..., np.newaxis], axis=2)
         return statistic(swapped.sum(axis=1))
 
-    return _monte_carlo(statistic(sub.sum(axis=0)), shuffle, sub.size, int(moving.sum()), seed)
+    return _monte_carlo(statistic(sub.sum(axis=0)), shuffle, sub.size, int(moving.sum()))
 
 
-def participant_heterogeneity(scores: IntArray, seed: int = SEED) -> ShuffleTest:
+def participant_heterogeneity(scores: IntArray) -> ShuffleTest:
     """Return the test that participants do not differ, answers shuffled over participants within each cell.
 
     Parameters
     ----------
     scores : (n_participants, n_cells) array of int
         Net score of each participant in each cell.
-    seed : int
-        Seed of the generator.
     """
     varying = np.ptp(scores, axis=0) > 0
     columns = scores[:, varying]
@@ -151,7 +145,7 @@ def participant_heterogeneity(scores: IntArray, seed: int = SEED) -> ShuffleTest
         return statistic(rng.permuted(np.broadcast_to(columns, (size, *columns.shape)), axis=1))
 
     informative = len(scores) if varying.sum() > 1 else 0
-    return _monte_carlo(statistic(columns), shuffle, columns.size if informative else 0, informative, seed)
+    return _monte_carlo(statistic(columns), shuffle, columns.size if informative else 0, informative)
 
 
 def _monte_carlo(
@@ -159,13 +153,12 @@ def _monte_carlo(
     shuffle: Callable[[np.random.Generator, int], FloatArray],
     size: int,
     n_informative: int,
-    seed: int,
 ) -> ShuffleTest:
     value = float(observed)
     if size == 0 or n_informative == 0:
-        return ShuffleTest(ExactTest(value, 1.0, 1.0, 0), 1.0, 1.0, 0, seed)
+        return ShuffleTest(ExactTest(value, 1.0, 1.0, 0), 1.0, 1.0, 0, SEED)
     n = int(min(max(WORK // size, LEAST_SHUFFLES), SHUFFLES))
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(SEED)
     batch = max(1, BATCH // size)
     drawn = np.concatenate([shuffle(rng, min(batch, n - done)) for done in range(0, n, batch)])
     slack = 1e-9 * max(1.0, abs(value))
@@ -175,7 +168,7 @@ def _monte_carlo(
     interval = clopper_pearson(reached, n)
     p, p_min = (1 + reached) / (n + 1), (1 + at_extreme) / (n + 1)
     test = ExactTest(value, p, min(p_min, p), n_informative)
-    return ShuffleTest(test, interval.low, interval.high, n, seed)
+    return ShuffleTest(test, interval.low, interval.high, n, SEED)
 
 
 def _covariance(margin: IntArray, total: int) -> FloatArray:

@@ -76,10 +76,8 @@ def fit_poles(time: FloatArray, records: FloatArray, pole: ComplexArray) -> Deca
 
     Parameters
     ----------
-    time : (n_samples,) array
-        Instants, evenly spaced [s].
-    records : (n_records, n_samples) array
-        Velocities [m/s].
+    time, records
+        As for `fit_residues`.
     pole : (n_poles,) complex array
         Where the fit begins [1/s].
     """
@@ -107,10 +105,8 @@ def find_poles(time: FloatArray, records: FloatArray, listed: ComplexArray, *, m
 
     Parameters
     ----------
-    time : (n_samples,) array
-        Instants, evenly spaced [s].
-    records : (n_records, n_samples) array
-        Velocities [m/s].
+    time, records
+        As for `fit_residues`.
     listed : (n_listed,) complex array
         Poles known roughly [1/s].
     most : int

@@ -88,10 +88,8 @@ def calibrate(
 
     Parameters
     ----------
-    bench : Bench
-        Generator and scope.
-    apparatus : Apparatus
-        As its file gives it.
+    bench, apparatus
+        As for `calibrate_each`.
     ground : Ground
         The stimulus, without any calibration.
     progress : Progress, optional

@@ -48,11 +48,6 @@ class Bench(typing.Protocol):
 def measuring_points(model: ModalModel) -> FloatArray:
     """Return where to measure: pairs about the middle, of the many the one that sees the worst seen mode best.
 
-    Parameters
-    ----------
-    model : ModalModel
-        The modes.
-
     Returns
     -------
     (2 * N_PAIRS,) array

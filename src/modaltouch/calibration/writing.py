@@ -174,13 +174,7 @@ def _level(level: Level) -> CalibratedLevel:
 
 
 def calibration_text(calibration: Calibration) -> str:
-    """Return the text of a calibration file.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        What it is to hold.
-    """
+    """Return the text of a calibration file."""
     from ruamel.yaml import YAML
 
     yaml = YAML()

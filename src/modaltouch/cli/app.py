@@ -18,7 +18,6 @@ from modaltouch.cli import (
     planning,
     rigs,
     running,
-    speaking,
     validating,
 )
 
@@ -57,7 +56,6 @@ def version(
 
 app.command("demo")(running.demo)
 app.command("check")(checking.check)
-app.command("speak")(speaking.speak)
 app.command("calibrate")(calibrating.calibrate)
 app.command("run")(running.run)
 app.command("resume")(running.resume)

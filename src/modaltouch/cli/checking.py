@@ -111,13 +111,6 @@ def show(preflight: Preflight, *, compare: bool = False) -> None:
         )
     if fallback := values.get("continuous_fallback"):
         console.print(f"[dim]{escape(fallback['warning'])}[/]")
-    if (speech := values["speech"]) and speech["state"] == "spoken":
-        total = sum(each["duration_s"] for each in speech["prompts"])
-        console.print(
-            f"Spoken by {speech['library']}, voice {speech['voice']}, {speech['rate_words_per_min']} words/min, "
-            f"{speech['level_dB_FS']:g} dB FS: {len(speech['prompts'])} prompts, {total:.0f} s ("
-            f"{', '.join(speech['screens'])})"
-        )
     for warning in values["warnings"]:
         console.print(f"[yellow]{escape(warning)}[/]")
 

@@ -56,7 +56,6 @@ def explain(error: BaseException) -> tuple[int | None, list[dict[str, Any]]]:
         ("modaltouch.rig.interface", "RigError"): RIG_FAILED,
         ("modaltouch.window.interface", "WindowError"): RIG_FAILED,
         ("modaltouch.masking.interface", "MaskingError"): RIG_FAILED,
-        ("modaltouch.speech.interface", "SpeechError"): RIG_FAILED,
         ("modaltouch.record.chain", "RecordInputError"): BAD_INPUT,
         ("modaltouch.planning.workers", "ClusterError"): BAD_INPUT,
         ("modaltouch.record.chain", "RecordError"): RECORD_AT_RISK,

@@ -157,13 +157,11 @@ def run(
 
 
 def _try_masking(setup: Setup) -> None:
-    """Open masking noise and speech for a moment, silently, so that what it lacks is told before anything begins."""
+    """Open the masking noise for a moment, silently, so that what it lacks is told before anything begins."""
     with setup.open_masking(lambda event, **facts: None) as masking:
-        found, speech = masking.describe(), masking.speech.describe()
+        found = masking.describe()
     if found is not None and found["state"] != "masked":
         typer.secho(f"The beam is not masked: {found['reason']}", err=True, fg=typer.colors.YELLOW)
-    if speech is not None and speech["state"] != "spoken":
-        typer.secho(f"The screens are not spoken: {speech['reason']}", err=True, fg=typer.colors.YELLOW)
 
 
 def resume(

@@ -54,21 +54,11 @@ ENDS = 1e-3
 
 
 def inverse_filter(known: Knowledge) -> FloatArray:
-    """Return the drives of the inverse filter throughout the burst, at the level or the limit.
+    """Return the drives of the inverse filter at the level or the limit, (n_channels, n_samples) array at the beam [V].
 
     Of the pulses in `PULSES` and the regularisations in `STRENGTHS` those which come closest to the wished field at
     the focusing instant, by the recordings, among those within the voltage limit; where none are, those that need
     the least.
-
-    Parameters
-    ----------
-    known : Knowledge
-        The recordings at all control points.
-
-    Returns
-    -------
-    (n_channels, n_samples) array
-        Voltages of the whole burst at the beam [V].
     """
     step, n_before = known.step, known.n_before
     n_after = (known.timing.n_samples - n_before * known.stride) // known.stride
@@ -131,11 +121,6 @@ def inverse_filter_at_instant(known: Knowledge) -> FloatArray:
     Noise adds to :math:`R R^T` what is known of it from record to record, on the average on its diagonal alone: that
     is the regularisation. Directions that do not stand ABOVE_NOISE out of it are left out, since a drive that leans on
     them leans on noise; more are where it would pass the voltage limit.
-
-    Parameters
-    ----------
-    known : Knowledge
-        The recordings at all control points.
 
     Returns
     -------

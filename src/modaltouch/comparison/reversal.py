@@ -29,27 +29,10 @@ FloatArray = NDArray[np.float64]
 
 
 def time_reversal(known: Knowledge) -> FloatArray:
-    """Return the impulse responses at the focus, reversed in time, at the level or the limit.
-
-    Parameters
-    ----------
-    known : Knowledge
-        Of the recordings, those at the focus alone are used.
-
-    Returns
-    -------
-    (n_channels, n_samples) array
-        Voltages of the whole burst at the beam; 0 after the focusing instant [V].
-    """
+    """Return the recorded impulse responses at the focus alone, reversed, as voltages at the level or limit [V]."""
     return known.to_level(known.towards[:, known.focus, ::-1])
 
 
 def one_bit_reversal(known: Knowledge) -> FloatArray:
-    """Return the signs of the reversed impulse responses, as `time_reversal`.
-
-    Parameters
-    ----------
-    known : Knowledge
-        Of the recordings, those at the focus alone are used.
-    """
+    """Return the signs of the reversed impulse responses, as `time_reversal`."""
     return known.to_level(np.sign(known.towards[:, known.focus, ::-1]))

@@ -200,10 +200,8 @@ def learn(
 
     Parameters
     ----------
-    preflight : Preflight
-        The protocol, examined.
-    settings : Settings
-        How much is measured.
+    preflight, settings
+        As for `contest`.
     folder : Path, optional
         Where the recordings are kept; a scan that was stopped goes on there.
     on_progress, check : callable
@@ -220,15 +218,7 @@ def learn(
 
 
 def identified_model(found: Identification, apparatus: Apparatus) -> ModalModel:
-    """Return the modes of the table with the values that were identified; those not found keep the table's.
-
-    Parameters
-    ----------
-    found : Identification
-        From the recordings.
-    apparatus : Apparatus
-        The table, and which output feeds which set.
-    """
+    """Return the modes of the table with the values that were identified; those not found keep the table's."""
     table = apparatus.modal_model()
     frequency, ratio, gain = (
         np.array(values) for values in (table.natural_frequency, table.damping_ratio, table.modal_gain)

@@ -18,11 +18,6 @@ def typed_keys(keys: Mapping[str, Sequence[str]]) -> dict[str, list[str]]:
     keypad's digits as any others. Each answer also has the number of its place on the screen, unless that is a key of
     another answer; one that would be left without a key has the first free digit.
 
-    Parameters
-    ----------
-    keys : mapping
-        Names of keys of each answer, as the protocol gives them.
-
     Examples
     --------
     >>> typed_keys({"left": ["left", "num_4"], "both": ["n"], "right": ["right", "2"]})

@@ -38,11 +38,6 @@ def find_side_bias(trials: Sequence[dict[str, Any]]) -> str:
     Each answer is compared with the one that the predicted speeds ask for: `left` for `both` and `both` for
     `right` are departures to the left. Without a bias they go to a side as often as trials leave room there: from
     `right` an answer can only depart to the left, so a run of one pair after the other, or one pair alone, tells none.
-
-    Parameters
-    ----------
-    trials : sequence of dict
-        Trial events.
     """
     left = right = room_left = room_right = 0
     for event in trials:

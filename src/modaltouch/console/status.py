@@ -17,7 +17,7 @@ TROUBLES = frozenset(
     {"connection_lost", "reconnect_failed", "instrument_errors", "upload_repeated", "unconfirmed", "close_failed"}
 )
 """Events of the rig that an experimenter should know of."""
-_QUIET = frozenset({"rig", "exchange", "discarded", "ignored", "spoken"})
+_QUIET = frozenset({"rig", "exchange", "discarded", "ignored"})
 """Events that change nothing an experimenter looks at."""
 _LONGEST = 300.0
 """A trial that took longer than this was a break, and tells nothing about the next [s]."""
@@ -66,7 +66,7 @@ class Status:
         self._durations: list[float] = []
         self._answered_at: float | None = None
         self._held = "waiting"
-        self._unmasked = self._unspoken = ""
+        self._unmasked = ""
 
     def take(self, event: dict[str, Any], *, replayed: bool = False) -> bool:
         """Take in an event of the record, or one that happens now, and return whether it changed what is shown.
@@ -114,7 +114,6 @@ class Status:
             "time_left_s": round(left * self._pace(), 1),
             "warnings": [
                 *([self._unmasked] if self._unmasked else []),
-                *([self._unspoken] if self._unspoken else []),
                 *read_signs(list(self._trials.values()), offers_none=self._offers_none),
             ],
         }
@@ -152,12 +151,6 @@ class Status:
 
     def _on_masking_lost(self, event: dict[str, Any]) -> None:
         self._unmasked = f"the beam is not masked: {event['reason']}"
-
-    def _on_speech(self, event: dict[str, Any]) -> None:
-        self._unspoken = self._unspoken if event["state"] == "off" else ""
-
-    def _on_speech_lost(self, event: dict[str, Any]) -> None:
-        self._unspoken = f"the screens are not spoken: {event['reason']}"
 
     def _on_trial_next(self, event: dict[str, Any]) -> None:
         self._facts |= {"state": "waiting", "trial": event["trial"], "nothing_to_repeat": False}

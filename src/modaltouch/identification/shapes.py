@@ -109,7 +109,7 @@ def label_shapes(shapes: FloatArray, positions: FloatArray, length: float) -> tu
 
 
 def unit_shape(residue: FloatArray, positions: FloatArray, label: int, length: float) -> FloatArray:
-    """Return the shape that residues of several excitations share: unit mean square, positive at the right end.
+    """Return the shape that residues of several excitations share: unit mean square, positive at the right end [1].
 
     Parameters
     ----------
@@ -121,11 +121,6 @@ def unit_shape(residue: FloatArray, positions: FloatArray, label: int, length: f
         Of the mode.
     length : float
         Length of the beam [m].
-
-    Returns
-    -------
-    (n_points,) array
-        The shape [1].
     """
     common = np.linalg.svd(residue, full_matrices=False)[2][0]
     measured = MeasuredShapes((label,), positions, common[None], length)

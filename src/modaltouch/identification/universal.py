@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.identification.responses import Quantity
-from modaltouch.stimulus.uff import read_sets
 
 _FUNCTION, _RESPONSE = 58, 4
 _NODES = (15, 2411)
@@ -30,7 +29,7 @@ def read_universal(
     ValueError
         If the file cannot be read or holds no frequency response; the message begins with the path.
     """
-    sets = read_sets(path)
+    sets = _read_sets(path)
     functions = [each for each in sets if each["type"] == _FUNCTION and each["func_type"] == _RESPONSE]
     if not functions:
         held = ", ".join(sorted({str(each["type"]) for each in sets})) or "none"
@@ -52,6 +51,20 @@ def read_universal(
             key = (f"{key[0]} node {node} direction {int(each['rsp_dir'])}", key[1])
         found[key] = np.asarray(np.asarray(each["data"], dtype=complex) / size, dtype=complex)
     return frequency, found, _QUANTITIES.get(next(iter(kinds)))
+
+
+def _read_sets(path: Path) -> list[dict[str, Any]]:
+    """Return the data sets of a universal file."""
+    import pyuff
+
+    if not path.is_file():
+        raise ValueError(f"{path}: there is no such file; give the path of a universal file")
+    try:
+        read = pyuff.UFF(str(path)).read_sets()
+    # The library raises bare exceptions, and whatever its parsing meets.
+    except Exception as error:
+        raise ValueError(f"{path}: cannot be read as a universal file ({error}); export it again") from error
+    return [read] if isinstance(read, dict) else list(read)
 
 
 def _places(sets: list[dict[str, Any]], functions: list[dict[str, Any]]) -> dict[int, float]:

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import typing
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Self
-
-from modaltouch.speech.interface import Silence, Speech
 
 
 class MaskingError(Exception):
@@ -15,11 +13,7 @@ class MaskingError(Exception):
 
 
 class Masking(typing.Protocol):
-    """Noise in the participant's ears, and what is said in the same stream."""
-
-    @property
-    def speech(self) -> Speech:
-        """What speaks the prompts, where the protocol wants them."""
+    """Noise in the participant's ears."""
 
     def describe(self) -> dict[str, Any] | None:
         """Return noise, level and device for the start record; None where the protocol wants no masking."""
@@ -28,14 +22,14 @@ class Masking(typing.Protocol):
         """Begin to fade in."""
 
     def ensure(self, tick: Callable[[], object]) -> None:
-        """See before a trial that the noise is at its level and prompts can be heard; mend it where that can be.
+        """See before a trial that the noise is on and at its level; mend it where that can be.
 
         Calls `tick` while it waits.
 
         Raises
         ------
-        MaskingError, SpeechError
-            If noise or speech is lost and the protocol demands it.
+        MaskingError
+            If it is lost and the protocol demands it.
         """
 
     @property
@@ -58,12 +52,9 @@ class NoMasking:
     ----------
     reason : str
         Why, where the protocol wants masking; empty where it does not.
-    speech : Speech
-        Silence, and why.
     """
 
     reason: str = ""
-    speech: Speech = field(default_factory=Silence)
 
     def describe(self) -> dict[str, Any] | None:
         """Return that the participant was not masked, and why; None where the protocol wants no masking."""

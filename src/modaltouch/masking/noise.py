@@ -26,7 +26,7 @@ SINE_DB = 20 * math.log10(math.sqrt(2))
 
 @lru_cache(maxsize=4)
 def make_noise(kind: Kind, sampling_rate: float) -> NDArray[np.float32]:
-    """Return one period of noise with a root mean square of 1.
+    """Return one period of noise with a root mean square of 1, without a seam and read-only, (n_samples,) array [1].
 
     Parameters
     ----------
@@ -34,11 +34,6 @@ def make_noise(kind: Kind, sampling_rate: float) -> NDArray[np.float32]:
         ``pink``, power falling with frequency, or ``white``, power even.
     sampling_rate : float
         Samples per second [Hz].
-
-    Returns
-    -------
-    (n_samples,) array
-        Samples, read-only; the first follows the last as any other does [1].
 
     Raises
     ------

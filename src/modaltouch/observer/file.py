@@ -65,13 +65,7 @@ def usual_observer(protocol: Protocol) -> str:
 
 
 def observer_of(file: ObserverFile) -> Observer:
-    """Return the observer that the keys of a file describe.
-
-    Parameters
-    ----------
-    file : ObserverFile
-        The file's keys.
-    """
+    """Return the observer that the keys of a file describe."""
     typical, spread = file.typical, file.spread
     return Observer(
         typical=Participant(

@@ -34,7 +34,7 @@ ORDER = 4
 
 
 def sense(front_end: FrontEnd, history: ArrayLike, sampling_rate: float, instant: float) -> FloatArray:
-    """Return what fingers feel of the velocity under them.
+    """Return what fingers feel of the velocity under them, (n_places,) array [m/s].
 
     Parameters
     ----------
@@ -46,11 +46,6 @@ def sense(front_end: FrontEnd, history: ArrayLike, sampling_rate: float, instant
         Samples per second [Hz].
     instant : float
         The focusing instant, from the first sample [s].
-
-    Returns
-    -------
-    (n_places,) array
-        What is felt at each place [m/s].
 
     Raises
     ------
@@ -79,7 +74,7 @@ def sense(front_end: FrontEnd, history: ArrayLike, sampling_rate: float, instant
 
 
 def smooth(velocity: FloatArray, sampling_rate: float) -> FloatArray:
-    """Return what lies below `CUT_OFF`, without a shift in time.
+    """Return what lies below `CUT_OFF`, without a shift in time, (n_places, n_samples) array [m/s].
 
     Parameters
     ----------
@@ -87,11 +82,6 @@ def smooth(velocity: FloatArray, sampling_rate: float) -> FloatArray:
         Histories that are at rest at both ends [m/s].
     sampling_rate : float
         Samples per second [Hz].
-
-    Returns
-    -------
-    (n_places, n_samples) array
-        Smoothed histories [m/s].
     """
     n_samples = velocity.shape[1]
     # Twice as long and filled up with rest, so that the end does not run into the beginning.

@@ -88,15 +88,7 @@ class Recorded:
 
 
 def log_likelihood(observer: Observer, recorded: Recorded) -> float:
-    """Return the logarithm of the chance of recorded answers, the population integrated out.
-
-    Parameters
-    ----------
-    observer : Observer
-        The population.
-    recorded : Recorded
-        The answers.
-    """
+    """Return the logarithm of the chance of recorded answers, the population integrated out."""
     crowd = observer.crowd_at(_grid())
     total = 0.0
     for side in np.unique(recorded.facing):

@@ -169,10 +169,8 @@ class Participant:
 
         Parameters
         ----------
-        speed_left, speed_right : float
-            What the two fingers feel [m/s].
-        finger_condition : str
-            ``one_hand`` or another.
+        speed_left, speed_right, finger_condition
+            As for `difference`.
         rng : numpy.random.Generator
             Source of chance; the same number of draws is taken for every answer.
         answers : sequence of Answer

@@ -61,13 +61,7 @@ class Study:
         return self.design.without_differences()
 
     def seed_of(self, job: Job) -> np.random.SeedSequence:
-        """Return the seed of a job: spawned from the study's, the same whichever other jobs there are.
-
-        Parameters
-        ----------
-        job : Job
-            The job.
-        """
+        """Return the seed of a job: spawned from the study's, the same whichever other jobs there are."""
         key = (job.n_participants, job.n_repetitions, job.batch)
         return np.random.SeedSequence(self.seed, spawn_key=key)
 
@@ -153,15 +147,7 @@ def divide(design: Design, sizes: Iterable[tuple[int, int]], n_experiments: int)
 
 
 def run_job(study: Study, job: Job) -> Tallies:
-    """Return what comes out of the experiments of a job, family by family.
-
-    Parameters
-    ----------
-    study : Study
-        What is simulated.
-    job : Job
-        How many experiments of which size.
-    """
+    """Return what comes out of the experiments of a job, family by family."""
     observed, guessed = (np.random.default_rng(seed) for seed in study.seed_of(job).spawn(2))
     design = study.null_design if study.null else study.design
     observer = unbiased(study.observer) if study.null else study.observer
@@ -176,13 +162,7 @@ def run_job(study: Study, job: Job) -> Tallies:
 
 
 def unbiased(observer: Observer) -> Observer:
-    """Return the observer without a side that the population prefers; its participants differ as before.
-
-    Parameters
-    ----------
-    observer : Observer
-        The population.
-    """
+    """Return the observer without a side that the population prefers; its participants differ as before."""
     return replace(observer, typical=replace(observer.typical, side_bias=0.0))
 
 
@@ -191,17 +171,6 @@ def simulate(design: Design, observer: Observer, job: Job, rng: np.random.Genera
 
     Each participant is drawn once from the population and answers every cell by the chances that
     `modaltouch.observer.Participant` has there.
-
-    Parameters
-    ----------
-    design : Design
-        The cells.
-    observer : Observer
-        The population.
-    job : Job
-        Number and size of the experiments.
-    rng : numpy.random.Generator
-        Source of chance.
     """
     crowd = observer.draw_crowd(rng, (job.n_experiments, job.n_participants))
     share_left, share_right = crowd.shares(

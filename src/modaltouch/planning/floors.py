@@ -44,7 +44,7 @@ class Floor:
 
 
 def smallest_p(design: Design, family: str, n_participants: int, n_repetitions: int) -> float:
-    """Return the smallest p that a test of a family can give, however the answers fall.
+    """Return the smallest p that a test of a family can give, however the answers fall [1].
 
     Parameters
     ----------
@@ -54,11 +54,6 @@ def smallest_p(design: Design, family: str, n_participants: int, n_repetitions: 
         One of `modaltouch.planning.questions.FAMILIES`.
     n_participants, n_repetitions : int
         Size of the experiment.
-
-    Returns
-    -------
-    float
-        p of the most extreme answers [1].
     """
     if family == "a1":
         return multinomial_test([n_participants, 0, 0]).p
@@ -88,10 +83,8 @@ def find_floor(design: Design, family: str, n_repetitions: int, alpha: float = A
 
     Parameters
     ----------
-    design : Design
-        The cells.
-    family : str
-        One of `modaltouch.planning.questions.FAMILIES`.
+    design, family
+        As for `smallest_p`.
     n_repetitions : int
         Answers of each participant in each cell.
     alpha : float

@@ -21,7 +21,7 @@ _BISECTIONS = 28
 
 
 def difference_width(first: ArrayLike, second: ArrayLike, n_answers: int) -> FloatArray:
-    """Return half the widths of `modaltouch.analysis.intervals.clustered_difference`.
+    """Return half the widths of `modaltouch.analysis.intervals.clustered_difference`, (...,) array [1].
 
     Parameters
     ----------
@@ -29,11 +29,6 @@ def difference_width(first: ArrayLike, second: ArrayLike, n_answers: int) -> Flo
         How many of each participant's answers count only for the first, and only for the second.
     n_answers : int
         Answers per participant.
-
-    Returns
-    -------
-    (...,) array
-        Half the width of the 95 % interval of the difference [1].
     """
     b, c = np.asarray(first, dtype=float), np.asarray(second, dtype=float)
     n, total = b.shape[-1], float(b.shape[-1] * n_answers)
@@ -50,7 +45,7 @@ def difference_width(first: ArrayLike, second: ArrayLike, n_answers: int) -> Flo
 
 
 def slope_width(shares: ArrayLike, levels: Sequence[float]) -> FloatArray:
-    """Return half the widths of the intervals of mean slopes over the level.
+    """Return half the widths of the 95 % intervals of mean slopes per 100 mm/s of the level, (...,) array [1].
 
     Parameters
     ----------
@@ -58,11 +53,6 @@ def slope_width(shares: ArrayLike, levels: Sequence[float]) -> FloatArray:
         Share of one answer at each level [1].
     levels : sequence of float
         Levels [mm/s], two or more.
-
-    Returns
-    -------
-    (...,) array
-        Half the width of the 95 % interval of the change per 100 mm/s [1].
     """
     centred = np.asarray(levels, dtype=float) - np.mean(levels)
     weights = 100 * centred / (centred**2).sum()

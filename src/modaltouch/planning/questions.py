@@ -94,7 +94,7 @@ class Answers:
 
 
 def p_values(answers: Answers, family: str) -> FloatArray:
-    """Return the p of the exact tests of a family.
+    """Return the two-sided p of a family's exact tests, (n_experiments, n_tests) array as in `Design.scopes` [1].
 
     Parameters
     ----------
@@ -102,11 +102,6 @@ def p_values(answers: Answers, family: str) -> FloatArray:
         Simulated experiments.
     family : str
         One of `FAMILIES`.
-
-    Returns
-    -------
-    (n_experiments, n_tests) array
-        Two-sided p, in the order of `Design.scopes` [1].
     """
     n_experiments = len(answers.left)
     if family == "a1":
@@ -126,10 +121,8 @@ def half_widths(answers: Answers, family: str) -> FloatArray:
 
     Parameters
     ----------
-    answers : Answers
-        Simulated experiments.
-    family : str
-        One of `FAMILIES`.
+    answers, family
+        As for `p_values`.
 
     Returns
     -------

@@ -31,17 +31,12 @@ _EXACT_UP_TO = 40
 
 
 def sign_flip_p(scores: ArrayLike) -> FloatArray:
-    """Return the p of exact sign-flip tests, as `modaltouch.analysis.exact.sign_flip_test` does one by one.
+    """Return the p of exact sign-flip tests, as `modaltouch.analysis.exact.sign_flip_test`, (...,) array [1].
 
     Parameters
     ----------
     scores : (..., n_participants) array of int
         Net scores; the last axis is one test.
-
-    Returns
-    -------
-    (...,) array
-        Two-sided p [1].
     """
     values = np.asarray(scores)
     sizes = np.abs(values)
@@ -55,7 +50,7 @@ def sign_flip_p(scores: ArrayLike) -> FloatArray:
 
 
 def trend_p(chosen: ArrayLike, levels: Sequence[float], n_repetitions: int = 1) -> FloatArray:
-    """Return the p of exact trend tests, as `modaltouch.analysis.trend.trend_test` does one by one.
+    """Return the p of exact trend tests, as `modaltouch.analysis.trend.trend_test`, (...,) array [1].
 
     Parameters
     ----------
@@ -65,11 +60,6 @@ def trend_p(chosen: ArrayLike, levels: Sequence[float], n_repetitions: int = 1) 
         Levels, as scores of the trend.
     n_repetitions : int
         Presentations of each level.
-
-    Returns
-    -------
-    (...,) array
-        Two-sided p [1].
     """
     values = np.asarray(chosen)
     scores = level_scores(levels)
@@ -90,17 +80,12 @@ def trend_p(chosen: ArrayLike, levels: Sequence[float], n_repetitions: int = 1) 
 
 
 def multinomial_p(counts: ArrayLike) -> FloatArray:
-    """Return the p of exact multinomial tests against equal chances, ordered by likelihood ratio.
+    """Return the p of `modaltouch.analysis.exact.multinomial_test` against equal chances, (...,) array [1].
 
     Parameters
     ----------
     counts : (..., 3) array of int
         Counts of the three answers; their totals may differ.
-
-    Returns
-    -------
-    (...,) array
-        p, as `modaltouch.analysis.exact.multinomial_test` gives [1].
     """
     values = np.sort(np.asarray(counts, dtype=np.int64), axis=-1)
     totals = values.sum(axis=-1)

@@ -61,13 +61,7 @@ _UNPROMISED = {
 
 
 def repetition_warnings(apparatus: Apparatus) -> list[str]:
-    """Return what a repetition other than ``single`` cannot promise.
-
-    Parameters
-    ----------
-    apparatus : Apparatus
-        What is on the table.
-    """
+    """Return what a repetition other than ``single`` cannot promise."""
     section = apparatus.generator
     if section.repeats == "single":
         return []
@@ -79,13 +73,7 @@ def repetition_warnings(apparatus: Apparatus) -> list[str]:
 
 
 def answer_warnings(protocol: Protocol) -> list[str]:
-    """Return what catch trials and the answer none cannot do for lack of each other.
-
-    Parameters
-    ----------
-    protocol : Protocol
-        The design.
-    """
+    """Return what catch trials and the answer none cannot do for lack of each other."""
     n_catches = protocol.schedule.catch_trials
     if n_catches and not protocol.answers.offers_none:
         return [
@@ -97,11 +85,6 @@ def answer_warnings(protocol: Protocol) -> list[str]:
 
 def taken_defaults(reading: Reading[Protocol]) -> list[dict[str, Any]]:
     """Return the keys that a protocol leaves out, with the values taken for them.
-
-    Parameters
-    ----------
-    reading : Reading
-        The protocol file.
 
     Returns
     -------

@@ -24,7 +24,6 @@ from modaltouch.preflight.figures import (
 )
 from modaltouch.preflight.ground import Ground
 from modaltouch.preflight.sound import sound_warnings
-from modaltouch.preflight.speech import speech_figures, speech_warnings
 from modaltouch.protocol import Experiment, Findings, Protocol
 from modaltouch.stimulus.burst import Burst
 from modaltouch.stimulus.design import Stimulus
@@ -223,7 +222,6 @@ class Preflight:
             "estimated_duration_min": None,
             "problems": [problem.as_dict() for problem in self.problems],
             "warnings": [],
-            "speech": None,
             "defaults": taken_defaults(reading) if reading else [],
             "stimuli": self.stimuli,
             "contrasts": [],
@@ -243,10 +241,8 @@ class Preflight:
                 *answer_warnings(protocol),
                 *repetition_warnings(self.experiment.apparatus),
                 *sound_warnings(protocol, self.experiment.apparatus),
-                *speech_warnings(self.experiment),
                 *default_warnings(values["defaults"]),
             ],
-            "speech": speech_figures(self.experiment),
             "contrasts": self._contrasts(),
             "unknown_gains": [{"mode": label, "set": name} for label, name in apparatus.unknown_gains()],
             "assumed_gains": [{"mode": label, "set": name} for label, name in apparatus.assumed_gains()],

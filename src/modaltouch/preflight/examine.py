@@ -14,7 +14,6 @@ from modaltouch.preflight.ground import Ground, design, find_ground
 from modaltouch.preflight.limits import check_levels, fits_generator
 from modaltouch.preflight.several import at_stimulus, check_memories, each_stimulus
 from modaltouch.preflight.sound import check_masking_level
-from modaltouch.preflight.speech import check_speech
 from modaltouch.protocol import Findings, examine_files
 from modaltouch.schedule import draw_schedule
 from modaltouch.stimulus.design import Stimulus
@@ -38,10 +37,7 @@ def examine(path: Path | str, calibration: Path | None = None, *, uncalibrated: 
     Preflight
         With every fault in its `problems`; nothing is raised for a faulty file.
     """
-    preflight = examine_findings(examine_files(Path(path), calibration, uncalibrated=uncalibrated))
-    # Here and not for files out of a record, which were sound where they were recorded: it asks this machine's voices.
-    spoken = tuple(check_speech(preflight.findings))
-    return replace(preflight, problems=tuple(sorted({*preflight.problems, *spoken}))) if spoken else preflight
+    return examine_findings(examine_files(Path(path), calibration, uncalibrated=uncalibrated))
 
 
 def examine_findings(findings: Findings) -> Preflight:

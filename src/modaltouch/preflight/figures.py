@@ -123,10 +123,8 @@ def warnings(ground: Ground, stimulus: Stimulus, figures: list[dict[str, Any]]) 
 
     Parameters
     ----------
-    ground : Ground
-        What the stimulus was designed from.
-    stimulus : Stimulus
-        The stimulus of all levels.
+    ground, stimulus
+        As for `stimulus_figures`.
     figures : list of dict
         As `stimulus_figures` returns them, one to each level.
     """

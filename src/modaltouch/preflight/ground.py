@@ -67,13 +67,7 @@ class Ground:
 
 
 def find_ground(findings: Findings) -> Ground | None:
-    """Return what a stimulus is designed from, or None where the files do not say it.
-
-    Parameters
-    ----------
-    findings : Findings
-        The files and what is wrong with them.
-    """
+    """Return what a stimulus is designed from, or None where the files do not say it."""
     protocol, apparatus = findings.protocol, findings.apparatus
     if protocol is None or apparatus is None:
         return None

@@ -24,17 +24,7 @@ _LEVELS = ("conditions", "peak_velocities_mm_s")
 
 
 def check_levels(ground: Ground, stimulus: Stimulus, protocol: Reading[Protocol]) -> list[Problem]:
-    """Return the levels that amplifier, generator or safety do not allow.
-
-    Parameters
-    ----------
-    ground : Ground
-        What the stimulus was designed from.
-    stimulus : Stimulus
-        The stimulus of all levels.
-    protocol : Reading
-        The protocol file, for the places of its levels.
-    """
+    """Return the levels that amplifier, generator or safety do not allow."""
     problems = _check_range(ground, stimulus, protocol)
     if problems:
         return problems

@@ -15,13 +15,7 @@ MEMORIES = 4
 
 
 def each_stimulus(findings: Findings) -> Iterator[tuple[str, Findings]]:
-    """Yield the name of each stimulus, and the files as if it were the only one, with what is then wrong.
-
-    Parameters
-    ----------
-    findings : Findings
-        Sound files of a protocol with several stimuli.
-    """
+    """Yield the name of each stimulus, and the files as if it were the only one, with what is then wrong."""
     protocol, apparatus = findings.protocol, findings.apparatus
     if protocol is None or protocol.value is None or apparatus is None:
         return
@@ -66,15 +60,7 @@ def at_stimulus(findings: Findings, name: str, problems: Iterable[Problem]) -> I
 
 
 def check_memories(findings: Findings, bursts: Sequence[Burst]) -> Iterator[Problem]:
-    """Yield more records than the generator has memories.
-
-    Parameters
-    ----------
-    findings : Findings
-        The files.
-    bursts : sequence of Burst
-        Of each stimulus.
-    """
+    """Yield more records than the generator has memories."""
     reading = findings.protocol
     if reading is None:
         return

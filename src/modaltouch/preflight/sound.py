@@ -15,13 +15,7 @@ LOUD = 80.0
 
 
 def check_masking_level(findings: Findings) -> Iterator[Problem]:
-    """Yield the level of a masking noise whose peaks would pass full scale.
-
-    Parameters
-    ----------
-    findings : Findings
-        The files and what is wrong with them.
-    """
+    """Yield the level of a masking noise whose peaks would pass full scale."""
     protocol, apparatus = findings.protocol, findings.apparatus
     if protocol is None or apparatus is None or findings.problems:
         return
@@ -41,13 +35,7 @@ def check_masking_level(findings: Findings) -> Iterator[Problem]:
 
 
 def sound_warnings(protocol: Protocol, apparatus: Apparatus) -> list[str]:
-    """Return what a lab should know of its masking noise.
-
-    Parameters
-    ----------
-    protocol, apparatus
-        The files' contents.
-    """
+    """Return what a lab should know of its masking noise."""
     section, sound = protocol.masking, apparatus.sound
     if section is None:
         return []

@@ -3,7 +3,6 @@
 ``sections``    the protocol file's keys
 ``texts``       the words the participant reads
 ``masking``     the keys of the masking noise
-``speech``      the keys of the spoken prompts
 ``stimulus_sections``  the keys of the stimulus, and of several
 ``adaptive``    the keys of adaptive runs
 ``sensation``   the keys of levels calibrated by participant
@@ -42,7 +41,6 @@ from modaltouch.protocol.sections import (
     ScheduleSection,
 )
 from modaltouch.protocol.sensation import SensationLevelsSection
-from modaltouch.protocol.speech import SpeechSection, SpokenScreen
 from modaltouch.protocol.stimulus_sections import StimulusSection, StimulusVariant, WishedField
 from modaltouch.protocol.texts import Texts
 
@@ -65,8 +63,6 @@ __all__ = [
     "ScheduleSection",
     "SensationLevelsSection",
     "Sources",
-    "SpeechSection",
-    "SpokenScreen",
     "StaircaseSection",
     "StimulusSection",
     "StimulusVariant",

@@ -97,7 +97,6 @@ def _check_doubles(reading: Reading[Protocol]) -> Iterator[Problem]:
     yield from _doubled(reading, ("conditions", "finger_conditions"), "finger condition")
     yield from _doubled(reading, ("conditions", "peak_velocities_mm_s"), "peak velocity")
     yield from _doubled(reading, ("conditions", "placements"), "placement")
-    yield from _doubled(reading, ("speech", "screens"), "screen")
     seen: dict[frozenset[str], int] = {}
     for index, pair in reading.items("conditions", "zone_pairs"):
         path, zones = ("conditions", "zone_pairs", index), frozenset(pair)

@@ -54,13 +54,7 @@ class MaskingSection(Section):
 
 
 def check_masking(protocol: Reading[Any], apparatus: Reading[Apparatus]) -> Iterator[Problem]:
-    """Yield what is wrong with the level of the masking noise, as far as the sound parts of both files show it.
-
-    Parameters
-    ----------
-    protocol, apparatus : Reading
-        Both files.
-    """
+    """Yield what is wrong with the level of the masking noise, as far as the sound parts of both files show it."""
     node = protocol.find(("masking",))
     if node is None or not isinstance(node.content, dict):
         return

@@ -19,7 +19,6 @@ from modaltouch.document.section import (
 from modaltouch.protocol.adaptive import AdaptiveSection
 from modaltouch.protocol.masking import MaskingSection
 from modaltouch.protocol.sensation import SensationLevelsSection
-from modaltouch.protocol.speech import SpeechSection
 from modaltouch.protocol.stimulus_sections import StimulusSection, StimulusVariant, ZoneName
 
 FingerCondition = Literal["one_hand", "two_hands"]
@@ -268,9 +267,7 @@ class Protocol(Section):
     masking: MaskingSection | None = described(
         "Noise that keeps the participant from hearing the beam; null for none.", default=None
     )
-    speech: SpeechSection | None = described(
-        "Screens that are spoken to the participant, too; null for none. Needs modaltouch[speech].", default=None
-    )
+    speech: dict[str, object] | None = described("No longer used: screens are not spoken.", default=None)
     adaptive: AdaptiveSection | None = described(
         "Runs in which the next level follows from the answers; the peak velocities are then their lowest and highest "
         "level. Null for fixed levels.",

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import string
-from typing import Annotated
 
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import ValidationInfo, field_validator
 
 from modaltouch.document import Problem, Reading, fault
 from modaltouch.document.section import Section, Text, described
 from modaltouch.protocol.sections import Protocol
-from modaltouch.protocol.speech import check_speech
 
 _PLACEHOLDERS: dict[str, frozenset[str]] = {
     "how_to_answer": frozenset({"pause_key"}),
@@ -31,24 +29,11 @@ _OPTIONAL: dict[str, frozenset[str]] = {"lift_to_answer": frozenset({"hand"})}
 """Words in braces that a text may contain: files were written before the window could fill them in."""
 
 
-LanguageCode = Annotated[
-    str,
-    Field(
-        strict=True,
-        pattern=r"^[A-Za-z]{2,3}(-[A-Za-z0-9]+)*$",
-        max_length=35,
-        json_schema_extra={"x-allowed": "a code such as en, en-us or fr"},
-    ),
-]
-
-
 class Texts(Section):
     """Every word the participant reads, in one language."""
 
     language: Text = described("Name of the language, in that language.")
-    language_code: LanguageCode | None = described(
-        "Its code (BCP 47), such as en or fr, by which a voice is found where screens are spoken.", default=None
-    )
+    language_code: Text | None = described("Its code (BCP 47), such as en or fr.", default=None)
     welcome: Text = described("Greeting on the first screen.")
     instructions: Text = described("What the experiment asks of the participant.")
     how_to_answer: Text = described("How to answer and to pause; holds {pause_key}.")
@@ -134,14 +119,8 @@ class Texts(Section):
 
 
 def check_words(protocol: Reading[Protocol], texts: Reading[Texts]) -> list[Problem]:
-    """Return the texts that a protocol needs and its language file lacks.
-
-    Parameters
-    ----------
-    protocol, texts : Reading
-        Both files, as far as they are sound.
-    """
-    problems = list(check_speech(protocol, texts))
+    """Return the texts that a protocol needs and its language file lacks."""
+    problems: list[Problem] = []
     keys = protocol.find(("answers", "keys"))
     if keys is None or not isinstance(keys.content, dict) or "none" not in keys.content:
         return problems

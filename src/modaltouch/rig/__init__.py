@@ -58,9 +58,7 @@ def same_process(clock: VirtualClock) -> Callable[[str], Guard]:
     return lambda address: SameProcess(VisaSession(address), clock)
 
 
-def start_simulator(
-    apparatus: Apparatus, seed: int | None = None, *, port: int = 0, clock: Clock = SYSTEM_CLOCK
-) -> Simulator:
+def start_simulator(apparatus: Apparatus, seed: int | None = None, *, clock: Clock = SYSTEM_CLOCK) -> Simulator:
     """Return a running simulator of a rig, with its address.
 
     Parameters
@@ -69,11 +67,9 @@ def start_simulator(
         What is on the table, and in its section ``twin`` how the true beam differs from the identified one.
     seed : int, optional
         Instead of the seed in ``twin``.
-    port : int
-        TCP port on 127.0.0.1; 0 takes a free one.
     clock : Clock
         By which it plays.
     """
     from modaltouch.rig.simulator import Simulator
 
-    return Simulator(apparatus, seed, port=port, clock=clock)
+    return Simulator(apparatus, seed, clock=clock)

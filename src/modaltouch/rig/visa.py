@@ -167,11 +167,6 @@ def find_instruments() -> tuple[str, ...]:
 def find_by(visa_library: str) -> tuple[str, ...]:
     """Return the VISA addresses of the instruments that one backend finds.
 
-    Parameters
-    ----------
-    visa_library : str
-        Backend, as PyVISA names it.
-
     Raises
     ------
     RigError

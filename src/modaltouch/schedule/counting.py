@@ -20,13 +20,7 @@ State = tuple[int, tuple[int, ...]]
 
 
 def n_states_at_most(counts: Sequence[int]) -> int:
-    """Return a bound on the number of states.
-
-    Parameters
-    ----------
-    counts : sequence of int
-        How often each kind comes.
-    """
+    """Return a bound on the number of states."""
     most, n_kinds = max(counts), len(counts)
     return (most + 1) * math.comb(most + n_kinds - 1, n_kinds - 1)
 

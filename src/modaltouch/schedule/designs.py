@@ -37,15 +37,6 @@ def order_cells(protocol: Protocol, turn: int, stream: Stream) -> list[Cell]:
 def insert_catches(protocol: Protocol, cells: list[Cell], stream: Stream) -> list[Cell]:
     """Return the cells of a block with the protocol's catch trials among them, whose velocity is 0.
 
-    Parameters
-    ----------
-    protocol : Protocol
-        The design.
-    cells : list of Cell
-        In order.
-    stream : Stream
-        Where chance comes from.
-
     Raises
     ------
     ValueError
@@ -95,13 +86,7 @@ def latin_square(n_cells: int) -> list[list[int]]:
 
 
 def period_of_rows(protocol: Protocol) -> int:
-    """Return after how many turns the rows of a Latin square repeat; 1 where the protocol uses none.
-
-    Parameters
-    ----------
-    protocol : Protocol
-        The design.
-    """
+    """Return after how many turns the rows of a Latin square repeat; 1 where the protocol uses none."""
     n_pairs, n_levels = len(protocol.conditions.zone_pairs), len(protocol.scheduled_levels)
     n_cells = n_pairs * n_levels * len(protocol.stimulus_names)
     n_kinds = {"by_pair": n_pairs, "by_velocity": n_levels, "latin_square": n_cells}

@@ -67,15 +67,7 @@ class Alternative:
 
 
 def alternative_drive(stimulus: Voltages, design: str) -> Drive:
-    """Return the voltages of a design, braked as the exact law brakes.
-
-    Parameters
-    ----------
-    stimulus : Voltages
-        The wish, its timing and release.
-    design : str
-        Which voltages.
-    """
+    """Return the voltages of a design, braked as the exact law brakes."""
     if design == "least_energy":
         return _least_energy(stimulus)
     orders = {"norm_4": 4.0, "norm_8": 8.0}

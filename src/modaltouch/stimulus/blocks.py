@@ -220,10 +220,8 @@ class BlockKernel:
 
         Parameters
         ----------
-        blocks : (n_inputs, n_blocks, SHORT) array
-            Their inputs.
-        begin : (n_states, n_blocks) complex array
-            From `states`.
+        blocks, begin
+            As for `respond`.
         """
         steady, worst = self._bound_weights
         effort = Effort.of(blocks, begin)
@@ -240,10 +238,8 @@ class BlockKernel:
 
         Parameters
         ----------
-        place : int
-            Which output.
-        blocks : (n_inputs, n_blocks, SHORT) array
-            Their inputs.
+        place, blocks
+            As for `respond_one`.
         begin : (n_states, n_blocks) complex array
             From `states`.
         bound : (n_blocks,) array

@@ -11,17 +11,6 @@ EXTREME = 1e30
 def require_positive(name: str, value: float, unit: str, remedy: str) -> None:
     """Refuse a quantity that is not a finite number above zero.
 
-    Parameters
-    ----------
-    name : str
-        What the quantity is.
-    value : float
-        What was given.
-    unit : str
-        Unit of the quantity, for the message.
-    remedy : str
-        What to do about it.
-
     Raises
     ------
     ValueError
@@ -37,17 +26,6 @@ def require_positive(name: str, value: float, unit: str, remedy: str) -> None:
 
 def require_finite(name: str, value: float, unit: str, remedy: str) -> None:
     """Refuse a quantity that is NaN or infinite.
-
-    Parameters
-    ----------
-    name : str
-        What the quantity is.
-    value : float
-        What was given.
-    unit : str
-        Unit of the quantity, for the message.
-    remedy : str
-        What to do about it.
 
     Raises
     ------

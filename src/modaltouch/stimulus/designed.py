@@ -274,10 +274,8 @@ class Stimulus(Voltages):
 
         Parameters
         ----------
-        positions : (n_positions,) array_like
-            Where, origin at mid-beam [m].
-        velocity : float
-            Level [m/s].
+        positions, velocity
+            As for `velocity_at_focus`.
         limit : float
             Speed [m/s].
         """
@@ -288,9 +286,7 @@ class Stimulus(Voltages):
 
         Parameters
         ----------
-        positions : (n_positions,) array_like
-            Where, origin at mid-beam [m].
-        velocity : float
-            Level [m/s].
+        positions, velocity
+            As for `velocity_at_focus`.
         """
         return self._played.peaks(self.volts_per_code(velocity), positions, self._shapes_at(positions))

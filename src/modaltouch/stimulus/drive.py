@@ -105,10 +105,8 @@ def exact_drive(
         The modelled modes; all of them are steered, those with target 0 to rest.
     system : DiagonalSystem
         Their equations behind the amplifier.
-    timing : Timing
-        Clock of the samples.
-    target : (n_modes,) array
-        Modal velocities at the focusing instant [m/s].
+    timing, target
+        As for `check_drivable`.
     release : str
         ``braked`` (steered to rest at the end of the burst) or ``free`` (zero volts after the focus).
     displacement : (n_modes,) array, optional
@@ -144,12 +142,8 @@ def steering(
     ----------
     model : ModalModel
         The modelled modes; those without any gain rest by themselves and are left out.
-    system : DiagonalSystem
-        Their equations behind the amplifier.
-    timing : Timing
-        Clock of the samples.
-    target : (n_modes,) array
-        Modal velocities at the focusing instant [m/s].
+    system, timing, target
+        As for `exact_drive`.
     displacement : (n_modes,) array, optional
         Modal displacements times angular frequency there; 0 if not given [m/s].
 
@@ -235,10 +229,8 @@ def brake(
     ----------
     model : ModalModel
         The modelled modes.
-    system : DiagonalSystem
-        Their equations behind the amplifier.
-    timing : Timing
-        Clock of the samples.
+    system, timing
+        As for `exact_drive`.
     voltage : (n_channels, n_samples) array
         Voltages of the burst, zero from `start` on, which is overwritten [V].
     start : int

@@ -25,13 +25,6 @@ _LEFT = 1e-12
 def late_gains(system: DiagonalSystem, timing: Timing) -> list[ComplexArray]:
     """Return what a step late by d leaves in the states at the end of its sample, term by term in d.
 
-    Parameters
-    ----------
-    system : DiagonalSystem
-        The beam behind its amplifier.
-    timing : Timing
-        Clock of the samples.
-
     Returns
     -------
     list of (n_states, n_channels) complex arrays
@@ -83,20 +76,7 @@ def late_steps(voltage: FloatArray, timing: Timing, start: int, stop: int) -> It
 
 
 def clock_pushes(system: DiagonalSystem, timing: Timing) -> ComplexArray:
-    """Return what a unit of each of `clock_inputs` leaves in the states at the end of its sample.
-
-    Parameters
-    ----------
-    system : DiagonalSystem
-        The beam behind its amplifier.
-    timing : Timing
-        Clock of the samples.
-
-    Returns
-    -------
-    (n_states, n_inputs) complex array
-        For held voltages, then for the terms of late steps.
-    """
+    """Return what a unit of each of `clock_inputs` leaves in the states after a sample, (n_states, n_inputs) array."""
     return np.concatenate([system.held_gain(timing.hold), *late_gains(system, timing)], axis=1)
 
 
@@ -105,12 +85,8 @@ def clock_inputs(voltage: FloatArray, timing: Timing, start: int, stop: int, n_i
 
     Parameters
     ----------
-    voltage : (n_channels, n_samples) array
-        Held samples from the start of the burst [V].
-    timing : Timing
-        Clock of the samples.
-    start, stop : int
-        First sample, and the one after the last.
+    voltage, timing, start, stop
+        As for `late_steps`.
     n_inputs : int
         As many as `clock_pushes` has columns.
 

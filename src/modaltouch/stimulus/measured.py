@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -129,49 +127,3 @@ class MeasuredShapes:
         """
         coefficient = self._fit(self.position, self.shape)
         return np.asarray(coefficient @ mode_shapes(self._fitted(self.position), position, self.length))
-
-    @classmethod
-    def from_csv(cls, path: Path, length: float) -> MeasuredShapes:
-        """Return the shapes of a file with the columns ``position_mm`` and ``mode_<label>``, one to each mode.
-
-        Parameters
-        ----------
-        path : Path
-            Comma-separated, with a header line.
-        length : float
-            Length of the beam [m].
-
-        Raises
-        ------
-        ValueError
-            If the columns are others, or a cell is no finite number; the message names its line.
-        """
-        with path.open(encoding="utf-8", newline="") as file:
-            rows = csv.reader(file)
-            header = next(rows, [])
-            modes = [name.removeprefix("mode_") for name in header[1:]]
-            if header[:1] != ["position_mm"] or not modes or not all(name.isdecimal() for name in modes):
-                raise ValueError(
-                    f"{path}:1: the columns are {header}; needed are position_mm and one mode_<label> to each mode"
-                )
-            cells = [_numbers(row, len(header), f"{path}:{rows.line_num}") for row in rows if row]
-        if not cells:
-            raise ValueError(f"{path}: no line below the header; give one to each scan point")
-        values = np.asarray(cells)
-        return cls(tuple(int(name) for name in modes), values[:, 0] * 1e-3, values[:, 1:].T, length)
-
-
-def _numbers(row: list[str], n: int, place: str) -> list[float]:
-    """Return the cells of a line as finite numbers."""
-    if len(row) != n:
-        raise ValueError(f"{place}: {len(row)} cells; the header has {n}")
-    numbers = []
-    for text in row:
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not math.isfinite(value):
-            raise ValueError(f"{place}: {text!r} is not a finite number")
-        numbers.append(value)
-    return numbers

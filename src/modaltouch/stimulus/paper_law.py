@@ -30,13 +30,7 @@ FloatArray = NDArray[np.float64]
 
 
 def assigned_channel(model: ModalModel) -> NDArray[np.intp]:
-    """Return the channel that drives each mode best, (n_modes,) array of indices: the paper's assignment.
-
-    Parameters
-    ----------
-    model : ModalModel
-        The modelled modes.
-    """
+    """Return the channel that drives each mode best, (n_modes,) array of indices: the paper's assignment."""
     return np.asarray(np.argmax(np.abs(model.modal_gain), axis=1))
 
 

@@ -40,7 +40,7 @@ def settle(
     error: FloatArray,
     largest: float,
 ) -> FloatArray:
-    """Return codes, each changed by one at most, that leave next to no error of rounding at the focusing instant.
+    """Return codes, each changed by one at most, that leave next to no error of rounding at the focusing instant [1].
 
     The codes given are changed in place where that is better: they are those returned.
 
@@ -59,11 +59,6 @@ def settle(
         reached [m/s].
     largest : float
         Largest modal target [m/s].
-
-    Returns
-    -------
-    (n_channels, n_samples) array
-        Codes, -8191 to 8191 [1].
     """
     best: _Walk | None = None
     changes, smallest = np.zeros(0), float(np.abs(error).max())

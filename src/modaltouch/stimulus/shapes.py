@@ -106,10 +106,8 @@ def scaled_position(position: ArrayLike, length: float) -> FloatArray:
 
     Parameters
     ----------
-    position : (n_points,) array_like
-        Coordinate along the beam, origin at its middle [m].
-    length : float
-        Length of the beam [m].
+    position, length
+        As for `mode_shapes`.
 
     Raises
     ------

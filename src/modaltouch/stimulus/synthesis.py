@@ -34,7 +34,7 @@ _TWO_PI = np.longdouble("6.283185307179586476925286766559005768")
 
 
 def decay(exponent: ComplexArray, hold: float, steps: NDArray[np.int64]) -> ComplexArray:
-    """Return exp(exponent * hold * steps), the phase reduced to one turn before it is rounded.
+    """Return exp(exponent * hold * steps), its phase reduced to a turn before rounding, (n, n_steps) complex array [1].
 
     Parameters
     ----------
@@ -44,11 +44,6 @@ def decay(exponent: ComplexArray, hold: float, steps: NDArray[np.int64]) -> Comp
         Length of a step [s].
     steps : (n_steps,) array of int
         Steps to take [1].
-
-    Returns
-    -------
-    (n, n_steps) complex array
-        The powers [1].
     """
     per_step = exponent.imag.astype(np.longdouble) * (np.longdouble(hold) / _TWO_PI)
     turns = per_step[:, None] * steps

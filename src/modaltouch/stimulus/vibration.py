@@ -150,23 +150,14 @@ def velocity_history(
 def modal_history(
     model: ModalModel, voltage: FloatArray, timing: Timing, amplifier: Amplifier | None = None
 ) -> FloatArray:
-    """Return the modal velocities during a burst that starts from rest.
+    """Return the modal velocities as each sample arrives, (n_modes, n_samples) array [m/s], from rest.
 
     Parameters
     ----------
     model : ModalModel
         The beam.
-    voltage : (n_channels, n_samples) array
-        Held samples at the beam [V].
-    timing : Timing
-        Clock of the samples.
-    amplifier : Amplifier, optional
-        Pole and delay before the beam.
-
-    Returns
-    -------
-    (n_modes, n_samples) array
-        Modal velocities at the start of each sample as it arrives [m/s].
+    voltage, timing, amplifier
+        As for `velocity_history`.
     """
     system = modal_system(model, amplifier)
     return _history(system, system.velocity, _checked(voltage, model), timing)
@@ -183,16 +174,10 @@ def peak_velocity(
 
     Parameters
     ----------
-    model : ModalModel
-        The beam.
-    voltage : (n_channels, n_samples) array
-        Held samples at the beam [V].
-    timing : Timing
-        Clock of the samples.
-    positions : (n_positions,) array_like
-        Where, origin at mid-beam [m].
-    amplifier : Amplifier, optional
-        Pole and delay before the beam.
+    model, voltage, timing
+        As for `modal_history`.
+    positions, amplifier
+        As for `velocity_history`.
 
     Returns
     -------

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Literal, get_args
 
 import numpy as np
@@ -24,8 +22,6 @@ _PROFILES: dict[Shape, Callable[[FloatArray], FloatArray]] = {
     "raised_cosine": lambda u: 0.5 + 0.5 * np.cos(np.pi * u),
 }
 """Fields of bounded width against the distance from their centre, 1 at their edge [1]."""
-
-_COLUMNS = ("position_mm", "velocity")
 
 
 @dataclass(frozen=True)
@@ -105,37 +101,6 @@ class Wish:
         """Every place where the field is wished [m]."""
         return (self.centre, *self.further_centres)
 
-    @classmethod
-    def from_csv(cls, path: Path, *, velocity: float, selection: int | tuple[int, ...] = 6) -> Wish:
-        """Return the wish sampled in a file with the columns ``position_mm`` and ``velocity``, in any unit.
-
-        Parameters
-        ----------
-        path : Path
-            Comma-separated, with a header line.
-        velocity : float
-            Level at the file's highest velocity [m/s].
-        selection : int or tuple of int
-            As for `Wish`.
-
-        Raises
-        ------
-        ValueError
-            If the file has other columns, or a cell that is no finite number; the message names its line.
-        """
-        points = []
-        with path.open(encoding="utf-8", newline="") as file:
-            rows = csv.DictReader(file)
-            if not set(_COLUMNS) <= set(rows.fieldnames or ()):
-                raise ValueError(f"{path}:1: the columns are {rows.fieldnames}; needed are {', '.join(_COLUMNS)}")
-            for row in rows:
-                points.append(tuple(_number(row[name], f"{path}:{rows.line_num}: {name}") for name in _COLUMNS))
-        scaled = tuple((position * 1e-3, value) for position, value in points)
-        if len(scaled) < 2:
-            raise ValueError(f"{path}: {len(scaled)} points; a field needs at least 2")
-        centre = max(scaled, key=lambda point: point[1])[0]
-        return cls("sampled", centre=centre, velocity=velocity, selection=selection, points=scaled)
-
     def profile(self, position: ArrayLike) -> FloatArray:
         """Return the wished field at unit velocity, (n_points,) array [1].
 
@@ -180,14 +145,3 @@ class Wish:
             # Two overlapping shapes of one kind cross midway between their centres.
             inner += [(a + b) / 2 for a in self.centres for b in self.centres if a < b]
         return [-half, *sorted({x for x in inner if -half < x < half}), half]
-
-
-def _number(text: str | None, place: str) -> float:
-    """Return a cell as a finite number."""
-    try:
-        value = float(text or "")
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise ValueError(f"{place} is {text!r}; it must be a finite number")
-    return value

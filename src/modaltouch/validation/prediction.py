@@ -69,13 +69,6 @@ def measurement_lag(observations: Sequence[Observation], predictions: Sequence[P
     Vibrometer, amplifier and trigger each come late by microseconds, which the highest selected mode turns into a
     large part of its period: without taking the delay out, no field at the focusing instant can be told.
 
-    Parameters
-    ----------
-    observations : sequence of Observation
-        Recordings with the same instruments.
-    predictions : sequence of Prediction
-        Of the same stimuli.
-
     Raises
     ------
     RecordInputError

@@ -12,7 +12,6 @@ from modaltouch.window.interface import AnswerWindow, Log, Tick
 
 if TYPE_CHECKING:
     from modaltouch.protocol import Protocol, Texts
-    from modaltouch.speech.interface import Speech
     from modaltouch.window.screen import Screen
     from modaltouch.window.simulated import Answerer
 
@@ -76,7 +75,6 @@ def open_window(
     log: Log,
     answerer: Answerer | None = None,
     options: WindowOptions | None = None,
-    speech: Speech | None = None,
     clock: Clock = SYSTEM_CLOCK,
 ) -> AnswerWindow:
     """Return an open answer window.
@@ -86,24 +84,12 @@ def open_window(
     answers : str
         ``window`` (a person), ``robot`` (an observer typing into the real window) or ``simulated`` (an observer
         without a window).
-    protocol : Protocol
-        What is asked, and by which keys it is answered.
-    texts : Texts
-        Every word on the screen.
-    zones : tuple of str
-        Names of the beam's zones, from the participant's left.
-    tick : callable
-        Called about every millisecond while the window waits; may raise, and returns what the experimenter wishes.
-    log : callable
-        Takes the window's events for the record, as ``log(event, **facts)``.
+    protocol, texts, zones, tick, log, clock
+        As for `participant.ParticipantWindow`.
     answerer : Answerer, optional
         The observer, for ``robot`` and ``simulated``.
     options : WindowOptions, optional
         How the window is opened, where there is one.
-    speech : Speech, optional
-        Says what is on the screen.
-    clock : Clock
-        Of the session.
 
     Raises
     ------
@@ -142,7 +128,6 @@ def open_window(
             log=log,
             screenshots=options.screenshots,
             robot=Robot(answerer, protocol.answers) if answers == "robot" and answerer is not None else None,
-            speech=speech,
             clock=clock,
         )
     except BaseException:

@@ -99,13 +99,7 @@ class AnswerTaker:
             answer, event = again, press
 
     def watch_double(self, answer: Answer, event: Event) -> bool:
-        """Return whether a different answer comes within `DOUBLE_WINDOW`; nothing here may raise.
-
-        Parameters
-        ----------
-        answer, event
-            What was chosen.
-        """
+        """Return whether a different answer comes within `DOUBLE_WINDOW`; nothing here may raise."""
         is_double = False
         rest: list[Event] = []
         while True:

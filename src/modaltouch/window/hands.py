@@ -8,17 +8,7 @@ from modaltouch.window.theme import Theme, mixed
 
 
 def draw_beam(layout: Layout, theme: Theme, touched: tuple[str, ...]) -> tuple[Mark, ...]:
-    """Return the beam with its zones; every touched zone looks the same.
-
-    Parameters
-    ----------
-    layout : Layout
-        Where the zones lie.
-    theme : Theme
-        Colours.
-    touched : tuple of str
-        Zones under a finger.
-    """
+    """Return the beam with its zones; every touched zone looks the same."""
     unit, beam = layout.unit, layout.beam()
     boxes = list(layout.zones.values())
     rim = 0.007 * unit

@@ -104,13 +104,10 @@ class Picture:
         Name under which a screenshot is kept, such as ``question_one_hand_AC``.
     marks : tuple of Shape or Words
         What is drawn, the first mark lowest.
-    spoken : str
-        What is said while it is on, words of its own; empty for a picture that is not spoken.
     """
 
     name: str
     marks: tuple[Mark, ...]
-    spoken: str = ""
 
     @property
     def texts(self) -> tuple[str, ...]:

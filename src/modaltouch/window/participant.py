@@ -10,7 +10,6 @@ from typing import Any, NoReturn, Self
 
 from modaltouch.clock import SYSTEM_CLOCK, Clock
 from modaltouch.protocol import Protocol, Texts
-from modaltouch.speech.interface import Silence, Speech
 from modaltouch.trial import TIME_OUT, Answer, Response, Trial
 from modaltouch.window.answering import AnswerTaker
 from modaltouch.window.events import Event, canonical_key
@@ -35,8 +34,6 @@ _DISMISSAL = 3.0
 """How long the screen of a session that ends early stays [s]."""
 _FAREWELL = 8.0
 """How long the last screen stays if nobody presses a key [s]."""
-_LONGEST_SPOKEN = 30.0
-"""How long a screen that does not wait stays at most while it is being said [s]."""
 
 
 class ParticipantWindow:
@@ -55,15 +52,13 @@ class ParticipantWindow:
     theme : Theme
         Colours.
     tick : callable
-        Called about every millisecond; may raise.
+        Called about every millisecond while the window waits; may raise, and returns what the experimenter wishes.
     log : callable
-        Takes the window's events for the record.
+        Takes the window's events for the record, as ``log(event, **facts)``.
     screenshots : Path, optional
         Folder for one PNG of each kind of screen.
     robot : Sitter, optional
         Answers in a person's place, through the display's own event queue.
-    speech : Speech, optional
-        Says what is on the screen.
     clock : Clock
         Stamps what happens; the display has the same one.
     """
@@ -80,7 +75,6 @@ class ParticipantWindow:
         log: Log,
         screenshots: Path | None = None,
         robot: Sitter | None = None,
-        speech: Speech | None = None,
         clock: Clock = SYSTEM_CLOCK,
     ) -> None:
         self._clock = clock
@@ -90,8 +84,7 @@ class ParticipantWindow:
         self._texts = texts
         self._theme = next((name for name, known in THEMES.items() if known == theme), "")
         layout = lay_out(*display.size, zones, offers_none=protocol.answers.offers_none)
-        spoken = protocol.speech.screens if protocol.speech is not None else ()
-        self._pictures = Illustrator(layout, theme, texts, protocol.answers, protocol.conditions.hand, spoken)
+        self._pictures = Illustrator(layout, theme, texts, protocol.answers, protocol.conditions.hand)
         self._stage = Stage(
             display,
             tick=tick,
@@ -99,7 +92,6 @@ class ParticipantWindow:
             screenshots=screenshots,
             sitter=robot or Nobody(),
             emergency_keys=frozenset(map(canonical_key, protocol.answers.emergency_keys)),
-            speech=speech or Silence(),
             clock=clock,
         )
         self._answered_by = "simulated" if robot else ""
@@ -187,7 +179,6 @@ class ParticipantWindow:
         gap = self._stage.poll_gap
         if taken is not None and answers.change_until_confirmed:
             taken = self._taker.await_confirmation(trial, progress, *taken, interrupt)
-        self._stage.hush()
         presentation.end()
         answered = taken[1].time if taken is not None else self._clock.now()
         self._answered = self._clock.now() if taken is None or answers.change_until_confirmed else answered
@@ -232,9 +223,6 @@ class ParticipantWindow:
         if self._current is not None and response.answer != TIME_OUT:
             picture = self._pictures.feedback(*self._current, response.answer, expected)
             self._rest_on(picture, self._clock.now() + _FEEDBACK)
-            end = self._clock.now() + _LONGEST_SPOKEN
-            while self._stage.is_speaking and self._clock.now() < end:
-                self._rest_on(None, self._clock.now() + _FEEDBACK / 10)
             if self._settles:
                 # Who reads has not put the finger back yet.
                 self._answered = self._clock.now()
@@ -254,7 +242,7 @@ class ParticipantWindow:
         """Thank the participant, until a key is pressed or some seconds have passed."""
         picture = self._pictures.page("goodbye", self._texts.goodbye, waits=False)
         shown = self._stage.show(picture, Moment("go_on"))
-        while self._clock.now() < shown + (_LONGEST_SPOKEN if self._stage.is_speaking else _FAREWELL):
+        while self._clock.now() < shown + _FAREWELL:
             for event in self._stage.poll():
                 if event.kind == "close" or (is_press(event) and event.time > shown + SETTLE):
                     return
@@ -308,7 +296,6 @@ class ParticipantWindow:
                 elif event.time < shown + SETTLE:
                     self._pauser.discard(event, "as the screen appeared")
                 elif event.kind == "click" or self._reader.goes_on(event):
-                    self._stage.hush()
                     self._stage.write_notes()
                     self._note_press(event)
                     return

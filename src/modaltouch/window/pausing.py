@@ -54,7 +54,6 @@ class Pauser:
                     self._end("escape")
                 elif self._reader.goes_on(press):
                     self._stage.note("continued", paused_s=round(press.time - began, 3))
-                    self._stage.hush()
                     return press
 
     def discard(self, event: Event, when: str, trial: Trial | None = None) -> None:

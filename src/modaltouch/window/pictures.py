@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from modaltouch.protocol import END_KEY, PAUSE_KEY, AnswersSection, SpokenScreen, Texts
+from modaltouch.protocol import END_KEY, PAUSE_KEY, AnswersSection, Texts
 from modaltouch.trial import Trial
 from modaltouch.window.buttons import Buttons, key_name
 from modaltouch.window.hands import draw_beam, draw_hands
@@ -13,16 +13,6 @@ from modaltouch.window.interface import Progress
 from modaltouch.window.layout import Layout
 from modaltouch.window.marks import Box, Mark, Picture, Words, framed, moved, rectangle
 from modaltouch.window.theme import Theme
-
-_SCREENS: dict[str, SpokenScreen] = {
-    "practice": "instructions",
-    "practice_again": "instructions",
-    "start": "instructions",
-    "rest": "break",
-    "pause_between_trials": "break",
-    "goodbye": "goodbye",
-}
-"""Which of the protocol's spoken screens a page of words belongs to."""
 
 
 @dataclass(frozen=True)
@@ -44,8 +34,6 @@ class Illustrator:
         Keys, and who answers.
     hand : str
         Hand used in ``one_hand``.
-    spoken : tuple of str
-        Screens that are spoken, too.
     """
 
     layout: Layout
@@ -53,14 +41,11 @@ class Illustrator:
     texts: Texts
     answers: AnswersSection
     hand: str
-    spoken: tuple[SpokenScreen, ...] = ()
 
     def welcome(self, trial: Trial) -> Picture:
         """Return the first screen: what happens, with the beam and the hands."""
         lowered = moved(self._beam(trial), -0.21)
-        texts = self.texts
-        said = self._say("instructions", texts.welcome, texts.instructions, self._press_to_go_on())
-        return Picture("welcome", (*self._intro(texts.welcome, texts.instructions), *lowered), said)
+        return Picture("welcome", (*self._intro(self.texts.welcome, self.texts.instructions), *lowered))
 
     def answering(self, trial: Trial) -> Picture:
         """Return the screen that shows how to answer."""
@@ -77,7 +62,6 @@ class Illustrator:
                 *self._buttons.draw(None, with_keys=self.answers.given_by == "participant"),
                 *self._go_on(),
             ),
-            self._say("instructions", title, *rest, self._press_to_go_on()),
         )
 
     def placement(self, trial: Trial) -> Picture:
@@ -89,12 +73,8 @@ class Illustrator:
             right_finger=right,
             right_zone=trial.condition.zone_right,
         )
-        then = self._confirm_placement(trial)
-        return Picture(
-            f"place_fingers_{_tag(trial)}",
-            (self._headline(words, 0.046), *self._beam(trial), *self._go_on(then)),
-            self._say("placement", words, then),
-        )
+        marks = (self._headline(words, 0.046), *self._beam(trial), *self._go_on(self._confirm_placement(trial)))
+        return Picture(f"place_fingers_{_tag(trial)}", marks)
 
     def ready(self, trial: Trial, progress: Progress, count: int = 0) -> Picture:
         """Return the beam alone, between two trials, with a number where one is counted down."""
@@ -142,7 +122,6 @@ class Illustrator:
                 *note,
                 *self._progress(trial, progress),
             ),
-            self._say("question", texts.question) if chosen is None else "",
         )
 
     def feedback(self, trial: Trial, progress: Progress, answer: str, expected: str) -> Picture:
@@ -156,7 +135,7 @@ class Illustrator:
         words = texts.practice_agreed if answer == expected else said[expected]
         name = "feedback_agreed" if answer == expected else f"feedback_{expected}"
         marks = (self._headline(words, 0.05), *self._beam(trial), *self._progress(trial, progress))
-        return Picture(name, marks, self._say("feedback", words))
+        return Picture(name, marks)
 
     def page(self, name: str, text: str, progress: Progress | None = None, *, waits: bool = True) -> Picture:
         """Return a screen of words: its first paragraph large, the rest under it."""
@@ -172,8 +151,7 @@ class Illustrator:
             marks += self._go_on()
         if progress is not None:
             marks += self._bar(progress, lift=0.14)
-        said = [title, *rest, *([self._press_to_go_on()] if waits else [])]
-        return Picture(name, tuple(marks), self._say(_SCREENS[name], *said) if name in _SCREENS else "")
+        return Picture(name, tuple(marks))
 
     def pause(self, trial: Trial | None) -> Picture:
         """Return the pause screen, with the fingers' places where a trial is to be repeated."""
@@ -193,7 +171,6 @@ class Illustrator:
                 *self._beam(trial),
                 Words("\n\n".join(rest), below, 0.04 * scale, self.theme.text),
             ),
-            self._say("break", title, *rest),
         )
 
     def finger_names(self, trial: Trial) -> tuple[str, str]:
@@ -265,10 +242,6 @@ class Illustrator:
 
     def _press_to_go_on(self) -> str:
         return self.texts.press_to_continue.format(key=key_name(self.texts, self.answers.continue_keys[0]))
-
-    def _say(self, screen: SpokenScreen, *texts: str) -> str:
-        """Return what is said of a screen, a pause between its texts; nothing where the protocol leaves it silent."""
-        return "\n\n".join(" ".join(_paragraphs(text)) for text in texts) if screen in self.spoken else ""
 
     def _progress(self, trial: Trial, progress: Progress) -> tuple[Mark, ...]:
         form = self.texts.practice_of if trial.practice else self.texts.trial_of

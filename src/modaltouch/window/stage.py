@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from modaltouch.clock import SYSTEM_CLOCK, Clock
-from modaltouch.speech.interface import Silence, Speech
 from modaltouch.trial import Trial
 from modaltouch.window.events import Event
 from modaltouch.window.interface import Log, SessionStopped, Tick, TypedAnswer, WindowError
@@ -107,8 +106,6 @@ class Stage:
         A robot, or nobody.
     emergency_keys : frozenset of str
         Keys that end the session at once, on every screen.
-    speech : Speech
-        Says what is on the screen: each picture ends what was said of the one before.
     clock : Clock
         Stamps what happens, and rests between two polls; the display has the same one.
 
@@ -127,7 +124,6 @@ class Stage:
         screenshots: Path | None,
         sitter: Sitter,
         emergency_keys: frozenset[str] = frozenset(),
-        speech: Speech | None = None,
         clock: Clock = SYSTEM_CLOCK,
     ) -> None:
         self.clock = clock
@@ -138,7 +134,6 @@ class Stage:
         self._sitter = sitter
         self._emergency_keys = emergency_keys
         self._is_emergency = False
-        self._speech: Speech = speech or Silence()
         self._kept: set[str] = set()
         self._unread: deque[Event] = deque()
         self._unwritten: list[tuple[str, dict[str, Any]]] = []
@@ -175,7 +170,6 @@ class Stage:
             self.flip_took = self.shown - began
             self._picture, self._ahead = picture, None
             self._is_stale = False
-            self._speech.say(picture.spoken)
         if moment is not None:
             self._sitter.see(moment, self.shown)
         return self.shown
@@ -228,15 +222,6 @@ class Stage:
         """Leave events to be returned by the next poll."""
         self._unread.extend(events)
 
-    def hush(self) -> None:
-        """End what is being said."""
-        self._speech.hush()
-
-    @property
-    def is_speaking(self) -> bool:
-        """Whether something is being said."""
-        return self._speech.is_speaking
-
     def note(self, event: str, **facts: Any) -> None:
         """Write an event into the record now."""
         self._log(event, **facts)
@@ -246,11 +231,10 @@ class Stage:
         self._unwritten.append((event, facts))
 
     def write_notes(self) -> None:
-        """Write the events that were kept, and what was said."""
+        """Write the events that were kept."""
         notes, self._unwritten = self._unwritten, []
         for event, facts in notes:
             self._log(event, **facts)
-        self._speech.write_down()
 
     def _refresh(self) -> None:
         """Draw again what another window has covered."""

@@ -13,13 +13,11 @@ from modaltouch.masking.player import open_masking
 from modaltouch.observer import Observer
 from modaltouch.observer.felt import Felt
 from modaltouch.preflight import Preflight
-from modaltouch.preflight.speech import prepare_prompts
 from modaltouch.record.folders import SessionFolder
 from modaltouch.rig import open_rig, same_process, start_simulator
 from modaltouch.rig.interface import Rig
 from modaltouch.schedule import Schedule, random_generator
 from modaltouch.sitting import Setup
-from modaltouch.speech.interface import Silence, Speech
 from modaltouch.trial import ANSWERS, ANSWERS_WITH_NONE, Trial
 from modaltouch.window import AnswersBy, WindowOptions, open_window
 from modaltouch.window.interface import AnswerWindow, Tick
@@ -78,7 +76,6 @@ class Wires:
         # Nobody waits for a simulated participant before the twin in this very process.
         is_virtual = rig == SIMULATED and answers == "simulated"
         self.clock: Clock = VirtualClock(max(SYSTEM_CLOCK.now(), after)) if is_virtual else SYSTEM_CLOCK
-        self._speech: Speech = Silence()
 
     def setup(self, schedule: Schedule) -> Setup:
         """Return what the sitting is made of, with the participant's trials."""
@@ -114,19 +111,16 @@ class Wires:
             log=log,
             answerer=None if self._answers == "window" else self._answerer(),
             options=self._window_options,
-            speech=self._speech,
             clock=self.clock,
         )
 
     def open_masking(self, log: Callable[..., None]) -> Masking:
-        """Open the masking noise and the speech that the protocol wants, where there is a person to hear them."""
-        experiment, deaf = self._preflight.experiment, "a simulated participant hears nothing"
-        section, spoken = experiment.protocol.masking, experiment.protocol.speech
+        """Open the masking noise that the protocol wants, where there is a person to hear it."""
+        experiment = self._preflight.experiment
+        section = experiment.protocol.masking
         if self._answers != "window":
-            return NoMasking(deaf if section is not None else "", Silence(deaf if spoken is not None else ""))
-        masking = open_masking(section, experiment.apparatus.sound, log, prepare_prompts(experiment))
-        self._speech = masking.speech
-        return masking
+            return NoMasking("a simulated participant hears nothing" if section is not None else "")
+        return open_masking(section, experiment.apparatus.sound, log)
 
     def _answerer(self) -> Answerer:
         who = self._seed, self._place.participant, self._place.session

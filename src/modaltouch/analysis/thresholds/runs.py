@@ -139,11 +139,6 @@ def over_participants(runs: Sequence[Run]) -> list[dict[str, Any]]:
 
     A participant's sessions are averaged first. Runs that tell no threshold are left out and counted: where there
     are any, the mean is one of those who have one.
-
-    Parameters
-    ----------
-    runs : sequence of Run
-        All runs.
     """
     rows = []
     for kind in dict.fromkeys(run.kind for run in runs):

@@ -219,10 +219,8 @@ def serve(apparatus: Apparatus, *, port: int = 0, seed: int | None = None, playe
     ----------
     apparatus : Apparatus
         What is on the table.
-    port : int
-        TCP port on 127.0.0.1; 0 takes a free one.
-    seed : int, optional
-        Instead of the seed in ``twin``.
+    port, seed
+        As for `Simulator`.
     played : Path, optional
         File that gets a line for each burst when it ends.
 
