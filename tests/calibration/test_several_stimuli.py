@@ -77,7 +77,7 @@ def test_a_session_plays_each_stimulus_true(made: Path, name: str) -> None:
 
         def worst(burst_of: Preflight, level: float) -> float:
             laboratory.load(burst_of.burst)
-            assert laboratory.rig.fire(level).confirmed
+            assert laboratory.rig.fire(level).started
             state = laboratory.simulator.true_state(stimulus.timing.focusing_instant)
             laboratory.rig.stop()
             wished = stimulus.target * level / stimulus.wish.velocity

@@ -59,7 +59,7 @@ def test_calibrated_session_plays_the_wished_field(
         laboratory.load(stimulus.burst)
         shapes = laboratory.simulator.twin.beam.shapes(0.0)[:, 0]
         for level in stimulus.levels:
-            assert laboratory.rig.fire(level).confirmed
+            assert laboratory.rig.fire(level).started
             state = laboratory.simulator.true_state(stimulus.timing.focusing_instant)
             wished = stimulus.target * level / stimulus.wish.velocity
             assert np.abs(state.velocity - wished).max() <= 0.3e-3

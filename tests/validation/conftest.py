@@ -40,7 +40,7 @@ def recorded(preflight: Preflight, kept: Path) -> tuple[list[Observation], TrueS
             source=preflight.experiment.sources.apparatus,
         )  # fmt: skip
         laboratory.load(observed[1].stimulus.burst)
-        assert laboratory.rig.fire(0.2).confirmed
+        assert laboratory.rig.fire(0.2).started
         state = laboratory.simulator.true_state(0.025 + 1.53e-6)
     return observed, state
 

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 from modaltouch.apparatus import Apparatus
-from modaltouch.rig import is_simulated, open_rig, start_simulator
+from modaltouch.clock import SYSTEM_CLOCK, VirtualClock
+from modaltouch.rig import is_simulated, open_rig, same_process, start_simulator
 from modaltouch.rig.acquisition import Acquisition, Recording, Scope
 from modaltouch.rig.interface import Firing, Rig, RigError, StimulusLost
 from modaltouch.stimulus.burst import Burst
@@ -198,13 +199,16 @@ def open_laboratory(
     """
     with ExitStack() as stack:
 
-        def open_generator(where: str) -> Rig:
-            return stack.enter_context(open_rig(where, apparatus, log=log, repetition=repetition, **options))
+        def open_generator(where: str, **further: Any) -> Rig:
+            how = {"repetition": repetition, **further, **options}
+            return stack.enter_context(open_rig(where, apparatus, log=log, **how))
 
         if address == SIMULATED:
-            simulator = stack.enter_context(start_simulator(apparatus, seed))
+            # The twin's beam is computed in this very process, which would keep a real clock waiting.
+            clock = VirtualClock(SYSTEM_CLOCK.now())
+            simulator = stack.enter_context(start_simulator(apparatus, seed, clock=clock))
             scope: Scope = stack.enter_context(simulator.scope())
-            rig = open_generator(simulator.address)
+            rig = open_generator(simulator.address, clock=clock, start_guard=same_process(clock))
             yield Laboratory(apparatus, rig, scope, "simulated", simulator=simulator)
             return
         from modaltouch.rig.picoscope import PicoScope
