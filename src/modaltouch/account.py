@@ -130,7 +130,7 @@ def describe_answer(
             answer_uncertainty=response.time_uncertainty,
             question=None if response.question_after is None else firing.onset + response.question_after,
             question_uncertainty=response.question_uncertainty,
-            silent=trial.condition.is_catch,
+            undated=trial.condition.is_catch or firing.repetition == "wired",
         ),
         "supersedes": _superseded(events, values),
     }

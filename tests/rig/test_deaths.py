@@ -84,7 +84,8 @@ class Ward(VisaSession):
         return super().open()
 
     def exchange(self, message: bytes, *, timeout: float, reply: bool) -> bytes:
-        if self._left == 0:
+        # The timer is stopped once the end was confirmed with the outputs off: a death at that message is none.
+        if self._left == 0 and not message.startswith(b":TRIG:SOUR EXT"):
             self._die()
         self._left -= 1
         if self._frozen:

@@ -14,7 +14,7 @@ def describe_instants(
     answer_uncertainty: float,
     question: float | None,
     question_uncertainty: float,
-    silent: bool = False,
+    undated: bool = False,
 ) -> dict[str, Interval | None]:
     """Return the instants of one trial for its record.
 
@@ -30,11 +30,11 @@ def describe_instants(
         When the answer was read, and how long it can have waited by then [s].
     question, question_uncertainty : float or None, float
         When the question was on the screen, and how long the flip took [s]; None without a screen.
-    silent : bool
-        Whether no burst was let go, in a catch trial: there is then no first one.
+    undated : bool
+        Whether there is no first burst that this program knows of: in a catch trial, and with a wired pulse source.
     """
     return {
-        "first_burst": None if silent else _between(onset - onset_uncertainty, onset + onset_uncertainty),
+        "first_burst": None if undated else _between(onset - onset_uncertainty, onset + onset_uncertainty),
         "question": None if question is None else _between(question - question_uncertainty, question),
         "answer": _between(answered - answer_uncertainty, answered),
     }
