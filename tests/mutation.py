@@ -269,6 +269,8 @@ def main() -> int:
         import_module(package)  # once, for all children
     hypothesis.settings.register_profile("mutation", database=None, derandomize=True, phases=PHASES)
     plan = tomllib.loads((ROOT / "tests" / "mutation.toml").read_text(encoding="utf-8"))
+    if unknown := set(given.only or ()) - plan.keys():
+        parser.error(f"{', '.join(sorted(unknown))}: no module of tests/mutation.toml, so nothing would be examined")
     results = json.loads(given.out.read_text(encoding="utf-8")) if given.out and given.out.exists() else {}
     clean = True
     for module, part in plan.items():

@@ -125,7 +125,7 @@ def describe_answer(
             answer_uncertainty=response.time_uncertainty,
             question=None if response.question_after is None else firing.onset + response.question_after,
             question_uncertainty=response.question_uncertainty,
-            silent=trial.condition.is_catch,
+            undated=trial.condition.is_catch or firing.repetition == "wired",
         ),
         "supersedes": _superseded(events, values),
     }
@@ -201,7 +201,7 @@ def _instants(
     answer_uncertainty: float,
     question: float | None,
     question_uncertainty: float,
-    silent: bool,
+    undated: bool,
 ) -> dict[str, dict[str, float] | None]:
     """Return the earliest and the latest instant of first burst, question and answer, by the record's clock [s].
 
@@ -209,7 +209,7 @@ def _instants(
     program can see, comes on top. A press is stamped when it is read, at most one poll after it happened.
     """
     return {
-        "first_burst": None if silent else _between(onset - onset_uncertainty, onset + onset_uncertainty),
+        "first_burst": None if undated else _between(onset - onset_uncertainty, onset + onset_uncertainty),
         "question": None if question is None else _between(question - question_uncertainty, question),
         "answer": _between(answered - answer_uncertainty, answered),
     }

@@ -318,15 +318,6 @@ def test_a_key_for_emergencies_is_a_fault_where_it_was_written(edit: Edit, keys:
         assert f":{line + keys.count('emergency_keys')}:" in found[0]
 
 
-def test_catch_trials_need_bursts_that_can_be_kept_back(edit: Edit) -> None:
-    """A continuous record has no trigger to stop: said before a participant sits down, not at the first catch trial."""
-    edit(BEAM, ("load: high_impedance", "repetition: continuous\n  load: high_impedance"))
-    assert faults(edit(FILE)) == []
-    (found,) = faults(edit(FILE, ("practice_trials: 3", "catch_trials: 2\n  practice_trials: 3")))
-    assert "catch_trials: given 2, where the generator's repetition is continuous" in found
-    assert "set generator.repetition to single" in found
-
-
 @pytest.mark.parametrize(
     ("changes", "line"),
     [

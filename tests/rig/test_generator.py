@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import math
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +17,7 @@ from modaltouch.apparatus import Apparatus
 from modaltouch.apparatus.sections import LatencyBounds
 from modaltouch.clock import VirtualClock
 from modaltouch.rig.generator import Generator
-from modaltouch.rig.interface import RigError
+from modaltouch.rig.interface import Bursts, RigError
 from modaltouch.rig.simulator import Simulator
 from modaltouch.stimulus.burst import Burst
 
@@ -183,6 +185,53 @@ def test_timer_runs_at_the_rate_of_the_burst(
     assert rig.firing is not None
     assert rig.firing.confirmed
     assert rig.firing.bursts.played is None
+
+
+@pytest.mark.parametrize("pulses", [7.0, 5.0])
+def test_wired_bursts_are_counted_by_their_source(
+    apparatus: Apparatus, guard: Any, burst: Burst, heard: Any, clock: VirtualClock, tmp_path: Path, pulses: float
+) -> None:
+    """`wired`: pulses at the trigger input play bursts while the outputs are on; nothing is sent, counted or dated."""
+    twin = apparatus.twin.generator.model_copy(update={"external_pulses_Hz": pulses})
+    update = {
+        "twin": apparatus.twin.model_copy(update={"generator": twin}),
+        "generator": apparatus.generator.model_copy(update={"repetition": "wired"}),
+    }
+    wired, played = apparatus.model_copy(update=update), tmp_path / "played.jsonl"
+    with Simulator(wired, clock=clock, played=played) as simulator:
+        rig = Generator(simulator.address, wired, log=heard, start_guard=guard, clock=clock)
+        with rig:
+            rig.load(burst)
+            heard.clear()
+            assert rig.fire(0.2, n_bursts=3).started
+            assert simulator.outputs == (True, True)
+            assert simulator.afg.trigger_source == "EXT"
+            for _ in range(30):
+                clock.sleep(0.1)
+                rig.heartbeat()
+            assert (simulator.felt_velocity(["A", "C"]) > 0).all()
+            rig.stop()
+    lines = [json.loads(line) for line in played.read_text(encoding="utf-8").splitlines()]
+    assert len(lines) == pytest.approx(3 * pulses, abs=1)
+    assert {line["link"] for line in lines} == {None}
+    assert not any("TRG" in sent or "TRIG:SEQ" in sent for sent in heard.sent)
+    assert rig.firing is not None
+    assert (rig.firing.confirmed, rig.firing.reason, rig.firing.repetition) == (True, "", "wired")
+    assert rig.firing.bursts == Bursts()
+
+
+def test_wired_firing_is_confirmed_as_far_as_its_settings_go(
+    simulator: Simulator, open_generator: Callable[..., Generator], burst: Burst
+) -> None:
+    """Without a pulse nothing plays, which nobody can tell; a source that was changed meanwhile is seen."""
+    rig = open_generator(repetition="wired")
+    rig.load(burst)
+    for command, confirmed in (("*WAI", True), ("TRIG:SOUR TIM", False), ("OUTP2 OFF", False)):
+        rig.fire(0.1)
+        simulator.front_panel(command)
+        rig.stop()
+        assert rig.firing is not None
+        assert rig.firing.confirmed is confirmed
 
 
 @pytest.mark.parametrize("knows", [True, False])

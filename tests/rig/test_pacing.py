@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from modaltouch.clock import SYSTEM_CLOCK, VirtualClock
-from modaltouch.rig.pacing import LATEST, Order, Pacer
+from modaltouch.rig.pacing import LATEST, LEASE, PATIENCE, Order, Pacer, Report
 
 PERIOD = 1 / 7
 ORDER = Order("TRIG:SEQ:IMM", n_bursts=14, first=10.0, period=PERIOD, duration=0.05, timeout=0.1)
@@ -122,6 +122,110 @@ def test_order_that_comes_too_late_plays_nothing() -> None:
     pacer.step()
     assert beam.triggered == []
     assert (pacer.report.due, pacer.report.dropped, pacer.report.ended) == (14, 14, "count")
+
+
+@pytest.mark.parametrize(
+    ("late", "n_played", "n_dropped"), [(0.0, 1, 0), (0.025, 1, 0), (0.0251, 0, 1), (0.475, 0, 1), (0.5, 1, 1)]
+)
+def test_burst_is_played_within_its_tolerance(late: float, n_played: int, n_dropped: int) -> None:
+    """From its instant on, up to a twentieth of 0.5 s after it; beyond, the next one is waited for."""
+    clock = VirtualClock(10.0 + late)
+    pacer = Pacer(replace(ORDER, period=0.5), Beam(clock).trigger, lambda: 0.0, clock)
+    pacer.step()
+    assert (pacer.report.played, pacer.report.dropped, pacer.report.ended) == (n_played, n_dropped, "")
+
+
+@pytest.mark.parametrize(("takes", "ended"), [(0.2, ""), (0.25, ""), (0.26, "failed")])
+def test_trigger_may_be_taken_up_to_half_a_period_late(takes: float, ended: str) -> None:
+    """0.25 s of 0.5 s after its instant."""
+    clock = VirtualClock(10.0)
+    pacer = Pacer(replace(ORDER, period=0.5), Beam(clock, takes={1: takes}).trigger, lambda: 0.0, clock)
+    pacer.step()
+    assert pacer.report.ended == ended
+
+
+@pytest.mark.parametrize(
+    ("silence", "n_bursts", "counts"),
+    [
+        (LEASE, 14, (1, 1, 0, "")),
+        (LEASE + 1e-6, 14, (1, 0, 1, "")),
+        (LEASE + 1e-6, 1, (1, 0, 1, "count")),
+        (PATIENCE, 14, (1, 0, 1, "")),
+        (PATIENCE + 1e-6, 14, (0, 0, 0, "stalled")),
+    ],
+)
+def test_silence_counts_beyond_its_limits(silence: float, n_bursts: int, counts: tuple[int, int, int, str]) -> None:
+    """More than 0.18 s: the burst that is due is left out; more than 1 s: it is the end."""
+    clock = VirtualClock(10.0)
+    pacer = Pacer(replace(ORDER, n_bursts=n_bursts), Beam(clock).trigger, lambda: silence, clock)
+    pacer.step()
+    report = pacer.report
+    assert (report.due, report.played, report.dropped, report.ended) == counts
+
+
+class Waits:
+    """Stands where a pacer waits to be asked to end: lets virtual time pass, and asks by itself at an instant."""
+
+    def __init__(self, clock: VirtualClock, asks_at: float) -> None:
+        self.clock = clock
+        self.asks_at = asks_at
+        self.longest = 0.0
+
+    def is_set(self) -> bool:
+        return self.clock.now() >= self.asks_at
+
+    def wait(self, seconds: float) -> bool:
+        self.longest = max(self.longest, seconds)
+        self.clock.sleep(min(seconds, max(self.asks_at - self.clock.now(), 0.0)))
+        return self.is_set()
+
+
+@pytest.mark.parametrize(
+    ("asks_at", "silent_at", "ended", "at"),
+    [
+        (20.03, 99.0, "asked", 20.03),
+        (99.0, 20.03, "stalled", 21.03),
+        (99.0, 99.0, "count", 30.0),
+        (9.95, 99, "asked", 9.95),
+    ],
+)
+def test_pacer_runs_until_it_is_asked_left_alone_or_done(
+    asks_at: float, silent_at: float, ended: str, at: float
+) -> None:
+    """Bursts at 10, 20 and 30 s: it ends when it is to, not at the next burst; the first is told once."""
+    clock = VirtualClock(9.9)
+    order = replace(ORDER, n_bursts=3, period=10.0)
+    pacer = Pacer(order, Beam(clock).trigger, lambda: max(clock.now() - silent_at, 0.0), clock)
+    pacer._asked_to_end = waits = Waits(clock, asks_at)
+    told: list[float] = []
+    pacer.run(lambda: told.append(clock.now()))
+    assert pacer.report.ended == ended
+    assert clock.now() == pytest.approx(at, abs=0.06)
+    assert waits.longest <= 0.05
+    assert told == [pytest.approx(min(10.0, at), abs=1e-6)]
+
+
+def test_close_is_the_end_where_no_thread_runs_it() -> None:
+    """No burst after it, not even one that is due."""
+    clock = VirtualClock(10.0)
+    beam = Beam(clock)
+    for finish, ended in ((Pacer.close, "asked"), (Pacer.end, "")):
+        pacer = Pacer(ORDER, beam.trigger, lambda: 0.0, clock)
+        finish(pacer)
+        assert pacer.report.ended == ended
+        pacer.step()
+        assert pacer.report.ended == "asked"
+        assert pacer.due is None
+    assert beam.triggered == []
+
+
+def test_order_and_report_pass_through_a_pipe() -> None:
+    """As plain values, of which an equal one is made at the other end."""
+    report = Report(
+        due=3, played=2, dropped=1, first=(1.0, 1.1), last=(2.0, 2.1), latest=0.1, ended="failed", reason="r"
+    )
+    assert Order(**ORDER.as_dict()) == ORDER
+    assert Report(**report.as_dict()) == report
 
 
 def test_end_lets_no_further_burst_go() -> None:

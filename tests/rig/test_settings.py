@@ -2,13 +2,30 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from modaltouch.apparatus import Apparatus
 from modaltouch.rig.interface import RigError
-from modaltouch.rig.settings import Limits, Setting, amplitudes, record_peaks
+from modaltouch.rig.settings import (
+    KNOWN_MODELS,
+    MAX_POINTS,
+    Limits,
+    Setting,
+    amplitudes,
+    burst_settings,
+    continuous_settings,
+    guarded_settings,
+    level_setting,
+    lock_setting,
+    quiet_settings,
+    record_peaks,
+    refuse_steps,
+    timer_setting,
+)
 from modaltouch.stimulus.burst import Burst
 
 
@@ -32,13 +49,26 @@ def test_command_carries_value_and_unit(setting: Setting, command: str) -> None:
     [
         (Setting("SOUR1:VOLT", 1.234, "VPP"), "1.2340E+00", True),
         (Setting("SOUR1:VOLT", 1.234, "VPP"), "1.2350E+00", False),
+        (Setting("SOUR1:VOLT", 1.0, "VPP"), "1.00009", True),
+        (Setting("SOUR1:VOLT", 1.0, "VPP"), "1.00015", False),
         (Setting("SOUR1:VOLT", 1.234, "VPP"), "", False),
         (Setting("SOUR1:VOLT:OFFS", 0.0, "V"), "0.0000E+00", True),
-        (Setting("SOUR1:VOLT:OFFS", 0.0, "V"), "1.0E-03", False),
+        (Setting("SOUR1:VOLT:OFFS", 0.0, "V"), "1.5E-04", False),
+        (Setting("SOUR1:VOLT:OFFS", 0.0, "V"), "0.9E-04", True),
         (Setting("OUTP1:IMP", "INF"), "9.9E+37", True),
         (Setting("OUTP1:IMP", "INF"), "5.0E+01", False),
         (Setting("OUTP1", "ON"), "1", True),
         (Setting("OUTP1", "ON"), "0", False),
+        (Setting("OUTP1", "ON"), "on", True),
+        (Setting("OUTP1", "OFF"), "0", True),
+        (Setting("OUTP1", "OFF"), "1", False),
+        (Setting("OUTP1:POL", "NORM"), "NORMAL", True),
+        (Setting("OUTP1:POL", "NORM"), "INV", False),
+        (Setting("SOUR1:BURS:MODE", "TRIG"), "TRIGGERED", True),
+        (Setting("SOUR1:BURS:MODE", "TRIG"), "GATED", False),
+        (Setting("TRIG:SOUR", "TIM"), "TIMER", True),
+        (Setting("TRIG:SOUR", "TIM"), "EXTERNAL", False),
+        (Setting("OUTP1:IMP", "INF"), "8.0E+37", False),
         (Setting("SOUR1:FUNC", "USER1"), "USER", True),
         (Setting("SOUR1:FUNC", "USER2"), "USER", False),
         (Setting("TRIG:SOUR", "EXT"), "EXTERNAL", True),
@@ -53,7 +83,8 @@ def test_reply_confirms_or_does_not(setting: Setting, reply: str, confirmed: boo
 
 
 @pytest.mark.parametrize(
-    ("limit", "gain", "level"), [(250.0, 25.0, 10.0), (100.0, 25.0, 4.0), (100.0, 30.0, 3.33), (1000.0, 25.0, 10.0)]
+    ("limit", "gain", "level"),
+    [(250.0, 25.0, 10.0), (100.0, 25.0, 4.0), (100.0, 30.0, 3.33), (1000.0, 25.0, 10.0), (145.0, 500.0, 0.29)],
 )
 def test_level_limit_is_what_the_amplifier_allows(
     apparatus: Apparatus, limit: float, gain: float, level: float
@@ -61,6 +92,143 @@ def test_level_limit_is_what_the_amplifier_allows(
     """Volts at the beam over the gain, rounded down to 10 mV, at most the instrument's own 10 V."""
     amplifier = apparatus.amplifier.model_copy(update={"limit_V": limit, "gain_V_per_V": gain})
     assert Limits.of(apparatus.model_copy(update={"amplifier": amplifier})).level == pytest.approx(level)
+
+
+def test_amplifier_and_file_set_the_limits(apparatus: Apparatus) -> None:
+    """The shipped apparatus: 250 V at the beam by a gain of 25, 500 mm/s; into 50 ohm half the volts arrive."""
+    assert Limits.of(apparatus) == Limits(level=10.0, beam=250.0, gain=25.0, velocity=0.5)
+    terminated = apparatus.model_copy(update={"generator": apparatus.generator.model_copy(update={"load": "50_ohm"})})
+    assert Limits.of(terminated) == Limits(level=10.0, beam=250.0, gain=12.5, velocity=0.5)
+
+
+WIDE = Limits(level=10.0, beam=1000.0, gain=25.0, velocity=0.5)
+"""The generator's own limits alone."""
+
+
+def strong(burst: Burst, amplitude: float, limits: Limits = WIDE, peak: float = 1.0) -> tuple[float, ...]:
+    """Return the amplitudes at 200 mm/s of a burst whose first channel needs one of its own."""
+    return amplitudes(replace(burst, amplitude=(amplitude, 8.0)), (peak, 1.0), 0.2, limits)
+
+
+@pytest.mark.parametrize(
+    ("amplitude", "limits", "refusal"),
+    [
+        (20.0, WIDE, ""),
+        (20.01, WIDE, r"needs 20.01 V peak to peak of output 1: allowed 0.02 to 20 V"),
+        (0.02, WIDE, ""),
+        (0.0199, WIDE, r"needs 0.0199 V peak to peak of output 1: allowed 0.02 to 20 V"),
+        (12.0, replace(WIDE, level=6.0), ""),
+        (12.01, replace(WIDE, level=6.0), r"allowed 0.02 to 12 V"),
+        (12.0, replace(WIDE, beam=150.0), ""),
+        (12.0, replace(WIDE, beam=150.0 * (1 - 1.5e-9)), "150.0 V at the beam: allowed at most 150 V"),
+        (12.01, replace(WIDE, beam=150.0), r"150.1 V at the beam: allowed at most 150 V; the outputs stay off"),
+        (12.01, replace(WIDE, beam=75.0, gain=12.5), r"75.1 V at the beam: allowed at most 75 V"),
+    ],
+)
+def test_amplitudes_end_where_generator_and_amplifier_end(
+    burst: Burst, amplitude: float, limits: Limits, refusal: str
+) -> None:
+    """20 mV to 20 V peak to peak open circuit; half of it times the gain at the beam; the limit itself is allowed."""
+    if not refusal:
+        assert strong(burst, amplitude, limits) == (amplitude, 8.0)
+        return
+    with pytest.raises(RigError, match=refusal):
+        strong(burst, amplitude, limits)
+
+
+def test_second_output_is_judged_like_the_first(burst: Burst) -> None:
+    """8 Vpp of output 2 at a level of 3.9 V, where output 1 has little to do."""
+    with pytest.raises(RigError, match="needs 8 V peak to peak of output 2: allowed 0.02 to 7.8 V"):
+        strong(burst, 1.0, replace(WIDE, level=3.9))
+
+
+@pytest.mark.parametrize("velocity", [0.0, -0.1, 0.5001, 1.0, math.nan, math.inf])
+def test_no_velocity_beyond_the_safety_limit_is_played(burst: Burst, velocity: float) -> None:
+    """Above 0, up to 500 mm/s, whatever generator and amplifier could do."""
+    low = replace(burst, amplitude=(1.0, 1.0))
+    assert amplitudes(low, (1.0, 1.0), 0.5, WIDE) == (2.5, 2.5)
+    with pytest.raises(RigError, match="allowed above 0, up to the safety limit of 500 mm/s; the outputs stay off"):
+        amplitudes(low, (1.0, 1.0), velocity, WIDE)
+
+
+@pytest.mark.parametrize(("level", "quiet"), [(10.0, 0.1), (0.05, 0.1), (0.03, 0.06)])
+def test_channel_without_drive_waits_at_a_quiet_level(burst: Burst, level: float, quiet: float) -> None:
+    """0.1 V peak to peak, or twice the level where that is less."""
+    least = replace(burst, amplitude=(0.0, 0.0))
+    assert amplitudes(least, (0.0, 0.0), 0.2, replace(WIDE, level=level)) == pytest.approx((quiet, quiet))
+    setting = next(each for each in quiet_settings(1, replace(WIDE, level=level)) if each.header == "SOUR1:VOLT")
+    assert setting.value == pytest.approx(quiet)
+
+
+@pytest.mark.parametrize(("place", "code"), [(0, 81), (0, -81), (-1, 81), (-1, -81)])
+def test_record_begins_and_ends_within_a_hundredth_of_full_scale(burst: Burst, place: int, code: int) -> None:
+    """81 of 8191 codes are 0.99 %, 82 are 1.001 %, either sign, at either end."""
+    codes = burst.codes.copy()
+    codes[1, place] = 8191 + code
+    refuse_steps(replace(burst, codes=codes))
+    codes[1, place] += np.sign(code)
+    with pytest.raises(RigError, match=r"output 2 begins or ends at 1.0% of its full scale: at most 1% is allowed"):
+        refuse_steps(replace(burst, codes=codes))
+
+
+def test_peaks_are_parts_of_full_scale(burst: Burst) -> None:
+    """(16382 - 8191) / 8191 = 1 of the first channel; the second goes furthest down, to (8191 - 4096) / 8191."""
+    codes = np.full_like(burst.codes, 8191)
+    codes[0, 7], codes[0, 9], codes[1, 7], codes[1, 9] = 16382, 8000, 9000, 4096
+    assert record_peaks(replace(burst, codes=codes)) == (1.0, pytest.approx(4095 / 8191))
+
+
+def commands(*settings: Setting) -> str:
+    """Return what makes the settings."""
+    return ";".join(setting.command for setting in settings)
+
+
+def test_outputs_are_quiet_and_bounded_before_anything_is_loaded() -> None:
+    """Open circuit, upright, Vpp, no offset, low, and the limit of each sign; all but the level hold at each firing."""
+    quiet = (
+        "OUTP{0}:IMP INF;OUTP{0}:POL NORM;SOUR{0}:VOLT:UNIT VPP;SOUR{0}:VOLT:OFFS 0V;SOUR{0}:VOLT 0.1VPP;"
+        "SOUR{0}:VOLT:LIM:HIGH 4V;SOUR{0}:VOLT:LIM:LOW -4V"
+    )
+    limits = replace(WIDE, level=4.0)
+    assert commands(*quiet_settings(2, limits)) == quiet.format(2)
+    both = f"{quiet.format(1)};{quiet.format(2)}"
+    assert commands(*guarded_settings(limits)) == both.replace("SOUR1:VOLT 0.1VPP;", "").replace(
+        "SOUR2:VOLT 0.1VPP;", ""
+    )
+
+
+def test_burst_is_played_once_at_each_trigger(burst: Burst) -> None:
+    """One cycle of 50 ms from the first point, at once; the rate to a millionth, as 11 digits are kept of it."""
+    settings = burst_settings(2, 3, burst)
+    assert commands(*settings) == (
+        "SOUR2:FREQ 20HZ;SOUR2:FUNC USER3;SOUR2:BURS:MODE TRIG;SOUR2:BURS:NCYC 1;SOUR2:BURS:TDEL 0S;SOUR2:PHAS 0RAD;"
+        "SOUR2:BURS:STAT ON"
+    )
+    assert settings[0].confirmed_by("20.000018")
+    assert not settings[0].confirmed_by("20.00003")
+
+
+def test_record_that_repeats_by_itself_needs_no_trigger(burst: Burst) -> None:
+    """A whole period of 1/7 s from the first point on, burst mode off."""
+    settings = continuous_settings(1, 4, burst)
+    assert commands(*settings) == "SOUR1:FREQ 7HZ;SOUR1:FUNC USER4;SOUR1:PHAS 0RAD;SOUR1:BURS:STAT OFF"
+    assert settings[0].confirmed_by("7.000006")
+    assert not settings[0].confirmed_by("7.00001")
+
+
+def test_timer_level_and_lock(burst: Burst) -> None:
+    """1/7 s, of which the instrument may keep four digits; an amplitude; a memory that nobody overwrites."""
+    assert commands(timer_setting(burst), level_setting(2, 1.5)) == "TRIG:TIM 0.142857142857S;SOUR2:VOLT 1.5VPP"
+    assert timer_setting(burst).confirmed_by("0.1429")
+    assert not timer_setting(burst).confirmed_by("0.14298")
+    lock = lock_setting(3, "ON")
+    assert (lock.command, lock.query) == ("DATA:LOCK:STAT USER3,ON", "DATA:LOCK:STAT? USER3")
+
+
+def test_data_sheet() -> None:
+    """AFG3022B: 131,072 points a record; its successor takes the same commands."""
+    assert MAX_POINTS == 131_072
+    assert KNOWN_MODELS == ("AFG3022B", "AFG3022C")
 
 
 def test_peak_of_the_record_counts_at_the_beam(apparatus: Apparatus, burst: Burst) -> None:

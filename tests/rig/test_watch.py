@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import io
+import itertools
+import json
+import math
+import queue
 import struct
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from modaltouch.clock import SYSTEM_CLOCK, VirtualClock
 from modaltouch.rig import watchdog
+from modaltouch.rig.pacing import Order
 from modaltouch.rig.transport import InUse
 from modaltouch.rig.watchdog import (
     ARM,
@@ -20,11 +27,16 @@ from modaltouch.rig.watchdog import (
     CLOSE,
     DISARM,
     DONE,
+    END,
     EXCHANGE,
     FAILED,
     FLAG,
+    LONG_PERSISTENCE,
+    LOOK,
     OFF,
     OPEN,
+    PERSISTENCE,
+    PLAY,
     REPORT,
     TAKEN,
     TERMS,
@@ -209,8 +221,135 @@ def test_outputs_that_do_not_go_off_are_tried_again_over_new_sessions() -> None:
     assert instrument.opened == 2
 
 
-def test_instrument_that_never_answers_is_given_up() -> None:
-    """After the time stated."""
-    started = time.monotonic()
-    assert not Watch(Instrument(OSError("gone")), persistence=0.1).switch_off()
-    assert 0.1 < time.monotonic() - started < 1
+class Terminal:
+    """Keeps what was said to whoever sits there, and when [s]."""
+
+    def __init__(self, clock: VirtualClock) -> None:
+        self.clock = clock
+        self.said: list[tuple[float, str]] = []
+
+    def __call__(self, sentence: str) -> None:
+        self.said.append((self.clock.now(), sentence))
+
+
+class Dead(Instrument):
+    """Answers again from some instant on."""
+
+    def __init__(self, clock: VirtualClock, until: float) -> None:
+        super().__init__()
+        self.clock = clock
+        self.until = until
+
+    def exchange(self, message: bytes, *, timeout: float, reply: bool) -> Any:
+        if self.clock.now() < self.until:
+            raise OSError("gone")
+        return super().exchange(message, timeout=timeout, reply=reply)
+
+
+STILL, NOBODY = (
+    f"the generator cannot be told to switch its outputs off ({trying}): SWITCH THE AMPLIFIER OFF"
+    for trying in ("still trying", "nobody goes on trying")
+)
+
+
+@pytest.mark.parametrize(("plays_by_itself", "patience"), [(False, 30.0), (True, 3600.0)])
+def test_outputs_that_cannot_be_switched_off_are_told_until_nobody_tries(
+    plays_by_itself: bool, patience: float
+) -> None:
+    """First after a second, then every ten; the last word after half a minute, after an hour where it plays on."""
+    assert (PERSISTENCE, LONG_PERSISTENCE) == (30.0, 3600.0)
+    clock = VirtualClock(50.0)
+    terminal, instrument = Terminal(clock), Dead(clock, math.inf)
+    watch = Watch(instrument, say=terminal, clock=clock)
+    watch._carry_out(ARM, FLAG.pack(plays_by_itself), lambda content: None)
+    assert not watch.switch_off()
+    times, words = zip(*terminal.said, strict=True)
+    assert times[0] == pytest.approx(51.0, abs=0.6)
+    gaps = [later - earlier for earlier, later in itertools.pairwise(times[:-1])]
+    assert all(10 <= gap <= 10.6 for gap in gaps)
+    assert times[-1] - 50 == pytest.approx(patience, abs=0.6)
+    assert words[-2] == STILL
+    assert set(words[:-1]) == {STILL}
+    assert words[-1] == NOBODY
+    assert instrument.opened == instrument.sent.count(b"broken") >= 2 * (patience - 5)
+
+
+@pytest.mark.parametrize(("dead_for", "said"), [(0.5, []), (5.0, [STILL]), (15.0, [STILL, STILL])])
+def test_outputs_that_go_off_at_last_are_told_if_anything_was(dead_for: float, said: list[str]) -> None:
+    """Whoever was told to switch the amplifier off is told that it is over; nobody else hears of it."""
+    clock = VirtualClock(50.0)
+    terminal = Terminal(clock)
+    assert Watch(Dead(clock, 50 + dead_for), say=terminal, clock=clock).switch_off()
+    over = ["the generator's outputs are off now"] if said else []
+    assert [words for _, words in terminal.said] == said + over
+    assert clock.now() == pytest.approx(50 + dead_for, abs=0.6)
+
+
+class Master:
+    """Asks a watchdog in a thread, and takes its answers."""
+
+    def __init__(self, instrument: Instrument) -> None:
+        self.answers: queue.Queue[bytes] = queue.Queue()
+        self.pipe = Pipe()
+        self.watch = Watch(instrument)
+        self.serving = threading.Thread(target=self.watch.serve, args=(self.pipe, self.answers.put))
+        self.serving.start()
+
+    def ask(self, letter: bytes, content: bytes = b"") -> dict[str, Any]:
+        """Return the report that answers a request."""
+        self.pipe.write(frame(letter, 1, content))
+        ((done, _, answer),) = read_frames(io.BytesIO(self.answers.get(timeout=10)))
+        assert done == DONE
+        return dict(json.loads(answer))
+
+
+@pytest.fixture
+def master() -> Iterator[Master]:
+    """Return the master of a watchdog that ends with the test."""
+    master = Master(Instrument())
+    yield master
+    master.pipe.write(frame(END, 0), frame(CLEAN, 0))
+    master.serving.join(10)
+    assert not master.serving.is_alive()
+
+
+def order(n_bursts: int, command: str = "*TRG") -> bytes:
+    """Return bursts 1,000 s apart, the first of them now."""
+    return json.dumps(Order(command, n_bursts, SYSTEM_CLOCK.now(), 1000.0, 0.05, 1.0).as_dict()).encode()
+
+
+@pytest.mark.parametrize("how", [END, REPORT, PLAY])
+def test_bursts_end_between_two_when_that_is_asked(master: Master, how: bytes) -> None:
+    """The first is triggered and told at once; asked to end, to report or to play another order, it waits for none."""
+    first = master.ask(PLAY, order(5))
+    assert (first["due"], first["played"], first["ended"]) == (1, 1, "")
+    assert master.ask(LOOK) == first
+    pacing = master.watch._pacing
+    if how == END:
+        master.pipe.write(frame(END, 2))
+    elif how == REPORT:
+        assert master.ask(REPORT, FLAG.pack(False))["ended"] == "asked"
+    else:
+        assert master.ask(PLAY, order(1, "TRIG:SEQ:IMM"))["ended"] == "count"
+    pacing.join(10)
+    assert not pacing.is_alive()
+    instrument = master.watch._transport
+    assert instrument.sent == [b"*TRG\n", *([b"TRIG:SEQ:IMM\n"] if how == PLAY else [])]
+    ended = master.ask(REPORT, FLAG.pack(True))
+    assert ended["ended"] == ("count" if how == PLAY else "asked")
+
+
+def test_trigger_that_fails_is_told_with_the_next_sign_of_life() -> None:
+    """A beat is answered with why the bursts ended; with nothing while all is well, or nothing was asked for."""
+    master = Master(Instrument(OSError("gone"), b"0;0\n"))
+    failed = master.ask(PLAY, order(5))
+    assert (failed["played"], failed["ended"], failed["reason"]) == (0, "failed", "trigger 1 failed (OSError: gone)")
+    master.pipe.write(frame(BEAT, 3))
+    ((done, _, lost),) = read_frames(io.BytesIO(master.answers.get(timeout=10)))
+    assert (done, lost) == (DONE, b"failed: trigger 1 failed (OSError: gone)")
+    assert master.ask(PLAY, order(5))["ended"] == ""
+    master.pipe.write(frame(BEAT, 3))
+    ((done, _, lost),) = read_frames(io.BytesIO(master.answers.get(timeout=10)))
+    assert (done, lost) == (DONE, b"")
+    master.pipe.write(frame(END, 0), frame(CLEAN, 0))
+    master.serving.join(10)

@@ -12,10 +12,8 @@ from modaltouch.apparatus import zone_edges
 from modaltouch.document import Problem, Reading
 from modaltouch.preflight.ground import Ground
 from modaltouch.protocol import Protocol
+from modaltouch.rig.settings import LOWEST_AMPLITUDE, highest_level
 from modaltouch.stimulus.design import Stimulus
-
-AMPLITUDE_RANGE = (0.02, 20.0)
-"""Amplitudes of an AFG3022B into an open circuit [V peak to peak]."""
 
 _POINTS_PER_ZONE = 5
 """Points at which a zone's speed is looked at: a quarter of the shortest wavelength of Table I apart."""
@@ -43,10 +41,7 @@ def fits_generator(ground: Ground, stimulus: Stimulus) -> bool:
 
 def _highest_amplitude(ground: Ground) -> float:
     """Return what the generator may be set to without its full scale passing the amplifier's limit [Vpp]."""
-    to_beam = ground.apparatus.amplifier.gain_V_per_V * ground.apparatus.generator.load_factor
-    # Rounded down to 10 mV of level, as the rig sets the instrument's own limit.
-    within_amplifier = 2 * math.floor(ground.apparatus.amplifier.limit_V / to_beam * 100 + 1e-6) / 100
-    return min(AMPLITUDE_RANGE[1], within_amplifier)
+    return 2 * highest_level(ground.apparatus)
 
 
 def _check_amplifier(
@@ -65,7 +60,7 @@ def _check_amplifier(
 def _check_generator(
     ground: Ground, stimulus: Stimulus, protocol: Reading[Protocol], index: int, level: float
 ) -> Iterator[Problem]:
-    smallest, largest = AMPLITUDE_RANGE[0], _highest_amplitude(ground)
+    smallest, largest = LOWEST_AMPLITUDE, _highest_amplitude(ground)
     path, sounding = (*_LEVELS, index), _sounding(stimulus, level)
     if not sounding:
         return
@@ -102,7 +97,7 @@ def _check_range(ground: Ground, stimulus: Stimulus, protocol: Reading[Protocol]
         limit / float(stimulus.peak_voltage.max()), _highest_amplitude(ground) / max(sounding.values())
     )
     weak = min(sounding, key=sounding.__getitem__)
-    least = level * AMPLITUDE_RANGE[0] / sounding[weak]
+    least = level * LOWEST_AMPLITUDE / sounding[weak]
     if least <= highest:
         return []
     length, base = ground.apparatus.beam.length_mm, ground.section.field.base_mm

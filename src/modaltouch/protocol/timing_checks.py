@@ -46,8 +46,8 @@ def _check_durations(protocol: Reading[Protocol]) -> Iterator[Problem]:
             n_bursts = seconds * rate
             if n_bursts > 1 - WHOLE and abs(n_bursts - round(n_bursts)) <= WHOLE:
                 continue
-            below, above = max(int(n_bursts), 1), max(int(n_bursts) + 1, 1)
-            nearest = " or ".join(f"{n / rate:.5g} s ({n} bursts)" for n in dict.fromkeys((below, above)))
+            below, above = int(n_bursts), int(n_bursts) + 1
+            nearest = " or ".join(f"{n / rate:.5g} s ({n} burst{'s' * (n > 1)})" for n in (below, above))
             if n_bursts < 1:
                 nearest = f"{1 / rate:.5g} s (1 burst), or more"
             given = f"{seconds:g} s, which is {n_bursts:.4g} bursts at {rate:g} per second"
@@ -58,8 +58,10 @@ def _check_durations(protocol: Reading[Protocol]) -> Iterator[Problem]:
 
 def _check_written_once(protocol: Reading[Protocol]) -> Iterator[Problem]:
     seconds, n_bursts = (protocol.sound("answers", f"presentation_{unit}") for unit in ("s", "bursts"))
-    rate = protocol.sound("stimulus", "repetition_rate_Hz")
-    if seconds is not None and n_bursts is not None and rate and whole_bursts(seconds, rate) != n_bursts:
+    rates = [rate for _, rate in _stimuli(protocol, "repetition_rate_Hz")]
+    if seconds is None or n_bursts is None:
+        return
+    if any(whole_bursts(seconds, rate) != n_bursts for rate in rates):
         given = f"{n_bursts}, where presentation_s says {seconds:g} s"
         yield protocol.problem(("answers", "presentation_bursts"), given, "one of the two", "remove one of them")
 

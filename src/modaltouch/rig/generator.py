@@ -265,7 +265,8 @@ class Generator:
             span = (started, on + (self._player.period if self._player.repetition != "continuous" else 0.0))
             bursts = Bursts()
         middle, half = sum(span) / 2, (span[1] - span[0]) / 2
-        if not silent:
+        # Of pulses that come by a wire nobody here knows the rate, nor whether they come.
+        if not silent and self._player.repetition != "wired":
             bursts = replace(bursts, first_s=middle, uncertainty_s=half)
         self._firing = replace(firing, onset=middle, onset_uncertainty=half, started=True, bursts=bursts)
         self._last_beat = clock.now()

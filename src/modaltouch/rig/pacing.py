@@ -185,13 +185,9 @@ class Pacer:
         """Play to the end; `on_first` is called as soon as it is known whether the first burst was played."""
         told = False
         while (due := self.due) is not None:
-            wait = due - self._clock.now()
-            if wait > 0 and self._asked_to_end.wait(min(wait, 0.05)):
-                self._end_if_over()
-            elif wait <= 0:
-                self.step()
-            else:
-                self._end_if_over()
+            # Somebody may end it meanwhile, or fall silent.
+            self._asked_to_end.wait(min(due - self._clock.now(), 0.05))
+            self.step()
             if not told and (self.report.due or self.report.ended):
                 told = True
                 on_first()

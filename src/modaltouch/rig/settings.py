@@ -13,8 +13,7 @@ from modaltouch.rig.interface import RigError
 from modaltouch.stimulus.burst import MID_CODE, Burst
 
 LOWEST_AMPLITUDE = 20e-3
-HIGHEST_AMPLITUDE = 20.0
-"""Amplitude of an AFG3022B into an open circuit [V peak to peak]."""
+"""Smallest amplitude of an AFG3022B into an open circuit [V peak to peak]."""
 
 QUIET_AMPLITUDE = 0.1
 """Where the level waits [V peak to peak]: above every minimum that is told of these instruments."""
@@ -121,11 +120,22 @@ class Limits:
     @classmethod
     def of(cls, apparatus: Apparatus) -> Limits:
         """Return the limits that an apparatus sets."""
-        gain = apparatus.amplifier.gain_V_per_V * apparatus.generator.load_factor
-        beam = apparatus.amplifier.limit_V
-        # Rounded down to 10 mV, so that the instrument's own rounding cannot lift it.
-        level = min(math.floor(beam / gain * 100 + 1e-6) / 100, HIGHEST_LEVEL)
-        return cls(level, beam, gain, apparatus.safety.velocity_limit_mm_s * 1e-3)
+        return cls(
+            highest_level(apparatus),
+            apparatus.amplifier.limit_V,
+            _gain(apparatus),
+            apparatus.safety.velocity_limit_mm_s * 1e-3,
+        )
+
+
+def highest_level(apparatus: Apparatus) -> float:
+    """Return the highest output, either sign, that amplifier and generator allow, open circuit [V]."""
+    # Rounded down to 10 mV, so that the instrument's own rounding cannot lift it.
+    return min(math.floor(apparatus.amplifier.limit_V / _gain(apparatus) * 100 + 1e-6) / 100, HIGHEST_LEVEL)
+
+
+def _gain(apparatus: Apparatus) -> float:
+    return apparatus.amplifier.gain_V_per_V * apparatus.generator.load_factor
 
 
 def record_peaks(burst: Burst) -> tuple[float, ...]:
@@ -197,10 +207,8 @@ def _playable(number: int, amplitude: float, peak: float, velocity: float, limit
     beam = amplitude / 2 * peak * limits.gain
     if not beam <= limits.beam * (1 + 1e-9):
         raise RigError(f"{where}, {beam:.1f} V at the beam: allowed at most {limits.beam:g} V; {remedy}")
-    if not LOWEST_AMPLITUDE <= amplitude <= min(HIGHEST_AMPLITUDE, 2 * limits.level):
-        raise RigError(
-            f"{where}: allowed {LOWEST_AMPLITUDE:g} to {min(HIGHEST_AMPLITUDE, 2 * limits.level):g} V; {remedy}"
-        )
+    if not LOWEST_AMPLITUDE <= amplitude <= 2 * limits.level:
+        raise RigError(f"{where}: allowed {LOWEST_AMPLITUDE:g} to {2 * limits.level:g} V; {remedy}")
     return amplitude
 
 

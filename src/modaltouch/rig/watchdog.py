@@ -22,11 +22,10 @@ import signal
 import struct
 import sys
 import threading
-import time
 import typing
 from collections.abc import Callable, Iterator
 
-from modaltouch.clock import SYSTEM_CLOCK
+from modaltouch.clock import SYSTEM_CLOCK, Clock
 from modaltouch.rig.pacing import PATIENCE, Order, Pacer
 from modaltouch.rig.transport import InUse, Transport, describe_error
 from modaltouch.rig.visa import VisaSession
@@ -76,6 +75,8 @@ class Watch:
         How long the instrument is tried to be reached, and the same where it plays on by itself [s].
     say : callable
         Takes a sentence for whoever is at the terminal.
+    clock : Clock
+        That of the orders.
     """
 
     def __init__(
@@ -86,12 +87,14 @@ class Watch:
         persistence: float = PERSISTENCE,
         long_persistence: float = LONG_PERSISTENCE,
         say: Callable[[str], object] = lambda sentence: None,
+        clock: Clock = SYSTEM_CLOCK,
     ) -> None:
         self._transport = transport
         self._limit = limit
         self._persistence = persistence
         self._long_persistence = long_persistence
         self._say = say
+        self._clock = clock
         self._busy = threading.Lock()
         self._answering = threading.Lock()
         self._armed = threading.Event()
@@ -119,13 +122,13 @@ class Watch:
 
         threading.Thread(target=self._patrol, daemon=True, name="patrol").start()
         for letter, number, content in read_frames(requests):
-            self._heard = time.monotonic()
+            self._heard = self._clock.now()
             if letter == CLEAN:
                 with self._busy:
                     self._transport.close(broken=False)
                 return
             answered = self._carry_out(letter, content, functools.partial(reply, DONE, number))
-            self._heard = time.monotonic()
+            self._heard = self._clock.now()
             if answered is not None:
                 reply(answered[0], number, answered[1])
         self._end_bursts()
@@ -183,7 +186,7 @@ class Watch:
             with self._busy:
                 self._transport.exchange(message, timeout=order.timeout, reply=False)
 
-        pacer = self._pacer = Pacer(order, trigger, lambda: time.monotonic() - self._heard, SYSTEM_CLOCK)
+        pacer = self._pacer = Pacer(order, trigger, lambda: self._clock.now() - self._heard, self._clock)
         self._pacing = threading.Thread(
             target=pacer.run,
             args=(lambda: answer(self._told()),),
@@ -204,7 +207,7 @@ class Watch:
         if self._pacing.is_alive():
             self._pacing.join()
         if wait and self._pacer.report.ended != "failed":
-            time.sleep(max(self._pacer.silent_from - SYSTEM_CLOCK.now(), 0.0))
+            self._clock.sleep(max(self._pacer.silent_from - self._clock.now(), 0.0))
         return self._told()
 
     def _told(self) -> bytes:
@@ -220,18 +223,18 @@ class Watch:
     def _patrol(self) -> None:
         """Switch the outputs off when an armed master falls silent, as often as it does."""
         while self._armed.wait():
-            time.sleep(self._limit / 20)
-            if time.monotonic() - self._heard <= self._limit:
+            self._clock.sleep(self._limit / 20)
+            if self._clock.now() - self._heard <= self._limit:
                 continue
             self._end_bursts()
             with self._busy:
-                if self._armed.is_set() and time.monotonic() - self._heard > self._limit:
+                if self._armed.is_set() and self._clock.now() - self._heard > self._limit:
                     self._armed.clear()
                     self.switch_off()
 
     def switch_off(self) -> bool:
         """Switch the outputs off, over new sessions if need be, and return whether the instrument confirms it."""
-        started, pause = time.monotonic(), 0.02
+        started, pause = self._clock.now(), 0.02
         next_word, said = started + REPLY_TIMEOUT, False
         while True:
             with contextlib.suppress(Exception):
@@ -239,10 +242,10 @@ class Watch:
                     if said:
                         self._say("the generator's outputs are off now")
                     return True
-            passed = time.monotonic() - started
+            passed = self._clock.now() - started
             gives_up = passed > (self._long_persistence if self._plays_by_itself else self._persistence)
-            if gives_up or time.monotonic() > next_word:
-                next_word, said = time.monotonic() + WORD_PERIOD, True
+            if gives_up or self._clock.now() > next_word:
+                next_word, said = self._clock.now() + WORD_PERIOD, True
                 trying = "nobody goes on trying" if gives_up else "still trying"
                 self._say(
                     f"the generator cannot be told to switch its outputs off ({trying}): SWITCH THE AMPLIFIER OFF"
@@ -252,7 +255,7 @@ class Watch:
             # The session that failed is of no use; a new one may be.
             with contextlib.suppress(Exception):
                 self._transport.close(broken=True)
-            time.sleep(pause)
+            self._clock.sleep(pause)
             pause = min(2 * pause, 0.5)
             with contextlib.suppress(Exception):
                 self._transport.open()

@@ -1,0 +1,233 @@
+"""Whole bursts: durations that are none, bursts too long to be triggered one by one, and what repetitions cannot do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from modaltouch.preflight import examine
+from modaltouch.protocol import examine_files, read_protocol
+from modaltouch.protocol.sections import AnswersSection, whole_bursts
+
+Edit = Callable[..., Path]
+FILE = "differentiated_stimulation.yaml"
+BEAM = "apparatus/beam_100x6x2.yaml"
+LENGTH = "presentation_s: 2.0 "
+SLOW = ("\nconditions:", "\nstimuli:\n  fast: {law: exact}\n  slow: {repetition_rate_Hz: 5}\n\nconditions:")
+
+
+def faults(file: Path) -> list[str]:
+    """Return the faults of a protocol and its files."""
+    return [str(problem).replace(str(file.parent) + "/", "") for problem in examine_files(file).problems]
+
+
+def repeating(edit: Edit, repetition: str) -> None:
+    """Have the generator of the shipped apparatus repeat its burst in another way."""
+    edit(BEAM, ("load: high_impedance", f"repetition: {repetition}\n  load: high_impedance"))
+
+
+@pytest.mark.parametrize(
+    ("seconds", "given", "allowed"),
+    [
+        ("0.1", "0.1 s, which is 0.7 bursts at 7 per second", "0.14286 s (1 burst), or more"),
+        ("0.142", "0.142 s, which is 0.994 bursts", "0.14286 s (1 burst), or more"),
+        ("1.9", "1.9 s, which is 13.3 bursts at 7 per second", "1.8571 s (13 bursts) or 2 s (14 bursts)"),
+        ("2.001", "2.001 s, which is 14.01 bursts", "2 s (14 bursts) or 2.1429 s (15 bursts)"),
+        ("0.15", "0.15 s, which is 1.05 bursts", "0.14286 s (1 burst) or 0.28571 s (2 bursts)"),
+    ],
+)
+def test_duration_that_is_no_whole_bursts_is_refused_with_the_nearest(
+    edit: Edit, seconds: str, given: str, allowed: str
+) -> None:
+    """At 7 per second a burst and its silence last 142.857 ms; line and column of the number are told."""
+    assert faults(edit(FILE, (LENGTH, f"presentation_s: {seconds} "))) == [
+        f"{FILE}:37:19: answers.presentation_s: given {given}"
+        f"{'' if 'per' in given else ' at 7 per second'}; allowed: whole bursts: {allowed}; "
+        "or give `presentation_bursts`"
+    ]
+
+
+@pytest.mark.parametrize("seconds", ["2.0", "0.142857", "0.143", "1.8571", "1.857"])
+def test_duration_that_was_rounded_is_whole(edit: Edit, seconds: str) -> None:
+    """Within half a hundredth of a burst: 0.143 s are 1.001 of them."""
+    assert faults(edit(FILE, (LENGTH, f"presentation_s: {seconds} "))) == []
+
+
+@given(st.integers(1, 200), st.sampled_from([0.5, 3.0, 5.0, 7.0, 12.5]))
+def test_durations_said_to_be_right_are_whole(n_bursts: int, rate: float) -> None:
+    """A number of bursts, given as the five digits that a refusal shows, is that number."""
+    assert whole_bursts(float(f"{n_bursts / rate:.5g}"), rate) == n_bursts
+
+
+@pytest.mark.parametrize(
+    ("seconds", "fault"),
+    [
+        ("2.0", ""),
+        ("1.0", ""),
+        ("1.857143", "9.286 bursts at 5 per second; allowed: whole bursts: 1.8 s (9 bursts) or 2 s (10 bursts)"),
+        ("1.8", "12.6 bursts at 7 per second; allowed: whole bursts: 1.7143 s (12 bursts) or 1.8571 s (13 bursts)"),
+    ],
+)
+def test_duration_is_whole_bursts_of_every_stimulus(edit: Edit, seconds: str, fault: str) -> None:
+    """7 and 5 per second: whole seconds are right for both, and what is wrong for either is one fault."""
+    found = faults(edit(FILE, SLOW, (LENGTH, f"presentation_s: {seconds} ")))
+    assert len(found) == bool(fault)
+    assert fault in "".join(found)
+
+
+@pytest.mark.parametrize(
+    ("changes", "fault"),
+    [
+        ([(LENGTH, "presentation_bursts: 3 ")], ""),
+        ([(LENGTH, "presentation_bursts: 14\n  presentation_s: 2.0 ")], ""),
+        ([(LENGTH, "presentation_bursts: 13\n  presentation_s: 2.0 ")], "given 13, where presentation_s says 2 s; "),
+        (
+            [SLOW, (LENGTH, "presentation_bursts: 14\n  presentation_s: 2.0 ")],
+            "given 14, where presentation_s says 2 s",
+        ),
+        ([(LENGTH, "presentation_bursts: 0 ")], "given 0; allowed: a whole number of at least 1"),
+        ([(LENGTH, "presentation_bursts: 2.5 ")], "given 2.5; allowed: a whole number of at least 1"),
+    ],
+)
+def test_number_of_bursts_beside_a_duration(edit: Edit, changes: list[tuple[str, str]], fault: str) -> None:
+    """Either will do; both must say the same of every stimulus: 14 bursts at 5 per second last 2.8 s."""
+    found = faults(edit(FILE, *changes))
+    assert len(found) == bool(fault)
+    assert fault in "".join(found)
+    if fault:
+        assert found[0].startswith(f"{FILE}:{41 if SLOW in changes else 37}:24: answers.presentation_bursts: ")
+
+
+@pytest.mark.parametrize(
+    ("seconds", "fault"),
+    [
+        ("60", ""),
+        ("10.142857", ""),
+        (
+            "10.1",
+            "given 10.1 s, which is 70.7 bursts at 7 per second; allowed: whole bursts: 10 s (70 bursts) or 10.143",
+        ),
+        ("0.05", "given 0.05 s, which is 0.35 bursts at 7 per second; allowed: whole bursts: 0.14286 s (1 burst), or"),
+    ],
+)
+def test_longest_stimulus_is_whole_bursts(edit: Edit, seconds: str, fault: str) -> None:
+    """The same of what ends a stimulus that nobody answers; it may be left out."""
+    found = faults(edit(FILE, (LENGTH, f"longest_presentation_s: {seconds}\n  {LENGTH}")))
+    assert len(found) == bool(fault)
+    assert fault in "".join(found)
+    assert all(each.endswith("; or leave it out") and ":37:27: answers.longest_" in each for each in found)
+
+
+LONG = [
+    ([("duration_ms: 50", "duration_ms: 138")], "17:16: stimulus.duration_ms: given 138 ms at 7", "135.714"),
+    ([("repetition_rate_Hz: 7", "repetition_rate_Hz: 19.5")], "16:16: stimulus.duration_ms", "48.7179"),
+    (
+        [("\nconditions:", "\nstimuli:\n  a: {law: exact}\n  b: {repetition_rate_Hz: 19.5}\n\nconditions:")],
+        "stimuli.b.repetition_rate_Hz: given 50 ms at 19.5 bursts per second",
+        "48.7179",
+    ),
+]
+
+
+@pytest.mark.parametrize(("changes", "place", "longest"), LONG)
+def test_burst_that_leaves_no_room_before_the_next_is_refused(
+    edit: Edit, changes: list[tuple[str, str]], place: str, longest: str
+) -> None:
+    """More than 95 % of the period, where each is triggered by itself; none of the other ways has to trigger it."""
+    file = edit(FILE, *changes, (LENGTH, "presentation_bursts: 14 "))
+    (found,) = faults(file)
+    assert place.partition(":")[2].strip() in found
+    assert f"allowed: at most {longest} ms, so that a burst is over before the next is triggered; shorten" in found
+    repeating(edit, "continuous")
+    assert faults(file) == []
+
+
+@pytest.mark.parametrize("rate", ["19", "18.9"])
+def test_burst_of_95_percent_of_its_period_is_played(edit: Edit, rate: str) -> None:
+    """50 ms at 19 per second are 95.0 %."""
+    changes = ("repetition_rate_Hz: 7", f"repetition_rate_Hz: {rate}"), (LENGTH, "presentation_bursts: 14 ")
+    assert faults(edit(FILE, *changes)) == []
+
+
+@pytest.mark.parametrize(("low", "high", "sound"), [(0.1, 0.3, True), (0.3, 0.3, True), (0.31, 0.3, False)])
+def test_latency_has_its_bounds_in_order(edit: Edit, low: float, high: float, sound: bool) -> None:
+    """What `rig check` measured, the shortest first."""
+    bounds = f"trigger_latency_ms: {{low: {low}, high: {high}}}"
+    edit(BEAM, ("load: high_impedance", f"{bounds}\n  load: high_impedance"))
+    found = faults(edit(FILE))
+    assert len(found) == (not sound)
+    place = f"{BEAM}:48:29: generator.trigger_latency_ms.low"
+    assert all(
+        each == f"{place}: given 0.31 ms, above the longest of 0.3 ms; allowed: at most 0.3; swap them"
+        for each in found
+    )
+
+
+@pytest.mark.parametrize(
+    ("repetition", "refused"), [("single", False), ("timer", False), ("continuous", True), ("wired", True)]
+)
+def test_catch_trials_need_bursts_that_can_be_kept_back(edit: Edit, repetition: str, refused: bool) -> None:
+    """Pulses at the trigger input, or a record that repeats, move the beam as soon as the outputs are on."""
+    repeating(edit, repetition)
+    assert faults(edit(FILE)) == []
+    found = faults(edit(FILE, ("practice_trials: 3", "catch_trials: 2\n  practice_trials: 3")))
+    assert len(found) == refused
+    given = (
+        f"{FILE}:31:17: schedule.catch_trials: given 2, where the generator's repetition is {repetition}; allowed: 0"
+    )
+    assert all(each.startswith(given) and each.endswith("; set generator.repetition to single") for each in found)
+
+
+@pytest.mark.parametrize(
+    ("repetition", "read", "words"),
+    [
+        ("single", "single", []),
+        ("timer", "timer", ["is timer: the free timer of the generator dates the first burst to a period and counts"]),
+        ("burst", "timer", ["is timer (`burst` is its former name): the free timer"]),
+        ("continuous", "continuous", ["is continuous: a continuous record dates the first burst to a command and"]),
+        ("wired", "wired", ["is wired: the pulse source at the trigger input counts the bursts, and this program"]),
+    ],
+)
+def test_repetition_that_promises_less_is_said_by_check(
+    edit: Edit, repetition: str, read: str, words: list[str]
+) -> None:
+    """Each but `single` with what it cannot promise; the former name is read as today's."""
+    repeating(edit, repetition)
+    file = edit(FILE)
+    assert read_protocol(file).apparatus.generator.repeats == read
+    warned = [each for each in examine(file).as_dict()["warnings"] if "generator.repetition" in each]
+    assert len(warned) == len(words)
+    assert all(word in each for word, each in zip(words, warned, strict=True))
+    assert all(each.endswith("; `single` promises all three") for each in warned)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "rate", "n_bursts"),
+    [(2.0, 7.0, 14), (0.143, 7.0, 1), (0.01, 7.0, 1), (1.93, 7.0, 14), (60.0, 5.0, 300)],
+)
+def test_bursts_nearest_to_a_time(seconds: float, rate: float, n_bursts: int) -> None:
+    """One at least; 1.93 s are 13.51 periods."""
+    assert whole_bursts(seconds, rate) == n_bursts
+
+
+@pytest.mark.parametrize(
+    ("given", "n_bursts"),
+    [
+        ({"stimulus_until": "question"}, 14),
+        ({"stimulus_until": "question", "presentation_s": 1.0}, 7),
+        ({"stimulus_until": "question", "presentation_bursts": 3}, 3),
+        ({"stimulus_until": "question", "presentation_bursts": 7, "presentation_s": 1.0}, 7),
+        ({"stimulus_until": "question", "longest_presentation_s": 9.0}, 14),
+        ({"stimulus_until": "answer"}, 420),
+        ({"stimulus_until": "answer", "longest_presentation_s": 10.0}, 70),
+        ({"stimulus_until": "answer", "presentation_s": 1.0, "presentation_bursts": 7}, 420),
+    ],
+)
+def test_bursts_of_a_stimulus(given: dict[str, object], n_bursts: int) -> None:
+    """At 7 per second: 2 s before a question and 60 s until the answer, unless the protocol says otherwise."""
+    answers = AnswersSection.model_validate({"keys": {"left": ["left"], "both": ["up"], "right": ["right"]}, **given})
+    assert answers.n_bursts(7.0) == n_bursts
