@@ -163,7 +163,10 @@ def test_instrument_of_another_program_is_left_alone() -> None:
     assert instrument.sent == []
 
 
-@pytest.mark.parametrize("rubbish", [b"x", bytes(13), b"mtwd", struct.pack(">4scII", b"mtwd", b"X", 1, 99)])
+@pytest.mark.parametrize(
+    "rubbish",
+    [b"x", bytes(13), b"mtwd", struct.pack(">4scII", b"mtwd", b"X", 1, 99), struct.pack(">4scII", b"mtwx", b"Z", 1, 0)],
+)
 def test_rubbish_in_the_pipe_is_its_end(rubbish: bytes) -> None:
     """What is no request, or half of one: the outputs are switched off."""
     instrument = Instrument()
@@ -201,18 +204,20 @@ def test_the_longest_silence_is_the_one_that_is_promised() -> None:
 
 
 def test_signs_of_life_keep_an_armed_session_on() -> None:
-    """A beat every 0.02 s at a limit of half a second: never off."""
+    """A beat every 0.02 s at a limit of half a second: never off, and its bursts go on."""
     pipe, instrument = Pipe(), Instrument()
-    serving = threading.Thread(target=Watch(instrument, limit=0.5).serve, args=(pipe, lambda data: None))
+    watch = Watch(instrument, limit=0.5)
+    serving = threading.Thread(target=watch.serve, args=(pipe, lambda data: None))
     serving.start()
-    pipe.write(request(OPEN), request(ARM))
+    pipe.write(request(OPEN), request(ARM), frame(PLAY, 0, order(5)))
     for _ in range(15):
         time.sleep(0.02)
         pipe.write(frame(BEAT, 0))
-    pressed = instrument.sent.count(OFF)
-    pipe.write(frame(CLEAN, 0))
+    pressed, told = instrument.sent.count(OFF), json.loads(watch._told())
+    pipe.write(frame(END, 0), frame(CLEAN, 0))
     serving.join(5)
     assert pressed == 0
+    assert told["ended"] == ""
 
 
 def test_outputs_that_do_not_go_off_are_tried_again_over_new_sessions() -> None:
@@ -220,6 +225,7 @@ def test_outputs_that_do_not_go_off_are_tried_again_over_new_sessions() -> None:
     instrument = Instrument(TimeoutError("lost"), b"0;1\n", b"0;0\n")
     assert Watch(instrument, persistence=5).switch_off()
     assert instrument.sent == [OFF, b"broken", OFF, b"broken", OFF]
+    assert instrument.replies == [True] * 3
     assert instrument.opened == 2
 
 
@@ -352,6 +358,42 @@ def test_report_waits_for_the_last_burst_where_it_is_asked_to() -> None:
     for wait, now in ((False, 50.0), (True, 50.05), (True, 50.05)):
         assert json.loads(watch._report(wait))["played"] == 1
         assert clock.now() == pytest.approx(now)
+
+
+def test_report_waits_for_nothing_after_a_failure() -> None:
+    """A trigger taken 150 ms late in 200 ms: nobody knows when its burst ends."""
+    clock = VirtualClock(50.0)
+    watch = Watch(Instrument(), clock=clock)
+    watch._pacer = Pacer(Order("*TRG", 1, 50.0, 0.2, 0.05, 0.1), lambda: clock.sleep(0.15), lambda: 0.0, clock)
+    watch._pacer.step()
+    assert json.loads(watch._report(True))["ended"] == "failed"
+    assert clock.now() == pytest.approx(50.15)
+
+
+def test_report_of_nothing_is_empty(master: Master) -> None:
+    """No order was given yet."""
+    assert master.ask(REPORT, FLAG.pack(True)) == master.ask(LOOK) == {}
+
+
+def test_bursts_end_with_the_pipe() -> None:
+    """The master is gone: no further burst, then the outputs off."""
+    master = Master(Instrument())
+    master.pipe.write(frame(OPEN, 0))
+    master.answers.get(timeout=10)
+    master.ask(PLAY, order(5))
+    pacing, pacer = master.watch._pacing, master.watch._pacer
+    master.pipe.close()
+    master.serving.join(10)
+    pacing.join(10)
+    assert pacer is not None
+    assert pacer.report.ended == "asked"
+
+
+def test_words_and_answers_leave_by_their_own_ways(capfd: pytest.CaptureFixture[str]) -> None:
+    """Answers through the pipe, whole; words to the terminal, on a line of their own."""
+    watchdog._answer(b"mtwd+")
+    watchdog._say("it is on")
+    assert capfd.readouterr() == ("mtwd+", "\nmodaltouch: it is on\n")
 
 
 def test_watchdog_runs_before_others_where_it_may(monkeypatch: pytest.MonkeyPatch) -> None:
