@@ -165,7 +165,13 @@ def test_instrument_of_another_program_is_left_alone() -> None:
 
 @pytest.mark.parametrize(
     "rubbish",
-    [b"x", bytes(13), b"mtwd", struct.pack(">4scII", b"mtwd", b"X", 1, 99), struct.pack(">4scII", b"mtwx", b"Z", 1, 0)],
+    [
+        b"x",
+        bytes(13),
+        b"mtwd",
+        struct.pack(">4scII", b"mtwd", b"X", 1, 99),
+        struct.pack(">4scII", b"mtwx", CLEAN, 1, 0),
+    ],
 )
 def test_rubbish_in_the_pipe_is_its_end(rubbish: bytes) -> None:
     """What is no request, or half of one: the outputs are switched off."""
