@@ -180,14 +180,39 @@ def test_a_level_too_small_for_the_generator_is_refused(edit: Edit) -> None:
     assert all("allowed: at least 0.02 V, the generator's smallest amplitude" in each for each in found)
 
 
-def test_a_zone_faster_than_the_safety_limit_is_refused(edit: Edit) -> None:
-    """With focus A the beam's free end, which lies in zone A, is faster than the zone's centre."""
-    file = edit(FILE, ("focus: C", "focus: A"), (LEVELS, "[100, 140]"))
+@pytest.mark.parametrize(
+    ("focus", "levels", "limit", "words"),
+    [
+        (
+            "A",
+            "[100, 140]",
+            150,
+            ("140 mm/s, which moves zone A at 202 mm/s", "150 mm/s anywhere in a zone (104 mm/s)"),
+        ),
+        (
+            "A",
+            "[100, 105]",
+            150,
+            ("105 mm/s, which moves zone A at 151 mm/s", "150 mm/s anywhere in a zone (104 mm/s)"),
+        ),
+        ("A", "[100, 104]", 150, ()),
+        ("C", "[80, 200]", 200, ("200 mm/s, which moves zone A at 223 mm/s", "200 mm/s anywhere in a zone (179 mm/s)")),
+        ("C", "[200]", 200, ("200 mm/s, which moves zone A at 223 mm/s", "200 mm/s anywhere in a zone (179 mm/s)")),
+        ("C", "[80, 179]", 200, ()),
+        ("C", "[80, 200]", 199, ("200 mm/s, beyond the safety limit of the apparatus", "at most 199 mm/s")),
+    ],
+)
+def test_a_zone_faster_than_the_safety_limit_is_refused(
+    edit: Edit, focus: str, levels: str, limit: int, words: tuple[str, ...]
+) -> None:
+    """The beam's free end, in zone A, is faster than its centre, and than the focus; what is said to do does."""
+    file = edit(FILE, ("focus: C", f"focus: {focus}"), (LEVELS, levels))
     beam = file.parent / BEAM
-    beam.write_text(beam.read_text().replace("velocity_limit_mm_s: 500", "velocity_limit_mm_s: 150"))
-    (found,) = faults(file)
-    assert "given 140 mm/s, which moves zone A at 2" in found or "which moves zone A at 1" in found
-    assert "allowed: at most 150 mm/s anywhere in a zone" in found
+    beam.write_text(beam.read_text().replace("velocity_limit_mm_s: 500", f"velocity_limit_mm_s: {limit}"))
+    found = faults(file)
+    assert len(found) == bool(words)
+    assert all(f"]: given {words[0]}; allowed: " in each for each in found)
+    assert all(word in each for word in words for each in found)
 
 
 def test_faults_of_form_do_not_hide_those_of_physics(edit: Edit) -> None:

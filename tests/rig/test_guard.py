@@ -134,10 +134,10 @@ def test_level_change_through_the_watchdog_takes_at_most_two_milliseconds(rig: G
     assert min(took) < 2e-3
 
 
-def test_heartbeat_costs_microseconds_and_writes_ten_times_a_second(
+def test_heartbeat_costs_microseconds_and_writes_four_times_a_lease(
     rig: Generator, dogs: list[Watchdog], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Called every millisecond it must cost next to nothing: under 5 us a call, at most 11 letters a second."""
+    """Called every millisecond it must cost next to nothing: under 5 us a call, a letter every 45 ms at most."""
     rig.fire(0.1)
     sent: list[bytes] = []
     send = dogs[0]._send
@@ -147,7 +147,7 @@ def test_heartbeat_costs_microseconds_and_writes_ten_times_a_second(
         rig.heartbeat()
         calls += 1
     assert (time.thread_time() - busy) / calls < 5e-6
-    assert 3 <= len(sent) <= 6
+    assert 3 <= len(sent) <= 0.55 / 0.045 + 1
 
 
 @pytest.mark.parametrize("clean", [True, False])

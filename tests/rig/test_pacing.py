@@ -193,7 +193,7 @@ def test_pacer_runs_until_it_is_asked_left_alone_or_done(
     asks_at: float, silent_at: float, ended: str, at: float
 ) -> None:
     """Bursts at 10, 20 and 30 s: it ends when it is to, not at the next burst; the first is told once."""
-    clock = VirtualClock(9.9)
+    clock = VirtualClock(9.87)
     order = replace(ORDER, n_bursts=3, period=10.0)
     pacer = Pacer(order, Beam(clock).trigger, lambda: max(clock.now() - silent_at, 0.0), clock)
     pacer._asked_to_end = waits = Waits(clock, asks_at)
