@@ -188,7 +188,7 @@ class Watchdog:
         """Give signs of life while outputs may be on, as long as the session comes round."""
         while not self._released.wait(BEAT_PERIOD):
             self._armed.wait(BEAT_PERIOD)
-            if not self._armed.is_set() or time.monotonic() - self._came_round > LIMIT:
+            if not self._armed.is_set() or time.monotonic() - self._came_round > LIMIT / 2:
                 continue
             try:
                 lost = self._request(BEAT, b"", OVERHEAD).decode()
