@@ -141,14 +141,14 @@ def test_keys_and_clicks_lead_through_a_whole_session(
     end = time.monotonic() + 200
     while process.poll() is None and time.monotonic() < end:
         answer = ("left", "both", "right")[len(given) % 3]
-        n_before = sum(event["event"] == "trial" for event in events(tmp_path))
+        n_before = sum(event["event"] == "answered" for event in events(tmp_path))
         if len(given) % 2:
             x, y = BUTTONS[answer]
             outside_hands.click(left + x, top + y)
         else:
             outside_hands.key({"left": "Left", "both": "Up", "right": "Right"}[answer])
         time.sleep(0.25)
-        if sum(event["event"] == "trial" for event in events(tmp_path)) > n_before:
+        if sum(event["event"] == "answered" for event in events(tmp_path)) > n_before:
             given.append((answer, "mouse" if len(given) % 2 else "key"))
         else:
             outside_hands.key("Return")
@@ -156,9 +156,10 @@ def test_keys_and_clicks_lead_through_a_whole_session(
     out, err = process.communicate(timeout=30)
     assert process.returncode == 0, err
     log = events(tmp_path)
-    trials = [event for event in log if event["event"] == "trial"]
+    trials = [event for event in log if event["event"] == "answered"]
     assert [(event["response"]["answer"], event["response"]["device"]) for event in trials] == given
-    assert sum(not event["trial"]["practice"] for event in trials) == 24
+    # A busy machine may have a trial presented once more.
+    assert {event["trial"]["index"] for event in trials if not event["trial"]["practice"]} == set(range(1, 25))
     assert {event["response"]["answered_by"] for event in trials} == {"participant"}
     assert log[-1]["event"] == "stop"
     assert log[-1]["reason"] == "finished"
