@@ -97,7 +97,7 @@ class Generator:
             clock=clock,
         )
         repetition = repetition or apparatus.generator.repeats
-        self._player = Player(self._connection.controls, self._connection.limits, repetition)
+        self._player = Player(self._connection.controls, self._connection.limits, repetition, clock)
         try:
             self._connection.open()
         except BaseException:

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from modaltouch.clock import Clock
 from modaltouch.rig.controls import CHANNELS, USER_MEMORIES, Controls, Unconfirmed
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.pacing import Order
@@ -49,9 +50,12 @@ class Player:
         What may leave it.
     repetition : str
         How the burst repeats.
+    clock : Clock
+        By which it waits.
     """
 
-    def __init__(self, controls: Controls, limits: Limits, repetition: Repetition) -> None:
+    def __init__(self, controls: Controls, limits: Limits, repetition: Repetition, clock: Clock) -> None:
+        self._clock = clock
         self._controls = controls
         self._limits = limits
         self.repetition: Repetition = repetition
@@ -127,8 +131,10 @@ class Player:
             by_burst[-1] += [timer_setting(burst)] if self.repetition == "timer" else []
         locks = [lock_setting(slot, "ON") for slot in dict.fromkeys(slots)]
         self._controls.apply_each([*by_burst[self._chosen], *locks])
-        if self.repetition == "single":
+        if self.repetition == "single" and not self._trigger_command:
             self._trigger_command = self._controls.trigger_command()
+            # What that has triggered, behind outputs that are off, is over before the first burst is due.
+            self._clock.sleep(2 * max(burst.duration for burst in self._bursts))
         guarded = guarded_settings(self._limits)
         self._by_burst = tuple((*guarded, *settings, *locks) for settings in by_burst)
         self._settings = self._by_burst[self._chosen]
