@@ -150,7 +150,7 @@ def test_q_in_the_pause_ends_the_session(room: Callable[..., Any], hands: Any, t
     made.script = [("feel", 0.05, lambda: hands.key("Escape")), ("pause", 0.4, lambda: hands.key("q"))]
     with pytest.raises(SessionStopped, match="escape"):
         ask(made, trial)
-    assert len(made.ended) == 1
+    assert len(made.stopped) == 1
 
 
 def test_the_close_button_ends_the_session(room: Callable[..., Any], hands: Any, trial: Trial) -> None:
@@ -159,7 +159,7 @@ def test_the_close_button_ends_the_session(room: Callable[..., Any], hands: Any,
     made.script = [("question", 0.1, lambda: hands.press_close_button(TITLE))]
     with pytest.raises(SessionStopped, match="window closed"):
         ask(made, trial)
-    assert len(made.ended) == 1
+    assert len(made.stopped) == 1
 
 
 def test_a_lost_focus_stops_the_stimulus_and_pauses(room: Callable[..., Any], hands: Any, trial: Trial) -> None:
@@ -183,7 +183,7 @@ def test_a_lost_focus_stops_the_stimulus_and_pauses(room: Callable[..., Any], ha
     with pytest.raises(TrialInterrupted, match="focus lost"):
         ask(made, trial)
     assert [event for event, _ in made.log] == ["focus_lost", "continued"]
-    assert len(made.ended) == 1
+    assert len(made.stopped) == 1
 
 
 def test_a_robot_answers_by_the_windows_own_event_queue(

@@ -348,9 +348,9 @@ class Generator:
             reasons.insert(0, f"this computer was held up for {self._longest_silence:.1f} s")
         if faults:
             bursts = _unknown(firing, bursts)
-        return replace(
-            firing, confirmed=not reasons, reason="; ".join(reasons), stalled=stalled and bool(reasons), bursts=bursts
-        )
+        # Outputs that are off are the watchdog's doing in a stall; whatever else is wrong is the instrument's.
+        stalled = stalled and all(fault.startswith("output ") for fault in faults)
+        return replace(firing, confirmed=not reasons, reason="; ".join(reasons), stalled=stalled, bursts=bursts)
 
     def _count(self, report: Report, off: float = math.inf) -> Bursts:
         """Return the bursts of a report; the last one is cut if the outputs went off before its end [s]."""
