@@ -292,7 +292,7 @@ def cut_until_complete(person, whole, seconds, rng, tally, kinds):
 def test_no_kill_point_loses_an_answer_changes_an_order_or_leaves_an_output_on(
     subject, simulator, soaked, tmp_path, protocol
 ):
-    """A quarter of at least 300 seeded points: 0 answers lost, 0 orders changed, 0 outputs on, 0 invalid views."""
+    """A quarter of the seeded points: 0 answers lost, 0 orders changed, 0 outputs on, 0 invalid views."""
     n_points, place = N_POINTS // len(PROTOCOLS), PROTOCOLS.index(protocol)
     kinds = islice(kinds_by_turns(random.Random(f"{FIRST_SEED} {protocol}")), n_points)
     tally, turn, uncut = Tally(), 0, {}
