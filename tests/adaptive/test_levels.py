@@ -10,7 +10,7 @@ from scipy.stats import norm
 
 from modaltouch.adaptive import Levels, describe_rule
 from modaltouch.adaptive.levels import from_dB, to_dB
-from modaltouch.adaptive.success import is_success
+from modaltouch.adaptive.staircase import is_success
 from modaltouch.protocol import Protocol, StaircaseSection, read_protocol
 from modaltouch.schedule import draw_schedule
 from modaltouch.trial import Trial

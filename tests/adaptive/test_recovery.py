@@ -118,16 +118,16 @@ def recover(
 def test_staircases_give_back_the_thresholds_of_their_observers(
     section: AdaptiveSection, speeds: tuple[float, float]
 ) -> None:
-    """100 participants: a bias of at most 1.2 dB; coverage of 95 % but for 3 Monte Carlo sd and the other shape."""
+    """50 participants: a bias of at most 1.4 dB; coverage of 95 % but for 3 Monte Carlo sd and the other shape."""
 
     def next_of() -> Callable[[list[float], list[bool]], float]:
         bounds, start = (to_dB(BOUNDS[0]), to_dB(BOUNDS[1])), to_dB(section.start_mm_s)
         return lambda levels, successes: follow(section.staircase, start, bounds, successes).next_dB
 
-    found = recover(next_of, section, speeds, 100)
-    assert found.share_told >= 0.75
-    assert abs(found.bias) <= 1.2
-    assert found.coverage >= 0.85
+    found = recover(next_of, section, speeds, 50)
+    assert found.share_told >= 0.7
+    assert abs(found.bias) <= 1.4
+    assert found.coverage >= 0.82
     assert found.share_ended_inside >= 0.98
 
 

@@ -134,7 +134,7 @@ def test_guesses_are_seldom_called_dominance(build) -> None:
         frame = build["tidy"](build["random"](10, seed)).drop(columns="repetition")
         from modaltouch.analysis.counts import count_answers
         from modaltouch.analysis.findings import correct
-        from modaltouch.analysis.questions import dominance_findings
+        from modaltouch.analysis.statistics import dominance_findings
 
         found = correct(dominance_findings(count_answers(frame)))
         rejected += any(row.p_holm <= 0.05 for row in found if not math.isnan(row.p_holm))

@@ -3,8 +3,8 @@ from __future__ import annotations
 import pytest
 
 from modaltouch.analysis.counts import count_answers
+from modaltouch.analysis.report import say_number, say_p, write_paragraphs
 from modaltouch.analysis.statistics import find
-from modaltouch.analysis.words import say_number, say_p, write_paragraphs
 
 
 def paragraphs(frame) -> dict[str, str]:

@@ -24,6 +24,12 @@ ROOT = Path(__file__).resolve().parents[2]
 ESCAPES = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]|\x1b[()][A-Z0-9]|\x1b[=>]")
 
 
+def _begin_as_at_a_terminal(slave: int) -> None:
+    """Take the terminal, and Ctrl-C: what a shell begins in the background ignores it, and so do its children."""
+    fcntl.ioctl(slave, termios.TIOCSCTTY, 0)
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 class Terminal:
     """A process on a pseudo-terminal of its own."""
 
@@ -41,7 +47,7 @@ class Terminal:
             cwd=ROOT,
             env={**os.environ, "TERM": "xterm-256color", **environment},
             start_new_session=True,
-            preexec_fn=lambda: fcntl.ioctl(slave, termios.TIOCSCTTY, 0),
+            preexec_fn=lambda: _begin_as_at_a_terminal(slave),
         )
         self._output = b""
         threading.Thread(target=self._drain, daemon=True).start()

@@ -19,8 +19,7 @@ from modaltouch.console.experimenter import Experimenter
 from modaltouch.console.interface import Request, Silence
 from modaltouch.console.keyboard import split_keys
 from modaltouch.console.lines import LONGEST_LINE, EventLines, PlainLines
-from modaltouch.console.signs import find_side_bias, read_signs
-from modaltouch.console.status import Status
+from modaltouch.console.status import Status, read_signs
 from modaltouch.window.interface import SessionStopped
 
 
@@ -80,35 +79,6 @@ def test_an_answer_that_is_withdrawn_is_not_counted() -> None:
         status.take(trial(index))
     status.take({"event": "withdrawn", "lines": [12, 13], "reason": "x"})
     assert status.facts()["n_answered"] == 1
-
-
-def test_a_side_bias_is_told_once_the_sign_test_is_clear() -> None:
-    """Ten answers `left` where `both` was predicted: 2/2^10 < 0.01. Five: too few. Either way alike: none."""
-    assert find_side_bias([trial(i, "left") for i in range(5)]) == ""
-    assert "lean to the left: 10 of 10" in find_side_bias([trial(i, "left") for i in range(10)])
-    assert find_side_bias([trial(i, ("left", "right")[i % 2]) for i in range(40)]) == ""
-    right_for_left = [trial(i, "both", speeds=(200.0, 100.0)) for i in range(8)]
-    right_as_felt = [trial(i, "right", speeds=(100.0, 200.0)) for i in range(8, 16)]
-    assert "lean to the right: 8 of 8" in find_side_bias(right_for_left + right_as_felt)
-
-
-@pytest.mark.parametrize("n_turned", [0, 30])
-def test_one_pair_after_the_other_is_no_side_bias(n_turned: int) -> None:
-    """Near the threshold every other answer is `both`: under (A, C) a step to the left, under (C, E) to the right."""
-    first = [trial(i, ("both", "right")[i % 2], speeds=(100.0, 200.0)) for i in range(30)]
-    then = [trial(30 + i, ("both", "left")[i % 2], speeds=(200.0, 100.0)) for i in range(n_turned)]
-    trials = first + then
-    assert {find_side_bias(trials[:n]) for n in range(len(trials) + 1)} == {""}
-
-
-@given(st.lists(st.sampled_from(["left", "both", "right"]), max_size=60))
-def test_a_mirrored_session_leans_the_other_way(answers: list[str]) -> None:
-    """Left and right changed in all answers: the same counts, the other side."""
-    mirror = {"left": "right", "right": "left", "both": "both"}
-    told = find_side_bias([trial(i, answer) for i, answer in enumerate(answers)])
-    mirrored = find_side_bias([trial(i, mirror[answer]) for i, answer in enumerate(answers)])
-    swapped = told.replace("left", "RIGHT").replace("right", "left").replace("RIGHT", "right")
-    assert mirrored == swapped
 
 
 def test_a_lost_masking_noise_is_warned_of_until_it_is_back() -> None:
@@ -209,7 +179,7 @@ def test_every_picture_fits_its_terminal() -> None:
         assert len(lines) <= height - 1
         assert max(map(len, lines)) <= width
         told = " ".join(" ".join(lines).replace("\N{NO-BREAK SPACE}", " ").split())
-        for words in ("39 of 240", "EMERGENCY STOP", "q stop", prompt, "! answers lean"):
+        for words in ("39 of 240", "EMERGENCY STOP", "q stop", prompt, "39 times"):
             assert words in told, (width, height)
         if width * height >= 80 * 20:
             assert "right middle on A, right index on C (mirrored swapped)" in told
@@ -287,11 +257,11 @@ def test_plain_lines_say_what_is_new_and_outlive_their_reader() -> None:
     experimenter = Experimenter(PlainLines(file))
     experimenter.tell(start())
     for index in range(1, 12):
-        experimenter.tell(trial(index, "left"))
+        experimenter.tell(trial(index, "left", double=index in (3, 9)))
     experimenter.tell({"event": "pause", "trial": None})
     text = file.getvalue()
     assert "1 of 24 answered: left, 0.90 s after the first burst (trial 1)" in text
-    assert text.count("warning: answers lean to the left") == 1
+    assert text.count("warning: once two answers at once") == 1
     assert text.endswith("paused\n")
     file.close()
     experimenter.tell(trial(12))

@@ -12,13 +12,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from modaltouch.console.answers import typed_keys
 from modaltouch.console.dialogue import OWN_KEYS, Dialogue
 from modaltouch.console.drawing import draw_session
 from modaltouch.console.experimenter import Experimenter
 from modaltouch.console.interface import Request, Silence
 from modaltouch.console.lines import EventLines, PlainLines
-from modaltouch.console.status import Status
+from modaltouch.console.status import Status, typed_keys
 from modaltouch.window.interface import TypedAnswer
 
 TRIAL = {

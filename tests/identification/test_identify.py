@@ -21,7 +21,7 @@ from modaltouch.rig.simulator.true_beam import TrueBeam
 from modaltouch.stimulus.shapes import mode_shapes
 
 LENGTH = 0.1
-N_SEEDS = int(os.environ.get("MODALTOUCH_IDENTIFIED_SEEDS", "20"))
+N_SEEDS = int(os.environ.get("MODALTOUCH_IDENTIFIED_SEEDS", "10"))
 
 
 def errors(found: Identification, beam: TrueBeam) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from modaltouch.identification.files import Reading, read_responses
-from modaltouch.identification.freefree import recognise
 from modaltouch.identification.identified import identify_each
+from modaltouch.identification.report import recognise
 from modaltouch.identification.responses import FrequencyResponses, as_velocity
 
 pytestmark = pytest.mark.measured_data

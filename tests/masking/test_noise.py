@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.signal import welch
 
 from modaltouch.masking.noise import HIGHEST, LOWEST, amplitude_at, highest_level, make_noise
-from modaltouch.masking.playback import Playback
+from modaltouch.masking.player import Playback
 
 RATE = 48_000.0
 

@@ -12,7 +12,7 @@ from modaltouch.analysis.trend import trend_test
 from modaltouch.observer import Observer, Participant
 from modaltouch.planning.design import Design
 from modaltouch.planning.experiments import Job, Study, run_job
-from modaltouch.planning.floors import find_floor, smallest_p
+from modaltouch.planning.power import find_floor, smallest_p
 
 
 @pytest.mark.parametrize(("family", "least"), [("a2", 8), ("d", 8), ("c", 7), ("c both", 7), ("a1", 7)])

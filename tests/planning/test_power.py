@@ -6,11 +6,9 @@ import json
 import math
 
 import pytest
-from distributed import LocalCluster
 
 from modaltouch.analysis.intervals import wilson
 from modaltouch.observer import Observer, Participant
-from modaltouch.planning import workers
 from modaltouch.planning.design import Design
 from modaltouch.planning.experiments import Study, run_job
 from modaltouch.planning.power import Power, plan
@@ -31,21 +29,6 @@ def test_processes_change_nothing(study: Study) -> None:
     alone = plan(study, SIZES[:2], 300)
     shared = plan(study, SIZES[:2], 300, n_processes=2)
     assert json.dumps(alone.as_dict()) == json.dumps(shared.as_dict())
-
-
-def test_a_cluster_changes_nothing(study: Study) -> None:
-    """Issue 7, item 5: the very same figures from a dask cluster of two workers."""
-    alone = plan(study, SIZES[:2], 300)
-    with LocalCluster(n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None) as cluster:
-        shared = plan(study, SIZES[:2], 300, dask=cluster.scheduler_address)
-    assert json.dumps(alone.as_dict()) == json.dumps(shared.as_dict())
-
-
-def test_a_cluster_that_is_not_there_is_named(study: Study, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Expected: the address and what to do, no traceback of a library."""
-    monkeypatch.setattr(workers, "_CONNECTS", "1s")
-    with pytest.raises(workers.ClusterError, match=r"no dask scheduler answers at 'tcp://127.0.0.1:1'.*start one"):
-        plan(study, SIZES[:1], 10, dask="tcp://127.0.0.1:1")
 
 
 def test_other_sizes_change_nothing(study: Study) -> None:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from modaltouch.analysis.intervals import clopper_pearson, clustered_difference, paired_mean
-from modaltouch.planning.precision import difference_width, share_width, slope_width, tango_width
+from modaltouch.planning.questions import difference_width, share_width, slope_width, tango_width
 
 N_ANSWERS = 6
 

@@ -9,7 +9,7 @@ import pytest
 
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.findings import Finding, correct
-from modaltouch.analysis.questions import (
+from modaltouch.analysis.statistics import (
     chance_findings,
     condition_findings,
     dominance_findings,

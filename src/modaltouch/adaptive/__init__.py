@@ -1,6 +1,5 @@
 """Runs over the level: what is presented next follows from the recorded answers alone.
 
-``success``    which answers count
 ``staircase``  weighted and transformed up-down
 ``quest``      QUEST+, by the package questplus
 ``levels``     Levels: the level of a trial, replayed from the record

@@ -10,8 +10,7 @@ from itertools import product
 from typing import Any
 
 from modaltouch.adaptive.quest import Quest
-from modaltouch.adaptive.staircase import follow
-from modaltouch.adaptive.success import is_success
+from modaltouch.adaptive.staircase import follow, is_success
 from modaltouch.protocol import AdaptiveSection, Protocol
 from modaltouch.trial import Condition, Trial
 

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from modaltouch import __version__
 from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.outcome import Analysis, plain_row
 from modaltouch.analysis.output import json_bytes, write_files
@@ -17,6 +16,7 @@ from modaltouch.analysis.reading import read_responses
 from modaltouch.analysis.statistics import find
 from modaltouch.analysis.style import level_label
 from modaltouch.analysis.tables import figure_names, zone_table
+from modaltouch.provenance import version
 
 if TYPE_CHECKING:
     from modaltouch.analysis.thresholds import ThresholdAnalysis
@@ -53,7 +53,7 @@ def analyse(
     responses = read_responses(path, mode=mode, stimulus=stimulus)
     folder = Path(out) if out is not None else default_folder(Path(path), responses.stimulus)
     about = {
-        "version": __version__,
+        "version": version(),
         "source": responses.source.path,
         "sha256": responses.source.sha256,
         "mode": responses.source.mode,

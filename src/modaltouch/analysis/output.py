@@ -6,7 +6,6 @@ import csv
 import hashlib
 import io
 import json
-import os
 import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -14,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from modaltouch.record.chain import RecordError
+from modaltouch.record.files import move, sync_file
 
 MANIFEST = "manifest.json"
 
@@ -69,7 +69,7 @@ def write_files(
         folder.mkdir(exist_ok=True)
         _put(temporary, folder, MANIFEST, _manifest(about, {**known, **either}))
         for name in files:
-            (temporary / name).replace(folder / name)
+            move((temporary / name).replace, folder / name)
         for name in known.keys() - hashes.keys():
             (folder / name).unlink(missing_ok=True)
         _put(temporary, folder, MANIFEST, _manifest(about, {name: [value] for name, value in hashes.items()}))
@@ -121,8 +121,8 @@ def _put(temporary: Path, folder: Path, name: str, text: str) -> None:
     with path.open("w", encoding="utf-8", newline="\n") as file:
         file.write(text)
         file.flush()
-        os.fsync(file.fileno())
-    path.replace(folder / name)
+        sync_file(file.fileno())
+    move(path.replace, folder / name)
 
 
 def _manifest(about: dict[str, Any], hashes: dict[str, list[str]]) -> str:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import pandas as pd
 
-from modaltouch import __version__
 from modaltouch.analysis.catches import catch_rows
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.findings import ALPHA, Finding
@@ -18,7 +19,224 @@ from modaltouch.analysis.page import embed_svg, render_page
 from modaltouch.analysis.scale import OWN_THRESHOLD
 from modaltouch.analysis.style import level_label
 from modaltouch.analysis.tables import tabulate, zone_table
-from modaltouch.analysis.words import HEADINGS, say_number, write_paragraphs
+from modaltouch.provenance import commit, version, versions
+
+HEADINGS = {
+    "a1": "Do the answers of a cell differ from guessing?",
+    "a2": "Is one zone of each pair chosen more than the other?",
+    "b": "Does the level matter?",
+    "c": "Do the finger conditions differ?",
+    "d": "Do the pairs of zones differ in “both”?",
+    "e": "Do the participants agree?",
+    "f": "How large are the effects?",
+    "catch": "Is something felt where nothing is driven?",
+    "side": "Is there a side bias?",
+    "order": "Do answers drift, or depend on what came first?",
+    "time": "Do reaction times differ?",
+    "speed": "Do the answers follow the speeds under the fingers?",
+}
+"""Questions of the analysis plan, then the further ones."""
+
+
+@dataclass(frozen=True)
+class Paragraph:
+    """One question answered in words."""
+
+    question: str
+    heading: str
+    text: str
+
+
+def write_paragraphs(findings: Sequence[Finding], answers: AnswerCounts) -> tuple[Paragraph, ...]:
+    """Return a paragraph for each question that the findings answer.
+
+    Parameters
+    ----------
+    findings : sequence of Finding
+        Rows of the statistics.
+    answers : AnswerCounts
+        Counts of the answers.
+    """
+    writers = {"a1": _chance, "a2": _dominance, "b": _level, "c": _conditions, "d": _pairs, "e": _agreement}
+    paragraphs = []
+    for question, heading in HEADINGS.items():
+        own = [finding for finding in findings if finding.question == question]
+        if own:
+            text = writers[question](own, answers) if question in writers else _plain(question, own)
+            paragraphs.append(Paragraph(question, heading, text))
+    return tuple(paragraphs)
+
+
+def say_p(p: float) -> str:
+    """Return a p value as it stands in a paper.
+
+    Examples
+    --------
+    >>> say_p(0.0312), say_p(0.00004), say_p(1.0)
+    ('= 0.031', '< 0.001', '= 1')
+    """
+    if math.isnan(p):
+        return "not available"
+    if p < 0.001:
+        return "< 0.001"
+    return f"= {p:.2g}" if p < 1 else "= 1"
+
+
+def say_number(value: float) -> str:
+    """Return a number for a table: three digits, a dash where there is none.
+
+    Examples
+    --------
+    >>> say_number(0.97512), say_number(float("nan")), say_number(float("inf")), say_number(39.0)
+    ('0.975', '–', '∞', '39')
+    """
+    if math.isnan(value):
+        return "–"
+    if math.isinf(value):
+        return "∞" if value > 0 else "−∞"
+    if abs(value) <= 2 * sys.float_info.min and value != 0:
+        return "< 1e-300"
+    text = f"{value:.3g}"
+    return "0" if float(text) == 0 else text.replace("-", "−") if value < 0 else text
+
+
+def say_interval(finding: Finding) -> str:
+    """Return an estimate with its interval, as in ``0.975 [0.798, 0.996]``."""
+    bounds = ", ".join(say_number(value) for value in (finding.low, finding.high))
+    return f"{say_number(finding.estimate)} [{bounds}]"
+
+
+def _chance(own: Sequence[Finding], answers: AnswerCounts) -> str:
+    beyond = [finding for finding in own if finding.p_holm <= ALPHA]
+    rest = [finding.scope for finding in own if finding.p_holm > ALPHA]
+    text = (
+        f"In {len(beyond)} of {len(own)} cells the answers of the {answers.n_participants} participants differ from "
+        f"an even split over left, both and right (exact multinomial test ordered by likelihood ratio, Holm-corrected "
+        f"over {len(own)} cells, p ≤ {ALPHA:g})."
+    )
+    if answers.offers_none:
+        text += " “None” is left out of this test, which asks where something was felt; it counts in every share."
+    if rest and beyond:
+        text += f" They do not in {_join(rest)}."
+    least = own[0].p_min
+    if least * len(own) > ALPHA:
+        text += (
+            f" Even a unanimous cell could not pass the correction: its p is {say_number(least)}; "
+            "more participants are needed, so this question stays open."
+        )
+    return text
+
+
+def _dominance(own: Sequence[Finding], answers: AnswerCounts) -> str:
+    sentences = []
+    for finding in (f for f in own if f.family):
+        counts, leaning = finding.note.split("; ")[-2:]
+        sentences.append(
+            f"{finding.scope}: {counts}, {leaning}; net dominance {say_interval(finding)}, {_verdict(finding)}."
+        )
+    return (
+        "Net dominance over all levels (dominant less other answers, “both” counting zero), exact sign flips over "
+        f"participants, Holm over {_family(own)}. " + " ".join(sentences)
+    )
+
+
+def _level(own: Sequence[Finding], answers: AnswerCounts) -> str:
+    if len(answers.levels) < 2:
+        return "Only one level was presented, so nothing can be said about the level."
+    tested = [f for f in own if f.family]
+    open_ones = [f for f in tested if f.p_min > ALPHA]
+    text = (
+        f"Trend of the dominant answer over {answers.levels[0]:g} to {answers.scale.say(answers.levels[-1])}, levels "
+        f"shuffled within participants (exact), Holm over {_family(own)}. "
+    )
+    step = answers.scale.step_in_words
+    text += " ".join(f"{f.scope}: {say_interval(f)} per {step}, {_verdict(f)}." for f in tested if f not in open_ones)
+    if open_ones:
+        text += (
+            f" No information on {_join([f.scope for f in open_ones])}: too few participants changed their answer "
+            "between levels for any trend to show. This is not evidence that the level does not matter."
+        )
+    return text
+
+
+def _conditions(own: Sequence[Finding], answers: AnswerCounts) -> str:
+    text = f"Whole-participant swaps of the finger conditions (exact sign flips), Holm over {_family(own)}. "
+    text += _sum_up(own, quantity=True)
+    widest = max(max(abs(f.low), abs(f.high)) for f in own)
+    return text + (
+        f" The data show the conditions to be alike only within the bounds of these intervals, {widest:.2f} at the "
+        "widest. A difference that is not significant does not show that the conditions are alike."
+    )
+
+
+def _pairs(own: Sequence[Finding], answers: AnswerCounts) -> str:
+    text = f"Share of “both”, compared between pairs within participants (exact sign flips), Holm over {_family(own)}. "
+    return text + _sum_up([f for f in own if f.family])
+
+
+def _agreement(own: Sequence[Finding], answers: AnswerCounts) -> str:
+    if answers.n_participants < 2:
+        return "One participant alone: agreement between participants has no meaning."
+    text = (
+        "Gwet's AC1 (1 where all agree; kappa is undefined there and is not used), and whether participants differ "
+        "from each other (answers shuffled over participants, Monte Carlo). "
+    )
+    return text + _sum_up([f for f in own if f.quantity == "Gwet AC1"])
+
+
+def _plain(question: str, own: Sequence[Finding]) -> str:
+    if question == "f":
+        shares = [f for f in own if f.name.startswith("Korn")]
+        return (
+            "Shares over all levels with intervals over participants (Korn-Graubard): "
+            + "; ".join(f"{f.scope} {f.quantity} {say_interval(f)}" for f in shares)
+            + ". Paired differences of single cells (Tango) and matched odds ratios are in tests.csv."
+        )
+    estimates = [f for f in own if math.isnan(f.p)]
+    text = _sum_up([f for f in own if f not in estimates], quantity=True)
+    text += " ".join(f"{f.scope}: {f.quantity} {say_interval(f)} ({f.note})." for f in estimates)
+    caution = {
+        "catch": " Catch trials are in no other table or test; in those, “none” on a trial with a stimulus counts "
+        "for neither zone and not for both, and shares are of all answers.",
+        "time": " Bursts repeat at a fixed rate, so reaction times come in steps of one burst period.",
+        "order": " In the paper the order of the two finger conditions is not told.",
+    }
+    return text + caution.get(question, "")
+
+
+def _sum_up(findings: Sequence[Finding], *, quantity: bool = False) -> str:
+    """Return the tests that could have shown something one by one, then those that could not in one sentence."""
+
+    def estimate(finding: Finding) -> str:
+        return f"{finding.scope}{', ' + finding.quantity if quantity else ''}: {say_interval(finding)}"
+
+    told = [f"{estimate(f)}, {_verdict(f)}." for f in findings if f.p_min <= ALPHA]
+    silent = [estimate(f) for f in findings if f.p_min > ALPHA]
+    if silent:
+        told.append(
+            f"No information, as no outcome could have given p ≤ {ALPHA:g}, on these, whose estimates stand alone: "
+            + "; ".join(silent)
+            + "."
+        )
+    return " ".join(told)
+
+
+def _verdict(finding: Finding) -> str:
+    if finding.p_min > ALPHA:
+        return f"no information (whatever the answers, p could not fall below {say_number(finding.p_min)})"
+    corrected = "" if math.isnan(finding.p_holm) else f", Holm p {say_p(finding.p_holm)}"
+    least = "the smallest possible" if finding.p <= finding.p_min else f"smallest possible {say_number(finding.p_min)}"
+    return f"p {say_p(finding.p)}{corrected} ({least})"
+
+
+def _family(own: Iterable[Finding]) -> int:
+    first = [f.family for f in own if f.family]
+    return sum(name == first[0] for name in first) if first else 0
+
+
+def _join(words: Sequence[str]) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
+
 
 TEMPLATE = "report.html.j2"
 
@@ -26,7 +244,6 @@ TEMPLATE = "report.html.j2"
 def render_report(analysis: Analysis, pictures: Sequence[Picture], vectors: Mapping[str, bytes]) -> str:
     """Return the report as HTML."""
     from modaltouch.analysis.record_facts import describe_record
-    from modaltouch.provenance import commit, versions
 
     answers = analysis.answers
     return render_page(
@@ -46,7 +263,7 @@ def render_report(analysis: Analysis, pictures: Sequence[Picture], vectors: Mapp
         left_out=analysis.responses.left_out,
         record=describe_record(analysis.responses.sessions),
         own_thresholds=answers.scale == OWN_THRESHOLD,
-        version=__version__,
+        version=version(),
         commit=commit(),
         versions={k: v for k, v in versions().items() if v != "absent"},
         alpha=ALPHA,

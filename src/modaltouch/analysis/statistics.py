@@ -6,20 +6,164 @@ p stands beside the smallest p its data could have given.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from itertools import combinations, product
+
+import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from modaltouch.analysis.catches import Catches, catch_findings
 from modaltouch.analysis.consistency import association_findings, consistency_findings, effect_findings
-from modaltouch.analysis.counts import AnswerCounts, count_answers
-from modaltouch.analysis.findings import Finding, correct, to_frame
-from modaltouch.analysis.questions import (
-    chance_findings,
-    condition_findings,
-    dominance_findings,
-    level_findings,
-    pair_findings,
-)
+from modaltouch.analysis.counts import BOTH, NONE, AnswerCounts, Pair, count_answers
+from modaltouch.analysis.exact import ExactTest, multinomial_tests, sign_flip_test, sign_test
+from modaltouch.analysis.findings import Finding, correct, finding_of, to_frame
+from modaltouch.analysis.intervals import Interval, clopper_pearson, clustered_difference, paired_mean
 from modaltouch.analysis.secondary import secondary_findings
+from modaltouch.analysis.trend import trend_test
+
+IntArray = NDArray[np.int64]
+
+
+def chance_findings(answers: AnswerCounts) -> Iterator[Finding]:
+    """Yield question a1, whether a cell differs from guessing among left, both and right.
+
+    One answer of each participant enters a cell: the one given, or with repetitions the most frequent; ties are
+    left out and counted in the note. Where none is an answer too, the test is of those who felt something (given
+    how many they are, guesses are even over the three whatever the chance of none), the share of all.
+    """
+    modal = answers.modal()
+    cells = list(product(range(len(answers.finger_conditions)), range(len(answers.pairs)), range(len(answers.levels))))
+    size = answers.counts.shape[-1]
+    kinds = np.array([np.bincount(modal[:, f, q, v][modal[:, f, q, v] >= 0], minlength=size) for f, q, v in cells])
+    counts, everyone = kinds[:, :NONE], kinds.sum(axis=1)
+    totals = counts.sum(axis=1)
+    tests: dict[int, ExactTest] = {}
+    for total in np.unique(totals):
+        rows = np.flatnonzero(totals == total)
+        tests.update(zip(rows.tolist(), multinomial_tests(counts[rows]), strict=True))
+    for row, (f, q, v) in enumerate(cells):
+        pair, n = answers.pairs[q], int(everyone[row])
+        left, both, right = counts[row].tolist()
+        ties = answers.n_participants - n
+        notes = [f"left {left}, both {both}, right {right}"]
+        if answers.offers_none:
+            notes.append(f"none {n - int(totals[row])}, left out of the test")
+        if answers.n_repetitions > 1:
+            notes.append(f"most frequent answer of each participant, {ties} tied and left out")
+        interval = clopper_pearson(float(counts[row, pair.dominant_index]), n)
+        scope = f"{_scope(answers, f, pair)} {answers.scale.say(answers.levels[v])}"
+        name = "exact multinomial test against chance"
+        yield finding_of("a1", name, scope, tests[row], f"P({pair.dominant})", interval, n, family="a1", notes=notes)
+
+
+def dominance_findings(answers: AnswerCounts) -> Iterator[Finding]:
+    """Yield question a2, whether one zone of a pair is chosen more than the other, over all levels."""
+    dominant, other = answers.dominant().sum(axis=3), answers.other().sum(axis=3)
+    for f, q in product(range(len(answers.finger_conditions)), range(len(answers.pairs))):
+        pair, n = answers.pairs[q], answers.n_participants
+        first, second = dominant[:, f, q], other[:, f, q]
+        score = first - second
+        index = clustered_difference(first, second, answers.n_answers)
+        leaning = clopper_pearson(int((score > 0).sum()), n)
+        total = n * answers.n_answers
+        none = int(answers.counts[:, f, q, :, NONE:].sum())
+        both = total - int(first.sum()) - int(second.sum()) - none
+        silent = f" and {none} none" if answers.offers_none else ""
+        chosen = f"{int(first.sum())} {pair.dominant}, {int(second.sum())} {pair.other}, {both} both{silent}"
+        shared = [
+            f"{chosen} of {total} answers",
+            f"{int((score > 0).sum())} of {n} participants lean to {pair.dominant}",
+        ]
+        scope = _scope(answers, f, pair)
+        quantity = f"P({pair.dominant}) - P({pair.other})"
+        yield finding_of(
+            "a2", "exact sign-flip test of net dominance", scope, sign_flip_test(score), quantity, index, n,
+            family="a2", notes=shared,
+        )  # fmt: skip
+        yield finding_of(
+            "a2", "exact sign test of leaning participants", scope, sign_test(score),
+            f"share of participants leaning to {pair.dominant}", leaning, n,
+        )  # fmt: skip
+
+
+def level_findings(answers: AnswerCounts) -> Iterator[Finding]:
+    """Yield question b, whether the choice of the dominant zone changes with the level."""
+    dominant = answers.dominant()
+    levels = np.asarray(answers.levels)
+    for f, q in product(range(len(answers.finger_conditions)), range(len(answers.pairs))):
+        pair = answers.pairs[q]
+        chosen = dominant[:, f, q]
+        test = trend_test(chosen, answers.levels, answers.n_repetitions)
+        notes = [f"{test.n_informative} of {answers.n_participants} participants changed their answer"]
+        if len(levels) > 1:
+            interval = _slope(chosen / answers.n_repetitions, levels, answers.scale.step)
+        else:
+            interval = Interval(np.nan, np.nan, np.nan, 0.0)
+            notes.append("one level only: a trend needs two")
+        quantity = f"change of P({pair.dominant}) per {answers.scale.step_in_words}"
+        name = "exact trend test, levels shuffled within participants"
+        scope, n = _scope(answers, f, pair), answers.n_participants
+        yield finding_of("b", name, scope, test, quantity, interval, n, family="b", notes=notes)
+
+
+def condition_findings(answers: AnswerCounts) -> Iterator[Finding]:
+    """Yield question c, whether finger conditions differ, in the dominant zone and in "both"."""
+    chosen = {"c": answers.dominant(), "c both": answers.counts[..., BOTH]}
+    for family, counts in chosen.items():
+        for (f, g), q in product(combinations(range(len(answers.finger_conditions)), 2), range(len(answers.pairs))):
+            pair = answers.pairs[q]
+            what = f"P({pair.dominant})" if family == "c" else "P(both)"
+            first, second = answers.finger_conditions[f], answers.finger_conditions[g]
+            only_first, only_second = _discordant(counts[:, f, q], counts[:, g, q], answers.n_repetitions)
+            interval = clustered_difference(only_first, only_second, answers.n_answers)
+            test = sign_flip_test((counts[:, f, q] - counts[:, g, q]).sum(axis=1))
+            margin = max(abs(interval.low), abs(interval.high))
+            notes = [f"shows equivalence only within a margin of {margin:.2f}"]
+            name = "exact sign-flip test between finger conditions"
+            scope, quantity = f"{first} - {second} {pair.label}", f"difference of {what}"
+            n = answers.n_participants
+            yield finding_of("c", name, scope, test, quantity, interval, n, family=family, notes=notes)
+
+
+def pair_findings(answers: AnswerCounts) -> Iterator[Finding]:
+    """Yield question d, whether "both" is answered more often for one pair of zones than for another."""
+    both = answers.counts[..., BOTH]
+    for f in range(len(answers.finger_conditions)):
+        for q, r in combinations(range(len(answers.pairs)), 2):
+            only_first, only_second = _discordant(both[:, f, q], both[:, f, r], answers.n_repetitions)
+            interval = clustered_difference(only_first, only_second, answers.n_answers)
+            test = sign_flip_test((both[:, f, q] - both[:, f, r]).sum(axis=1))
+            labels = f"{answers.pairs[q].label} - {answers.pairs[r].label}"
+            scope = f"{answers.finger_conditions[f]} {labels}"
+            name = "exact sign-flip test between pairs"
+            n = answers.n_participants
+            yield finding_of("d", name, scope, test, "difference of P(both)", interval, n, family="d")
+
+
+def _scope(answers: AnswerCounts, f: int, pair: Pair) -> str:
+    return f"{answers.finger_conditions[f]} {pair.label}"
+
+
+def _discordant(
+    first: IntArray, second: IntArray, n_repetitions: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return how many of a participant's pairs of answers count only for the first, and only for the second.
+
+    Answers to the same level are paired. Repetitions have no natural partner, so every pairing is averaged.
+    """
+    only_first = (first * (n_repetitions - second) / n_repetitions).sum(axis=1)
+    only_second = (second * (n_repetitions - first) / n_repetitions).sum(axis=1)
+    return only_first, only_second
+
+
+def _slope(shares: NDArray[np.float64], levels: NDArray[np.float64], step: float) -> Interval:
+    """Return the mean slope of participants' shares over the level, for a step of the scale."""
+    centred = levels - levels.mean()
+    weights = step * centred / (centred**2).sum()
+    steepest = float(weights[weights > 0].sum())
+    unit = paired_mean(shares @ weights, steepest)
+    return Interval(unit.estimate * steepest, unit.low * steepest, unit.high * steepest, unit.n_effective)
 
 
 def run_tests(frame: pd.DataFrame, focus: str = "") -> pd.DataFrame:

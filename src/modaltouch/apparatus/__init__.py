@@ -20,7 +20,7 @@ from modaltouch.apparatus.sections import (
     Zone,
 )
 from modaltouch.apparatus.twin import Fingers, Scope, TrueAmplifier, Twin, UnlistedMode, Vibrometer
-from modaltouch.document import InputError, Problem, Reading, Source, load_source, read
+from modaltouch.document import InputError, Problem, Reading, Source, find, load_source, read
 from modaltouch.document.section import Number, Positive, Section
 
 __all__ = [
@@ -60,14 +60,14 @@ def read_apparatus(path: Path | str) -> Apparatus:
     Parameters
     ----------
     path : path
-        The file.
+        The file, or the name of a shipped apparatus.
 
     Raises
     ------
     InputError
         With every fault of the file.
     """
-    reading, problems = examine_apparatus(load_source(Path(path)))
+    reading, problems = examine_apparatus(load_source(find("apparatus", path)))
     if problems or reading.value is None:
         raise InputError(problems)
     return reading.value

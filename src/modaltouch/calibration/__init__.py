@@ -5,7 +5,6 @@
 ``lag``       gain, delay and lag of the drive; the scope's clock; delay and lag of the vibrometer
 ``decay``     poles and residues of free decays, unlisted modes included
 ``plant``     the identified rig, and states read off decays
-``doubts``    what is not believed
 ``refining``  from what was measured to what is aimed at
 ``loop``      identify, aim, measure, correct, verify
 ``outcome``   what comes of it

@@ -6,5 +6,5 @@
 ``methods``   all of them, each from the same knowledge to voltages
 ``judging``   what the twin's true beam makes of a drive, which no method may see
 ``study``     the whole comparison, and what is left of each method on other beams
-``words``, ``pictures``, ``page``  what came out
+``words``, ``page``  what came out
 """

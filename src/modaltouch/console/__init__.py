@@ -2,7 +2,6 @@
 
 ``interface``     what a console is told, and what can be asked at it
 ``status``        the session's events -> how it stands, as plain values with units
-``signs``         what an experimenter should look into: side bias, hasty answers, missed catch trials
 ``experimenter``  what was asked, for the session to act upon
 ``lines``         the same facts as JSON lines, or as plain lines where there is no terminal
 ``terminal``      the session's end of the console in the terminal

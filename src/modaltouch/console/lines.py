@@ -13,6 +13,7 @@ from typing import TextIO
 
 from modaltouch.console.drawing import describe_last
 from modaltouch.console.interface import Facts, Silence
+from modaltouch.record.files import open_file
 
 _OPENING = b'{"time": "'
 """How every line begins."""
@@ -110,7 +111,7 @@ class EventLines(Silence):
     def _open(self) -> None:
         flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | getattr(os, "O_NONBLOCK", 0)
         try:
-            self._descriptor = os.open(self._path, flags, 0o600)
+            self._descriptor = open_file(self._path, flags)
         except OSError as error:
             if error.errno != errno.ENXIO or not stat.S_ISFIFO(self._path.stat().st_mode):
                 raise

@@ -5,13 +5,104 @@ from __future__ import annotations
 import statistics
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from modaltouch.console.answers import typed_keys
+from modaltouch.console.dialogue import OWN_KEYS
 from modaltouch.console.interface import Facts
-from modaltouch.console.signs import read_signs
 from modaltouch.trial import Answer
+from modaltouch.window.events import canonical_key
+
+HASTY = 0.1
+"""Nobody feels, decides and presses within this time: such an answer was ready before its question [s]."""
+
+
+def read_signs(trials: Sequence[dict[str, Any]], *, offers_none: bool = False) -> list[str]:
+    """Return what is worth a look, in words; empty where nothing is.
+
+    Parameters
+    ----------
+    trials : sequence of dict
+        The trial events that count, practice left out.
+    offers_none : bool
+        Whether ``none`` can be answered: else no catch trial can be told from a real one.
+    """
+    missed = _count_missed(trials) if offers_none else ""
+    signs = [_count_hasty(trials), missed, _count_doubles(trials)]
+    return [sign for sign in signs if sign]
+
+
+def is_hasty(event: dict[str, Any]) -> bool:
+    """Return whether a trial was answered before anybody could have felt and decided."""
+    response = event["response"]
+    since = response["reaction_time"]
+    if response.get("onset") == "first_burst" and response.get("question_after") is not None:
+        since -= response["question_after"]
+    return bool(since < HASTY)
+
+
+def is_catch(event: dict[str, Any]) -> bool:
+    """Return whether nothing was presented in a trial."""
+    return bool(event["trial"]["condition"]["velocity_mm_s"] == 0)
+
+
+def _count_hasty(trials: Sequence[dict[str, Any]]) -> str:
+    hasty = [event["trial"]["index"] for event in trials if is_hasty(event)]
+    if not hasty:
+        return ""
+    return f"{_times(len(hasty))} answered within {HASTY * 1e3:.0f} ms of the question, last in trial {hasty[-1]}"
+
+
+def _count_missed(trials: Sequence[dict[str, Any]]) -> str:
+    caught = [event for event in trials if is_catch(event)]
+    missed = [event["trial"]["index"] for event in caught if event["response"]["answer"] != "none"]
+    if not missed:
+        return ""
+    return f"{len(missed)} of {len(caught)} catch trials felt as real, last trial {missed[-1]}"
+
+
+def _count_doubles(trials: Sequence[dict[str, Any]]) -> str:
+    doubles = [event["trial"]["index"] for event in trials if event["response"].get("double")]
+    return f"{_times(len(doubles))} two answers at once, last in trial {doubles[-1]}" if doubles else ""
+
+
+def _times(count: int) -> str:
+    return "once" if count == 1 else f"{count} times"
+
+
+_ORDER = ("left", "both", "right", "none")
+"""Answers as they stand on the screen, which numbers them from 1."""
+
+
+def typed_keys(keys: Mapping[str, Sequence[str]]) -> dict[str, list[str]]:
+    """Return the keys of each answer at a console, those of the protocol first.
+
+    The console's own keys keep their meaning at every moment, so an answer never has one of them. A terminal sends the
+    keypad's digits as any others. Each answer also has the number of its place on the screen, unless that is a key of
+    another answer; one that would be left without a key has the first free digit.
+
+    Examples
+    --------
+    >>> typed_keys({"left": ["left", "num_4"], "both": ["n"], "right": ["right", "2"]})
+    {'left': ['left', '4', '1'], 'both': ['5'], 'right': ['right', '2', '3']}
+    """
+    answers = [answer for answer in _ORDER if answer in keys]
+    taken: dict[str, str] = {}
+    for answer in answers:
+        for name in map(canonical_key, keys[answer]):
+            if name not in OWN_KEYS and not name.startswith("num_"):
+                taken.setdefault(name, answer)
+    for answer in answers:
+        for name in map(canonical_key, keys[answer]):
+            if name[:4] == "num_" and name[4:].isdecimal():
+                taken.setdefault(name[4:], answer)
+    for place, answer in enumerate(answers, start=1):
+        taken.setdefault(str(place), answer)
+    for answer in answers:
+        if answer not in taken.values():
+            taken[next(digit for digit in "123456789" if digit not in taken)] = answer
+    return {answer: [key for key, whose in taken.items() if whose == answer] for answer in answers}
+
 
 TROUBLES = frozenset(
     {"connection_lost", "reconnect_failed", "instrument_errors", "upload_repeated", "unconfirmed", "close_failed"}

@@ -2,15 +2,12 @@
 
 ``excitation``   a periodic chirp on each actuator set, and the scans of the beam under it
 ``responses``    H1 frequency responses by the measured drive, with coherence
-``peaks``        first poles from the peaks, and the delay; refuses conjugated responses and other quantities
-``search``       joint refinement, more poles while something is left to explain
+``peaks``        half-power bandwidth, as the paper does; first poles, and the delay; refuses conjugated responses
 ``kernel``       the least squares behind it: common poles and delay, real residues, complex linear rest
 ``shapes``       residues to shapes, labels by their likeness to those of a free-free beam, points that alias
-``halfpower``    peak picking and half-power bandwidth, as the paper does, and when they mean nothing
 ``identified``   the joint fit, read as modes; `identify_each` for files that do not say where they were measured
 ``estimates``    the result: every number with its 95 % interval
-``freefree``     whether natural frequencies are those of a free-free beam
-``files``        responses of other programs: CSV, NPZ, plain numbers; `universal` reads UFF, `lvm` LabVIEW's
+``files``        responses of other programs: CSV, NPZ, plain numbers, UFF; `lvm` reads LabVIEW's
 ``report``       Table I, plain values, the files of a folder; ``figures`` and ``apparatus_file`` make theirs
 """
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.identification.halfpower import HalfPower
+from modaltouch.identification.peaks import HalfPower
 from modaltouch.identification.responses import FrequencyResponses
 
 FloatArray = NDArray[np.float64]

@@ -13,14 +13,147 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Self
 
-from modaltouch.masking.device import DeviceError, open_stream
 from modaltouch.masking.interface import Masking, MaskingError, NoMasking
 from modaltouch.masking.noise import SEED, amplitude_at, make_noise
-from modaltouch.masking.playback import Playback
 
 if TYPE_CHECKING:
     from modaltouch.apparatus import Sound
     from modaltouch.protocol import MaskingSection
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from modaltouch.apparatus import Sound
+
+
+class DeviceError(Exception):
+    """There is no sound device, or it refuses; says why, and what to do about it."""
+
+
+def default_device(name: str = "") -> dict[str, Any]:
+    """Return what a device can do, as PortAudio tells it.
+
+    Parameters
+    ----------
+    name : str
+        Part of its name; empty for the system's own choice.
+
+    Raises
+    ------
+    DeviceError
+        If there is none, or no PortAudio.
+    """
+    try:
+        import sounddevice
+    except OSError as error:
+        raise DeviceError(f"{error}; install libportaudio2 (`make install`)") from error
+    try:
+        return dict(sounddevice.query_devices(name or None, kind="output"))
+    except (sounddevice.PortAudioError, ValueError) as error:
+        what = f"no sound device like {name!r}" if name else "no sound device"
+        remedy = "connect one and choose it with sound.device in the apparatus"
+        raise DeviceError(f"there is {what} ({error}); {remedy}") from error
+
+
+def open_stream(sound: Sound, fill: Callable[..., None]) -> tuple[dict[str, Any], Any]:
+    """Return what the device can do, and a stream on it that runs.
+
+    Parameters
+    ----------
+    sound : Sound
+        Which device, at which rate.
+    fill : callable
+        Hands over the next samples, as sounddevice calls it.
+
+    Raises
+    ------
+    DeviceError
+        If there is no such device, or it refuses.
+    """
+    device = default_device(sound.device)
+    import sounddevice
+
+    channels = max(1, min(2, int(device["max_output_channels"])))
+    stream = None
+    try:
+        stream = sounddevice.OutputStream(
+            samplerate=sound.sampling_rate_Hz,
+            device=sound.device or None,
+            channels=channels,
+            dtype="float32",
+            latency="high",
+            callback=fill,
+        )
+        stream.start()
+    except (sounddevice.PortAudioError, ValueError) as error:
+        if stream is not None:
+            stream.close()
+        raise DeviceError(
+            f"the sound device {device.get('name')!r} refuses {sound.sampling_rate_Hz:g} Hz ({error}); change "
+            "sound.sampling_rate_Hz or sound.device in the apparatus"
+        ) from error
+    return device, stream
+
+
+class Playback:
+    """Goes round a period of noise for ever.
+
+    Parameters
+    ----------
+    period : (n_samples,) array
+        One period, at its full level.
+    n_fade : int
+        Samples that a fade takes.
+    """
+
+    def __init__(self, period: NDArray[np.float32], n_fade: int) -> None:
+        self._period = period
+        self._n_fade = max(n_fade, 1)
+        self._place = 0
+        self._way = self._target = 0
+
+    def fade_in(self) -> None:
+        """Let what follows grow to its full level."""
+        self._target = self._n_fade
+
+    def fade_out(self) -> None:
+        """Let what follows fall silent."""
+        self._target = 0
+
+    @property
+    def is_full(self) -> bool:
+        """Whether the noise is at its full level."""
+        return self._way == self._target == self._n_fade
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether nothing is heard any more."""
+        return self._way == self._target == 0
+
+    def fill(self, out: NDArray[np.float32]) -> None:
+        """Write what comes next into a block.
+
+        Parameters
+        ----------
+        out : (n_samples, n_channels) array
+            Where it goes; every channel gets the same.
+        """
+        n = len(out)
+        if self.is_silent:
+            out.fill(0)
+            return
+        samples = np.take(self._period, np.arange(self._place, self._place + n), mode="wrap")
+        self._place = (self._place + n) % len(self._period)
+        if self._way != self._target:
+            ahead = np.arange(1, n + 1) * (1 if self._target > self._way else -1)
+            way = np.clip(self._way + ahead, 0, self._n_fade)
+            self._way = int(way[-1])
+            # Along half a sine: neither end has a corner.
+            samples = samples * np.sin(np.pi / 2 * way / self._n_fade).astype(np.float32) ** 2
+        out[:] = samples[:, np.newaxis]
+
 
 Log = Callable[..., None]
 

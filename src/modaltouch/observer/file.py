@@ -6,7 +6,7 @@ import json
 import math
 from pathlib import Path
 
-from modaltouch.document import InputError, Problem, load_source, read, suggest
+from modaltouch.document import InputError, find, load_source, read
 from modaltouch.observer.participant import Participant
 from modaltouch.observer.population import Observer
 from modaltouch.protocol import Protocol
@@ -26,27 +26,10 @@ def read_observer(name: Path | str) -> Observer:
     InputError
         With every fault of the file and its place; or with the shipped names, where there is no such file.
     """
-    shipped = shipped_observers()
-    path = Path(name)
-    if not path.exists() and str(name) in shipped:
-        path = shipped[str(name)]
-    elif not path.exists() and path.suffix not in (".yaml", ".yml"):
-        meant = suggest(str(name), shipped)
-        remedy = f"did you mean '{meant}'?" if meant else "give the name of a file that exists"
-        allowed = f"a YAML file, or one of {', '.join(shipped)}"
-        raise InputError([Problem(str(name), 1, 1, "", "an observer that does not exist", allowed, remedy)])
-    reading = read(load_source(path), ObserverFile)
+    reading = read(load_source(find("observer", name)), ObserverFile)
     if reading.value is None:
         raise InputError(reading.problems)
     return observer_of(reading.value)
-
-
-def shipped_observers() -> dict[str, Path]:
-    """Return the files of the observers that come with the program, by name."""
-    package = Path(__file__).parents[1]
-    installed = package / "protocols"
-    folder = installed if installed.is_dir() else package.parents[1] / "protocols"
-    return {file.stem: file for file in sorted((folder / "observers").glob("*.yaml"))}
 
 
 def usual_observer(protocol: Protocol) -> str:

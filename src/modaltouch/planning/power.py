@@ -2,15 +2,105 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import takewhile
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from modaltouch.analysis.exact import multinomial_test
+from modaltouch.analysis.findings import ALPHA
 from modaltouch.analysis.intervals import wilson
+from modaltouch.analysis.trend import draws_without_replacement, level_scores
+from modaltouch.planning.design import Design
 from modaltouch.planning.experiments import Job, Study, Tallies, divide, run_job
-from modaltouch.planning.floors import Floor, find_floor, smallest_p
-from modaltouch.planning.workers import run_shared
+from modaltouch.planning.significance import trend_p
+
+IntArray = NDArray[np.int64]
+
+_MOST = 200
+_RAREST = 4
+
+
+@dataclass(frozen=True)
+class Floor:
+    """What a family of tests can reach.
+
+    Attributes
+    ----------
+    family : str
+        The family.
+    n_tests : int
+        Tests that Holm's method corrects together.
+    n_repetitions : int
+        Answers of each participant in each cell.
+    least_participants : int or None
+        Fewest participants with whom a test of the family can be significant after the correction; None where
+        no number suffices.
+    """
+
+    family: str
+    n_tests: int
+    n_repetitions: int
+    least_participants: int | None
+
+
+def smallest_p(design: Design, family: str, n_participants: int, n_repetitions: int) -> float:
+    """Return the smallest p that a test of a family can give, however the answers fall [1].
+
+    Parameters
+    ----------
+    design : Design
+        The cells.
+    family : str
+        One of `modaltouch.planning.questions.FAMILIES`.
+    n_participants, n_repetitions : int
+        Size of the experiment.
+    """
+    if family == "a1":
+        return multinomial_test([n_participants, 0, 0]).p
+    if family != "b":
+        return 2.0 ** (1 - n_participants)
+    extremes = _extreme_choices(design.levels, n_repetitions)
+    if not extremes:
+        return 1.0
+    # All participants alike reach both tails at once; one who differs may leave the other tail out.
+    chosen = [[most] * (n_participants - 1) + [one] for side in extremes for most in side for one in side]
+    return float(trend_p(np.array(chosen), design.levels, n_repetitions).min())
+
+
+def _extreme_choices(levels: Sequence[float], n_repetitions: int) -> list[list[IntArray]]:
+    """Return the rarest ways to choose only the highest levels, and only the lowest, (n_levels,) arrays of counts."""
+    laws = draws_without_replacement(level_scores(levels), n_repetitions)[1:-1]
+    places = np.arange(len(levels) * n_repetitions).reshape(len(levels), n_repetitions)
+    sides = []
+    for order, end in ((places[::-1], -1), (places, 0)):
+        rarest = np.argsort([weights[end] for _, weights in laws], kind="stable")[:_RAREST]
+        sides.append([(order <= k).sum(axis=1) for k in rarest.tolist()])
+    return sides if laws else []
+
+
+def find_floor(design: Design, family: str, n_repetitions: int, alpha: float = ALPHA) -> Floor:
+    """Return how few participants can make a family's tests significant.
+
+    Parameters
+    ----------
+    design, family
+        As for `smallest_p`.
+    n_repetitions : int
+        Answers of each participant in each cell.
+    alpha : float
+        Level of significance [1].
+    """
+    n_tests = len(design.scopes(family))
+    reach = (n for n in range(1, _MOST) if smallest_p(design, family, n, n_repetitions) * n_tests <= alpha)
+    least = next(reach, None) if len(design.levels) > 1 or family != "b" else None
+    return Floor(family, n_tests, n_repetitions, least)
+
 
 Size = tuple[int, int]
 
@@ -181,7 +271,6 @@ def plan(
     n_experiments: int,
     *,
     n_processes: int = 1,
-    dask: str | None = None,
     on_progress: Callable[[int, int], None] | None = None,
     told_to_stop: Callable[[], bool] | None = None,
 ) -> Power:
@@ -199,8 +288,6 @@ def plan(
         Experiments of each size.
     n_processes : int
         Processes that share the work.
-    dask : str, optional
-        Address of the scheduler of a dask cluster that does the work instead.
     on_progress : callable, optional
         Called with (jobs done, jobs in all).
     told_to_stop : callable, optional
@@ -210,16 +297,11 @@ def plan(
     -------
     Power
         Not `complete` where it was told to stop.
-
-    Raises
-    ------
-    ClusterError
-        If there is no cluster at the address, or it runs another version.
     """
     jobs = divide(study.design, sizes, n_experiments)
     told = told_to_stop or (lambda: False)
-    here = dask is None and (n_processes == 1 or len(jobs) == 1)
-    results = _run_here(study, jobs, told) if here else run_shared(study, jobs, told, n_processes, dask)
+    here = n_processes == 1 or len(jobs) == 1
+    results = _run_here(study, jobs, told) if here else _run_shared(study, jobs, told, n_processes)
     done: dict[Job, Tallies] = {}
     for job, tallies in results:
         done[job] = tallies
@@ -239,6 +321,26 @@ def _run_here(study: Study, jobs: Sequence[Job], told_to_stop: Callable[[], bool
         if told_to_stop():
             return
         yield job, run_job(study, job)
+
+
+def _run_shared(
+    study: Study, jobs: Sequence[Job], told_to_stop: Callable[[], bool], n_processes: int
+) -> Iterator[tuple[Job, Tallies]]:
+    import joblib
+
+    with joblib.parallel_config("loky", n_jobs=n_processes, inner_max_num_threads=1, initializer=_ignore_interrupts):
+        # A few in hand for each process: thousands would be slow to watch and slow to give up.
+        parallel = joblib.Parallel(return_as="generator_unordered", batch_size=1, pre_dispatch="2 * n_jobs")
+        yield from parallel(joblib.delayed(_run)(study, job) for job in takewhile(lambda _: not told_to_stop(), jobs))
+
+
+def _run(study: Study, job: Job) -> tuple[Job, Tallies]:
+    return job, run_job(study, job)
+
+
+def _ignore_interrupts() -> None:
+    """Leave Ctrl-C to the parent: it reaches every process of a terminal, but the parent decides what to keep."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _size(size: Size, shape: tuple[int, int, int]) -> dict[str, int]:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from modaltouch import __version__
 from modaltouch.analysis.output import csv_bytes, json_bytes, write_files
 from modaltouch.planning.power import Power
+from modaltouch.provenance import version
 
 COMMAND = "power"
 """The command that owns the folder."""
@@ -42,4 +42,4 @@ def write_power(folder: Path, power: Power, target: float = 0.8) -> dict[str, Pa
         "power.svg": render(figure, "svg"),
         "power.png": render(figure, "png"),
     }
-    return write_files(folder, files, {"version": __version__, "seed": power.study.seed}, COMMAND)
+    return write_files(folder, files, {"version": version(), "seed": power.study.seed}, COMMAND)

@@ -1,11 +1,9 @@
 """Everything that can fail before the participant sits down: files, limits, predicted speeds; no hardware.
 
 ``ground``   the sound parts of the files that a stimulus needs
-``limits``   amplifier, generator and safety limits at every level
-``faults``   what the stimulus engine refuses, with its place in the files
 ``figures``  what each level does to the beam
 ``advice``   where the field does not go, what was taken by default
-``examine``  the whole check
+``examine``  the whole check: limits at every level, and what the engine refuses, with its place
 """
 
 from modaltouch.preflight.checked import Preflight

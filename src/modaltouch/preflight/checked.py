@@ -6,6 +6,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Self
 
+import numpy as np
+
 from modaltouch.apparatus import offered_gains
 from modaltouch.document import InputError, Problem
 from modaltouch.preflight.advice import (
@@ -25,10 +27,56 @@ from modaltouch.preflight.figures import (
 from modaltouch.preflight.ground import Ground
 from modaltouch.preflight.sound import sound_warnings
 from modaltouch.protocol import Experiment, Findings, Protocol
+from modaltouch.rig.settings import MAX_POINTS, continuous_codes
 from modaltouch.stimulus.burst import Burst
 from modaltouch.stimulus.design import Stimulus
 from modaltouch.stimulus.drive import Law
+from modaltouch.stimulus.quantise import signed_codes
+from modaltouch.stimulus.vibration import states_by_channel
 from modaltouch.trial import Trial
+
+
+def continuous_figures(stimulus: Stimulus, velocity: float) -> dict[str, Any]:
+    """Return what the repetition ``continuous`` of the generator misses at the focusing instant of the first burst.
+
+    A record of a whole period has fewer points for the burst: its steps come late or early by up to half a point,
+    on top of the clock's own jitter.
+
+    Parameters
+    ----------
+    stimulus : Stimulus
+        The stimulus of all levels.
+    velocity : float
+        Level [m/s].
+
+    Returns
+    -------
+    dict
+        ``velocity_mm_s``; ``n_samples`` of the record; ``step_error_us``, by how much a step is late or early at
+        most; ``worst_modal_error_mm_s``, the largest of |velocity - target| and |w eta| over the modes; and a
+        ``warning`` in words.
+    """
+    burst, timing = stimulus.burst, stimulus.timing
+    played = replace(timing, n_samples=MAX_POINTS, duration=1 / timing.repetition_rate)
+    # What is played after the focusing instant does not act on it.
+    codes = signed_codes(continuous_codes(burst)[:, : int(timing.focusing_instant / played.hold) + 2])
+    state = stimulus.volts_per_code(velocity) @ states_by_channel(
+        stimulus.system, codes, played, timing.focusing_instant
+    )
+    reached = np.concatenate([stimulus.system.velocity @ state, stimulus.system.displacement @ state]).real
+    aim = np.concatenate(stimulus.aim) * (velocity / stimulus.wish.velocity)
+    error = 1e3 * float(np.abs(reached - aim).max())
+    step = 1e6 * (played.hold / 2 + 1 / timing.clock_rate)
+    return {
+        "velocity_mm_s": velocity * 1e3,
+        "n_samples": MAX_POINTS,
+        "step_error_us": step,
+        "worst_modal_error_mm_s": error,
+        "warning": (
+            f"played continuously, without burst mode, {velocity * 1e3:g} mm/s cannot be exact: steps come up to "
+            f"{step:.2g} us late or early, and a mode is missed by {error:.2g} mm/s"
+        ),
+    }
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,8 +243,6 @@ class Preflight:
         """Return what a generator without burst mode would miss at the highest level; None where anything is wrong."""
         if self.problems:
             return None
-        from modaltouch.preflight.fallback import continuous_figures
-
         ground, stimulus = self.sound
         return continuous_figures(stimulus, max(ground.levels.values()) * 1e-3)
 

@@ -7,18 +7,101 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from modaltouch.apparatus import Apparatus, examine_apparatus
-from modaltouch.document import InputError, Problem, Reading, Source, load_source, read
+from modaltouch.document import InputError, Problem, Reading, Source, find, load_source, read
 from modaltouch.document.source import YAML_FILE
 from modaltouch.protocol.calibration_file import check_age, check_calibration, examine_calibration
 from modaltouch.protocol.checks import check_protocol, check_settling
 from modaltouch.protocol.fit import check_fit
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.texts import Texts, check_words
-from modaltouch.protocol.timing_checks import check_timing
 from modaltouch.protocol.wished import read_points
 
 if TYPE_CHECKING:
     from modaltouch.protocol.calibration_sections import Calibration
+from collections.abc import Iterator
+
+from modaltouch.protocol.sections import whole_bursts
+
+WHOLE = 5e-3
+"""How far from a whole number of bursts a duration may be, for its rounding [1]."""
+
+MOST_OF_PERIOD = 0.95
+"""Longest burst that leaves room for the next one's jitter, as a part of the period [1]."""
+
+
+def check_timing(protocol: Reading[Protocol], apparatus: Reading[Apparatus] | None) -> list[Problem]:
+    """Return the durations that are no whole bursts, and the bursts that cannot be played one by one."""
+    found = [*_check_durations(protocol), *_check_written_once(protocol)]
+    if apparatus is not None:
+        found += [*_check_period(protocol, apparatus), *_check_catch_trials(protocol, apparatus)]
+    return found
+
+
+def _stimuli(protocol: Reading[Protocol], key: str) -> Iterator[tuple[tuple[str, ...], float]]:
+    """Yield the values of a key of the stimulus, and of those of the several stimuli that have their own."""
+    value = protocol.sound("stimulus", key)
+    if value is not None:
+        yield ("stimulus", key), value
+    for name in protocol.sound("stimuli") or ():
+        own = protocol.sound("stimuli", name, key)
+        if own is not None:
+            yield ("stimuli", name, key), own
+
+
+def _check_durations(protocol: Reading[Protocol]) -> Iterator[Problem]:
+    for key in ("presentation_s", "longest_presentation_s"):
+        seconds = protocol.sound("answers", key)
+        if seconds is None:
+            continue
+        for _, rate in _stimuli(protocol, "repetition_rate_Hz"):
+            n_bursts = seconds * rate
+            if n_bursts > 1 - WHOLE and abs(n_bursts - round(n_bursts)) <= WHOLE:
+                continue
+            below, above = int(n_bursts), int(n_bursts) + 1
+            nearest = " or ".join(f"{n / rate:.5g} s ({n} burst{'s' * (n > 1)})" for n in (below, above))
+            if n_bursts < 1:
+                nearest = f"{1 / rate:.5g} s (1 burst), or more"
+            given = f"{seconds:g} s, which is {n_bursts:.4g} bursts at {rate:g} per second"
+            remedy = "or give `presentation_bursts`" if key == "presentation_s" else "or leave it out"
+            yield protocol.problem(("answers", key), given, f"whole bursts: {nearest}", remedy)
+            break
+
+
+def _check_written_once(protocol: Reading[Protocol]) -> Iterator[Problem]:
+    seconds, n_bursts = (protocol.sound("answers", f"presentation_{unit}") for unit in ("s", "bursts"))
+    rates = [rate for _, rate in _stimuli(protocol, "repetition_rate_Hz")]
+    if seconds is None or n_bursts is None:
+        return
+    if any(whole_bursts(seconds, rate) != n_bursts for rate in rates):
+        given = f"{n_bursts}, where presentation_s says {seconds:g} s"
+        yield protocol.problem(("answers", "presentation_bursts"), given, "one of the two", "remove one of them")
+
+
+def _check_period(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> Iterator[Problem]:
+    if (apparatus.sound("generator", "repetition") or "single") != "single":
+        return
+    shared = {key: protocol.sound("stimulus", key) for key in ("duration_ms", "repetition_rate_Hz")}
+    for own in (None, *(protocol.sound("stimuli") or ())):
+        section = ("stimulus",) if own is None else ("stimuli", own)
+        duration, rate = (protocol.sound(*section, key) or shared[key] for key in shared)
+        is_written = own is None or any(protocol.sound(*section, key) for key in shared)
+        if duration is None or rate is None or not is_written or duration * rate <= MOST_OF_PERIOD * 1e3:
+            continue
+        if duration * rate > 1e3:
+            continue  # longer than the period, which is told anyway
+        given = f"{duration:g} ms at {rate:g} bursts per second"
+        allowed = f"at most {MOST_OF_PERIOD * 1e3 / rate:.6g} ms, so that a burst is over before the next is triggered"
+        remedy = "shorten the burst, repeat it less often, or set generator.repetition to continuous"
+        key = "duration_ms" if protocol.sound(*section, "duration_ms") is not None else "repetition_rate_Hz"
+        yield protocol.problem((*section, key), given, allowed, remedy)
+
+
+def _check_catch_trials(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> Iterator[Problem]:
+    n_catch, repetition = protocol.sound("schedule", "catch_trials"), apparatus.sound("generator", "repetition")
+    if n_catch and repetition in ("continuous", "wired"):
+        given = f"{n_catch}, where the generator's repetition is {repetition}"
+        allowed = "0: only bursts that are triggered by command can be kept back while the outputs are on"
+        yield protocol.problem(("schedule", "catch_trials"), given, allowed, "set generator.repetition to single")
 
 
 @dataclass(frozen=True)
@@ -121,14 +204,14 @@ def read_protocol(path: Path | str) -> Experiment:
     Parameters
     ----------
     path : path
-        The protocol file.
+        The protocol file, or the name of a shipped protocol.
 
     Raises
     ------
     InputError
         With every fault of the protocol, its apparatus and its texts.
     """
-    return examine_files(Path(path)).experiment()
+    return examine_files(path).experiment()
 
 
 def restore_experiment(sources: Sources) -> Experiment:
@@ -169,20 +252,20 @@ def examine_sources(sources: Sources) -> Findings:
     return Findings(protocol, apparatus, texts, tuple(problems), calibration, sources.field)
 
 
-def examine_files(path: Path, calibration: Path | None = None, *, uncalibrated: bool = False) -> Findings:
+def examine_files(path: Path | str, calibration: Path | None = None, *, uncalibrated: bool = False) -> Findings:
     """Return what a protocol file and the files that it names hold, with every fault of them.
 
     Parameters
     ----------
-    path : Path
-        The protocol file.
+    path : path
+        The protocol file, or the name of a shipped protocol.
     calibration : Path, optional
         Calibration file to use instead of the one that the protocol names.
     uncalibrated : bool
         Whether no calibration is read, although the protocol names or requires one: to make one, or to plan.
     """
     try:
-        source = load_source(path)
+        source = load_source(find("protocol", path))
     except InputError as error:
         return Findings(None, None, None, error.problems)
     protocol = read(source, Protocol)

@@ -40,7 +40,7 @@ def write_schemas(folder: Path) -> tuple[Path, ...]:
     folder.mkdir(parents=True, exist_ok=True)
     files = tuple(folder / f"{name}.json" for name in SCHEMAS)
     for file, name in zip(files, SCHEMAS, strict=True):
-        file.write_text(json.dumps(schema(name), indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+        file.write_text(json.dumps(schema(name), indent=2, ensure_ascii=False) + "\n", encoding="utf-8", newline="\n")
     return files
 
 

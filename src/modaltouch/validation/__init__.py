@@ -1,8 +1,7 @@
 """Shows what a drive does to a beam, as the paper does in Fig. 2 and 5 to 8, for both drive laws side by side.
 
 ``recording``   plays each law and records the field around the focus, and the zones throughout
-``prediction``  what the identified beam would do, and by how much the measurement comes after it
 ``evidence``    what the recordings show beside what was wished and predicted
-``measures``, ``spectrum``  widths, durations, contrast, spectrogram
+``measures``  widths, durations, contrast
 ``key_figures``, ``words``, ``pictures``, ``courses``, ``page``  the evidence as numbers, sentences, figures, one page
 """

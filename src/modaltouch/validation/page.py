@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from modaltouch import __version__
 from modaltouch.analysis.output import csv_bytes, json_bytes, refuse_other, write_files
 from modaltouch.analysis.page import embed_svg, render_page
 from modaltouch.analysis.style import level_label, render
+from modaltouch.provenance import version
 from modaltouch.validation.courses import (
     around_focus,
     draw_drives,
@@ -116,9 +116,9 @@ def write_evidence(
             {"name": name, "caption": caption, "uri": embed_svg(vectors[name])}
             for name, (_, caption) in pictures.items()
         ],
-        version=__version__,
+        version=version(),
     )
-    return write_files(folder, {"validation.html": page.encode(), **files}, {"version": __version__}, COMMAND)
+    return write_files(folder, {"validation.html": page.encode(), **files}, {"version": version()}, COMMAND)
 
 
 def as_dict(evidences: Sequence[Evidence], figures: Sequence[dict[str, Any]], occasion: Occasion) -> dict[str, Any]:

@@ -1,6 +1,5 @@
 """Adaptive sessions: each run's psychometric function, or why its answers tell none; figures and report.
 
-``likelihood``    of a psychometric function, over a grid
 ``psychometric``  fit, interval by profile likelihood, guard against flat data
 ``runs``          runs from the answers; thresholds over participants
 ``figures``       track and fitted function of each run; thresholds of all

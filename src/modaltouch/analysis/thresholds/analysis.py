@@ -10,11 +10,11 @@ from typing import Any
 
 import pandas as pd
 
-from modaltouch import __version__
 from modaltouch.analysis.output import json_bytes
 from modaltouch.analysis.page import embed_svg, render_page
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.thresholds.runs import Run, find_runs, in_words, over_participants
+from modaltouch.provenance import commit, version, versions
 
 MOST_FIGURES = 60
 """Sessions whose runs are drawn; more would make a report that no browser opens."""
@@ -101,7 +101,6 @@ def _report(
     analysis: ThresholdAnalysis, together: list[dict[str, Any]], vectors: Mapping[str, bytes], n_sessions: int
 ) -> str:
     from modaltouch.analysis.record_facts import describe_record
-    from modaltouch.provenance import commit, versions
 
     responses = analysis.responses
     design = responses.start["design"]
@@ -122,7 +121,7 @@ def _report(
         pictures=[{"name": name, "uri": embed_svg(svg)} for name, svg in vectors.items()],
         left_out=responses.left_out,
         record=describe_record(responses.sessions),
-        version=__version__,
+        version=version(),
         commit=commit(),
         versions={k: v for k, v in versions().items() if v != "absent"},
     )  # fmt: skip

@@ -12,7 +12,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from modaltouch.adaptive.levels import to_dB
-from modaltouch.adaptive.success import is_success
+from modaltouch.adaptive.staircase import is_success
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.secondary import student_interval
 from modaltouch.analysis.thresholds.psychometric import Estimate, Psychometric, fit_psychometric
