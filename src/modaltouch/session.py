@@ -31,6 +31,9 @@ from modaltouch.window.interface import (
 ATTEMPTS = 3
 """How often a trial that the instrument does not confirm is presented before the session ends."""
 
+MOST_STALLS = 30
+"""How often it is presented in vain because this computer is held up: a minute and more."""
+
 NOT_OVER = "the stimulus is not over yet"
 """Why the answer is not confirmed when it is written down first."""
 
@@ -220,8 +223,8 @@ def run(sitting: Sitting, trial: Trial, previous: Trial | None) -> Response:
     if previous is None or _placement(trial) != _placement(previous):
         sitting.window.place_fingers(trial)
         sitting.log.append("placement", **describe_placement(sitting.protocol, trial))
-    attempts, answers = 0, 0
-    while attempts < ATTEMPTS:
+    attempts = stalls = answers = 0
+    while attempts < ATTEMPTS and stalls < MOST_STALLS:
         response, firing = present(sitting, trial)
         if response is not None:
             answers += 1
@@ -230,13 +233,17 @@ def run(sitting: Sitting, trial: Trial, previous: Trial | None) -> Response:
                 return response
         if firing.stalled:
             # Nothing is wrong with the instrument: the computer was busy, and the trial waits until it is not.
+            stalls += 1
             sitting.window.tell_stall()
         else:
             attempts += 1
+    n, remedy = ATTEMPTS, "check the instrument with `modaltouch rig check`"
+    if attempts < ATTEMPTS:
+        n, remedy = MOST_STALLS, "close other programs"
     raise RigError(
-        f"trial {trial.index}: {ATTEMPTS} presentations could not be confirmed ({firing.reason}); the outputs are off"
+        f"trial {trial.index}: {n} presentations could not be confirmed ({firing.reason}); the outputs are off"
         + ("; the answers are kept as unconfirmed" if answers else "")
-        + "; check the instrument with `modaltouch rig check`, then `modaltouch resume`"
+        + f"; {remedy}, then `modaltouch resume`"
     )
 
 

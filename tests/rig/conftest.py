@@ -14,7 +14,7 @@ from modaltouch.apparatus import Apparatus, read_apparatus
 from modaltouch.clock import VirtualClock
 from modaltouch.rig.connection import Patience
 from modaltouch.rig.generator import Generator
-from modaltouch.rig.guard import SameProcess
+from modaltouch.rig.local_guard import SameProcess
 from modaltouch.rig.simulator import Simulator
 from modaltouch.rig.simulator.behaviour import Behaviour
 from modaltouch.rig.visa import VisaSession

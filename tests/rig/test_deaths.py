@@ -16,8 +16,8 @@ from modaltouch.apparatus import Apparatus
 from modaltouch.clock import VirtualClock
 from modaltouch.rig.connection import Patience
 from modaltouch.rig.generator import Generator
-from modaltouch.rig.guard import SameProcess
 from modaltouch.rig.interface import Firing, RigError, StimulusLost
+from modaltouch.rig.local_guard import SameProcess
 from modaltouch.rig.player import RELAYS_SETTLE, Repetition
 from modaltouch.rig.simulator import Simulator
 from modaltouch.rig.visa import VisaSession

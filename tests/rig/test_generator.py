@@ -17,6 +17,7 @@ from modaltouch.apparatus import Apparatus
 from modaltouch.apparatus.sections import LatencyBounds
 from modaltouch.clock import VirtualClock
 from modaltouch.rig.generator import Generator
+from modaltouch.rig.guard import HELD_UP
 from modaltouch.rig.interface import Bursts, RigError
 from modaltouch.rig.simulator import Simulator
 from modaltouch.stimulus.burst import Burst
@@ -124,6 +125,32 @@ def test_bursts_that_were_left_out_may_spoil_a_stimulus(
     assert loaded.firing.bursts.dropped == n_dropped
     assert loaded.firing.confirmed is confirmed
     assert loaded.firing.stalled is not confirmed
+
+
+@pytest.mark.parametrize(("held_up", "stalled"), [(0.0, False), (HELD_UP, False), (HELD_UP + 0.01, True)])
+@pytest.mark.parametrize("place", ["start", "stop"])
+def test_a_fault_while_this_computer_is_held_up_is_not_the_instruments(
+    loaded: Generator,
+    simulator: Simulator,
+    guard: Any,
+    monkeypatch: pytest.MonkeyPatch,
+    place: str,
+    held_up: float,
+    stalled: bool,
+) -> None:
+    """For more than 50 ms: never confirmed, and offered again as after a stall; the next stimulus is confirmed."""
+    monkeypatch.setattr(guard, "held_up", lambda: held_up)
+    simulator.faults.inject("lost_reply", when="OUTP1 ON" if place == "start" else r"OUTP1\?;:OUTP2\?")
+    loaded.fire(0.1)
+    loaded.stop()
+    assert loaded.firing is not None
+    assert not loaded.firing.confirmed
+    assert loaded.firing.reason
+    assert loaded.firing.stalled is stalled
+    assert loaded.fire(0.1).started
+    loaded.stop()
+    assert loaded.firing.confirmed
+    assert not loaded.firing.stalled
 
 
 def test_stimulus_ends_between_bursts(loaded: Generator, clock: VirtualClock, simulator: Simulator) -> None:
@@ -323,6 +350,11 @@ def test_onset_comes_after_the_relays_have_settled(loaded: Generator, clock: Vir
     assert firing.onset - firing.onset_uncertainty == pytest.approx(before + 0.05, abs=1e-6)
     assert firing.onset_uncertainty == pytest.approx(1e-3)
     assert firing.trigger_latency == "unknown"
+
+
+def test_a_late_acknowledgement_bounds_no_first_sample(loaded: Generator) -> None:
+    """A trigger acknowledged after 2.1 ms: the sample may leave up to a millisecond later than that."""
+    assert loaded._sample_left((5.0, 5.0021)) == pytest.approx((5.0, 5.0031))
 
 
 def test_measured_latency_dates_the_first_sample(

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -104,6 +108,26 @@ def test_watchdog_that_is_stuck_is_ended_and_replaced(
     assert rig.fire(0.1).started
 
 
+@pytest.mark.parametrize("stopped", ["session", "watchdog"])
+def test_whoever_is_held_up_it_is_known(rig: Generator, dogs: list[Watchdog], stopped: str) -> None:
+    """None of its threads runs for 0.6 s, as on a machine that swaps: at least 0.5 s is told; then it counts anew."""
+    rig.fire(0.1)
+    if stopped == "session":
+        # A foreign function that keeps Python's lock: pytest itself cannot be stopped without its terminal.
+        ctypes.PyDLL(None).usleep(600_000)
+    else:
+        os.kill(dogs[0]._process.pid, signal.SIGSTOP)
+        time.sleep(0.6)
+        os.kill(dogs[0]._process.pid, signal.SIGCONT)
+    time.sleep(0.1)
+    held_up = dogs[0].held_up()
+    assert held_up > 0.5
+    rig.stop()
+    rig.fire(0.1)
+    assert dogs[0].held_up() < held_up
+    rig.stop()
+
+
 def test_signal_in_the_midst_of_an_exchange_mixes_up_no_answers(rig: Generator, single_link: Simulator) -> None:
     """A handler that raises while an answer is awaited: the late answer is not the next question's."""
 
@@ -134,20 +158,19 @@ def test_level_change_through_the_watchdog_takes_at_most_two_milliseconds(rig: G
     assert min(took) < 2e-3
 
 
-def test_heartbeat_costs_microseconds_and_writes_four_times_a_lease(
+def test_heartbeat_writes_four_times_a_lease_however_often_it_is_called(
     rig: Generator, dogs: list[Watchdog], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Called every millisecond it must cost next to nothing: under 5 us a call, a letter every 45 ms at most."""
+    """A letter every 45 ms at most, which a thread writes; the call itself, made every millisecond, writes nothing."""
     rig.fire(0.1)
-    sent: list[bytes] = []
+    sent: list[str] = []
     send = dogs[0]._send
-    monkeypatch.setattr(dogs[0], "_send", lambda data: (sent.append(data), send(data)))
-    calls, started, busy = 0, time.perf_counter(), time.thread_time()
-    while time.perf_counter() < started + 0.55:
+    monkeypatch.setattr(dogs[0], "_send", lambda data: (sent.append(threading.current_thread().name), send(data)))
+    started = time.perf_counter()
+    while len(sent) < 5 and time.perf_counter() < started + 30:
         rig.heartbeat()
-        calls += 1
-    assert (time.thread_time() - busy) / calls < 5e-6
-    assert 3 <= len(sent) <= 0.55 / 0.045 + 1
+    assert 5 <= len(sent) <= (time.perf_counter() - started) / 0.045 + 1
+    assert threading.main_thread().name not in sent
 
 
 @pytest.mark.parametrize("clean", [True, False])
@@ -185,3 +208,34 @@ def test_machine_that_starts_no_process_touches_no_generator(
     monkeypatch.setattr("modaltouch.rig.guard.subprocess.Popen", refuse)
     with pytest.raises(RigError, match="cannot be started .Resource temporarily.*was not touched; see whether"):
         Watchdog(single_link.address)
+
+
+def test_watchdog_has_a_session_of_its_own(single_link: Simulator) -> None:
+    """A terminal that hangs up, or Ctrl-C in it, reaches the processes of its own session."""
+    dog = Watchdog(single_link.address)
+    try:
+        assert os.getsid(dog._process.pid) == os.getpgid(dog._process.pid) == dog._process.pid
+    finally:
+        dog.release(clean=False)
+
+
+def test_watchdog_has_a_console_of_its_own_on_windows(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever is attached to a console ends with it (CTRL_CLOSE_EVENT); one without any would open a window.
+
+    Flags: Microsoft, "Process Creation Flags"; Popen takes no session there.
+    """
+    flags = {"CREATE_NEW_PROCESS_GROUP": 0x200, "CREATE_NO_WINDOW": 0x08000000, "DETACHED_PROCESS": 0x8}
+    for name, value in flags.items():
+        monkeypatch.setattr(subprocess, name, value, raising=False)
+    monkeypatch.setattr(sys, "platform", "win32")
+    asked: list[dict[str, Any]] = []
+
+    def refuse(*parts: object, **options: Any) -> None:
+        asked.append(options)
+        raise OSError("enough is known")
+
+    monkeypatch.setattr("modaltouch.rig.guard.subprocess.Popen", refuse)
+    with pytest.raises(RigError, match="enough is known"):
+        Watchdog("TCPIP::192.0.2.1::INSTR")
+    assert asked[0]["creationflags"] == 0x08000200
+    assert "start_new_session" not in asked[0]

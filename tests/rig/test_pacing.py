@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from dataclasses import replace
 
@@ -114,6 +115,20 @@ def test_bursts_that_nobody_is_known_to_want_are_left_out(silence: float, n_play
     assert pacer.report.played == (4 if ended == "stalled" else n_played)
 
 
+def test_bursts_left_out_are_counted_though_the_end_is_asked_for_meanwhile() -> None:
+    """Held up from 10.3 to 11.1 s, asked to end at some time in it: three were played, five were due and left out."""
+    clock = VirtualClock(10.0)
+    pacer = Pacer(ORDER, Beam(clock).trigger, lambda: 0.0, clock)
+    for _ in range(3):
+        pacer.step()
+        clock.sleep(PERIOD + 1e-9)
+    clock.sleep(11.1 - clock.now())
+    pacer.end()
+    pacer.step()
+    report = pacer.report
+    assert (report.due, report.played, report.dropped, report.ended) == (8, 3, 5, "asked")
+
+
 def test_order_that_comes_too_late_plays_nothing() -> None:
     """A request that lay in a pipe until all its instants had passed: all dropped."""
     clock = VirtualClock(20.0)
@@ -203,6 +218,24 @@ def test_pacer_runs_until_it_is_asked_left_alone_or_done(
     assert clock.now() == pytest.approx(at, abs=0.06)
     assert waits.longest <= 0.05
     assert told == [pytest.approx(min(10.0, at), abs=1e-6)]
+
+
+class Ticks(Waits):
+    """The same on Windows, where such a wait ends with the next tick of the system's timer, 64 a second."""
+
+    def wait(self, seconds: float) -> bool:
+        end = math.ceil((self.clock.now() + seconds) * 64) / 64
+        return super().wait(end - self.clock.now())
+
+
+def test_waits_that_end_by_ticks_of_the_system_delay_no_burst() -> None:
+    """15.6 ms is more than a burst may be late: the last stretch before each is slept, which Windows does exactly."""
+    clock = VirtualClock(9.87)
+    pacer = Pacer(ORDER, Beam(clock).trigger, lambda: 0.0, clock)
+    pacer._asked_to_end = Ticks(clock, asks_at=99.0)
+    pacer.run(lambda: None)
+    assert (pacer.report.played, pacer.report.dropped) == (14, 0)
+    assert pacer.report.latest < 1e-6
 
 
 def test_close_is_the_end_where_no_thread_runs_it() -> None:

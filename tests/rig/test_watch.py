@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 
-from modaltouch.clock import SYSTEM_CLOCK, VirtualClock
+from modaltouch.clock import SYSTEM_CLOCK, Clock, VirtualClock
 from modaltouch.rig import watchdog
 from modaltouch.rig.pacing import Order, Pacer
 from modaltouch.rig.transport import InUse
@@ -31,6 +31,7 @@ from modaltouch.rig.watchdog import (
     EXCHANGE,
     FAILED,
     FLAG,
+    LATE,
     LONG_PERSISTENCE,
     LOOK,
     OFF,
@@ -226,6 +227,66 @@ def test_signs_of_life_keep_an_armed_session_on() -> None:
     assert told["ended"] == ""
 
 
+class Waiting(Instrument):
+    """Does not answer until it may."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.may_answer = threading.Event()
+
+    def exchange(self, message: bytes, *, timeout: float, reply: bool) -> Any:
+        assert self.may_answer.wait(10)
+        return super().exchange(message, timeout=timeout, reply=reply)
+
+
+def test_signs_of_life_are_taken_behind_an_exchange_that_lasts() -> None:
+    """Else bursts would be left out whenever the instrument is slow; and a session that stopped meanwhile is silent."""
+    instrument, clock = Waiting(), VirtualClock(50.0)
+    master = Master(instrument, clock)
+    master.pipe.write(ask(1, b"*IDN?\n"), frame(BEAT, 2))
+    ((done, number, _),) = read_frames(io.BytesIO(master.answers.get(timeout=10)))
+    assert (done, number) == (DONE, 2)
+    clock.sleep(0.4)
+    instrument.may_answer.set()
+    ((_, number, answer),) = read_frames(io.BytesIO(master.answers.get(timeout=10)))
+    assert (number, answer) == (1, b"0;0\n")
+    assert clock.now() - master.watch._heard == pytest.approx(0.4)
+    assert master.watch._silence() == 0
+    master.pipe.write(frame(CLEAN, 0))
+    master.serving.join(10)
+
+
+class Sluggish(VirtualClock):
+    """Oversleeps by 0.3 s each time."""
+
+    def sleep(self, seconds: float) -> None:
+        super().sleep(seconds + 0.3)
+
+
+def test_watchdog_tells_by_how_much_it_was_late() -> None:
+    """Its patrol comes round every 50 ms; what that is late is the time it was held up, since it was armed."""
+    watch = Watch(Instrument(), clock=Sluggish(50.0))
+
+    def late() -> float:
+        answered = watch._carry_out(LATE, b"", lambda content: None)
+        assert answered is not None
+        return float(answered[1])
+
+    def arm() -> None:
+        watch._carry_out(ARM, FLAG.pack(False), lambda content: None)
+
+    arm()
+    assert late() == 0
+    off = threading.Event()
+    watch.switch_off = lambda: bool(off.set()) or True  # type: ignore[method-assign]
+    threading.Thread(target=watch._patrol, daemon=True).start()
+    assert off.wait(10)
+    assert late() == pytest.approx(0.3, abs=1e-6)
+    watch._armed = threading.Event()
+    arm()
+    assert late() == 0
+
+
 def test_outputs_that_do_not_go_off_are_tried_again_over_new_sessions() -> None:
     """A lost reply and an output that stays on: off at the third try, each over a session opened anew."""
     instrument = Instrument(TimeoutError("lost"), b"0;1\n", b"0;0\n")
@@ -303,10 +364,10 @@ def test_outputs_that_go_off_at_last_are_told_if_anything_was(dead_for: float, s
 class Master:
     """Asks a watchdog in a thread, and takes its answers."""
 
-    def __init__(self, instrument: Instrument) -> None:
+    def __init__(self, instrument: Instrument, clock: Clock = SYSTEM_CLOCK) -> None:
         self.answers: queue.Queue[bytes] = queue.Queue()
         self.pipe = Pipe()
-        self.watch = Watch(instrument)
+        self.watch = Watch(instrument, clock=clock)
         self.serving = threading.Thread(target=self.watch.serve, args=(self.pipe, self.answers.put))
         self.serving.start()
 
@@ -393,6 +454,21 @@ def test_bursts_end_with_the_pipe() -> None:
     pacing.join(10)
     assert pacer is not None
     assert pacer.report.ended == "asked"
+
+
+def test_bursts_asked_for_in_the_last_moment_end_with_the_pipe() -> None:
+    """Killed right after it asked: the request waits behind an exchange, and the pipe has ended before its turn."""
+    instrument = Waiting()
+    master = Master(instrument)
+    later = Order("*TRG", 5, SYSTEM_CLOCK.now() + 1000.0, 1.0, 0.05, 1.0)
+    master.pipe.write(ask(1, b"*IDN?\n"), frame(PLAY, 2, json.dumps(later.as_dict()).encode()))
+    master.pipe.close()
+    instrument.may_answer.set()
+    master.serving.join(10)
+    master.watch._pacing.join(10)
+    assert master.watch._pacer is not None
+    assert master.watch._pacer.report.ended == "asked"
+    assert b"*TRG\n" not in instrument.sent
 
 
 def test_words_and_answers_leave_by_their_own_ways(capfd: pytest.CaptureFixture[str]) -> None:

@@ -18,7 +18,7 @@ from pathlib import Path
 import pytest
 
 from modaltouch.rig.simulator import Simulator
-from modaltouch.rig.watchdog import LIMIT
+from modaltouch.rig.watchdog import LIMIT, REPLY_TIMEOUT
 
 APPARATUS = Path(__file__).parents[2] / "protocols" / "apparatus" / "beam_100x6x2.yaml"
 
@@ -60,9 +60,13 @@ SESSIONS = textwrap.dedent(
             continue
         pid = os.fork()
         if pid == 0:
-            output = os.open(words.pop(0), os.O_WRONLY | os.O_CREAT)
+            output, terminal = os.open(words.pop(0), os.O_WRONLY | os.O_CREAT), words.pop(0)
             os.dup2(output, 1)
             os.dup2(output, 2)
+            if terminal != "none":
+                os.setsid()  # the terminal that it opens next is its own
+                signal.signal(signal.SIGHUP, signal.SIG_DFL)  # the tests themselves may run under nohup
+                os.dup2(os.open(terminal, os.O_RDWR), 2)
             sit(*words)
             os._exit(0)
         print(pid, flush=True)
@@ -125,12 +129,12 @@ def start(single_link: Simulator, host: subprocess.Popen[str], tmp_path: Path) -
     """Return what starts a session and waits until it has come to a phase."""
     started: list[Session] = []
 
-    def start_one(phase: str, *, hangs: bool = False) -> Session:
+    def start_one(phase: str, *, hangs: bool = False, terminal: str = "none") -> Session:
         slow = PHASES[phase]
         if slow is not None and phase != "stop":
             single_link.faults.inject("slow_command", when=slow, value=SLOW)
         seconds = "0.3" if phase == "stop" else "60"
-        words = [single_link.address, seconds, "hangs" if hangs else "beats"]
+        words = [terminal, single_link.address, seconds, "hangs" if hangs else "beats"]
         session = Session(host, tmp_path / "said.txt", *words)
         started.append(session)
         if phase in ("trial", "stop"):
@@ -226,6 +230,23 @@ def test_terminated_session_leaves_outputs_off(start: Start, single_link: Simula
     """Without any handler SIGTERM ends the process at once, past every finally."""
     start("trial").signal(signal.SIGTERM)
     assert seconds_until_off(single_link) < 0.5
+
+
+@pytest.mark.parametrize("cable", ["in", "out for a while"])
+def test_terminal_that_is_closed_leaves_outputs_off(start: Start, single_link: Simulator, cable: str) -> None:
+    """SIGHUP ends the session, not its watchdog; a word to the terminal that is gone does not end it either."""
+    ours, theirs = os.openpty()
+    session = start("trial", terminal=os.ttyname(theirs))
+    os.close(theirs)
+    if cable != "in":
+        single_link.refuse_connections()
+        single_link.drop_connections()
+    os.close(ours)
+    assert session.wait() == -signal.SIGHUP
+    if cable != "in":
+        time.sleep(REPLY_TIMEOUT + 0.3)
+        single_link.accept_connections()
+    assert seconds_until_off(single_link) < SLOW + 1.0
 
 
 def test_session_that_wakes_up_again_is_told_what_happened(start: Start, single_link: Simulator) -> None:

@@ -6,7 +6,9 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
+import os
 import statistics
 import subprocess
 import sys
@@ -39,6 +41,9 @@ def sit(folder: Path, repetitions: int) -> tuple[Session, list[dict[str, Any]]]:
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as twin:
         assert twin.stdout is not None
         address = twin.stdout.readline().strip()
+        with contextlib.suppress(OSError, AttributeError):
+            # A generator has a processor of its own.
+            os.sched_setscheduler(twin.pid, os.SCHED_RR, os.sched_param(1))
         run = [sys.executable, "-m", "modaltouch", "run", str(write_protocol(folder, repetitions)), "-p", "p01"]
         options = ["--rig", address, "--answers", "robot", "--results", str(folder), "--yes", "--json"]
         with some_display():

@@ -52,7 +52,7 @@ def open_rig(address: str, apparatus: Apparatus, *, log: Log, **options: Any) ->
 
 def same_process(clock: VirtualClock) -> Callable[[str], Guard]:
     """Return what stands in a watchdog's place for a session in virtual time, as `open_rig`'s ``start_guard``."""
-    from modaltouch.rig.guard import SameProcess
+    from modaltouch.rig.local_guard import SameProcess
     from modaltouch.rig.visa import VisaSession
 
     return lambda address: SameProcess(VisaSession(address), clock)

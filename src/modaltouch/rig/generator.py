@@ -18,7 +18,7 @@ from modaltouch.apparatus import Apparatus
 from modaltouch.clock import SYSTEM_CLOCK, Clock
 from modaltouch.rig.connection import Connection, Found, Patience
 from modaltouch.rig.controls import CHANNELS, Unconfirmed
-from modaltouch.rig.guard import Guard, Watchdog
+from modaltouch.rig.guard import HELD_UP, Guard, Watchdog
 from modaltouch.rig.interface import MANY, Bursts, Firing, RigError, StimulusLost
 from modaltouch.rig.link import Log
 from modaltouch.rig.pacing import Report
@@ -27,8 +27,8 @@ from modaltouch.rig.transport import LinkError
 from modaltouch.rig.watchdog import LIMIT
 from modaltouch.stimulus.burst import Burst
 
-UNMEASURED = 2e-3
-"""Within this time of a trigger the first sample is taken to leave, where that has not been measured [s]."""
+UNMEASURED = 1e-3
+"""Taken as the longest time from trigger to first sample, where that has not been measured [s]."""
 
 MOST_AWAITED = 5
 """Bursts of which the first that is played begins a stimulus; if none of them is, it has not begun."""
@@ -216,18 +216,25 @@ class Generator:
                 self._firing = replace(self._firing, confirmed_amplitude=numbers(read_back))
                 self._begin(n_bursts, silent=silent)
             except (Unconfirmed, LinkError) as error:
-                read_back = error.read_back if isinstance(error, Unconfirmed) else ()
-                reason = str(error)
-                self._firing = replace(self._firing, confirmed_amplitude=numbers(read_back), reason=reason)
-                self._log("unconfirmed", reason=reason)
-                if isinstance(error, LinkError):
-                    # A trigger of its own may still be on its way over it.
-                    self._connection.link.close(broken=True)
-                self._switch_off("starting the stimulus")
-                if isinstance(error, Unconfirmed):
-                    # Whoever changed a setting is to find it as it was for the next try.
-                    self._connection.restore("starting the stimulus", (), self._player.replay)
+                self._give_up(error)
         return self._firing
+
+    def _give_up(self, error: Unconfirmed | LinkError) -> None:
+        """Switch off a stimulus that did not begin as it should, and keep why."""
+        read_back, reason = error.read_back if isinstance(error, Unconfirmed) else (), str(error)
+        if self._firing is not None:
+            self._firing = replace(self._firing, confirmed_amplitude=numbers(read_back), reason=reason)
+        self._log("unconfirmed", reason=reason)
+        if isinstance(error, LinkError):
+            # A trigger of its own may still be on its way over it.
+            self._connection.link.close(broken=True)
+        self._switch_off("starting the stimulus")
+        # While this computer stands still, nothing is held against the instrument.
+        if self._firing is not None and self._connection.guard.held_up() > HELD_UP:
+            self._firing = replace(self._firing, stalled=True)
+        if isinstance(error, Unconfirmed):
+            # Whoever changed a setting is to find it as it was for the next try.
+            self._connection.restore("starting the stimulus", (), self._player.replay)
 
     def _begin(self, n_bursts: int, *, silent: bool) -> None:
         """Switch the outputs on and let the first burst go, and keep when that was.
@@ -275,7 +282,8 @@ class Generator:
         """Return between which instants the first sample left, for a trigger that was sent and taken at two [s]."""
         if self._latency is not None:
             return trigger[0] + self._latency[0], trigger[1] + self._latency[1]
-        return trigger[0], max(trigger[1], trigger[0] + UNMEASURED)
+        # No claim below a millisecond: a link that acknowledges at once says nothing of the instrument.
+        return trigger[0], max(trigger[1], trigger[0] + UNMEASURED) + UNMEASURED
 
     def end(self) -> None:
         """Let no further burst go; the one that plays comes to its end."""
@@ -334,7 +342,8 @@ class Generator:
 
     def _judged(self, firing: Firing, report: Report | None, faults: tuple[str, ...], off: float) -> Firing:
         """Return a stimulus as it is known at its end."""
-        stalled = self._longest_silence > LIMIT
+        held_up = self._longest_silence
+        stalled = held_up > LIMIT
         reasons = [f"{'; '.join(faults)} when the stimulus ended"] if faults else []
         bursts = firing.bursts
         if report is not None:
@@ -344,12 +353,14 @@ class Generator:
             if report.ended == "stalled" or too_many:
                 stalled = True
                 reasons.append(f"{report.dropped} of {report.due} bursts would have come too late and were left out")
-        if stalled:
-            reasons.insert(0, f"this computer was held up for {self._longest_silence:.1f} s")
         if faults:
             bursts = _unknown(firing, bursts)
-        # Outputs that are off are the watchdog's doing in a stall; whatever else is wrong is the instrument's.
-        stalled = stalled and all(fault.startswith("output ") for fault in faults)
+            # Outputs that are off are the watchdog's doing in a stall.
+            if not (stalled and all(fault.startswith("output ") for fault in faults)):
+                held_up = self._connection.guard.held_up()
+                stalled = held_up > HELD_UP
+        if stalled:
+            reasons.insert(0, f"this computer was held up for {held_up:.1f} s")
         return replace(firing, confirmed=not reasons, reason="; ".join(reasons), stalled=stalled, bursts=bursts)
 
     def _count(self, report: Report, off: float = math.inf) -> Bursts:

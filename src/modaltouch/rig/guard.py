@@ -11,11 +11,10 @@ import sys
 import threading
 import time
 import typing
-from typing import TYPE_CHECKING
+from typing import Any
 
-from modaltouch.clock import VirtualClock
 from modaltouch.rig.interface import RigError
-from modaltouch.rig.pacing import LEASE, Order, Pacer, Report
+from modaltouch.rig.pacing import LEASE, Order, Report
 from modaltouch.rig.transport import InUse, LinkError, Transport, TransportError
 from modaltouch.rig.watchdog import (
     ARM,
@@ -28,6 +27,7 @@ from modaltouch.rig.watchdog import (
     EXCHANGE,
     FLAG,
     HEAD,
+    LATE,
     LIMIT,
     LOOK,
     MARK,
@@ -39,21 +39,20 @@ from modaltouch.rig.watchdog import (
     frame,
 )
 
-if TYPE_CHECKING:
-    from modaltouch.rig.visa import VisaSession
-
 BEAT_PERIOD = LEASE / 4
 """Time between two signs of life [s]."""
+
+ROUND = 0.05
+"""Time between two looks at whether the process is stuck, or this one was held up [s]."""
+
+HELD_UP = 0.05
+"""What fails while a process comes round later than by this is not held against the instrument [s]."""
 
 OPEN_LIMIT = 20.0
 """Longest time that starting the process and opening the instrument may take [s]."""
 
 OVERHEAD = 3.0
 """What a backend may need beyond the times it is given, before its process counts as stuck [s]."""
-
-
-ROUNDING = 1e-9
-"""What a sum of virtual times may lack [s]."""
 
 PIPE_SIZE = 1 << 20
 """What Linux grants to everybody [bytes]."""
@@ -79,6 +78,9 @@ class Guard(Transport, typing.Protocol):
 
     def report(self, *, wait: bool) -> Report:
         """Let no further burst go, and return what was played; with `wait`, once the last burst is over."""
+
+    def held_up(self) -> float:
+        """Return for how long this process, or the one that paces, was held up at most since `arm` [s]."""
 
     def disarm(self) -> None:
         """Outputs are off."""
@@ -107,6 +109,7 @@ class Watchdog:
         self._number = 0
         self._asking = threading.Lock()
         self._due = math.inf
+        self._held_up = 0.0
         try:
             self._process = self._start()
         except OSError as error:
@@ -162,7 +165,7 @@ class Watchdog:
             If it is gone.
         """
         self._send(frame(ARM, 0, FLAG.pack(plays_by_itself)))
-        self._lost, self._broken = "", None
+        self._lost, self._broken, self._held_up = "", None, 0.0
         self._came_round = time.monotonic()
         self._armed.set()
 
@@ -234,6 +237,13 @@ class Watchdog:
         """
         return _report(self._request(REPORT, FLAG.pack(wait), 2 * OVERHEAD))
 
+    def held_up(self) -> float:
+        """Return for how long this process or the watchdog was held up at most since `arm` [s]."""
+        other = 0.0
+        with contextlib.suppress(LinkError, TransportError):
+            other = float(self._request(LATE, b"", OVERHEAD))
+        return max(self._held_up, other)
+
     def disarm(self) -> None:
         """Tell it that the outputs are off."""
         if self._armed.is_set():
@@ -257,7 +267,6 @@ class Watchdog:
 
     def _start(self) -> subprocess.Popen[bytes]:
         self._came = bytearray()
-        # A session of its own keeps it out of reach of a closed terminal and of Ctrl-C.
         process = subprocess.Popen(
             self._command,
             stdin=subprocess.PIPE,
@@ -265,8 +274,8 @@ class Watchdog:
             # A person at a terminal is told what cannot be switched off; a pipe would wait for this process to end.
             stderr=None if sys.__stderr__ is not None and sys.__stderr__.isatty() else subprocess.DEVNULL,
             bufsize=0,
-            start_new_session=True,
             env=_environment(),
+            **_out_of_reach(),
         )
         for pipe in (process.stdin, process.stdout):
             _widen(pipe)
@@ -335,81 +344,14 @@ class Watchdog:
 
     def _end_if_stuck(self) -> None:
         """End a process whose answer is overdue; `open` starts another."""
-        while not self._released.wait(0.25):
-            if time.monotonic() > self._due:
+        was_overdue, asleep = False, time.monotonic()
+        while not self._released.wait(ROUND):
+            now = time.monotonic()
+            self._held_up = max(self._held_up, now - asleep - ROUND)
+            # As this process comes to itself again, an answer that has come is not read yet.
+            if was_overdue and now > self._due:
                 self._process.kill()
-
-
-class SameProcess:
-    """The same for a session in virtual time: no process of its own, and bursts whose instants are virtual.
-
-    Nothing of it survives its process, so that it is for a twin in that process alone.
-
-    Parameters
-    ----------
-    transport : Transport
-        The way to the instrument.
-    clock : VirtualClock
-        That of the session.
-    """
-
-    def __init__(self, transport: VisaSession, clock: VirtualClock) -> None:
-        self._transport = transport
-        self._clock = clock
-        self._pacer: Pacer | None = None
-        self.open, self.exchange, self.close = transport.open, transport.exchange, transport.close
-
-    def arm(self, *, plays_by_itself: bool) -> None:
-        """Take notice of nothing: this process watches itself."""
-
-    def disarm(self) -> None:
-        """Take notice of nothing."""
-
-    def beat(self) -> str:
-        """Return why the bursts ended that nobody ended; empty while all is well."""
-        report = self._pacer.report if self._pacer is not None else Report()
-        return f"{report.ended}: {report.reason}" if report.ended == "failed" else ""
-
-    def play(self, order: Order) -> Report:
-        """Have bursts played, and let time pass until the first is; return the report as it stands then."""
-        message = order.command.encode() + b"\n"
-        pacer = self._pacer = Pacer(
-            order,
-            lambda: self._transport.exchange(message, timeout=order.timeout, reply=False),
-            lambda: 0.0,
-            self._clock,
-        )
-
-        def step() -> None:
-            pacer.step()
-            if pacer.due is not None:
-                self._clock.call_at(pacer.due, step)
-
-        self._clock.call_at(order.first, step)
-        self._clock.sleep(order.first - self._clock.now() + ROUNDING)
-        return pacer.report
-
-    def look(self) -> Report:
-        """Return what was played so far."""
-        return self._pacer.report if self._pacer is not None else Report()
-
-    def end(self) -> None:
-        """Let no further burst go."""
-        if self._pacer is not None:
-            self._pacer.end()
-
-    def report(self, *, wait: bool) -> Report:
-        """Let no further burst go, and return what was played; with `wait`, once the last burst is over."""
-        if self._pacer is None:
-            return Report()
-        self._pacer.close()
-        if wait:
-            self._clock.sleep(self._pacer.silent_from - self._clock.now())
-        return self._pacer.report
-
-    def release(self, *, clean: bool) -> None:
-        """End the session with the instrument."""
-        self._transport.release()
+            was_overdue, asleep = now > self._due, time.monotonic()
 
 
 def _report(answer: bytes) -> Report:
@@ -440,6 +382,15 @@ def _widen(pipe: typing.IO[bytes] | None) -> None:
 
         with contextlib.suppress(OSError):
             fcntl.fcntl(pipe.fileno(), fcntl.F_SETPIPE_SZ, PIPE_SIZE)
+
+
+def _out_of_reach() -> dict[str, Any]:
+    """Return what keeps a process out of reach of a closed terminal and of Ctrl-C, as options of `Popen`."""
+    if sys.platform == "win32":
+        # Closing a console ends whatever is attached to it, so this one has a console of its own, without a window.
+        # With none (DETACHED_PROCESS) the interpreter behind a venv's launcher would open one, to be closed by hand.
+        return {"creationflags": subprocess.CREATE_NO_WINDOW | subprocess.CREATE_NEW_PROCESS_GROUP}
+    return {"start_new_session": True}
 
 
 def _environment() -> dict[str, str]:

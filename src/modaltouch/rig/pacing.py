@@ -19,6 +19,9 @@ LEASE = 0.18
 PATIENCE = 1.0
 """After this long without a sign of life no further burst is played at all [s]."""
 
+ALERT = 0.02
+"""From so long before a burst on, its instant is waited for and nothing else [s]."""
+
 Ending = Literal["", "count", "asked", "stalled", "failed"]
 
 
@@ -140,10 +143,10 @@ class Pacer:
         """Trigger the burst that is due now, or leave out what is overdue."""
         report, order = self.report, self.order
         due = self.due
-        while due is not None and self._clock.now() > due + order.tolerance:
+        # All of it, whoever asks for the end meanwhile: it was not played while it was wanted.
+        while due is not None and report.due < order.n_bursts and self._clock.now() > due + order.tolerance:
             report.due += 1
             report.dropped += 1
-            self._end_if_over()
             due = self.due
         self._end_if_over()
         if report.ended or due is None or self._clock.now() < due:
@@ -185,8 +188,12 @@ class Pacer:
         """Play to the end; `on_first` is called as soon as it is known whether the first burst was played."""
         told = False
         while (due := self.due) is not None:
-            # Somebody may end it meanwhile, or fall silent.
-            self._asked_to_end.wait(min(due - self._clock.now(), 0.05))
+            left = due - self._clock.now()
+            if left > ALERT:
+                # Somebody may end it meanwhile, or fall silent. Windows ends such a wait up to 16 ms late.
+                self._asked_to_end.wait(min(left - ALERT, 0.05))
+            else:
+                self._clock.sleep(max(left, 0.0))
             self.step()
             if not told and (self.report.due or self.report.ended):
                 told = True

@@ -282,7 +282,7 @@ def continuous_codes(burst: Burst) -> NDArray[np.uint16]:
 
     The burst's steps fall on the nearest of 131,072 points a period, so that it cannot be exact: at 7 Hz a step
     is late or early by up to 0.55 us, and of the shipped stimulus a mode is missed by 0.014 mm/s in 200, where the
-    burst itself misses 1e-5 mm/s (`modaltouch.preflight.fallback` computes it).
+    burst itself misses 1e-5 mm/s (`modaltouch.preflight.checked` computes it).
 
     Returns
     -------

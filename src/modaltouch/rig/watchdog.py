@@ -7,7 +7,7 @@ further burst is triggered and the outputs are switched off; so too when the pip
 killed, or its display server took it along).
 
 A request is a letter, a number that its answer bears, and a length, followed by as many bytes; `OPEN`, `EXCHANGE`,
-`CLOSE`, `PLAY`, `LOOK`, `REPORT` and `BEAT` are answered, with a letter for how it went and with what came of it.
+`CLOSE`, `PLAY`, `LOOK`, `REPORT`, `BEAT` and `LATE` are answered, with a letter for how it went and what came of it.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import gc
 import json
 import logging
 import os
+import queue
 import signal
 import struct
 import sys
@@ -31,7 +32,7 @@ from modaltouch.rig.transport import InUse, Transport, describe_error
 from modaltouch.rig.visa import VisaSession
 
 OPEN, EXCHANGE, CLOSE, ARM, BEAT, DISARM, CLEAN = b"O", b"X", b"Z", b"A", b".", b"D", b"C"
-PLAY, LOOK, END, REPORT = b"P", b"?", b"E", b"R"
+PLAY, LOOK, END, REPORT, LATE = b"P", b"?", b"E", b"R", b"L"
 DONE, FAILED, TAKEN = b"+", b"-", b"!"
 
 HEAD = struct.Struct(">4scII")
@@ -100,7 +101,7 @@ class Watch:
         self._armed = threading.Event()
         self._plays_by_itself = False
         self._reached = False
-        self._heard = 0.0
+        self._heard = self._served = self._held_up = 0.0
         self._pacer: Pacer | None = None
         self._pacing = threading.Thread()
 
@@ -120,32 +121,53 @@ class Watch:
             with self._answering, contextlib.suppress(OSError):
                 answer(frame(letter, number, content))
 
+        waiting: queue.SimpleQueue[tuple[bytes, int, bytes] | None] = queue.SimpleQueue()
         threading.Thread(target=self._patrol, daemon=True, name="patrol").start()
-        for letter, number, content in read_frames(requests):
-            self._heard = self._clock.now()
+        threading.Thread(target=self._listen, args=(requests, waiting, reply), daemon=True, name="listener").start()
+        while (request := waiting.get()) is not None:
+            letter, number, content = request
             if letter == CLEAN:
                 with self._busy:
                     self._transport.close(broken=False)
                 return
             answered = self._carry_out(letter, content, functools.partial(reply, DONE, number))
-            self._heard = self._clock.now()
+            self._served = self._clock.now()
             if answered is not None:
                 reply(answered[0], number, answered[1])
+        # Those too that were asked for in the master's last moment.
         self._end_bursts()
         with self._busy:
             if self._reached:
                 self.switch_off()
 
+    def _listen(
+        self,
+        requests: typing.BinaryIO,
+        waiting: queue.SimpleQueue[tuple[bytes, int, bytes] | None],
+        reply: Callable[[bytes, int, bytes], None],
+    ) -> None:
+        """Take what comes when it comes: a sign of life counts from then, also behind an exchange that lasts."""
+        try:
+            for letter, number, content in read_frames(requests):
+                self._heard = self._clock.now()
+                if letter == BEAT:
+                    reply(DONE, number, self._lost().encode())
+                else:
+                    waiting.put((letter, number, content))
+        finally:
+            self._end_bursts()
+            waiting.put(None)
+
     def _carry_out(
         self, letter: bytes, content: bytes, answer_later: Callable[[bytes], None]
     ) -> tuple[bytes, bytes] | None:
         if letter == ARM:
-            (self._plays_by_itself,) = FLAG.unpack(content)
+            (self._plays_by_itself,), self._held_up = FLAG.unpack(content), 0.0
             self._armed.set()
         elif letter == DISARM:
             self._armed.clear()
-        elif letter == BEAT:
-            return DONE, self._lost().encode()
+        elif letter == LATE:
+            return DONE, b"%f" % self._held_up
         elif letter == PLAY:
             self._play(Order(**json.loads(content)), answer_later)
         elif letter == LOOK:
@@ -223,14 +245,20 @@ class Watch:
     def _patrol(self) -> None:
         """Switch the outputs off when an armed master falls silent, as often as it does."""
         while self._armed.wait():
+            asleep = self._clock.now()
             self._clock.sleep(self._limit / 20)
-            if self._clock.now() - self._heard <= self._limit:
+            self._held_up = max(self._held_up, self._clock.now() - asleep - self._limit / 20)
+            if self._silence() <= self._limit:
                 continue
             self._end_bursts()
             with self._busy:
-                if self._armed.is_set() and self._clock.now() - self._heard > self._limit:
+                if self._armed.is_set() and self._silence() > self._limit:
                     self._armed.clear()
                     self.switch_off()
+
+    def _silence(self) -> float:
+        """Return how long nothing was heard of a master that is not waiting for an answer either [s]."""
+        return self._clock.now() - max(self._heard, self._served)
 
     def switch_off(self) -> bool:
         """Switch the outputs off, over new sessions if need be, and return whether the instrument confirms it."""

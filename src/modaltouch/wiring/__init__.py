@@ -112,20 +112,9 @@ def wire_resume(
     log = find_log(path)
     session = require_sound(log)
     start = session.start
-    if start.get("schema", 1) < SCHEMA and not (session.complete or restart):
-        raise RecordInputError(
-            f"{log}: was begun by a version whose bursts were not counted "
-            f"({start['versions'].get('modaltouch', 'unknown')}); half a session of each is no session: "
-            f"`modaltouch resume --restart {log.parent}` begins it anew, and keeps what was answered"
-        )
     place = locate(log, session.mode, session.protocol)
     rig, answers = rig or start["rig_choice"], answers or start["answers_choice"]
-    as_begun = (rig, answers) == (start["rig_choice"], start["answers_choice"])
-    if not as_begun and mode_of(rig, answers, pilot=session.mode == "pilot") != session.mode:
-        raise RecordError(
-            f"{log}: is a {session.mode} session, and with rig {rig!r} and answers {answers!r} it would go on as "
-            "another kind; give --rig and --answers as it began"
-        )
+    _refuse_another_kind(session, rig, answers, restart=restart)
     preflight = examine_findings(examine_sources(Sources.from_dict(start["sources"]))).require()
     preflight = recorded_levels(preflight, start)
     given = recorded_turn(start)
@@ -151,6 +140,23 @@ def wire_resume(
         return setup
     calibrated = {name: start[name] for name in ("sensation_levels",) if name in start}
     return replace(setup, replaces=place, facts=setup.facts | calibrated)
+
+
+def _refuse_another_kind(session: Session, rig: str, answers: AnswersBy, *, restart: bool) -> None:
+    """Raise where a session would go on as something else than it was begun as."""
+    start, log = session.start, session.path
+    if start.get("schema", 1) < SCHEMA and not (session.complete or restart):
+        raise RecordInputError(
+            f"{log}: was begun by a version whose bursts were not counted "
+            f"({start['versions'].get('modaltouch', 'unknown')}); half a session of each is no session: "
+            f"`modaltouch resume --restart {log.parent}` begins it anew, and keeps what was answered"
+        )
+    as_begun = (rig, answers) == (start["rig_choice"], start["answers_choice"])
+    if not as_begun and mode_of(rig, answers, pilot=session.mode == "pilot") != session.mode:
+        raise RecordError(
+            f"{log}: is a {session.mode} session, and with rig {rig!r} and answers {answers!r} it would go on as "
+            "another kind; give --rig and --answers as it began"
+        )
 
 
 def _latest_window(session: Session) -> dict[str, Any]:

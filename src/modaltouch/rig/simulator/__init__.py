@@ -235,4 +235,5 @@ def serve(apparatus: Apparatus, *, port: int = 0, seed: int | None = None, playe
     with Simulator(apparatus, seed, port=port, played=played) as simulator:
         sys.stdout.write(simulator.address + "\n")
         sys.stdout.flush()
-        ended.wait()
+        while not ended.wait(0.5):  # Windows hears of Ctrl-C between two waits alone
+            pass

@@ -49,7 +49,7 @@ class PlayedLog:
     ) -> None:
         try:
             # The file stays open until `close`.
-            self._file = path.open("a", encoding="utf-8")
+            self._file = path.open("a", encoding="utf-8", newline="\n")
         except OSError as error:
             given = f"a file that cannot be written ({error.strerror})"
             remedy = "name another one after --played"

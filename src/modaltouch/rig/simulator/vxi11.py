@@ -7,13 +7,252 @@ the port in their address, ``TCPIP::127.0.0.1,<port>::inst0::INSTR``.
 from __future__ import annotations
 
 import contextlib
+import itertools
 import socket
 import struct
+import sys
 import threading
+import time
+import typing
+from dataclasses import dataclass, field
 
 from modaltouch.rig.simulator.device import Device
-from modaltouch.rig.simulator.links import INSTRUMENT, LARGEST_MESSAGE, Links
-from modaltouch.rig.simulator.rpc import PROGRAM_UNAVAILABLE, HangUp, accept, as_record, read_call, read_record
+from modaltouch.rig.simulator.rpc import PROGRAM_UNAVAILABLE, HangUp, accept, as_record, opaque, read_call, read_record
+from modaltouch.rig.simulator.scpi import ScpiError
+
+LARGEST_MESSAGE = 1 << 20
+"""Bytes accepted in one write, announced to the client, and in one program message."""
+
+LONGEST_WAIT = 30.0
+"""How long a reply or a lock is waited for at most, whatever a client asks [s]."""
+
+INSTRUMENT, PANEL = "inst0", "panel0"
+"""Names of devices: the instrument, and its front panel, which is past locks, faults and the limit of sessions."""
+
+PEOPLE_AT_THE_PANEL = 16
+"""Links to the front panel at a time."""
+
+_CREATE_LINK, _WRITE, _READ, _READ_STATUS, _TRIGGER, _CLEAR = 10, 11, 12, 13, 14, 15
+_REMOTE, _LOCAL, _LOCK, _UNLOCK, _ENABLE_SERVICE, _DESTROY_LINK = 16, 17, 18, 19, 20, 23
+_NO_ERROR, _NOT_ACCESSIBLE, _INVALID_LINK, _NOT_SUPPORTED, _OUT_OF_RESOURCES = 0, 3, 4, 8, 9
+_LOCKED, _NO_LOCK, _TIMEOUT = 11, 12, 15
+_FLAG_WAIT, _FLAG_END, _FLAG_TERMINATOR = 1, 8, 128
+_REASON_COUNT, _REASON_TERMINATOR, _REASON_END = 1, 2, 4
+
+
+@dataclass
+class _Link:
+    number: int
+    panel: bool
+    arriving: bytearray = field(default_factory=bytearray)
+    leaving: bytes = b""
+    ready_at: float = 0.0
+
+
+class Links:
+    """The links of all connections, and the lock that one of them may hold.
+
+    Parameters
+    ----------
+    device : Device
+        The instrument.
+    closing : threading.Event
+        Set when the server ends: nothing is waited for any longer.
+    """
+
+    def __init__(self, device: Device, closing: threading.Event) -> None:
+        self._device = device
+        self._closing = closing
+        self._links: dict[int, _Link] = {}
+        self._lock_holder: int | None = None
+        self._numbers = itertools.count(1)
+        self._guard = threading.RLock()
+
+    def __len__(self) -> int:
+        return len(self._links)
+
+    def call(self, procedure: int, parameters: bytes, own: set[int]) -> bytes:
+        """Return the results of a procedure.
+
+        Parameters
+        ----------
+        procedure : int
+            Number of the procedure.
+        parameters : bytes
+            Its parameters, as they came.
+        own : set of int
+            Links of the connection that calls; kept up to date.
+
+        Raises
+        ------
+        struct.error, HangUp
+            If the parameters are none, or the connection is to be reset.
+        """
+        handler = self._procedures().get(procedure)
+        return handler(parameters, own) if handler else struct.pack(">i", _NOT_SUPPORTED)
+
+    def forget(self, numbers: typing.Iterable[int]) -> None:
+        """Take links away, and the lock with them."""
+        with self._guard:
+            for number in numbers:
+                self._links.pop(number, None)
+                if self._lock_holder == number:
+                    self._lock_holder = None
+
+    def _of(self, number: int, own: set[int]) -> _Link | None:
+        """Return a link of the connection that calls; those of others are not to be had."""
+        return self._links.get(number) if number in own else None
+
+    def _procedures(self) -> dict[int, typing.Callable[[bytes, set[int]], bytes]]:
+        return {
+            _CREATE_LINK: self._create_link,
+            _WRITE: self._write,
+            _READ: self._read,
+            _READ_STATUS: self._read_status,
+            _TRIGGER: self._trigger,
+            _CLEAR: self._clear,
+            _REMOTE: self._accept_silently,
+            _LOCAL: self._accept_silently,
+            _ENABLE_SERVICE: self._accept_silently,
+            _LOCK: self._take_lock,
+            _UNLOCK: self._release_lock,
+            _DESTROY_LINK: self._destroy_link,
+        }
+
+    def _create_link(self, parameters: bytes, own: set[int]) -> bytes:
+        _, lock, lock_timeout, length = struct.unpack_from(">iIII", parameters)
+        name = parameters[16 : 16 + length].decode("latin1")
+        if name not in (INSTRUMENT, PANEL):
+            return struct.pack(">iiII", _NOT_ACCESSIBLE, 0, 0, 0)
+        with self._guard:
+            n_links = sum(link.panel == (name == PANEL) for link in self._links.values())
+            if n_links >= (PEOPLE_AT_THE_PANEL if name == PANEL else self._device.max_sessions):
+                return struct.pack(">iiII", _OUT_OF_RESOURCES, 0, 0, 0)
+            link = _Link(next(self._numbers), panel=name == PANEL)
+            self._links[link.number] = link
+            own.add(link.number)
+        error = self._take(link, _FLAG_WAIT, lock_timeout) if lock else _NO_ERROR
+        if error:
+            self.forget([link.number])
+        return struct.pack(">iiII", error, link.number, 0, LARGEST_MESSAGE)
+
+    def _destroy_link(self, parameters: bytes, own: set[int]) -> bytes:
+        (number,) = struct.unpack_from(">i", parameters)
+        known = number in own
+        if known:
+            self.forget([number])
+            own.discard(number)
+        return struct.pack(">i", _NO_ERROR if known else _INVALID_LINK)
+
+    def _write(self, parameters: bytes, own: set[int]) -> bytes:
+        number, _, lock_timeout, flags, length = struct.unpack_from(">iIIiI", parameters)
+        link = self._of(number, own)
+        error = self._access(link, flags, lock_timeout)
+        if error or link is None:
+            return struct.pack(">iI", error, 0)
+        data = parameters[20 : 20 + length]
+        link.arriving += data
+        if len(link.arriving) > LARGEST_MESSAGE:
+            link.arriving.clear()
+            self._device.fail(ScpiError(-363))
+        elif flags & _FLAG_END:
+            message, link.arriving = bytes(link.arriving), bytearray()
+            self._carry_out(link, message)
+        return struct.pack(">iI", _NO_ERROR, len(data))
+
+    def _carry_out(self, link: _Link, message: bytes) -> None:
+        if link.leaving:
+            self._device.fail(ScpiError(-410))
+            link.leaving = b""
+        reply = self._device.perform(message) if link.panel else self._device.execute(message, link.number)
+        if reply.hang_up:
+            raise HangUp
+        link.leaving, link.ready_at = reply.data, time.monotonic() + reply.delay
+
+    def _read(self, parameters: bytes, own: set[int]) -> bytes:
+        number, size, io_timeout, lock_timeout, flags, terminator = struct.unpack_from(">iIIIii", parameters)
+        link = self._of(number, own)
+        error = self._access(link, flags, lock_timeout)
+        if error or link is None:
+            return struct.pack(">iiI", error, 0, 0)
+        if not link.leaving:
+            self._device.fail(ScpiError(-420))
+            link.ready_at = float("inf")
+        wait = link.ready_at - time.monotonic()
+        if wait > 0:
+            patience = min(io_timeout / 1000, LONGEST_WAIT)
+            self._closing.wait(min(wait, patience))
+            if wait > patience:
+                return struct.pack(">iiI", _TIMEOUT, 0, 0)
+        data, reason = link.leaving[:size], _REASON_COUNT
+        if flags & _FLAG_TERMINATOR and terminator in data:
+            data, reason = data[: data.index(terminator) + 1], _REASON_TERMINATOR
+        link.leaving = link.leaving[len(data) :]
+        if not link.leaving:
+            reason |= _REASON_END
+        return struct.pack(">ii", _NO_ERROR, reason) + opaque(data)
+
+    def _read_status(self, parameters: bytes, own: set[int]) -> bytes:
+        link = self._of(struct.unpack_from(">i", parameters)[0], own)
+        if link is None:
+            return struct.pack(">iI", _INVALID_LINK, 0)
+        return struct.pack(">iI", _NO_ERROR, self._device.status_byte | (16 if link.leaving else 0))
+
+    def _trigger(self, parameters: bytes, own: set[int]) -> bytes:
+        number, flags, lock_timeout = struct.unpack_from(">iiI", parameters)
+        link = self._of(number, own)
+        error = self._access(link, flags, lock_timeout)
+        if not error and link is not None:
+            self._device.trigger(0 if link.panel else link.number)
+        return struct.pack(">i", error)
+
+    def _clear(self, parameters: bytes, own: set[int]) -> bytes:
+        number, flags, lock_timeout = struct.unpack_from(">iiI", parameters)
+        link = self._of(number, own)
+        error = self._access(link, flags, lock_timeout)
+        if not error and link is not None:
+            link.arriving, link.leaving = bytearray(), b""
+        return struct.pack(">i", error)
+
+    def _accept_silently(self, parameters: bytes, own: set[int]) -> bytes:
+        known = struct.unpack_from(">i", parameters)[0] in own
+        return struct.pack(">i", _NO_ERROR if known else _INVALID_LINK)
+
+    def _take_lock(self, parameters: bytes, own: set[int]) -> bytes:
+        number, flags, lock_timeout = struct.unpack_from(">iiI", parameters)
+        return struct.pack(">i", self._take(self._of(number, own), flags, lock_timeout))
+
+    def _take(self, link: _Link | None, flags: int, lock_timeout: int) -> int:
+        while True:
+            error = self._access(link, flags, lock_timeout)
+            if error or link is None:
+                return error
+            with self._guard:
+                # Another may have come first.
+                if self._lock_holder in (None, link.number):
+                    self._lock_holder = link.number
+                    return _NO_ERROR
+
+    def _release_lock(self, parameters: bytes, own: set[int]) -> bytes:
+        (number,) = struct.unpack_from(">i", parameters)
+        if self._lock_holder != number or number not in own:
+            return struct.pack(">i", _NO_LOCK)
+        self._lock_holder = None
+        return struct.pack(">i", _NO_ERROR)
+
+    def _access(self, link: _Link | None, flags: int, lock_timeout: int) -> int:
+        """Return 0 if a link may use the instrument, after waiting for another's lock if asked to."""
+        if link is None:
+            return _INVALID_LINK
+        if link.panel:
+            return _NO_ERROR
+        deadline = time.monotonic() + (min(lock_timeout / 1000, LONGEST_WAIT) if flags & _FLAG_WAIT else 0.0)
+        while self._lock_holder not in (None, link.number):
+            if time.monotonic() >= deadline:
+                return _LOCKED
+            self._closing.wait(0.01)
+        return _NO_ERROR
+
 
 CORE_PROGRAM = 0x0607AF
 
@@ -52,7 +291,8 @@ class Vxi11Server:
     def listen(self) -> None:
         """Accept connections."""
         listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        if sys.platform != "win32":  # there it would let two programs have one port
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind(("127.0.0.1", self.port))
         listener.listen(16)
         self.port = listener.getsockname()[1]
