@@ -9,29 +9,39 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-if sys.platform == "win32":
-    import msvcrt
-
-    def lock(descriptor: int) -> None:
-        """Take the lock of a file or raise OSError at once."""
-        # One byte far beyond the content: Windows would otherwise forbid reading what is locked.
-        os.lseek(descriptor, 1 << 40, os.SEEK_SET)
-        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
-        os.lseek(descriptor, 0, os.SEEK_END)
-
-else:
-    import fcntl
-
-    def lock(descriptor: int) -> None:
-        """Take the lock of a file or raise OSError at once."""
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
-
 LOCK_NAME = ".lock"
 """File of a folder that stands for the folder where it is locked; it stays, empty."""
 
 PATIENCE = 10.0
 """How long to wait for a folder that another process holds [s]; each holds it for milliseconds."""
+
+LOCKED_BYTE = 1 << 40
+"""The byte that is locked on Windows, which forbids others to read what is locked: far beyond any content."""
+
+
+def lock(descriptor: int, patience: float = 0.0) -> None:
+    """Take the lock of a file, or raise OSError once it has been waited for so long [s]."""
+    deadline = time.monotonic() + patience
+    while True:
+        try:
+            return _lock_at_once(descriptor)
+        except OSError:
+            if time.monotonic() >= deadline:
+                raise
+        time.sleep(0.005)
+
+
+def _lock_at_once(descriptor: int) -> None:
+    if sys.platform == "win32":
+        import msvcrt
+
+        os.lseek(descriptor, LOCKED_BYTE, os.SEEK_SET)
+        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+        os.lseek(descriptor, 0, os.SEEK_END)
+    else:
+        import fcntl
+
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def is_locked(path: Path) -> bool:
@@ -65,15 +75,7 @@ def hold(folder: Path) -> Iterator[None]:
     """
     descriptor = os.open(folder / LOCK_NAME, os.O_RDWR | os.O_CREAT, 0o600)
     try:
-        deadline = time.monotonic() + PATIENCE
-        while True:
-            try:
-                lock(descriptor)
-                break
-            except OSError:
-                if time.monotonic() > deadline:
-                    raise
-                time.sleep(0.005)
+        lock(descriptor, PATIENCE)
         yield
     finally:
         os.close(descriptor)

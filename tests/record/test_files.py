@@ -1,13 +1,18 @@
 """Files that are whole or not there."""
 
+import errno
+import fcntl
 import os
 import stat
+import sys
 from pathlib import Path
 
 import pytest
 
 from modaltouch.record.chain import RecordError
-from modaltouch.record.files import OWNER_ALONE, prepare_file, replace_file
+from modaltouch.record.files import OWNER_ALONE, prepare_file, replace_file, sync_file
+
+SOURCE = Path(__file__).parents[2] / "src" / "modaltouch"
 
 
 def test_a_file_is_replaced_whole_and_for_its_owner_alone(tmp_path):
@@ -28,8 +33,8 @@ def test_a_file_that_cannot_be_written_is_named_and_the_old_one_stays(tmp_path):
     assert list(tmp_path.iterdir()) == [tmp_path / "table.tsv"]
 
 
-def test_a_replaced_file_is_on_the_disk_before_it_has_its_name(tmp_path, monkeypatch):
-    """Content first, then the name, then the folder: a power cut leaves the old file or the new one."""
+def test_a_replaced_file_is_on_the_disk_before_it_has_its_name(tmp_path, monkeypatch, rules):
+    """Content first, then the name, then the folder, which Windows has no way to sync: the old file or the new one."""
     done = []
     real_sync, real_replace = os.fsync, Path.replace
 
@@ -45,7 +50,7 @@ def test_a_replaced_file_is_on_the_disk_before_it_has_its_name(tmp_path, monkeyp
     monkeypatch.setattr(Path, "replace", replace)
     n_open = len(list(Path("/dev/fd").iterdir()))
     replace_file(tmp_path / "table.tsv", b"12345\n", "free the place")
-    assert done == [6, "name", "folder"]
+    assert done == [6, "name", *(["folder"] if rules == "unix" else [])]
     assert len(list(Path("/dev/fd").iterdir())) == n_open
 
 
@@ -60,3 +65,35 @@ def test_a_file_that_is_there_is_refused_before_the_work(tmp_path):
         prepare_file(path)
     with pytest.raises(RecordError, match=r"file.yaml: cannot be made .*; give another file with --out"):
         prepare_file(path / "deeper.yaml")
+
+
+@pytest.mark.parametrize("rules", ["unix"], indirect=True)
+@pytest.mark.parametrize(
+    ("platform", "refused", "done"),
+    [
+        ("linux", False, ["fsync 7"]),
+        ("darwin", False, ["F_FULLFSYNC 7"]),
+        ("darwin", True, ["F_FULLFSYNC 7", "fsync 7"]),
+    ],
+)
+def test_what_is_synced_is_past_the_cache_of_the_drive(monkeypatch, platform, refused, done):
+    """On macOS fsync stops there (fsync(2), F_FULLFSYNC in fcntl(2)), which some file systems cannot."""
+    called = []
+
+    def control(descriptor, command):
+        called.append(f"{command} {descriptor}")
+        if refused:
+            raise OSError(errno.ENOTSUP, "Operation not supported")
+
+    monkeypatch.setattr(sys, "platform", platform)
+    monkeypatch.setattr(fcntl, "F_FULLFSYNC", "F_FULLFSYNC", raising=False)
+    monkeypatch.setattr(fcntl, "fcntl", control)
+    monkeypatch.setattr(os, "fsync", lambda descriptor: called.append(f"fsync {descriptor}"))
+    sync_file(7)
+    assert called == done
+
+
+def test_there_is_one_way_to_sync():
+    """No module calls fsync by itself."""
+    calls = [path.name for path in SOURCE.rglob("*.py") if "fsync(" in path.read_text(encoding="utf-8")]
+    assert calls == ["files.py"]

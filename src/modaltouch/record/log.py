@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
@@ -12,8 +13,15 @@ from typing import Any, Self
 from modaltouch.clock import SYSTEM_CLOCK, Clock
 from modaltouch.locking import is_locked, lock
 from modaltouch.record.chain import GENESIS, Chain, RecordError, describe_torn, encode_line, read_chain
-from modaltouch.record.files import sync_folder
+from modaltouch.record.files import move, open_file, sync_file, sync_folder
 from modaltouch.record.folders import make_folder
+
+_MOMENT = 0.1
+"""How long whoever only asks whether a log is locked may keep it so, at most [s]."""
+
+
+class RecordExistsError(RecordError):
+    """A session has been recorded, or is being recorded, where another was to be."""
 
 
 class SessionLog:
@@ -61,20 +69,20 @@ class SessionLog:
         draft = path.with_name(f".{path.name}.{os.getpid()}.tmp")
         try:
             make_folder(path.parent)
-            descriptor = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND, 0o600)
+            descriptor = open_file(draft, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND)
+            _take(path, descriptor)
+            log = cls(path, descriptor, None, timed_by)
+            try:
+                log.append(event, **facts)
+                log._publish(draft)
+            except BaseException:
+                log.close()
+                draft.unlink(missing_ok=True)
+                raise
         except OSError as error:
             raise RecordError(
                 f"{path}: cannot be created ({error.strerror}); give a folder you may write to with --results"
             ) from error
-        _take(path, descriptor)
-        log = cls(path, descriptor, None, timed_by)
-        try:
-            log.append(event, **facts)
-            _publish(draft, path)
-        except BaseException:
-            log.close()
-            draft.unlink(missing_ok=True)
-            raise
         sync_folder(path.parent)
         return log
 
@@ -87,11 +95,7 @@ class SessionLog:
         RecordError
             If the log is damaged, in use by another process, or cannot be written.
         """
-        try:
-            descriptor = os.open(path, os.O_WRONLY | os.O_APPEND)
-        except OSError as error:
-            raise RecordError(f"{path}: cannot be opened for writing ({error.strerror})") from error
-        _take(path, descriptor)
+        descriptor = _open_log(path)
         for leftover in path.parent.glob(".*.tmp"):  # of a view that a kill cut short; the lock says nobody writes it
             leftover.unlink()
         chain = read_chain(path)
@@ -158,6 +162,24 @@ class SessionLog:
     ) -> None:
         self.close()
 
+    def _publish(self, draft: Path) -> None:
+        """Give the file its name, unless the name is taken."""
+        refuse_existing(self.path)
+        if sys.platform == "win32":
+            # It renames no open file, and none onto another. Other sessions wait meanwhile: the dataset is held.
+            self.close()
+            move(draft.rename, self.path)
+            self._descriptor = _open_log(self.path)
+            return
+        try:
+            os.link(draft, self.path)
+        except FileExistsError:
+            refuse_existing(self.path)
+        except OSError:  # a file system without hard links
+            draft.rename(self.path)
+        else:
+            draft.unlink()
+
     def _settle(self) -> None:
         """Count the line that was being written, or forget it.
 
@@ -179,7 +201,7 @@ class SessionLog:
         try:
             # One write call: SIGKILL leaves all of a line or nothing; only a full disk or a power cut tears it.
             written = os.write(self._descriptor, data)
-            os.fsync(self._descriptor)
+            sync_file(self._descriptor)
         except OSError as error:
             self._failure = f"{self.path}: writing failed ({error.strerror}); earlier events are on the disk"
             raise RecordError(self._failure) from error
@@ -193,37 +215,34 @@ def refuse_existing(path: Path) -> None:
 
     Raises
     ------
-    RecordError
+    RecordExistsError
         If the log exists, with the way to go on.
     """
     if path.exists() and is_locked(path):
-        raise RecordError(
+        raise RecordExistsError(
             f"{path}: this session is being run now, by another program; give another participant id, or wait until "
             "it is over"
         )
     if path.exists():
-        raise RecordError(
+        raise RecordExistsError(
             f"{path}: this session exists already and is never overwritten; "
             f"continue it with `modaltouch resume {path.parent}`, or give another --session number"
         )
 
 
-def _publish(draft: Path, path: Path) -> None:
-    """Give a file its name, unless the name is taken."""
-    refuse_existing(path)
+def _open_log(path: Path) -> int:
+    """Return the locked descriptor of a log that there is, to append to."""
     try:
-        os.link(draft, path)
-    except FileExistsError:
-        refuse_existing(path)
-    except OSError:  # a file system without hard links
-        draft.rename(path)
-    else:
-        draft.unlink()
+        descriptor = open_file(path, os.O_WRONLY | os.O_APPEND)
+    except OSError as error:
+        raise RecordError(f"{path}: cannot be opened for writing ({error.strerror})") from error
+    _take(path, descriptor)
+    return descriptor
 
 
 def _take(path: Path, descriptor: int) -> None:
     try:
-        lock(descriptor)
+        lock(descriptor, _MOMENT)
     except OSError as error:
         os.close(descriptor)
         raise RecordError(f"{path}: another process is writing this session; wait until it ends") from error

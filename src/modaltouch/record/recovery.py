@@ -22,6 +22,7 @@ from modaltouch.record.chain import (
     read_log,
     read_object,
 )
+from modaltouch.record.files import OWNER_ALONE, replace_file
 from modaltouch.record.folders import SessionFolder
 from modaltouch.record.log import SessionLog, refuse_existing
 from modaltouch.record.session import Session
@@ -187,18 +188,14 @@ def recover(found: Recovery, results: Path) -> Path:
         list_participants(place)
         write_view(place, Session(place.log, tuple(log.events), ()), log.head)
     if found.left_out:
-        _keep(place.log.with_name("left_out.txt"), b"\n".join(line.content for line in found.left_out) + b"\n")
+        content = b"\n".join(line.content for line in found.left_out) + b"\n"
+        replace_file(place.log.with_name("left_out.txt"), content, "the new log is intact", OWNER_ALONE)
     return place.log
 
 
 def _facts(event: dict[str, Any]) -> dict[str, Any]:
     """Return what an event says and when; number, check and remains are the new log's."""
     return {name: value for name, value in event.items() if name not in ("n", "event", "torn")}
-
-
-def _keep(path: Path, content: bytes) -> None:
-    path.touch(mode=0o600)
-    path.write_bytes(content)
 
 
 def _prove(lines: list[bytes], claimed: dict[int, str], number: int) -> dict[str, Any] | None:

@@ -16,8 +16,8 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-from modaltouch import __version__
 from modaltouch.locking import LOCK_NAME, hold
+from modaltouch.provenance import version
 from modaltouch.record.chain import RecordError
 from modaltouch.record.files import OWNER_ALONE, replace_file
 from modaltouch.record.folders import LOG_NAME, SessionFolder, make_folder
@@ -191,7 +191,7 @@ def describe_dataset(place: SessionFolder, title: str) -> None:
         "Name": title or place.protocol,
         "BIDSVersion": BIDS_VERSION,
         "DatasetType": "raw",
-        "GeneratedBy": [{"Name": "modaltouch", "Version": __version__}],
+        "GeneratedBy": [{"Name": "modaltouch", "Version": version()}],
     }
     try:
         make_folder(place.dataset)
@@ -202,7 +202,7 @@ def describe_dataset(place: SessionFolder, title: str) -> None:
     if not (place.dataset / "dataset_description.json").exists():
         text = json.dumps(description, indent=2, ensure_ascii=False) + "\n"
         _replace(place.dataset / "dataset_description.json", text)
-        _replace(place.dataset / "README", f"{description['Name']}: sessions recorded by modaltouch {__version__}.\n")
+        _replace(place.dataset / "README", f"{description['Name']}: sessions recorded by modaltouch {version()}.\n")
         _replace(place.dataset / ".bidsignore", f"*.jsonl\n*.log\n{LOCK_NAME}\n")
 
 
