@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from modaltouch.analysis.analyse import analyse
+from modaltouch.document import shipped
 from modaltouch.preflight import examine
 from modaltouch.record.folders import SessionFolder
+from modaltouch.record.log import RecordExistsError
 from modaltouch.sitting import begin
 from modaltouch.window import WindowOptions
 from modaltouch.window.virtual_display import some_display
@@ -36,12 +39,6 @@ class Outcome:
     report: Path
 
 
-def shipped_protocols() -> Path:
-    """Return the folder of the protocols that come with the program."""
-    installed = Path(__file__).parent / "protocols"
-    return installed if installed.is_dir() else Path(__file__).parents[2] / "protocols"
-
-
 def demonstrate(
     results: Path,
     *,
@@ -65,26 +62,30 @@ def demonstrate(
     on_progress : callable
         Called with (answered, total) after each trial.
     """
-    preflight = examine(shipped_protocols() / "demo.yaml").require()
-    protocol = preflight.experiment.protocol
-    number = 1
-    while SessionFolder(results, "simulated", protocol.protocol, PARTICIPANT, number).log.exists():
-        number += 1
-    place = SessionFolder(results, "simulated", protocol.protocol, PARTICIPANT, number)
-    traces = place.dataset / "derivatives" / f"sub-{PARTICIPANT}_ses-{number}"
-    screenshots = window_options.screenshots or traces / "screenshots"
+    preflight = examine(shipped("protocol")["demo"]).require()
+    number = 0
     with some_display() as display:
-        tell(f"Session {number} on {display}: a simulated participant answers in the window, about a minute.")
-        setup = wire_run(
-            preflight,
-            PARTICIPANT,
-            session=number,
-            answers="robot",
-            seed=seed,
-            results=results,
-            window_options=replace(window_options, screenshots=screenshots),
-        )
-        session = begin(replace(setup, on_progress=on_progress))
+        while True:
+            number += 1
+            place = SessionFolder(results, "simulated", preflight.experiment.protocol.protocol, PARTICIPANT, number)
+            if place.log.exists():
+                continue
+            traces = place.dataset / "derivatives" / f"sub-{PARTICIPANT}_ses-{number}"
+            screenshots = window_options.screenshots or traces / "screenshots"
+            tell(f"Session {number} on {display}: a simulated participant answers in the window, about a minute.")
+            setup = wire_run(
+                preflight,
+                PARTICIPANT,
+                session=number,
+                answers="robot",
+                seed=seed,
+                results=results,
+                window_options=replace(window_options, screenshots=screenshots),
+            )
+            # Another demonstration may take the number while this one opens its window.
+            with suppress(RecordExistsError):
+                session = begin(replace(setup, on_progress=on_progress))
+                break
     tell(f"{session.n_answered} answers recorded; now the analysis.")
     analysis = analyse(session.path.parent, traces / "analysis", mode="simulated")
     return Outcome(session.path.parent, screenshots, analysis.files["report.html"])

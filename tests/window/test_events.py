@@ -87,22 +87,17 @@ def test_a_held_key_is_one_press(tap: tuple[EventTap, PaperWindow]) -> None:
     events, window = tap
     window.script = [press(A), press(A), press(A)]
     assert [event.kind for event in events.poll()] == ["key"]
-    window.script = [press(A), release(A), ("on_key_press", (A, 0))]
-    time.sleep(0.002)
-    assert [event.kind for event in events.poll()] == []
+    window.script = [press(A), release(A)]
+    assert [event.kind for event in events.poll()] == ["release"]
 
 
-def test_a_release_and_press_in_no_time_is_a_repeat(tap: tuple[EventTap, PaperWindow]) -> None:
-    """Expected: X without detectable repeat reports a held key so; a hand needs more than a millisecond."""
+def test_a_release_and_press_in_no_time_are_a_hand(tap: tuple[EventTap, PaperWindow]) -> None:
+    """Read in one poll after the process stood still: nothing that was typed is lost."""
     events, window = tap
     window.script = [press(A)]
     events.poll()
-    window.script = [release(A), press(A)]
-    assert events.poll() == []
-    window.script = [release(A)]
-    assert [event.kind for event in events.poll()] == ["release"]
-    window.script = [press(A)]
-    assert [event.kind for event in events.poll()] == ["key"]
+    window.script = [release(A), press(A), release(A)]
+    assert [event.kind for event in events.poll()] == ["release", "key", "release"]
 
 
 def test_a_key_released_in_another_window_can_be_pressed_again(tap: tuple[EventTap, PaperWindow]) -> None:

@@ -23,7 +23,8 @@ TITLE = "modaltouch under test"
 
 
 def ask(room: Any, trial: Trial) -> Any:
-    """Ask one trial whose stimulus begins now."""
+    """Ask one trial whose stimulus begins now, its pictures drawn at the placement as in a session."""
+    room.window._make_ready(trial)
     return room.window.ask(trial, PROGRESS, room.present())
 
 
@@ -114,6 +115,22 @@ def test_a_key_held_since_before_the_question_counts_only_when_pressed_anew(
     assert response.answer == "right"
     assert len(made.events("discarded")) == 1
     assert made.events("ignored") == []
+
+
+def test_a_held_key_that_comes_up_and_down_between_two_polls_is_pressed_anew(
+    room: Callable[..., Any], hands: Any, trial: Trial
+) -> None:
+    """Expected: a hand that typed while the process stood still has answered; X tells its own repeats from that."""
+    made = room()
+
+    def type_at_once() -> None:
+        hands.key("Left", down=False)
+        hands.key("Left")
+
+    made.script = [("feel", 0.02, lambda: hands.key("Left", up=False)), ("question", 0.8, type_at_once)]
+    response = ask(made, trial)
+    assert response.answer == "left"
+    assert len(made.events("discarded")) == 1
 
 
 def test_two_keys_at_once_give_the_first_and_flag_the_trial(room: Callable[..., Any], hands: Any, trial: Trial) -> None:

@@ -11,11 +11,10 @@ import pytest
 
 from modaltouch.protocol import Experiment
 from modaltouch.trial import FINGERS, Condition, Trial
-from modaltouch.window.hands import draw_hands
 from modaltouch.window.interface import Progress
 from modaltouch.window.layout import lay_out
 from modaltouch.window.marks import Mark, Picture, Shape, Words
-from modaltouch.window.pictures import Illustrator
+from modaltouch.window.pictures import Illustrator, draw_hands
 from modaltouch.window.theme import DARK, Theme
 
 PROGRESS = Progress(5, 12)

@@ -67,6 +67,14 @@ def test_a_display_without_opengl_is_named() -> None:
     assert f"WindowError: the display '{name}' cannot draw with OpenGL" in done.stderr
 
 
+def test_a_display_of_few_colours_is_named() -> None:
+    """Expected: at 16 bits pyglet waits for ever for a window that X refuses to make."""
+    with virtual_display((640, 480), "-screen", "0", "640x480x16") as name:
+        done = open_in_a_process(DISPLAY=name)
+    assert done.returncode == 1
+    assert f"WindowError: the display '{name}' has colours of 16 bits: 24 are needed" in done.stderr
+
+
 def test_a_home_that_cannot_be_written_does_not_matter_and_nothing_is_printed(display: str) -> None:
     """Expected: PsychoPy alone raises PermissionError there, and prints a warning about monitors elsewhere."""
     done = open_in_a_process(DISPLAY=display, HOME="/dev/null")

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from modaltouch.window.marks import Box, capsule, rectangle, rounded, triangle
-from modaltouch.window.softening import cover
+from modaltouch.window.screen import cover
 
 
 @given(st.floats(3, 60), st.floats(3, 60), st.floats(-20, 20), st.floats(-20, 20))

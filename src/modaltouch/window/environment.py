@@ -2,16 +2,29 @@
 
 from __future__ import annotations
 
+import ctypes
 import importlib
 import os
 import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from modaltouch.window.interface import WindowError
+
+LIBRARIES = {
+    "libGL.so.1": "libgl1",
+    "libGLX_mesa.so.0": "libglx-mesa0",
+    "libGLU.so.1": "libglu1-mesa",
+    "libX11.so.6": "libx11-6",
+    "libXext.so.6": "libxext6",
+    "libfontconfig.so.1": "libfontconfig1",
+    "libfreetype.so.6": "libfreetype6",
+}
+"""The shared libraries that draw the window on Linux, and the Debian package of each."""
 
 _SELDOM_USED = ("json_tricks", "pandas", "requests", "scipy.interpolate")
 """What PsychoPy imports before any window, and uses for monitor files, spreadsheets and downloaded fonts alone."""
@@ -26,6 +39,30 @@ class _PutOff(ModuleType):
         if sys.modules.get(self.__name__) is self:
             del sys.modules[self.__name__]
         return getattr(importlib.import_module(self.__name__), name)
+
+
+def missing_libraries() -> dict[str, str]:
+    """Return the libraries of the window that this machine lacks, with their Debian packages."""
+    if not sys.platform.startswith("linux"):
+        return {}
+    missing = {name: package for name, package in LIBRARIES.items() if not is_loadable(name)}
+    if is_loadable("libGLX_nvidia.so.0"):
+        # A graphics card with drivers of its own needs none of Mesa's.
+        return {name: package for name, package in missing.items() if "mesa" not in name}
+    # Where Mesa keeps its drivers depends on its version and on the system.
+    patterns = ("dri/*_dri.so", "*/dri/*_dri.so", "libgallium*.so", "*/libgallium*.so")
+    if not any(any(Path("/usr").glob(f"lib*/{pattern}")) for pattern in patterns):
+        missing["the drivers of Mesa"] = "libgl1-mesa-dri"
+    return missing
+
+
+def is_loadable(library: str) -> bool:
+    """Return whether the system's loader finds a shared library."""
+    try:
+        ctypes.CDLL(library)
+    except OSError:
+        return False
+    return True
 
 
 @contextmanager
@@ -64,6 +101,8 @@ def prepare_environment() -> None:
     # Without these, PsychoPy puts its plug-in folders on sys.path and its clock follows the wall clock.
     os.environ.setdefault("PSYCHOPYNOPACKAGES", "1")
     os.environ.setdefault("PSYCH_GETSECS_CLOCK", "1")
+    # Drawn without a graphics card, a frame would take every core, and bursts would wait for it.
+    os.environ.setdefault("LP_NUM_THREADS", str(max(1, (os.cpu_count() or 2) - 1)))
     _ensure_writable_home()
 
 
@@ -79,6 +118,11 @@ def explain(error: Exception) -> str:
     """Return what a failure to reach the display means, and what to do."""
     display = os.environ.get("DISPLAY", "")
     kind = type(error).__name__
+    if missing := missing_libraries():
+        return (
+            f"the answer window cannot be drawn: this machine lacks {', '.join(missing)}; install the Debian "
+            f"packages {' '.join(missing.values())}, or what holds them on this system"
+        )
     if "NoSuchDisplay" in kind:
         return (
             f"the answer window cannot reach the display {display!r} ({error}); check that the X server runs "
@@ -98,11 +142,18 @@ def fit(size: tuple[int, int], monitor: int) -> tuple[int, int]:
     Raises
     ------
     WindowError
-        If there is no such monitor.
+        If there is no such monitor, or too few colours: pyglet would wait for its window for ever.
     """
     import pyglet.canvas
 
-    monitors = pyglet.canvas.get_display().get_screens()
+    display = pyglet.canvas.get_display()
+    monitors = display.get_screens()
+    if sys.platform.startswith("linux"):
+        from pyglet.libs.x11.xlib import XDefaultDepth
+
+        if (depth := XDefaultDepth(display._display, display.x_screen)) < 24:
+            name = os.environ.get("DISPLAY", "")
+            raise WindowError(f"the display {name!r} has colours of {depth} bits: 24 are needed; set its X server so")
     if not 0 <= monitor < len(monitors):
         raise WindowError(
             f"given screen {monitor}, but this display has {len(monitors)}; allowed: 0 to {len(monitors) - 1}; "

@@ -27,8 +27,6 @@ _ALIASES = {
 
 _FIRST_DIGIT = 10
 """X's code of the key 1 of the upper row; the other digits follow."""
-_REPEAT_GAP = 0.001
-"""A key that comes up and goes down again sooner than this was held: no hand is that fast [s]."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +113,7 @@ class EventTap:
         self._window.dispatch_events()
         events = list(self._queue)
         self._queue.clear()
-        return [event for event in _drop_repeats(events) if self._is_news(event)]
+        return [event for event in events if self._is_news(event)]
 
     def _is_news(self, event: Event) -> bool:
         """Return whether the event is no repeat of a key that is held."""
@@ -163,29 +161,11 @@ class EventTap:
         return True
 
 
-def _drop_repeats(events: list[Event]) -> list[Event]:
-    """Return the events without the release-and-press pairs by which X reports a held key."""
-    kept: list[Event] = []
-    for event in events:
-        last = kept[-1] if kept else None
-        if (
-            event.kind == "key"
-            and last is not None
-            and last.kind == "release"
-            and last.key == event.key
-            and event.time - last.time < _REPEAT_GAP
-        ):
-            kept.pop()
-            continue
-        kept.append(event)
-    return kept
-
-
 def _report_releases_once(window: Any) -> bool:
     """Ask X to report a held key by presses alone, and return whether it agreed.
 
     pyglet asks once, on the connection of its hidden window, while PsychoPy opens the visible one on a
-    connection of its own.
+    connection of its own. A release and a press are then a hand's, however soon one follows the other.
     """
     if not sys.platform.startswith("linux"):
         return True

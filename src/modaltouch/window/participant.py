@@ -11,12 +11,11 @@ from typing import Any, NoReturn, Self
 from modaltouch.clock import SYSTEM_CLOCK, Clock
 from modaltouch.protocol import Protocol, Texts
 from modaltouch.trial import TIME_OUT, Answer, Response, Trial
-from modaltouch.window.answering import AnswerTaker
+from modaltouch.window.answering import SETTLE, AnswerTaker, Pauser
 from modaltouch.window.events import Event, canonical_key
 from modaltouch.window.interface import Log, Presentation, Progress, Tick, TrialInterrupted
 from modaltouch.window.layout import lay_out
 from modaltouch.window.marks import Picture
-from modaltouch.window.pausing import SETTLE, Pauser
 from modaltouch.window.pictures import Illustrator
 from modaltouch.window.reading import DEVICES, Reader, is_press
 from modaltouch.window.stage import POLL_INTERVAL, Display, Moment, Nobody, Sitter, Stage

@@ -6,23 +6,27 @@ session that it answers proves the whole path, on every platform and without a d
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable
 
 from modaltouch.protocol import AnswersSection
 from modaltouch.trial import Answer
 from modaltouch.window.events import canonical_key
+from modaltouch.window.interface import WindowError
 from modaltouch.window.simulated import Answerer
 from modaltouch.window.stage import Moment
 
 _HOLD = 0.06
-"""How long a key stays down [s]."""
+"""How long a key stays down at least, and up before the next press [s]."""
 _GLANCE = 0.12
 """An answer never comes sooner than this after the question is on the screen [s]."""
+_AGAIN = 1.0
+"""A key that was not taken is typed again after this long [s]."""
+_TRIES = 60
+"""How often: a minute. They are counted, so that a process that was stopped for an hour has not lost its minute."""
 
 
 class Robot:
-    """Types what an observer answers, at the observer's reaction time.
+    """Types what an observer answers, at the observer's reaction time, until the window takes it.
 
     Parameters
     ----------
@@ -41,29 +45,38 @@ class Robot:
         self._counts_from_question = answers.stimulus_until == "question"
         self._patience = patience
         self._felt: tuple[Answer, float] = ("both", 0.0)
-        self._plan: deque[tuple[float, str, bool]] = deque()
+        self._seen: tuple[Moment, str] = (Moment(), "")
+        self._wanted, self._due, self._tries = "", 0.0, 0
+        self._down, self._moved = "", 0.0
 
-    def see(self, moment: Moment, shown: float) -> None:
-        """Decide what to type at what is on the screen since `shown` [s]."""
-        is_down = bool(self._plan) and not self._plan[0][2]
-        self._plan = deque([self._plan[0]] if is_down else [])
-        if moment.wants == "go_on":
-            self._type(self._continue_key, shown + self._patience)
+    def see(self, moment: Moment, shown: float, picture: str) -> None:
+        """Decide what to type at the picture that is on the screen since `shown` [s]."""
+        if (moment, picture) == self._seen:
+            return
+        self._seen, self._wanted, self._tries = (moment, picture), "", 0
+        if moment.wants in ("go_on", "confirm"):
+            self._wanted = self._continue_key if moment.wants == "go_on" else self._keys[self._felt[0]]
+            self._due = shown + self._patience
         elif moment.wants == "feel" and moment.trial is not None:
             # Felt now: by the time of the question the stimulus may have stopped.
             self._felt = self._answerer.answer(moment.trial)
-        elif moment.wants in ("answer", "confirm"):
+        elif moment.wants == "answer":
             answer, reaction_time = self._felt
             start = shown if self._counts_from_question else moment.onset
-            due = start + reaction_time if moment.wants == "answer" else shown
-            self._type(self._keys[answer], max(due, shown + _GLANCE))
+            self._wanted, self._due = self._keys[answer], max(start + reaction_time, shown + _GLANCE)
 
     def act(self, now: float, type_key: Callable[..., None]) -> None:
-        """Press or release the key that is due."""
-        while self._plan and self._plan[0][0] <= now:
-            _, key, down = self._plan.popleft()
-            type_key(key, down=down)
-
-    def _type(self, key: str, when: float) -> None:
-        self._plan.append((when, key, True))
-        self._plan.append((when + _HOLD, key, False))
+        """Press or release the key that is due; raise `WindowError` if the window has not taken one for a minute."""
+        # What was typed before has been read: had it been taken, something else would be wanted.
+        if self._down and now >= self._moved + _HOLD:
+            type_key(self._down, down=False)
+            self._down, self._moved = "", now
+        elif self._wanted and not self._down and now >= max(self._due, self._moved + _HOLD):
+            if self._tries == _TRIES:
+                raise WindowError(
+                    f"nothing has moved for {_TRIES * _AGAIN:g} s: the screen {self._seen[1]!r} stays, though the "
+                    f"robot typed {self._wanted!r} {_TRIES} times; test keys with `modaltouch doctor --timing`"
+                )
+            type_key(self._wanted, down=True)
+            self._down, self._moved, self._due = self._wanted, now, now + _AGAIN
+            self._tries += 1

@@ -2,20 +2,146 @@
 
 from __future__ import annotations
 
+import math
+import os
 import sys
 from collections import OrderedDict
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from modaltouch.clock import SYSTEM_CLOCK, Clock
-from modaltouch.window.environment import explain, few_imports, fit, prepare_environment
+from modaltouch.window.environment import explain, few_imports, fit, missing_libraries, prepare_environment
 from modaltouch.window.events import Event, EventTap
 from modaltouch.window.interface import WindowError
-from modaltouch.window.loss import Loss
 from modaltouch.window.marks import Mark, Picture, Shape, Words
-from modaltouch.window.softening import cover
+
+
+@dataclass(frozen=True, eq=False)
+class Coverage:
+    """The part of the screen that a polygon touches.
+
+    Attributes
+    ----------
+    left, bottom : int
+        First column and row [pixels].
+    alpha : (n_rows, n_columns) array
+        Covered share of each pixel, lowest row first [1].
+    """
+
+    left: int
+    bottom: int
+    alpha: NDArray[np.float32]
+
+
+def cover(corners: NDArray[np.float64]) -> Coverage:
+    """Return how much of each pixel a convex polygon covers.
+
+    A pixel's share is taken from the distance of its centre to the nearest edge: exact for a straight edge
+    along the pixel grid, and within 0.1 of the true area elsewhere.
+
+    Parameters
+    ----------
+    corners : (n_corners, 2) array
+        Corners in order, either way round [pixels], y upwards.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than three corners.
+    """
+    if len(corners) < 3:
+        raise ValueError(f"given {len(corners)} corners; allowed: 3 or more")
+    left, bottom = (math.floor(low) - 1 for low in corners.min(axis=0))
+    right, top = (math.ceil(high) + 1 for high in corners.max(axis=0))
+    x = np.arange(left, right, dtype=np.float32) + np.float32(0.5)
+    y = np.arange(bottom, top, dtype=np.float32)[:, np.newaxis] + np.float32(0.5)
+    following = np.roll(corners, -1, axis=0)
+    turn = np.sign(np.sum(corners[:, 0] * following[:, 1] - following[:, 0] * corners[:, 1]))
+    inside = np.full((top - bottom, right - left), np.inf, dtype=np.float32)
+    for (x0, y0), (x1, y1) in zip(corners, following, strict=True):
+        length = math.hypot(x1 - x0, y1 - y0)
+        if length < 1e-9:
+            continue
+        normal_x, normal_y = -turn * (y1 - y0) / length, turn * (x1 - x0) / length
+        distance = np.float32(normal_x) * (x - np.float32(x0)) + np.float32(normal_y) * (y - np.float32(y0))
+        np.minimum(inside, distance, out=inside)
+    return Coverage(left, bottom, np.clip(inside + np.float32(0.5), 0, 1))
+
+
+_HANDLERS: list[Any] = []
+"""What Xlib may call for as long as the process lives; it keeps their addresses alone."""
+
+
+class Loss:
+    """Whether the X server behind a window has gone; elsewhere than on X this never happens.
+
+    Xlib calls ``exit(1)`` once its connection is broken. Since libX11 1.7 a program may decline that
+    (``XSetIOErrorExitHandler``): then every call on the connection does nothing, and the session can end in order. With
+    an older libX11 the process ends, and the watchdog switches the outputs off.
+
+    Parameters
+    ----------
+    look : callable
+        Asks the display for events, so that a broken connection is noticed.
+    """
+
+    def __init__(self, look: Callable[[], object]) -> None:
+        self.happened = False
+        self._look = look
+        if sys.platform.startswith("linux"):
+            self._decline_to_exit()
+
+    @contextmanager
+    def told(self) -> Iterator[None]:
+        """Tell a lost display as such, whatever OpenGL and pyglet make of it.
+
+        Raises
+        ------
+        WindowError
+            If the display has gone.
+        """
+        try:
+            yield
+        except Exception:
+            with suppress(Exception):
+                self._look()
+            self._check()
+            raise
+        self._check()
+
+    def _check(self) -> None:
+        if self.happened:
+            name = os.environ.get("DISPLAY", "")
+            raise WindowError(f"the display {name!r} is gone; see why its X server ended, and start it again")
+
+    def _decline_to_exit(self) -> None:
+        """Stay alive when a connection breaks: pyglet has one for each window, hidden ones too."""
+        from ctypes import CFUNCTYPE, c_void_p, cast
+
+        import pyglet.canvas
+        from pyglet.libs.x11 import xlib
+
+        decline = getattr(xlib._lib, "XSetIOErrorExitHandler", None)
+        if decline is None:
+            return
+        kind = CFUNCTYPE(None, c_void_p, c_void_p)
+        decline.restype, decline.argtypes = None, [c_void_p, kind, c_void_p]
+        quiet, stay = xlib.XIOErrorHandler(self._note), kind(self._note)
+        _HANDLERS.extend((quiet, stay))
+        xlib.XSetIOErrorHandler(quiet)
+        for display in pyglet.canvas._displays:
+            decline(cast(display._display, c_void_p), stay, None)
+
+    def _note(self, *_: object) -> int:
+        self.happened = True
+        return 0
+
 
 _KEPT_MARKS = 1500
 """Marks kept ready to draw; a session with ten zone pairs needs about 600."""
@@ -271,6 +397,8 @@ def _import_psychopy() -> tuple[Any, Any]:
             logging.console.setLevel(logging.ERROR)
             from psychopy import monitors, visual
     except ImportError as error:
+        if missing_libraries():
+            raise WindowError(explain(error)) from error
         raise WindowError(
             f"PsychoPy cannot be imported ({error}); install the project's environment again (`make install`), "
             "or answer without a window (`--answers simulated`)"
@@ -288,7 +416,10 @@ def _load_fonts() -> None:
     folder = Path(psychopy.__file__).parent / "assets" / "fonts"
     for name in ("NotoSans-Regular.ttf", "NotoSans-Bold.ttf"):
         with (folder / name).open("rb") as file:
-            pyglet.font.add_file(file)
+            try:
+                pyglet.font.add_file(file)
+            except ImportError as error:
+                raise WindowError(explain(error)) from error
 
 
 def _open(visual: Any, size: tuple[int, int], **options: Any) -> Any:

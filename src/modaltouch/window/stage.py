@@ -72,17 +72,17 @@ class Moment:
 class Sitter(typing.Protocol):
     """Someone in front of the window who is not flesh and blood: `robot.Robot`, or nobody."""
 
-    def see(self, moment: Moment, shown: float) -> None:
-        """Take in what is on the screen since `shown` [s]."""
+    def see(self, moment: Moment, shown: float, picture: str) -> None:
+        """Take in the picture that is on the screen since `shown` [s]."""
 
     def act(self, now: float, type_key: Callable[..., None]) -> None:
-        """Do what is due."""
+        """Do what is due; what the moment wants is still wanted."""
 
 
 class Nobody:
     """No robot: a person answers."""
 
-    def see(self, moment: Moment, shown: float) -> None:
+    def see(self, moment: Moment, shown: float, picture: str) -> None:
         """Do nothing."""
 
     def act(self, now: float, type_key: Callable[..., None]) -> None:
@@ -153,7 +153,7 @@ class Stage:
                 screenshots.mkdir(parents=True, exist_ok=True)
             except OSError as error:
                 raise WindowError(
-                    f"the folder {screenshots} for screenshots cannot be made ({error}); give another one"
+                    f"the folder {screenshots} for screenshots cannot be made ({error}); give a folder you may write to"
                 ) from error
 
     def prepare(self, picture: Picture) -> None:
@@ -171,7 +171,7 @@ class Stage:
             self._picture, self._ahead = picture, None
             self._is_stale = False
         if moment is not None:
-            self._sitter.see(moment, self.shown)
+            self._sitter.see(moment, self.shown, picture.name)
         return self.shown
 
     def draw_ahead(self, picture: Picture) -> None:
@@ -182,7 +182,7 @@ class Stage:
 
     def attend(self, moment: Moment) -> None:
         """Tell a robot what happens apart from the screen."""
-        self._sitter.see(moment, self.clock.now())
+        self._sitter.see(moment, self.clock.now(), self._picture.name if self._picture else "")
 
     def poll(self) -> list[Event]:
         """Tick, and return what happened since the last poll; rests a millisecond if that is nothing.

@@ -12,8 +12,8 @@ from contextlib import contextmanager
 
 from modaltouch.window.interface import WindowError
 
-_PATIENCE = 10.0
-"""Longest time Xvfb may take to say which display it serves [s]."""
+_PATIENCE = 60.0
+"""Longest time Xvfb may take to say which display it serves, and a tenth of it to end [s]."""
 
 
 @contextmanager
@@ -69,7 +69,7 @@ def virtual_display(size: tuple[int, int] = (1920, 1080), *options: str) -> Iter
     if program is None:
         raise WindowError("there is no display, and no Xvfb to make one: install xvfb, or log in at a screen")
     reading, writing = os.pipe()
-    # Depth 24 and no less: at 16 PsychoPy's window waits for ever. -noreset keeps it alive between clients.
+    # -noreset keeps it alive between clients.
     command = [
         program,
         "-displayfd",
@@ -88,9 +88,14 @@ def virtual_display(size: tuple[int, int] = (1920, 1080), *options: str) -> Iter
         ready, _, _ = select.select([reading], [], [], _PATIENCE)
         number = os.read(reading, 16).decode().strip() if ready else ""
         if not number:
-            raise WindowError(f"{program} did not start within {_PATIENCE:g} s; run it by hand to see why")
+            how = "ended at once" if ready else f"did not start within {_PATIENCE:g} s"
+            raise WindowError(f"{program} {how}; run `{program} -displayfd 1` by hand to see why")
         yield f":{number}"
     finally:
         os.close(reading)
         server.terminate()
-        server.wait()
+        try:
+            server.wait(_PATIENCE / 10)
+        except subprocess.TimeoutExpired:
+            server.kill()
+            server.wait()
