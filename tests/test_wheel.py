@@ -1,62 +1,134 @@
-"""The wheel holds all that the program needs besides its dependencies."""
+"""The wheel, installed in an environment of its own: a command that works in any folder and names its commit."""
 
+import json
 import os
+import shutil
 import subprocess
 import sys
+import sysconfig
+import tarfile
 import zipfile
 from pathlib import Path
 
 import pytest
-from hatchling import build
 
-import modaltouch
+from modaltouch import provenance
 
 ROOT = Path(__file__).parents[1]
+UV = shutil.which("uv") or Path(sys.prefix).parent / ".uv" / "bin" / "uv"
+
+
+def build_in(tree, kind, folder):
+    """Build a wheel, a source distribution or an editable wheel of a tree and return its file."""
+    command = [sys.executable, "-c", f"from hatchling import build; print(build.build_{kind}({str(folder)!r}))"]
+    done = subprocess.run(command, cwd=tree, check=True, capture_output=True, text=True)
+    return folder / done.stdout.strip()
 
 
 @pytest.fixture(scope="module")
-def installed(tmp_path_factory):
-    """The folder that a wheel built of this tree becomes."""
-    folder = tmp_path_factory.mktemp("wheel")
-    before = Path.cwd()
-    os.chdir(ROOT)
-    try:
-        name = build.build_wheel(str(folder))
-    finally:
-        os.chdir(before)
-    with zipfile.ZipFile(folder / name) as wheel:
-        wheel.extractall(folder / "site")
-    return folder / "site"
+def wheel(tmp_path_factory):
+    """The wheel of this tree."""
+    return build_in(ROOT, "wheel", tmp_path_factory.mktemp("wheel"))
 
 
-def run(installed, folder, *words):
-    """Run ``modaltouch`` from the wheel, away from the repository, with an empty home."""
-    environment = {**os.environ, "PYTHONPATH": str(installed), "HOME": str(folder)}
-    command = [sys.executable, "-m", "modaltouch", *map(str, words)]
-    return subprocess.run(
-        command, cwd=folder, env=environment, capture_output=True, text=True, timeout=100, check=False
-    )
+@pytest.fixture(scope="module")
+def told(wheel):
+    """Version and commit that the build wrote down; no commit where the tree is in no repository."""
+    with zipfile.ZipFile(wheel) as archive:
+        version, _, commit = archive.read("modaltouch/build.txt").decode().strip().partition(" ")
+    return version, commit
 
 
-def test_the_wheel_has_a_command_and_its_data(installed):
-    """Entry point, protocols, schemas, texts, observers, templates."""
-    (entry,) = installed.glob("*.dist-info/entry_points.txt")
-    assert "modaltouch = modaltouch.__main__:main" in entry.read_text()
-    package = installed / "modaltouch"
-    for name in ("protocols/demo.yaml", "protocols/texts/french.yaml", "protocols/schema/protocol.json"):
-        assert (package / name).is_file(), name
-    sources = {path.relative_to(ROOT / "src") for path in (ROOT / "src").rglob("*") if path.suffix in (".j2", ".py")}
-    assert all((installed / path).is_file() for path in sources)
+@pytest.fixture(scope="module")
+def environment(wheel, tmp_path_factory):
+    """A fresh environment with the wheel, inside a repository of somebody else; what it needs is lent by this one."""
+    project = tmp_path_factory.mktemp("theirs")
+    folder = project / ".venv"
+    subprocess.run([UV, "venv", "--quiet", "--python", sys.executable, folder], check=True)
+    words = ["pip", "install", "--quiet", "--offline", "--no-deps", "--python", folder / "bin" / "python", wheel]
+    subprocess.run([UV, *words], check=True)
+    (site,) = folder.glob("lib/*/site-packages")
+    (site / "lent.pth").write_text(sysconfig.get_path("purelib") + "\n", encoding="utf-8")
+    git = ["git", "-c", "user.name=n", "-c", "user.email=e@example.org", "-c", "commit.gpgsign=false"]
+    for words in (["init", "--quiet"], ["commit", "--quiet", "--allow-empty", "--message", "theirs"]):
+        subprocess.run([*git, *words], cwd=project, check=True)
+    return folder
 
 
-def test_the_installed_program_checks_and_runs_a_session(installed, tmp_path):
-    """Without the repository: the packaged protocol passes, a simulated session is recorded and analysed."""
-    protocol = installed / "modaltouch" / "protocols" / "demo.yaml"
-    assert run(installed, tmp_path, "--version").stdout == f"{modaltouch.__version__}\n"
-    checked = run(installed, tmp_path, "check", protocol)
-    assert checked.returncode == 0, checked.stderr
-    simulated = run(installed, tmp_path, "simulate", protocol, "-n", "2")
-    assert simulated.returncode == 0, simulated.stderr
-    analysed = run(installed, tmp_path, "analyse", tmp_path / "results")
-    assert analysed.returncode == 0, analysed.stderr
-    assert list(tmp_path.rglob("report.html"))
+@pytest.fixture
+def run(environment, tmp_path):
+    """Run the installed command away from the repository, with an empty home; it ends well."""
+
+    def run(*words):
+        without = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+        command = [environment / "bin" / "modaltouch", *map(str, words)]
+        done = subprocess.run(
+            command, cwd=tmp_path, env={**without, "HOME": str(tmp_path)}, capture_output=True, text=True, timeout=100
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    return run
+
+
+def test_the_wheel_holds_all_that_the_package_and_the_protocols_hold(environment):
+    """Modules, templates, decisions; protocols, apparatus, texts, observers, schemas."""
+    (package,) = environment.glob("lib/*/site-packages/modaltouch")
+    kept = (".j2", ".py", ".md", ".yaml", ".json")
+    for source, installed in ((ROOT / "src" / "modaltouch", package), (ROOT / "protocols", package / "protocols")):
+        files = {path.relative_to(source) for path in source.rglob("*") if path.suffix in kept}
+        assert len(files) > 15
+        assert [str(file) for file in files if not (installed / file).is_file()] == []
+
+
+def test_a_build_is_of_the_commit_of_its_tree(wheel, told):
+    """Another than the tests began with, perhaps: somebody may commit meanwhile."""
+    version, commit = told
+    assert wheel.name == f"modaltouch-{version}-py3-none-any.whl"
+    assert bool(commit) == bool(provenance.commit())
+    assert version == provenance.RELEASE or version.startswith(f"{provenance.RELEASE}+g{commit[:12]}")
+    assert version.endswith(".dirty") == commit.endswith("+")
+
+
+def test_a_study_in_any_folder_from_the_first_command_to_the_report(run, told, tmp_path):
+    """What the README tells who installed the program; record and report name the commit of the build."""
+    version, commit = told
+    assert run("--version") == f"{version}\n"
+    assert run("check", "demo").startswith("Demonstration: 12 trials")
+    run("new", "study", "--from", "demo")
+    run("check", "study/protocols/demo.yaml")
+    run("simulate", "study/protocols/demo.yaml", "-n", "2", "--results", "study/results")
+    dataset = tmp_path / "study" / "results" / "simulated" / "demo"
+    start = json.loads((dataset / "sub-sim01/ses-1/beh/session.jsonl").read_text(encoding="utf-8").splitlines()[0])
+    assert (start["versions"]["modaltouch"], start["commit"]) == told
+    run("verify", dataset / "sub-sim01" / "ses-1")
+    report = json.loads(run("analyse", dataset, "--json"))["files"]["report.html"]
+    by = f"modaltouch {version}, commit <code>{commit}</code>" if commit else f"modaltouch {version}"
+    assert by in Path(report).read_text(encoding="utf-8")
+
+
+def test_the_installed_package_has_the_version_of_its_metadata(run, environment):
+    """Whatever asks the package manager is told what the program says of itself."""
+    ask = "from importlib.metadata import version; print(version('modaltouch'))"
+    done = subprocess.run([environment / "bin" / "python", "-I", "-c", ask], check=True, capture_output=True, text=True)
+    assert done.stdout == run("--version")
+
+
+def test_a_wheel_of_the_source_distribution_is_of_the_same_commit(tmp_path):
+    """The unpacked source distribution has no git to be asked."""
+    source = build_in(ROOT, "sdist", tmp_path)
+    with tarfile.open(source) as archive:
+        archive.extractall(tmp_path / "unpacked", filter="data")
+    (tree,) = (tmp_path / "unpacked").iterdir()
+    wheel = build_in(tree, "wheel", tmp_path)
+    assert wheel.name == f"{source.name.removesuffix('.tar.gz')}-py3-none-any.whl"
+    with zipfile.ZipFile(wheel) as archive:
+        assert archive.read("modaltouch/build.txt") == (tree / "src" / "modaltouch" / "build.txt").read_bytes()
+
+
+def test_an_editable_build_asks_git_each_time(tmp_path):
+    """It keeps no commit, which the next one would make untrue."""
+    with zipfile.ZipFile(build_in(ROOT, "editable", tmp_path)) as editable:
+        names = editable.namelist()
+    assert any(name.endswith(".pth") for name in names)
+    assert not any(name.endswith("build.txt") for name in names)

@@ -24,16 +24,17 @@ The stages, in the order in which values flow through them:
                the beam scanned, its modes, its targets corrected, the paper's evidence, the rivals
 ``analysis``   records -> tables, statistics, figures, report
 ``planning``   how many participants, by simulating the very protocol
+``study``      a shipped protocol in a folder of its own, to begin with
 ``cli``        the command line
 
 From Python, without the command line:
 
 >>> import modaltouch, tempfile
->>> preflight = modaltouch.examine("protocols/demo.yaml")      # every fault in `problems`, the design in `stimulus`
+>>> preflight = modaltouch.examine("demo")                     # every fault in `problems`, the design in `stimulus`
 >>> [round(1e3 * speed) for speed in preflight.stimulus.peak_velocity([-0.02, 0.0, 0.02], 0.2)]
 [115, 200, 115]
 >>> results = tempfile.TemporaryDirectory()
->>> session = modaltouch.simulate_session("protocols/demo.yaml", "p01", results.name)
+>>> session = modaltouch.simulate_session("demo", "p01", results.name)
 >>> session.n_answered
 12
 >>> analysis = modaltouch.analyse(session.path.parent)          # also of a CSV with one answer a row
@@ -44,8 +45,6 @@ From Python, without the command line:
 
 from importlib import import_module
 from typing import Any
-
-__version__ = "0.1.0"
 
 _DOORS = {
     "examine": "modaltouch.preflight",
@@ -59,7 +58,9 @@ __all__ = ["__version__", *_DOORS]
 
 
 def __getattr__(name: str) -> Any:
-    """Return a function of `_DOORS`."""
+    """Return a function of `_DOORS`, or the version, which git may have to be asked for."""
+    if name == "__version__":
+        return import_module("modaltouch.provenance").version()
     if name not in _DOORS:
         raise AttributeError(f"module 'modaltouch' has no attribute {name!r}; it offers {', '.join(__all__)}")
     return getattr(import_module(_DOORS[name]), name)

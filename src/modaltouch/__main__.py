@@ -30,6 +30,9 @@ USAGE_ERROR: Any = typer.BadParameter.__base__
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line, with the given arguments instead of the process's own."""
     words = sys.argv[1:] if arguments is None else arguments
+    if sys.platform == "win32":  # where what is redirected would lack the letters that are not the country's
+        for stream in (sys.stdout, sys.stderr):
+            stream.reconfigure(encoding="utf-8")
     try:
         if "--json" not in words:
             app(words)

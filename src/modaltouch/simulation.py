@@ -24,7 +24,7 @@ def simulate_session(
     Parameters
     ----------
     protocol : Path, str or Preflight
-        The protocol's file, or its preflight where several sessions share it.
+        The protocol's file, the name of a shipped one, or its preflight where several sessions share it.
     participant : str
         Participant id.
     results : Path or str

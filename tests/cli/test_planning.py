@@ -78,13 +78,6 @@ def test_bad_options_end_with_status_2_and_no_traceback(words: list[str], said: 
     assert said in flat
 
 
-def test_a_cluster_that_is_not_there_ends_with_status_2() -> None:
-    """Expected: one JSON object with the address, no traceback of a library."""
-    done = run("power", DEMO, "-n", 8, "--experiments", 10, "--dask", "nowhere", "--json")
-    assert done.exit_code == 2
-    assert "no dask scheduler answers at 'nowhere'" in json.loads(done.stdout)["error"]
-
-
 def test_ctrl_c_keeps_what_is_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Issue 7, item 5: exit status 130, and the two jobs done until then in JSON and in files."""
     ran: list[Job] = []

@@ -6,9 +6,9 @@ from typing import Annotated
 
 import typer
 
-from modaltouch import __version__
 from modaltouch.cli import (
     analysing,
+    beginning,
     calibrating,
     checking,
     comparing,
@@ -25,8 +25,8 @@ app = typer.Typer(
     name="modaltouch",
     help=(
         "Run a psychophysics experiment on a vibrating beam, from a YAML protocol to the statistics of the paper.\n\n"
-        "First time: `modaltouch demo`. Then `modaltouch check PROTOCOL`, `modaltouch run PROTOCOL -p p01`, "
-        "`modaltouch analyse results`.\n\n"
+        "First time: `modaltouch demo`. Then `modaltouch new study`, whose README.md lists the commands in their "
+        "order: `modaltouch check PROTOCOL`, `modaltouch run PROTOCOL -p p01`, `modaltouch analyse results`.\n\n"
         "Exit status: 0 done; 2 bad input, with its place; 3 rig or window failed, outputs are off; "
         "4 a record is damaged or would be overwritten; 130 interrupted, outputs are off, data kept."
     ),
@@ -41,7 +41,9 @@ app = typer.Typer(
 
 def _show_version(asked: bool) -> None:
     if asked:
-        print(__version__)
+        from modaltouch.provenance import version
+
+        print(version())
         raise typer.Exit
 
 
@@ -55,6 +57,7 @@ def version(
 
 
 app.command("demo")(running.demo)
+app.command("new")(beginning.new)
 app.command("check")(checking.check)
 app.command("calibrate")(calibrating.calibrate)
 app.command("run")(running.run)

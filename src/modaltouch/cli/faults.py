@@ -57,7 +57,6 @@ def explain(error: BaseException) -> tuple[int | None, list[dict[str, Any]]]:
         ("modaltouch.window.interface", "WindowError"): RIG_FAILED,
         ("modaltouch.masking.interface", "MaskingError"): RIG_FAILED,
         ("modaltouch.record.chain", "RecordInputError"): BAD_INPUT,
-        ("modaltouch.planning.workers", "ClusterError"): BAD_INPUT,
         ("modaltouch.record.chain", "RecordError"): RECORD_AT_RISK,
         ("modaltouch.window.interface", "SessionStopped"): INTERRUPTED,
         ("modaltouch.interruption", "Interrupted"): INTERRUPTED,

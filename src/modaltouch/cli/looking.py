@@ -51,6 +51,9 @@ def doctor(
     timing: Annotated[
         bool, typer.Option("--timing", help="Measure frames, keys, generator and clock instead, some seconds.")
     ] = False,
+    packages: Annotated[
+        bool, typer.Option("--packages", help="Print only the Debian packages that are missing, for `apt install`.")
+    ] = False,
     rig: Annotated[
         str, typer.Option(help="For --timing: `simulated`, or the generator's VISA address; nothing is played.")
     ] = "simulated",
@@ -62,7 +65,7 @@ def doctor(
     With a SESSION, look at its record instead: what is damaged, what still proves itself, and with --into a new
     record of that. The damaged one is never touched.
     """
-    from modaltouch.doctor import examine_machine
+    from modaltouch.doctor import examine_machine, missing_packages
 
     with reporting(json_output=json_output):
         if session is not None:
@@ -72,6 +75,9 @@ def doctor(
             raise typer.BadParameter("--into needs a session: modaltouch doctor SESSION --into FOLDER")
         if timing:
             _measure(rig, apparatus, json_output=json_output)
+            return
+        if packages:
+            print(*missing_packages())
             return
         findings = examine_machine(results)
         if json_output:

@@ -2,13 +2,41 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-SHIPPED_APPARATUS = Path("protocols/apparatus/beam_100x6x2.yaml")
+
+@contextmanager
+def progress(what: str, *, counted: bool = True) -> Iterator[Callable[[int, int], None]]:
+    """Show how much is done and how long the rest will take, or a spinner where nothing is counted.
+
+    Parameters
+    ----------
+    what : str
+        What is done.
+    counted : bool
+        Whether the function that is yielded will be called with (done, total).
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
+
+    description = TextColumn("{task.description}")
+    columns = (
+        (description, BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        if counted
+        else (SpinnerColumn(), description)
+    )
+    with Progress(*columns, console=Console(stderr=True)) as progress:
+        task = progress.add_task(what, total=None)
+        yield lambda done, total: progress.update(task, completed=done, total=total)
+
+
+SHIPPED_APPARATUS = Path("beam_100x6x2")
 
 
 class Theme(StrEnum):
@@ -20,14 +48,14 @@ class Theme(StrEnum):
 
 JSON = Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")]
 
-PROTOCOL = Annotated[Path, typer.Argument(help="Protocol, a YAML file.", show_default=False)]
+PROTOCOL = Annotated[Path, typer.Argument(help="A YAML file, or a shipped protocol: `demo`.", show_default=False)]
 CALIBRATION = Annotated[
     Path | None,
     typer.Option(
         help="Calibration file to use, as `modaltouch calibrate` wrote it.", show_default="the one the protocol names"
     ),
 ]
-APPARATUS = Annotated[Path, typer.Option("--apparatus", help="Apparatus, a YAML file.")]
+APPARATUS = Annotated[Path, typer.Option("--apparatus", help="Apparatus: a YAML file, or a shipped one.")]
 _OBSERVER = "Who is simulated: a YAML file, or a shipped observer such as `paper` or `near_miss`."
 OBSERVER = Annotated[str, typer.Option(help=_OBSERVER)]
 USUAL_OBSERVER = Annotated[

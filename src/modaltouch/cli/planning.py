@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from modaltouch.cli.faults import INTERRUPTED, print_json, reporting
-from modaltouch.cli.options import JSON, OBSERVER, PROTOCOL
-from modaltouch.cli.progress import progress
+from modaltouch.cli.options import JSON, OBSERVER, PROTOCOL, progress
 
 if TYPE_CHECKING:
     from modaltouch.planning.power import Power
@@ -28,10 +27,6 @@ REPETITIONS = Annotated[
 NULL = Annotated[
     bool, typer.Option("--null", help="Simulate that there is nothing to be found, to check the false alarms.")
 ]
-DASK = Annotated[
-    str | None,
-    typer.Option(help="Scheduler of a dask cluster that does the work instead, such as tcp://10.0.0.5:8786."),
-]
 
 
 def power(
@@ -45,7 +40,6 @@ def power(
     null: NULL = False,
     target: Annotated[float, typer.Option(min=0.01, max=0.999, help="Power that is wanted.")] = 0.8,
     jobs: Annotated[int, typer.Option("--jobs", "-j", min=1, max=256, help="Processes that share the work.")] = 1,
-    dask: DASK = None,
     out: Annotated[
         Path | None, typer.Option(help="Folder for tables and the contour plot.", show_default="nothing is written")
     ] = None,
@@ -86,7 +80,6 @@ def power(
                         [(n, r) for r in repetitions for n in sizes_n],
                         experiments,
                         n_processes=jobs,
-                        dask=dask,
                         on_progress=on_progress,
                         told_to_stop=lambda: bool(interruption.pending),
                     )

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from modaltouch.cli.asking import ask_participant, ask_rig, ask_session, can_ask, wait_for_start
-from modaltouch.cli.consoles import open_console
 from modaltouch.cli.faults import print_json, reporting
 from modaltouch.cli.options import (
     CALIBRATION,
@@ -34,13 +33,65 @@ from modaltouch.cli.options import (
     THEME_AGAIN,
     USUAL_OBSERVER,
     Theme,
+    progress,
 )
-from modaltouch.cli.progress import progress
 
 if TYPE_CHECKING:
     from modaltouch.record.session import Session
     from modaltouch.sitting import Setup
     from modaltouch.window import WindowOptions
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from modaltouch.console.interface import Console
+
+
+@contextmanager
+def open_console(events: Path | None, emergency_keys: Sequence[str], *, plain: bool) -> Iterator[Console]:
+    """Give the experimenter's console of one sitting.
+
+    Raises
+    ------
+    typer.BadParameter
+        If the events can be written nowhere.
+    """
+    from modaltouch.console.interface import Consoles
+
+    consoles: list[Console] = []
+    if events is not None:
+        from modaltouch.console.lines import EventLines
+
+        try:
+            consoles.append(EventLines(events))
+        except OSError as error:
+            raise typer.BadParameter(
+                f"given --events {events}, which cannot be written ({error.strerror}); give a file in a folder you "
+                "may write to, or a named pipe (`mkfifo`)"
+            ) from error
+    from modaltouch.console.lines import PlainLines
+
+    shown: Console = PlainLines(sys.stderr)
+    if has_terminal() and not plain:
+        from modaltouch.console.terminal import TerminalConsole
+
+        # A machine that can start no more processes shows plain lines.
+        with suppress(OSError):
+            shown = TerminalConsole(sys.stdin.fileno(), sys.stderr.fileno(), emergency_keys, instead=shown)
+    consoles.append(shown)
+    with Consoles(consoles) as console:
+        yield console
+
+
+def has_terminal() -> bool:
+    """Return whether somebody can type at this process and see what it draws."""
+    if not (sys.stdin.isatty() and sys.stderr.isatty()) or os.environ.get("TERM") == "dumb":
+        return False
+    # A job in the background would be stopped by the first key it reads.
+    return sys.platform == "win32" or os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
 
 
 class Answers(StrEnum):
@@ -221,6 +272,7 @@ def simulate(
     from modaltouch.observer.file import read_observer, usual_observer
     from modaltouch.preflight import examine
     from modaltouch.simulation import simulate_session
+    from modaltouch.study import analyses
 
     with reporting(json_output=json_output):
         # An observer that does not exist is told before a protocol is designed.
@@ -239,7 +291,8 @@ def simulate(
             print_json({"sessions": [str(session.path.parent) for session in sessions], "dataset": str(dataset)})
         else:
             print(f"{len(sessions)} sessions in {dataset}")
-            print(f"Next: modaltouch analyse {dataset}")
+            for command in analyses(preflight.experiment.protocol, str(dataset)):
+                print(f"Next: {command}")
 
 
 def demo(

@@ -4,10 +4,12 @@
 ``source``    the text of a file, with its hash for the record
 ``tree``      YAML 1.2 -> tree of nodes that know their line and column
 ``reading``   tree + model -> sound values and located problems
+``shipped``   files that come with the program, by name
 """
 
 from modaltouch.document.problems import InputError, Problem, fault, suggest
 from modaltouch.document.reading import Reading, read
+from modaltouch.document.shipped import find, shipped
 from modaltouch.document.source import Source, load_source
 from modaltouch.document.tree import Node, parse_tree
 
@@ -18,8 +20,10 @@ __all__ = [
     "Reading",
     "Source",
     "fault",
+    "find",
     "load_source",
     "parse_tree",
     "read",
+    "shipped",
     "suggest",
 ]

@@ -12,6 +12,9 @@ from modaltouch.document.problems import fault
 RESERVED_NAMES = frozenset({"simulated", "pilot", "reference", "benchmarks", "analysis", "derivatives"})
 """Folders of a results tree that no protocol may be called after."""
 
+DEVICE_NAMES = re.compile(r"(?i:con|prn|aux|nul|(com|lpt)[0-9])")
+"""No file of Windows can have such a name."""
+
 
 class Section(BaseModel):
     """A frozen part of a YAML file; unknown keys are refused."""
@@ -31,6 +34,8 @@ def _plain_file_name(name: str) -> str:
     if name.casefold() in RESERVED_NAMES:
         kept = ", ".join(sorted(RESERVED_NAMES))
         raise fault(f"{name!r}, which the results tree keeps for itself", f"any name but {kept}", "choose another")
+    if DEVICE_NAMES.fullmatch(name):
+        raise fault(f"{name!r}, which is a device to Windows", "any other name", "choose another")
     return name
 
 

@@ -1,0 +1,166 @@
+"""`modaltouch new`: a study whose every command works as it is printed, and nothing overwritten or half made."""
+
+import errno
+import json
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from modaltouch.cli.app import app
+from modaltouch.document import InputError, shipped
+from modaltouch.study import write_study
+
+
+def run(*words):
+    """Run ``modaltouch`` in this process and return what it came to."""
+    done = CliRunner().invoke(app, list(map(str, words)))
+    if done.exception is not None and not isinstance(done.exception, SystemExit):
+        raise done.exception
+    return done
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def commands_of(study):
+    """Return the commands of a study's README, with fewer participants; who would answer is simulated."""
+    lines = re.findall(r"^\| `modaltouch (.*?)` \|", (study / "README.md").read_text("utf-8"), flags=re.MULTILINE)
+    for line in lines:
+        words = shlex.split(line.replace("-n 10", "-n 2"))
+        if words[0] == "run":
+            words += ["--rig", "simulated", "--answers", "simulated"]
+        if words[0] in ("verify", "analyse"):
+            words[1] = re.sub("^results/(simulated/)?", "results/simulated/", words[1])
+        yield tuple(words)
+
+
+@pytest.mark.parametrize("template", shipped("protocol"))
+def test_every_shipped_protocol_makes_a_study_whose_next_step_works(tmp_path, template):
+    """As it is printed, also where the folder's name has a space."""
+    printed = run("new", tmp_path / "my study", "--from", template).stdout
+    (following,) = re.findall(r"^Next: modaltouch (.*)$", printed, flags=re.MULTILINE)
+    assert shlex.split(following)[1].endswith(f"my study/protocols/{template}.yaml")
+    assert run(*shlex.split(following)).exit_code == 0
+    commands = [words[0] for words in commands_of(tmp_path / "my study")]
+    assert sorted(set(commands)) == ["analyse", "check", "run", "simulate", "verify"]
+
+
+@pytest.mark.parametrize("template", ["demo", "sensation_levels", "two_fields"])
+def test_the_commands_of_a_study_work_in_their_order(tmp_path, monkeypatch, template):
+    """One protocol, one that needs another before it, and one with several stimuli, each analysed by itself."""
+    write_study(tmp_path / "study", template)
+    monkeypatch.chdir(tmp_path / "study")
+    for words in dict.fromkeys(commands_of(Path())):
+        done = run(*words)
+        assert done.exit_code == 0, f"{words}\n{done.output}"
+
+
+def test_a_study_is_used_from_any_folder(tmp_path):
+    """Protocol and results by their paths: check, simulate, analyse, verify."""
+    made = json.loads(run("new", "study", "--from", "demo", "--json").stdout)
+    assert made["protocol"] == str(Path("study/protocols/demo.yaml"))
+    assert all(Path(file).is_file() for file in made["files"])
+    assert run("check", made["protocol"]).exit_code == 0
+    assert run("simulate", made["protocol"], "-n", "1", "--results", "study/results").exit_code == 0
+    dataset = "study/results/simulated/demo"
+    assert run("analyse", dataset).exit_code == 0
+    assert run("verify", f"{dataset}/sub-sim01/ses-1").exit_code == 0
+
+
+def test_a_study_is_a_copy_in_the_shipped_layout(tmp_path):
+    """Byte by byte; apparatus, texts and schemas where the protocol and the editors look for them."""
+    source = shipped("protocol")["differentiated_stimulation"].parent
+    write_study(tmp_path / "study", "differentiated_stimulation")
+    copied = sorted(file for file in (tmp_path / "study" / "protocols").rglob("*") if file.is_file())
+    names = [file.relative_to(tmp_path / "study" / "protocols").as_posix() for file in copied]
+    schemas = [f"schema/{name}.json" for name in ("apparatus", "calibration", "observer", "protocol", "texts")]
+    own = ["apparatus/beam_100x6x2.yaml", "differentiated_stimulation.yaml", *schemas, "texts/english.yaml"]
+    assert names == own
+    assert [file.read_bytes() for file in copied] == [(source / name).read_bytes() for name in names]
+
+
+def test_the_session_that_finds_thresholds_is_part_of_the_study_that_needs_it(tmp_path):
+    """And comes before it."""
+    write_study(tmp_path / "study", "sensation_levels")
+    readme = (tmp_path / "study" / "README.md").read_text(encoding="utf-8")
+    assert readme.index("run protocols/threshold.yaml") < readme.index("run protocols/sensation_levels.yaml")
+    assert (tmp_path / "study" / "protocols" / "threshold.yaml").is_file()
+
+
+def test_participants_stay_out_of_version_control_and_are_their_experimenters_alone(tmp_path):
+    """As sessions make it themselves where it is missing."""
+    write_study(tmp_path / "study", "demo")
+    assert (tmp_path / "study" / "results" / ".gitignore").read_text(encoding="utf-8") == "*\n!.gitignore\n"
+    assert (tmp_path / "study" / "results").stat().st_mode & 0o777 == 0o700
+
+
+def test_an_empty_folder_will_do(tmp_path):
+    """The one that one is in, too."""
+    assert run("new", ".").exit_code == 0
+    assert run("check", "protocols/differentiated_stimulation.yaml").exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["taken"], "taken: given a folder that holds notes.txt; allowed: a folder that is new or empty"),
+        (["taken/notes.txt"], "taken/notes.txt: given a folder that cannot be written (Not a directory)"),
+        (["taken/notes.txt/study"], "given a folder that cannot be written (Not a directory); allowed: one that you"),
+        (["study", "--from", "treshold"], "--from: given 'treshold', which is no shipped protocol; allowed: demo, "),
+    ],
+)
+def test_what_cannot_be_is_refused_in_a_sentence(tmp_path, words, said):
+    """Status 2, and everything as it was."""
+    (tmp_path / "taken").mkdir()
+    (tmp_path / "taken" / "notes.txt").write_text("mine")
+    before = sorted(tmp_path.rglob("*"))
+    done = run("new", *words)
+    assert done.exit_code == 2
+    assert said in done.stderr.replace("\\", "/")
+    refused = run("new", *words, "--json")
+    assert refused.exit_code == 2
+    assert json.loads(refused.stdout)["problems"][0]["allowed"]
+    assert sorted(tmp_path.rglob("*")) == before
+    assert (tmp_path / "taken" / "notes.txt").read_text() == "mine"
+
+
+@pytest.mark.parametrize("n_files", [0, 1, 5, 9])
+def test_a_disk_that_fills_up_leaves_nothing_half_made(tmp_path, monkeypatch, n_files):
+    """Nor the folders above; what was there before stays."""
+    opened, left = Path.open, [n_files]
+
+    def fill(self, mode="r", **how):
+        if mode == "x":
+            left[0] -= 1
+            if left[0] < 0:
+                raise OSError(errno.ENOSPC, "No space left on device", str(self))
+        return opened(self, mode, **how)
+
+    (tmp_path / "mine").mkdir()
+    monkeypatch.setattr(Path, "open", fill)
+    for folder in (tmp_path / "a" / "b" / "study", tmp_path / "mine"):
+        left[0] = n_files
+        with pytest.raises(InputError, match=r"a folder that cannot be written \(No space left on device\)"):
+            write_study(folder, "demo")
+    assert sorted(tmp_path.rglob("*")) == [tmp_path / "mine"]
+
+
+def test_what_comes_in_between_is_not_overwritten(tmp_path, monkeypatch):
+    """A file that another program writes at the same moment stays, and so does its folder."""
+    made = Path.mkdir
+
+    def interfere(self, *args, **how):
+        made(self, *args, **how)
+        if self.name == "texts":
+            (self / "english.yaml").write_text("theirs")
+
+    monkeypatch.setattr(Path, "mkdir", interfere)
+    with pytest.raises(InputError, match=r"cannot be written \(File exists\)"):
+        write_study(tmp_path / "study", "demo")
+    files = [file for file in (tmp_path / "study").rglob("*") if file.is_file()]
+    assert [file.read_text() for file in files] == ["theirs"]

@@ -1,0 +1,56 @@
+"""Names of shipped files: what they stand for, and what comes first."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import modaltouch
+from modaltouch.apparatus import read_apparatus
+from modaltouch.cli.options import SHIPPED_APPARATUS
+from modaltouch.document import InputError, find, shipped
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.parametrize("name", shipped("protocol"))
+def test_every_shipped_protocol_is_sound_by_its_name_in_any_folder(name: str) -> None:
+    """From Python as on the command line."""
+    preflight = modaltouch.examine(name).require()
+    assert preflight.experiment.protocol.protocol == name
+
+
+def test_a_session_is_simulated_by_name_in_any_folder() -> None:
+    """The record lands in the folder that one is in."""
+    session = modaltouch.simulate_session("demo", "p01")
+    assert session.n_answered == 12
+    assert Path("results/simulated/demo/sub-p01/ses-1").is_dir()
+
+
+def test_the_default_apparatus_is_found_in_any_folder() -> None:
+    """It is a name, no path of the repository."""
+    assert read_apparatus(SHIPPED_APPARATUS).apparatus == "beam_100x6x2"
+
+
+def test_a_file_that_exists_comes_before_a_name_and_a_folder_does_not(tmp_path: Path) -> None:
+    """Results of a demonstration may lie in a folder that is called after it."""
+    Path("demo").mkdir()
+    assert find("protocol", "demo") == shipped("protocol")["demo"]
+    Path("threshold").write_text("protocol: mine\n", encoding="utf-8")
+    assert find("protocol", "threshold") == Path("threshold")
+    (problem, *_) = modaltouch.examine("threshold").problems
+    assert problem.file == "threshold"
+
+
+@pytest.mark.parametrize("name", ["protocols/demo.yaml", "demo.yaml", "Demo", "demos"])
+def test_what_is_neither_is_refused_with_the_names_there_are(name: str) -> None:
+    """Also a path of the repository, given elsewhere."""
+    names = "or one of demo, differentiated_stimulation, .*, with_catch_trials; did you mean 'demo'?"
+    with pytest.raises(InputError, match=f"^{name}:1:1: given a file that does not exist; .*, {names}"):
+        find("protocol", name)
+    with pytest.raises(InputError, match="or one of beam_100x6x2; check its name"):
+        read_apparatus("plate")
