@@ -5,6 +5,12 @@ PYTHON := $(if $(filter Windows_NT,$(OS)),.venv/Scripts/python.exe,.venv/bin/pyt
 UV := $(shell command -v uv 2>/dev/null || echo .uv/bin/uv)
 # Root needs no sudo; everyone else is asked for it only where a package is missing.
 SUDO := $(shell [ "$$(id -u)" = 0 ] || echo sudo)
+# Installs the Debian packages named in the shell variable `packages`, or says who may.
+define INSTALL_PACKAGES
+command -v apt-get >/dev/null || { echo "Install what holds these Debian packages on this system, then run make again: $$packages" >&2; exit 1; }; \
+[ "$$(id -u)" = 0 ] || command -v sudo >/dev/null || { echo "This user may not install packages. As root: apt-get install $$packages" >&2; exit 1; }; \
+$(SUDO) apt-get update -q && $(SUDO) env DEBIAN_FRONTEND=noninteractive apt-get install -y -q --no-install-recommends $$packages
+endef
 export UV_SYSTEM_CERTS := 1
 export MPLBACKEND := agg
 # Tests share the cores out among processes; threads of theirs would only wait for each other, busily.
@@ -20,7 +26,7 @@ help:
 install: .venv/.installed compiled system
 
 .uv/bin/uv:
-	@python3 -m venv .uv >/dev/null 2>&1 || { rm -rf .uv; $(SUDO) apt-get update -q && $(SUDO) apt-get install -y -q --no-install-recommends python3-venv && python3 -m venv .uv; }
+	@python3 -m venv .uv >/dev/null 2>&1 && exit 0; rm -rf .uv; packages=python3-venv; $(INSTALL_PACKAGES) && python3 -m venv .uv
 	.uv/bin/python -m pip install --quiet --disable-pip-version-check uv
 
 .venv/.installed: requirements.lock pyproject.toml | $(filter .uv/bin/uv,$(UV))
@@ -34,18 +40,12 @@ install: .venv/.installed compiled system
 compiled: .venv/.installed
 	@$(PYTHON) -m compileall -q src
 
-# OpenGL for the answer window, PortAudio for noise, and a virtual display with its own keyboard for
-# the tests and for machines without a screen.
-DEBIAN_PACKAGES := libgl1 libgl1-mesa-dri libglx-mesa0 libglu1-mesa libx11-6 libxext6 libportaudio2 xvfb
+# What draws the window, plays the noise, and shows a screen where there is none: `doctor` knows the packages.
 .PHONY: system
-system:
+system: compiled
 	@[ "$$(uname)" = Linux ] || exit 0; \
-	libraries=$$(PATH="$$PATH:/sbin:/usr/sbin" ldconfig -p); drivers=$$(ls /usr/lib/*/dri/swrast_dri.so /usr/lib/*/libgallium*.so 2>/dev/null || true); \
-	case "$$libraries" in *libGLU.so.1*) glu=yes;; esac; case "$$libraries" in *libGL.so.1*) gl=yes;; esac; \
-	case "$$libraries" in *libportaudio.so.2*) sound=yes;; esac; \
-	[ -n "$$gl" ] && [ -n "$$glu" ] && [ -n "$$sound" ] && [ -n "$$drivers" ] && command -v Xvfb >/dev/null && exit 0; \
-	command -v apt-get >/dev/null || { echo "Install OpenGL (libGL, libGLU, Mesa), PortAudio and Xvfb with this system's package manager, then run make again." >&2; exit 1; }; \
-	$(SUDO) apt-get update -q && $(SUDO) env DEBIAN_FRONTEND=noninteractive apt-get install -y -q --no-install-recommends $(DEBIAN_PACKAGES)
+	packages=$$($(PYTHON) -m modaltouch doctor --packages) || exit 1; [ -n "$$packages" ] || exit 0; \
+	$(INSTALL_PACKAGES)
 
 ## demo: a whole short session on the simulated rig, in the real window, then its report
 .PHONY: demo
@@ -113,16 +113,28 @@ accounted: install
 stops: install
 	$(PYTHON) tests/rig/stops.py --cases 1000 --out results/benchmarks/stops.json
 
+## doorstep: clone and wheel in bare Debian 12 and 13, as root and as a user; DOORSTEP_PYTHON=FOLDER is a Python 3.11 or 3.12 for 13
+.PHONY: doorstep
+doorstep: install
+	@command -v debootstrap >/dev/null || { packages=debootstrap; $(INSTALL_PACKAGES); }
+	$(SUDO) python3 tests/doorstep.py $(if $(DOORSTEP_PYTHON),--python $(DOORSTEP_PYTHON)) --out results/benchmarks/doorstep.json
+
+## stalls: twenty demonstrations whose processes are stopped and continued at seeded moments; results/benchmarks/stalls.json
+.PHONY: stalls
+stalls: install
+	$(PYTHON) tests/sessions/stalls.py --demos 20 --out results/benchmarks/stalls.json
+
 ## soak-identification: intervals judged by 200 seeds, and all nine modes through the whole driver, chirp and multisine
 .PHONY: soak-identification
 soak-identification: install
 	MODALTOUCH_IDENTIFIED_SEEDS=200 MODALTOUCH_SCANNED_POINTS=41 \
 	  $(PYTHON) -m pytest --timeout 3600 tests/identification/test_identify.py tests/identification/test_through_the_driver.py
 
-## soak-calibration: forty beams calibrated through the whole driver, judged by the twin's true state
+## soak-calibration: forty beams calibrated, and forty through the whole driver, judged by the twin's true state
 .PHONY: soak-calibration
 soak-calibration: install
-	MODALTOUCH_CALIBRATED_BEAMS=40 $(PYTHON) -m pytest --timeout 600 tests/calibration/test_through_the_driver.py
+	MODALTOUCH_CALIBRATED_BEAMS=40 MODALTOUCH_SEEDED_BEAMS=40 \
+	  $(PYTHON) -m pytest --timeout 600 tests/calibration/test_through_the_driver.py tests/calibration/test_seeded_beams.py
 
 ## fuzz: 20,000 spoilt files through every reader, and new examples for every property
 .PHONY: fuzz

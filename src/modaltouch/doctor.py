@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes.util
 import importlib.util
 import os
 import shutil
@@ -15,6 +14,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from modaltouch.provenance import versions
+from modaltouch.record.files import sync_file
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Finding:
 
 
 def examine_machine(results: Path) -> tuple[Finding, ...]:
-    """Look at everything a session needs, without opening a window or an instrument.
+    """Look at everything a session needs, and draw a letter in the window; no instrument is opened.
 
     Parameters
     ----------
@@ -55,11 +55,13 @@ def examine_machine(results: Path) -> tuple[Finding, ...]:
         _python(),
         *_packages(),
         _display(),
-        _opengl(),
+        _libraries(),
         _virtual_display(),
+        _window(),
         _sound(),
         _visa(),
         _usb(),
+        _precedence(),
         _disk(results),
     )
 
@@ -80,32 +82,69 @@ def _packages() -> list[Finding]:
         except PackageNotFoundError:
             missing.append(package)
     if missing:
-        return [Finding("packages", "fault", f"missing: {', '.join(missing)}", "run `make install`")]
+        return [Finding("packages", "fault", f"missing: {', '.join(missing)}", "install modaltouch anew")]
     return [Finding("packages", "ok", ", ".join(found))]
 
 
+def missing_packages() -> list[str]:
+    """Return the Debian packages that hold what this machine lacks for a session, a test or the demonstration."""
+    from modaltouch.window.environment import is_loadable, missing_libraries
+
+    if sys.platform != "linux":
+        return []
+    packages = list(missing_libraries().values())
+    packages += [] if is_loadable("libportaudio.so.2") else ["libportaudio2"]
+    return packages + ([] if shutil.which("Xvfb") else ["xvfb"])
+
+
 def _display() -> Finding:
-    if sys.platform in ("win32", "darwin"):
-        return Finding("display", "ok", "the system's own")
-    display = os.environ.get("DISPLAY", "")
-    if display:
-        return Finding("display", "ok", f"DISPLAY={display}")
-    return Finding(
-        "display",
-        "warning",
-        "DISPLAY is not set",
-        "log in at the screen; the demo brings a virtual display of its own",
-    )
+    own, display = sys.platform in ("win32", "darwin"), os.environ.get("DISPLAY", "")
+    if own or display:
+        return Finding("display", "ok", "the system's own" if own else f"DISPLAY={display}")
+    remedy = "log in at the screen; the demo brings a virtual display of its own"
+    return Finding("display", "warning", "DISPLAY is not set", remedy)
 
 
-def _opengl() -> Finding:
-    if sys.platform in ("win32", "darwin"):
-        return Finding("OpenGL", "ok", "the system's own")
-    missing = [name for name in ("GL", "GLU") if ctypes.util.find_library(name) is None]
+def _libraries() -> Finding:
+    from modaltouch.window.environment import LIBRARIES, missing_libraries
+
+    missing = missing_libraries()
     if missing:
-        names = ", ".join(f"lib{name}" for name in missing)
-        return Finding("OpenGL", "fault", f"missing: {names}", "install libgl1, libgl1-mesa-dri and libglu1-mesa")
-    return Finding("OpenGL", "ok", "libGL, libGLU")
+        names = ", ".join(f"{name} ({package})" for name, package in missing.items())
+        return Finding("libraries", "fault", f"missing: {names}", f"apt install {' '.join(missing.values())}")
+    return Finding("libraries", "ok", ", ".join(LIBRARIES) if sys.platform == "linux" else "the system's own")
+
+
+def _window() -> Finding:
+    """Open the window and draw a letter, which needs a display, OpenGL, fonts and PsychoPy together."""
+    from modaltouch.window.interface import WindowError
+    from modaltouch.window.marks import Box, Picture, Words
+    from modaltouch.window.screen import Screen
+    from modaltouch.window.virtual_display import some_display
+
+    try:
+        with some_display() as where:
+            screen = Screen(size=(320, 200), title="modaltouch doctor")
+            try:
+                screen.draw(Picture("letter", (Words("A", Box(0.0, 0.0, 0.8, 0.8), 0.5, "#ffffff"),)))
+                with tempfile.TemporaryDirectory() as folder:
+                    screen.flip(Path(folder) / "letter.png")
+                    lit = _share_lit(Path(folder) / "letter.png")
+                renderer = screen.describe()["renderer"]
+            finally:
+                screen.close()
+    except WindowError as error:
+        return Finding("window", "fault", *str(error).split("; ", 1))
+    if not lit:
+        return Finding("window", "fault", f"no letter can be seen on {where}", "install fonts and a driver for OpenGL")
+    return Finding("window", "ok", f"a letter is drawn on {where} ({renderer})")
+
+
+def _share_lit(picture: Path) -> float:
+    """Return how much of a picture is not its ground [1]."""
+    from matplotlib.image import imread
+
+    return float((imread(picture)[..., :3] > 0.5).any(axis=2).mean())
 
 
 def _virtual_display() -> Finding:
@@ -118,7 +157,7 @@ def _virtual_display() -> Finding:
 
 
 def _sound() -> Finding:
-    from modaltouch.masking.device import DeviceError, default_device
+    from modaltouch.masking.player import DeviceError, default_device
 
     try:
         device = default_device()
@@ -133,18 +172,28 @@ def _visa() -> Finding:
     try:
         return Finding("VISA", "ok", f"PyVISA {version('PyVISA')} with PyVISA-py {version('PyVISA-py')}: LAN (VXI-11)")
     except PackageNotFoundError:
-        return Finding("VISA", "fault", "PyVISA or PyVISA-py is absent", "run `make install`")
+        return Finding("VISA", "fault", "PyVISA or PyVISA-py is absent", "install modaltouch anew")
 
 
 def _usb() -> Finding:
     if importlib.util.find_spec("usb") is not None:
         return Finding("USB", "ok", f"pyusb {version('pyusb')}")
-    return Finding(
-        "USB",
-        "warning",
-        "pyusb is absent: a generator on USB is not found",
-        "connect it by LAN, or install pyusb",
-    )
+    found = "pyusb is absent: a generator on USB is not found"
+    return Finding("USB", "warning", found, "connect it by LAN, or install pyusb")
+
+
+def _precedence() -> Finding:
+    """Find out whether the process that triggers bursts may go before others (`modaltouch.rig.watchdog`)."""
+    if sys.platform != "linux":
+        return Finding("real time", "ok", "as the system shares out its processors")
+    import resource
+
+    if os.geteuid() == 0 or resource.getrlimit(resource.RLIMIT_RTPRIO)[0] > 0:
+        return Finding("real time", "ok", "bursts are triggered before all other work")
+    user = os.environ.get("USER", "NAME")
+    remedy = f"put `{user} - rtprio 10` into /etc/security/limits.d/modaltouch.conf and log in again"
+    found = "not allowed: on a busy machine bursts come late, are left out, and trials are repeated"
+    return Finding("real time", "warning", found, remedy)
 
 
 def _disk(results: Path) -> Finding:
@@ -154,7 +203,7 @@ def _disk(results: Path) -> Finding:
             start = time.perf_counter()
             file.write(b"x" * 512)
             file.flush()
-            os.fsync(file.fileno())
+            sync_file(file.fileno())
             elapsed = time.perf_counter() - start
     except OSError as error:
         remedy = "give a folder you may write to with --results"
