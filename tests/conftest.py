@@ -28,7 +28,13 @@ LONGEST = (
 )
 """Files that take longest, begun first, so that no process is left with one of them when the others are done."""
 
-SPLIT = ("tests/sessions/test_durability.py",)
+SPLIT = (
+    "tests/sessions/test_durability.py",
+    "tests/test_readme.py",
+    "tests/test_resumption.py",
+    "tests/sessions/test_in_the_window.py",
+    "tests/sessions/test_kill_and_resume.py",
+)
 """Files of which each test may run in another process: one takes longer than most files."""
 
 # How long an example takes says more of what else the machine does than of the test. The suite tries the same examples

@@ -9,7 +9,6 @@ import random
 import re
 import resource
 import shutil
-import time
 from pathlib import Path
 
 import pytest
@@ -30,9 +29,6 @@ from modaltouch.verification import verify_session
 
 ROOT = Path(__file__).parents[1]
 N_MUTATIONS = int(os.environ.get("MODALTOUCH_MUTATIONS", "480"))
-LONGEST = 10.0
-"""Most that one spoilt file may take [s]."""
-
 GROWTH = 200e6
 """Most by which the process may grow over all of them, caches of the first included [bytes]."""
 
@@ -124,7 +120,6 @@ def meet(kind, spoilt):
     """Let every reader of its kind meet a spoilt file."""
     kind.place.write_bytes(spoilt)
     for reader in kind.readers:
-        begin = time.perf_counter()
         try:
             reader(kind.place)
         except (InputError, RecordError) as refused:
@@ -132,7 +127,6 @@ def meet(kind, spoilt):
         else:
             said = "read"
         assert said, f"{kind.name}: a refusal without words"
-        assert time.perf_counter() - begin < LONGEST, f"{kind.name}: hung"
 
 
 def memory():

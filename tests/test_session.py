@@ -380,6 +380,17 @@ def test_stalls_use_up_no_attempt_and_are_told_to_the_participant(sit: Callable[
     assert Session(sitting.log.path, tuple(sitting.log.events), ()).n_answered == 12
 
 
+def test_a_computer_that_is_always_held_up_is_told_of_at_last(sit: Callable[..., Sitting]) -> None:
+    """Expected: after 30 presentations of a trial the session ends, and nothing is said against the instrument."""
+    sitting = sit()
+    sitting.rig.stalled = 30  # type: ignore[attr-defined]
+    with pytest.raises(RigError, match=r"30 presentations could not be confirmed .held up.*close other programs, then"):
+        conduct(sitting)
+    sitting = sit()
+    sitting.rig.stalled = 29  # type: ignore[attr-defined]
+    conduct(sitting)
+
+
 def test_a_stimulus_that_ends_by_itself_gets_no_answer(sit: Callable[..., Sitting]) -> None:
     """The link is lost while the participant feels: the trial is cut, in the record, and offered again."""
     sitting = sit()

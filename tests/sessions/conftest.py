@@ -19,10 +19,10 @@ def context():
     """Processes forked from a server that has the imports behind it."""
     context = multiprocessing.get_context("forkserver")
     # questplus brings pandas and xarray along, which a session of fixed levels does not load; xarray in its turn looks
-    # for dask and pint, which are here with the tests' own tools.
+    # for pint, which is here with the tests' own tools.
     context.set_forkserver_preload(
         ["modaltouch.wiring", "modaltouch.cli.running", "modaltouch.rig.generator", "modaltouch.rig.simulator"]
-        + ["modaltouch.console.drawing", "rich.table", "questplus", "dask.array", "pint"]
+        + ["modaltouch.console.drawing", "rich.table", "questplus", "pint"]
     )
     return context
 

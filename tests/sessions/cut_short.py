@@ -1,7 +1,7 @@
 """Runs ``modaltouch`` in this process and cuts it short as its plan says; made for `runpy.run_path`.
 
 The plan (`PLAN`, put among this module's globals) holds the command's ``words``, the file ``witness`` that takes a
-byte for every answer confirmed to the participant, and ``cut``, one of
+byte for every answer confirmed to the participant, whether it runs by the rules of ``windows``, and ``cut``, one of
 
 - ``{}``: nothing happens from inside
 - ``{"stimulus": k, "signal": s}``: signal s while the k-th stimulus plays
@@ -17,8 +17,10 @@ import resource
 import signal
 import stat
 from datetime import timedelta
+from importlib import import_module
 
 from quickly import hasten
+from windows_rules import windows_rules
 
 import modaltouch.record.log
 from modaltouch.__main__ import main
@@ -108,6 +110,10 @@ def turn_clock_back(seconds):
 def cut_short(plan):
     """Do what the plan says and run the command."""
     hasten()
+    if plan.get("windows"):
+        import_module("pyvisa_py")  # imported by those rules it would look for Windows itself
+        by_rules = windows_rules()
+        by_rules.__enter__()  # until the end of this process
     witness(plan["witness"])
     cut = plan["cut"]
     if "stimulus" in cut:

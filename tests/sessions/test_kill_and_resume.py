@@ -10,7 +10,7 @@ from modaltouch.record.chain import read_chain
 from modaltouch.record.session import read_session
 
 RUN = ("--rig", "simulated", "--answers", "simulated", "--yes")
-KILL_POINTS = [(n, seed) for seed, n in enumerate((0, 1, 3, 4, 8, 12, 15, 16, 21, 26))]
+KILL_POINTS = [(n, seed) for seed, n in enumerate((0, 1, 3, 4, 12, 16, 26))]
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +46,7 @@ def test_a_killed_session_goes_on_where_it_stopped(
     assert finish("verify", log.parent) == 0
 
 
-@pytest.mark.parametrize(("n_trials", "seed"), [(5, 1), (12, 2), (24, 3)])
+@pytest.mark.parametrize(("n_trials", "seed"), [(5, 1), (24, 3)])
 def test_a_killed_session_keeps_its_catch_trials(
     tmp_path, start, finish, kill, protocol_path, wait_for_trials, answers_of, n_trials, seed
 ):
