@@ -8,7 +8,7 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 
 class Origin(BuildHookInterface):
-    """Adds ``modaltouch/build.txt``: version and commit, as `modaltouch.provenance` reads them."""
+    """Adds ``modaltouch/build.txt``: version and commit, as `modaltouch.system.provenance` reads them."""
 
     def initialize(self, version, build_data):
         """Add the file, but to what is built from a source distribution, which brings its own."""
@@ -16,7 +16,7 @@ class Origin(BuildHookInterface):
         self.folder = TemporaryDirectory()
         if version == "editable" or (package / "build.txt").exists():
             return
-        commit = runpy.run_path(str(package / "provenance.py"))["commit"]()
+        commit = runpy.run_path(str(package / "system" / "provenance.py"))["commit"]()
         file = Path(self.folder.name, "build.txt")
         file.write_text(f"{self.metadata.version} {commit}\n", encoding="ascii")
         place = "modaltouch" if self.target_name == "wheel" else "src/modaltouch"

@@ -110,12 +110,12 @@ def _record_session(
     also: tuple[dict[str, Any], ...] = (),
 ) -> Path:
     """Record the answers that a function of the trial gives, and `also` further events; return the log."""
-    from modaltouch.account import describe_start, fingers
+    from modaltouch.protocol.schedule import draw_schedule
     from modaltouch.record.folders import SessionFolder
     from modaltouch.record.log import SessionLog
     from modaltouch.record.session import Session
     from modaltouch.record.view import write_view
-    from modaltouch.schedule import draw_schedule
+    from modaltouch.session.events import describe_start, fingers
 
     protocol, burst = preflight.experiment.protocol, preflight.stimulus.burst
     place = SessionFolder(results, mode, protocol.protocol, participant, session)

@@ -11,12 +11,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from modaltouch.allotment import allot, next_session
 from modaltouch.protocol import Protocol, read_protocol
+from modaltouch.protocol.schedule import draw_schedule, period_of_turns, recorded_turn, turn_of
 from modaltouch.record.chain import RecordError
 from modaltouch.record.folders import SessionFolder
 from modaltouch.record.log import SessionLog
-from modaltouch.schedule import draw_schedule, period_of_turns, recorded_turn, turn_of
+from modaltouch.session.assignment import allot, next_session
 
 PAPER = read_protocol(Path(__file__).parents[1] / "protocols" / "differentiated_stimulation.yaml").protocol
 

@@ -16,16 +16,16 @@ from typing import Any
 import pytest
 
 from modaltouch.analysis.reading import read_responses
-from modaltouch.audit.beginning import draw_again
-from modaltouch.document import InputError
 from modaltouch.protocol import Sources, restore_experiment
+from modaltouch.protocol.document import InputError
+from modaltouch.record.audit.beginning import draw_again
 from modaltouch.record.chain import GENESIS, RecordError, encode_line, read_chain
 from modaltouch.record.folders import locate
 from modaltouch.record.session import Session
 from modaltouch.record.view import write_view
-from modaltouch.simulation import simulate_session
-from modaltouch.verification import verify_session
-from modaltouch.wiring import wire_resume
+from modaltouch.session.simulation import simulate_session
+from modaltouch.session.verification import verify_session
+from modaltouch.session.wiring import wire_resume
 
 Events = list[dict[str, Any]]
 Lie = Callable[[Events], None]

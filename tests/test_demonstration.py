@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from modaltouch import demonstration
+from modaltouch.cli import demonstration
 from modaltouch.record.log import RecordExistsError
 from modaltouch.window import WindowOptions
 

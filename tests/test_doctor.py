@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from modaltouch import doctor
+from modaltouch.cli import doctor
 from modaltouch.window import environment
 from modaltouch.window.interface import WindowError
 

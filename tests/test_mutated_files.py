@@ -18,14 +18,14 @@ from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.reading import read_responses
 from modaltouch.analysis.statistics import find
 from modaltouch.cli.app import app
-from modaltouch.document import InputError
-from modaltouch.observer.file import read_observer
+from modaltouch.planning.observer.file import read_observer
 from modaltouch.preflight import examine
+from modaltouch.protocol.document import InputError
 from modaltouch.record.chain import RecordError
 from modaltouch.record.recovery import survey
 from modaltouch.record.session import read_session
-from modaltouch.simulation import simulate_session
-from modaltouch.verification import verify_session
+from modaltouch.session.simulation import simulate_session
+from modaltouch.session.verification import verify_session
 
 ROOT = Path(__file__).parents[1]
 N_MUTATIONS = int(os.environ.get("MODALTOUCH_MUTATIONS", "480"))

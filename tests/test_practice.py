@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modaltouch.practice import Round, expected_answer, judge_round
+from modaltouch.protocol.practice import Round, expected_answer, judge_round
 
 
 @pytest.mark.parametrize(

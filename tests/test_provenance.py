@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from modaltouch import provenance
+from modaltouch.system import provenance
 
 RELEASE = provenance.RELEASE
 

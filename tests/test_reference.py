@@ -6,11 +6,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from modaltouch.analysis.analyse import analyse
-from modaltouch.apparatus import read_apparatus
-from modaltouch.observer.file import read_observer
+from modaltouch.analysis.pipeline import analyse
+from modaltouch.planning.observer.file import read_observer
 from modaltouch.preflight import examine
-from modaltouch.simulation import simulate_session
+from modaltouch.protocol.apparatus import read_apparatus
+from modaltouch.session.simulation import simulate_session
 
 ROOT = Path(__file__).parents[1]
 REFERENCE = ROOT / "results" / "reference"

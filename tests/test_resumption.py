@@ -14,20 +14,20 @@ import pytest
 from typer.testing import CliRunner
 
 from modaltouch.cli.app import app
-from modaltouch.console.interface import Facts, Request, Silence
-from modaltouch.observer import Observer
+from modaltouch.planning.observer import Observer
 from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol import ResumeSection
+from modaltouch.protocol.schedule import draw_schedule, random_generator
 from modaltouch.record.chain import RecordInputError, read_chain
 from modaltouch.record.session import Session, read_session
-from modaltouch.resumption import answers_to_ask_again, examine_interruption, refuse_old
 from modaltouch.rig.interface import Bursts, Firing
-from modaltouch.schedule import draw_schedule, random_generator
-from modaltouch.sitting import Setup, begin, resume
-from modaltouch.verification import verify_session
+from modaltouch.session.console.interface import Facts, Request, Silence
+from modaltouch.session.resumption import answers_to_ask_again, examine_interruption, refuse_old
+from modaltouch.session.setup import Setup, begin, resume
+from modaltouch.session.verification import verify_session
+from modaltouch.session.wiring import wire_resume, wire_run
 from modaltouch.window.interface import AnswerWindow, SessionStopped
 from modaltouch.window.simulated import Answerer, SimulatedParticipant
-from modaltouch.wiring import wire_resume, wire_run
 
 Edit = Callable[..., Path]
 

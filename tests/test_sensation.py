@@ -12,21 +12,21 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from modaltouch.analysis.analyse import analyse
 from modaltouch.analysis.outcome import Analysis
+from modaltouch.analysis.pipeline import analyse
 from modaltouch.analysis.reading import read_responses
-from modaltouch.document import InputError
-from modaltouch.observer import Observer, Participant
 from modaltouch.planning.fitting import fit_answers
+from modaltouch.planning.observer import Observer, Participant
 from modaltouch.planning.presented import designs_for
 from modaltouch.preflight import Preflight, examine
+from modaltouch.protocol.document import InputError
 from modaltouch.record.chain import GENESIS, encode_line, read_chain
 from modaltouch.record.folders import SessionFolder
 from modaltouch.record.session import Session, read_session
-from modaltouch.sitting import begin, resume
-from modaltouch.verification import verify_session
+from modaltouch.session.setup import begin, resume
+from modaltouch.session.verification import verify_session
+from modaltouch.session.wiring import wire_resume, wire_run
 from modaltouch.window.interface import SessionStopped
-from modaltouch.wiring import wire_resume, wire_run
 
 PROTOCOLS = Path(__file__).parents[1] / "protocols"
 FAINT = Observer(Participant(detection_speed=0.015, lapse_rate=0.01), name="faint")

@@ -9,20 +9,20 @@ from typing import Any
 
 import pytest
 
-from modaltouch.adaptive import Levels
-from modaltouch.clock import VirtualClock
-from modaltouch.console.experimenter import Experimenter
-from modaltouch.console.interface import Request, Silence
-from modaltouch.console.status import Status
-from modaltouch.masking.interface import MaskingError, NoMasking
 from modaltouch.protocol import Experiment, Protocol, read_protocol
+from modaltouch.protocol.adaptive_rules import Levels
+from modaltouch.protocol.schedule import draw_schedule
+from modaltouch.protocol.trial import Answer, Response, Trial
 from modaltouch.record.log import SessionLog
 from modaltouch.record.session import Session
 from modaltouch.rig.interface import Bursts, Firing, RigError, StimulusLost
-from modaltouch.schedule import draw_schedule
-from modaltouch.session import Sitting, conduct
-from modaltouch.trial import Answer, Response, Trial
+from modaltouch.session.console.experimenter import Experimenter
+from modaltouch.session.console.interface import Request, Silence
+from modaltouch.session.console.status import Status
+from modaltouch.session.loop import Sitting, conduct
+from modaltouch.system.clock import VirtualClock
 from modaltouch.window.interface import Presentation, Progress, SessionStopped, TrialInterrupted
+from modaltouch.window.masking.interface import MaskingError, NoMasking
 
 SPEEDS = {"A": 0.12, "B": 0.115, "C": 0.2, "D": 0.115, "E": 0.12}
 

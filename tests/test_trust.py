@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from modaltouch.apparatus import read_apparatus
+from modaltouch.protocol.apparatus import read_apparatus
 from modaltouch.rig.simulator import Simulator
 
 ROOT = Path(__file__).parents[1]

@@ -10,9 +10,9 @@ from typer.testing import CliRunner
 from modaltouch.cli.app import app
 from modaltouch.preflight import examine
 from modaltouch.record.chain import GENESIS, encode_line, line_check, read_chain
-from modaltouch.sitting import begin, resume
-from modaltouch.verification import verify_session
-from modaltouch.wiring import wire_resume, wire_run
+from modaltouch.session.setup import begin, resume
+from modaltouch.session.verification import verify_session
+from modaltouch.session.wiring import wire_resume, wire_run
 
 PROTOCOL = Path(__file__).parents[1] / "protocols" / "demo.yaml"
 

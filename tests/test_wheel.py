@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from modaltouch import provenance
+from modaltouch.system import provenance
 
 ROOT = Path(__file__).parents[1]
 UV = shutil.which("uv") or Path(sys.prefix).parent / ".uv" / "bin" / "uv"

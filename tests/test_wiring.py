@@ -7,10 +7,10 @@ import pytest
 
 from modaltouch.preflight import examine
 from modaltouch.record.chain import RecordError
-from modaltouch.sitting import begin
+from modaltouch.session.setup import begin
+from modaltouch.session.wiring import wire_resume, wire_run
 from modaltouch.window import WindowOptions
 from modaltouch.window.interface import SessionStopped
-from modaltouch.wiring import wire_resume, wire_run
 
 PROTOCOL = Path(__file__).parents[1] / "protocols" / "demo.yaml"
 ADDRESS = "TCPIP::192.0.2.1::INSTR"

@@ -48,8 +48,8 @@ from typing import Any
 
 _DOORS = {
     "examine": "modaltouch.preflight",
-    "simulate_session": "modaltouch.simulation",
-    "analyse": "modaltouch.analysis.analyse",
+    "simulate_session": "modaltouch.session.simulation",
+    "analyse": "modaltouch.analysis.pipeline",
     "read_session": "modaltouch.record.session",
 }
 """Where each function lives that the package offers; imported when it is first asked for, since some are heavy."""
@@ -60,7 +60,7 @@ __all__ = ["__version__", *_DOORS]
 def __getattr__(name: str) -> Any:
     """Return a function of `_DOORS`, or the version, which git may have to be asked for."""
     if name == "__version__":
-        return import_module("modaltouch.provenance").version()
+        return import_module("modaltouch.system.provenance").version()
     if name not in _DOORS:
         raise AttributeError(f"module 'modaltouch' has no attribute {name!r}; it offers {', '.join(__all__)}")
     return getattr(import_module(_DOORS[name]), name)

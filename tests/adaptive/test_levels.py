@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from modaltouch.adaptive import Levels, describe_rule
-from modaltouch.adaptive.levels import from_dB, to_dB
-from modaltouch.adaptive.staircase import is_success
 from modaltouch.protocol import Protocol, StaircaseSection, read_protocol
-from modaltouch.schedule import draw_schedule
-from modaltouch.trial import Trial
+from modaltouch.protocol.adaptive_rules import Levels, describe_rule
+from modaltouch.protocol.adaptive_rules.levels import from_dB, to_dB
+from modaltouch.protocol.adaptive_rules.staircase import is_success
+from modaltouch.protocol.schedule import draw_schedule
+from modaltouch.protocol.trial import Trial
 
 SHIPPED = Path(__file__).parents[2] / "protocols" / "threshold.yaml"
 

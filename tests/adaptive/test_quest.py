@@ -7,7 +7,7 @@ import pytest
 from scipy.special import xlogy
 from scipy.stats import norm
 
-from modaltouch.adaptive.quest import Quest
+from modaltouch.protocol.adaptive_rules.quest import Quest
 
 
 class Definition:

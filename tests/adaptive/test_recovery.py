@@ -17,15 +17,15 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from modaltouch.adaptive.levels import from_dB, to_dB
-from modaltouch.adaptive.quest import Quest
-from modaltouch.adaptive.staircase import follow
 from modaltouch.analysis.thresholds.psychometric import fit_psychometric
-from modaltouch.observer import Participant
-from modaltouch.observer.file import read_observer
+from modaltouch.planning.observer import Participant
+from modaltouch.planning.observer.file import read_observer
 from modaltouch.preflight import examine
 from modaltouch.protocol import AdaptiveSection
-from modaltouch.trial import ANSWERS_WITH_NONE, Condition, Trial
+from modaltouch.protocol.adaptive_rules.levels import from_dB, to_dB
+from modaltouch.protocol.adaptive_rules.quest import Quest
+from modaltouch.protocol.adaptive_rules.staircase import follow
+from modaltouch.protocol.trial import ANSWERS_WITH_NONE, Condition, Trial
 
 PROTOCOL = Path(__file__).parents[2] / "protocols" / "threshold.yaml"
 BOUNDS = (2.0, 200.0)

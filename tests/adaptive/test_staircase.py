@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from modaltouch.adaptive.staircase import follow
 from modaltouch.protocol import StaircaseSection
+from modaltouch.protocol.adaptive_rules.staircase import follow
 
 BOUNDS = (0.0, 60.0)
 

@@ -11,7 +11,7 @@ from html.parser import HTMLParser
 
 import pytest
 
-from modaltouch.analysis.analyse import analyse, default_folder
+from modaltouch.analysis.pipeline import analyse, default_folder
 
 
 class Page(HTMLParser):
@@ -135,7 +135,7 @@ def test_results_land_beside_the_data_unless_told_otherwise(tmp_path) -> None:
 def test_the_analysis_loads_neither_instrument_nor_screen() -> None:
     """A fresh interpreter analyses without PyVISA, PsychoPy, pyglet or pyplot, and without statsmodels."""
     code = (
-        "import sys, modaltouch.analysis.analyse, modaltouch.analysis.gallery, modaltouch.analysis.report\n"
+        "import sys, modaltouch.analysis.pipeline, modaltouch.analysis.gallery, modaltouch.analysis.report\n"
         "import modaltouch.analysis.fields\n"
         "print([m for m in ('pyvisa', 'psychopy', 'pyglet', 'matplotlib.pyplot', 'statsmodels') if m in sys.modules])"
     )

@@ -10,14 +10,14 @@ from statistics import NormalDist
 import numpy as np
 import pytest
 
-from modaltouch.analysis.analyse import analyse
 from modaltouch.analysis.catches import catch_findings, catch_rows
 from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.exact import multinomial_test
+from modaltouch.analysis.pipeline import analyse
 from modaltouch.analysis.reading import read_responses
 from modaltouch.analysis.statistics import chance_findings, dominance_findings
 from modaltouch.analysis.tables import count_responses, zone_table
-from modaltouch.document import InputError
+from modaltouch.protocol.document import InputError
 
 HEADER = "participant,finger_condition,zone_left,zone_right,velocity_mm_s,response,catch"
 

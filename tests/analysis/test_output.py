@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from modaltouch.analysis.output import MANIFEST, write_files
 from modaltouch.record.chain import RecordError
+from modaltouch.report.output import MANIFEST, write_files
 
 
 def test_files_are_written_with_a_manifest_of_their_hashes(tmp_path) -> None:

@@ -9,11 +9,11 @@ import pytest
 
 from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.reading import read_responses
-from modaltouch.document import InputError
 from modaltouch.preflight import Preflight, examine
+from modaltouch.protocol.document import InputError
+from modaltouch.protocol.trial import Trial
 from modaltouch.record.chain import read_chain
-from modaltouch.trial import Trial
-from modaltouch.verification import verify_session
+from modaltouch.session.verification import verify_session
 
 KINDS = ("fired", "trial")
 NAMED = ("protocol: differentiated_stimulation", "protocol: two")

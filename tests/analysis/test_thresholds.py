@@ -12,19 +12,19 @@ from scipy.optimize import minimize
 from scipy.special import ndtr
 from scipy.stats import binom
 
-from modaltouch.adaptive.levels import to_dB
-from modaltouch.adaptive.staircase import follow
-from modaltouch.analysis.analyse import analyse
+from modaltouch.analysis.pipeline import analyse
 from modaltouch.analysis.reading import read_responses
 from modaltouch.analysis.thresholds import ThresholdAnalysis
 from modaltouch.analysis.thresholds.psychometric import Psychometric, fit_psychometric
-from modaltouch.document import InputError
-from modaltouch.observer import Observer, Participant
 from modaltouch.planning.fitting import fit_answers
+from modaltouch.planning.observer import Observer, Participant
 from modaltouch.planning.presented import designs_for
 from modaltouch.preflight import Preflight, examine
-from modaltouch.sitting import begin
-from modaltouch.wiring import wire_run
+from modaltouch.protocol.adaptive_rules.levels import to_dB
+from modaltouch.protocol.adaptive_rules.staircase import follow
+from modaltouch.protocol.document import InputError
+from modaltouch.session.setup import begin
+from modaltouch.session.wiring import wire_run
 
 ROOT = Path(__file__).parents[2]
 BOUNDS = (to_dB(2), to_dB(200))
@@ -188,7 +188,7 @@ def test_a_session_ends_in_thresholds_that_the_observer_has(
 def model_threshold(preflight: Preflight) -> float:
     """Return the level at which the middle participant names C in half of the trials on (A, C) [mm/s]."""
     from modaltouch.protocol import Protocol
-    from modaltouch.trial import Condition, Trial
+    from modaltouch.protocol.trial import Condition, Trial
 
     protocol: Protocol = preflight.experiment.protocol
     rng, answers = np.random.default_rng(1), ("left", "right", "both", "none")

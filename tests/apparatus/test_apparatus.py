@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modaltouch.apparatus import Apparatus, offered_gains, read_apparatus
-from modaltouch.document import InputError
+from modaltouch.protocol.apparatus import Apparatus, offered_gains, read_apparatus
+from modaltouch.protocol.document import InputError
 from modaltouch.stimulus.patches import patch_gains
 
 Edit = Callable[..., Path]

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modaltouch.apparatus import read_apparatus
 from modaltouch.preflight import examine
+from modaltouch.protocol.apparatus import read_apparatus
 from modaltouch.stimulus.shapes import mode_shapes
 from modaltouch.stimulus.timoshenko import TimoshenkoBeam
 

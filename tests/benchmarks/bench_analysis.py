@@ -21,16 +21,16 @@ from typing import Any
 
 import numpy as np
 
-from modaltouch.account import describe_start
-from modaltouch.document import Source
 from modaltouch.preflight import Preflight, examine, examine_findings
 from modaltouch.protocol import examine_sources
+from modaltouch.protocol.document import Source
+from modaltouch.protocol.schedule import draw_schedule
+from modaltouch.protocol.trial import Condition, Trial
 from modaltouch.record.chain import GENESIS, encode_line
 from modaltouch.record.folders import Mode, SessionFolder, make_folder
 from modaltouch.record.session import Session
 from modaltouch.record.view import write_view
-from modaltouch.schedule import draw_schedule
-from modaltouch.trial import Condition, Trial
+from modaltouch.session.events import describe_start
 
 ROOT = Path(__file__).parents[2]
 SHARES = {("A", "C"): (0.02, 0.06, 0.92), ("B", "D"): (0.25, 0.70, 0.05), ("C", "E"): (0.93, 0.06, 0.01)}
@@ -39,7 +39,7 @@ LEVELS = (80, 100, 150, 200)
 CONDITIONS = ("one_hand", "two_hands")
 CHILD = """
 import json, resource, sys, time
-from modaltouch.analysis.analyse import analyse
+from modaltouch.analysis.pipeline import analyse
 result = analyse(sys.argv[1], sys.argv[2])
 usage = resource.getrusage(resource.RUSAGE_SELF)
 print(json.dumps({"cpu_s": usage.ru_utime + usage.ru_stime, "peak_MB": usage.ru_maxrss / 1024,

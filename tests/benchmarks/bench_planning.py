@@ -25,9 +25,9 @@ from scipy.stats import permutation_test
 from statsmodels.stats.multitest import multipletests
 from threadpoolctl import threadpool_limits
 
-from modaltouch.observer.file import read_observer
 from modaltouch.planning.design import Design
 from modaltouch.planning.experiments import Job, Study, divide, run_job, simulate
+from modaltouch.planning.observer.file import read_observer
 from modaltouch.planning.presented import designs_for
 from modaltouch.planning.questions import CONFIRMED, Answers, p_values
 from modaltouch.preflight import examine

@@ -17,7 +17,7 @@ import bars
 import numpy as np
 import pyvisa
 
-from modaltouch.apparatus import read_apparatus
+from modaltouch.protocol.apparatus import read_apparatus
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.guard import Watchdog
 from modaltouch.rig.simulator import Simulator

@@ -16,7 +16,7 @@ from bench_synthesis import exact_amplitudes, undying
 from peers import ZONES, design, milliseconds, race, shipped_model
 from threadpoolctl import threadpool_limits
 
-from modaltouch.apparatus import read_apparatus
+from modaltouch.protocol.apparatus import read_apparatus
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.simulator import Simulator
 from modaltouch.stimulus.burst import Burst

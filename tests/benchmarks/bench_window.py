@@ -33,7 +33,7 @@ OPEN = """
 import time
 from pathlib import Path
 from modaltouch.protocol import read_protocol
-from modaltouch.trial import Condition, Trial
+from modaltouch.protocol.trial import Condition, Trial
 from modaltouch.window import open_window
 class Shown(Exception): pass
 experiment = read_protocol(Path("protocols/demo.yaml"))
@@ -87,8 +87,8 @@ def write_protocol(folder: Path) -> Path:
 def measure_trials(folder: Path, *, with_console: bool) -> dict[str, np.ndarray[Any, Any]]:
     """Return, for each trial of a session answered through the real window, its times [s]."""
     from modaltouch.preflight import examine
-    from modaltouch.sitting import begin
-    from modaltouch.wiring import wire_run
+    from modaltouch.session.setup import begin
+    from modaltouch.session.wiring import wire_run
 
     preflight = examine(write_protocol(folder))
     setup = wire_run(preflight, "p01", answers="robot", results=folder / f"results{with_console:d}")
@@ -109,7 +109,7 @@ def console_on_a_terminal() -> Iterator[Any]:
     """Give the live console on a terminal of its own, which is read all the time."""
     import threading
 
-    from modaltouch.console.terminal import TerminalConsole
+    from modaltouch.session.console.terminal import TerminalConsole
 
     master, slave = pty.openpty()
 
@@ -133,7 +133,7 @@ def console_on_a_terminal() -> Iterator[Any]:
 @contextmanager
 def silence() -> Iterator[Any]:
     """Give no console."""
-    from modaltouch.console.interface import Silence
+    from modaltouch.session.console.interface import Silence
 
     yield Silence()
 

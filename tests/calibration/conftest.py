@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modaltouch.apparatus import Apparatus, TrueAmplifier
-from modaltouch.calibration.loop import calibrate
-from modaltouch.calibration.outcome import Outcome
-from modaltouch.calibration.refining import aimed_ground
+from modaltouch.lab.calibration.loop import calibrate
+from modaltouch.lab.calibration.outcome import Outcome
+from modaltouch.lab.calibration.refining import aimed_ground
 from modaltouch.preflight import Preflight, examine
-from modaltouch.preflight.examine import design_to_fit
+from modaltouch.preflight.examination import design_to_fit
+from modaltouch.protocol.apparatus import Apparatus, TrueAmplifier
 from modaltouch.rig.acquisition import Acquisition, Recording
 from modaltouch.rig.simulator.channel import Playback
 from modaltouch.rig.simulator.scope import SimulatedScope

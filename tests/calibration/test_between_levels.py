@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modaltouch.apparatus import Apparatus
-from modaltouch.calibration.loop import calibrate_each
-from modaltouch.calibration.refining import aimed_ground, grounds_of, levels_between
+from modaltouch.lab.calibration.loop import calibrate_each
+from modaltouch.lab.calibration.refining import aimed_ground, grounds_of, levels_between
 from modaltouch.preflight import examine
-from modaltouch.preflight.examine import design_to_fit
+from modaltouch.preflight.examination import design_to_fit
+from modaltouch.protocol.apparatus import Apparatus
 
 THRESHOLD = Path(__file__).parents[2] / "protocols" / "threshold.yaml"
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modaltouch.calibration.decay import find_poles, fit_poles, fit_residues
+from modaltouch.lab.calibration.decay import find_poles, fit_poles, fit_residues
 
 TIME = 30e-6 + np.arange(8000) / 400e3
 

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modaltouch.apparatus import Apparatus, TrueAmplifier, Vibrometer
-from modaltouch.calibration.loop import calibrate
+from modaltouch.lab.calibration.loop import calibrate
 from modaltouch.preflight import Preflight
+from modaltouch.protocol.apparatus import Apparatus, TrueAmplifier, Vibrometer
 from modaltouch.rig.acquisition import Acquisition, Recording
 from modaltouch.rig.interface import RigError
 

@@ -8,11 +8,11 @@ from itertools import product
 import numpy as np
 import pytest
 
-from modaltouch.apparatus import Apparatus, TrueAmplifier
-from modaltouch.calibration.bursts import commanded_voltage, identifying_burst, timing_voltage
-from modaltouch.calibration.lag import SightLag, fit_drive, fit_sight
-from modaltouch.calibration.taking import Taking
+from modaltouch.lab.calibration.bursts import commanded_voltage, identifying_burst, timing_voltage
+from modaltouch.lab.calibration.lag import SightLag, fit_drive, fit_sight
+from modaltouch.lab.calibration.taking import Taking
 from modaltouch.preflight import Preflight
+from modaltouch.protocol.apparatus import Apparatus, TrueAmplifier
 
 
 @pytest.mark.parametrize(("kilohertz", "delay"), [(100.0, 5.0), (300.0, 1.0), (30.0, 20.0)])

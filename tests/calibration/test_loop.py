@@ -8,19 +8,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modaltouch.apparatus import Apparatus
-from modaltouch.calibration.loop import calibrate
-from modaltouch.calibration.outcome import Progress, Turn
-from modaltouch.calibration.plant import ModalState
-from modaltouch.calibration.refining import aimed_ground, grounds_of, significant
-from modaltouch.calibration.taking import measuring_points
-from modaltouch.document import InputError
-from modaltouch.interruption import Interrupted
+from modaltouch.lab.calibration.loop import calibrate
+from modaltouch.lab.calibration.outcome import Progress, Turn
+from modaltouch.lab.calibration.plant import ModalState
+from modaltouch.lab.calibration.refining import aimed_ground, grounds_of, significant
+from modaltouch.lab.calibration.taking import measuring_points
 from modaltouch.preflight import Preflight, examine
-from modaltouch.preflight.examine import design_to_fit
-from modaltouch.preflight.ground import design
+from modaltouch.preflight.design_inputs import design
+from modaltouch.preflight.examination import design_to_fit
+from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.protocol.document import InputError
 from modaltouch.rig.interface import RigError
 from modaltouch.stimulus.correction import Correction
+from modaltouch.system.interruption import Interrupted
 
 
 def test_shipped_mismatch_is_met_closer(

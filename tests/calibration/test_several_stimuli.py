@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from modaltouch.__main__ import main
-from modaltouch.apparatus import Apparatus
-from modaltouch.calibration.loop import calibrate_each
-from modaltouch.calibration.outcome import Progress
-from modaltouch.calibration.refining import grounds_of
-from modaltouch.document import load_source
-from modaltouch.measurement import open_laboratory
+from modaltouch.lab.calibration.loop import calibrate_each
+from modaltouch.lab.calibration.outcome import Progress
+from modaltouch.lab.calibration.refining import grounds_of
+from modaltouch.lab.measurement import open_laboratory
 from modaltouch.preflight import Preflight, examine
+from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.calibration_file import examine_calibration
+from modaltouch.protocol.document import load_source
 
 SHIPPED = Path(__file__).parents[2] / "protocols"
 TWO_FIELDS = SHIPPED / "two_fields.yaml"

@@ -17,7 +17,7 @@ import pytest
 
 from modaltouch.__main__ import main
 from modaltouch.cli import calibrating
-from modaltouch.measurement import Laboratory, open_laboratory
+from modaltouch.lab.measurement import Laboratory, open_laboratory
 from modaltouch.preflight import examine
 from modaltouch.record.chain import read_chain
 from modaltouch.rig.acquisition import Recording

@@ -8,15 +8,15 @@ from pathlib import Path
 
 import pytest
 
-from modaltouch.calibration.loop import calibrate
-from modaltouch.calibration.outcome import Outcome
-from modaltouch.calibration.refining import aimed_ground
-from modaltouch.calibration.writing import Circumstances, calibration_of, calibration_text, write_calibration
-from modaltouch.document import Source
+from modaltouch.lab.calibration.loop import calibrate
+from modaltouch.lab.calibration.outcome import Outcome
+from modaltouch.lab.calibration.refining import aimed_ground
+from modaltouch.lab.calibration.writing import Circumstances, calibration_of, calibration_text, write_calibration
 from modaltouch.preflight import Preflight, examine
-from modaltouch.preflight.examine import design_to_fit
+from modaltouch.preflight.examination import design_to_fit
 from modaltouch.protocol.calibration_file import examine_calibration
 from modaltouch.protocol.calibration_sections import Calibration
+from modaltouch.protocol.document import Source
 from modaltouch.record.chain import RecordError
 
 

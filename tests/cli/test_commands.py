@@ -131,7 +131,7 @@ def test_a_narrow_terminal_cuts_no_number(monkeypatch):
 
 def test_the_version_is_told_without_a_command():
     """One line, the release and what it departs from it by; nothing heavy is loaded for it."""
-    from modaltouch.provenance import RELEASE
+    from modaltouch.system.provenance import RELEASE
 
     done = run("--version")
     assert done.returncode == 0

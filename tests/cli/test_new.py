@@ -10,8 +10,8 @@ import pytest
 from typer.testing import CliRunner
 
 from modaltouch.cli.app import app
-from modaltouch.document import InputError, shipped
-from modaltouch.study import write_study
+from modaltouch.cli.study import write_study
+from modaltouch.protocol.document import InputError, shipped
 
 
 def run(*words):

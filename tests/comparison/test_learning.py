@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modaltouch.comparison.learned import Knowledge
-from modaltouch.comparison.methods import design_all
-from modaltouch.comparison.study import Settings, for_rivals, identified_model, learn, without_mismatch
-from modaltouch.identification.identified import identify
-from modaltouch.identification.responses import FrequencyResponses
+from modaltouch.lab.comparison.learned import Knowledge
+from modaltouch.lab.comparison.methods import design_all
+from modaltouch.lab.comparison.study import Settings, for_rivals, identified_model, learn, without_mismatch
+from modaltouch.lab.identification.identified import identify
+from modaltouch.lab.identification.responses import FrequencyResponses
 from modaltouch.rig.simulator.twin import Twin
 
 DELAY = 4.6e-6

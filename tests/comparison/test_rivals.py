@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modaltouch.comparison.inverse import (
+from modaltouch.lab.comparison.inverse import (
     inverse_filter,
     inverse_filter_at_instant,
     least_energy,
     regularised_inverse,
 )
-from modaltouch.comparison.learned import Knowledge, Responses
-from modaltouch.comparison.reversal import one_bit_reversal, time_reversal
+from modaltouch.lab.comparison.learned import Knowledge, Responses
+from modaltouch.lab.comparison.reversal import one_bit_reversal, time_reversal
 from modaltouch.stimulus.dynamics import Amplifier
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.timing import Timing

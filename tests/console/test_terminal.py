@@ -52,7 +52,7 @@ def console_of(process: int) -> int:
     listed = subprocess.run(
         ["ps", "-o", "pid=,args=", "--ppid", str(process)], capture_output=True, text=True, check=True
     )
-    return next(int(line.split()[0]) for line in listed.stdout.splitlines() if "modaltouch.console" in line)
+    return next(int(line.split()[0]) for line in listed.stdout.splitlines() if "modaltouch.session.console" in line)
 
 
 def test_the_keys_pause_note_repeat_and_stop_a_session(

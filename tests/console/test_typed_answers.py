@@ -12,12 +12,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from modaltouch.console.dialogue import OWN_KEYS, Dialogue
-from modaltouch.console.drawing import draw_session
-from modaltouch.console.experimenter import Experimenter
-from modaltouch.console.interface import Request, Silence
-from modaltouch.console.lines import EventLines, PlainLines
-from modaltouch.console.status import Status, typed_keys
+from modaltouch.session.console.dialogue import OWN_KEYS, Dialogue
+from modaltouch.session.console.drawing import draw_session
+from modaltouch.session.console.experimenter import Experimenter
+from modaltouch.session.console.interface import Request, Silence
+from modaltouch.session.console.lines import EventLines, PlainLines
+from modaltouch.session.console.status import Status, typed_keys
 from modaltouch.window.interface import TypedAnswer
 
 TRIAL = {

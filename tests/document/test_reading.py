@@ -8,9 +8,9 @@ from typing import Literal
 import pytest
 from pydantic import Field
 
-from modaltouch.document import Source, read
-from modaltouch.document.allowed import describe, number_meant
-from modaltouch.document.section import Count, Positive, Section, Text
+from modaltouch.protocol.document import Source, read
+from modaltouch.protocol.document.allowed import describe, number_meant
+from modaltouch.protocol.document.section import Count, Positive, Section, Text
 
 
 class Inner(Section):

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 import modaltouch
-from modaltouch.apparatus import read_apparatus
 from modaltouch.cli.options import SHIPPED_APPARATUS
-from modaltouch.document import InputError, find, shipped
+from modaltouch.protocol.apparatus import read_apparatus
+from modaltouch.protocol.document import InputError, find, shipped
 
 
 @pytest.fixture(autouse=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from modaltouch.document import InputError, Source, load_source
+from modaltouch.protocol.document import InputError, Source, load_source
 
 
 def test_the_hash_is_that_of_the_file(tmp_path: Path) -> None:

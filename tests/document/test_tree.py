@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modaltouch.document import Source, parse_tree
-from modaltouch.document.tree import resolve
+from modaltouch.protocol.document import Source, parse_tree
+from modaltouch.protocol.document.tree import resolve
 
 
 def tree(text: str):

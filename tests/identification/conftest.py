@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modaltouch.apparatus import Apparatus, read_apparatus
-from modaltouch.identification.estimates import Identification
-from modaltouch.identification.identified import identify
-from modaltouch.identification.responses import FrequencyResponses
+from modaltouch.lab.identification.estimates import Identification
+from modaltouch.lab.identification.identified import identify
+from modaltouch.lab.identification.responses import FrequencyResponses
+from modaltouch.protocol.apparatus import Apparatus, read_apparatus
 from modaltouch.rig.simulator.true_beam import TrueBeam, true_beam
 
 APPARATUS = Path(__file__).parents[2] / "protocols" / "apparatus" / "beam_100x6x2.yaml"

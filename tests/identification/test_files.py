@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modaltouch.identification.files import Reading, read_responses
-from modaltouch.identification.identified import identify_each
-from modaltouch.identification.peaks import half_power
-from modaltouch.identification.report import recognise, roots
+from modaltouch.lab.identification.files import Reading, read_responses
+from modaltouch.lab.identification.identified import identify_each
+from modaltouch.lab.identification.peaks import half_power
+from modaltouch.lab.identification.report import recognise, roots
 
 POLES = ((120.0, 0.012), (330.0, 0.008), (640.0, 0.006))
 RESIDUES = np.array([[1.0, 0.6, -0.4], [0.7, -1.0, 0.9]])

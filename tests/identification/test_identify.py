@@ -12,11 +12,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modaltouch.identification.estimates import Identification
-from modaltouch.identification.identified import identify
-from modaltouch.identification.peaks import Poles
-from modaltouch.identification.responses import QUANTITIES, FrequencyResponses, Quantity, as_velocity
-from modaltouch.identification.shapes import check_points, label_shapes, mac
+from modaltouch.lab.identification.estimates import Identification
+from modaltouch.lab.identification.identified import identify
+from modaltouch.lab.identification.peaks import Poles
+from modaltouch.lab.identification.responses import QUANTITIES, FrequencyResponses, Quantity, as_velocity
+from modaltouch.lab.identification.shapes import check_points, label_shapes, mac
 from modaltouch.rig.simulator.true_beam import TrueBeam
 from modaltouch.stimulus.shapes import mode_shapes
 

@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modaltouch.identification.files import Reading, read_responses
-from modaltouch.identification.identified import identify_each
-from modaltouch.identification.report import recognise
-from modaltouch.identification.responses import FrequencyResponses, as_velocity
+from modaltouch.lab.identification.files import Reading, read_responses
+from modaltouch.lab.identification.identified import identify_each
+from modaltouch.lab.identification.report import recognise
+from modaltouch.lab.identification.responses import FrequencyResponses, as_velocity
 
 pytestmark = pytest.mark.measured_data
 

@@ -14,13 +14,13 @@ from typing import Any, get_args
 import numpy as np
 import pytest
 
-from modaltouch.apparatus import Apparatus
-from modaltouch.document import load_source
-from modaltouch.identification.excitation import LOWEST, Campaign, Excitation, evenly, excite
-from modaltouch.identification.identified import identify
-from modaltouch.identification.responses import Spectra, responses_of
-from modaltouch.identification.shapes import mac
-from modaltouch.measurement import Laboratory, ScanPlan, open_laboratory, read_scan, take_scan
+from modaltouch.lab.identification.excitation import LOWEST, Campaign, Excitation, evenly, excite
+from modaltouch.lab.identification.identified import identify
+from modaltouch.lab.identification.responses import Spectra, responses_of
+from modaltouch.lab.identification.shapes import mac
+from modaltouch.lab.measurement import Laboratory, ScanPlan, open_laboratory, read_scan, take_scan
+from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.protocol.document import load_source
 from modaltouch.record.chain import RecordInputError
 from modaltouch.rig.acquisition import Acquisition
 from modaltouch.rig.interface import RigError

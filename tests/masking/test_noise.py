@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import welch
 
-from modaltouch.masking.noise import HIGHEST, LOWEST, amplitude_at, highest_level, make_noise
-from modaltouch.masking.player import Playback
+from modaltouch.window.masking.noise import HIGHEST, LOWEST, amplitude_at, highest_level, make_noise
+from modaltouch.window.masking.player import Playback
 
 RATE = 48_000.0
 

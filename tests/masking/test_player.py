@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 import sounddevice
 
-from modaltouch.apparatus import Sound
-from modaltouch.masking import player
-from modaltouch.masking.interface import MaskingError, NoMasking
-from modaltouch.masking.noise import amplitude_at, make_noise
-from modaltouch.masking.player import NoiseMasking, open_masking
 from modaltouch.protocol import MaskingSection
+from modaltouch.protocol.apparatus import Sound
+from modaltouch.window.masking import player
+from modaltouch.window.masking.interface import MaskingError, NoMasking
+from modaltouch.window.masking.noise import amplitude_at, make_noise
+from modaltouch.window.masking.player import NoiseMasking, open_masking
 
 SECTION = MaskingSection(noise="pink", level_dB_FS=-20.0, fade_s=0.05)
 ALSA = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="ALSA is Linux's")
@@ -29,9 +29,9 @@ def test_the_device_gets_the_noise_faded_in_and_out(in_a_process: Any, null_devi
     script = """
 import json
 import numpy as np
-from modaltouch.apparatus import Sound
-from modaltouch.masking.noise import amplitude_at, make_noise
-from modaltouch.masking.player import NoiseMasking
+from modaltouch.protocol.apparatus import Sound
+from modaltouch.window.masking.noise import amplitude_at, make_noise
+from modaltouch.window.masking.player import NoiseMasking
 from modaltouch.protocol import MaskingSection
 
 events, blocks = [], []
@@ -80,9 +80,9 @@ def test_without_a_device_masking_is_refused_or_recorded_as_lacking(in_a_process
     """A protocol that demands it does not begin; one that does not goes on, its record saying why it is silent."""
     script = """
 import json
-from modaltouch.apparatus import Sound
-from modaltouch.masking.interface import MaskingError
-from modaltouch.masking.player import open_masking
+from modaltouch.protocol.apparatus import Sound
+from modaltouch.window.masking.interface import MaskingError
+from modaltouch.window.masking.player import open_masking
 from modaltouch.protocol import MaskingSection
 said = {}
 for required in (True, False):
@@ -120,7 +120,7 @@ def test_the_doctor_says_whether_there_is_a_sound_device(
     script = """
 import json
 from pathlib import Path
-from modaltouch.doctor import examine_machine
+from modaltouch.cli.doctor import examine_machine
 (sound,) = [finding for finding in examine_machine(Path(".")) if finding.subject == "sound"]
 print(json.dumps(sound.as_dict()))
 """

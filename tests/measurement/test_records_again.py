@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modaltouch.apparatus import read_apparatus
-from modaltouch.measurement import Laboratory
-from modaltouch.measurement.laboratory import ATTEMPTS
+from modaltouch.lab.measurement import Laboratory
+from modaltouch.lab.measurement.laboratory import ATTEMPTS
+from modaltouch.protocol.apparatus import read_apparatus
 from modaltouch.rig.acquisition import Acquisition, Recording
 from modaltouch.rig.interface import Firing, RigError, StimulusLost
 

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modaltouch.apparatus import Apparatus, read_apparatus
-from modaltouch.document import load_source
-from modaltouch.measurement import Laboratory, ScanPlan, open_laboratory, read_scan, take_scan
-from modaltouch.measurement.scan import position_file
+from modaltouch.lab.measurement import Laboratory, ScanPlan, open_laboratory, read_scan, take_scan
+from modaltouch.lab.measurement.scan import position_file
+from modaltouch.protocol.apparatus import Apparatus, read_apparatus
+from modaltouch.protocol.document import load_source
 from modaltouch.record.chain import RecordError, RecordInputError
 from modaltouch.rig.acquisition import Acquisition
 from modaltouch.rig.interface import RigError

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modaltouch.observer.felt import Felt
-from modaltouch.observer.front_end import sense
+from modaltouch.planning.observer.felt import Felt
+from modaltouch.planning.observer.front_end import sense
 from modaltouch.preflight import Preflight, examine
+from modaltouch.protocol.trial import Condition, Trial
 from modaltouch.stimulus.vibration import velocity_history
-from modaltouch.trial import Condition, Trial
 
 ZONES = {"A": -0.04, "B": -0.02, "C": 0.0, "D": 0.02, "E": 0.04}
 

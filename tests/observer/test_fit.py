@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modaltouch.observer import Observer, Participant
-from modaltouch.observer.fit import Fit, fit_observer
-from modaltouch.observer.likelihood import Recorded, log_likelihood
+from modaltouch.planning.observer import Observer, Participant
+from modaltouch.planning.observer.fit import Fit, fit_observer
+from modaltouch.planning.observer.likelihood import Recorded, log_likelihood
 
 TRUTH = Observer(
     Participant(

@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modaltouch.observer import Observer, Participant
-from modaltouch.observer.file import read_observer
-from modaltouch.trial import ANSWERS, ANSWERS_WITH_NONE
+from modaltouch.planning.observer import Observer, Participant
+from modaltouch.planning.observer.file import read_observer
+from modaltouch.protocol.trial import ANSWERS, ANSWERS_WITH_NONE
 
 N = 4000
 

@@ -7,8 +7,8 @@ import pytest
 
 from modaltouch.analysis.figures import draw_counts
 from modaltouch.analysis.intervals import tango
-from modaltouch.analysis.style import PAIR_COLOURS
 from modaltouch.analysis.tables import figure_names, zone_table
+from modaltouch.report.style import PAIR_COLOURS
 
 
 @pytest.fixture

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from modaltouch.analysis.intervals import wilson
-from modaltouch.observer import Observer, Participant
 from modaltouch.planning.design import Design
 from modaltouch.planning.experiments import BATCH, BATCH_CELLS, Job, Study, divide, run_job, simulate, unbiased
+from modaltouch.planning.observer import Observer, Participant
 from modaltouch.planning.questions import FAMILIES
 
 ALL = tuple(FAMILIES)

@@ -7,16 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modaltouch.document import InputError
-from modaltouch.observer import Observer, Participant
-from modaltouch.observer.fit import fit_observer
-from modaltouch.observer.likelihood import Recorded, _grid
 from modaltouch.planning.experiments import Job, simulate
 from modaltouch.planning.fitting import fit_answers
+from modaltouch.planning.observer import Observer, Participant
+from modaltouch.planning.observer.fit import fit_observer
+from modaltouch.planning.observer.likelihood import Recorded, _grid
 from modaltouch.planning.presented import designs_for
 from modaltouch.preflight import Preflight, examine
-from modaltouch.simulation import simulate_session
-from modaltouch.trial import Condition, Trial
+from modaltouch.protocol.document import InputError
+from modaltouch.protocol.trial import Condition, Trial
+from modaltouch.session.simulation import simulate_session
 
 TWO_FIELDS = Path(__file__).parents[2] / "protocols" / "two_fields.yaml"
 HEADER = "participant,finger_condition,zone_left,zone_right,velocity_mm_s,response,n"

@@ -9,9 +9,9 @@ import pytest
 
 from modaltouch.analysis.counts import orient
 from modaltouch.analysis.trend import trend_test
-from modaltouch.observer import Observer, Participant
 from modaltouch.planning.design import Design
 from modaltouch.planning.experiments import Job, Study, run_job
+from modaltouch.planning.observer import Observer, Participant
 from modaltouch.planning.power import find_floor, smallest_p
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from modaltouch.observer import Observer, Participant
 from modaltouch.planning.design import Design
 from modaltouch.planning.experiments import Study
+from modaltouch.planning.observer import Observer, Participant
 from modaltouch.planning.pictures import draw_power
 from modaltouch.planning.power import Power, plan
 from modaltouch.planning.questions import FAMILIES

@@ -8,9 +8,9 @@ import math
 import pytest
 
 from modaltouch.analysis.intervals import wilson
-from modaltouch.observer import Observer, Participant
 from modaltouch.planning.design import Design
 from modaltouch.planning.experiments import Study, run_job
+from modaltouch.planning.observer import Observer, Participant
 from modaltouch.planning.power import Power, plan
 from modaltouch.planning.questions import FAMILIES
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modaltouch.observer import Observer
+from modaltouch.planning.observer import Observer
 from modaltouch.planning.presented import designs_for
 from modaltouch.preflight import examine
 

@@ -16,9 +16,9 @@ from modaltouch.analysis.statistics import (
     level_findings,
     pair_findings,
 )
-from modaltouch.observer import Observer, Participant
 from modaltouch.planning.design import Design
 from modaltouch.planning.experiments import Job, simulate
+from modaltouch.planning.observer import Observer, Participant
 from modaltouch.planning.questions import FAMILIES, Answers, half_widths, p_values
 from modaltouch.planning.significance import holm_p
 

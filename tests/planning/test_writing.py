@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from modaltouch.analysis.output import write_files
-from modaltouch.observer import Observer
 from modaltouch.planning.design import Design
 from modaltouch.planning.experiments import Study
+from modaltouch.planning.observer import Observer
 from modaltouch.planning.power import Power, plan
 from modaltouch.planning.writing import write_power
 from modaltouch.record.chain import RecordError
+from modaltouch.report.output import write_files
 
 
 @pytest.fixture

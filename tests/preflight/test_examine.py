@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modaltouch.document import InputError
 from modaltouch.preflight import Preflight, examine
 from modaltouch.preflight.figures import estimated_duration
+from modaltouch.protocol.document import InputError
+from modaltouch.protocol.schedule import draw_schedule
+from modaltouch.protocol.trial import Condition, Trial
 from modaltouch.rig.settings import Limits, amplitudes, record_peaks
-from modaltouch.schedule import draw_schedule
-from modaltouch.trial import Condition, Trial
 
 Edit = Callable[..., Path]
 FILE = "differentiated_stimulation.yaml"

@@ -8,23 +8,23 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from modaltouch.adaptive import Levels
-from modaltouch.analysis.analyse import analyse
+from modaltouch.analysis.pipeline import analyse
 from modaltouch.analysis.reading import read_responses
 from modaltouch.analysis.thresholds import ThresholdAnalysis
 from modaltouch.analysis.thresholds.runs import over_participants
 from modaltouch.cli.app import app
-from modaltouch.document import InputError
-from modaltouch.observer import Observer
 from modaltouch.planning.experiments import Study
+from modaltouch.planning.observer import Observer
 from modaltouch.planning.power import plan
 from modaltouch.planning.presented import designs_for
 from modaltouch.preflight import Preflight, examine
+from modaltouch.protocol.adaptive_rules import Levels
+from modaltouch.protocol.document import InputError
+from modaltouch.protocol.schedule import draw_schedule
 from modaltouch.record.session import read_session
-from modaltouch.schedule import draw_schedule
-from modaltouch.sitting import begin
-from modaltouch.verification import verify_session
-from modaltouch.wiring import wire_run
+from modaltouch.session.setup import begin
+from modaltouch.session.verification import verify_session
+from modaltouch.session.wiring import wire_run
 
 SHIPPED = Path(__file__).parents[2] / "protocols" / "two_fields.yaml"
 

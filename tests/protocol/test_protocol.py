@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 
-from modaltouch.document import InputError
 from modaltouch.protocol import (
     KEY_NAMES,
     Sources,
@@ -18,6 +17,7 @@ from modaltouch.protocol import (
     read_protocol,
     restore_experiment,
 )
+from modaltouch.protocol.document import InputError
 from modaltouch.protocol.keys import KEY_ALIASES
 
 Edit = Callable[..., Path]

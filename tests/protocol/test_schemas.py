@@ -8,7 +8,7 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from modaltouch.document import Source, parse_tree
+from modaltouch.protocol.document import Source, parse_tree
 from modaltouch.protocol.schemas import SCHEMAS, write_schemas
 
 

@@ -10,8 +10,8 @@ import pytest
 
 from modaltouch.preflight import examine
 from modaltouch.protocol import Sources, examine_sources
-from modaltouch.simulation import simulate_session
-from modaltouch.verification import verify_session
+from modaltouch.session.simulation import simulate_session
+from modaltouch.session.verification import verify_session
 
 Edit = Callable[..., Path]
 FILE = "differentiated_stimulation.yaml"

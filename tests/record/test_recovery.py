@@ -12,7 +12,7 @@ from modaltouch.record.chain import GENESIS, RecordError, encode_line
 from modaltouch.record.log import SessionLog
 from modaltouch.record.recovery import recover, survey
 from modaltouch.record.session import read_session
-from modaltouch.verification import verify_session
+from modaltouch.session.verification import verify_session
 
 
 @pytest.fixture(scope="module")

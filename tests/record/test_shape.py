@@ -4,13 +4,13 @@ import json
 
 import pytest
 
-from modaltouch.document import InputError
+from modaltouch.protocol.document import InputError
 from modaltouch.record.chain import GENESIS, RecordError, encode_line, read_chain
 from modaltouch.record.session import read_session
 from modaltouch.record.shape import check_shape
-from modaltouch.simulation import simulate_session
-from modaltouch.verification import verify_session
-from modaltouch.wiring import wire_resume
+from modaltouch.session.simulation import simulate_session
+from modaltouch.session.verification import verify_session
+from modaltouch.session.wiring import wire_resume
 
 
 @pytest.fixture(scope="module")

@@ -20,13 +20,13 @@ from typing import Any
 import pytest
 from windows_rules import UNIX_ONLY, windows_rules
 
-from modaltouch import locking
-from modaltouch.console.lines import EventLines
-from modaltouch.locking import PATIENCE, hold, is_locked, lock
 from modaltouch.record import files
 from modaltouch.record.chain import RecordError, read_chain
 from modaltouch.record.files import open_file, replace_file
 from modaltouch.record.log import SessionLog, refuse_existing
+from modaltouch.session.console.lines import EventLines
+from modaltouch.system import locking
+from modaltouch.system.locking import PATIENCE, hold, is_locked, lock
 
 WINDOWS = pytest.mark.parametrize("rules", ["windows"], indirect=True)
 UNIX = pytest.mark.parametrize("rules", ["unix"], indirect=True)

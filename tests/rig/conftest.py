@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modaltouch.apparatus import Apparatus, read_apparatus
-from modaltouch.clock import VirtualClock
+from modaltouch.protocol.apparatus import Apparatus, read_apparatus
 from modaltouch.rig.connection import Patience
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.local_guard import SameProcess
@@ -19,6 +18,7 @@ from modaltouch.rig.simulator import Simulator
 from modaltouch.rig.simulator.behaviour import Behaviour
 from modaltouch.rig.visa import VisaSession
 from modaltouch.stimulus.burst import Burst
+from modaltouch.system.clock import VirtualClock
 
 APPARATUS = Path(__file__).parents[2] / "protocols" / "apparatus" / "beam_100x6x2.yaml"
 

@@ -54,7 +54,7 @@ KINDS = (
 SITTING = """
 import os, sys, time
 import numpy as np
-from modaltouch.apparatus import read_apparatus
+from modaltouch.protocol.apparatus import read_apparatus
 from modaltouch.rig import open_rig
 from modaltouch.rig.interface import RigError, StimulusLost
 from modaltouch.stimulus.burst import Burst

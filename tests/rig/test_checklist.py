@@ -7,7 +7,7 @@ import re
 
 import pytest
 
-from modaltouch.apparatus import Apparatus
+from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.checklist import Row, check_rig
 from modaltouch.rig.connection import Patience
 from modaltouch.rig.interface import RigError

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from modaltouch.apparatus import Apparatus
-from modaltouch.clock import VirtualClock
+from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.connection import Patience
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.interface import Firing, RigError, StimulusLost
@@ -22,6 +21,7 @@ from modaltouch.rig.player import RELAYS_SETTLE, Repetition
 from modaltouch.rig.simulator import Simulator
 from modaltouch.rig.visa import VisaSession
 from modaltouch.stimulus.burst import Burst
+from modaltouch.system.clock import VirtualClock
 
 N_DEATHS = int(os.environ.get("MODALTOUCH_DEATHS", "60"))
 N_TOGETHER = 20

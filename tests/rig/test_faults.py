@@ -18,13 +18,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import modaltouch.rig
-from modaltouch.apparatus import Apparatus
-from modaltouch.clock import VirtualClock
+from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.connection import Patience
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.simulator import Simulator
 from modaltouch.stimulus.burst import Burst
+from modaltouch.system.clock import VirtualClock
 
 README = Path(modaltouch.rig.__file__).parent / "README.md"
 

@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modaltouch.apparatus import Apparatus
-from modaltouch.apparatus.sections import LatencyBounds
-from modaltouch.clock import VirtualClock
+from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.protocol.apparatus.sections import LatencyBounds
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.guard import HELD_UP
 from modaltouch.rig.interface import Bursts, RigError
 from modaltouch.rig.simulator import Simulator
 from modaltouch.stimulus.burst import Burst
+from modaltouch.system.clock import VirtualClock
 
 LEVELS = (0.08, 0.1, 0.15, 0.2)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from modaltouch.apparatus import read_apparatus
+from modaltouch.protocol.apparatus import read_apparatus
 from modaltouch.rig import start_simulator
 from modaltouch.rig.latency import CommandLatency, measure_latency
 

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modaltouch.clock import SYSTEM_CLOCK, VirtualClock
 from modaltouch.rig.pacing import LATEST, LEASE, PATIENCE, Order, Pacer, Report
+from modaltouch.system.clock import SYSTEM_CLOCK, VirtualClock
 
 PERIOD = 1 / 7
 ORDER = Order("TRIG:SEQ:IMM", n_bursts=14, first=10.0, period=PERIOD, duration=0.05, timeout=0.1)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modaltouch.apparatus import Apparatus
+from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.acquisition import Acquisition
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.picoscope import PicoScope

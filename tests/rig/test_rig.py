@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from modaltouch.apparatus import Apparatus
+from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig import open_rig, start_simulator
 from modaltouch.stimulus.burst import Burst
 

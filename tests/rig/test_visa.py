@@ -10,7 +10,7 @@ import pytest
 import pyvisa
 from pyvisa.ctwrapper import IVIVisaLibrary
 
-from modaltouch.apparatus import Apparatus
+from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.simulator import Simulator

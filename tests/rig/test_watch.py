@@ -16,7 +16,6 @@ from typing import Any
 
 import pytest
 
-from modaltouch.clock import SYSTEM_CLOCK, Clock, VirtualClock
 from modaltouch.rig import watchdog
 from modaltouch.rig.pacing import Order, Pacer
 from modaltouch.rig.transport import InUse
@@ -45,6 +44,7 @@ from modaltouch.rig.watchdog import (
     frame,
     read_frames,
 )
+from modaltouch.system.clock import SYSTEM_CLOCK, Clock, VirtualClock
 
 
 class Instrument:

@@ -26,7 +26,7 @@ SESSIONS = textwrap.dedent(
     """
     import os, signal, sys, time
     import numpy as np
-    from modaltouch.apparatus import read_apparatus
+    from modaltouch.protocol.apparatus import read_apparatus
     from modaltouch.rig import open_rig
     from modaltouch.rig.generator import Generator
     from modaltouch.stimulus.burst import Burst

@@ -13,11 +13,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from modaltouch.protocol import Protocol, read_protocol
-from modaltouch.schedule import Stream, draw_schedule, period_of_turns, random_generator, turn_of
-from modaltouch.schedule.catches import place_catches
-from modaltouch.schedule.designs import latin_square, order_cells, period_of_rows
-from modaltouch.schedule.draw import Turn
-from modaltouch.schedule.rejection import longest_run
+from modaltouch.protocol.schedule import Stream, draw_schedule, period_of_turns, random_generator, turn_of
+from modaltouch.protocol.schedule.catches import place_catches
+from modaltouch.protocol.schedule.designs import latin_square, order_cells, period_of_rows
+from modaltouch.protocol.schedule.draw import Turn
+from modaltouch.protocol.schedule.rejection import longest_run
 
 SHIPPED = Path(__file__).parents[2] / "protocols"
 ORDERS = ["shuffled", "by_pair", "by_velocity", "latin_square"]

@@ -13,11 +13,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from modaltouch.schedule.counting import draw_counted
-from modaltouch.schedule.gaps import draw_unlike_neighbours
-from modaltouch.schedule.orders import count_orders, draw_order, least_limit
-from modaltouch.schedule.rejection import draw_by_rejection, longest_run
-from modaltouch.schedule.streams import Stream
+from modaltouch.protocol.schedule.counting import draw_counted
+from modaltouch.protocol.schedule.gaps import draw_unlike_neighbours
+from modaltouch.protocol.schedule.orders import count_orders, draw_order, least_limit
+from modaltouch.protocol.schedule.rejection import draw_by_rejection, longest_run
+from modaltouch.protocol.schedule.streams import Stream
 
 Draw = Callable[[Sequence[int], int, Stream], list[int]]
 

@@ -8,7 +8,7 @@ import signal
 import pytest
 
 from modaltouch.record.chain import GENESIS, encode_line, read_chain
-from modaltouch.verification import verify_session
+from modaltouch.session.verification import verify_session
 
 RUN = ("--rig", "simulated", "--answers", "simulated", "--yes")
 

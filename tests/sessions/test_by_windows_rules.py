@@ -7,7 +7,7 @@ import pytest
 
 from modaltouch.record.chain import read_chain
 from modaltouch.record.session import read_session
-from modaltouch.verification import verify_session
+from modaltouch.session.verification import verify_session
 
 CUT_SHORT = Path(__file__).with_name("cut_short.py")
 RUN = ("--rig", "simulated", "--answers", "simulated", "--yes")

@@ -26,11 +26,11 @@ from pathlib import Path
 
 import pytest
 
-from modaltouch.apparatus import read_apparatus
+from modaltouch.protocol.apparatus import read_apparatus
 from modaltouch.record.chain import read_chain
 from modaltouch.record.session import read_session
 from modaltouch.rig.simulator import Simulator
-from modaltouch.verification import verify_session
+from modaltouch.session.verification import verify_session
 
 CUT_SHORT = Path(__file__).with_name("cut_short.py")
 N_POINTS = int(os.environ.get("MODALTOUCH_KILL_POINTS", "60"))

@@ -6,16 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modaltouch.observer import Observer
+from modaltouch.planning.observer import Observer
 from modaltouch.preflight import examine
 from modaltouch.record.chain import read_chain
 from modaltouch.record.session import read_session
 from modaltouch.rig import open_rig
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.simulator import Simulator
-from modaltouch.sitting import begin, resume
+from modaltouch.session.setup import begin, resume
+from modaltouch.session.wiring import wire_run
 from modaltouch.window.simulated import Answerer, SimulatedParticipant
-from modaltouch.wiring import wire_run
 
 PROTOCOL = Path(__file__).parents[2] / "protocols" / "demo.yaml"
 

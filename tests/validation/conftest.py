@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from modaltouch.measurement import open_laboratory
+from modaltouch.lab.measurement import open_laboratory
+from modaltouch.lab.validation.evidence import Evidence, evaluate
+from modaltouch.lab.validation.recording import Observation, record_laws
 from modaltouch.preflight import Preflight, examine
 from modaltouch.rig.simulator.twin import TrueState
-from modaltouch.validation.evidence import Evidence, evaluate
-from modaltouch.validation.recording import Observation, record_laws
 
 PROTOCOL = Path(__file__).parents[2] / "protocols" / "differentiated_stimulation.yaml"
 N_POINTS, N_RECORDS = 41, 4

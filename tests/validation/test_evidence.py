@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from modaltouch.lab.validation.evidence import evaluate
+from modaltouch.lab.validation.key_figures import key_figures
+from modaltouch.lab.validation.recording import Observation, read_laws
 from modaltouch.record.chain import RecordInputError
-from modaltouch.validation.evidence import evaluate
-from modaltouch.validation.key_figures import key_figures
-from modaltouch.validation.recording import Observation, read_laws
 
 
 def test_the_measurement_lags_by_what_the_twin_says(evidences):

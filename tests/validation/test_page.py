@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from modaltouch.analysis.output import write_files
 from modaltouch.cli.app import app
+from modaltouch.lab.validation.key_figures import key_figures
+from modaltouch.lab.validation.page import Occasion, write_evidence
+from modaltouch.lab.validation.words import findings
 from modaltouch.record.chain import RecordError
-from modaltouch.validation.key_figures import key_figures
-from modaltouch.validation.page import Occasion, write_evidence
-from modaltouch.validation.words import findings
+from modaltouch.report.output import write_files
 
 OCCASION = Occasion("A <title>", "p.yaml", "beam", "simulated", "generator", "scope", 250.0, "", "abc")
 SHIPPED = Path(__file__).parents[2] / "protocols"

@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 
-from modaltouch.clock import SYSTEM_CLOCK, Clock, VirtualClock
 from modaltouch.protocol import Experiment, read_protocol
-from modaltouch.trial import Condition, Trial
+from modaltouch.protocol.trial import Condition, Trial
+from modaltouch.system.clock import SYSTEM_CLOCK, Clock, VirtualClock
 from modaltouch.window.events import Event
 from modaltouch.window.interface import Presentation
 from modaltouch.window.marks import Picture

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modaltouch.observer import Participant
-from modaltouch.trial import Condition, Response, Trial
+from modaltouch.planning.observer import Participant
+from modaltouch.protocol.trial import Condition, Response, Trial
 from modaltouch.window.events import Event
 from modaltouch.window.interface import Progress, SessionStopped, TrialInterrupted, TypedAnswer, WindowError, Wish
 from modaltouch.window.marks import Picture

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from modaltouch.observer import Participant
-from modaltouch.trial import Trial
+from modaltouch.planning.observer import Participant
+from modaltouch.protocol.trial import Trial
 from modaltouch.window.interface import Progress, SessionStopped, TrialInterrupted
 from modaltouch.window.robot import Robot
 from modaltouch.window.simulated import Answerer

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from modaltouch.protocol import Experiment
-from modaltouch.trial import FINGERS, Condition, Trial
+from modaltouch.protocol.trial import FINGERS, Condition, Trial
 from modaltouch.window.interface import Progress
 from modaltouch.window.layout import lay_out
 from modaltouch.window.marks import Mark, Picture, Shape, Words

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modaltouch.clock import VirtualClock
-from modaltouch.observer.participant import Participant
-from modaltouch.trial import Condition, Trial
+from modaltouch.planning.observer.participant import Participant
+from modaltouch.protocol.trial import Condition, Trial
+from modaltouch.system.clock import VirtualClock
 from modaltouch.window.interface import Progress, WindowError
 from modaltouch.window.robot import Robot
 from modaltouch.window.simulated import Answerer

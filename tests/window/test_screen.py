@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from modaltouch.protocol import Experiment, Texts
-from modaltouch.trial import Condition, Trial
+from modaltouch.protocol.trial import Condition, Trial
 from modaltouch.window.interface import Progress, WindowError
 from modaltouch.window.layout import lay_out
 from modaltouch.window.marks import Box, Picture, Words, rectangle, triangle

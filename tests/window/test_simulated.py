@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from modaltouch.clock import VirtualClock
-from modaltouch.observer import Observer, Participant
-from modaltouch.trial import Condition, Trial
+from modaltouch.planning.observer import Observer, Participant
+from modaltouch.protocol.trial import Condition, Trial
+from modaltouch.system.clock import VirtualClock
 from modaltouch.window import WindowOptions, open_window
 from modaltouch.window.interface import Presentation, Progress
 from modaltouch.window.simulated import Answerer, SimulatedParticipant

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from modaltouch.analysis.counts import LEFT, RIGHT, AnswerCounts
 from modaltouch.analysis.intervals import korn_graubard
 from modaltouch.analysis.secondary import ANTICIPATION, has_values, ranked_answers
-from modaltouch.analysis.style import (
+from modaltouch.report.style import (
     ANSWER_COLOURS,
     CONDITION_COLOURS,
     FAINT,

@@ -8,10 +8,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from modaltouch.analysis.style import CONDITION_COLOURS, FAINT, INK, house_style, level_label, new_figure, quiet_grid
-from modaltouch.document import InputError
 from modaltouch.preflight import Preflight, examine_findings
 from modaltouch.protocol import Sources, examine_sources
+from modaltouch.protocol.document import InputError
+from modaltouch.report.style import CONDITION_COLOURS, FAINT, INK, house_style, level_label, new_figure, quiet_grid
 
 POINTS = 201
 

@@ -15,11 +15,11 @@ from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.findings import ALPHA, Finding
 from modaltouch.analysis.gallery import Picture
 from modaltouch.analysis.outcome import Analysis
-from modaltouch.analysis.page import embed_svg, render_page
 from modaltouch.analysis.scale import OWN_THRESHOLD
-from modaltouch.analysis.style import level_label
 from modaltouch.analysis.tables import tabulate, zone_table
-from modaltouch.provenance import commit, version, versions
+from modaltouch.report.page import embed_svg, render_page
+from modaltouch.report.style import level_label
+from modaltouch.system.provenance import commit, version, versions
 
 HEADINGS = {
     "a1": "Do the answers of a cell differ from guessing?",

@@ -23,12 +23,12 @@ from modaltouch.analysis.mirroring import unmirror
 from modaltouch.analysis.record_facts import SessionFacts, take_facts
 from modaltouch.analysis.responses import LeftOut, Responses, Source
 from modaltouch.analysis.scale import OWN_THRESHOLD, VELOCITY, scale_of
-from modaltouch.audit import audit
-from modaltouch.document import InputError, Problem
+from modaltouch.protocol.document import InputError, Problem
+from modaltouch.protocol.trial import ANSWERS, ANSWERS_WITH_NONE, TIME_OUT
+from modaltouch.record.audit import audit
 from modaltouch.record.chain import Chain, RecordError, read_chain
 from modaltouch.record.folders import LOG_NAME
 from modaltouch.record.session import Session, read_session
-from modaltouch.trial import ANSWERS, ANSWERS_WITH_NONE, TIME_OUT
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,7 @@ app = typer.Typer(
 
 def _show_version(asked: bool) -> None:
     if asked:
-        from modaltouch.provenance import version
+        from modaltouch.system.provenance import version
 
         print(version())
         raise typer.Exit

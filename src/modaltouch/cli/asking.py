@@ -14,7 +14,7 @@ from modaltouch.cli.faults import INTERRUPTED, leave
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from modaltouch.sitting import Setup
+    from modaltouch.session.setup import Setup
 
 _NUMBERED = re.compile(r"([A-Za-z]*)(\d+)\Z")
 _NAME = re.compile(r"[A-Z]?[a-z]{2,}\Z|[A-Za-z]{3,}\Z")
@@ -40,7 +40,7 @@ def ask_rig(may_ask: bool) -> str:
     """
     from modaltouch.rig.interface import RigError
     from modaltouch.rig.visa import find_instruments
-    from modaltouch.wiring.parts import SIMULATED
+    from modaltouch.session.wiring.parts import SIMULATED
 
     if not may_ask:
         raise typer.BadParameter(
@@ -127,9 +127,9 @@ def ask_session(dataset: Path, participant: str, n_sessions: int) -> int | None:
     n_sessions : int
         Sessions that the protocol gives each participant.
     """
-    from modaltouch.locking import is_locked
     from modaltouch.record.session import read_session
     from modaltouch.record.shape import check_shape
+    from modaltouch.system.locking import is_locked
 
     logs = {
         int(log.parents[1].name[4:]): log

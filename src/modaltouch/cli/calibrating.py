@@ -17,7 +17,7 @@ from modaltouch.cli.options import JSON, MEASURED_RIG, PROTOCOL
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from modaltouch.calibration.outcome import Progress, Turn
+    from modaltouch.lab.calibration.outcome import Progress, Turn
     from modaltouch.protocol.calibration_sections import CalibratedStimulus, Calibration
 
 
@@ -37,13 +37,13 @@ def calibrate(
     63.25 and 200 of 2 to 200 mm/s). Of a protocol with
     several stimuli all are calibrated, into one file. Nothing is written before the end.
     """
-    from modaltouch.calibration.loop import calibrate_each
-    from modaltouch.calibration.refining import grounds_of, levels_between
-    from modaltouch.calibration.writing import Circumstances, calibration_of, write_calibration
-    from modaltouch.interruption import Interruption
-    from modaltouch.measurement import open_laboratory
+    from modaltouch.lab.calibration.loop import calibrate_each
+    from modaltouch.lab.calibration.refining import grounds_of, levels_between
+    from modaltouch.lab.calibration.writing import Circumstances, calibration_of, write_calibration
+    from modaltouch.lab.measurement import open_laboratory
     from modaltouch.preflight import examine
     from modaltouch.record.files import prepare_file
+    from modaltouch.system.interruption import Interruption
 
     with reporting(json_output=json_output):
         preflight = examine(protocol, uncalibrated=True).require()
@@ -80,7 +80,7 @@ def _showing(check: Callable[[], None], *, by_hand: bool) -> Iterator[tuple[Prog
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Bars
 
-    from modaltouch.calibration.outcome import Progress
+    from modaltouch.lab.calibration.outcome import Progress
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     console = Console(stderr=True)

@@ -48,13 +48,13 @@ def compare(
 
     Everything happens on the twin, whose true beam judges. All methods learn from the same recordings.
     """
-    from modaltouch.analysis.output import refuse_other
-    from modaltouch.comparison.page import COMMAND, as_dict, write_comparison
-    from modaltouch.comparison.results import rows_of
-    from modaltouch.comparison.study import Settings, contest, learn
-    from modaltouch.interruption import Interruption
+    from modaltouch.lab.comparison.page import COMMAND, as_dict, write_comparison
+    from modaltouch.lab.comparison.results import rows_of
+    from modaltouch.lab.comparison.study import Settings, contest, learn
     from modaltouch.preflight import examine
-    from modaltouch.provenance import commit
+    from modaltouch.report.output import refuse_other
+    from modaltouch.system.interruption import Interruption
+    from modaltouch.system.provenance import commit
 
     with reporting(json_output=json_output):
         preflight = examine(protocol).require()
@@ -99,8 +99,8 @@ def tell(rows: list[dict[str, Any]], level: float, n_beams: int) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from modaltouch.comparison.results import criteria
-    from modaltouch.comparison.words import paragraphs
+    from modaltouch.lab.comparison.results import criteria
+    from modaltouch.lab.comparison.words import paragraphs
 
     console = Console()
     shown = {key: heading for key, heading in COLUMNS.items() if rows[0].get(key) is not None}

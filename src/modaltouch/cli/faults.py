@@ -48,18 +48,18 @@ def reporting(*, json_output: bool = False) -> Iterator[None]:
 def explain(error: BaseException) -> tuple[int | None, list[dict[str, Any]]]:
     """Return the exit status of an error and its problems one by one; no status for a programming error."""
     # By name of the modules already loaded: a failure must not import PyVISA or pandas to be told.
-    from modaltouch.document import InputError
+    from modaltouch.protocol.document import InputError
 
     if isinstance(error, InputError):
         return BAD_INPUT, [problem.as_dict() for problem in error.problems]
     statuses = {
         ("modaltouch.rig.interface", "RigError"): RIG_FAILED,
         ("modaltouch.window.interface", "WindowError"): RIG_FAILED,
-        ("modaltouch.masking.interface", "MaskingError"): RIG_FAILED,
+        ("modaltouch.window.masking.interface", "MaskingError"): RIG_FAILED,
         ("modaltouch.record.chain", "RecordInputError"): BAD_INPUT,
         ("modaltouch.record.chain", "RecordError"): RECORD_AT_RISK,
         ("modaltouch.window.interface", "SessionStopped"): INTERRUPTED,
-        ("modaltouch.interruption", "Interrupted"): INTERRUPTED,
+        ("modaltouch.system.interruption", "Interrupted"): INTERRUPTED,
     }
     for (module, name), status in statuses.items():
         kind = getattr(sys.modules.get(module), name, None)

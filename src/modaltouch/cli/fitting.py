@@ -29,8 +29,8 @@ def fit(
     The observer that is given is the centre of the priors, and its front end is kept. Where the protocol has several
     stimuli, one observer is fitted to the answers to all of them.
     """
-    from modaltouch.observer.file import read_observer, write_observer
     from modaltouch.planning.fitting import NOT_IDENTIFIABLE, fit_answers
+    from modaltouch.planning.observer.file import read_observer, write_observer
     from modaltouch.preflight import examine
     from modaltouch.record.files import prepare_file, replace_file
 

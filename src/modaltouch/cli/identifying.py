@@ -12,25 +12,25 @@ from modaltouch.cli.faults import BAD_INPUT, leave, print_json, reporting
 from modaltouch.cli.options import APPARATUS, JSON, MEASURED_RIG, SHIPPED_APPARATUS, progress
 
 if TYPE_CHECKING:
-    from modaltouch.identification.responses import FrequencyResponses
+    from modaltouch.lab.identification.responses import FrequencyResponses
 import math
 from typing import TYPE_CHECKING
 
 from modaltouch.cli.measuring import bars
 
 if TYPE_CHECKING:
-    from modaltouch.apparatus import Apparatus
-    from modaltouch.document import Source
-    from modaltouch.identification.responses import FrequencyResponses
-    from modaltouch.measurement import Scan
+    from modaltouch.lab.identification.responses import FrequencyResponses
+    from modaltouch.lab.measurement import Scan
+    from modaltouch.protocol.apparatus import Apparatus
+    from modaltouch.protocol.document import Source
 
 
 class Wanted:
     """What is to be identified, checked before anything is opened."""
 
     def __init__(self, path: Path, sets: list[str] | None, modes: str, folder: Path | None) -> None:
-        from modaltouch.apparatus import read_apparatus
-        from modaltouch.document import find, load_source
+        from modaltouch.protocol.apparatus import read_apparatus
+        from modaltouch.protocol.document import find, load_source
 
         self.source: Source = load_source(find("apparatus", path))
         self.apparatus: Apparatus = read_apparatus(self.source.path)
@@ -71,12 +71,12 @@ class Wanted:
         """Return the scans of a rig, new or gone on with."""
         import numpy as np
 
-        from modaltouch.analysis.output import refuse_other
-        from modaltouch.identification.excitation import Campaign, evenly, excite, highest_needed
-        from modaltouch.identification.report import COMMAND
-        from modaltouch.identification.shapes import check_points
-        from modaltouch.interruption import Interrupted, Interruption
-        from modaltouch.measurement import open_laboratory
+        from modaltouch.lab.identification.excitation import Campaign, evenly, excite, highest_needed
+        from modaltouch.lab.identification.report import COMMAND
+        from modaltouch.lab.identification.shapes import check_points
+        from modaltouch.lab.measurement import open_laboratory
+        from modaltouch.report.output import refuse_other
+        from modaltouch.system.interruption import Interrupted, Interruption
 
         refuse_other(out, COMMAND)
         positions = evenly(self.length, points, margin)
@@ -104,7 +104,7 @@ class Wanted:
 
     def read(self) -> dict[str, Scan]:
         """Return the scans of a folder."""
-        from modaltouch.measurement import read_scan
+        from modaltouch.lab.measurement import read_scan
 
         folder = self.folder or Path()
         scans = {}
@@ -120,8 +120,8 @@ class Wanted:
 
     def reduced(self, scans: dict[str, Scan], place: Path) -> tuple[FrequencyResponses, dict[str, Any]]:
         """Return the responses of scans, and what is to be known of their measurement."""
-        from modaltouch.identification.excitation import LOWEST
-        from modaltouch.identification.responses import responses_of
+        from modaltouch.lab.identification.excitation import LOWEST
+        from modaltouch.lab.identification.responses import responses_of
 
         responses = responses_of(scans, self.bandwidth)
         first = next(iter(scans.values())).facts
@@ -163,12 +163,12 @@ class Wanted:
 
     def fit(self, responses: FrequencyResponses, facts: dict[str, Any], out: Path) -> dict[str, Any]:
         """Return the identification as plain values, its files written."""
-        from modaltouch.analysis.output import refuse_other
-        from modaltouch.identification.apparatus_file import identified_apparatus
-        from modaltouch.identification.excitation import CLOCK_TOLERANCE
-        from modaltouch.identification.identified import identify as identify_responses
-        from modaltouch.identification.report import COMMAND, as_dict, check_modes, write_identification
-        from modaltouch.identification.shapes import check_points
+        from modaltouch.lab.identification.apparatus_file import identified_apparatus
+        from modaltouch.lab.identification.excitation import CLOCK_TOLERANCE
+        from modaltouch.lab.identification.identified import identify as identify_responses
+        from modaltouch.lab.identification.report import COMMAND, as_dict, check_modes, write_identification
+        from modaltouch.lab.identification.shapes import check_points
+        from modaltouch.report.output import refuse_other
 
         refuse_other(out, COMMAND)
         if responses.positions is not None:
@@ -391,7 +391,7 @@ def _read_files(
     averages: int,
     band: tuple[float | None, float | None],
 ) -> FrequencyResponses:
-    from modaltouch.identification.files import Reading, read_responses
+    from modaltouch.lab.identification.files import Reading, read_responses
 
     how = Reading(None if quantity is None else quantity.value, conjugated, spacing, averages)
     responses = read_responses(files, how)
@@ -415,9 +415,9 @@ def _file_facts(files: list[Path]) -> dict[str, Any]:
 
 def _without_shapes(files: list[Path], responses: FrequencyResponses, out: Path) -> dict[str, Any]:
     """Return the modes of responses at unknown places, or at too few: no shapes, no gains, no apparatus file."""
-    from modaltouch.analysis.output import refuse_other
-    from modaltouch.identification.identified import identify_each
-    from modaltouch.identification.report import COMMAND, as_dict, write_identification
+    from modaltouch.lab.identification.identified import identify_each
+    from modaltouch.lab.identification.report import COMMAND, as_dict, write_identification
+    from modaltouch.report.output import refuse_other
 
     refuse_other(out, COMMAND)
     with progress("fitting", counted=False):

@@ -23,7 +23,7 @@ def verify(
     json_output: JSON = False,
 ) -> None:
     """Check a session's record: its chain of lines, its order, its drive and its BIDS view, all recomputed."""
-    from modaltouch.verification import verify_session
+    from modaltouch.session.verification import verify_session
 
     with reporting(json_output=json_output):
         verdict = verify_session(session)
@@ -65,7 +65,7 @@ def doctor(
     With a SESSION, look at its record instead: what is damaged, what still proves itself, and with --into a new
     record of that. The damaged one is never touched.
     """
-    from modaltouch.doctor import examine_machine, missing_packages
+    from modaltouch.cli.doctor import examine_machine, missing_packages
 
     with reporting(json_output=json_output):
         if session is not None:
@@ -120,8 +120,8 @@ def _examine_record(session: Path, into: Path | None, *, json_output: bool) -> N
 
 def _measure(rig: str, apparatus: Path, *, json_output: bool) -> None:
     """Say how exactly window, keyboard, generator and clock keep time; one that cannot be reached is a fault."""
-    from modaltouch.clock import measure_clock
     from modaltouch.rig.interface import RigError
+    from modaltouch.system.clock import measure_clock
     from modaltouch.window.interface import WindowError
 
     figures: dict[str, Any] = {}
@@ -165,7 +165,7 @@ def _measure_window() -> WindowTiming:
 
 
 def _measure_generator(rig: str, apparatus: Path) -> CommandLatency:
-    from modaltouch.apparatus import read_apparatus
+    from modaltouch.protocol.apparatus import read_apparatus
     from modaltouch.rig import start_simulator
     from modaltouch.rig.latency import measure_latency
 

@@ -53,14 +53,14 @@ def power(
     """
     sizes_n = parse_sizes(participants, "--participants", _MOST_PARTICIPANTS)
     sizes_r = parse_sizes(reps, "--reps", _MOST_ANSWERS) if reps is not None else None
-    from modaltouch.analysis.output import refuse_other
-    from modaltouch.interruption import Interruption
-    from modaltouch.observer.file import read_observer
     from modaltouch.planning.experiments import Study
+    from modaltouch.planning.observer.file import read_observer
     from modaltouch.planning.power import plan
     from modaltouch.planning.presented import designs_for
     from modaltouch.planning.writing import COMMAND
     from modaltouch.preflight import examine
+    from modaltouch.report.output import refuse_other
+    from modaltouch.system.interruption import Interruption
 
     with reporting(json_output=json_output):
         model = read_observer(observer)

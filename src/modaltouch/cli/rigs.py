@@ -42,7 +42,7 @@ def check(
     """
     from contextlib import ExitStack
 
-    from modaltouch.apparatus import read_apparatus
+    from modaltouch.protocol.apparatus import read_apparatus
     from modaltouch.rig import start_simulator
     from modaltouch.rig.checklist import check_rig
 
@@ -75,7 +75,7 @@ def simulate(
     speed `zone_peak_mm_s` at each zone's centre, and the `link` that triggered it: 0 for the front panel, null for a
     burst that came by itself.
     """
-    from modaltouch.apparatus import read_apparatus
+    from modaltouch.protocol.apparatus import read_apparatus
     from modaltouch.rig.simulator import serve
 
     with reporting():

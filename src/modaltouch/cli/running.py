@@ -38,7 +38,7 @@ from modaltouch.cli.options import (
 
 if TYPE_CHECKING:
     from modaltouch.record.session import Session
-    from modaltouch.sitting import Setup
+    from modaltouch.session.setup import Setup
     from modaltouch.window import WindowOptions
 import os
 import sys
@@ -47,7 +47,7 @@ from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from modaltouch.console.interface import Console
+    from modaltouch.session.console.interface import Console
 
 
 @contextmanager
@@ -59,11 +59,11 @@ def open_console(events: Path | None, emergency_keys: Sequence[str], *, plain: b
     typer.BadParameter
         If the events can be written nowhere.
     """
-    from modaltouch.console.interface import Consoles
+    from modaltouch.session.console.interface import Consoles
 
     consoles: list[Console] = []
     if events is not None:
-        from modaltouch.console.lines import EventLines
+        from modaltouch.session.console.lines import EventLines
 
         try:
             consoles.append(EventLines(events))
@@ -72,11 +72,11 @@ def open_console(events: Path | None, emergency_keys: Sequence[str], *, plain: b
                 f"given --events {events}, which cannot be written ({error.strerror}); give a file in a folder you "
                 "may write to, or a named pipe (`mkfifo`)"
             ) from error
-    from modaltouch.console.lines import PlainLines
+    from modaltouch.session.console.lines import PlainLines
 
     shown: Console = PlainLines(sys.stderr)
     if has_terminal() and not plain:
-        from modaltouch.console.terminal import TerminalConsole
+        from modaltouch.session.console.terminal import TerminalConsole
 
         # A machine that can start no more processes shows plain lines.
         with suppress(OSError):
@@ -175,7 +175,7 @@ def run(
         preflight = examine(protocol, calibration).require()
         from modaltouch.record.folders import check_participant, dataset_of
         from modaltouch.record.log import refuse_existing
-        from modaltouch.wiring import mode_of, wire_run
+        from modaltouch.session.wiring import mode_of, wire_run
 
         rig = rig or ask_rig(can_ask() and not yes and not json_output)
         mode = mode_of(rig, answers.value, pilot=pilot)
@@ -202,7 +202,7 @@ def run(
         _try_masking(setup)
         if can_ask() and not yes and not json_output:
             wait_for_start(setup, rig)
-        from modaltouch.sitting import begin
+        from modaltouch.session.setup import begin
 
         _conduct(begin, setup, events, plain=plain, json_output=json_output)
 
@@ -238,8 +238,8 @@ def resume(
     Everything is taken from the record itself, so it does not matter what became of the protocol's files. The answer
     window opens as it was, unless an option says otherwise.
     """
-    from modaltouch.sitting import resume as go_on
-    from modaltouch.wiring import wire_resume
+    from modaltouch.session.setup import resume as go_on
+    from modaltouch.session.wiring import wire_resume
 
     with reporting(json_output=json_output):
         given = {
@@ -269,10 +269,10 @@ def simulate(
     json_output: JSON = False,
 ) -> None:
     """Run a cohort of simulated participants through the same code on the simulated rig."""
-    from modaltouch.observer.file import read_observer, usual_observer
+    from modaltouch.cli.study import analyses
+    from modaltouch.planning.observer.file import read_observer, usual_observer
     from modaltouch.preflight import examine
-    from modaltouch.simulation import simulate_session
-    from modaltouch.study import analyses
+    from modaltouch.session.simulation import simulate_session
 
     with reporting(json_output=json_output):
         # An observer that does not exist is told before a protocol is designed.
@@ -306,7 +306,7 @@ def demo(
 
     A simulated participant answers by typing into the window. Without a screen a virtual one is started.
     """
-    from modaltouch.demonstration import demonstrate
+    from modaltouch.cli.demonstration import demonstrate
 
     with reporting(json_output=json_output):
         window_options = _window_options(False, size, theme, 0, None)

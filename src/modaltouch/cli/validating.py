@@ -12,9 +12,9 @@ from modaltouch.cli.measuring import bars
 from modaltouch.cli.options import CALIBRATION, JSON, MEASURED_RIG, PROTOCOL
 
 if TYPE_CHECKING:
+    from modaltouch.lab.validation.page import Occasion
+    from modaltouch.lab.validation.recording import Observation
     from modaltouch.preflight import Preflight
-    from modaltouch.validation.page import Occasion
-    from modaltouch.validation.recording import Observation
 
 
 def validate(
@@ -40,11 +40,11 @@ def validate(
 
     The highest level of the protocol is played. Measured is set beside wished, with the errors in mm/s.
     """
-    from modaltouch.analysis.output import refuse_other
+    from modaltouch.lab.validation.evidence import evaluate
+    from modaltouch.lab.validation.key_figures import key_figures
+    from modaltouch.lab.validation.page import COMMAND, as_dict, write_evidence
     from modaltouch.preflight import examine
-    from modaltouch.validation.evidence import evaluate
-    from modaltouch.validation.key_figures import key_figures
-    from modaltouch.validation.page import COMMAND, as_dict, write_evidence
+    from modaltouch.report.output import refuse_other
 
     with reporting(json_output=json_output):
         preflight = examine(protocol, calibration).of_one_stimulus()
@@ -92,11 +92,11 @@ def _observe(
     preflight: Preflight, protocol: Path, address: str, folder: Path | None, points: int, averages: int
 ) -> tuple[list[Observation], Occasion]:
     """Return what was recorded, now or before, and the occasion."""
-    from modaltouch.interruption import Interruption
-    from modaltouch.measurement import open_laboratory
-    from modaltouch.provenance import commit
-    from modaltouch.validation.page import Occasion
-    from modaltouch.validation.recording import complete, read_laws, record_laws
+    from modaltouch.lab.measurement import open_laboratory
+    from modaltouch.lab.validation.page import Occasion
+    from modaltouch.lab.validation.recording import complete, read_laws, record_laws
+    from modaltouch.system.interruption import Interruption
+    from modaltouch.system.provenance import commit
 
     experiment, (ground, stimulus) = preflight.experiment, preflight.sound
     if folder is not None and complete(folder):
@@ -149,7 +149,7 @@ def tell(figures: list[dict[str, Any]]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from modaltouch.validation.words import summary
+    from modaltouch.lab.validation.words import summary
 
     table = Table(title=f"Measured at {figures[0]['velocity_mm_s']:g} mm/s", title_justify="left")
     table.add_column("quantity [unit]")

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.analysis.findings import ALPHA
-from modaltouch.observer import Observer, Participant
 from modaltouch.planning.design import Design
+from modaltouch.planning.observer import Observer, Participant
 from modaltouch.planning.questions import Answers, half_widths, p_values
 from modaltouch.planning.significance import holm_p
 
@@ -170,7 +170,7 @@ def simulate(design: Design, observer: Observer, job: Job, rng: np.random.Genera
     """Return the answers of simulated experiments.
 
     Each participant is drawn once from the population and answers every cell by the chances that
-    `modaltouch.observer.Participant` has there.
+    `modaltouch.planning.observer.Participant` has there.
     """
     crowd = observer.draw_crowd(rng, (job.n_experiments, job.n_participants))
     share_left, share_right = crowd.shares(

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from modaltouch.analysis.counts import PAPER_CONDITIONS, orient
-from modaltouch.document import InputError
-from modaltouch.observer import Observer
-from modaltouch.observer.felt import Felt
 from modaltouch.planning.design import Design
+from modaltouch.planning.observer import Observer
+from modaltouch.planning.observer.felt import Felt
 from modaltouch.preflight import Preflight
 from modaltouch.protocol import Protocol
-from modaltouch.schedule import draw_schedule
+from modaltouch.protocol.document import InputError
+from modaltouch.protocol.schedule import draw_schedule
 
 
 def designs_for(preflight: Preflight, observer: Observer) -> dict[str, Design]:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from modaltouch.analysis.output import csv_bytes, json_bytes, write_files
 from modaltouch.planning.power import Power
-from modaltouch.provenance import version
+from modaltouch.report.output import csv_bytes, json_bytes, write_files
+from modaltouch.system.provenance import version
 
 COMMAND = "power"
 """The command that owns the folder."""
@@ -29,8 +29,8 @@ def write_power(folder: Path, power: Power, target: float = 0.8) -> dict[str, Pa
     RecordError
         If the folder holds something else, or cannot be written.
     """
-    from modaltouch.analysis.style import render
     from modaltouch.planning.pictures import draw_power
+    from modaltouch.report.style import render
 
     values = power.as_dict(target)
     figure = draw_power(power, target)

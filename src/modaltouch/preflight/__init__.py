@@ -7,6 +7,6 @@
 """
 
 from modaltouch.preflight.checked import Preflight
-from modaltouch.preflight.examine import examine, examine_findings
+from modaltouch.preflight.examination import examine, examine_findings
 
 __all__ = ["Preflight", "examine", "examine_findings"]

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from modaltouch.apparatus import Apparatus
-from modaltouch.document import Reading
-from modaltouch.document.section import Section
-from modaltouch.document.tree import Node
-from modaltouch.preflight.ground import Ground
+from modaltouch.preflight.design_inputs import Ground
 from modaltouch.protocol import Protocol
+from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.protocol.document import Reading
+from modaltouch.protocol.document.section import Section
+from modaltouch.protocol.document.tree import Node
 from modaltouch.protocol.stimulus_sections import StimulusSection
 from modaltouch.stimulus.design import Stimulus
 

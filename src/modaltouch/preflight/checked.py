@@ -8,8 +8,6 @@ from typing import Any, Self
 
 import numpy as np
 
-from modaltouch.apparatus import offered_gains
-from modaltouch.document import InputError, Problem
 from modaltouch.preflight.advice import (
     answer_warnings,
     default_warnings,
@@ -17,6 +15,7 @@ from modaltouch.preflight.advice import (
     repetition_warnings,
     taken_defaults,
 )
+from modaltouch.preflight.design_inputs import Ground
 from modaltouch.preflight.figures import (
     contrasts,
     estimated_duration,
@@ -24,16 +23,17 @@ from modaltouch.preflight.figures import (
     warnings,
     zone_centres,
 )
-from modaltouch.preflight.ground import Ground
 from modaltouch.preflight.sound import sound_warnings
 from modaltouch.protocol import Experiment, Findings, Protocol
+from modaltouch.protocol.apparatus import offered_gains
+from modaltouch.protocol.document import InputError, Problem
+from modaltouch.protocol.trial import Trial
 from modaltouch.rig.settings import MAX_POINTS, continuous_codes
 from modaltouch.stimulus.burst import Burst
 from modaltouch.stimulus.design import Stimulus
 from modaltouch.stimulus.drive import Law
 from modaltouch.stimulus.quantise import signed_codes
 from modaltouch.stimulus.vibration import states_by_channel
-from modaltouch.trial import Trial
 
 
 def continuous_figures(stimulus: Stimulus, velocity: float) -> dict[str, Any]:

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from modaltouch.preflight.design_inputs import Ground
 from modaltouch.preflight.figures import zone_centres
-from modaltouch.preflight.ground import Ground
 from modaltouch.stimulus.design import ModalModel, Stimulus
 
 ERRORS = {"natural_frequency": 0.001, "damping_ratio": 0.05, "modal_gain": 0.05}

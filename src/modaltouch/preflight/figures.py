@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from modaltouch.apparatus import offered_gains
-from modaltouch.preflight.ground import Ground
+from modaltouch.preflight.design_inputs import Ground
 from modaltouch.protocol import Protocol
+from modaltouch.protocol.apparatus import offered_gains
 from modaltouch.stimulus.design import Stimulus
 
 ANSWER_S, PLACEMENT_S, BREAK_S, INSTRUCTIONS_S = 1.5, 5.0, 30.0, 90.0

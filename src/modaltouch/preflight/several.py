@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
-from modaltouch.document import Problem
 from modaltouch.protocol import Findings, check_fit, check_protocol
 from modaltouch.protocol.calibration_file import calibration_alone, check_calibration, in_calibration
+from modaltouch.protocol.document import Problem
 from modaltouch.stimulus.burst import Burst
 
 MEMORIES = 4

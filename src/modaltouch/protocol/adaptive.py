@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from modaltouch.document.section import Count, Positive, Section, described
+from modaltouch.protocol.document.section import Count, Positive, Section, described
 
 Decibels = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=40)]
 GuessRate = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=0.6)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from modaltouch.document import Problem, Reading
+from modaltouch.protocol.document import Problem, Reading
 from modaltouch.protocol.sections import Protocol
 
 _SECTION = ("conditions", "sensation_levels")

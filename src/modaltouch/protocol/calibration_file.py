@@ -10,8 +10,8 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
-from modaltouch.apparatus import Apparatus
-from modaltouch.document import Problem, Reading, Source, read
+from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.protocol.document import Problem, Reading, Source, read
 from modaltouch.protocol.sections import Protocol
 
 if TYPE_CHECKING:

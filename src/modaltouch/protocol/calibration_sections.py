@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, RootModel
 
-from modaltouch.document.section import (
+from modaltouch.protocol.document.section import (
     DampingRatio,
     Label,
     NotNegative,

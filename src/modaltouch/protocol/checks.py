@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from modaltouch.document import Problem, Reading, suggest
 from modaltouch.protocol.adaptive_checks import check_adaptive, check_sensation_levels, is_adaptive
+from modaltouch.protocol.document import Problem, Reading, suggest
 from modaltouch.protocol.keys import END_KEY, KEY_ALIASES, KEY_NAMES, RESERVED_KEYS
 from modaltouch.protocol.sections import AnswersSection, Protocol
 from modaltouch.protocol.wished import check_wished

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from modaltouch.apparatus import Apparatus, examine_apparatus
-from modaltouch.document import InputError, Problem, Reading, Source, find, load_source, read
-from modaltouch.document.source import YAML_FILE
+from modaltouch.protocol.apparatus import Apparatus, examine_apparatus
 from modaltouch.protocol.calibration_file import check_age, check_calibration, examine_calibration
 from modaltouch.protocol.checks import check_protocol, check_settling
+from modaltouch.protocol.document import InputError, Problem, Reading, Source, find, load_source, read
+from modaltouch.protocol.document.source import YAML_FILE
 from modaltouch.protocol.fit import check_fit
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.texts import Texts, check_words

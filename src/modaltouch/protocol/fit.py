@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from modaltouch.apparatus import Apparatus
-from modaltouch.document import Problem, Reading, suggest
+from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.protocol.document import Problem, Reading, suggest
 from modaltouch.protocol.masking import check_masking
 from modaltouch.protocol.sections import Protocol
 

@@ -6,9 +6,9 @@ import json
 from pathlib import Path
 from typing import Any
 
-from modaltouch.apparatus import Apparatus
-from modaltouch.document.allowed import schema_of
+from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.calibration_sections import AnyCalibration
+from modaltouch.protocol.document.allowed import schema_of
 from modaltouch.protocol.observers import ObserverFile
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.texts import Texts

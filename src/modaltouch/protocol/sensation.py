@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from modaltouch.document.section import FileName, Section, described
+from modaltouch.protocol.document.section import FileName, Section, described
 
 Multiple = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=1000)]
 

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Discriminator, Field, Tag
 
-from modaltouch.document.section import Count, Label, Number, Positive, Section, Text, Word, described
+from modaltouch.protocol.document.section import Count, Label, Number, Positive, Section, Text, Word, described
 
 ZoneName = Annotated[Word, Field(json_schema_extra={"x-allowed": "the name of a zone of the beam"})]
 SampleCount = Annotated[int, Field(strict=True, ge=2, le=131_072, multiple_of=2)]

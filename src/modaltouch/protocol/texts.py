@@ -6,8 +6,8 @@ import string
 
 from pydantic import ValidationInfo, field_validator
 
-from modaltouch.document import Problem, Reading, fault
-from modaltouch.document.section import Section, Text, described
+from modaltouch.protocol.document import Problem, Reading, fault
+from modaltouch.protocol.document.section import Section, Text, described
 from modaltouch.protocol.sections import Protocol
 
 _PLACEHOLDERS: dict[str, frozenset[str]] = {

@@ -6,7 +6,7 @@ import csv
 import math
 from collections.abc import Iterator
 
-from modaltouch.document import Problem, Reading, Source
+from modaltouch.protocol.document import Problem, Reading, Source
 from modaltouch.protocol.sections import Protocol
 
 Points = tuple[tuple[float, float], ...]

@@ -16,12 +16,12 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-from modaltouch.locking import LOCK_NAME, hold
-from modaltouch.provenance import version
 from modaltouch.record.chain import RecordError
 from modaltouch.record.files import OWNER_ALONE, replace_file
 from modaltouch.record.folders import LOG_NAME, SessionFolder, make_folder
 from modaltouch.record.session import Session
+from modaltouch.system.locking import LOCK_NAME, hold
+from modaltouch.system.provenance import version
 
 BIDS_VERSION = "1.10.0"
 

@@ -15,11 +15,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from modaltouch.clock import SYSTEM_CLOCK, Clock, VirtualClock
 from modaltouch.rig.interface import is_simulated as is_simulated
+from modaltouch.system.clock import SYSTEM_CLOCK, Clock, VirtualClock
 
 if TYPE_CHECKING:
-    from modaltouch.apparatus import Apparatus
+    from modaltouch.protocol.apparatus import Apparatus
     from modaltouch.rig.guard import Guard
     from modaltouch.rig.interface import Rig
     from modaltouch.rig.link import Log

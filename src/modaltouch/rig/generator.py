@@ -14,8 +14,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any, Self
 
-from modaltouch.apparatus import Apparatus
-from modaltouch.clock import SYSTEM_CLOCK, Clock
+from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.connection import Connection, Found, Patience
 from modaltouch.rig.controls import CHANNELS, Unconfirmed
 from modaltouch.rig.guard import HELD_UP, Guard, Watchdog
@@ -26,6 +25,7 @@ from modaltouch.rig.player import RELAYS_SETTLE, Player, Repetition, numbers
 from modaltouch.rig.transport import LinkError
 from modaltouch.rig.watchdog import LIMIT
 from modaltouch.stimulus.burst import Burst
+from modaltouch.system.clock import SYSTEM_CLOCK, Clock
 
 UNMEASURED = 1e-3
 """Taken as the longest time from trigger to first sample, where that has not been measured [s]."""

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from modaltouch.clock import VirtualClock
 from modaltouch.rig.pacing import Order, Pacer, Report
 from modaltouch.rig.visa import VisaSession
+from modaltouch.system.clock import VirtualClock
 
 ROUNDING = 1e-9
 """What a sum of virtual times may lack [s]."""

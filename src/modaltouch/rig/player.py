@@ -9,7 +9,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.clock import Clock
 from modaltouch.rig.controls import CHANNELS, USER_MEMORIES, Controls, Unconfirmed
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.pacing import Order
@@ -30,6 +29,7 @@ from modaltouch.rig.settings import (
     timer_setting,
 )
 from modaltouch.stimulus.burst import Burst
+from modaltouch.system.clock import Clock
 
 Repetition = Literal["single", "timer", "continuous", "wired"]
 """``single``: each burst is triggered by itself; ``timer``: by the free timer of the generator; ``wired``: by pulses at

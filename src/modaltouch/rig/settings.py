@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.apparatus import Apparatus
+from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.interface import RigError
 from modaltouch.stimulus.burst import MID_CODE, Burst
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
 
-from modaltouch.clock import SYSTEM_CLOCK, Clock
+from modaltouch.system.clock import SYSTEM_CLOCK, Clock
 from modaltouch.window.interface import AnswerWindow, Log, Tick
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from modaltouch.protocol import AnswersSection, Texts
-from modaltouch.trial import Answer
+from modaltouch.protocol.trial import Answer
 from modaltouch.window.layout import Layout
 from modaltouch.window.marks import Box, Mark, Words, framed, rounded, triangle
 from modaltouch.window.theme import Theme

@@ -8,9 +8,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn, Self
 
-from modaltouch.clock import SYSTEM_CLOCK, Clock
 from modaltouch.protocol import Protocol, Texts
-from modaltouch.trial import TIME_OUT, Answer, Response, Trial
+from modaltouch.protocol.trial import TIME_OUT, Answer, Response, Trial
+from modaltouch.system.clock import SYSTEM_CLOCK, Clock
 from modaltouch.window.answering import SETTLE, AnswerTaker, Pauser
 from modaltouch.window.events import Event, canonical_key
 from modaltouch.window.interface import Log, Presentation, Progress, Tick, TrialInterrupted

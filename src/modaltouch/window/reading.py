@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any, Self
 
 from modaltouch.protocol import END_KEY, PAUSE_KEY, AnswersSection
-from modaltouch.trial import Answer
+from modaltouch.protocol.trial import Answer
 from modaltouch.window.events import Event, canonical_key
 from modaltouch.window.layout import Layout
 

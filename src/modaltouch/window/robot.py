@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from modaltouch.protocol import AnswersSection
-from modaltouch.trial import Answer
+from modaltouch.protocol.trial import Answer
 from modaltouch.window.events import canonical_key
 from modaltouch.window.interface import WindowError
 from modaltouch.window.simulated import Answerer

@@ -4,16 +4,30 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, Protocol, Self
 
 import numpy as np
 
-from modaltouch.clock import SYSTEM_CLOCK, Clock
-from modaltouch.observer import Participant
-from modaltouch.trial import ANSWERS, TIME_OUT, Answer, Response, Trial
+from modaltouch.protocol.trial import ANSWERS, TIME_OUT, Answer, Response, Trial
+from modaltouch.system.clock import SYSTEM_CLOCK, Clock
 from modaltouch.window.interface import Log, Presentation, Progress, Tick, TrialInterrupted
+
+
+class Observing(Protocol):
+    """A participant's decision rule; `modaltouch.planning` has such observers."""
+
+    def answer(
+        self,
+        speed_left: float,
+        speed_right: float,
+        finger_condition: str,
+        rng: np.random.Generator,
+        answers: Sequence[Answer],
+    ) -> tuple[Answer, float]:
+        """Return the answer to two peak speeds [m/s] and its reaction time [s]."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -22,7 +36,7 @@ class Answerer:
 
     Attributes
     ----------
-    participant : Participant
+    participant : Observing
         Drawn from an observer model.
     felt : callable
         Peak speeds under the left and the right finger in a trial [m/s].
@@ -33,7 +47,7 @@ class Answerer:
         Answers that the protocol offers.
     """
 
-    participant: Participant
+    participant: Observing
     felt: Callable[[Trial], tuple[float, float]]
     generator: np.random.Generator
     answers: tuple[Answer, ...] = ANSWERS

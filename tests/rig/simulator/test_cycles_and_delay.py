@@ -9,11 +9,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modaltouch.apparatus import Apparatus
-from modaltouch.clock import VirtualClock
+from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.simulator import Simulator
 from modaltouch.rig.simulator.channel import Playback
 from modaltouch.rig.simulator.twin import MOST_SAMPLES, Twin
+from modaltouch.system.clock import VirtualClock
 
 Play = Callable[..., Playback]
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modaltouch.apparatus import Apparatus
+from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.simulator import Simulator
 from modaltouch.rig.simulator.channel import Playback
 from modaltouch.rig.simulator.twin import Twin

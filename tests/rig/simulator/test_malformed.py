@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 import pyvisa
 
-from modaltouch.apparatus import Apparatus
+from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.simulator import Simulator
 from modaltouch.rig.simulator.afg import Afg
 from modaltouch.rig.simulator.faults import Faults

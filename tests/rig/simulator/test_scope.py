@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modaltouch.apparatus import Apparatus, Fingers, Scope, TrueAmplifier, Vibrometer
+from modaltouch.protocol.apparatus import Apparatus, Fingers, Scope, TrueAmplifier, Vibrometer
 from modaltouch.rig.acquisition import Acquisition, Recording
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.interface import RigError

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from modaltouch.clock import VirtualClock
 from modaltouch.rig.simulator.afg import Afg
 from modaltouch.rig.simulator.behaviour import Behaviour
 from modaltouch.rig.simulator.faults import Faults
 from modaltouch.rig.simulator.instrument import Instrument
 from modaltouch.rig.simulator.timeline import FINEST, Delays, Played
+from modaltouch.system.clock import VirtualClock
 
 RELAY = 4e-3
 LENGTH = 0.05

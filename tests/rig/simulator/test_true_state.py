@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modaltouch.apparatus import Apparatus, TrueAmplifier
+from modaltouch.protocol.apparatus import Apparatus, TrueAmplifier
 from modaltouch.rig.simulator.channel import Playback
 from modaltouch.rig.simulator.course import Drive, Motion
 from modaltouch.rig.simulator.response import state_at

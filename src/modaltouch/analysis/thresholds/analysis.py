@@ -10,11 +10,11 @@ from typing import Any
 
 import pandas as pd
 
-from modaltouch.analysis.output import json_bytes
-from modaltouch.analysis.page import embed_svg, render_page
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.thresholds.runs import Run, find_runs, in_words, over_participants
-from modaltouch.provenance import commit, version, versions
+from modaltouch.report.output import json_bytes
+from modaltouch.report.page import embed_svg, render_page
+from modaltouch.system.provenance import commit, version, versions
 
 MOST_FIGURES = 60
 """Sessions whose runs are drawn; more would make a report that no browser opens."""
@@ -77,8 +77,8 @@ def render_runs(analysis: ThresholdAnalysis) -> dict[str, bytes]:
     analysis : ThresholdAnalysis
         What was found.
     """
-    from modaltouch.analysis.style import render
     from modaltouch.analysis.thresholds.figures import draw_runs, draw_thresholds
+    from modaltouch.report.style import render
 
     rows = [run.as_dict() for run in analysis.runs]
     together = over_participants(analysis.runs)

@@ -10,10 +10,10 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-from modaltouch.adaptive.levels import to_dB
-from modaltouch.analysis.style import CONDITION_COLOURS, FAINT, INK, house_style, new_figure, quiet_grid
 from modaltouch.analysis.thresholds.psychometric import Estimate
 from modaltouch.analysis.thresholds.runs import Run
+from modaltouch.protocol.adaptive_rules.levels import to_dB
+from modaltouch.report.style import CONDITION_COLOURS, FAINT, INK, house_style, new_figure, quiet_grid
 
 BLUE = CONDITION_COLOURS[0]
 _ROW = 2.5

@@ -7,8 +7,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from modaltouch.apparatus import read_apparatus
-from modaltouch.document import InputError
+from modaltouch.protocol.apparatus import read_apparatus
+from modaltouch.protocol.document import InputError
 from modaltouch.rig.simulator import serve
 
 

@@ -11,11 +11,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from modaltouch.clock import SYSTEM_CLOCK, Clock
 from modaltouch.rig.simulator.behaviour import Behaviour
 from modaltouch.rig.simulator.channel import MID_CODE, Channel, Playback
 from modaltouch.rig.simulator.scpi import ScpiError
 from modaltouch.rig.simulator.timeline import Delays, Situation, Timeline
+from modaltouch.system.clock import SYSTEM_CLOCK, Clock
 
 MAX_CODE = 16382
 """Highest code of a point."""

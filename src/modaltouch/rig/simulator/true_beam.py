@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from modaltouch.apparatus import Apparatus, Fingers, UnlistedMode
+from modaltouch.protocol.apparatus import Apparatus, Fingers, UnlistedMode
 from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
 from modaltouch.stimulus.modes import ModalModel, mode_shapes
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.apparatus import Apparatus
+from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.simulator.channel import MID_CODE, Playback
 from modaltouch.rig.simulator.course import Drive, Motion, low_passed
 from modaltouch.rig.simulator.response import LONGEST_SILENCE, Held, peak, refined, state_at

@@ -1,0 +1,112 @@
+"""The whole analysis: answers in, tables, figures, statistics and report out."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pandas as pd
+
+from modaltouch.analysis.counts import count_answers
+from modaltouch.analysis.outcome import Analysis, plain_row
+from modaltouch.analysis.reading import read_responses
+from modaltouch.analysis.statistics import find
+from modaltouch.analysis.tables import figure_names, zone_table
+from modaltouch.report.output import json_bytes, write_files
+from modaltouch.report.style import level_label
+from modaltouch.system.provenance import version
+
+if TYPE_CHECKING:
+    from modaltouch.analysis.thresholds import ThresholdAnalysis
+
+
+def analyse(
+    path: Path | str, out: Path | str | None = None, *, mode: str | None = None, stimulus: str | None = None
+) -> Analysis | ThresholdAnalysis:
+    """Analyse answers and write tables, figures, statistics and a report.
+
+    Parameters
+    ----------
+    path : Path or str
+        A tidy CSV, or a tree of recorded sessions.
+    out : Path or str, optional
+        Folder for what is written; by default ``analysis`` in the tree, or ``<name>_analysis`` beside the CSV.
+    mode : {"real", "pilot", "simulated"}, optional
+        Which sessions of a tree to take.
+    stimulus : str, optional
+        Whose trials to take, of sessions with several stimuli and fixed levels.
+
+    Returns
+    -------
+    Analysis or ThresholdAnalysis
+        The latter for adaptive sessions, whose levels followed from the answers.
+
+    Raises
+    ------
+    InputError
+        If the answers cannot be used, with every fault.
+    RecordError
+        If a file would be overwritten that this command did not write, or cannot be written.
+    """
+    responses = read_responses(path, mode=mode, stimulus=stimulus)
+    folder = Path(out) if out is not None else default_folder(Path(path), responses.stimulus)
+    about = {
+        "version": version(),
+        "source": responses.source.path,
+        "sha256": responses.source.sha256,
+        "mode": responses.source.mode,
+    }
+    if responses.is_adaptive:
+        from modaltouch.analysis.thresholds import analyse_runs, render_runs
+
+        runs = analyse_runs(responses)
+        return replace(runs, files=write_files(folder, render_runs(runs), about))
+    answers = count_answers(responses.frame, responses.focus)
+    findings = tuple(find(answers, responses.frame, responses.catches))
+    analysis = Analysis(responses, answers, findings, {})
+    return replace(analysis, files=write_files(folder, render_files(analysis), about))
+
+
+def default_folder(path: Path, stimulus: str = "") -> Path:
+    """Return where an analysis goes if nobody says otherwise; inside a BIDS dataset, its ``derivatives``."""
+    if path.suffix != ".jsonl" and not path.is_dir():
+        return path.parent / f"{path.stem}_analysis"
+    folder = (path if path.is_dir() else path.parent).resolve()
+    dataset = next((each for each in (folder, *folder.parents) if (each / "dataset_description.json").exists()), None)
+    chosen = [stimulus] if stimulus else []
+    if dataset is None:
+        return (path if path.is_dir() else path.parent) / "_".join(["analysis", *chosen])
+    names = folder.relative_to(dataset).parts[:2]
+    return dataset / "derivatives" / "_".join(["analysis", *names, *chosen])
+
+
+def render_files(analysis: Analysis) -> dict[str, bytes]:
+    """Return the contents of every file of an analysis, by name."""
+    from modaltouch.analysis.gallery import draw_all
+    from modaltouch.analysis.report import render_report
+    from modaltouch.report.style import render
+
+    counts, tests = analysis.counts, analysis.tests
+    files = {"counts.csv": _csv(counts)}
+    for condition, name in figure_names(analysis.answers.finger_conditions).items():
+        table = zone_table(counts, condition, analysis.answers.focus)
+        table.columns = pd.Index([level_label(float(level)) for level in table.columns])
+        files[f"{name}.csv"] = _csv(table.reset_index())
+    pictures = draw_all(analysis.answers, analysis.responses)
+    vectors = {picture.name: render(picture.figure, "svg") for picture in pictures}
+    for picture in pictures:
+        files[f"{picture.name}.svg"] = vectors[picture.name]
+        files[f"{picture.name}.png"] = render(picture.figure, "png")
+    files["tests.csv"] = _csv(tests)
+    rows = [plain_row(row) for row in tests.to_dict("records")]
+    files["tests.json"] = json_bytes(rows)
+    files["report.html"] = render_report(analysis, pictures, vectors).encode()
+    return files
+
+
+def _csv(table: pd.DataFrame) -> bytes:
+    buffer = io.StringIO()
+    table.to_csv(buffer, index=False, lineterminator="\n")
+    return buffer.getvalue().encode()

@@ -1,0 +1,215 @@
+"""What this machine has of what a session needs, and what to do about the rest."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import shutil
+import sys
+import tempfile
+import time
+from dataclasses import asdict, dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, Literal
+
+from modaltouch.record.files import sync_file
+from modaltouch.system.provenance import versions
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was looked at.
+
+    Attributes
+    ----------
+    subject : str
+        What was looked at.
+    state : str
+        ``ok``, ``warning`` (something optional is absent) or ``fault`` (a session cannot run).
+    found : str
+        What is there.
+    remedy : str
+        What to do; empty where all is well.
+    """
+
+    subject: str
+    state: Literal["ok", "warning", "fault"]
+    found: str
+    remedy: str = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the finding as plain values."""
+        return asdict(self)
+
+
+def examine_machine(results: Path) -> tuple[Finding, ...]:
+    """Look at everything a session needs, and draw a letter in the window; no instrument is opened.
+
+    Parameters
+    ----------
+    results : Path
+        Where sessions would be recorded.
+    """
+    return (
+        _python(),
+        *_packages(),
+        _display(),
+        _libraries(),
+        _virtual_display(),
+        _window(),
+        _sound(),
+        _visa(),
+        _usb(),
+        _precedence(),
+        _disk(results),
+    )
+
+
+def _python() -> Finding:
+    found = f"Python {versions()['python']} on {versions()['system']}"
+    if (3, 11) <= sys.version_info[:2] <= (3, 12):
+        return Finding("python", "ok", found)
+    return Finding("python", "fault", found, "use Python 3.11 or 3.12: PsychoPy ends below 3.13")
+
+
+def _packages() -> list[Finding]:
+    required = ("numpy", "scipy", "pandas", "statsmodels", "PyVISA", "PyVISA-py", "psychopy")
+    found, missing = [], []
+    for package in required:
+        try:
+            found.append(f"{package} {version(package)}")
+        except PackageNotFoundError:
+            missing.append(package)
+    if missing:
+        return [Finding("packages", "fault", f"missing: {', '.join(missing)}", "install modaltouch anew")]
+    return [Finding("packages", "ok", ", ".join(found))]
+
+
+def missing_packages() -> list[str]:
+    """Return the Debian packages that hold what this machine lacks for a session, a test or the demonstration."""
+    from modaltouch.window.environment import is_loadable, missing_libraries
+
+    if sys.platform != "linux":
+        return []
+    packages = list(missing_libraries().values())
+    packages += [] if is_loadable("libportaudio.so.2") else ["libportaudio2"]
+    return packages + ([] if shutil.which("Xvfb") else ["xvfb"])
+
+
+def _display() -> Finding:
+    own, display = sys.platform in ("win32", "darwin"), os.environ.get("DISPLAY", "")
+    if own or display:
+        return Finding("display", "ok", "the system's own" if own else f"DISPLAY={display}")
+    remedy = "log in at the screen; the demo brings a virtual display of its own"
+    return Finding("display", "warning", "DISPLAY is not set", remedy)
+
+
+def _libraries() -> Finding:
+    from modaltouch.window.environment import LIBRARIES, missing_libraries
+
+    missing = missing_libraries()
+    if missing:
+        names = ", ".join(f"{name} ({package})" for name, package in missing.items())
+        return Finding("libraries", "fault", f"missing: {names}", f"apt install {' '.join(missing.values())}")
+    return Finding("libraries", "ok", ", ".join(LIBRARIES) if sys.platform == "linux" else "the system's own")
+
+
+def _window() -> Finding:
+    """Open the window and draw a letter, which needs a display, OpenGL, fonts and PsychoPy together."""
+    from modaltouch.window.interface import WindowError
+    from modaltouch.window.marks import Box, Picture, Words
+    from modaltouch.window.screen import Screen
+    from modaltouch.window.virtual_display import some_display
+
+    try:
+        with some_display() as where:
+            screen = Screen(size=(320, 200), title="modaltouch doctor")
+            try:
+                screen.draw(Picture("letter", (Words("A", Box(0.0, 0.0, 0.8, 0.8), 0.5, "#ffffff"),)))
+                with tempfile.TemporaryDirectory() as folder:
+                    screen.flip(Path(folder) / "letter.png")
+                    lit = _share_lit(Path(folder) / "letter.png")
+                renderer = screen.describe()["renderer"]
+            finally:
+                screen.close()
+    except WindowError as error:
+        return Finding("window", "fault", *str(error).split("; ", 1))
+    if not lit:
+        return Finding("window", "fault", f"no letter can be seen on {where}", "install fonts and a driver for OpenGL")
+    return Finding("window", "ok", f"a letter is drawn on {where} ({renderer})")
+
+
+def _share_lit(picture: Path) -> float:
+    """Return how much of a picture is not its ground [1]."""
+    from matplotlib.image import imread
+
+    return float((imread(picture)[..., :3] > 0.5).any(axis=2).mean())
+
+
+def _virtual_display() -> Finding:
+    if sys.platform != "linux":
+        return Finding("virtual display", "ok", "not needed")
+    path = shutil.which("Xvfb")
+    if path:
+        return Finding("virtual display", "ok", path)
+    return Finding("virtual display", "warning", "Xvfb is absent", "install xvfb to run the demo without a screen")
+
+
+def _sound() -> Finding:
+    from modaltouch.window.masking.player import DeviceError, default_device
+
+    try:
+        device = default_device()
+    except DeviceError as error:
+        remedy = "connect one, or install libportaudio2, where a protocol wants masking noise"
+        return Finding("sound", "warning", str(error).partition(";")[0], remedy)
+    found = f"{device['name']}, {device['default_samplerate']:g} Hz, {device['max_output_channels']} channels"
+    return Finding("sound", "ok", found)
+
+
+def _visa() -> Finding:
+    try:
+        return Finding("VISA", "ok", f"PyVISA {version('PyVISA')} with PyVISA-py {version('PyVISA-py')}: LAN (VXI-11)")
+    except PackageNotFoundError:
+        return Finding("VISA", "fault", "PyVISA or PyVISA-py is absent", "install modaltouch anew")
+
+
+def _usb() -> Finding:
+    if importlib.util.find_spec("usb") is not None:
+        return Finding("USB", "ok", f"pyusb {version('pyusb')}")
+    found = "pyusb is absent: a generator on USB is not found"
+    return Finding("USB", "warning", found, "connect it by LAN, or install pyusb")
+
+
+def _precedence() -> Finding:
+    """Find out whether the process that triggers bursts may go before others (`modaltouch.rig.watchdog`)."""
+    if sys.platform != "linux":
+        return Finding("real time", "ok", "as the system shares out its processors")
+    import resource
+
+    if os.geteuid() == 0 or resource.getrlimit(resource.RLIMIT_RTPRIO)[0] > 0:
+        return Finding("real time", "ok", "bursts are triggered before all other work")
+    user = os.environ.get("USER", "NAME")
+    remedy = f"put `{user} - rtprio 10` into /etc/security/limits.d/modaltouch.conf and log in again"
+    found = "not allowed: on a busy machine bursts come late, are left out, and trials are repeated"
+    return Finding("real time", "warning", found, remedy)
+
+
+def _disk(results: Path) -> Finding:
+    folder = next(path for path in (results, *results.resolve().parents) if path.is_dir())
+    try:
+        with tempfile.NamedTemporaryFile(dir=folder) as file:
+            start = time.perf_counter()
+            file.write(b"x" * 512)
+            file.flush()
+            sync_file(file.fileno())
+            elapsed = time.perf_counter() - start
+    except OSError as error:
+        remedy = "give a folder you may write to with --results"
+        return Finding("disk", "fault", f"{folder}: {error.strerror}", remedy)
+    free = shutil.disk_usage(folder).free / 1e9
+    found = f"{folder}: {free:.1f} GB free, a durable write takes {elapsed * 1e3:.1f} ms"
+    if free < 0.1:
+        return Finding("disk", "fault", found, "free some space: a session needs a few megabytes")
+    return Finding("disk", "ok", found)

@@ -1,0 +1,4 @@
+"""Measures the beam: identification, calibration, validation and comparison, each loaded by its own command alone.
+
+In come a rig, or its twin, and an apparatus or a protocol; out come apparatus and calibration files, figures and a page.
+"""

@@ -1,0 +1,230 @@
+"""What the loop asks of the laboratory: a burst played, the decay after it recorded at every point, ranges that fit."""
+
+from __future__ import annotations
+
+import typing
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modaltouch.lab.calibration.bursts import SWEEP
+from modaltouch.lab.calibration.lag import DriveLag
+from modaltouch.rig.acquisition import Acquisition, Recording
+from modaltouch.rig.interface import RigError
+from modaltouch.stimulus.burst import Burst
+from modaltouch.stimulus.modes import ModalModel
+from modaltouch.stimulus.timing import Timing
+
+FloatArray = NDArray[np.float64]
+
+MARGIN = 40e-6
+"""From the focusing instant to the first sample: drive and vibrometer have followed by then [s]."""
+
+PER_CYCLE = 5.0
+"""Samples to a cycle of the fastest listed mode [1]."""
+
+HEADROOM = 1.4
+"""Range of the scope over the highest value seen so far [1]."""
+
+N_RECORDS = 10
+"""Records averaged at a point."""
+
+N_PAIRS = 4
+"""Pairs of points at equal distance from the middle: what is antisymmetric there drops out of a symmetric mode."""
+
+
+class Bench(typing.Protocol):
+    """A generator that plays and a scope that records, as `modaltouch.lab.measurement.Laboratory`."""
+
+    def load(self, burst: Burst) -> None:
+        """Have a burst in the generator, outputs off."""
+
+    def record(self, position: float, velocity: float, acquisition: Acquisition) -> Recording:
+        """Return velocity and drive at a position while the loaded burst repeats at a level [m/s]."""
+
+
+def measuring_points(model: ModalModel) -> FloatArray:
+    """Return where to measure: pairs about the middle, of the many the one that sees the worst seen mode best.
+
+    Returns
+    -------
+    (2 * N_PAIRS,) array
+        Increasing [m].
+    """
+    half = model.length / 2
+    candidates = np.arange(0.04, 0.97, 0.04) * half
+    power = model.shapes(candidates) ** 2
+    rng = np.random.default_rng(0)
+    best, chosen = -1.0, candidates[:N_PAIRS]
+    # A few thousand draws of the thousands of choices: the best of them is as good as any.
+    for _ in range(4000):
+        some = rng.choice(candidates.size, N_PAIRS, replace=False)
+        least = float(power[:, some].sum(axis=1).min())
+        if least > best:
+            best, chosen = least, candidates[some]
+    inner = np.sort(chosen)
+    return np.concatenate([-inner[::-1], inner])
+
+
+@dataclass
+class Taking:
+    """Takes records with ranges that fit, and says how far it is.
+
+    Attributes
+    ----------
+    bench : Bench
+        Generator and scope.
+    model : ModalModel
+        The modes, known roughly: they set sampling rate and length of a record.
+    timing : Timing
+        Clock of the burst.
+    highest_velocity : float
+        End of the vibrometer's range [m/s].
+    latency : float
+        From the generator's first sample to the scope's [s].
+    check : callable
+        Called before each record; raises where a signal has come.
+    advance : callable
+        Called after each record.
+    margin : float
+        From the focusing instant to the first sample of a decay [s].
+    """
+
+    bench: Bench
+    model: ModalModel
+    timing: Timing
+    highest_velocity: float
+    latency: float
+    check: Callable[[], None]
+    advance: Callable[[], None]
+    margin: float = field(default=MARGIN, init=False)
+    _forth: bool = field(default=False, init=False)
+
+    @property
+    def rate(self) -> float:
+        """Samples per second [Hz]."""
+        return PER_CYCLE * float(self.model.natural_frequency.max())
+
+    def wait_for(self, drive: DriveLag) -> None:
+        """Begin the records of decays late enough for the drive to have ended at the beam."""
+        self.margin = max(MARGIN, drive.delay + 10 * drive.lag + MARGIN / 2)
+
+    def decays(self, burst: Burst, level: float, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the free decay after the focusing instant.
+
+        Parameters
+        ----------
+        burst : Burst
+            Without voltage after the focusing instant.
+        level : float
+            At which it is played [m/s].
+        points : (n_points,) array
+            Where [m].
+
+        Returns
+        -------
+        time : (n_samples,) array
+            By the scope's clock, from the trigger [s].
+        velocity : (n_points, n_samples) array
+            Averaged over records [m/s].
+        """
+        self.bench.load(burst)
+        asked = self._decay()
+        time, rows, highest = np.zeros(0), np.zeros((points.size, asked.n_samples)), None
+        # Back and forth, so that a spot that is moved by hand is moved less.
+        self._forth = not self._forth
+        order = np.arange(points.size)[:: 1 if self._forth else -1]
+        for place in order.tolist():
+            point = float(points[place])
+            recording = self._within(point, level, asked, highest)
+            highest = max(highest or 0.0, float(np.abs(recording.velocity).max()))
+            time = recording.time
+            rows[place] = recording.velocity.mean(axis=0)
+        return time, rows
+
+    def _decay(self, n_records: int = N_RECORDS) -> Acquisition:
+        slowest = float(-self.model.exponent.real.max())
+        silence = 1 / self.timing.repetition_rate - self.timing.focusing_instant
+        length = min(1.2 / slowest, 0.9 * silence)
+        return Acquisition(
+            sampling_rate=self.rate,
+            n_samples=max(256, int(length * self.rate)),
+            n_records=n_records,
+            drives=(),
+            start=self.timing.focusing_instant + self.margin,
+        )
+
+    def at_level(self, level: float, point: float) -> tuple[FloatArray, FloatArray, float]:
+        """Return the decay of the loaded burst at one point, and the highest speed there over a whole period.
+
+        Parameters
+        ----------
+        level : float
+            At which it is played [m/s].
+        point : float
+            Where [m].
+
+        Returns
+        -------
+        time : (n_samples,) array
+            By the scope's clock, from the trigger [s].
+        velocity : (1, n_samples) array
+            Averaged over records [m/s].
+        highest : float
+            Highest speed, averaged over records [m/s].
+        """
+        whole = replace(
+            self._decay(N_RECORDS // 2),
+            start=0.0,
+            n_samples=int(self.timing.duration * self.rate),
+            sampling_rate=self.rate,
+        )
+        burst = self._within(point, level, whole, 1.2 * level)
+        highest = float(np.abs(burst.velocity.mean(axis=0)).max())
+        decay = self._within(point, level, self._decay(2 * N_RECORDS), highest)
+        return decay.time, decay.velocity.mean(axis=0, keepdims=True), highest
+
+    def drive(self, burst: Burst, volts: float) -> list[Recording]:
+        """Return the drive of both channels in the first and in the last `SWEEP` seconds of a burst.
+
+        Parameters
+        ----------
+        burst : Burst
+            The timing burst.
+        volts : float
+            Highest voltage at the beam to be expected [V].
+        """
+        self.bench.load(burst)
+        rate = max(self.rate, 2.0e6)
+        drives = tuple(range(1, self.model.n_channels + 1))
+        taken = []
+        for start in (0.0, self.timing.duration - SWEEP):
+            asked = Acquisition(
+                rate, int((SWEEP + MARGIN) * rate), N_RECORDS, drives, start, drive_range=HEADROOM * volts
+            )
+            taken.append(self._within(0.0, burst.velocity, asked, None))
+        return taken
+
+    def _within(self, point: float, level: float, asked: Acquisition, highest: float | None) -> Recording:
+        """Return a record that nothing overloads; ranges are widened as far as it takes."""
+        if highest:
+            asked = replace(asked, velocity_range=min(HEADROOM * highest, self.highest_velocity))
+        for _ in range(6):
+            self.check()
+            recording = self.bench.record(point, level, asked)
+            if not recording.overloaded:
+                self.advance()
+                return replace(recording, time=recording.time + self.latency)
+            wide = asked.velocity_range is None or asked.velocity_range >= self.highest_velocity
+            if "velocity" in recording.overloaded and wide:
+                break
+            if "velocity" in recording.overloaded and asked.velocity_range is not None:
+                asked = replace(asked, velocity_range=min(2 * asked.velocity_range, self.highest_velocity))
+            if len(recording.overloaded) > 1 or "velocity" not in recording.overloaded:
+                asked = replace(asked, drive_range=None)
+        raise RigError(
+            f"{', '.join(recording.overloaded)} is overloaded at {point * 1e3:g} mm in the widest range; choose a "
+            "wider one at the vibrometer, or a probe of more attenuation, and say so in the apparatus file"
+        )

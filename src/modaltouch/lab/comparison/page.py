@@ -1,0 +1,236 @@
+"""The comparison on one page, and as files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from modaltouch.lab.comparison.judging import Verdict
+from modaltouch.lab.comparison.results import Row, criteria
+from modaltouch.lab.comparison.study import Contest
+from modaltouch.lab.comparison.words import paragraphs
+from modaltouch.report.output import csv_bytes, json_bytes, refuse_other, write_files
+from modaltouch.report.page import embed_svg, render_page
+from modaltouch.report.style import FAINT, INK, house_style, level_label, new_figure, quiet_grid, render
+from modaltouch.system.provenance import version
+
+DARK, MIDDLE, LIGHT = "#0b3c8c", "#5bb8e8", "#cfdcec"
+MARKERS = ("o", "s", "^", "v", "D", "P")
+COLUMNS = 3
+
+
+def draw_fields(contest: Contest) -> Figure:
+    """Return the true field at the focusing instant of every method, and the wish."""
+    n_rows = -(-len(contest.designed) // COLUMNS)
+    with house_style():
+        figure = new_figure(7.6, 2.1 * n_rows + 0.5)
+        panels = figure.subplots(n_rows, COLUMNS, squeeze=False, sharex=True, sharey=True)
+        for axes, designed, verdict in zip(panels.ravel(), contest.designed, contest.verdicts, strict=False):
+            place = verdict.position * 1e3
+            wish = contest.task.wish
+            axes.plot(place, wish.velocity * 1e3 * wish.profile(verdict.position), color=INK, linestyle="--",
+                      linewidth=1, label="wished")  # fmt: skip
+            axes.plot(place, verdict.field * 1e3, color=DARK, linewidth=1.2, label="made")
+            axes.set_title(designed.method.name, loc="left")
+            quiet_grid(axes)
+        for axes in panels[-1]:
+            axes.set_xlabel("position [mm]")
+        for axes in panels[:, 0]:
+            axes.set_ylabel("velocity [mm/s]")
+        handles, names = panels[0, 0].get_legend_handles_labels()
+        figure.legend(handles, names, loc="outside upper center", ncols=len(names), frameon=False)
+    return figure
+
+
+def draw_drives(contest: Contest) -> Figure:
+    """Return the voltages of every method, one scale for each: their sizes stand in the table."""
+    timing = contest.known.timing
+    n_channels = contest.designed[0].voltage.shape[0]
+    every = max(1, timing.n_samples // 12_500)
+    time = np.arange(timing.n_samples)[::every] * timing.hold * 1e3
+    with house_style():
+        figure = new_figure(7.6, 1.05 * len(contest.designed) + 0.6)
+        panels = figure.subplots(len(contest.designed), n_channels, squeeze=False, sharex=True, sharey="row")
+        for row, designed in zip(panels, contest.designed, strict=True):
+            for axes, volts in zip(row, designed.voltage, strict=True):
+                n = volts.size // every * every
+                parts = volts[:n].reshape(-1, every)
+                axes.fill_between(time[: len(parts)], parts.min(axis=1), parts.max(axis=1), color=DARK, linewidth=0.4,
+                                  ec=DARK, rasterized=True)  # fmt: skip
+                axes.axvline(timing.focusing_instant * 1e3, color=FAINT, linewidth=0.7, linestyle=":")
+                quiet_grid(axes)
+            words = f"{designed.method.name}: at most {designed.peak_voltage:.1f} V"
+            row[0].set_title(words, loc="left", fontsize=8, pad=3)
+        for number, axes in enumerate(panels[-1], 1):
+            axes.set_xlabel(f"time [ms], output {number}")
+        figure.supylabel("voltage at the beam [V]", fontsize=9)
+    return figure
+
+
+def draw_price(rows: Sequence[Row], limit: float) -> Figure:
+    """Return distance from the wished field against peak voltage, and contrast against energy, of every method."""
+    pairs = [key for key in rows[0] if key.startswith("contrast_")]
+    with house_style():
+        figure = new_figure(7.6, 3.1)
+        left, right = figure.subplots(1, 2)
+        for row, marker in zip(rows, MARKERS * 2, strict=False):
+            look = {"marker": marker, "s": 46, "color": DARK if row["method"] == "exact" else MIDDLE, "edgecolor": INK}
+            left.scatter(row["peak_voltage_V"], row["rms_error_mm_s"], linewidth=0.7, label=row["name"], **look)
+            right.scatter(row["energy_V2_s"], row[pairs[0]], linewidth=0.7, **look)
+        left.axvline(limit, color=INK, linestyle="--", linewidth=0.8)
+        left.text(limit, 0.5, "limit ", ha="right", fontsize=7, transform=left.get_xaxis_transform())
+        left.set_xscale("log")
+        left.set_yscale("log")
+        left.set_xlabel("peak voltage [V]")
+        left.set_ylabel("distance from the wished\nfield, rms [mm/s]")
+        right.set_xscale("log")
+        right.set_xlabel("energy [V² s]")
+        right.set_ylabel(f"contrast of ({', '.join(pairs[0].split('_')[1:])})")
+        for axes in (left, right):
+            axes.margins(0.12)
+            quiet_grid(axes)
+        right.set_ylim(0, 1.15 * max(row[pairs[0]] for row in rows))
+        handles, names = left.get_legend_handles_labels()
+        figure.legend(handles, names, loc="outside upper center", ncols=3, frameon=False)
+    return figure
+
+
+def draw_robustness(contest: Contest) -> Figure:
+    """Return what other beams make of every drive: each beam a dot, the learned one a line."""
+    names = [each.method.name for each in contest.designed]
+    with house_style():
+        figure = new_figure(7.6, 0.42 * len(names) + 1.1)
+        panels = figure.subplots(1, 3, sharey=True)
+        pair = contest.task.pairs[0]
+        columns: tuple[tuple[str, Callable[[Verdict], float]], ...] = (
+            ("velocity at the focus [mm/s]", lambda verdict: verdict.at_focus * 1e3),
+            ("distance from the wish, rms [mm/s]", lambda verdict: verdict.rms_error * 1e3),
+            (f"contrast of ({pair[0]}, {pair[1]})", lambda verdict: verdict.contrasts[pair]),
+        )
+        for axes, (label, value) in zip(panels, columns, strict=True):
+            for place, (verdict, changed) in enumerate(zip(contest.verdicts, contest.changed, strict=True)):
+                _draw_dots(axes, place, [value(each) for each in changed], value(verdict))
+            axes.set_xlabel(label)
+            axes.grid(axis="x", color="#e3e7ec", linewidth=0.7)
+            axes.set_axisbelow(True)
+        panels[0].set_yticks(range(len(names)), names)
+        panels[0].set_ylim(len(names) - 0.5, -0.5)
+        panels[1].set_xscale("log")
+    return figure
+
+
+def _draw_dots(axes: Axes, place: int, others: Sequence[float], learned: float) -> None:
+    shaken = place + 0.22 * np.cos(np.arange(len(others)) * 2.4)
+    axes.scatter(others, shaken, s=9, color=MIDDLE, edgecolor=INK, linewidth=0.3)
+    axes.plot([learned, learned], [place - 0.36, place + 0.36], color=DARK, linewidth=2)
+
+
+COMMAND = "compare"
+"""The command that owns the folder."""
+
+
+def as_dict(contest: Contest, rows: Sequence[Row], about: dict[str, Any]) -> dict[str, Any]:
+    """Return everything as plain values, as ``modaltouch compare --json`` prints it.
+
+    Parameters
+    ----------
+    contest : Contest
+        The comparison.
+    rows : sequence of dict
+        As `rows_of` returns them.
+    about : dict
+        Protocol, apparatus, seed and records at each point (``n_records``), plain values.
+    """
+    return {
+        **about,
+        "mode": "simulated",
+        "velocity_mm_s": contest.task.wish.velocity * 1e3,
+        "voltage_limit_V": contest.known.amplifier.limit,
+        "n_points": int(contest.known.responses.position.size),
+        "n_other_beams": len(contest.changed[0]),
+        "methods": list(rows),
+    }
+
+
+def write_comparison(folder: Path, contest: Contest, rows: Sequence[Row], about: dict[str, Any]) -> dict[str, Path]:
+    """Write page, figures and tables into a folder, and return where each file lies.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the files go; made where it does not exist.
+    contest, rows, about
+        As for `as_dict`; ``about`` also has ``title`` and ``commit``.
+
+    Raises
+    ------
+    RecordError
+        If the folder holds something else, or cannot be written.
+    """
+    refuse_other(folder, COMMAND)
+    values = as_dict(contest, rows, about)
+    limit, level = values["voltage_limit_V"], values["velocity_mm_s"]
+    figures = {
+        "fields": (
+            draw_fields(contest),
+            "The true velocity field at the focusing instant, and the wished one.",
+        ),
+        "price": (draw_price(rows, limit), "What each method pays, and what for. Dark: the exact law."),
+        "robustness": (
+            draw_robustness(contest),
+            "The same drives on other beams, drawn around the learned one: each beam a dot, the learned one a line.",
+        ),
+        "drives": (draw_drives(contest), "The drives; each row has a scale of its own."),
+    }
+    files: dict[str, bytes] = {}
+    pictures = []
+    for name, (figure, caption) in figures.items():
+        vector = render(figure, "svg")
+        files |= {f"{name}.svg": vector, f"{name}.png": render(figure, "png")}
+        pictures.append({"name": name, "caption": caption, "uri": embed_svg(vector)})
+    files["comparison.json"] = json_bytes(values)
+    files["comparison.csv"] = _csv(rows)
+    page = render_page(
+        "modaltouch.lab.comparison",
+        "comparison.html.j2",
+        title=f"Comparison: {about['title']}",
+        values=values,
+        level=level_label(round(level, 6)),
+        rows=rows,
+        table=_table(rows, level),
+        paragraphs=paragraphs(rows, level, values["n_other_beams"]),
+        pictures=pictures,
+        delay=contest.delay * 1e6,
+        version=version(),
+    )
+    return write_files(folder, {"comparison.html": page.encode(), **files}, {"version": version()}, COMMAND)
+
+
+def _table(rows: Sequence[Row], level: float) -> list[dict[str, Any]]:
+    """Return a line to each criterion, with a cell to each method and whether it is the best."""
+    lines = []
+    for each in criteria(rows):
+        best = each.winners(rows, level)
+        cells = [{"text": each.printed(row), "best": row in best} for row in rows]
+        lines.append({"name": each.name, "unit": each.unit, "cells": cells})
+    times = [{"text": f"{row['computing_time_s'] * 1e3:.0f}", "best": False} for row in rows]
+    lines.append({"name": "computing time, on this machine", "unit": "ms", "cells": times})
+    return lines
+
+
+def _csv(rows: Sequence[Row]) -> bytes:
+    # How long it took is this machine's, and would make other bytes each time.
+    left_out = ("computing_time_s", "zone_peak_mm_s")
+    flat = [{key: _rounded(value) for key, value in row.items() if key not in left_out} for row in rows]
+    for line, row in zip(flat, rows, strict=True):
+        line |= {f"zone_peak_{zone}_mm_s": _rounded(peak) for zone, peak in row["zone_peak_mm_s"].items()}
+    return csv_bytes(flat)
+
+
+def _rounded(value: Any) -> Any:
+    return round(value, 4) if isinstance(value, float) else value

@@ -1,0 +1,281 @@
+"""The comparison: learn the beam, design every drive, play it, and let the twin's true beam judge."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from modaltouch.lab.comparison.judging import Playbacks, Task, Verdict, judge
+from modaltouch.lab.comparison.learned import Knowledge, Responses, band
+from modaltouch.lab.comparison.methods import Designed, design_all
+from modaltouch.lab.identification.estimates import Identification
+from modaltouch.lab.identification.excitation import LOWEST, Campaign, evenly, highest_needed
+from modaltouch.lab.identification.identified import identify
+from modaltouch.lab.identification.responses import FrequencyResponses, responses_of
+from modaltouch.lab.measurement import open_laboratory
+from modaltouch.preflight import Preflight
+from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.rig.interface import RigError
+from modaltouch.rig.simulator.twin import Twin
+from modaltouch.stimulus.modes import ModalModel
+
+Progress = Callable[[str, int, int], None]
+
+VOLTAGE = 10.0
+"""Peak of the chirp at the beam [V]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Contest:
+    """The methods on one beam, and on others that differ from it.
+
+    Attributes
+    ----------
+    task : Task
+        What was asked of all.
+    known : Knowledge
+        What each was given.
+    delay : float
+        Of the recordings, identified and taken out of what rivals are given [s].
+    designed : tuple of Designed
+        Their drives.
+    verdicts : tuple of Verdict
+        What each did on the beam that was learned.
+    changed : tuple of tuple of Verdict
+        What each drive did on every other beam, drawn around the one that was learned.
+    """
+
+    task: Task
+    known: Knowledge
+    delay: float
+    designed: tuple[Designed, ...]
+    verdicts: tuple[Verdict, ...]
+    changed: tuple[tuple[Verdict, ...], ...]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How much is measured.
+
+    Attributes
+    ----------
+    n_points : int
+        Control points along the beam.
+    n_records : int
+        Records at each.
+    n_beams : int
+        Further beams that the drives are played on.
+    seed : int
+        Of the first of them; the next ones follow.
+    """
+
+    n_points: int = 41
+    n_records: int = 4
+    n_beams: int = 20
+    seed: int = 1
+
+
+def contest(
+    preflight: Preflight,
+    responses: FrequencyResponses,
+    settings: Settings,
+    *,
+    on_progress: Progress = lambda what, done, total: None,
+    check: Callable[[], None] = lambda: None,
+) -> Contest:
+    """Return the comparison.
+
+    Parameters
+    ----------
+    preflight : Preflight
+        The protocol, examined.
+    responses : FrequencyResponses
+        What every method learns from, as `learn` returns it.
+    settings : Settings
+        How much is measured.
+    on_progress : callable
+        Called with what is being done, how much is done, and how much there is.
+    check : callable
+        Called between measurements; may raise to stop.
+
+    Raises
+    ------
+    RigError
+        If the twin's generator does not confirm a drive.
+    ValueError
+        If the recordings do not tell the modes.
+    """
+    apparatus, stimulus = preflight.experiment.apparatus, preflight.stimulus
+    on_progress("modes identified", 0, 1)
+    excited = responses.between(LOWEST, float(responses.frequency[-1]))
+    identification = identify(excited, apparatus.beam.length_mm * 1e-3)
+    on_progress("modes identified", 1, 1)
+    known = Knowledge(
+        model=identified_model(identification, apparatus),
+        responses=for_rivals(responses, identification.delay.value, apparatus),
+        wish=stimulus.wish,
+        timing=stimulus.timing,
+        amplifier=stimulus.amplifier,
+    )
+    return contend(preflight, known, settings, identification.delay.value, on_progress=on_progress, check=check)
+
+
+def contend(
+    preflight: Preflight,
+    known: Knowledge,
+    settings: Settings,
+    delay: float = 0.0,
+    *,
+    on_progress: Progress = lambda what, done, total: None,
+    check: Callable[[], None] = lambda: None,
+) -> Contest:
+    """Return what every method makes of what is known: its drive played on the twin, and judged.
+
+    Parameters
+    ----------
+    preflight : Preflight
+        The protocol, examined.
+    known : Knowledge
+        What each method is given.
+    settings : Settings
+        Which other beams the drives are played on.
+    delay : float
+        What was taken out of the recordings [s].
+    on_progress, check : callable
+        As for `contest`.
+
+    Raises
+    ------
+    RigError
+        If the twin's generator does not confirm a drive.
+    """
+    apparatus, stimulus = preflight.experiment.apparatus, preflight.stimulus
+    centre = without_mismatch(apparatus)
+    designed = design_all(known, stimulus.release, stimulus.load_factor)
+    zones = {name: zone.centre_mm * 1e-3 for name, zone in apparatus.zones.items()}
+    pairs = tuple((left, right) for left, right in preflight.experiment.protocol.conditions.zone_pairs)
+    task = Task(stimulus.wish, stimulus.timing.focusing_instant, zones, pairs, stimulus.projection.field)
+    sent = _play(centre, designed, stimulus.wish.velocity, on_progress, check)
+    verdicts = [judge(Twin(centre, settings.seed), each, task) for each in sent]
+    changed: list[list[Verdict]] = [[] for _ in designed]
+    for number in range(settings.n_beams):
+        check()
+        twin = Twin(apparatus, settings.seed + number)
+        for own, each in zip(changed, sent, strict=True):
+            own.append(judge(twin, each, task, everywhere=False))
+        on_progress("other beams", number + 1, settings.n_beams)
+    return Contest(task, known, delay, tuple(designed), tuple(verdicts), tuple(map(tuple, changed)))
+
+
+def without_mismatch(apparatus: Apparatus) -> Apparatus:
+    """Return an apparatus whose twin has the parameters of the table, and all else as it is."""
+    centred = apparatus.twin.model_copy(
+        update={
+            "natural_frequency_mismatch": 0.0,
+            "damping_ratio_mismatch": 0.0,
+            "gain_mismatch": 0.0,
+            "generator_gain_mismatch": 0.0,
+        }
+    )
+    return apparatus.model_copy(update={"twin": centred})
+
+
+def learn(
+    preflight: Preflight,
+    settings: Settings,
+    folder: Path | None = None,
+    *,
+    on_progress: Progress = lambda what, done, total: None,
+    check: Callable[[], None] = lambda: None,
+) -> FrequencyResponses:
+    """Return the responses that every method learns from, measured with a chirp on each actuator set.
+
+    The beam that is learned is the centre of the others: the apparatus with the mismatch of its ``twin`` left out,
+    with its modes that no table lists, its amplifier, vibrometer and scope as they are. So no method is nearer to
+    the other beams than another.
+
+    Parameters
+    ----------
+    preflight, settings
+        As for `contest`.
+    folder : Path, optional
+        Where the recordings are kept; a scan that was stopped goes on there.
+    on_progress, check : callable
+        As for `contest`.
+    """
+    apparatus, source = without_mismatch(preflight.experiment.apparatus), preflight.experiment.sources.apparatus
+    highest = highest_needed(apparatus)
+    sets = tuple(sorted(apparatus.actuator_sets, key=lambda name: apparatus.actuator_sets[name].channel))
+    places = tuple(round(place, 9) for place in evenly(apparatus.beam.length_mm * 1e-3, settings.n_points, 0.0))
+    campaign = Campaign(places, settings.n_records, VOLTAGE, highest, sets)
+    with open_laboratory(apparatus, repetition="continuous") as laboratory:
+        scans = campaign.scan(laboratory, source, folder, on_progress=partial(on_progress, "recordings"), check=check)
+    return responses_of(scans, bandwidth=None)
+
+
+def identified_model(found: Identification, apparatus: Apparatus) -> ModalModel:
+    """Return the modes of the table with the values that were identified; those not found keep the table's."""
+    table = apparatus.modal_model()
+    frequency, ratio, gain = (
+        np.array(values) for values in (table.natural_frequency, table.damping_ratio, table.modal_gain)
+    )
+    channels = [apparatus.actuator_sets[name].channel - 1 for name in found.responses.sets]
+    for mode in found.modes:
+        if mode.label not in table.label:
+            continue
+        row = table.label.index(mode.label)
+        frequency[row], ratio[row] = mode.natural_frequency.value, mode.damping_ratio.value
+        for channel, estimate in zip(channels, mode.gain, strict=True):
+            gain[row, channel] = estimate.value
+    return replace(table, natural_frequency=frequency, damping_ratio=ratio, modal_gain=gain)
+
+
+def for_rivals(responses: FrequencyResponses, delay: float, apparatus: Apparatus) -> Responses:
+    """Return the responses by generator output, within the band that the chirp excited, their delay taken out.
+
+    Parameters
+    ----------
+    responses : FrequencyResponses
+        By actuator set.
+    delay : float
+        Of the velocity against the drive, as identified from the same responses [s].
+    apparatus : Apparatus
+        Which output feeds which set.
+    """
+    table = apparatus.modal_model()
+    frequencies = table.natural_frequency
+    window = band(responses.frequency, float(frequencies.min()) / 2, 1.1 * float(frequencies.max()))
+    shape = (table.n_channels, responses.n_points, responses.frequency.size)
+    response, variance = np.zeros(shape, dtype=complex), np.zeros((shape[0], shape[2]))
+    for index, name in enumerate(responses.sets):
+        channel = apparatus.actuator_sets[name].channel - 1
+        response[channel] = responses.response[index] * window * np.exp(2j * np.pi * responses.frequency * delay)
+        variance[channel] = responses.noise[index] * window**2
+    places = responses.positions
+    if places is None:
+        raise ValueError("the responses do not say where they were measured: scan the beam")
+    return Responses(responses.frequency, response, places, variance)
+
+
+def _play(
+    apparatus: Apparatus, designed: list[Designed], velocity: float, on_progress: Progress, check: Callable[[], None]
+) -> list[Playbacks]:
+    """Return what the generator sends of every drive, played through its driver at the level."""
+    sent: list[Playbacks] = []
+    with open_laboratory(apparatus) as laboratory:
+        if laboratory.simulator is None:
+            raise RigError("a comparison needs the twin, whose true beam judges; the outputs are off")
+        for number, each in enumerate(designed, 1):
+            check()
+            laboratory.load(each.burst)
+            firing = laboratory.rig.fire(velocity)
+            if not firing.started:
+                raise RigError(f"the generator does not confirm the drive of {each.method.name}: {firing.reason}")
+            sent.append(laboratory.simulator.playbacks)
+            laboratory.rig.stop()
+            on_progress("drives played", number, len(designed))
+    return sent

@@ -1,0 +1,119 @@
+"""What an identification comes to: every number with its 95 % interval."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modaltouch.lab.identification.peaks import HalfPower
+from modaltouch.lab.identification.responses import FrequencyResponses
+
+FloatArray = NDArray[np.float64]
+
+NORMAL_95 = 1.959963984540054
+"""Half-width of a 95 % interval in standard deviations."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A number with its 95 % interval.
+
+    Attributes
+    ----------
+    value, low, high : float
+        In the unit of the quantity.
+    """
+
+    value: float
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, value: float, deviation: float) -> Estimate:
+        """Return the estimate of a value of a standard deviation."""
+        return cls(value, value - NORMAL_95 * deviation, value + NORMAL_95 * deviation)
+
+    def __contains__(self, value: float) -> bool:
+        """Return whether the interval covers a value."""
+        return self.low <= value <= self.high
+
+    @property
+    def deviation(self) -> float:
+        """Standard deviation."""
+        return (self.high - self.low) / (2 * NORMAL_95)
+
+
+@dataclass(frozen=True, eq=False)
+class IdentifiedMode:
+    """What was found of one mode, in SI units.
+
+    Attributes
+    ----------
+    label : int or None
+        As in the paper; None for what is no bending mode of the mid-line, or where no shape was measured.
+    natural_frequency, damping_ratio : Estimate
+        Undamped natural frequency [Hz], damping ratio [1].
+    gain : tuple of Estimate
+        Modal acceleration per unit of each excitation [m/s^2 per V]; empty where no shape was measured.
+    shape : (n_points,) array or None
+        Of unit mean square, positive at the right end [1].
+    mac : float
+        Likeness of the shape with that of a uniform free-free beam [1]; NaN where no shape was measured.
+    half_power : HalfPower
+        Of the highest response.
+    half_power_gain : float
+        What peak and half-power bandwidth make of the gain [m/s^2 per V], sign included; NaN without a shape.
+    coherence : float
+        Median over the points at the peak, for the excitation that drives it most [1]; NaN where unknown.
+    """
+
+    label: int | None
+    natural_frequency: Estimate
+    damping_ratio: Estimate
+    gain: tuple[Estimate, ...]
+    shape: FloatArray | None
+    mac: float
+    half_power: HalfPower
+    half_power_gain: float
+    coherence: float
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """What responses say of a beam.
+
+    Attributes
+    ----------
+    modes : tuple of IdentifiedMode
+        In order of frequency.
+    delay : Estimate
+        Of the velocity against the drive, beyond the known low-pass [s].
+    misfit : float
+        Mean square of what the fit leaves over that of the noise [1].
+    responses : FrequencyResponses
+        What was fitted.
+    length : float or None
+        Length of the beam [m].
+    """
+
+    modes: tuple[IdentifiedMode, ...]
+    delay: Estimate
+    misfit: float
+    responses: FrequencyResponses
+    length: float | None
+
+    def mode(self, label: int) -> IdentifiedMode:
+        """Return the mode of a label.
+
+        Raises
+        ------
+        KeyError
+            If it was not found.
+        """
+        for mode in self.modes:
+            if mode.label == label:
+                return mode
+        found = ", ".join(str(mode.label) for mode in self.modes if mode.label)
+        raise KeyError(f"mode {label} was not found; found are {found}")

@@ -1,0 +1,268 @@
+"""The excitation of an identification, and the scans of a beam under it, one to each actuator set.
+
+Two are offered, of one period and one flat spectrum. A *multisine* of random phases moves the beam with all its modes
+at once; a *chirp*, the paper's, passes them one after the other. Behind eight bits that matters: while a chirp is at a
+weak mode, a step of the converter may be larger than the whole motion, which averaging never brings back, as every
+period is cut alike. In a multisine the strong modes carry the weak ones over the steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modaltouch.lab.identification.responses import Spectra
+from modaltouch.lab.measurement import Laboratory, Scan, ScanPlan, take_scan
+from modaltouch.lab.measurement.scan import DESCRIPTION, read_facts
+from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.protocol.document import Source
+from modaltouch.rig.acquisition import Acquisition
+from modaltouch.rig.interface import RigError
+from modaltouch.stimulus.burst import MID_CODE, Burst
+
+N_SAMPLES = 131_072
+"""Samples of the chirp: a whole memory of the generator."""
+
+RATE = 500e3
+"""At which they are held [Hz]: a period of 0.262 s gives five bins to a mode that is 20 Hz wide."""
+
+OVERSAMPLING = 6.25
+"""Scope samples per held one. The images of the held samples about multiples of their rate fold: by a whole number
+onto the drive itself, where they beat with the drift of the two clocks (0.013 rad and 0.5 % at 88 kHz for 5 of them and
+5 ppm); a quarter off, onto other bins, of which each shifts its phase against the next."""
+
+LOWEST = 40.0
+"""Where the excitation begins [Hz]."""
+
+HIGHEST = 120e3
+"""Where it may end at most: four held samples to a cycle [Hz]."""
+
+N_DRAWS = 30
+"""Random phases of a multisine that are tried; those of the lowest peak are kept."""
+
+LEVEL = 0.1
+"""Nominal velocity that names the chirp's level; nobody feels it [m/s]."""
+
+Excitation = Literal["multisine", "chirp"]
+
+CLOCK_TOLERANCE = 20e-6
+"""How far the clocks of scope and generator may differ, by their data sheets [1]."""
+
+HEADROOM = 1.5
+"""Range of the vibrometer's input over what the end of the beam, which moves most, shows [1]."""
+
+
+def excite(apparatus: Apparatus, set_name: str, voltage: float, highest: float, kind: Excitation = "chirp") -> Burst:
+    """Return a periodic excitation of one actuator set, silent on the others.
+
+    Parameters
+    ----------
+    apparatus : Apparatus
+        Amplifier and actuator sets.
+    set_name : str
+        The set that is driven.
+    voltage : float
+        Peak at the beam [V].
+    highest : float
+        Where its spectrum ends [Hz].
+    kind : str
+        ``chirp`` (linear) or ``multisine`` (random phases, always the same ones).
+
+    Raises
+    ------
+    ValueError
+        If there is no such set, or a number is out of bounds.
+    """
+    if set_name not in apparatus.actuator_sets:
+        known = ", ".join(apparatus.actuator_sets)
+        raise ValueError(f"'{set_name}' is not an actuator set of {apparatus.apparatus}: name one of {known}")
+    limit = apparatus.amplifier.limit_V
+    if not 0 < voltage <= limit:
+        raise ValueError(
+            f"an excitation of {voltage:g} V was asked for: allowed above 0, up to {limit:g} V at the beam"
+        )
+    if not 10 * LOWEST < highest <= HIGHEST:
+        raise ValueError(
+            f"an excitation up to {highest * 1e-3:g} kHz was asked for: allowed are {LOWEST / 100:g} to "
+            f"{HIGHEST / 1e3:g} kHz"
+        )
+    duration = N_SAMPLES / RATE
+    wave = chirp(highest) if kind == "chirp" else multisine(highest)
+    codes = np.full((2, N_SAMPLES), MID_CODE, dtype=np.uint16)
+    channel = apparatus.actuator_sets[set_name].channel
+    codes[channel - 1] = np.round(MID_CODE + MID_CODE * wave)
+    codes[:, [0, -1]] = MID_CODE
+    peak = 2 * voltage / (apparatus.amplifier.gain_V_per_V * apparatus.generator.load_factor)
+    amplitude = tuple(peak if number == channel else 0.02 for number in (1, 2))
+    level = min(LEVEL, apparatus.safety.velocity_limit_mm_s * 1e-3)
+    return Burst(codes, duration, 1 / duration, level, amplitude)
+
+
+def chirp(highest: float) -> NDArray[np.float64]:
+    """Return a linear chirp of a peak of 1 that ends in the phase in which it begins, (N_SAMPLES,) array."""
+    duration = N_SAMPLES / RATE
+    cycles = round((LOWEST + highest) / 2 * duration)
+    last = 2 * cycles / duration - LOWEST
+    time = np.arange(N_SAMPLES) / RATE
+    return np.asarray(np.sin(2 * np.pi * (LOWEST * time + (last - LOWEST) * time**2 / (2 * duration))))
+
+
+def multisine(highest: float) -> NDArray[np.float64]:
+    """Return equal sines at every multiple of the period's frequency, of a peak of 1 in all, (N_SAMPLES,) array."""
+    line = np.arange(N_SAMPLES // 2 + 1) * RATE / N_SAMPLES
+    lines = (line >= LOWEST) & (line <= highest)
+    rng = np.random.default_rng(0)
+    drawn = (np.fft.irfft(lines * np.exp(2j * np.pi * rng.random(line.size)), N_SAMPLES) for _ in range(N_DRAWS))
+    # All have the same power.
+    best = min(drawn, key=lambda wave: float(np.abs(wave).max()))
+    return np.asarray(best / np.abs(best).max())
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """What is measured to identify a beam.
+
+    Attributes
+    ----------
+    positions : tuple of float
+        Where, origin at mid-beam [m].
+    averages : int
+        Records at each.
+    voltage : float
+        Peak of the excitation at the beam [V].
+    highest : float
+        Highest frequency [Hz].
+    sets : tuple of str
+        Actuator sets, one after the other.
+    excitation : str
+        ``multisine`` or ``chirp``.
+    """
+
+    positions: tuple[float, ...]
+    averages: int
+    voltage: float
+    highest: float
+    sets: tuple[str, ...]
+    excitation: Excitation = "multisine"
+
+    def scan(
+        self,
+        laboratory: Laboratory,
+        source: Source,
+        folder: Path | None,
+        *,
+        on_progress: Callable[[int, int], None],
+        check: Callable[[], None],
+    ) -> dict[str, Scan]:
+        """Return the scans of all sets, each taken anew or from where it was stopped.
+
+        Parameters
+        ----------
+        laboratory : Laboratory
+            Opened with ``repetition="continuous"``.
+        source : Source
+            The apparatus file.
+        folder : Path or None
+            Where each set has a folder; None to write nothing.
+        on_progress, check : callable
+            As for `take_scan`, over all sets.
+
+        Raises
+        ------
+        RigError
+            If the rig fails, a drive does not reach its set, or something was overloaded.
+        RecordError
+            If a folder holds another scan.
+        """
+        scans: dict[str, Scan] = {}
+        n_positions = len(self.positions)
+        for index, name in enumerate(self.sets):
+            place = None if folder is None else folder / f"scan_{name}"
+            plan = self._plan(laboratory, name, place)
+            before = index * n_positions
+
+            def shifted(done: int, total: int, before: int = before) -> None:
+                on_progress(before + done, total * len(self.sets))
+
+            scans[name] = take_scan(
+                laboratory,
+                plan,
+                place,
+                source=source,
+                reduction=Spectra(self.highest),
+                on_progress=shifted,
+                check=check,
+            )
+        return scans
+
+    def _plan(self, laboratory: Laboratory, name: str, place: Path | None) -> ScanPlan:
+        apparatus = laboratory.apparatus
+        burst = excite(apparatus, name, self.voltage, self.highest, self.excitation)
+        channel = apparatus.actuator_sets[name].channel
+        asked = Acquisition(
+            sampling_rate=OVERSAMPLING * RATE,
+            n_samples=int(OVERSAMPLING * N_SAMPLES),
+            n_records=self.averages,
+            drives=(channel,),
+            drive_range=1.25 * self.voltage,
+        )
+        about = {
+            "stimulus": f"periodic {self.excitation}",
+            "actuator_set": name,
+            "voltage_V": self.voltage,
+            "highest_Hz": self.highest,
+        }
+        plan = ScanPlan(burst, burst.velocity, self.positions, asked, about)
+        if place is not None and (place / DESCRIPTION).exists():
+            # A scan that goes on keeps the range it was begun with.
+            recorded = read_facts(place)["settings"]["acquisition"]["velocity_range"]
+            return replace(plan, acquisition=replace(asked, velocity_range=recorded))
+        return replace(plan, acquisition=_with_range(laboratory, plan, name, self.voltage))
+
+
+def _with_range(laboratory: Laboratory, plan: ScanPlan, name: str, voltage: float) -> Acquisition:
+    """Return the acquisition with the range that the end of the beam needs, having seen that the drive arrives."""
+    asked = plan.acquisition
+    laboratory.load(plan.burst)
+    end = max(plan.positions, key=abs)
+    seen = laboratory.record(end, plan.velocity, replace(asked, n_records=1))
+    wave = (plan.burst.codes.astype(float) - MID_CODE) / MID_CODE
+    measured = float(np.sqrt((seen.drive**2).mean() / (wave**2).sum(axis=0).mean()))
+    if not 0.5 * voltage <= measured <= 2 * voltage:
+        raise RigError(
+            f"the drive of the actuator set {name} was measured as {measured:.3g} V peak where {voltage:g} V were "
+            "played; the outputs are off; see the amplifier, the probe on this set's drive and its attenuation in the "
+            "apparatus file"
+        )
+    limit = laboratory.apparatus.safety.velocity_limit_mm_s * 1e-3
+    highest = float(np.abs(seen.velocity).max())
+    if highest > limit:
+        raise RigError(
+            f"the excitation moves the end of the beam at {highest * 1e3:.0f} mm/s, the safety limit is "
+            f"{limit * 1e3:g}; the outputs are off; lower --drive-V"
+        )
+    # Overload is told of every record, so that the vibrometer's whole range is range enough.
+    widest = laboratory.apparatus.acquisition.range_mm_s * 1e-3
+    fitting = seen.fitting(asked, HEADROOM).velocity_range
+    wanted = None if fitting is None else min(fitting, widest)
+    return replace(asked, velocity_range=wanted)
+
+
+def evenly(length: float, n_points: int, margin: float) -> tuple[float, ...]:
+    """Return evenly spaced positions along a beam, a margin from its ends [m]."""
+    if not 0 <= margin < length / 4:
+        raise ValueError(f"a margin of {margin * 1e3:g} mm was given: allowed 0 to {length * 250:g} mm")
+    if n_points < 2:
+        raise ValueError(f"{n_points} points were asked for: give at least 2")
+    return tuple(float(each) for each in np.linspace(-length / 2 + margin, length / 2 - margin, n_points))
+
+
+def highest_needed(apparatus: Apparatus) -> float:
+    """Return how far the excitation is to reach beyond the highest mode of the table, within what it can [Hz]."""
+    above = 1.25 * max(mode.natural_frequency_Hz for mode in apparatus.modes)
+    return float(min(HIGHEST, max(above, 20 * LOWEST)))

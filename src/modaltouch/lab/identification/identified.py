@@ -1,0 +1,401 @@
+"""The joint fit of all responses: natural frequencies, damping ratios, gains and shapes, each with its interval."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modaltouch.lab.identification.estimates import NORMAL_95, Estimate, Identification, IdentifiedMode
+from modaltouch.lab.identification.kernel import N_REST, Bins, Evaluation, Problem, evaluate
+from modaltouch.lab.identification.peaks import (
+    DAMPING_BOUNDS,
+    MOST_POLES,
+    SIGNIFICANT,
+    HalfPower,
+    Poles,
+    first_poles,
+    half_power,
+)
+from modaltouch.lab.identification.responses import FrequencyResponses
+from modaltouch.lab.identification.shapes import label_shapes, unit_shape
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+def make_problem(responses: FrequencyResponses, poles: Poles, phase_at: float | None = None) -> Problem:
+    """Return the least-squares problem of responses, binned for poles that are roughly known."""
+    bins = Bins.near(responses.frequency, poles.natural_frequency, poles.damping_ratio)
+    noise = responses.noise
+    # One profile over frequency for all sets, so that all share their columns; a set's level scales its responses.
+    level = np.median(noise, axis=1)
+    profile = bins.mean(np.median(noise / level[:, None], axis=0))
+    weight = np.sqrt(bins.size / profile.real) * np.sqrt(2.0)
+    scaled = responses.response / np.sqrt(level)[:, None, None]
+    flat = scaled.reshape(-1, scaled.shape[-1])
+    grouped = bins.mean(flat) * weight
+    return Problem(bins, np.asarray(grouped.T), weight, responses.bandwidth, phase_at)
+
+
+def refine(problem: Problem, poles: Poles, *, tolerance: float = 1e-5, most: int = 60) -> tuple[Poles, Evaluation]:
+    """Return the poles and the delay of least squares, and the fit there.
+
+    Parameters
+    ----------
+    problem : Problem
+        The responses.
+    poles : Poles
+        Where to begin.
+    tolerance : float
+        Ends when the expected gain of a step is below this part of a degree of freedom [1].
+    most : int
+        Longest search [iterations].
+    """
+    from scipy.optimize import minimize
+
+    scale = 1 / float(problem.omega[-1])
+    n = poles.natural_frequency.size
+    start = poles
+    known: dict[bytes, Evaluation] = {}
+
+    def at(step: FloatArray) -> Evaluation:
+        key = step.tobytes()
+        if key not in known:
+            if len(known) > 3:
+                known.pop(next(iter(known)))
+            frequency = start.natural_frequency * np.exp(np.clip(step[:n] * start.damping_ratio, -0.5, 0.5))
+            damping = np.clip(start.damping_ratio * np.exp(np.clip(step[n : 2 * n], -3, 3)), *DAMPING_BOUNDS)
+            known[key] = evaluate(problem, frequency, damping, start.delay + scale * float(step[-1]), scale)
+        return known[key]
+
+    def slope(step: FloatArray) -> FloatArray:
+        return at(step).gradient * _unit(at(step), start)
+
+    def curvature(step: FloatArray) -> FloatArray:
+        unit = _unit(at(step), start)
+        return at(step).curvature * np.outer(unit, unit)
+
+    def stop(intermediate_result: object) -> None:
+        step = intermediate_result.x  # type: ignore[attr-defined]
+        gradient = slope(step)
+        gain = gradient @ np.linalg.lstsq(curvature(step), gradient, rcond=1e-12)[0]
+        if gain < tolerance:
+            raise StopIteration
+
+    found = minimize(
+        lambda step: at(step).cost,
+        np.zeros(2 * n + 1),
+        jac=slope,
+        hess=curvature,
+        method="trust-exact",
+        callback=stop,
+        options={"initial_trust_radius": 1.0, "max_trust_radius": 20.0, "gtol": 1e-6, "maxiter": most},
+    )
+    best = at(found.x)
+    ordered = np.argsort(best.natural_frequency)
+    refined = Poles(best.natural_frequency[ordered], best.damping_ratio[ordered], best.delay)
+    return refined, evaluate(problem, refined.natural_frequency, refined.damping_ratio, refined.delay, scale)
+
+
+def _unit(evaluation: Evaluation, start: Poles) -> FloatArray:
+    """Return what a step of the search is in the parameters of the kernel, whose unit moves with the damping."""
+    n = evaluation.n_modes
+    return np.concatenate([start.damping_ratio / evaluation.damping_ratio, np.ones(n), [1.0]])
+
+
+def find_more(
+    responses: FrequencyResponses, poles: Poles, problem: Problem, fit: Evaluation, most: int
+) -> tuple[Poles, Problem, Evaluation]:
+    """Return the poles with further ones where the fit leaves a peak that noise does not explain."""
+    for _ in range(most):
+        peak = _left_over(problem, fit)
+        if peak is None or poles.natural_frequency.size >= MOST_POLES:
+            break
+        tried = poles.and_one(*peak)
+        finer = make_problem(responses, tried)
+        _, before = refine(finer, poles, most=3)
+        refined, after = refine(finer, tried)
+        new = np.ptp(refined.natural_frequency) > 0 and _sound(refined)
+        if not new or after.cost > before.cost - 0.5 * SIGNIFICANT * problem.response.shape[1] ** 0.5:
+            break
+        poles, problem, fit = refined, finer, after
+    return poles, problem, fit
+
+
+def _sound(poles: Poles) -> bool:
+    """Return whether every pole is a mode, apart from its neighbours."""
+    apart = np.diff(poles.natural_frequency) > 0.05 * (poles.damping_ratio * poles.natural_frequency)[:-1]
+    low, high = DAMPING_BOUNDS
+    return bool(apart.all() and (poles.damping_ratio > 2 * low).all() and (poles.damping_ratio < 0.9 * high).all())
+
+
+def _left_over(problem: Problem, fit: Evaluation) -> tuple[float, float] | None:
+    """Return frequency and rough damping of the highest peak of what a fit leaves, or None."""
+    n = problem.bins.start.size
+    left = (fit.rest[:n] + 1j * fit.rest[n:]).T
+    frequency = problem.bins.centre
+    best, where = SIGNIFICANT**2, None
+    for ratio in (0.004, 0.012, 0.03):
+        # Each response against the course of a mode there: what it would explain, summed over the responses.
+        candidate = frequency[:: max(1, n // 1500)]
+        course = _course(problem, candidate, ratio, fit.delay)
+        overlap = (np.conj(course) @ left.T).real / np.linalg.norm(course, axis=1)[:, None]
+        n_responses = left.shape[0]
+        height = ((overlap**2).sum(axis=1) - n_responses) / np.sqrt(2 * n_responses)
+        index = int(height.argmax())
+        if height[index] ** 2 > best and height[index] > 0:
+            best, where = float(height[index] ** 2), (float(candidate[index]), ratio)
+    return where
+
+
+def _course(problem: Problem, natural_frequency: FloatArray, ratio: float, delay: float) -> ComplexArray:
+    """Return the responses of modes at the centres of the bins, (n_modes, n_groups) array."""
+    omega = 2 * np.pi * problem.bins.centre
+    own = 2 * np.pi * natural_frequency[:, None]
+    turn = np.exp(-1j * omega * delay)
+    if problem.bandwidth is not None:
+        turn = turn / (1 + 1j * problem.bins.centre / problem.bandwidth)
+    course = 1j * omega * turn / (own**2 - omega**2 + 2j * ratio * own * omega)
+    return np.asarray(course * problem.weight)
+
+
+WINDOW, FEWEST_IN_WINDOW = 10.0, 20
+"""Half-width of a window about a lone peak, in half-power half-bandwidths, and the least bins of one [1]."""
+
+MOST_ADDED = 20
+"""Poles that may be added to those of the first peaks."""
+
+
+def identify(
+    responses: FrequencyResponses,
+    length: float | None = None,
+    *,
+    start: Poles | None = None,
+    most: int = MOST_ADDED,
+    clock_tolerance: float = 0.0,
+    phase_at: float | None = None,
+) -> Identification:
+    """Return the modes that responses show.
+
+    Parameters
+    ----------
+    responses : FrequencyResponses
+        Of the velocity; a conjugated response or another quantity is refused (see `first_poles`).
+    length : float, optional
+        Length of the beam [m], for shapes and labels.
+    start : Poles, optional
+        Where the search begins; at the peaks if not given.
+    most : int
+        Poles that may be added while something is left that noise does not explain.
+    clock_tolerance : float
+        How far the clock of the scope may be wrong, as the half-width of a 95 % interval [1].
+    phase_at : float, optional
+        Where the delay stands for a phase that is the same at all frequencies [Hz]: for a narrow band.
+
+    Raises
+    ------
+    ValueError
+        If nothing stands out, or the responses cannot be those of a velocity.
+    """
+    poles = first_poles(responses, length) if start is None else start
+    problem = make_problem(responses, poles, phase_at)
+    poles, fit = refine(problem, poles)
+    if most:
+        poles, problem, fit = find_more(responses, poles, problem, fit, most)
+    return _Reading(responses, length, problem, fit, clock_tolerance).identification()
+
+
+def identify_each(responses: FrequencyResponses) -> Identification:
+    """Return the modes that responses show, each fitted in a window about its own peak.
+
+    For files that do not say where their responses were measured, and may hold other motions of the structure: there
+    no shape tells one from another, and no delay is common to all. Each window has a phase of its own.
+
+    Parameters
+    ----------
+    responses : FrequencyResponses
+        Of the velocity.
+
+    Raises
+    ------
+    ValueError
+        If nothing stands out, or the responses cannot be those of a velocity.
+    """
+    poles = first_poles(responses, None)
+    middle = (poles.natural_frequency[1:] + poles.natural_frequency[:-1]) / 2
+    left = np.append(responses.frequency[0], middle)
+    right = np.append(middle, responses.frequency[-1])
+    modes = []
+    misfit = []
+    for own, ratio, low, high in zip(poles.natural_frequency, poles.damping_ratio, left, right, strict=True):
+        reach = max(WINDOW * ratio * own, 0.6 * FEWEST_IN_WINDOW * responses.spacing)
+        inside = (max(low, own - reach), min(high, own + reach))
+        if inside[1] - inside[0] < FEWEST_IN_WINDOW * responses.spacing:
+            continue
+        window = responses.between(*inside)
+        at_peak = int(np.abs(window.frequency - own).argmin())
+        phase = float(np.angle((window.response[..., at_peak] ** 2).sum())) / 2
+        start = Poles(np.array([own]), np.array([ratio]), -phase / (2 * np.pi * float(own)))
+        found = identify(window, start=start, most=0, phase_at=float(own))
+        mode = found.modes[0]
+        # What drifts out of its window, or has a damping that could be none, is no resonance.
+        if not low <= mode.natural_frequency.value <= high or mode.damping_ratio.low <= 0:
+            continue
+        magnitude = np.abs(responses.response).reshape(-1, responses.frequency.size)
+        at_peak = int(np.abs(responses.frequency - own).argmin())
+        strongest = magnitude[int(magnitude[:, at_peak].argmax())]
+        peak = half_power(responses.frequency, strongest, float(own), float(ratio * own))
+        modes.append(replace(mode, half_power=peak))
+        misfit.append(found.misfit)
+    if not modes:
+        raise ValueError("no peak of the responses can be fitted by a resonance: measure with finer bins")
+    unknown = Estimate(float("nan"), float("nan"), float("nan"))
+    return Identification(tuple(modes), unknown, float(np.median(misfit)), responses, None)
+
+
+@dataclass(frozen=True, eq=False)
+class _Reading:
+    """Reads modes off a fit."""
+
+    responses: FrequencyResponses
+    length: float | None
+    problem: Problem
+    fit: Evaluation
+    clock_tolerance: float
+
+    def identification(self) -> Identification:
+        fit = self.fit
+        variance = 2 * fit.cost / max(fit.n_free, 1)
+        # Of scatter that is independent from response to response, or common to all of a bin: the wider of both.
+        moved = fit.scores @ fit.covariance
+        deviation = np.sqrt(np.maximum(np.diag(fit.covariance) * variance, (moved**2).sum(axis=0)))
+        scale = 1 / float(self.problem.omega[-1])
+        local = np.sqrt(self._local_misfit(variance) / variance)
+        residue = self._residue()
+        labels, likeness = self._labels(residue)
+        modes = tuple(
+            self._mode(k, residue[k], labels[k], float(likeness[k]), deviation, float(local[k]), variance)
+            for k in range(fit.n_modes)
+        )
+        return Identification(
+            modes=modes,
+            delay=Estimate.of(fit.delay, float(deviation[-1]) * scale * float(local.max(initial=1.0))),
+            misfit=variance,
+            responses=self.responses,
+            length=self.length,
+        )
+
+    def _mode(
+        self,
+        k: int,
+        residue: FloatArray,
+        label: int | None,
+        likeness: float,
+        deviation: FloatArray,
+        local: float,
+        variance: float,
+    ) -> IdentifiedMode:
+        fit, n = self.fit, self.fit.n_modes
+        frequency, ratio = float(fit.natural_frequency[k]), float(fit.damping_ratio[k])
+        gain: tuple[Estimate, ...] = ()
+        shape = None
+        if label is not None and self.responses.positions is not None and self.length is not None:
+            shape = unit_shape(residue, self.responses.positions, label, self.length)
+            values = residue @ shape / (shape @ shape)
+            spread = self._gain_deviation(k, shape, variance) * local
+            gain = tuple(Estimate.of(float(v), float(d)) for v, d in zip(values, spread, strict=True))
+        driver, point = np.unravel_index(int(np.abs(residue).argmax()), residue.shape)
+        magnitude = np.abs(self.responses.response[driver, point])
+        peak = half_power(self.responses.frequency, magnitude, frequency, ratio * frequency)
+        return IdentifiedMode(
+            label=label,
+            natural_frequency=Estimate.of(
+                frequency, frequency * math.hypot(float(deviation[k]) * ratio * local, self.clock_tolerance / NORMAL_95)
+            ),
+            damping_ratio=Estimate.of(ratio, float(deviation[n + k]) * ratio * local),
+            gain=gain,
+            shape=shape,
+            mac=likeness if shape is not None else float("nan"),
+            half_power=peak,
+            half_power_gain=self._half_power_gain(peak, residue, shape, int(driver), int(point)),
+            coherence=self._coherence(residue, frequency),
+        )
+
+    def _residue(self) -> FloatArray:
+        """Return gain times shape of each mode, (n_modes, n_sets, n_points) array [m/s^2 per V]."""
+        n_sets, n_points = self.responses.response.shape[:2]
+        fit = self.fit
+        column = 2 * np.pi * fit.natural_frequency * fit.damping_ratio
+        level = np.sqrt(self._level)[None, :, None]
+        residue = fit.residue[: fit.n_modes].reshape(-1, n_sets, n_points)
+        return np.asarray(residue * column[:, None, None] * level)
+
+    @property
+    def _level(self) -> FloatArray:
+        """Noise of each set, by which the problem scales its responses, (n_sets,) array."""
+        return np.asarray(np.median(self.responses.noise, axis=1))
+
+    def _labels(self, residue: FloatArray) -> tuple[Sequence[int | None], FloatArray]:
+        positions, n_modes = self.responses.positions, self.fit.n_modes
+        if positions is None or self.length is None or positions.size < 3:
+            return [None] * n_modes, np.full(n_modes, np.nan)
+        scaled = residue / np.sqrt(self._level)[None, :, None]
+        common = np.array([np.linalg.svd(each, full_matrices=False)[2][0] for each in scaled])
+        return label_shapes(common, positions, self.length)
+
+    def _gain_deviation(self, k: int, shape: FloatArray, variance: float) -> FloatArray:
+        """Return the standard deviation of a mode's gains: of its residues, and of what moves them with the poles."""
+        fit = self.fit
+        n_sets, n_points = self.responses.response.shape[:2]
+        column = 2 * np.pi * float(fit.natural_frequency[k] * fit.damping_ratio[k])
+        weight = shape / (shape @ shape)
+        on_shape = fit.residue.reshape(-1, n_sets, n_points) @ weight
+        inverse = np.linalg.inv(fit.factor)
+        alone = float((inverse[k] ** 2).sum()) * float(weight @ weight)
+        spread = []
+        for s in range(n_sets):
+            own = np.concatenate([on_shape[: fit.n_modes, s]] * 2)
+            slope = -np.append(fit.lost[k] * own, fit.lost_turned[k] @ on_shape[:, s])
+            independent = (alone + float(slope @ fit.covariance @ slope)) * variance
+            rest = fit.rest[:, s * n_points : (s + 1) * n_points] @ weight
+            each = inverse[k] @ fit.basis.T * rest
+            n = each.size // 2
+            common = float(((each[:n] + each[n:] + fit.scores @ (fit.covariance @ slope)) ** 2).sum())
+            spread.append(column * np.sqrt(max(independent, common) * float(self._level[s])))
+        return np.array(spread)
+
+    def _local_misfit(self, variance: float) -> FloatArray:
+        """Return the mean square of the rest about each mode, where it passes what chance makes of the whole's."""
+        n = self.problem.bins.start.size
+        square = (self.fit.rest[:n] ** 2 + self.fit.rest[n:] ** 2).sum(axis=1)
+        frequency = self.problem.bins.centre
+        worst = []
+        for own, ratio in zip(self.fit.natural_frequency, self.fit.damping_ratio, strict=True):
+            near = np.abs(frequency - own) <= 2 * max(ratio * own, self.responses.spacing)
+            count = 2 * int(near.sum()) * self.fit.rest.shape[1]
+            # The poles' own parameters take their part of the scatter.
+            free = max(count - self.fit.rest.shape[1] * (1 + N_REST / 4), 1.0)
+            found = float(square[near].sum()) / free
+            worst.append(found if found > variance * (1 + 3 * np.sqrt(2 / free)) else variance)
+        return np.array(worst)
+
+    def _half_power_gain(
+        self, peak: HalfPower, residue: FloatArray, shape: FloatArray | None, driver: int, point: int
+    ) -> float:
+        r"""Return what a peak says of the gain: :math:`G = 2 \xi \omega |H| / \varphi` (section III-B, corrected)."""
+        if shape is None or shape[point] == 0:
+            return float("nan")
+        sign = np.sign(residue[driver, point])
+        height = peak.height * 4 * np.pi * peak.peak_frequency * peak.damping_ratio
+        return float(sign * height / shape[point])
+
+    def _coherence(self, residue: FloatArray, frequency: float) -> float:
+        if self.responses.coherence is None:
+            return float("nan")
+        driver = int((residue**2).sum(axis=1).argmax())
+        bin_ = int(np.abs(self.responses.frequency - frequency).argmin())
+        return float(np.median(self.responses.coherence[driver, :, bin_]))

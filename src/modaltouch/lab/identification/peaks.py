@@ -1,0 +1,329 @@
+"""Where a search for poles begins: at the peaks of the responses, with the delay that makes them real there."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modaltouch.lab.identification.responses import FrequencyResponses
+from modaltouch.stimulus.shapes import mode_shapes
+
+FloatArray = NDArray[np.float64]
+
+FEWEST_BINS = 5.0
+"""Half-power bandwidth, in bins, below which its damping is worthless: up to thirty times too large [1]."""
+
+
+@dataclass(frozen=True)
+class HalfPower:
+    """What a single peak says.
+
+    Attributes
+    ----------
+    peak_frequency : float
+        Of the highest bin [Hz].
+    height : float
+        Of the response there [m/s per unit of excitation].
+    damping_ratio : float
+        Half-power bandwidth over twice the frequency [1]; NaN where the response does not fall to half its power on
+        both sides before it rises again.
+    n_bins : float
+        Half-power bandwidth over the distance of two bins [1].
+    """
+
+    peak_frequency: float
+    height: float
+    damping_ratio: float
+    n_bins: float
+
+    @property
+    def resolved(self) -> bool:
+        """Whether the bins are fine enough for the damping to mean anything."""
+        return self.n_bins >= FEWEST_BINS
+
+    @property
+    def verdict(self) -> str:
+        """What is wrong with the damping ratio; empty if nothing is."""
+        if math.isnan(self.damping_ratio):
+            return "the peak does not fall to half its power on both sides"
+        if not self.resolved:
+            return f"{self.n_bins:.1f} bins across the peak, at least {FEWEST_BINS:g} are needed: a longer record"
+        return ""
+
+
+def half_power(frequency: FloatArray, magnitude: FloatArray, near: float, reach: float) -> HalfPower:
+    """Return peak and half-power bandwidth of a response near a frequency.
+
+    Parameters
+    ----------
+    frequency : (n_bins,) array
+        Evenly spaced [Hz].
+    magnitude : (n_bins,) array
+        Of one response.
+    near, reach : float
+        The highest bin within `reach` of `near` is the peak [Hz].
+    """
+    spacing = float(frequency[1] - frequency[0])
+    # A pole may lie beyond the band, whose end is then all there is of it.
+    near = float(np.clip(near, frequency[0], frequency[-1]))
+    inside = np.flatnonzero(np.abs(frequency - near) <= max(reach, 1.5 * spacing))
+    peak = int(inside[magnitude[inside].argmax()])
+    power = magnitude.astype(float) ** 2
+    left, right = _crossing(power, peak, -1), _crossing(power, peak, +1)
+    width = (right + left) * spacing if left is not None and right is not None else math.nan
+    return HalfPower(
+        peak_frequency=float(frequency[peak]),
+        height=float(magnitude[peak]),
+        damping_ratio=width / (2 * float(frequency[peak])),
+        n_bins=width / spacing,
+    )
+
+
+def _crossing(power: FloatArray, peak: int, step: int) -> float | None:
+    """Return how many bins from a peak its power is a half, by a straight line between bins; None if it never is."""
+    half = power[peak] / 2
+    index = peak
+    while 0 <= index + step < power.size:
+        before, index = index, index + step
+        if power[index] <= half:
+            part = (power[before] - half) / (power[before] - power[index])
+            return float(abs(before - peak) + part)
+        if power[index] > power[peak]:
+            return None
+    return None
+
+
+ComplexArray = NDArray[np.complex128]
+
+SIGNIFICANT = 7.0
+"""Height of a peak over its noise from which it counts [standard deviations of what was averaged]."""
+
+FIRST_DAMPING = 0.01
+"""Damping ratio that a peak too narrow for its half-power bandwidth is first given [1]."""
+
+SAME_PEAK = 0.7
+"""Distance below which two peaks count as one [larger half of their half-power bandwidths]."""
+
+FEWEST_LABELS = 6
+"""Shapes that the points must tell apart before the responses are told apart by them."""
+
+FEWEST_PHASES = 3
+"""Resonances from which their phases tell what was measured."""
+
+LEAST_ROTATION = 0.8
+"""Phase that a resonance turns through its half-power bandwidth at least, a half pi without noise [rad]."""
+
+WRONG_QUANTITY = 0.15
+"""How much better the phases must fit another quantity than a velocity [mean cosine of twice the phase]."""
+
+DAMPING_BOUNDS = (1e-5, 0.3)
+"""Between these damping ratios a pole counts as a mode [1]."""
+
+MOST_POLES = 60
+
+
+@dataclass(frozen=True, eq=False)
+class Poles:
+    """Natural frequencies, damping ratios and the common delay.
+
+    Attributes
+    ----------
+    natural_frequency, damping_ratio : (n_modes,) array
+        In order of frequency [Hz, 1].
+    delay : float
+        Of all responses [s].
+    """
+
+    natural_frequency: FloatArray
+    damping_ratio: FloatArray
+    delay: float
+
+    def sorted(self) -> Poles:
+        """Return the same in order of frequency."""
+        order = np.argsort(self.natural_frequency)
+        return Poles(self.natural_frequency[order], self.damping_ratio[order], self.delay)
+
+    def and_one(self, frequency: float, damping_ratio: float) -> Poles:
+        """Return one pole more."""
+        return Poles(
+            np.append(self.natural_frequency, frequency), np.append(self.damping_ratio, damping_ratio), self.delay
+        ).sorted()
+
+    def without(self, index: int) -> Poles:
+        """Return one pole less."""
+        return Poles(np.delete(self.natural_frequency, index), np.delete(self.damping_ratio, index), self.delay)
+
+
+def first_poles(responses: FrequencyResponses, length: float | None) -> Poles:
+    """Return poles at the peaks of the responses, and the delay that makes them real there.
+
+    Where the positions are known the responses are first told apart by the shapes of a uniform free-free beam: each
+    share then shows one peak, with the noise of all points averaged.
+
+    Parameters
+    ----------
+    responses : FrequencyResponses
+        The responses.
+    length : float or None
+        Length of the beam [m].
+    """
+    shares = _shares(responses, length)
+    peaks: list[_Peak] = []
+    for share in shares:
+        alone = len(shares) == 1
+        peaks += _several_peaks(responses, share) if alone else _highest_peak(responses.frequency, share)
+    kept: list[_Peak] = []
+    for peak in sorted(peaks, key=lambda each: -each.height):
+        # A peak on the flank of a higher one is its leakage into another share.
+        apart = (abs(peak.frequency - each.frequency) / max(each.width, peak.width) for each in kept)
+        if all(distance > SAME_PEAK for distance in apart):
+            kept.append(peak)
+    if not kept:
+        raise ValueError(
+            f"no resonance stands out between {responses.frequency[0]:g} and {responses.frequency[-1]:g} Hz: drive "
+            "harder, average more, or look where the beam's modes are"
+        )
+    chosen = sorted(kept[:MOST_POLES], key=lambda each: each.frequency)
+    return Poles(
+        np.array([each.frequency for each in chosen]),
+        np.array([each.ratio for each in chosen]),
+        first_delay(responses, chosen),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Peak:
+    """A peak of a share of the responses."""
+
+    frequency: float
+    ratio: float
+    height: float
+    share: ComplexArray
+    rotation: float
+
+    @property
+    def width(self) -> float:
+        """Half its half-power bandwidth [Hz]."""
+        return self.ratio * self.frequency
+
+    @property
+    def rotates(self) -> bool:
+        """Whether the phase turns through it as through a resonance, in either direction; a mere bump's does not."""
+        return abs(self.rotation) > LEAST_ROTATION
+
+
+def _shares(responses: FrequencyResponses, length: float | None) -> list[ComplexArray]:
+    """Return shares of the responses over their noise, each an (n, n_bins) array."""
+    white = responses.response / np.sqrt(responses.noise)[:, None, :]
+    n_labels = responses.n_points * 2 // 3
+    if responses.positions is None or length is None or n_labels < FEWEST_LABELS:
+        return [white.reshape(-1, white.shape[-1])]
+    shapes = mode_shapes(range(1, n_labels + 1), responses.positions, length)
+    inverse = np.linalg.pinv(shapes.T)
+    # Rows scaled so that the noise of each share has unit variance.
+    inverse = inverse / np.linalg.norm(inverse, axis=1)[:, None]
+    return list(np.stack([inverse @ each for each in white], axis=1))
+
+
+def _highest_peak(frequency: FloatArray, share: ComplexArray) -> list[_Peak]:
+    """Return the highest peak of the power of a share over its noise, if it stands out."""
+    power = (np.abs(share) ** 2).mean(axis=0)
+    return _found(frequency, share, power, prominence=0.7, least=1 + SIGNIFICANT**2)[:1]
+
+
+def _several_peaks(responses: FrequencyResponses, share: ComplexArray) -> list[_Peak]:
+    """Return all peaks of the power of all responses, through which the phase turns as through a resonance."""
+    flat = responses.response.reshape(share.shape)
+    # Each response counts alike, whatever its level.
+    curve = (np.abs(flat) ** 2 / np.median(np.abs(flat) ** 2, axis=1)[:, None]).mean(axis=0)
+    least = 1 + 3 * SIGNIFICANT / np.sqrt(share.shape[0])
+    found = _found(responses.frequency, share, curve, prominence=0.9, least=0.0)
+    return [peak for peak in found if peak.rotates and peak.height > least]
+
+
+def _found(
+    frequency: FloatArray, share: ComplexArray, curve: FloatArray, *, prominence: float, least: float
+) -> list[_Peak]:
+    """Return the peaks of a curve, the highest first, above a least height and by a prominence of its logarithm."""
+    from scipy.signal import find_peaks, peak_widths
+
+    curve = np.maximum(curve, 1e-12)
+    height = np.log(least) if least > 0 else None
+    places = find_peaks(np.log(curve), height=height, prominence=prominence)[0]
+    if places.size == 0:
+        return []
+    widths = peak_widths(curve, places, rel_height=0.5)[0]
+    power = (np.abs(share) ** 2).mean(axis=0)
+    spacing = float(frequency[1] - frequency[0])
+    peaks = [
+        _Peak(
+            frequency=float(frequency[place]),
+            ratio=_ratio(float(width), float(frequency[place]), spacing),
+            height=float(power[place]),
+            share=share,
+            rotation=_rotation(share, int(place), max(round(float(width) / 2), 2)),
+        )
+        for place, width in zip(places, widths, strict=True)
+    ]
+    return sorted(peaks, key=lambda peak: -peak.height)
+
+
+def _rotation(share: ComplexArray, place: int, reach: int) -> float:
+    """Return how far the phase turns through a peak, from some bins before it to some after it [rad]."""
+    band = share[:, max(0, place - reach) : place + reach + 1]
+    return float(np.angle((np.conj(band[:, :-1]) * band[:, 1:]).sum(axis=0)).sum())
+
+
+def _ratio(width: float, frequency: float, spacing: float) -> float:
+    """Return the damping ratio that a half-power width of some bins says."""
+    if width < 3:
+        return min(FIRST_DAMPING, spacing / frequency)
+    return float(np.clip(width * spacing / (2 * frequency), 10 * DAMPING_BOUNDS[0], DAMPING_BOUNDS[1] / 2))
+
+
+def first_delay(responses: FrequencyResponses, peaks: Sequence[_Peak]) -> float:
+    """Return the delay with which the responses are real at their peaks [s].
+
+    Twice the phase counts, since a shape has both signs. Over a band about a peak the phases before and after it
+    cancel, so that its frequency need not be known well.
+
+    Raises
+    ------
+    ValueError
+        If the phases turn the other way through the peaks, or are those of another quantity than a velocity.
+    """
+    turning = sum(np.sign(peak.rotation) * np.sqrt(peak.height) for peak in peaks if peak.rotates)
+    if turning > 0:
+        raise ValueError(
+            "the phase of the responses rises through their resonances, where that of a beam falls: they are "
+            "conjugated, as by the time law exp(-i w t); say so with --conjugated, or export them by exp(+i w t)"
+        )
+    spacing = responses.spacing
+    resolved = [peak for peak in peaks if peak.rotates and 2 * peak.width >= FEWEST_BINS * spacing]
+    if not resolved:
+        return 0.0
+    frequency = np.array([peak.frequency for peak in resolved])
+    twice = []
+    for peak in resolved:
+        low, high = np.searchsorted(responses.frequency, [peak.frequency - peak.width, peak.frequency + peak.width])
+        band = slice(max(0, int(low) - 1), int(high) + 1)
+        own = peak.share[:, band]
+        if responses.bandwidth is not None:
+            own = own * (1 + 1j * responses.frequency[band] / responses.bandwidth)
+        twice.append(complex((own**2).sum()) / max(float((np.abs(own) ** 2).sum()), 1e-300))
+    # Beyond a cycle of the lowest frequency nothing is unique; a step is a sixteenth of a cycle of the highest.
+    step = 1 / (16 * frequency.max())
+    reach = min(0.5 / frequency.min(), 200e-6 + 1 / frequency.max())
+    tried = np.arange(-0.2 * reach, reach, step)
+    score = (np.exp(4j * np.pi * np.outer(tried, frequency)) @ np.array(twice)).real
+    if frequency.size >= FEWEST_PHASES and -score.min() > score.max() + WRONG_QUANTITY * frequency.size:
+        raise ValueError(
+            "the responses are imaginary at their resonances, where a velocity is real: they are of a displacement or "
+            "an acceleration; say which with --quantity"
+        )
+    good = np.flatnonzero(score >= 0.97 * score.max())
+    return float(tried[good[np.abs(tried[good]).argmin()]])

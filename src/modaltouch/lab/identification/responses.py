@@ -1,0 +1,203 @@
+"""Frequency responses of a beam: H1 estimates with their coherence, as velocity per volt or per newton."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modaltouch.lab.measurement import Scan
+from modaltouch.record.chain import RecordInputError
+from modaltouch.rig.acquisition import Recording
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+Quantity = Literal["velocity", "displacement", "acceleration"]
+QUANTITIES: tuple[Quantity, ...] = ("velocity", "displacement", "acceleration")
+
+NOISE_WINDOW = 33
+"""Bins over which the noise is pooled: it varies slowly where the excitation does [1]."""
+
+FEW_POINTS = 5
+"""Points below which a median over them is none."""
+
+
+@dataclass(frozen=True, eq=False)
+class FrequencyResponses:
+    """Velocity responses of points of a beam to one or more excitations.
+
+    Attributes
+    ----------
+    frequency : (n_bins,) array
+        Evenly spaced, increasing [Hz].
+    response : (n_sets, n_points, n_bins) complex array
+        Velocity per unit of excitation [m/s per V, or per N for a hammer].
+    positions : (n_points,) array or None
+        Where the velocity was measured, origin at mid-beam [m]; None where a file does not say.
+    sets : tuple of str
+        What excited the beam: actuator sets, or the references of a file.
+    coherence : (n_sets, n_points, n_bins) array or None
+        Ordinary coherence [1]; None where there was but one record, or a file does not say.
+    n_averages : int
+        Records that were averaged.
+    bandwidth : float or None
+        Corner of the vibrometer's first-order low-pass, which the responses still contain [Hz].
+    """
+
+    frequency: FloatArray
+    response: ComplexArray
+    positions: FloatArray | None
+    sets: tuple[str, ...]
+    coherence: FloatArray | None = None
+    n_averages: int = 1
+    bandwidth: float | None = None
+
+    @property
+    def n_points(self) -> int:
+        """Number of points."""
+        return int(self.response.shape[1])
+
+    @property
+    def spacing(self) -> float:
+        """Distance of two bins [Hz]."""
+        return float(self.frequency[1] - self.frequency[0])
+
+    @cached_property
+    def noise(self) -> FloatArray:
+        r"""Variance of the responses' estimates, pooled over points and neighbours, (n_sets, n_bins) array.
+
+        Of n averaged records the residual power :math:`|H|^2 (1 - \gamma^2) / \gamma^2` has n - 1 degrees of freedom,
+        and the mean has 1/n of it. Without a coherence it is the scatter of the
+        second difference from bin to bin, taken as equal over the band.
+        """
+        if self.coherence is not None and self.n_averages > 1:
+            gamma = np.clip(self.coherence, 1e-9, 1.0)
+            n_free = self.n_averages - 1
+            variance = np.abs(self.response) ** 2 * (1 - gamma) / gamma / n_free
+        else:
+            second = np.zeros_like(self.response)
+            second[..., 1:-1] = self.response[..., 2:] - 2 * self.response[..., 1:-1] + self.response[..., :-2]
+            second[..., 0], second[..., -1] = second[..., 1], second[..., -2]
+            n_free, variance = 1, np.abs(second) ** 2 / 6
+        pooled = np.median(variance, axis=1) if self.n_points >= FEW_POINTS else variance.mean(axis=1)
+        smooth = np.array([_running_median(row, NOISE_WINDOW) for row in pooled])
+        if self.coherence is None or self.n_averages < 2:
+            # At a resonance the second difference is of the course itself: what is quiet elsewhere counts.
+            smooth[:] = np.percentile(smooth, 25, axis=1)[:, None]
+        # Mean over median of a gamma law of n degrees of freedom: 1/ln 2 for one.
+        scale = n_free / (n_free - 1 / 3 + 0.024 / n_free)
+        floor = (1e-7 * np.abs(self.response).max(axis=(1, 2))) ** 2
+        return np.asarray(np.maximum(smooth * scale, floor[:, None]))
+
+    def between(self, lowest: float, highest: float) -> FrequencyResponses:
+        """Return the responses of a band [Hz]."""
+        kept = (self.frequency >= lowest) & (self.frequency <= highest)
+        if kept.sum() < 16:
+            raise ValueError(
+                f"{int(kept.sum())} bins lie between {lowest:g} and {highest:g} Hz; at least 16 are needed: choose a "
+                f"wider band within {self.frequency[0]:g} to {self.frequency[-1]:g} Hz"
+            )
+        coherence = None if self.coherence is None else self.coherence[..., kept]
+        return replace(self, frequency=self.frequency[kept], response=self.response[..., kept], coherence=coherence)
+
+
+def _running_median(values: FloatArray, width: int) -> FloatArray:
+    """Return the medians of blocks of neighbours, joined by straight lines."""
+    n_blocks = max(1, values.size // width)
+    blocks = np.array_split(values, n_blocks)
+    centres = np.cumsum([block.size for block in blocks]) - np.array([(block.size + 1) / 2 for block in blocks])
+    return np.interp(np.arange(values.size), centres, [np.median(block) for block in blocks])
+
+
+class Spectra:
+    """What is kept of each recording of a periodic excitation: powers and cross power, averaged over its records.
+
+    Parameters
+    ----------
+    highest : float
+        Frequency up to which they are kept [Hz].
+    """
+
+    __name__ = "spectra"
+
+    def __init__(self, highest: float) -> None:
+        self.highest = highest
+
+    def __call__(self, recording: Recording) -> Mapping[str, NDArray[Any]]:
+        """Return averaged spectra of the velocity and of the first drive."""
+        n = recording.time.size
+        frequency = np.fft.rfftfreq(n, 1 / recording.sampling_rate)
+        kept = slice(1, int(np.searchsorted(frequency, self.highest, side="right")))
+        velocity = np.fft.rfft(recording.velocity)[:, kept] / n
+        drive = np.fft.rfft(recording.drive[:, 0])[:, kept] / n
+        return {
+            "frequency": frequency[kept],
+            "drive_power": (np.abs(drive) ** 2).mean(axis=0),
+            "velocity_power": (np.abs(velocity) ** 2).mean(axis=0),
+            "cross_power": (np.conj(drive) * velocity).mean(axis=0),
+            "n_records": np.array(recording.velocity.shape[0]),
+        }
+
+
+def responses_of(scans: Mapping[str, Scan], bandwidth: float | None = None) -> FrequencyResponses:
+    r"""Return the H1 responses of scans that kept `Spectra`: :math:`H_1 = S_{vu} / S_{uu}` by the *measured* drive u.
+
+    Parameters
+    ----------
+    scans : mapping of str to Scan
+        A complete scan of each actuator set, all at the same positions.
+    bandwidth : float, optional
+        Corner of the vibrometer's low-pass [Hz].
+
+    Raises
+    ------
+    RecordInputError
+        If a scan was stopped half way, holds cut records, or is at other positions than the first.
+    """
+    response: list[ComplexArray] = []
+    coherence: list[FloatArray] = []
+    positions = next(iter(scans.values())).positions
+    for name, scan in scans.items():
+        scan.require_complete().refuse_overloaded()
+        if scan.positions.shape != positions.shape or not np.allclose(scan.positions, positions):
+            raise RecordInputError(f"the scan of the set {name} is at other positions than the first: scan it again")
+        drive, velocity = scan.stacked("drive_power"), scan.stacked("velocity_power")
+        cross = np.stack([np.asarray(each["cross_power"], dtype=complex) for each in scan.arrays])
+        response.append(np.asarray(cross / drive, dtype=complex))
+        coherence.append(np.abs(cross) ** 2 / (drive * velocity))
+    first = next(iter(scans.values())).arrays[0]
+    n_averages = int(first["n_records"])
+    order = np.argsort(positions)
+    return FrequencyResponses(
+        frequency=np.asarray(first["frequency"], dtype=float),
+        response=np.stack(response)[:, order],
+        positions=positions[order],
+        sets=tuple(scans),
+        coherence=np.stack(coherence)[:, order] if n_averages > 1 else None,
+        n_averages=n_averages,
+        bandwidth=bandwidth,
+    )
+
+
+def as_velocity(frequency: FloatArray, response: ComplexArray, quantity: Quantity) -> ComplexArray:
+    r"""Return responses as a velocity's: :math:`i\omega` times a displacement's, an acceleration's over it.
+
+    Parameters
+    ----------
+    frequency : (n_bins,) array
+        A response at 0 Hz is not to be used [Hz].
+    response : (..., n_bins) complex array
+        In SI units.
+    quantity : str
+        ``velocity``, ``displacement`` or ``acceleration``.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        turn = 2j * np.pi * frequency
+        if quantity == "displacement":
+            return np.asarray(response * turn)
+        return np.asarray(response / turn) if quantity == "acceleration" else response

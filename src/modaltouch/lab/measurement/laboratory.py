@@ -1,0 +1,220 @@
+"""Generator and scope together, simulated or real: the outputs are on only while a record is taken."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.rig import is_simulated, open_rig, same_process, start_simulator
+from modaltouch.rig.acquisition import Acquisition, Recording, Scope
+from modaltouch.rig.interface import Firing, Rig, RigError, StimulusLost
+from modaltouch.stimulus.burst import Burst
+from modaltouch.system.clock import SYSTEM_CLOCK, VirtualClock
+
+if TYPE_CHECKING:
+    from modaltouch.rig.player import Repetition
+    from modaltouch.rig.simulator import Simulator
+
+Mode = Literal["simulated", "real"]
+
+SIMULATED = "simulated"
+"""What stands in a rig's place for the digital twin."""
+
+ATTEMPTS = 3
+"""How often a record is taken that a stall of the computer spoils."""
+
+BEAT_PERIOD = 0.1
+"""Time between two signs of life for the watchdog while a record is taken [s]."""
+
+SLOWEST = 120.0
+"""What taking and fetching a record may last beyond the record itself before it counts as stalled [s]."""
+
+SETTLING_TIME = 0.5
+"""From the first burst until the beam repeats itself: 30 times the decay of a mode of 20 Hz bandwidth [s]."""
+
+
+def _ignore(event: str, **facts: Any) -> None:
+    """Take an event and forget it."""
+
+
+def _stay(position: float) -> None:
+    """Leave the vibrometer's spot to whoever moves it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Laboratory:
+    """A rig and what measures it.
+
+    Attributes
+    ----------
+    apparatus : Apparatus
+        What is on the table.
+    rig : Rig
+        The generator, with amplifier and beam behind it.
+    scope : Scope
+        Vibrometer and scope.
+    mode : str
+        ``simulated`` as soon as one of them is, else ``real``.
+    aim : callable
+        Brings the vibrometer's spot to a position [m from mid-beam] and returns when it is there; called with the
+        outputs off.
+    settling_time : float
+        Wait between the first burst and the first record [s].
+    simulator : Simulator or None
+        The twin, which knows the truth: to judge results by, never to measure with.
+    """
+
+    apparatus: Apparatus
+    rig: Rig
+    scope: Scope
+    mode: Mode
+    aim: Callable[[float], None] = _stay
+    settling_time: float = 0.0
+    simulator: Simulator | None = None
+
+    def load(self, burst: Burst) -> None:
+        """Have a burst in the generator, verified; the outputs are off.
+
+        Raises
+        ------
+        RigError
+            If the generator does not confirm it.
+        """
+        self.rig.load(burst)
+
+    def record(self, position: float, velocity: float, acquisition: Acquisition) -> Recording:
+        """Return velocity and drive at a position while the loaded burst repeats; the outputs are off again then.
+
+        Parameters
+        ----------
+        position : float
+            Where, origin at mid-beam [m].
+        velocity : float
+            Level at which the burst is played [m/s].
+        acquisition : Acquisition
+            What is asked of the scope.
+
+        Raises
+        ------
+        RigError
+            If the rig fails, or the generator does not confirm before and after the record what it plays. A record
+            spoilt by a stall of this computer is taken again, three times at most.
+        """
+        self.scope.configure(acquisition)
+        self.aim(position)
+        for _ in range(ATTEMPTS):
+            recording, firing = self._record_once(position, velocity, acquisition)
+            if firing is not None and firing.confirmed and recording is not None:
+                return recording
+            if firing is None or not firing.stalled:
+                break
+        reason = "nothing was played" if firing is None else firing.reason
+        raise RigError(f"at {position * 1e3:g} mm the record is void: {reason}; the outputs are off; measure again")
+
+    def _record_once(
+        self, position: float, velocity: float, acquisition: Acquisition
+    ) -> tuple[Recording | None, Firing | None]:
+        """Return a record, None if the bursts ended within it, and what was played."""
+        firing = self.rig.fire(velocity)
+        if not firing.started:
+            raise RigError(
+                f"the generator does not confirm what it is to play ({firing.reason}); the outputs are off; see "
+                "`modaltouch rig check`"
+            )
+        recording = None
+        try:
+            longest = acquisition.n_records * acquisition.n_samples / acquisition.sampling_rate + SLOWEST
+            with suppress(StimulusLost), self._alive(self.settling_time + longest):
+                time.sleep(self.settling_time)
+                recording = self.scope.measure(position)
+        finally:
+            self.rig.stop()
+        return recording, self.rig.firing
+
+    @contextmanager
+    def _alive(self, longest: float) -> Iterator[None]:
+        """Tell the watchdog that this process lives while the scope keeps it waiting, but not for ever."""
+        ended, failures = threading.Event(), list[RigError]()
+        deadline = time.monotonic() + longest
+
+        def beat() -> None:
+            try:
+                while not ended.wait(BEAT_PERIOD) and time.monotonic() < deadline:
+                    self.rig.heartbeat()
+            except RigError as error:
+                failures.append(error)
+
+        self.rig.heartbeat()
+        beating = threading.Thread(target=beat, daemon=True, name="heartbeat")
+        beating.start()
+        try:
+            yield
+        finally:
+            ended.set()
+            beating.join()
+        if failures:
+            raise failures[0]
+
+
+@contextmanager
+def open_laboratory(
+    apparatus: Apparatus,
+    address: str = SIMULATED,
+    *,
+    seed: int | None = None,
+    repetition: Repetition | None = None,
+    aim: Callable[[float], None] = _stay,
+    log: Callable[..., None] = _ignore,
+    **options: Any,
+) -> Iterator[Laboratory]:
+    """Open generator and scope; on every way out the outputs are off.
+
+    Parameters
+    ----------
+    apparatus : Apparatus
+        What is on the table.
+    address : str
+        ``simulated``, or the generator's VISA address; beside a real one a PicoScope is opened.
+    seed : int, optional
+        Of the twin, instead of that in its apparatus file.
+    repetition : str, optional
+        ``continuous``: one record after the other without a gap, as for a periodic chirp; None for what the
+        apparatus says, as in a session.
+    aim : callable
+        Brings the vibrometer's spot to a position [m from mid-beam]; the twin's needs nobody.
+    log : callable
+        ``log(event, **facts)`` takes every exchange with the generator.
+    **options
+        Further arguments of `modaltouch.rig.generator.Generator`.
+
+    Raises
+    ------
+    RigError
+        If an instrument is missing or refuses.
+    """
+    with ExitStack() as stack:
+
+        def open_generator(where: str, **further: Any) -> Rig:
+            how = {"repetition": repetition, **further, **options}
+            return stack.enter_context(open_rig(where, apparatus, log=log, **how))
+
+        if address == SIMULATED:
+            # The twin's beam is computed in this very process, which would keep a real clock waiting.
+            clock = VirtualClock(SYSTEM_CLOCK.now())
+            simulator = stack.enter_context(start_simulator(apparatus, seed, clock=clock))
+            scope: Scope = stack.enter_context(simulator.scope())
+            rig = open_generator(simulator.address, clock=clock, start_guard=same_process(clock))
+            yield Laboratory(apparatus, rig, scope, "simulated", simulator=simulator)
+            return
+        from modaltouch.rig.picoscope import PicoScope
+
+        # The scope first: without it there is nothing to play for.
+        scope = stack.enter_context(PicoScope(apparatus, _stay))
+        rig = open_generator(address)
+        mode: Mode = "simulated" if is_simulated(rig.identity) else "real"
+        yield Laboratory(apparatus, rig, scope, mode, aim, SETTLING_TIME)

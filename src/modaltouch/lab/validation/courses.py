@@ -1,0 +1,245 @@
+"""Velocity over time as it was measured: the paper's Fig. 5 and 8, the zones, the drive; legible without colour."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from modaltouch.lab.validation.evidence import Evidence
+from modaltouch.lab.validation.pictures import DARK, LAW_TITLES, MIDDLE
+from modaltouch.lab.validation.recording import AROUND
+from modaltouch.report.style import FAINT, INK, house_style, new_figure, quiet_grid
+
+FloatArray = NDArray[np.float64]
+
+WINDOW = 4e-3
+"""Length of the Hann window: a mode of 229 Hz swings about once within it [s]."""
+
+FINER = 4
+"""Frequencies given for each that a window tells apart, so that the picture is smooth."""
+
+STEP = 0.2e-3
+"""From one window to the next [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrogram:
+    """Amplitude of a velocity by frequency and time.
+
+    Attributes
+    ----------
+    time : (n_times,) array
+        Middle of each window [s].
+    frequency : (n_frequencies,) array
+        From 0 to the highest asked for [Hz].
+    amplitude : (n_frequencies, n_times) array
+        Amplitude of a steady sine that would give as much [m/s].
+    """
+
+    time: FloatArray
+    frequency: FloatArray
+    amplitude: FloatArray
+
+    @classmethod
+    def of(cls, time: FloatArray, velocity: FloatArray, highest: float) -> Self:
+        """Return the spectrogram of a velocity.
+
+        Parameters
+        ----------
+        time : (n_samples,) array
+            Evenly spaced instants [s].
+        velocity : (n_samples,) array
+            Velocity of a point [m/s].
+        highest : float
+            Highest frequency that is kept [Hz].
+
+        Raises
+        ------
+        ValueError
+            If the record is shorter than a window.
+        """
+        step = (time[-1] - time[0]) / (time.size - 1)
+        n_window, n_step = round(WINDOW / step), max(1, round(STEP / step))
+        if velocity.size < n_window:
+            raise ValueError(
+                f"the record lasts {velocity.size * step * 1e3:g} ms, but a window of the spectrogram "
+                f"{WINDOW * 1e3:g} ms: record longer"
+            )
+        window = 0.5 - 0.5 * np.cos(2 * np.pi * (np.arange(n_window) + 0.5) / n_window)
+        parts = np.lib.stride_tricks.sliding_window_view(velocity, n_window)[::n_step]
+        frequency = np.fft.rfftfreq(FINER * n_window, step)
+        kept = frequency <= highest
+        amplitude = 2 / window.sum() * np.abs(np.fft.rfft(parts * window, FINER * n_window, axis=1)[:, kept])
+        middle = time[0] + (np.arange(len(parts)) * n_step + (n_window - 1) / 2) * step
+        return cls(middle, frequency[kept], amplitude.T)
+
+
+SIGNED = "cividis"
+"""Colours of signed velocities: lightness rises evenly with the value, for every kind of colour vision."""
+
+MAP_STEP = 2e-6
+"""From one drawn instant of a map to the next: a sixth of the shortest period [s]."""
+
+LOWEST = 150.0
+"""Lowest frequency of the spectrogram [Hz]."""
+
+_DECIBELS = 60.0
+"""Range of the spectrogram [dB]."""
+
+
+def draw_maps(evidences: Sequence[Evidence]) -> Figure:
+    """Return velocity by position and time around the focus, in the form of Fig. 5."""
+    highest = max(float(np.abs(each.velocity_map).max()) for each in evidences) * 1e3
+    with house_style():
+        figure = new_figure(7.6, 4.4)
+        panels = figure.subplots(1, len(evidences), squeeze=False, sharex=True, sharey=True)[0]
+        image = None
+        for axes, evidence in zip(panels, evidences, strict=True):
+            time, velocity = around_focus(evidence, MAP_STEP)
+            time, velocity, place = time * 1e3, velocity.T * 1e3, evidence.observation.field.positions * 1e3
+            look: dict[str, Any] = {"cmap": SIGNED, "vmin": -highest, "vmax": highest, "rasterized": True}
+            image = axes.pcolormesh(place, time, velocity, shading="gouraud", **look)
+            half = 0.5 * evidence.observation.velocity * 1e3
+            axes.contour(place, time, velocity, levels=[half], colors="black", linewidths=0.7)
+            axes.axhline(evidence.instant * 1e3, color="white", linewidth=0.5, linestyle=":")
+            for name, centre in evidence.observation.zones.items():
+                axes.text(centre * 1e3, time[0], name, ha="center", va="bottom", fontsize=8, color="white")
+            axes.set_title(LAW_TITLES[evidence.law], loc="left")
+            axes.set_xlabel("position along the beam [mm]")
+            axes.set_ylim(time[0], time[-1])
+            axes.set_yticks(evidence.instant * 1e3 + np.linspace(-AROUND, AROUND, 9) * 1e3 * 0.999)
+            axes.yaxis.set_major_formatter("{x:.2f}")
+        panels[0].set_ylabel("time [ms]")
+        if image is not None:
+            figure.colorbar(image, ax=panels, label="velocity [mm/s]", shrink=0.9, pad=0.02)
+    return figure
+
+
+def around_focus(evidence: Evidence, step: float) -> tuple[FloatArray, FloatArray]:
+    """Return instants around the focus about a step apart [s], and the velocity map there, (n_positions, n_times)."""
+    every = max(1, round(step / (evidence.map_time[1] - evidence.map_time[0])))
+    near = np.flatnonzero(np.abs(evidence.map_time - evidence.instant) <= AROUND)[::every]
+    return evidence.map_time[near], evidence.velocity_map[:, near]
+
+
+def spectrogram_of(evidence: Evidence) -> Spectrogram:
+    """Return the spectrogram at the focus, up to a quarter above the highest modelled mode."""
+    highest = 1.25 * float(evidence.observation.stimulus.model.natural_frequency.max())
+    return Spectrogram.of(evidence.course_time, evidence.focus_course, highest)
+
+
+def draw_spectrograms(evidences: Sequence[Evidence]) -> Figure:
+    """Return the spectrogram of the velocity at the focus, in the form of Fig. 8."""
+    found = [spectrogram_of(each) for each in evidences]
+    top = 20 * np.log10(max(float(each.amplitude.max()) for each in found) * 1e3)
+    with house_style():
+        figure = new_figure(7.6, 3.6)
+        panels = figure.subplots(1, len(evidences), squeeze=False, sharex=True, sharey=True)[0]
+        image = None
+        for axes, evidence, one in zip(panels, evidences, found, strict=True):
+            rows = _evenly_in_octaves(one.frequency)
+            decibels = 20 * np.log10(np.maximum(one.amplitude[rows] * 1e3, 1e-9))
+            image = axes.pcolormesh(
+                one.time * 1e3, one.frequency[rows] * 1e-3, decibels, cmap="Greys", vmin=top - _DECIBELS, vmax=top,
+                shading="gouraud", rasterized=True,
+            )  # fmt: skip
+            axes.axvline(evidence.instant * 1e3, color=DARK, linewidth=0.7, linestyle=":")
+            axes.set_yscale("log")
+            axes.set_ylim(LOWEST * 1e-3, one.frequency[-1] * 1e-3)
+            axes.set_title(LAW_TITLES[evidence.law], loc="left")
+            axes.set_xlabel("time [ms]")
+            _mark_modes(axes, evidence)
+        panels[0].set_ylabel("frequency [kHz]")
+        ticks = (0.2, 0.5, 1, 2, 5, 10, 20, 50, 100)
+        panels[0].set_yticks(ticks, [f"{tick:g}" for tick in ticks])
+        panels[0].minorticks_off()
+        if image is not None:
+            figure.colorbar(image, ax=panels, label="amplitude [dB re 1 mm/s]", shrink=0.9, pad=0.02)
+    return figure
+
+
+def _evenly_in_octaves(frequency: FloatArray, n: int = 400) -> NDArray[np.intp]:
+    """Return which rows to draw on a logarithmic scale: the others would fall onto the same line."""
+    wanted = np.geomspace(LOWEST, frequency[-1], n)
+    return np.unique(np.searchsorted(frequency, wanted).clip(1, frequency.size - 1))
+
+
+def _mark_modes(axes: Axes, evidence: Evidence) -> None:
+    model = evidence.observation.stimulus.model
+    for label, frequency in zip(model.label, model.natural_frequency, strict=True):
+        selected = label in evidence.observation.stimulus.selected
+        axes.plot([0.0, 0.025], [frequency * 1e-3] * 2, color=DARK, linewidth=1.4 if selected else 0.6,
+                  transform=axes.get_yaxis_transform())  # fmt: skip
+        axes.text(0.035, frequency * 1e-3, f"{label}", va="center", fontsize=6.5, color=DARK if selected else FAINT,
+                  transform=axes.get_yaxis_transform())  # fmt: skip
+
+
+def draw_zones(evidence: Evidence) -> Figure:
+    """Return the velocity at every zone over time: its envelope throughout the burst, itself around the focus."""
+    observation, time = evidence.observation, evidence.course_time
+    reach = 1.12 * float(np.abs(evidence.course).max()) * 1e3
+    with house_style():
+        figure = new_figure(7.6, 0.95 * len(observation.zones) + 0.9)
+        shape: dict[str, Any] = {"squeeze": False, "sharex": "col", "sharey": True}
+        panels = figure.subplots(len(observation.zones), 2, **shape)
+        middles, envelopes = _envelope(time, evidence.course)
+        for row, (name, measured, envelope, predicted) in zip(
+            panels,
+            zip(observation.zones, evidence.course, envelopes, evidence.prediction.course, strict=True),
+            strict=True,
+        ):
+            row[0].fill_between(middles * 1e3, -envelope * 1e3, envelope * 1e3, color=DARK, linewidth=0)
+            near = np.abs(time - evidence.instant) <= AROUND
+            own = np.abs(evidence.prediction.time - evidence.instant) <= AROUND
+            row[1].plot(evidence.prediction.time[own] * 1e3, predicted[own] * 1e3, color=MIDDLE, linewidth=2.2)
+            row[1].plot(time[near] * 1e3, measured[near] * 1e3, color=DARK, linewidth=0.7)
+            row[0].set_ylabel(name, rotation=0, labelpad=10, va="center", fontsize=11)
+            words = f"peak {evidence.zone_peak[name] * 1e3:.0f} mm/s"
+            row[0].text(0.01, 0.97, words, va="top", fontsize=7.5, transform=row[0].transAxes)
+            for axes in row:
+                axes.axvline(evidence.instant * 1e3, color=FAINT, linewidth=0.6, linestyle=":")
+                axes.set_ylim(-reach, reach)
+                quiet_grid(axes)
+        panels[0, 0].set_title("whole burst: envelope, measured", fontsize=9)
+        panels[0, 1].set_title("around the focus: measured (thin), predicted (wide)", fontsize=9)
+        for axes in panels[-1]:
+            axes.set_xlabel("time [ms]")
+        figure.supylabel("zone, velocity [mm/s]", fontsize=9)
+        figure.suptitle(LAW_TITLES[evidence.law], x=0.02, ha="left", fontsize=10)
+    return figure
+
+
+def _envelope(time: FloatArray, course: FloatArray, width: float = 0.2e-3) -> tuple[FloatArray, FloatArray]:
+    """Return the highest speed within short stretches of time, and their middles [s]."""
+    n = max(1, round(width / (time[1] - time[0])))
+    n_parts = time.size // n
+    parts = np.abs(course[:, : n_parts * n]).reshape(len(course), n_parts, n).max(axis=2)
+    return time[: n_parts * n].reshape(n_parts, n).mean(axis=1), parts
+
+
+def draw_drives(evidences: Sequence[Evidence], limit: float) -> Figure:
+    """Return the voltages measured at the beam, and the amplifier's limit [V]."""
+    n_channels = evidences[0].observation.stimulus.model.n_channels
+    with house_style():
+        figure = new_figure(7.6, 1.5 * n_channels + 0.6)
+        panels = figure.subplots(n_channels, len(evidences), squeeze=False, sharex=True, sharey=True)
+        for column, evidence in zip(panels.T, evidences, strict=True):
+            drive = evidence.observation.course.drive.mean(axis=(0, 1))
+            time = evidence.observation.course.time * 1e3
+            for axes, volts, number in zip(column, drive, range(1, n_channels + 1), strict=True):
+                axes.plot(time, volts, color=DARK, linewidth=0.5, rasterized=True)
+                for line in (-limit, limit):
+                    axes.axhline(line, color=INK, linewidth=0.8, linestyle="--")
+                words = f"output {number}: {np.abs(volts).max():.0f} V"
+                axes.text(0.01, 0.86, words, fontsize=7.5, va="top", transform=axes.transAxes)
+                quiet_grid(axes)
+            column[0].set_title(LAW_TITLES[evidence.law], loc="left")
+            column[-1].set_xlabel("time [ms]")
+        figure.supylabel("voltage at the beam [V]; dashed: limit", fontsize=9)
+    return figure

@@ -1,0 +1,333 @@
+"""What the recordings of one drive law show: coefficients, field, spot, duration, speeds, contrast."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modaltouch.lab.validation.measures import spot_width, time_above
+from modaltouch.lab.validation.recording import Observation
+from modaltouch.record.chain import RecordInputError
+from modaltouch.stimulus.shapes import mode_shapes
+from modaltouch.stimulus.vibration import velocity_history
+
+FloatArray = NDArray[np.float64]
+
+LAGS = np.arange(-5e-6, 25e-6, 0.25e-6)
+"""Delays of the measurement that are tried [s]."""
+
+COMPARED = 0.25e-3
+"""Around the focusing instant, where a delay shows most [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """Velocities of the identified beam under the codes as played.
+
+    Attributes
+    ----------
+    time : (n_times,) array
+        From the start of a burst [s].
+    field : (n_positions, n_times) array
+        Along the beam [m/s].
+    course : (n_zones, n_times) array
+        At the centres of the zones [m/s].
+    """
+
+    time: FloatArray
+    field: FloatArray
+    course: FloatArray
+
+    @classmethod
+    def of(cls, observation: Observation) -> Prediction:
+        """Return the prediction at the positions of an observation."""
+        stimulus, timing = observation.stimulus, observation.stimulus.timing
+        places = observation.field.positions
+        played = velocity_history(
+            stimulus.model,
+            stimulus.voltage_played(observation.velocity),
+            timing,
+            [*places, *observation.course.positions],
+            stimulus.amplifier,
+        )
+        time = np.asarray(np.arange(timing.n_samples) * timing.hold + stimulus.amplifier.delay, dtype=float)
+        return cls(time, played[: places.size], played[places.size :])
+
+    def around(self, first: float, last: float) -> Callable[[FloatArray], FloatArray]:
+        """Return what gives the field, (n_positions, n_instants) array [m/s], at instants of a stretch of time [s]."""
+        from scipy.interpolate import CubicSpline
+
+        near = (self.time >= first) & (self.time <= last)
+        field: Callable[[FloatArray], FloatArray] = CubicSpline(self.time[near], self.field[:, near], axis=1)
+        return field
+
+
+def measurement_lag(observations: Sequence[Observation], predictions: Sequence[Prediction]) -> float:
+    """Return the delay by which the measurement follows the prediction best, by least squares [s].
+
+    Vibrometer, amplifier and trigger each come late by microseconds, which the highest selected mode turns into a
+    large part of its period: without taking the delay out, no field at the focusing instant can be told.
+
+    Raises
+    ------
+    RecordInputError
+        If none of the delays tried is better than its neighbours.
+    """
+    missed = np.zeros(LAGS.size)
+    for observation, prediction in zip(observations, predictions, strict=True):
+        scan = observation.field
+        near = np.abs(scan.time - observation.stimulus.timing.focusing_instant) < COMPARED
+        measured = scan.velocity[:, :, near].mean(axis=1)
+        predicted = prediction.around(scan.time[near][0] - 2 * LAGS[-1], scan.time[near][-1] - 2 * LAGS[0])
+        for place, lag in enumerate(LAGS):
+            missed[place] += float(np.square(measured - predicted(scan.time[near] - lag)).sum())
+    best = int(missed.argmin())
+    if best in (0, LAGS.size - 1):
+        raise RecordInputError(
+            f"the recordings do not follow the predictions with any delay from {LAGS[0] * 1e6:g} to "
+            f"{LAGS[-1] * 1e6:g} us: check wiring, trigger and apparatus file"
+        )
+    before, at, after = missed[best - 1 : best + 2]
+    return float(LAGS[best] + (LAGS[1] - LAGS[0]) * (before - after) / (2 * (before - 2 * at + after)))
+
+
+FINE = 401
+"""Points at which smooth fields are drawn and sized."""
+
+FURTHER_LABELS = 2
+"""Modes fitted beyond the highest that is modelled, so that their motion is not taken for another's."""
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What one drive law was seen to do, beside what was wished and predicted; all at the level that was played.
+
+    Attributes
+    ----------
+    observation : Observation
+        What was recorded.
+    prediction : Prediction
+        Of the identified beam.
+    lag : float
+        By which the measurement comes after the prediction, taken out of every time here [s].
+    """
+
+    observation: Observation
+    prediction: Prediction
+    lag: float
+
+    @property
+    def law(self) -> str:
+        """The drive law."""
+        return self.observation.stimulus.law
+
+    @property
+    def instant(self) -> float:
+        """The focusing instant [s]."""
+        return self.observation.stimulus.timing.focusing_instant
+
+    @property
+    def centre(self) -> float:
+        """Where the field is centred [m]."""
+        return self.observation.stimulus.wish.centre
+
+    @property
+    def _share(self) -> float:
+        return self.observation.velocity / self.observation.stimulus.wish.velocity
+
+    @property
+    def target(self) -> FloatArray:
+        """Coefficients of the selected modes, (n_modes,) array, 0 for the others [m/s]."""
+        return self.observation.stimulus.target * self._share
+
+    @cached_property
+    def wished_coefficient(self) -> FloatArray:
+        """Coefficients of the wished field on modes 1 to the last that it is decomposed on [m/s]."""
+        return self.observation.stimulus.projection.decomposition * self.observation.velocity
+
+    @cached_property
+    def predicted_coefficient(self) -> FloatArray:
+        """Coefficients that the codes make on the identified beam, (n_modes,) array [m/s]."""
+        return self.observation.stimulus.achieved(self.observation.velocity)[0]
+
+    @cached_property
+    def position(self) -> FloatArray:
+        """Where smooth fields are given, (FINE,) array [m]."""
+        half = self.observation.stimulus.model.length / 2
+        return np.linspace(-half, half, FINE)
+
+    @cached_property
+    def wished_field(self) -> FloatArray:
+        """The wished field, (FINE,) array [m/s]."""
+        return self.observation.stimulus.wish.profile(self.position) * self.observation.velocity
+
+    @cached_property
+    def target_field(self) -> FloatArray:
+        """The field of the selected modes, (FINE,) array [m/s]."""
+        return self.target @ self.observation.stimulus.model.shapes(self.position)
+
+    @cached_property
+    def predicted_field(self) -> FloatArray:
+        """The field that the codes make on the identified beam, (FINE,) array [m/s]."""
+        return self.predicted_coefficient @ self.observation.stimulus.model.shapes(self.position)
+
+    @cached_property
+    def snapshots(self) -> FloatArray:
+        """Field at the focusing instant, record by record, (n_records, n_positions) array [m/s]."""
+        return np.asarray(self._at(self.instant))
+
+    def _at(self, instant: float) -> FloatArray:
+        from scipy.interpolate import CubicSpline
+
+        scan = self.observation.field
+        time = scan.time - self.lag
+        near = np.abs(time - instant) < 2e-5
+        return np.asarray(CubicSpline(time[near], scan.velocity[:, :, near], axis=2)(instant).T)
+
+    @property
+    def measured_points(self) -> FloatArray:
+        """Mean field at the focusing instant, (n_positions,) array [m/s]."""
+        return np.asarray(self.snapshots.mean(axis=0))
+
+    @property
+    def points_error(self) -> FloatArray:
+        """Standard error of `measured_points` from record to record, (n_positions,) array [m/s]."""
+        return _standard_error(self.snapshots)
+
+    @cached_property
+    def fitted_labels(self) -> tuple[int, ...]:
+        """Labels of the modes that the measured field is projected on: more than are modelled, as points allow."""
+        stimulus = self.observation.stimulus
+        most = min(max(stimulus.model.label) + FURTHER_LABELS, self.observation.field.positions.size * 2 // 3)
+        return tuple(sorted({*stimulus.model.label, *range(1, most + 1)}))
+
+    def _shapes(self, position: FloatArray) -> FloatArray:
+        """Return the shapes of the fitted modes: the model's own where it has them, else theory's."""
+        model = self.observation.stimulus.model
+        shapes = mode_shapes(self.fitted_labels, position, model.length)
+        shapes[[self.fitted_labels.index(label) for label in model.label]] = model.shapes(position)
+        return shapes
+
+    @cached_property
+    def _projections(self) -> FloatArray:
+        """Coefficients of every snapshot on the fitted modes, (n_records, n_fitted) array [m/s]."""
+        shapes = self._shapes(self.observation.field.positions)
+        return np.asarray(np.linalg.lstsq(shapes.T, self.snapshots.T, rcond=None)[0].T)
+
+    @property
+    def _modelled(self) -> list[int]:
+        return [self.fitted_labels.index(label) for label in self.observation.stimulus.model.label]
+
+    @property
+    def achieved_coefficient(self) -> FloatArray:
+        """Coefficients of the measured field on the modelled modes by least squares, (n_modes,) array [m/s]."""
+        return np.asarray(self._projections.mean(axis=0)[self._modelled])
+
+    @property
+    def coefficient_error(self) -> FloatArray:
+        """Standard error of `achieved_coefficient` from record to record, (n_modes,) array [m/s]."""
+        return np.asarray(_standard_error(self._projections)[self._modelled])
+
+    @property
+    def further_coefficient(self) -> dict[int, float]:
+        """Coefficients of the measured field on modes that are not modelled, by label [m/s]."""
+        mean = self._projections.mean(axis=0)
+        labels = self.observation.stimulus.model.label
+        pairs = zip(self.fitted_labels, mean.tolist(), strict=True)
+        return {label: value for label, value in pairs if label not in labels}
+
+    @cached_property
+    def measured_field(self) -> FloatArray:
+        """The smooth field through the measured points, (FINE,) array [m/s]."""
+        return np.asarray(self._projections.mean(axis=0) @ self._shapes(self.position))
+
+    @cached_property
+    def map_time(self) -> FloatArray:
+        """Instants of `velocity_map`, the lag taken out [s]."""
+        return self.observation.field.time - self.lag
+
+    @cached_property
+    def velocity_map(self) -> FloatArray:
+        """Mean velocity along the beam around the focus, (n_positions, n_times) array [m/s]."""
+        return np.asarray(self.observation.field.velocity.mean(axis=1))
+
+    @cached_property
+    def course_time(self) -> FloatArray:
+        """Instants of `course`, the lag taken out [s]."""
+        return self.observation.course.time - self.lag
+
+    @cached_property
+    def course(self) -> FloatArray:
+        """Mean velocity at the zones throughout the burst, (n_zones, n_times) array [m/s]."""
+        return np.asarray(self.observation.course.velocity.mean(axis=1))
+
+    @property
+    def _focus_row(self) -> int:
+        return list(self.observation.zones).index(self.observation.focus)
+
+    @property
+    def focus_course(self) -> FloatArray:
+        """Mean velocity at the focus throughout the burst, (n_times,) array [m/s]."""
+        return np.asarray(self.course[self._focus_row])
+
+    def width(self, fraction: float) -> float:
+        """Return how wide the measured field is at a fraction of its value at the focus [m]."""
+        return spot_width(self.position, self.measured_field, self.centre, fraction)
+
+    @cached_property
+    def time_above_90(self) -> float:
+        """How long the measured velocity at the focus stays above 90 % of its peak near the focusing instant [s]."""
+        near = np.abs(self.course_time - self.instant) < AROUND_PEAK
+        time, velocity = self.course_time[near], self.focus_course[near]
+        return time_above(time, velocity, float(time[np.abs(velocity).argmax()]), 0.9)
+
+    @cached_property
+    def predicted_time_above_90(self) -> float:
+        """The same on the identified beam [s]."""
+        time, velocity = self.prediction.time, self.prediction.course[self._focus_row]
+        near = np.abs(time - self.instant) < AROUND_PEAK
+        time, velocity = time[near], velocity[near]
+        return time_above(time, velocity, float(time[np.abs(velocity).argmax()]), 0.9)
+
+    @cached_property
+    def zone_peak(self) -> dict[str, float]:
+        """Highest measured speed at the centre of each zone throughout the burst [m/s]."""
+        return dict(zip(self.observation.zones, np.abs(self.course).max(axis=1).tolist(), strict=True))
+
+    @cached_property
+    def predicted_zone_peak(self) -> dict[str, float]:
+        """The same on the identified beam [m/s]."""
+        peaks = np.abs(self.prediction.course).max(axis=1).tolist()
+        return dict(zip(self.observation.zones, peaks, strict=True))
+
+
+AROUND_PEAK = 0.1e-3
+"""Around the focusing instant, where the peak is looked for [s]."""
+
+
+def _standard_error(records: FloatArray) -> FloatArray:
+    """Return the standard error of the mean over the records; NaN of a single one."""
+    n = records.shape[0]
+    return np.asarray(records.std(axis=0, ddof=1) / np.sqrt(n)) if n > 1 else np.full(records.shape[1:], np.nan)
+
+
+def evaluate(observations: Sequence[Observation]) -> list[Evidence]:
+    """Return what recordings show, one delay of the measurement taken out of them all.
+
+    Parameters
+    ----------
+    observations : sequence of Observation
+        What was recorded with the same instruments.
+
+    Raises
+    ------
+    RecordInputError
+        If no delay makes the recordings like the predictions.
+    """
+    predictions = [Prediction.of(each) for each in observations]
+    lag = measurement_lag(observations, predictions)
+    return [Evidence(each, its, lag) for each, its in zip(observations, predictions, strict=True)]

@@ -1,0 +1,243 @@
+"""Plays the drive of each law and records what the paper shows: the field around the focus, the zones throughout."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modaltouch.lab.measurement import Laboratory, Scan, ScanPlan, read_scan, take_scan
+from modaltouch.preflight.design_inputs import Ground, design
+from modaltouch.protocol.document import Source
+from modaltouch.record.chain import RecordError, RecordInputError
+from modaltouch.rig.acquisition import Acquisition, Recording
+from modaltouch.stimulus.design import Stimulus
+from modaltouch.stimulus.drive import Law
+
+FloatArray = NDArray[np.float64]
+
+LAWS: tuple[Law, ...] = ("exact", "paper")
+
+AROUND = 1.0e-3
+"""How much is shown before and after the focusing instant: 24 to 26 ms in Fig. 5 [s]."""
+
+MARGIN = 0.05e-3
+"""How much more is recorded, since the measurement lags [s]."""
+
+FIELD_RATE = 2.5e6
+"""Samples per second of the field around the focus: 28 to a period of the highest mode of Table I [Hz]."""
+
+COURSE_RATE = 1.25e6
+"""Samples per second of the whole burst at the zones [Hz]."""
+
+HEADROOM = 1.3
+"""Range of the measurement over the highest speed predicted [1]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """What was recorded of one drive law.
+
+    Attributes
+    ----------
+    stimulus : Stimulus
+        What was played.
+    velocity : float
+        The level at which it was played [m/s].
+    zones : dict of str to float
+        Zones and their centres, from left to right [m].
+    focus : str
+        Zone of the focus.
+    field : Scan
+        Velocity along the beam around the focusing instant.
+    course : Scan
+        Velocity at the centres of the zones throughout the burst.
+    """
+
+    stimulus: Stimulus
+    velocity: float
+    zones: dict[str, float]
+    focus: str
+    field: Scan
+    course: Scan
+
+
+def plans(
+    ground: Ground, stimulus: Stimulus, velocity: float, n_points: int, n_records: int
+) -> tuple[ScanPlan, ScanPlan]:
+    """Return what is scanned of a stimulus: the field around the focus, and the zones throughout.
+
+    Parameters
+    ----------
+    ground : Ground
+        What the stimulus was designed from.
+    stimulus : Stimulus
+        What is played.
+    velocity : float
+        Level [m/s].
+    n_points : int
+        Points along the beam, evenly spaced from end to end.
+    n_records : int
+        Records at each point.
+    """
+    half, timing = stimulus.model.length / 2, stimulus.timing
+    places = np.round(np.linspace(-half, half, n_points), 9)
+    centres = [zone.centre_mm * 1e-3 for zone in ground.zones.values()]
+    highest = float(stimulus.peak_velocity([*places[:: max(1, n_points // 20)], *centres], velocity).max())
+    expected = min(highest * HEADROOM, ground.apparatus.acquisition.range_mm_s * 1e-3)
+    outputs = tuple(range(1, stimulus.model.n_channels + 1))
+    start = max(0.0, timing.focusing_instant - AROUND - MARGIN)
+    end = min(timing.focusing_instant + AROUND + MARGIN, 1 / timing.repetition_rate)
+    around = Acquisition(
+        FIELD_RATE, round((end - start) * FIELD_RATE), n_records, outputs, start, expected, _drive(stimulus, velocity)
+    )
+    before = -min(1e-3, (1 / timing.repetition_rate - timing.duration) / 2)
+    throughout = Acquisition(
+        COURSE_RATE,
+        round((timing.duration - 2 * before) * COURSE_RATE),
+        n_records,
+        outputs,
+        before,
+        expected,
+        _drive(stimulus, velocity),
+    )
+    about = {"law": stimulus.law, "focus": ground.section.focus}
+    return (
+        ScanPlan(stimulus.burst, velocity, tuple(places), around, {**about, "what": "field"}),
+        ScanPlan(stimulus.burst, velocity, tuple(centres), throughout, {**about, "what": "course"}),
+    )
+
+
+def _drive(stimulus: Stimulus, velocity: float) -> float:
+    return max(1.0, HEADROOM * float(stimulus.peak_drive(velocity).max()))
+
+
+def keep_velocities(recording: Recording) -> dict[str, NDArray[Any]]:
+    """Keep every record of the velocity [m/s], and the mean over the records of the drive [V]."""
+    return {
+        "time": recording.time,
+        "velocity": recording.velocity.astype(np.float32),
+        "drive": recording.drive.mean(axis=0, keepdims=True).astype(np.float32),
+    }
+
+
+def record_laws(
+    ground: Ground,
+    laboratory: Laboratory,
+    velocity: float,
+    *,
+    n_points: int,
+    n_records: int,
+    folder: Path | None = None,
+    source: Source | None = None,
+    on_progress: Callable[[str, int, int], None] = lambda what, done, total: None,
+    check: Callable[[], None] = lambda: None,
+) -> list[Observation]:
+    """Return what each law does on a rig, recorded.
+
+    Parameters
+    ----------
+    ground : Ground
+        What the stimuli are designed from.
+    laboratory : Laboratory
+        Generator and scope, open.
+    velocity : float
+        Level [m/s].
+    n_points, n_records : int
+        Points along the beam, and records at each.
+    folder : Path, optional
+        Where the scans are kept, each in a folder of its own; one that was stopped goes on.
+    source : Source, optional
+        The apparatus file.
+    on_progress : callable
+        Called with the scan's name, how many positions are done, and how many there are.
+    check : callable
+        Called between positions; may raise to stop.
+    """
+    observed = []
+    for law in LAWS:
+        stimulus = design(ground, law=law)
+        scans = []
+        for plan in plans(ground, stimulus, velocity, n_points, n_records):
+            name = scan_name(law, str(plan.about["what"]))
+            scan = take_scan(
+                laboratory,
+                plan,
+                None if folder is None else folder / name,
+                source=source,
+                reduction=keep_velocities,
+                on_progress=partial(on_progress, name),
+                check=check,
+            )
+            scans.append(scan.refuse_overloaded())
+        observed.append(_observation(ground, stimulus, velocity, scans[0], scans[1]))
+    return observed
+
+
+def read_laws(ground: Ground, folder: Path) -> list[Observation]:
+    """Return what each law did, from the scans in a folder; no rig is touched.
+
+    Parameters
+    ----------
+    ground : Ground
+        What the stimuli were designed from.
+    folder : Path
+        Where `record_laws` kept the scans.
+
+    Raises
+    ------
+    RecordInputError
+        If a scan is missing or was stopped, or another stimulus was played.
+    """
+    observed = []
+    for law in LAWS:
+        stimulus = design(ground, law=law)
+        scans = []
+        for what in ("field", "course"):
+            place = folder / scan_name(law, what)
+            scan = read_scan(place).require_complete().refuse_overloaded()
+            played = scan.facts["settings"]["burst"]["sha256"]
+            if played != stimulus.burst.content_hash:
+                raise RecordInputError(
+                    f"{place}: another stimulus was played there than this protocol's by the law `{law}`; give the "
+                    "protocol and the apparatus that it was recorded with"
+                )
+            scans.append(scan)
+        velocity = float(scans[0].facts["settings"]["velocity_mm_s"]) * 1e-3
+        observed.append(_observation(ground, stimulus, velocity, scans[0], scans[1]))
+    return observed
+
+
+def complete(folder: Path) -> bool:
+    """Return whether a folder holds every scan, so that no rig is needed."""
+    try:
+        return all(read_scan(place).complete for place in _places(folder))
+    except RecordError:
+        return False
+
+
+def _places(folder: Path) -> Iterator[Path]:
+    for law in LAWS:
+        for what in ("field", "course"):
+            yield folder / scan_name(law, what)
+
+
+def scan_name(law: str, what: str) -> str:
+    """Return the name of a scan's folder.
+
+    Examples
+    --------
+    >>> scan_name("exact", "field")
+    'exact_field'
+    """
+    return f"{law}_{what}"
+
+
+def _observation(ground: Ground, stimulus: Stimulus, velocity: float, field: Scan, course: Scan) -> Observation:
+    zones = {name: zone.centre_mm * 1e-3 for name, zone in ground.zones.items()}
+    return Observation(stimulus, velocity, zones, ground.section.focus, field, course)

@@ -1,0 +1,72 @@
+"""What fingers feel at the zones of a designed stimulus, by a front end, once for all levels."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+
+import numpy as np
+
+from modaltouch.planning.observer.front_end import FrontEnd, sense
+from modaltouch.stimulus.design import Stimulus
+from modaltouch.stimulus.vibration import velocity_history
+
+
+class Felt:
+    """What fingers feel at the zones.
+
+    Everything is computed when first asked for, at the reference level, and scaled to the others: the beam and
+    every front end are linear in the level. Only the generator's amplitude grid (four digits) is left out.
+
+    Parameters
+    ----------
+    stimulus : Stimulus
+        The stimulus of all levels.
+    zones : mapping of str to float
+        Centres of the zones, origin at mid-beam [m].
+    front_end : str
+        One of `modaltouch.planning.observer.front_end.FRONT_ENDS`.
+    """
+
+    def __init__(self, stimulus: Stimulus, zones: Mapping[str, float], front_end: FrontEnd) -> None:
+        self._stimulus = stimulus
+        self._zones = dict(zones)
+        self._front_end = front_end
+
+    def at(self, zone: str, velocity: float) -> float:
+        """Return what a finger feels at the centre of a zone at a level [m/s].
+
+        Parameters
+        ----------
+        zone : str
+            Name of the zone.
+        velocity : float
+            Peak velocity at the focus [m/s].
+
+        Raises
+        ------
+        ValueError
+            If there is no such zone.
+        """
+        if zone not in self._zones:
+            raise ValueError(f"given the zone {zone!r}; allowed: {', '.join(self._zones)}")
+        return self._per_velocity[zone] * velocity
+
+    @cached_property
+    def _per_velocity(self) -> dict[str, float]:
+        """What is felt at each zone for a level of 1 m/s [1]."""
+        stimulus, places = self._stimulus, np.array(list(self._zones.values()))
+        level = stimulus.wish.velocity
+        if self._front_end == "peak":
+            values = stimulus.peak_velocity(places, level)
+        elif self._front_end == "peak_at_focus":
+            values = np.abs(stimulus.velocity_at_focus(places, level))
+        else:
+            played, timing = stimulus.voltage_played(level), stimulus.timing
+            n_samples = max(int(timing.sampling_rate / timing.repetition_rate), played.shape[1])
+            # A whole repetition: a beam that is released free goes on after the burst.
+            voltage = np.zeros((played.shape[0], n_samples))
+            voltage[:, : played.shape[1]] = played
+            history = velocity_history(stimulus.model, voltage, timing, places, stimulus.amplifier)
+            values = sense(self._front_end, history, timing.sampling_rate, timing.focusing_instant)
+        return {name: float(value) / level for name, value in zip(self._zones, values, strict=True)}

@@ -1,0 +1,250 @@
+r"""An observer fitted to recorded answers: maximum likelihood, with priors where the answers say too little.
+
+The chance of a participant's answers is the mean, over the population, of the product of the chances of the single
+answers; the population is integrated over by a quasi-random grid. Priors are normal in the fitted scale and centred
+on a given observer, so what the answers do not tell stays as it was.
+
+What no answers can tell:
+
+- The scale. Noise, criterion, one plus the suppressions, side bias and its spread may all be multiplied by one
+  number, and every chance stays as it was. Only ratios are known: the speed ratio named half the time,
+  exp(c / (1 + s)), and the noise of a compared log ratio, sigma / (1 + s). The priors fix the rest: suppression in
+  itself, and a Weber fraction apart from it, are not measured by this experiment.
+- The front end. It is given. Where all pairs of zones have one ratio of speeds and its inverse, any other front end
+  with another ratio fits as well, with another scale.
+- Detection speed, internal noise and near miss, which are held: they would need levels near the threshold.
+- Lapses apart from noise, unless some ratios are so large that nobody could miss them.
+- Spreads, with few participants or few answers of each; and reaction times, which are not fitted.
+
+References
+----------
+Wichmann and Hill, Perception & Psychophysics 63 (2001) 1293-1313 (lapses and bias of fits without them).
+Moscatelli, Mezzetti, Lacquaniti, J. Vision 12(11):26 (2012) (populations of psychometric functions).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from modaltouch.planning.observer.likelihood import Recorded, log_likelihood
+from modaltouch.planning.observer.population import Observer
+
+FloatArray = NDArray[np.float64]
+
+Z95 = 1.959964
+
+
+@dataclass(frozen=True)
+class _Quantity:
+    """One fitted number: where it stands in an observer, the scale it is fitted in, and its prior there."""
+
+    name: str
+    of_typical: bool
+    scale: str
+    prior_deviation: float
+    tied: bool
+
+    def read(self, observer: Observer) -> float:
+        value = float(getattr(observer.typical if self.of_typical else observer, self.name))
+        return _TO_FIT[self.scale](value)
+
+
+_TO_FIT: dict[str, Callable[[float], float]] = {
+    "log": math.log,
+    "log1p": math.log1p,
+    "logit": lambda x: math.log(x / (1 - x)),
+    "plain": float,
+}
+_FROM_FIT: dict[str, Callable[[float], float]] = {
+    "log": math.exp,
+    "log1p": math.expm1,
+    "logit": lambda x: 1 / (1 + math.exp(-x)),
+    "plain": float,
+}
+
+QUANTITIES = (
+    _Quantity("noise", True, "log", 0.4, True),
+    _Quantity("criterion", True, "log", 0.6, True),
+    _Quantity("suppression", True, "log1p", 0.3, True),
+    _Quantity("suppression_across_hands", True, "log1p", 0.3, True),
+    _Quantity("side_bias", True, "plain", 0.3, True),
+    _Quantity("lapse_rate", True, "logit", 1.2, False),
+    _Quantity("side_bias_spread", False, "log", 0.7, True),
+    _Quantity("noise_spread", False, "log", 0.5, False),
+    _Quantity("criterion_spread", False, "log", 0.6, False),
+    _Quantity("suppression_spread", False, "log", 0.5, False),
+)
+"""What is fitted. One that is at the end of its range in the given observer (a spread of 0) is held there."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A number with its 95 % interval.
+
+    Attributes
+    ----------
+    name : str
+        What it is.
+    value, low, high : float
+        Estimate and ends of the interval.
+    learned : float
+        Share of the prior's variance that the answers took away: near 0 the estimate is the prior's own [1].
+    tied_to_scale : bool
+        Whether the number can only be known relative to the others that are tied: its interval then holds what the
+        priors, not the answers, say of the scale.
+    """
+
+    name: str
+    value: float
+    low: float
+    high: float
+    learned: float
+    tied_to_scale: bool
+
+
+@dataclass(frozen=True)
+class Fit:
+    """An observer fitted to answers.
+
+    Attributes
+    ----------
+    observer : Observer
+        The likeliest one.
+    parameters : tuple of Estimate
+        What was fitted; mind `learned`.
+    identified : tuple of Estimate
+        Combinations that the answers do determine, whatever the scale.
+    log_likelihood : float
+        Of the answers, without the priors.
+    n_answers : int
+        How many answers.
+    converged : bool
+        Whether the search ended at a maximum.
+    """
+
+    observer: Observer
+    parameters: tuple[Estimate, ...]
+    identified: tuple[Estimate, ...]
+    log_likelihood: float
+    n_answers: int
+    converged: bool
+
+
+def fit_observer(recorded: Recorded, prior: Observer) -> Fit:
+    """Return the likeliest observer for recorded answers.
+
+    Parameters
+    ----------
+    recorded : Recorded
+        The answers.
+    prior : Observer
+        Centre of the priors, and source of everything that is not fitted.
+
+    Returns
+    -------
+    Fit
+    """
+    from scipy.optimize import minimize
+
+    fitted = [quantity for quantity in QUANTITIES if _is_free(quantity, prior)]
+    centre = np.array([quantity.read(prior) for quantity in fitted])
+    deviation = np.array([quantity.prior_deviation for quantity in fitted])
+
+    def cost(point: FloatArray) -> float:
+        off = (point - centre) / deviation
+        return float(off @ off) / 2 - log_likelihood(_observer_at(prior, fitted, point), recorded)
+
+    bounds = [(0.0, None) if quantity.scale == "log1p" else (None, None) for quantity in fitted]
+    found = minimize(cost, centre, method="L-BFGS-B", bounds=bounds, options={"maxiter": 300, "ftol": 1e-10})
+    point = np.asarray(found.x)
+    covariance = _covariance(cost, point, deviation)
+    observer = replace(_observer_at(prior, fitted, point), name="")
+    parameters = tuple(
+        _estimate(q.name, _FROM_FIT[q.scale], point[i], covariance[i, i], deviation[i] ** 2)
+        for i, q in enumerate(fitted)
+    )
+    names = [quantity.name for quantity in fitted]
+    return Fit(
+        observer=observer,
+        parameters=parameters,
+        identified=tuple(_identified(names, point, covariance, deviation, recorded.finger_conditions)),
+        log_likelihood=log_likelihood(observer, recorded),
+        n_answers=int(recorded.counts.sum()),
+        converged=bool(found.success),
+    )
+
+
+def _is_free(quantity: _Quantity, prior: Observer) -> bool:
+    value = float(getattr(prior.typical if quantity.of_typical else prior, quantity.name))
+    return quantity.scale in ("plain", "log1p") or 0 < value < (1 if quantity.scale == "logit" else math.inf)
+
+
+def _observer_at(prior: Observer, fitted: Sequence[_Quantity], point: ArrayLike) -> Observer:
+    """Return the prior's observer with the fitted numbers put in."""
+    values = np.asarray(point, dtype=float).tolist()
+    natural = {q.name: max(_FROM_FIT[q.scale](x), 0.0) if q.scale == "log1p" else _FROM_FIT[q.scale](x)
+               for q, x in zip(fitted, values, strict=True)}  # fmt: skip
+    of_typical = {q.name: natural[q.name] for q in fitted if q.of_typical}
+    of_observer = {q.name: natural[q.name] for q in fitted if not q.of_typical}
+    values = prior.as_dict()
+    return Observer.from_dict({**values, **of_observer, "typical": values["typical"] | of_typical})
+
+
+def _covariance(cost: Callable[[FloatArray], float], point: FloatArray, deviation: FloatArray) -> FloatArray:
+    """Return the inverse of the curvature at a minimum, kept within the prior's."""
+    steps = 0.05 * deviation
+    n = point.size
+    moves = np.diag(steps)
+    middle = cost(point)
+    curvature = np.empty((n, n))
+    for i in range(n):
+        curvature[i, i] = (cost(point + moves[i]) - 2 * middle + cost(point - moves[i])) / steps[i] ** 2
+        for j in range(i):
+            mixed = cost(point + moves[i] + moves[j]) - cost(point + moves[i] - moves[j])
+            mixed += cost(point - moves[i] - moves[j]) - cost(point - moves[i] + moves[j])
+            curvature[i, j] = curvature[j, i] = mixed / (4 * steps[i] * steps[j])
+    scaled = curvature * np.outer(deviation, deviation)
+    values, vectors = np.linalg.eigh(scaled)
+    # In units of the prior the curvature is at least the prior's own, 1; less is numerical noise.
+    inverse = (vectors / np.maximum(values, 1.0)) @ vectors.T
+    return np.asarray(inverse * np.outer(deviation, deviation))
+
+
+def _estimate(
+    name: str, natural: Callable[[float], float], middle: float, variance: float, prior_variance: float
+) -> Estimate:
+    reach = Z95 * math.sqrt(max(variance, 0.0))
+    learned = min(max(1 - float(variance) / float(prior_variance), 0.0), 1.0)
+    ends = (natural(middle - reach), natural(middle + reach))
+    if natural is math.expm1:
+        ends = (max(ends[0], 0.0), ends[1])
+    tied = any(quantity.tied and quantity.name == name for quantity in QUANTITIES)
+    return Estimate(name, natural(middle), *ends, learned, tied)
+
+
+def _identified(
+    names: Sequence[str],
+    point: FloatArray,
+    covariance: FloatArray,
+    deviation: FloatArray,
+    finger_conditions: Sequence[str],
+) -> list[Estimate]:
+    """Return the combinations that keep their value under a change of scale."""
+    found = []
+    suppressions = {"one_hand": "suppression", "two_hands": "suppression_across_hands"}
+    for kind in dict.fromkeys(finger_conditions):
+        for words, first in (("speed ratio named half the time", "criterion"), ("noise of the log ratio", "noise")):
+            if first not in names:
+                continue
+            direction = np.zeros(point.size)
+            direction[names.index(first)] = 1.0
+            direction[names.index(suppressions[kind])] = -1.0
+            natural = (lambda x: math.exp(math.exp(x))) if first == "criterion" else math.exp
+            variance, before = float(direction @ covariance @ direction), float(direction**2 @ deviation**2)
+            found.append(_estimate(f"{words}, {kind}", natural, float(direction @ point), variance, before))
+    return found

@@ -1,0 +1,211 @@
+"""One simulated person: from what two fingers feel to an answer and its reaction time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from modaltouch.protocol.trial import ANSWERS, Answer
+
+SAME_HAND = "one_hand"
+"""The finger condition whose two fingers belong to one hand."""
+
+REFERENCE = 0.1
+"""Intensity at which `Participant.noise` holds [m/s]; it matters only where `near_miss` is not zero."""
+
+_LEAST_FLOOR = 1e-12
+_SIGNED = ("side_bias", "near_miss")
+
+
+@dataclass(frozen=True)
+class Participant:
+    r"""One simulated person.
+
+    The two fingers are compared by the logarithm of what they feel, as Weber's law has it:
+
+    .. math:: d = (1 + s) \ln\frac{v_r + v_0}{v_l + v_0} + b + \sigma z, \qquad z \sim N(0, 1)
+
+    The answer is ``both`` where :math:`|d| < c`, else the side of the stronger finger. In a share of trials
+    (lapses) the answer is any of those offered. Where ``none`` is offered, it is given where the stronger finger
+    feels less than :math:`v_0 e^{\sigma z'}`, with a normal z' of its own. What a finger feels, v, is a speed: the
+    front end of the observer says which.
+
+    Where the participant has internal noise, each finger feels :math:`\max(v + \sigma_0 n, 0)` instead of v, with a
+    normal n of its own in every trial: noise that is there without a stimulus, so that ratios cease to be told near
+    the threshold of touch, and nothing is now and then taken for something (Gescheider, "Psychophysics: the
+    fundamentals", 3rd ed. (1997), chapter 5). In a choice between an interval with the stimulus and one without, 75 %
+    are right at :math:`0.954\,\sigma_0` (d' there is :math:`\sqrt 2\,\Phi^{-1}(0.75)`), which makes sigma_0 of a
+    measured threshold.
+
+    Attributes
+    ----------
+    noise : float
+        Standard deviation sigma of the compared log ratio [1].
+    criterion : float
+        Least difference c for which one side is named [1].
+    suppression : float
+        How much the stronger finger pushes the weaker one down, s, for two fingers of one hand [1].
+    suppression_across_hands : float
+        The same for fingers of different hands [1].
+    side_bias : float
+        Preference b for the right side [1].
+    lapse_rate : float
+        Share of trials answered at random [1].
+    detection_speed : float
+        Speed v_0 that is just felt, below which ratios mean nothing [m/s].
+    quickest : float
+        Shortest reaction time [s].
+    decision_time : float
+        Median time of an easy decision, on top of `quickest` [s].
+    hesitation : float
+        How much longer the hardest decision takes than an easy one, relative to `decision_time` [1].
+    decision_spread : float
+        Standard deviation of the logarithm of the decision time [1].
+    near_miss : float
+        Exponent by which the noise falls with the stronger finger's speed, 0 where Weber's law holds: noise is
+        multiplied by (speed / 0.1 m/s) to the power of minus this [1].
+    internal_noise : float
+        Standard deviation sigma_0 of what each finger feels without a stimulus, as an equivalent speed; 0 for none,
+        where only ratios count [m/s].
+    """
+
+    noise: float = 0.22
+    criterion: float = 0.33
+    suppression: float = 0.65
+    suppression_across_hands: float = 0.6
+    side_bias: float = 0.0
+    lapse_rate: float = 0.005
+    detection_speed: float = 0.001
+    quickest: float = 0.35
+    decision_time: float = 0.5
+    hesitation: float = 1.0
+    decision_spread: float = 0.35
+    near_miss: float = 0.0
+    internal_noise: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse numbers without a meaning.
+
+        Raises
+        ------
+        ValueError
+            If one is not finite, negative where it must not be, or a lapse rate above 1.
+        """
+        for item in fields(self):
+            value = getattr(self, item.name)
+            least = -math.inf if item.name in _SIGNED else 0.0
+            most = 1.0 if item.name == "lapse_rate" else math.inf
+            if not (math.isfinite(value) and least <= value <= most):
+                raise ValueError(f"{item.name}: given {value}; allowed: a finite number from {least:g} to {most:g}")
+
+    @property
+    def floor(self) -> float:
+        """Detection speed, kept off zero so that two still fingers have a ratio [m/s]."""
+        return max(self.detection_speed, _LEAST_FLOOR)
+
+    def suppression_in(self, finger_condition: str) -> float:
+        """Return the suppression between the two fingers of a finger condition [1].
+
+        Parameters
+        ----------
+        finger_condition : str
+            ``one_hand`` or another.
+        """
+        return self.suppression if finger_condition == SAME_HAND else self.suppression_across_hands
+
+    def weber_fraction(self, finger_condition: str) -> float:
+        """Return the relative difference of speeds worth one standard deviation of noise [1].
+
+        Parameters
+        ----------
+        finger_condition : str
+            ``one_hand`` or another; suppression sharpens the difference.
+        """
+        return math.expm1(self.noise / (1 + self.suppression_in(finger_condition)))
+
+    def noise_at(self, speed_left: float, speed_right: float) -> float:
+        """Return the standard deviation of the comparison at a level [1].
+
+        Parameters
+        ----------
+        speed_left, speed_right : float
+            What the two fingers feel [m/s].
+        """
+        if self.near_miss == 0:
+            return self.noise
+        return float(self.noise * ((max(speed_left, speed_right) + self.floor) / REFERENCE) ** -self.near_miss)
+
+    def difference(self, speed_left: float, speed_right: float, finger_condition: str) -> float:
+        """Return how much stronger the right finger feels, apart from noise (log ratio) [1].
+
+        Parameters
+        ----------
+        speed_left, speed_right : float
+            What the two fingers feel [m/s].
+        finger_condition : str
+            ``one_hand`` or another.
+
+        Raises
+        ------
+        ValueError
+            If a speed is negative or not finite.
+        """
+        _refuse_speeds(speed_left, speed_right)
+        ratio = math.log((speed_right + self.floor) / (speed_left + self.floor))
+        return (1 + self.suppression_in(finger_condition)) * ratio + self.side_bias
+
+    def answer(
+        self,
+        speed_left: float,
+        speed_right: float,
+        finger_condition: str,
+        rng: np.random.Generator,
+        answers: Sequence[Answer] = ANSWERS,
+    ) -> tuple[Answer, float]:
+        """Return an answer and its reaction time from the first burst [s].
+
+        Parameters
+        ----------
+        speed_left, speed_right, finger_condition
+            As for `difference`.
+        rng : numpy.random.Generator
+            Source of chance; the same number of draws is taken for every answer.
+        answers : sequence of Answer
+            Answers that are offered.
+
+        Raises
+        ------
+        ValueError
+            If a speed is negative or not finite.
+        """
+        draw, lapse, guess, pace = rng.standard_normal(), rng.random(), rng.random(), rng.standard_normal()
+        doubt = rng.standard_normal() if "none" in answers else 0.0
+        _refuse_speeds(speed_left, speed_right)
+        if self.internal_noise:
+            speed_left, speed_right = (
+                max(speed + self.internal_noise * rng.standard_normal(), 0.0) for speed in (speed_left, speed_right)
+            )
+        expected = self.difference(speed_left, speed_right, finger_condition)
+        noise = self.noise_at(speed_left, speed_right)
+        felt = expected + noise * draw
+        # Deciding is hardest at the criterion, where two answers are equally near.
+        margin = abs(abs(felt) - self.criterion)
+        difficulty = math.exp(-margin / max(noise, _LEAST_FLOOR))
+        median = self.decision_time * (1 + self.hesitation * difficulty)
+        reaction_time = self.quickest + median * math.exp(self.decision_spread * pace)
+        if lapse < self.lapse_rate:
+            return answers[int(guess * len(answers))], reaction_time
+        if "none" in answers and max(speed_left, speed_right) < self.detection_speed * math.exp(noise * doubt):
+            return "none", reaction_time
+        if abs(felt) < self.criterion:
+            return "both", reaction_time
+        return ("right" if felt > 0 else "left"), reaction_time
+
+
+def _refuse_speeds(speed_left: float, speed_right: float) -> None:
+    for side, speed in (("left", speed_left), ("right", speed_right)):
+        if not (math.isfinite(speed) and speed >= 0):
+            raise ValueError(f"given {speed} m/s under the {side} finger; allowed: a finite speed, 0 or more")

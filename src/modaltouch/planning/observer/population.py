@@ -1,0 +1,239 @@
+"""A population of participants: the one in the middle, how much they differ, and what their fingers feel."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from modaltouch.planning.observer.front_end import FRONT_ENDS, FrontEnd
+from modaltouch.planning.observer.participant import REFERENCE, SAME_HAND, Participant
+
+FloatArray = NDArray[np.float64]
+
+SPREADS = ("side_bias_spread", "noise_spread", "criterion_spread", "suppression_spread", "pace_spread")
+_LEAST_NOISE = 1e-12
+
+N_NODES = 12
+"""Places of each finger's internal noise at which it is integrated over."""
+
+
+@dataclass(frozen=True, eq=False)
+class Crowd:
+    """Many participants of one population at once; arrays of one shape.
+
+    Attributes
+    ----------
+    typical : Participant
+        The participant in the middle, for what all share.
+    noise, criterion, side_bias, pace : array
+        As in `Participant`; `pace` multiplies the decision time [1].
+    sharpening : array
+        What multiplies the typical one plus the suppression [1].
+    """
+
+    typical: Participant
+    noise: FloatArray
+    criterion: FloatArray
+    side_bias: FloatArray
+    pace: FloatArray
+    sharpening: FloatArray
+
+    def contrast(self, finger_condition: str) -> FloatArray:
+        """Return one plus the suppression of each participant [1].
+
+        Parameters
+        ----------
+        finger_condition : str
+            ``one_hand`` or another.
+        """
+        return np.maximum((1 + self.typical.suppression_in(finger_condition)) * self.sharpening, 1.0)
+
+    def shares(
+        self, speeds: ArrayLike, finger_conditions: Sequence[str], facing: ArrayLike = 1.0
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the chances of the answers left and right in every cell; the rest is both.
+
+        In closed form; with internal noise, which both fingers have, by Gauss-Hermite quadrature over it.
+
+        Parameters
+        ----------
+        speeds : (n_cells, 2) array
+            What the left and the right finger feel in each cell [m/s].
+        finger_conditions : sequence of str
+            Finger condition of each cell.
+        facing : array
+            1, or -1 for participants who sit at the beam turned end to end: then left and right are those of
+            the beam, and the side bias changes sign.
+
+        Returns
+        -------
+        left, right : (..., n_cells) arrays
+            Chances [1]; the leading axes are those of the crowd.
+        """
+        speeds, sigma = np.asarray(speeds, dtype=float), self.typical.internal_noise
+        if not sigma:
+            return self._shares_felt(speeds, finger_conditions, facing)
+        nodes, weights = np.polynomial.hermite_e.hermegauss(N_NODES)
+        weights = weights / weights.sum()
+        left, right = np.zeros(()), np.zeros(())
+        for i, j in product(range(N_NODES), repeat=2):
+            felt = np.maximum(speeds + sigma * nodes[[i, j]], 0.0)
+            own = self._shares_felt(felt, finger_conditions, facing)
+            left, right = left + weights[i] * weights[j] * own[0], right + weights[i] * weights[j] * own[1]
+        return left, right
+
+    def _shares_felt(
+        self, speeds: FloatArray, finger_conditions: Sequence[str], facing: ArrayLike
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the chances of left and right where these very speeds are felt."""
+        from scipy.special import ndtr
+
+        felt = speeds + self.typical.floor
+        ratio = np.log(felt[:, 1] / felt[:, 0])
+        kinds = list(dict.fromkeys(finger_conditions))
+        contrast = np.stack([self.contrast(kind) for kind in kinds], axis=-1)
+        place = [kinds.index(kind) for kind in finger_conditions]
+        expected = contrast[..., place] * ratio + (self.side_bias * np.asarray(facing, dtype=float))[..., None]
+        scale = np.maximum(self.noise, _LEAST_NOISE)[..., None]
+        if self.typical.near_miss:
+            scale = scale * (felt.max(axis=1) / REFERENCE) ** -self.typical.near_miss
+        limit = self.criterion[..., None]
+        attentive, guessed = 1 - self.typical.lapse_rate, self.typical.lapse_rate / 3
+        left = attentive * ndtr((-limit - expected) / scale) + guessed
+        right = attentive * ndtr((expected - limit) / scale) + guessed
+        return np.asarray(left), np.asarray(right)
+
+
+@dataclass(frozen=True)
+class Observer:
+    """A population of participants.
+
+    The defaults answer as the paper's participants did: nearly all name the zone of the higher speed where the
+    speeds differ by 1.6 : 1 or more, and most say ``both`` where they are equal. They agree with what is known
+    of touch:
+
+    - Intensity is compared by ratio: difference thresholds for vibration are 0.7 dB (far above threshold) to
+      2.5 dB, Weber fractions of about 0.1 to 0.3 [1]_ [2]_; they shrink a little with level, the near miss to
+      Weber's law [2]_, which the default leaves out.
+    - A stronger vibration pushes a weaker one nearby down, across fingers and even hands: funnelling [3]_.
+    - Some answers have nothing to do with the stimulus, typically up to 5 % [4]_.
+    - The fingertip feels about 0.1 um at 250 Hz, a speed of some 0.2 mm/s [5]_; the default of 1 mm/s allows
+      for bursts shorter than the skin sums over.
+
+    Attributes
+    ----------
+    typical : Participant
+        The participant in the middle of the population.
+    side_bias_spread : float
+        Standard deviation of the side bias over participants [1].
+    noise_spread, criterion_spread, suppression_spread, pace_spread : float
+        Standard deviation, over participants, of the logarithm of the noise, the criterion, one plus the
+        suppression, and the decision time [1].
+    front_end : str
+        What a finger makes of the velocity under it; one of `modaltouch.planning.observer.front_end.FRONT_ENDS`.
+    name : str
+        Name in reports; empty for one made in code.
+
+    References
+    ----------
+    .. [1] J. C. Craig, "Difference threshold for intensity of tactile stimuli", Perception & Psychophysics 11,
+       150-152 (1972).
+    .. [2] G. A. Gescheider, S. J. Bolanowski, R. T. Verrillo, D. J. Arpajian, T. F. Ryan, "Vibrotactile
+       intensity discrimination measured by three methods", J. Acoust. Soc. Am. 87, 330-338 (1990).
+    .. [3] G. von Bekesy, "Funneling in the nervous system and its role in loudness and sensation intensity on
+       the skin", J. Acoust. Soc. Am. 30, 399-412 (1958).
+    .. [4] F. A. Wichmann, N. J. Hill, "The psychometric function: I. Fitting, sampling, and goodness of fit",
+       Perception & Psychophysics 63, 1293-1313 (2001).
+    .. [5] S. J. Bolanowski, G. A. Gescheider, R. T. Verrillo, C. M. Checkosky, "Four channels mediate the
+       mechanical aspects of touch", J. Acoust. Soc. Am. 84, 1680-1694 (1988).
+    """
+
+    typical: Participant = field(default_factory=Participant)
+    side_bias_spread: float = 0.12
+    noise_spread: float = 0.2
+    criterion_spread: float = 0.2
+    suppression_spread: float = 0.08
+    pace_spread: float = 0.2
+    front_end: FrontEnd = "peak"
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        """Refuse spreads without a meaning.
+
+        Raises
+        ------
+        ValueError
+            If a spread is negative or not finite, or the front end unknown.
+        """
+        for name in SPREADS:
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value >= 0):
+                raise ValueError(f"{name}: given {value}; allowed: a finite number, 0 or more")
+        if self.front_end not in FRONT_ENDS:
+            raise ValueError(f"front_end: given {self.front_end!r}; allowed: {', '.join(FRONT_ENDS)}")
+
+    def draw(self, rng: np.random.Generator) -> Participant:
+        """Return one participant of the population.
+
+        Parameters
+        ----------
+        rng : numpy.random.Generator
+            Source of chance.
+        """
+        one = self.draw_crowd(rng, ())
+        middle = self.typical
+        return replace(
+            middle,
+            noise=float(one.noise),
+            criterion=float(one.criterion),
+            suppression=float(one.contrast(SAME_HAND)) - 1,
+            suppression_across_hands=float(one.contrast("two_hands")) - 1,
+            side_bias=float(one.side_bias),
+            decision_time=middle.decision_time * float(one.pace),
+        )
+
+    def draw_crowd(self, rng: np.random.Generator, shape: tuple[int, ...]) -> Crowd:
+        """Return many participants of the population at once.
+
+        Parameters
+        ----------
+        rng : numpy.random.Generator
+            Source of chance.
+        shape : tuple of int
+            Shape of the crowd, such as (n_experiments, n_participants).
+        """
+        return self.crowd_at(rng.standard_normal((5, *shape)))
+
+    def crowd_at(self, deviates: ArrayLike) -> Crowd:
+        """Return the participants at given places of the population.
+
+        Parameters
+        ----------
+        deviates : (5, ...) array
+            Standard normal deviates of side bias, noise, criterion, suppression and pace [1].
+        """
+        bias, noise, criterion, suppression, pace = np.asarray(deviates, dtype=float)
+        middle = self.typical
+        return Crowd(
+            typical=middle,
+            noise=middle.noise * np.exp(self.noise_spread * noise),
+            criterion=middle.criterion * np.exp(self.criterion_spread * criterion),
+            side_bias=middle.side_bias + self.side_bias_spread * bias,
+            pace=np.exp(self.pace_spread * pace),
+            sharpening=np.exp(self.suppression_spread * suppression),
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the observer as plain values, for a record or ``--json``."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> Observer:
+        """Return the observer that `as_dict` described."""
+        return cls(**{**values, "typical": Participant(**values["typical"])})

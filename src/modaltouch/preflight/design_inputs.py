@@ -1,0 +1,183 @@
+"""The sound parts of the files that a stimulus needs, whatever is wrong with the rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from modaltouch.protocol import Findings, StimulusSection
+from modaltouch.protocol.apparatus import Apparatus, Zone
+from modaltouch.protocol.calibration_file import calibrated_apparatus
+from modaltouch.protocol.document import Problem
+from modaltouch.stimulus.design import Correction, Stimulus, Timing, Wish, design_stimulus
+from modaltouch.stimulus.drive import Law, Release
+
+if TYPE_CHECKING:
+    from modaltouch.protocol.calibration_sections import CalibrationFile
+from modaltouch.protocol.wished import Points, read_points
+
+_NEEDED = ("stimulus", "beam", "actuator_sets", "modes", "amplifier", "generator")
+
+_FALLBACK_LEVEL = 100.0
+"""Level of the design where the protocol has none that is sound [mm/s]; everything is linear in it."""
+
+
+@dataclass(frozen=True)
+class Ground:
+    """What a stimulus is designed from.
+
+    Attributes
+    ----------
+    section : StimulusSection
+        The burst.
+    apparatus : Apparatus
+        Its parts, as a calibration found them where there is one; those a stimulus does not need may be missing.
+    centre_mm : float
+        Centre of the focus zone [mm].
+    levels : dict of int to float
+        Sound peak velocities by their place in the protocol [mm/s].
+    velocity_limit : float
+        Safety limit [mm/s]; infinite where it is not sound.
+    correction : Correction or None
+        What a calibration makes of the targets.
+    points : tuple of (float, float)
+        Positions [mm] and relative velocities of a sampled field.
+    """
+
+    section: StimulusSection
+    apparatus: Apparatus
+    centre_mm: float
+    levels: dict[int, float]
+    velocity_limit: float
+    correction: Correction | None = None
+    points: Points = ()
+
+    @property
+    def reference(self) -> float:
+        """Highest level within the safety limit, for which the codes fill the generator's range [mm/s]."""
+        allowed = [level for level in self.levels.values() if level <= self.velocity_limit]
+        return max(allowed, default=min(self.levels.values(), default=_FALLBACK_LEVEL))
+
+    @property
+    def zones(self) -> dict[str, Zone]:
+        """Zones by name, from left to right."""
+        return {name: self.apparatus.zones[name] for name in self.apparatus.zone_order()}
+
+
+def find_ground(findings: Findings) -> Ground | None:
+    """Return what a stimulus is designed from, or None where the files do not say it."""
+    protocol, apparatus = findings.protocol, findings.apparatus
+    if protocol is None or apparatus is None:
+        return None
+    # Faults of a single key are told apart below; faults between keys are blamed on the section.
+    between = set(findings.problems) - set(protocol.problems) - set(apparatus.problems)
+    if any(_section(problem) in _NEEDED for problem in between):
+        return None
+    section = protocol.salvage("stimulus")
+    parts = {name: apparatus.salvage(name) for name in _NEEDED if name != "stimulus"}
+    if section is None or any(part is None for part in parts.values()):
+        return None
+    zones = dict(apparatus.items("zones"))
+    if any(zone not in zones for zone in (section.focus, *section.further_foci)):
+        return None
+    points = section.field.points or ()
+    if section.field.shape == "sampled" and findings.field is not None:
+        points, faults = read_points(findings.field)
+        if faults:
+            return None
+    limit = apparatus.sound("safety", "velocity_limit_mm_s")
+    used = Apparatus.model_construct(apparatus="", zones=zones, **parts)
+    calibration = _calibration_of_one(findings)
+    of_others = calibration is None and findings.calibration is not None and findings.calibration.value is not None
+    if of_others or (calibration is not None and (apparatus.value is None or not _fits(findings))):
+        return None
+    return Ground(
+        section=section,
+        apparatus=used if calibration is None else calibrated_apparatus(used, calibration),
+        centre_mm=zones[section.focus].centre_mm,
+        levels=dict(protocol.items("conditions", "peak_velocities_mm_s")),
+        velocity_limit=float("inf") if limit is None else limit,
+        correction=None if calibration is None else correction_of(calibration),
+        points=points,
+    )
+
+
+def _calibration_of_one(findings: Findings) -> CalibrationFile | None:
+    """Return the calibration of the one stimulus; None without a sound one."""
+    reading = findings.calibration
+    return None if reading is None or reading.value is None else reading.value.alone("")
+
+
+def correction_of(calibration: CalibrationFile) -> Correction:
+    """Return the corrected targets of a calibration in SI units."""
+    return Correction(
+        velocity=np.array([mode.target_mm_s for mode in calibration.modes]) * 1e-3,
+        displacement=np.array([mode.target_displacement_mm_s for mode in calibration.modes]) * 1e-3,
+        reference=calibration.reference_mm_s * 1e-3,
+        trims=tuple((level.velocity_mm_s * 1e-3, level.amplitude_factor) for level in calibration.levels),
+    )
+
+
+def _fits(findings: Findings) -> bool:
+    """Return whether nothing speaks against the calibration, so that its values can be used."""
+    reading = findings.calibration
+    named = str(reading.source.path) if reading is not None else ""
+    return not any(problem.file == named for problem in findings.problems)
+
+
+def design(ground: Ground, *, law: Law | None = None, release: Release | None = None, on_grid: bool = True) -> Stimulus:
+    """Return the stimulus of a protocol.
+
+    Parameters
+    ----------
+    ground : Ground
+        What it is designed from.
+    law : str, optional
+        Drive law; the protocol's own if not given.
+    release : str, optional
+        What follows the focusing instant; the protocol's own if not given.
+    on_grid : bool
+        Whether all levels shall lie on the generator's amplitude grid, for which the full scale may pass the
+        peak by 5 %; otherwise the full scale is the peak.
+
+    Raises
+    ------
+    ValueError
+        If the engine refuses it.
+    """
+    section, reference = ground.section, ground.reference
+    levels = tuple(sorted({level for level in ground.levels.values() if level <= reference})) or (reference,)
+    wish = Wish(
+        shape=section.field.shape,
+        base=section.field.base_mm * 1e-3,
+        centre=ground.centre_mm * 1e-3,
+        velocity=reference * 1e-3,
+        n_decomposed=section.decomposed_modes,
+        selection=section.selected_modes,
+        further_centres=tuple(ground.apparatus.zones[name].centre_mm * 1e-3 for name in section.further_foci),
+        points=tuple((position * 1e-3, velocity) for position, velocity in ground.points),
+    )
+    timing = Timing(
+        n_samples=section.n_samples,
+        duration=section.duration_ms * 1e-3,
+        focusing_instant=section.focusing_instant_ms * 1e-3,
+        repetition_rate=section.repetition_rate_Hz,
+    )
+    return design_stimulus(
+        ground.apparatus.modal_model(),
+        wish,
+        timing,
+        ground.apparatus.amplifier_values(),
+        law=law or section.law,
+        release=release or section.release,
+        levels=tuple(level * 1e-3 for level in levels) if on_grid else None,
+        load_factor=ground.apparatus.generator.load_factor,
+        design=section.design if (law or section.law) == "exact" else "least_energy",
+        correction=ground.correction,
+    )
+
+
+def _section(problem: Problem) -> str:
+    return problem.path.split(".")[0].split("[")[0]

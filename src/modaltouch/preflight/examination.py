@@ -1,0 +1,330 @@
+"""The whole check of a protocol, without any hardware."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modaltouch.preflight.checked import Preflight
+from modaltouch.preflight.design_inputs import Ground, design, find_ground
+from modaltouch.preflight.several import at_stimulus, check_memories, each_stimulus
+from modaltouch.preflight.sound import check_masking_level
+from modaltouch.protocol import Findings, Protocol, examine_files
+from modaltouch.protocol.apparatus import zone_edges
+from modaltouch.protocol.document import Problem, Reading
+from modaltouch.protocol.schedule import draw_schedule
+from modaltouch.rig.settings import LOWEST_AMPLITUDE, highest_level
+from modaltouch.stimulus.design import Stimulus
+from modaltouch.stimulus.drive import Release
+
+_POINTS_PER_ZONE = 5
+"""Points at which a zone's speed is looked at: a quarter of the shortest wavelength of Table I apart."""
+
+_LEVELS = ("conditions", "peak_velocities_mm_s")
+
+
+def check_levels(ground: Ground, stimulus: Stimulus, protocol: Reading[Protocol]) -> list[Problem]:
+    """Return the levels that amplifier, generator or safety do not allow."""
+    problems = _check_range(ground, stimulus, protocol)
+    if problems:
+        return problems
+    fast = _moves_fast(ground, stimulus)
+    for index, level in ground.levels.items():
+        amplified = list(_check_amplifier(ground, stimulus, protocol, index, level))
+        problems += amplified or _check_generator(ground, stimulus, protocol, index, level)
+        problems += _check_safety(ground, stimulus, protocol, index, level) if fast else []
+    return problems
+
+
+def fits_generator(ground: Ground, stimulus: Stimulus) -> bool:
+    """Return whether the full scales at the reference level can be set."""
+    return max(stimulus.amplitude_for(stimulus.wish.velocity)) <= _highest_amplitude(ground)
+
+
+def _highest_amplitude(ground: Ground) -> float:
+    """Return what the generator may be set to without its full scale passing the amplifier's limit [Vpp]."""
+    return 2 * highest_level(ground.apparatus)
+
+
+def _check_amplifier(
+    ground: Ground, stimulus: Stimulus, protocol: Reading[Protocol], index: int, level: float
+) -> Iterator[Problem]:
+    limit = ground.apparatus.amplifier.limit_V
+    needed = float(stimulus.peak_voltage.max()) * level * 1e-3 / stimulus.wish.velocity
+    if needed > limit * (1 + 1e-9):
+        highest = _rounded_down(limit / needed * level)
+        given = f"{level:g} mm/s, which needs {needed:.0f} V at the beam"
+        allowed = f"at most {limit:g} V there ({highest} mm/s)"
+        remedy = "lower the level, or choose a law, field or focus that needs less"
+        yield protocol.problem((*_LEVELS, index), given, allowed, remedy)
+
+
+def _check_generator(
+    ground: Ground, stimulus: Stimulus, protocol: Reading[Protocol], index: int, level: float
+) -> Iterator[Problem]:
+    smallest, largest = LOWEST_AMPLITUDE, _highest_amplitude(ground)
+    path, sounding = (*_LEVELS, index), _sounding(stimulus, level)
+    if not sounding:
+        return
+    strong, weak = max(sounding, key=sounding.__getitem__), min(sounding, key=sounding.__getitem__)
+    if sounding[strong] > largest:
+        given = f"{level:g} mm/s, which needs {sounding[strong]:.4g} V peak to peak of output {strong}"
+        highest = _rounded_down(level * largest / sounding[strong])
+        allowed = f"at most {largest:g} V into an open circuit ({highest} mm/s)"
+        yield protocol.problem(path, given, allowed, "lower the level, or take an amplifier of higher gain")
+    if sounding[weak] < smallest:
+        given = f"{level:g} mm/s, which needs {sounding[weak]:.4g} V peak to peak of output {weak}"
+        least = level * smallest / sounding[weak]
+        allowed = f"at least {smallest:g} V, the generator's smallest amplitude (about {_rounded_up(least)} mm/s)"
+        # A lab that thinks in m/s writes 0.08 for 80 mm/s.
+        meant = level * 1e3 if level < 1 and least <= level * 1e3 <= ground.velocity_limit else None
+        remedy = "raise the level" if meant is None else f"did you mean {meant:g} mm/s? Levels are in mm/s, not m/s"
+        yield protocol.problem(path, given, allowed, remedy)
+
+
+def _sounding(stimulus: Stimulus, level: float) -> dict[int, float]:
+    """Return the amplitude of every output that is not silent, by its number [V peak to peak]."""
+    silent = stimulus.peak_drive(level * 1e-3) == 0
+    amplitudes = stimulus.amplitude_for(level * 1e-3)
+    return {number: float(each) for number, each in enumerate(amplitudes, 1) if not silent[number - 1]}
+
+
+def _check_range(ground: Ground, stimulus: Stimulus, protocol: Reading[Protocol]) -> list[Problem]:
+    """Return why no level can be played: one output falls below the generator's range before the beam is in its own."""
+    level, limit = stimulus.wish.velocity * 1e3, ground.apparatus.amplifier.limit_V
+    sounding = _sounding(stimulus, level)
+    if not sounding:
+        return []
+    highest = level * min(
+        limit / float(stimulus.peak_voltage.max()), _highest_amplitude(ground) / max(sounding.values())
+    )
+    weak = min(sounding, key=sounding.__getitem__)
+    least = level * LOWEST_AMPLITUDE / sounding[weak]
+    if least <= highest:
+        return []
+    length, base = ground.apparatus.beam.length_mm, ground.section.field.base_mm
+    path: tuple[str, ...] = ("stimulus",)
+    given = "a field that no level can play"
+    if base > length:
+        path = ("stimulus", "field", "base_mm")
+        given = f"{base:g} mm on a beam of {length:g} mm, a field that no level can play"
+    given += (
+        f" (output {weak} needs at least {_rounded_up(least)} mm/s for the generator's smallest amplitude, and "
+        f"amplifier and generator reach at most {_rounded_down(highest)} mm/s)"
+    )
+    allowed = f"up to {length:g} mm" if base > length else ""
+    return [protocol.problem(path, given, allowed, "choose another field, focus or modes; no other level will do")]
+
+
+def _moves_fast(ground: Ground, stimulus: Stimulus) -> bool:
+    """Return whether any level may pass the safety limit; the speeds of all rise with the level."""
+    limit = ground.velocity_limit
+    highest = max((level for level in ground.levels.values() if level <= limit), default=0.0)
+    return highest > 0 and stimulus.passes(_zone_points(ground).ravel(), highest * 1e-3, limit * 1e-3)
+
+
+def _zone_points(ground: Ground) -> NDArray[np.float64]:
+    """Return the points at which each zone's speed is looked at, (n_zones, n_points) array [m]."""
+    edges = [zone_edges(zone) for zone in ground.zones.values()]
+    half = ground.apparatus.beam.length_mm / 2
+    return np.clip([np.linspace(*edge, _POINTS_PER_ZONE) for edge in edges], -half, half) * 1e-3
+
+
+def _check_safety(
+    ground: Ground, stimulus: Stimulus, protocol: Reading[Protocol], index: int, level: float
+) -> Iterator[Problem]:
+    limit, zones, points = ground.velocity_limit, ground.zones, _zone_points(ground)
+    if level > limit:
+        return  # said by the protocol's own check
+    speeds = stimulus.peak_velocity(points.ravel(), level * 1e-3).reshape(points.shape) * 1e3
+    fastest = int(speeds.max(axis=1).argmax())
+    speed = float(speeds.max())
+    # At the focus the codes' rounding may pass a level that is the limit itself.
+    if speed > limit * (1 + 1e-3):
+        zone = list(zones)[fastest]
+        given = f"{level:g} mm/s, which moves zone {zone} at {speed:.0f} mm/s"
+        allowed = f"at most {limit:g} mm/s anywhere in a zone ({_rounded_down(level * limit / speed)} mm/s)"
+        remedy = "lower the level; the limit is the safety section of the apparatus"
+        yield protocol.problem((*_LEVELS, index), given, allowed, remedy)
+
+
+def _rounded_down(value: float) -> str:
+    """Return a level that can be written down without passing the limit [mm/s]."""
+    return f"{math.floor(value):d}" if value >= 10 else f"{math.floor(value * 1000) / 1000:g}"
+
+
+def _rounded_up(value: float) -> str:
+    """Return a level above one that is too small [mm/s]."""
+    return f"{math.ceil(value):d}" if value >= 10 else f"{math.ceil(value * 10) / 10:g}"
+
+
+_PLACES: tuple[tuple[str, str], ...] = (
+    (r"sampled field", "field"),
+    (r"projects to|centred at", "focus"),
+    (r"decomposed on", "decomposed_modes"),
+    (r"selected", "selected_modes"),
+    (r"focusing instant", "focusing_instant_ms"),
+    (r"period|duration|repetition", "duration_ms"),
+    (r"samples|sampling", "n_samples"),
+    (r"base of the field|shape", "field"),
+)
+"""Words of the engine's messages and the key of the stimulus section that they are about, first match first."""
+
+
+def locate(error: Exception, findings: Findings) -> Problem:
+    """Return what the engine refused as a problem of the file that asked for it.
+
+    Parameters
+    ----------
+    error : Exception
+        What the engine raised.
+    findings : Findings
+        The files; the protocol and apparatus must have been opened.
+
+    Raises
+    ------
+    ValueError
+        If the protocol or the apparatus was not opened.
+    """
+    protocol, apparatus = findings.protocol, findings.apparatus
+    if protocol is None or apparatus is None:
+        raise ValueError("there is no file in which to find the fault: open protocol and apparatus first")
+    message = " ".join(str(error).split())
+    given, _, remedy = message.rpartition(": ") if ": " in message else (message, "", "")
+    given = f"a stimulus that cannot be made, {given}"
+    mode = re.search(r"mode (\d+)", message)
+    if mode is not None and re.search(r"gain|damping|frequency", message):
+        labels = {label: index for index, label in _labels(findings)}
+        index = labels.get(int(mode.group(1)))
+        key = next(key for word, key in _MODE_KEYS if word in message)
+        if index is not None:
+            return apparatus.problem(("modes", index, key), given, "", remedy)
+    if re.search(r"linearly dependent|scan grid|zero at every point", message):
+        return apparatus.problem(("beam", "measured_shapes"), given, "", remedy)
+    if re.search(r"samples are fewer", message) and _is_late(findings):
+        return apparatus.problem(
+            ("amplifier", "delay_us"), given, "", "shorten the delay, or move the focusing instant"
+        )
+    key = next((key for words, key in _PLACES if re.search(words, message)), "")
+    return protocol.problem(("stimulus", key) if key else ("stimulus",), given, "", remedy)
+
+
+_MODE_KEYS = (
+    ("gain", "gain_mm_s2_per_V"),
+    ("damping", "damping_ratio"),
+    ("frequency", "natural_frequency_Hz"),
+)
+
+
+def _is_late(findings: Findings) -> bool:
+    """Return whether the amplifier's delay takes most of the time before the focusing instant."""
+    if findings.protocol is None or findings.apparatus is None:
+        return False
+    delay = findings.apparatus.sound("amplifier", "delay_us")
+    instant = findings.protocol.sound("stimulus", "focusing_instant_ms")
+    return delay is not None and instant is not None and delay > 500 * instant
+
+
+def _labels(findings: Findings) -> list[tuple[int, int]]:
+    reading = findings.apparatus
+    if reading is None:
+        return []
+    return [(index, mode.label) for index, mode in reading.items("modes")]
+
+
+def examine(path: Path | str, calibration: Path | None = None, *, uncalibrated: bool = False) -> Preflight:
+    """Return the whole check of a protocol: files, limits, predictions; no hardware is touched.
+
+    Parameters
+    ----------
+    path : path
+        The protocol file, or the name of a shipped protocol, such as ``demo``.
+    calibration : Path, optional
+        Calibration file to use instead of the one that the protocol names.
+    uncalibrated : bool
+        Whether no calibration is read, although the protocol names or requires one: to make one, or to plan.
+
+    Returns
+    -------
+    Preflight
+        With every fault in its `problems`; nothing is raised for a faulty file.
+    """
+    return examine_findings(examine_files(path, calibration, uncalibrated=uncalibrated))
+
+
+def examine_findings(findings: Findings) -> Preflight:
+    """Return the whole check of files that have been read.
+
+    Parameters
+    ----------
+    findings : Findings
+        The files and what is wrong with them.
+    """
+    reading = findings.protocol
+    if reading is not None and reading.value is not None and reading.value.stimuli and not findings.problems:
+        return _examine_several(findings)
+    problems = list(findings.problems)
+    ground, stimulus = find_ground(findings), None
+    if ground is not None and findings.protocol is not None:
+        try:
+            with np.errstate(all="ignore"):
+                stimulus = design_to_fit(ground)
+                problems += check_levels(ground, stimulus, findings.protocol)
+        except (ValueError, ArithmeticError) as error:
+            problems.append(locate(error, findings))
+    if findings.protocol is not None and findings.protocol.value is not None:
+        problems += [*_check_schedule(findings), *check_masking_level(findings)]
+    return Preflight(findings, tuple(sorted(set(problems))), ground, stimulus)
+
+
+def _examine_several(findings: Findings) -> Preflight:
+    """Return the check of a protocol with several stimuli: of each alone, and of all together."""
+    variants = {name: examine_findings(alone) for name, alone in each_stimulus(findings)}
+    problems = {problem for name, part in variants.items() for problem in at_stimulus(findings, name, part.problems)}
+    first = next(iter(variants.values()))
+    together = Preflight(findings, (), first.ground, first.designed, variants)
+    if not problems:
+        problems.update(check_memories(findings, together.bursts))
+    problems.update([*_check_schedule(findings), *check_masking_level(findings)])
+    return replace(together, problems=tuple(sorted(problems)))
+
+
+def design_to_fit(ground: Ground, *, release: Release | None = None) -> Stimulus:
+    """Return the stimulus, without the 5 % of full scale for the amplitude grid where they do not fit.
+
+    Parameters
+    ----------
+    ground : Ground
+        What it is designed from.
+    release : str, optional
+        What follows the focusing instant; the protocol's own if not given.
+
+    Raises
+    ------
+    ValueError
+        If the engine refuses it.
+    """
+    stimulus = design(ground, release=release)
+    within = float(stimulus.peak_voltage.max()) <= ground.apparatus.amplifier.limit_V
+    if within and not fits_generator(ground, stimulus):
+        return design(ground, release=release, on_grid=False)
+    return stimulus
+
+
+def _check_schedule(findings: Findings) -> list[Problem]:
+    """Return why no order can be drawn, if none can."""
+    reading = findings.protocol
+    if reading is None or reading.value is None or findings.problems:
+        return []
+    try:
+        draw_schedule(reading.value, "p01", 0)
+    except ValueError as error:
+        path = ("schedule", "max_same_pair_running")
+        return [reading.problem(path, f"a limit that cannot be kept, {error}", "")]
+    return []

@@ -1,0 +1,10 @@
+"""Runs over the level: what is presented next follows from the recorded answers alone.
+
+``staircase``  weighted and transformed up-down
+``quest``      QUEST+, by the package questplus
+``levels``     Levels: the level of a trial, replayed from the record
+"""
+
+from modaltouch.protocol.adaptive_rules.levels import Levels, Presented, describe_rule
+
+__all__ = ["Levels", "Presented", "describe_rule"]

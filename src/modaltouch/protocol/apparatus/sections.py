@@ -1,0 +1,264 @@
+"""Apparatus: the beam, its zones and modes, the actuator sets, amplifier and generator, as the file gives them.
+
+Numbers keep the units of their keys (mm, Hz, mm/s, V); `modal_model` and `amplifier_values` make SI values of
+them, and nothing else does.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from modaltouch.protocol.apparatus.intervals import Identified, Intervals, Provenance
+from modaltouch.protocol.apparatus.measured_shapes import ShapeTable
+from modaltouch.protocol.apparatus.twin import Twin
+from modaltouch.protocol.document.section import (
+    DampingRatio,
+    FileName,
+    Label,
+    NotNegative,
+    Number,
+    Positive,
+    Section,
+    Text,
+    Word,
+    described,
+)
+
+if TYPE_CHECKING:
+    from modaltouch.stimulus.dynamics import Amplifier as AmplifierValues
+    from modaltouch.stimulus.modes import ModalModel
+
+
+class Beam(Section):
+    """The bare beam."""
+
+    length_mm: Positive = described("Length of the beam [mm].")
+    width_mm: Positive = described("Width of the beam [mm].")
+    thickness_mm: Positive = described("Thickness of the beam [mm].")
+    theory: Literal["euler_bernoulli", "timoshenko", "measured"] = described(
+        "Where the mode shapes come from: those of a slender uniform free-free beam, of one with shear and rotary "
+        "inertia, or of a scan (`measured_shapes`).",
+        default="euler_bernoulli",
+    )
+    poissons_ratio: Annotated[float, Field(strict=True, gt=-1, le=0.5)] = described(
+        "Poisson's ratio, by which the timoshenko theory knows the shear stiffness [1].", default=0.33
+    )
+    measured_shapes: ShapeTable | None = described("Shapes of a scan, for `theory: measured`.", default=None)
+
+
+class Zone(Section):
+    """A stretch of the beam that a finger may touch; origin at mid-beam, positive to the right."""
+
+    centre_mm: Number = described("Centre of the zone [mm from mid-beam, positive to the participant's right].")
+    width_mm: Positive = described("Width of the zone [mm].")
+
+
+class ActuatorSet(Section):
+    """Patches wired together and fed by one generator output."""
+
+    channel: Annotated[int, Field(strict=True, ge=1, le=2)] = described("Generator output that feeds the set.")
+    patches_mm: tuple[tuple[Number, Number], ...] = described(
+        "Left and right end of each patch [mm from mid-beam], by which the check offers gains that the table lacks.",
+        default=(),
+    )
+
+
+class Mode(Section):
+    """A modelled vibration mode: one line of Table I."""
+
+    label: Label = described(
+        "Number of the mode: 1 rigid translation, 2 rigid rotation, k from 3 on the bending mode k - 2."
+    )
+    natural_frequency_Hz: Positive = described("Natural frequency [Hz].")  # noqa: N815
+    damping_ratio: DampingRatio = described("Damping ratio [1].")
+    gain_mm_s2_per_V: dict[Word, Number] = described(  # noqa: N815
+        "Modal acceleration per volt at the beam [mm/s^2 per V], by actuator set; a set that is left out is "
+        "unknown and taken as zero."
+    )
+    assumed: tuple[Word, ...] = described("Actuator sets whose gain is assumed, not measured.", default=())
+    intervals_95: Intervals | None = described("95 % intervals, as identified.", default=None)
+    provenance: Provenance | None = described("Where each number comes from.", default=None)
+
+
+class Amplifier(Section):
+    """What stands between generator and beam."""
+
+    gain_V_per_V: Positive = described("Voltage gain [V at the beam per V of the generator].")  # noqa: N815
+    limit_V: Positive = described("Highest voltage at the beam [V, peak]; no protocol can raise it.")  # noqa: N815
+    bandwidth_kHz: Positive | None = described(  # noqa: N815
+        "Corner of its first-order pole [kHz]; null where it has not been identified.", default=None
+    )
+    delay_us: NotNegative = described("Delay from generator to beam [us].", default=0.0)
+
+
+class Safety(Section):
+    """Limits that no protocol can raise."""
+
+    velocity_limit_mm_s: Positive = described("Highest velocity anywhere in a zone [mm/s, peak].")
+
+
+class LatencyBounds(Section):
+    """Between which bounds a delay lies."""
+
+    low: NotNegative = described("Shortest delay [ms].")
+    high: NotNegative = described("Longest delay [ms].")
+
+
+class Generator(Section):
+    """The arbitrary function generator."""
+
+    model: Text = described("Model as its identity names it.", default="AFG3022B")
+    load: Literal["high_impedance", "50_ohm"] = described(
+        "What its outputs see: high_impedance or 50_ohm.", default="high_impedance"
+    )
+    repetition: Literal["single", "timer", "continuous", "wired", "burst"] = described(
+        "single: each burst is triggered by a command of its own, counted and dated; timer: the generator's free "
+        "timer, whose bursts are neither; wired: a pulse source at the trigger input, which counts them; continuous: "
+        "one record that holds burst and silence, for a generator whose burst mode cannot be used (it cannot be exact: "
+        "check --compare says by how much). `burst` is the former name of timer.",
+        default="single",
+    )
+    trigger_latency_ms: LatencyBounds | None = described(
+        "From the command that triggers a burst to its first sample, as measured with a scope (`rig check` says how) "
+        "[ms]; null where it is unknown, and no instant is then claimed to less than a millisecond.",
+        default=None,
+    )
+
+    @property
+    def trigger_latency(self) -> tuple[float, float] | None:
+        """Shortest and longest time from a trigger to the first sample [s]; None where it is unknown."""
+        latency = self.trigger_latency_ms
+        return None if latency is None else (latency.low * 1e-3, latency.high * 1e-3)
+
+    @property
+    def repeats(self) -> Literal["single", "timer", "continuous", "wired"]:
+        """How bursts are repeated, by the name of today."""
+        return "timer" if self.repetition == "burst" else self.repetition
+
+    @property
+    def load_factor(self) -> float:
+        """Voltage at the load over the open-circuit voltage, for an output of 50 ohm [1]."""
+        return 1.0 if self.load == "high_impedance" else 0.5
+
+
+class Acquisition(Section):
+    """What velocity and drive are measured with, as its knobs are set."""
+
+    sensitivity_mm_s_per_V: Positive = described(  # noqa: N815
+        "What a volt of the vibrometer's output stands for [mm/s per V].", default=50.0
+    )
+    range_mm_s: Positive = described("Highest velocity in the vibrometer's range [mm/s, peak].", default=500.0)
+    vibrometer_bandwidth_kHz: Positive | None = described(  # noqa: N815
+        "Corner of the vibrometer's first-order low-pass by its data sheet [kHz]; null for one that needs none.",
+        default=None,
+    )
+    probe_attenuation: Positive = described(
+        "Volts at the beam per volt at the scope's drive inputs [V/V].", default=100.0
+    )
+    trigger_latency_us: NotNegative = described(
+        "From the generator's first sample to the scope's, as the generator wired straight to the scope shows it; "
+        "what is not known of it shifts the focus in time [us].",
+        default=0.0,
+    )
+
+
+class Sound(Section):
+    """What plays sound to the participant."""
+
+    device: Text = described("Part of the sound device's name; empty for the system's own choice.", default="")
+    sampling_rate_Hz: Annotated[float, Field(strict=True, ge=8000, le=192_000)] = described(  # noqa: N815
+        "Samples per second [Hz].", default=48_000.0
+    )
+    full_scale_dB_SPL: Annotated[float, Field(strict=True, ge=0, le=200)] | None = described(  # noqa: N815
+        "Sound pressure level at the ear for a sine of full scale [dB SPL]; null where it was not measured.",
+        default=None,
+    )
+
+
+class Apparatus(Section):
+    """Everything a lab has on its table."""
+
+    apparatus: FileName = described("Name of the apparatus.")
+    description: Text = described("What it is, in a sentence.", default="")
+    beam: Beam = described("The bare beam.")
+    zones: dict[Word, Zone] = described(
+        "Stretches of the beam that fingers touch, by name.", min_length=1, max_length=100
+    )
+    actuator_sets: dict[Word, ActuatorSet] = described(
+        "Actuator sets, by name, each on an output of its own.", min_length=1
+    )
+    modes: tuple[Mode, ...] = described("Modelled modes, as identified.", min_length=1, max_length=200)
+    amplifier: Amplifier = described("What stands between generator and beam.")
+    safety: Safety = described("Limits that no protocol can raise.")
+    generator: Generator = described("The arbitrary function generator.", default=Generator())
+    acquisition: Acquisition = described("What velocity and drive are measured with.", default=Acquisition())
+    identified: Identified | None = described("The identification that the table of modes comes from.", default=None)
+    sound: Sound = described("What plays sound to the participant.", default=Sound())
+    twin: Twin = described("What the simulated rig has and the tables have not.", default=Twin())
+
+    def modal_model(self) -> ModalModel:
+        """Return the identified plant in SI units.
+
+        Returns
+        -------
+        ModalModel
+            Modal gains of shape (n_modes, n_channels) [m/s^2 per V at the beam], zero where unknown; natural
+            frequencies [Hz], damping ratios [1], length [m].
+        """
+        from modaltouch.stimulus.modes import ModalModel
+        from modaltouch.stimulus.timoshenko import TimoshenkoBeam
+
+        beam, length = self.beam, self.beam.length_mm * 1e-3
+        label = tuple(mode.label for mode in self.modes)
+        bending, basis = None, None
+        if beam.theory == "timoshenko":
+            bending = TimoshenkoBeam(length, beam.thickness_mm * 1e-3, poissons_ratio=beam.poissons_ratio)
+        if beam.theory == "measured" and beam.measured_shapes is not None:
+            basis = beam.measured_shapes.basis(label, length)
+        channel = {name: actuators.channel for name, actuators in self.actuator_sets.items()}
+        gain = np.zeros((len(self.modes), max(channel.values())))
+        for row, mode in enumerate(self.modes):
+            for name, value in mode.gain_mm_s2_per_V.items():
+                gain[row, channel[name] - 1] = value * 1e-3
+        return ModalModel(
+            label=label,
+            natural_frequency=np.array([mode.natural_frequency_Hz for mode in self.modes]),
+            damping_ratio=np.array([mode.damping_ratio for mode in self.modes]),
+            modal_gain=gain,
+            length=length,
+            theory=beam.theory,
+            basis=basis,
+            beam=bending,
+        )
+
+    def amplifier_values(self) -> AmplifierValues:
+        """Return the amplifier: gain [V/V], limit [V at the beam], bandwidth [Hz] or None, delay [s]."""
+        from modaltouch.stimulus.dynamics import Amplifier as AmplifierValues
+
+        amplifier = self.amplifier
+        return AmplifierValues(
+            gain=amplifier.gain_V_per_V,
+            limit=amplifier.limit_V,
+            bandwidth=None if amplifier.bandwidth_kHz is None else amplifier.bandwidth_kHz * 1e3,
+            delay=amplifier.delay_us * 1e-6,
+        )
+
+    def unknown_gains(self) -> tuple[tuple[int, str], ...]:
+        """Return mode label and actuator set of every gain that is unknown and taken as zero."""
+        return tuple(
+            (mode.label, name)
+            for mode in self.modes
+            for name in self.actuator_sets
+            if name not in mode.gain_mm_s2_per_V
+        )
+
+    def assumed_gains(self) -> tuple[tuple[int, str], ...]:
+        """Return mode label and actuator set of every gain that is assumed, not measured."""
+        return tuple((mode.label, name) for mode in self.modes for name in mode.assumed)
+
+    def zone_order(self) -> tuple[str, ...]:
+        """Return the zones' names from left to right."""
+        return tuple(sorted(self.zones, key=lambda name: self.zones[name].centre_mm))

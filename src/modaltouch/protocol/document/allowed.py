@@ -1,0 +1,167 @@
+"""Model -> words that say what a key may hold, for every message alike."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from functools import lru_cache
+from typing import Any
+
+from pydantic import BaseModel
+
+from modaltouch.protocol.document.section import LARGEST, SMALLEST
+
+Step = str | int
+
+
+@lru_cache(maxsize=64)
+def schema_of(model: type[BaseModel]) -> dict[str, Any]:
+    """Return the JSON Schema of a model."""
+    return model.model_json_schema()
+
+
+def describe(model: type[BaseModel], path: Iterable[Step]) -> str:
+    """Return in words what may stand at a path of a model; empty where the model knows no such path."""
+    root, steps = schema_of(model), tuple(path)
+    schema: dict[str, Any] | None = root
+    for step in steps:
+        schema = _step(root, schema, step)
+        if schema is None:
+            return ""
+    words = _in_words(root, schema or {})
+    unit = next((_unit(step) for step in reversed(steps) if isinstance(step, str)), "")
+    return words.replace("number", f"number [{unit}]", 1) if unit else words
+
+
+def keys_of(model: type[BaseModel], path: Iterable[Step]) -> tuple[str, ...]:
+    """Return the keys that may stand in the mapping at a path; empty where any may."""
+    root = schema_of(model)
+    schema: dict[str, Any] | None = root
+    for step in path:
+        schema = _step(root, schema, step)
+        if schema is None:
+            return ()
+    # An optional section is one branch of two, the other being null.
+    branches = (_resolved(root, branch) for branch in _branches(_resolved(root, schema or {})))
+    return tuple(dict.fromkeys(key for branch in branches for key in branch.get("properties", ())))
+
+
+def _resolved(root: dict[str, Any], schema: dict[str, Any]) -> dict[str, Any]:
+    while "$ref" in schema:
+        schema = root["$defs"][schema["$ref"].rsplit("/", 1)[1]]
+    return schema
+
+
+def _branches(schema: dict[str, Any]) -> list[dict[str, Any]]:
+    branches: list[dict[str, Any]] = schema.get("anyOf") or schema.get("oneOf") or [schema]
+    return branches
+
+
+def _step(root: dict[str, Any], schema: dict[str, Any] | None, step: Step) -> dict[str, Any] | None:
+    for branch in _branches(_resolved(root, schema or {})):
+        found = _step_one(_resolved(root, branch), step)
+        if found is not None:
+            return found
+    return None
+
+
+def _step_one(schema: dict[str, Any], step: Step) -> dict[str, Any] | None:
+    if isinstance(step, int):
+        prefix = schema.get("prefixItems", [])
+        found = prefix[step] if step < len(prefix) else schema.get("items")
+        return found if isinstance(found, dict) else None
+    if step in schema.get("properties", {}):
+        return dict(schema["properties"][step])
+    free = [*schema.get("patternProperties", {}).values(), schema.get("additionalProperties")]
+    return next((dict(found) for found in free if isinstance(found, dict)), None)
+
+
+def _in_words(root: dict[str, Any], schema: dict[str, Any]) -> str:
+    branches = [_resolved(root, branch) for branch in _branches(_resolved(root, schema))]
+    return " or ".join(dict.fromkeys(_one_in_words(root, branch) for branch in branches))
+
+
+def _one_in_words(root: dict[str, Any], schema: dict[str, Any]) -> str:
+    if "x-allowed" in schema:
+        return str(schema["x-allowed"])
+    if "enum" in schema or "const" in schema:
+        return ", ".join(str(value) for value in schema.get("enum", [schema.get("const")]))
+    kind = schema.get("type")
+    if kind in ("number", "integer"):
+        return ("a whole number" if kind == "integer" else "a number") + _bounds(schema)
+    if kind == "string":
+        return "a word of letters, digits, _ and -" if "pattern" in schema else "text"
+    if kind == "array":
+        return _list_in_words(root, schema)
+    if kind == "object":
+        keys = schema.get("properties")
+        return f"a mapping with the keys {', '.join(keys)}" if keys else "a mapping"
+    return {"boolean": "true or false", "null": "null"}.get(str(kind), "")
+
+
+def _list_in_words(root: dict[str, Any], schema: dict[str, Any]) -> str:
+    prefix = schema.get("prefixItems")
+    if prefix:
+        each = dict.fromkeys(_in_words(root, item) for item in prefix)
+        return f"a list of exactly {len(prefix)}, each {', '.join(each)}"
+    least = "a list" if not schema.get("minItems") else f"a list of at least {schema['minItems']}"
+    if "maxItems" in schema:
+        least += f" and at most {schema['maxItems']}"
+    return f"{least}, each {_in_words(root, schema.get('items', {}))}"
+
+
+def _bounds(schema: dict[str, Any]) -> str:
+    # The bounds against overflow are no news to anyone who reads a message.
+    schema = {key: value for key, value in schema.items() if value not in (LARGEST, -LARGEST)}
+    if schema.get("minimum") == SMALLEST:
+        schema = {**schema, "minimum": None, "exclusiveMinimum": 0}
+    words = [
+        f"{word} {schema[key]:g}"
+        for key, word in (
+            ("exclusiveMinimum", "above"),
+            ("minimum", "of at least"),
+            ("exclusiveMaximum", "below"),
+            ("maximum", "at most"),
+        )
+        if schema.get(key) is not None
+    ]
+    if schema.get("multipleOf") == 2:
+        words.append("even")
+    return (" " + ", ".join(words)) if words else ""
+
+
+_UNITS = {
+    "mm": "mm",
+    "ms": "ms",
+    "us": "us",
+    "s": "s",
+    "Hz": "Hz",
+    "kHz": "kHz",
+    "V": "V",
+    "mm_s": "mm/s",
+    "V_per_V": "V/V",
+    "mm_s2_per_V": "mm/s^2 per V",
+}
+
+
+def _unit(key: str) -> str:
+    """Return the unit that ends a key, or an empty string.
+
+    >>> _unit("peak_velocities_mm_s"), _unit("gain_V_per_V"), _unit("zones")
+    ('mm/s', 'V/V', '')
+    """
+    words = key.split("_")
+    return next((_UNITS[end] for n in range(1, len(words)) if (end := "_".join(words[n:])) in _UNITS), "")
+
+
+_WITH_UNIT = re.compile(r"\s*([-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][-+]?\d+)?)\s*([^\d\s].*|)")
+
+
+def number_meant(word: str) -> str:
+    """Return the number in a word such as ``80 mm/s``, or an empty string.
+
+    >>> number_meant("80 mm/s"), number_meant("0,5"), number_meant("many")
+    ('80', '0.5', '')
+    """
+    match = _WITH_UNIT.fullmatch(word)
+    return match.group(1).replace(",", ".") if match else ""

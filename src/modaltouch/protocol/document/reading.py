@@ -1,0 +1,306 @@
+"""Tree + model -> sound values and located problems."""
+
+from __future__ import annotations
+
+import math
+import types
+import typing
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Annotated, Any, Generic, TypeVar
+
+from pydantic import BaseModel, TypeAdapter, ValidationError
+
+from modaltouch.protocol.document.allowed import Step, describe, keys_of, number_meant
+from modaltouch.protocol.document.problems import Problem, format_path, suggest
+from modaltouch.protocol.document.section import LARGEST, SMALLEST
+from modaltouch.protocol.document.source import Source
+from modaltouch.protocol.document.tree import Node, parse_tree
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+@dataclass(frozen=True, eq=False)
+class Reading(Generic[Model]):
+    """A file as far as it can be understood.
+
+    Attributes
+    ----------
+    source : Source
+        The text.
+    model : type
+        What it should hold.
+    root : Node or None
+        Its tree; None where the text is no YAML mapping.
+    value : Model or None
+        What it holds; None where anything is wrong with it.
+    problems : tuple of Problem
+        What is wrong.
+    """
+
+    source: Source
+    model: type[Model]
+    root: Node | None
+    value: Model | None
+    problems: tuple[Problem, ...] = field(default=())
+
+    def sound(self, *path: Step) -> Any:
+        """Return the value at a path, or its default; None where it is missing or wrong by itself.
+
+        The rest of the file may be as faulty as it likes, so that one fault does not hide another.
+        """
+        if self.value is not None:
+            return _descend(self.value, path)
+        node = self.root
+        for depth, step in enumerate(path):
+            if node is None:
+                return None
+            child = node.child(step)
+            if child is None:
+                return _default(self.model, path, depth) if isinstance(node.content, dict) else None
+            node = child
+        adapter = _adapter(self.model, path)
+        if node is None or adapter is None:
+            return None
+        try:
+            return adapter.validate_python(node.plain())
+        except ValidationError:
+            return None
+
+    def salvage(self, *path: Step) -> Any:
+        """Return the section at a path, its unknown keys left out; None where anything else is wrong with it.
+
+        A key that is probably a misspelt one of the section's own is not left out: its value is wanted.
+        """
+        value = self.sound(*path)
+        section, node = _annotation(self.model, path), self.find(path)
+        if value is not None or node is None or not isinstance(node.content, dict):
+            return value
+        if not (isinstance(section, type) and issubclass(section, BaseModel)):
+            return None
+        known = {key: each.plain() for key, each in node.content.items() if key in section.model_fields}
+        absent = [name for name in section.model_fields if name not in known]
+        if any(suggest(key, absent) for key in node.content if key not in known):
+            return None
+        try:
+            return section.model_validate(known)
+        except ValidationError:
+            return None
+
+    def items(self, *path: Step) -> list[tuple[Any, Any]]:
+        """Return index (or key) and value of every sound entry of the list (or mapping) at a path."""
+        node = self.find(path)
+        if node is None or not isinstance(node.content, dict | list):
+            value = self.sound(*path)
+            if isinstance(value, dict):
+                return list(value.items())
+            return list(enumerate(value)) if isinstance(value, tuple) else []
+        steps = list(node.content) if isinstance(node.content, dict) else list(range(len(node.content)))
+        values = [(step, self.sound(*path, step)) for step in steps]
+        return [(step, value) for step, value in values if value is not None]
+
+    def find(self, path: Iterable[Step]) -> Node | None:
+        """Return the node at a path, or None."""
+        node = self.root
+        for step in path:
+            node = node.child(step) if node is not None else None
+        return node
+
+    def problem(
+        self, path: Iterable[Step], given: str, allowed: str, remedy: str = "", *, at_key: bool = False
+    ) -> Problem:
+        """Return a problem with the place of the value (or key) at a path, or of what is nearest to it."""
+        steps = tuple(path)
+        line, column = self._place(steps, at_key=at_key)
+        return Problem(str(self.source.path), line, column, format_path(steps), given, allowed, remedy)
+
+    def _place(self, path: tuple[Step, ...], *, at_key: bool) -> tuple[int, int]:
+        node = self.root
+        if node is None:
+            return 1, 1
+        place = (node.line, node.column)
+        for depth, step in enumerate(path):
+            child = node.child(step)
+            if child is None:
+                # A missing key is told where its section is named.
+                return place
+            key_place = node.keys.get(step, place) if isinstance(step, str) else (child.line, child.column)
+            # Block mappings begin a line below their key; the key is where one looks.
+            is_section = isinstance(child.content, dict) or (at_key and depth == len(path) - 1)
+            place = key_place if is_section else (child.line, child.column)
+            node = child
+        return place
+
+
+def read(source: Source, model: type[Model]) -> Reading[Model]:
+    """Return what a text holds, as far as it is sound.
+
+    Parameters
+    ----------
+    source : Source
+        The text.
+    model : type
+        What it should hold.
+    """
+    root, problems = parse_tree(source)
+    if root is None:
+        return Reading(source, model, None, None, tuple(problems))
+    bare: Reading[Model] = Reading(source, model, root, None)
+    value: Model | None = None
+    try:
+        value = model.model_validate(root.plain())
+    except ValidationError as error:
+        errors = error.errors(include_url=False)
+        problems += [_translate(bare, each) for each in errors if not _follows(each, errors)]
+    return Reading(source, model, root, None if problems else value, tuple(problems))
+
+
+def _follows(details: Any, errors: Iterable[Any]) -> bool:
+    """Return whether a list is only too short because of what is wrong with its items."""
+    loc = details["loc"]
+    return details["type"] == "too_short" and any(
+        len(other["loc"]) > len(loc) and other["loc"][: len(loc)] == loc for other in errors
+    )
+
+
+def _translate(reading: Reading[Any], details: Any) -> Problem:
+    """Return one error of pydantic as a problem."""
+    kind, path = str(details["type"]), _real_path(reading, details)
+    context = details.get("ctx", {})
+    if kind == "modaltouch":
+        return reading.problem(path, context["given"], context["allowed"], context["remedy"])
+    if kind == "extra_forbidden":
+        return _unknown_key(reading, path)
+    if details["loc"] and details["loc"][-1] == "[key]":
+        allowed = context.get("expected") or "a word of letters, digits, _ and -"
+        return reading.problem(path, f"{path[-1]!r} as a key", allowed.replace(" or ", ", "), at_key=True)
+    if kind == "missing" and path and isinstance(path[-1], str):
+        allowed = describe(reading.model, path)
+        return reading.problem(path, "nothing", allowed, f"add the missing key `{path[-1]}`")
+    if kind == "missing":
+        path = path[:-1]
+    node = reading.find(path)
+    given = _in_words(node) + (", which is not finite" if kind == "finite_number" else "")
+    allowed = describe(reading.model, path) + _beyond_all(details["input"])
+    return reading.problem(path, given, allowed, _remedy(reading, path, node))
+
+
+def _beyond_all(value: object) -> str:
+    """Return the bound of all quantities, unsaid elsewhere, where a value passes it."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        return ""
+    if abs(value) > LARGEST:
+        return f", of at most {LARGEST:g} either way"
+    return f", not that small: at least {SMALLEST:g}" if 0 < value < SMALLEST else ""
+
+
+def _real_path(reading: Reading[Any], details: Any) -> tuple[Step, ...]:
+    """Return the place of an error without what pydantic adds to it: branch tags, ``[key]``."""
+    path: list[Step] = []
+    node = reading.root
+    loc = details["loc"]
+    for position, step in enumerate(loc):
+        child = node.child(step) if node is not None else None
+        if child is not None:
+            path.append(step)
+            node = child
+        elif details["type"] == "missing" and position == len(loc) - 1:
+            path.append(step)
+    return tuple(path)
+
+
+def _unknown_key(reading: Reading[Any], path: tuple[Step, ...]) -> Problem:
+    known = keys_of(reading.model, path[:-1])
+    meant = suggest(str(path[-1]), known)
+    given = f"'{path[-1]}', which is not a key here"
+    remedy = f"did you mean '{meant}'?" if meant else ""
+    return reading.problem(path, given, ", ".join(known), remedy, at_key=True)
+
+
+def _in_words(node: Node | None) -> str:
+    """Return what stands at a node."""
+    if node is None or node.content is None:
+        return "nothing"
+    if isinstance(node.content, list):
+        return "an empty list" if not node.content else f"a list of {len(node.content)}"
+    if isinstance(node.content, dict):
+        return "a mapping"
+    if isinstance(node.content, str):
+        return repr(_shortened(node.content))
+    return _shortened(node.text)
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _remedy(reading: Reading[Any], path: tuple[Step, ...], node: Node | None) -> str:
+    """Return what to do about a value of the wrong kind."""
+    allowed = describe(reading.model, path)
+    if node is None:
+        return ""
+    if isinstance(node.content, str):
+        if "number" in allowed and number_meant(node.content):
+            unit = "; the unit stands in the key" if path and "_" in str(path[-1]) else ""
+            return f"write the number alone: {number_meant(node.content)}{unit}"
+        meant = suggest(node.content, allowed.split(", "))
+        return f"did you mean '{meant}'?" if meant else ""
+    if allowed == "text" and not isinstance(node.content, list | dict | None):
+        return f'write "{node.text}" in quotes'
+    if isinstance(node.content, float) and "whole number" in allowed and node.content == node.content // 1:
+        return f"write {node.content:.0f}"
+    return ""
+
+
+def _descend(value: Any, path: Iterable[Step]) -> Any:
+    for step in path:
+        if isinstance(value, BaseModel):
+            value = getattr(value, str(step), None)
+        elif isinstance(value, dict):
+            value = value.get(step)
+        elif isinstance(value, tuple) and isinstance(step, int) and step < len(value):
+            value = value[step]
+        else:
+            return None
+    return value
+
+
+def _default(model: type[BaseModel], path: tuple[Step, ...], depth: int) -> Any:
+    """Return the default of what is absent from `path[depth]` on, or None where it has none."""
+    parent: Any = _annotation(model, path[:depth])
+    step = path[depth]
+    if not (isinstance(parent, type) and issubclass(parent, BaseModel)) or step not in parent.model_fields:
+        return None
+    info = parent.model_fields[str(step)]
+    return None if info.is_required() else _descend(info.get_default(call_default_factory=True), path[depth + 1 :])
+
+
+@lru_cache(maxsize=1024)
+def _adapter(model: type[BaseModel], path: tuple[Step, ...]) -> TypeAdapter[Any] | None:
+    annotation = _annotation(model, path)
+    return None if annotation is None else TypeAdapter(annotation)
+
+
+def _annotation(model: type[BaseModel], path: Iterable[Step]) -> Any:
+    """Return the annotation at a path of a model, or None."""
+    annotation: Any = model
+    for step in path:
+        annotation = _step_into(annotation, step)
+    return annotation
+
+
+def _step_into(annotation: Any, step: Step) -> Any:
+    origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
+    if origin is Annotated:
+        return _step_into(arguments[0], step)
+    if origin in (typing.Union, types.UnionType):
+        return next((found for branch in arguments if (found := _step_into(branch, step)) is not None), None)
+    if origin is tuple and isinstance(step, int):
+        return arguments[0] if arguments[-1] is Ellipsis else arguments[min(step, len(arguments) - 1)]
+    if origin is dict and isinstance(step, str):
+        return arguments[1]
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel) and step in annotation.model_fields:
+        info = annotation.model_fields[str(step)]
+        return Annotated[info.annotation, *info.metadata] if info.metadata else info.annotation
+    return None

@@ -1,0 +1,94 @@
+"""Practice: which answer a practice trial should get, and whether a round of practice was passed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from modaltouch.protocol.trial import Answer
+
+CLEAR_RATIO = 1.25
+"""Speeds this far apart are told apart with ease: twice the difference threshold of vibration (Craig 1972)."""
+EQUAL_RATIO = 1.1
+"""Speeds this near are below the difference threshold [1]."""
+
+
+@dataclass(frozen=True)
+class Round:
+    """One round of practice.
+
+    Attributes
+    ----------
+    number : int
+        Which round, from 1.
+    n_judged : int
+        Trials whose answer can be right or wrong.
+    n_agreed : int
+        Those answered as predicted.
+    """
+
+    number: int
+    n_judged: int
+    n_agreed: int
+
+    def passes(self, criterion: float | None) -> bool:
+        """Return whether the round meets a criterion: a share of the trials that can be judged, or None.
+
+        Parameters
+        ----------
+        criterion : float or None
+            Least share answered as predicted [1]; None is always met.
+        """
+        if criterion is None or self.n_judged == 0:
+            return True
+        return self.n_agreed >= criterion * self.n_judged - 1e-9
+
+
+def expected_answer(speed_left: float, speed_right: float) -> Answer | None:
+    """Return what somebody who feels well should answer, or None where it may be either.
+
+    Parameters
+    ----------
+    speed_left, speed_right : float
+        Predicted peak speeds under the two fingers, in one unit.
+
+    Raises
+    ------
+    ValueError
+        If a speed is negative or not finite.
+    """
+    for speed in (speed_left, speed_right):
+        if not (math.isfinite(speed) and speed >= 0):
+            raise ValueError(f"given speeds {speed_left} and {speed_right}; allowed: finite speeds, 0 or more")
+    low, high = sorted((speed_left, speed_right))
+    if high <= EQUAL_RATIO * low or high == 0:
+        return "both"
+    if high >= CLEAR_RATIO * low:
+        return "left" if speed_left > speed_right else "right"
+    return None
+
+
+def judge_round(events: Iterable[Mapping[str, Any]], number: int, n_trials: int) -> Round:
+    """Return how a round of practice went, from the session's log.
+
+    Parameters
+    ----------
+    events : iterable of dict
+        Events of the session log.
+    number : int
+        Which round, from 1.
+    n_trials : int
+        Practice trials of a round.
+    """
+    first, last = (number - 1) * n_trials + 1, number * n_trials
+    judged: dict[int, bool] = {}
+    for event in events:
+        if event.get("event") != "trial" or not event["trial"]["practice"]:
+            continue
+        index, planned = event["trial"]["index"], event["planned"]
+        expected = expected_answer(planned["speed_left_mm_s"], planned["speed_right_mm_s"])
+        if first <= index <= last and expected is not None:
+            judged[index] = event["response"]["answer"] == expected
+    return Round(number, len(judged), sum(judged.values()))

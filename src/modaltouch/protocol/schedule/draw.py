@@ -1,0 +1,289 @@
+"""Protocol + participant + seed -> Schedule."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+import math
+import re
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from modaltouch.protocol import Placement, Protocol
+from modaltouch.protocol.schedule.designs import Cell, insert_catches, order_cells, period_of_rows
+from modaltouch.protocol.schedule.streams import ALGORITHM, Stream, key_of
+from modaltouch.protocol.trial import Condition, Trial
+
+
+@dataclass(frozen=True)
+class Turn:
+    """Which of several balanced orders a participant gets.
+
+    Attributes
+    ----------
+    number : int
+        To be taken modulo the number of orders, placements and rows.
+    reason : str
+        What decided it.
+    """
+
+    number: int
+    reason: str
+
+
+@dataclass(frozen=True)
+class Block:
+    """The trials of one finger condition.
+
+    Attributes
+    ----------
+    number : int
+        Place in the session, from 1.
+    finger_condition : str
+        ``one_hand`` or ``two_hands``.
+    trials : tuple of Trial
+        In order.
+    """
+
+    number: int
+    finger_condition: str
+    trials: tuple[Trial, ...]
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """Everything a participant will be presented with, in order.
+
+    Attributes
+    ----------
+    participant : str
+        Identifier of the participant.
+    session : int
+        Number of the session, from 1.
+    seed : int
+        Seed of the study.
+    practice : tuple of Trial
+        Trials before the ones that count.
+    blocks : tuple of Block
+        One to each finger condition, in this participant's order.
+    finger_conditions_by : str
+        What decided the order of the finger conditions: ``number of the participant``, ``hash of the
+        participant``, the reason of a given turn, or ``protocol``.
+    is_adaptive : bool
+        Whether the levels follow from the answers; a trial is then scheduled with the level of a run's first.
+    turn : int or None
+        The turn where it was given; None where participant, seed and session decide it.
+    """
+
+    participant: str
+    session: int
+    seed: int
+    practice: tuple[Trial, ...]
+    blocks: tuple[Block, ...]
+    finger_conditions_by: str
+    is_adaptive: bool = False
+    turn: Turn | None = None
+
+    @property
+    def trials(self) -> tuple[Trial, ...]:
+        """Trials that count, in order."""
+        return tuple(trial for block in self.blocks for trial in block.trials)
+
+    @property
+    def order_hash(self) -> str:
+        """SHA-256 of all trials in order, practice first."""
+        values = [
+            [trial.practice, trial.index, trial.repetition, *_brief(trial)] for trial in (*self.practice, *self.trials)
+        ]
+        return hashlib.sha256(json.dumps(values).encode()).hexdigest()
+
+    @property
+    def seeds(self) -> dict[str, Any]:
+        """What the order was drawn from, and how, for the record."""
+        return {
+            "algorithm": ALGORITHM,
+            "study_seed": self.seed,
+            "participant": self.participant,
+            "participant_key": f"{key_of(self.participant):064x}",
+            "session": self.session,
+            "purposes": {purpose: f"{key_of(purpose):064x}" for purpose in self._purposes()},
+        }
+
+    def _purposes(self) -> list[str]:
+        orders = [_purpose_of_order(block.finger_condition) for block in self.blocks]
+        with_catches = (block for block in self.blocks if any(trial.condition.is_catch for trial in block.trials))
+        catches = [_purpose_of_catches(block.finger_condition) for block in with_catches]
+        return ["order of finger conditions", "practice", *orders, *catches]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the schedule as plain values for the record."""
+        return {
+            "order_hash": self.order_hash,
+            "seeds": self.seeds,
+            "finger_conditions": [block.finger_condition for block in self.blocks],
+            "finger_conditions_by": self.finger_conditions_by,
+            **({"levels": "adaptive"} if self.is_adaptive else {}),
+            **({"turn": self.turn.number, "turn_by": self.turn.reason} if self.turn is not None else {}),
+            "n_trials": len(self.trials),
+            "n_practice_trials": len(self.practice),
+            "practice": [_brief(trial) for trial in self.practice],
+            "order": [_brief(trial) for trial in self.trials],
+        }
+
+
+def draw_schedule(
+    protocol: Protocol, participant: str, seed: int, session: int = 1, *, given: Turn | None = None
+) -> Schedule:
+    """Return a participant's schedule; the same arguments give the same schedule.
+
+    Parameters
+    ----------
+    protocol : Protocol
+        The design.
+    participant : str
+        Identifier of the participant.
+    seed : int
+        Seed of the study, 0 or above.
+    session : int
+        Number of the session, from 1; every session has an order of its own.
+    given : Turn, optional
+        The participant's turn, where records decide it and not the participant's number.
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of bounds or no order keeps the protocol's limit on runs.
+    """
+    _check_arguments(participant, seed, session)
+    decided = given or turn_of(participant, seed, session)
+    turn = decided.number
+    orders = _orders_of_finger_conditions(protocol)
+    placements = protocol.conditions.placements
+    # Orders change with every participant, placements each time all orders have been had.
+    finger_conditions = orders[turn % len(orders)]
+    placement = placements[turn // len(orders) % len(placements)]
+    blocks: list[Block] = []
+    for number, finger_condition in enumerate(finger_conditions, start=1):
+        stream = Stream(seed, participant, session, _purpose_of_order(finger_condition))
+        cells = order_cells(protocol, turn, stream)
+        if protocol.schedule.catch_trials:
+            catches = Stream(seed, participant, session, _purpose_of_catches(finger_condition))
+            cells = insert_catches(protocol, cells, catches)
+        conditions = [_place(finger_condition, cell, placement) for cell in cells]
+        first = sum(len(block.trials) for block in blocks) + 1
+        blocks.append(Block(number, finger_condition, _number(conditions, block=number, first=first)))
+    stream = Stream(seed, participant, session, "practice")
+    practised = [_place(finger_conditions[0], cell, placement) for cell in _draw_practice(protocol, stream)]
+    return Schedule(
+        participant=participant,
+        session=session,
+        seed=seed,
+        practice=_number(practised, block=0, first=1),
+        blocks=tuple(blocks),
+        is_adaptive=protocol.adaptive is not None,
+        finger_conditions_by=decided.reason if len(orders) > 1 else "protocol",
+        turn=given,
+    )
+
+
+def _orders_of_finger_conditions(protocol: Protocol) -> list[tuple[str, ...]]:
+    given = protocol.conditions.finger_conditions
+    return list(itertools.permutations(given)) if protocol.schedule.counterbalance_finger_conditions else [given]
+
+
+def _place(finger_condition: str, cell: Cell, placement: Placement) -> Condition:
+    """Return a cell under a participant's fingers; on a beam turned end to end, left and right change places."""
+    left, right = reversed(cell[0]) if placement.startswith("mirrored") else cell[0]
+    return Condition(finger_condition, left, right, cell[1], placement, cell[2])
+
+
+def period_of_turns(protocol: Protocol) -> int:
+    """Return after how many turns orders of finger conditions, placements and rows repeat together.
+
+    Parameters
+    ----------
+    protocol : Protocol
+        The design.
+    """
+    n_orders = len(_orders_of_finger_conditions(protocol)) * len(protocol.conditions.placements)
+    return math.lcm(n_orders, period_of_rows(protocol))
+
+
+def turn_of(participant: str, seed: int, session: int) -> Turn:
+    """Return which of several balanced orders is a participant's by number or hash.
+
+    Sessions of one participant take turns too, so nothing is drawn anew for them.
+
+    Parameters
+    ----------
+    participant, seed, session
+        As `draw_schedule` takes them.
+    """
+    ending = re.search(r"[0-9]+$", participant)
+    if ending is not None:
+        return Turn(int(ending.group()[-18:]) - 1 + session - 1, "number of the participant")
+    stream = Stream(seed, participant, 1, "order of finger conditions")
+    return Turn(stream.below(2**64) + session - 1, "hash of the participant")
+
+
+def recorded_turn(start: dict[str, Any]) -> Turn | None:
+    """Return the turn that a start record keeps; None where the participant's number or hash decided.
+
+    Parameters
+    ----------
+    start : dict
+        Start record of a session.
+    """
+    schedule = start.get("schedule", {})
+    return Turn(int(schedule["turn"]), str(schedule["turn_by"])) if "turn" in schedule else None
+
+
+def _check_arguments(participant: str, seed: int, session: int) -> None:
+    if not participant:
+        raise ValueError("participant is empty; give an identifier such as p01")
+    if seed < 0:
+        raise ValueError(f"the seed is {seed}; it must be 0 or above")
+    if session < 1:
+        raise ValueError(f"the session is {session}; sessions count from 1")
+
+
+def _purpose_of_order(finger_condition: str) -> str:
+    return f"order within {finger_condition}"
+
+
+def _purpose_of_catches(finger_condition: str) -> str:
+    return f"catch trials within {finger_condition}"
+
+
+def _draw_practice(protocol: Protocol, stream: Stream) -> list[Cell]:
+    """Return the cells to practise, none again before all others have come."""
+    conditions, n_trials = protocol.conditions, protocol.schedule.all_practice_trials
+    cells = [
+        (pair, level, stimulus)
+        for pair in conditions.zone_pairs
+        for level in protocol.scheduled_levels
+        for stimulus in protocol.stimulus_names
+    ]
+    drawn: list[Cell] = []
+    while len(drawn) < n_trials:
+        drawn += stream.shuffled(cells)
+    return drawn[:n_trials]
+
+
+def _number(conditions: Iterable[Condition], *, block: int, first: int) -> tuple[Trial, ...]:
+    """Return the conditions as trials, those of block 0 for practice; repetitions count as they are presented."""
+    seen: Counter[Condition] = Counter()
+    trials = []
+    for index, condition in enumerate(conditions, start=first):
+        seen[condition] += 1
+        trials.append(Trial(index, block, condition, seen[condition], practice=block == 0))
+    return tuple(trials)
+
+
+def _brief(trial: Trial) -> list[Any]:
+    condition = trial.condition
+    values = [trial.block, condition.finger_condition, *condition.pair, condition.velocity_mm_s, condition.placement]
+    return [*values, condition.stimulus] if condition.stimulus else values

@@ -1,0 +1,131 @@
+"""What a start record says of its order, its drive and its levels, against what its own texts give."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from typing import Any
+
+from modaltouch.protocol import Protocol
+from modaltouch.protocol.schedule import Schedule, draw_schedule, recorded_turn
+from modaltouch.record.audit.restored import Restored
+from modaltouch.record.chain import read_chain
+from modaltouch.record.folders import locate
+from modaltouch.record.session import Session
+from modaltouch.rig.interface import is_simulated
+
+Checked = Iterator[tuple[bool, str]]
+"""Whether something holds, and which words say so; empty words where there is nothing to say."""
+
+
+def levels_of(protocol: Protocol, start: dict[str, Any]) -> Protocol:
+    """Return the protocol at the participant's own levels, where the start record keeps such."""
+    own = start.get("sensation_levels")
+    return protocol.with_levels(tuple(own["levels_mm_s"])) if own else protocol
+
+
+def check_beginning(session: Session, restored: Restored, protocol: Protocol, schedule: Schedule) -> Checked:
+    """Yield for each part of the start record whether it holds, and in which words.
+
+    Parameters
+    ----------
+    session : Session
+        As its log tells it.
+    restored : Restored
+        What its texts give.
+    protocol : Protocol
+        The protocol at the participant's own levels, where there are such.
+    schedule : Schedule
+        The order drawn again.
+    """
+    place = f"{session.path}:1:"
+    yield _check_texts(session.start, protocol, place)
+    yield _check_mode(session.start, place)
+    seed = session.start["seed"]
+    if schedule.as_dict() == session.start["schedule"]:
+        yield True, f"order of {len(schedule.trials)} trials drawn again from seed {seed}: the same"
+    else:
+        yield False, f"{place} seed {seed} draws another order than the recorded one"
+    yield _check_drive(session.start, restored, place)
+    if session.start.get("sensation_levels"):
+        yield _check_own_levels(session, restored, place)
+
+
+def draw_again(session: Session, protocol: Protocol) -> Schedule:
+    """Return the order that the start record's seed draws.
+
+    Parameters
+    ----------
+    session : Session
+        As its log tells it.
+    protocol : Protocol
+        At the participant's own levels, where there are such.
+    """
+    start = session.start
+    return draw_schedule(protocol, start["participant"], start["seed"], session.drawn_as, given=recorded_turn(start))
+
+
+def _check_texts(start: dict[str, Any], protocol: Protocol, place: str) -> tuple[bool, str]:
+    for name, source in start["sources"].items():
+        if "sha256" in source and hashlib.sha256(source["text"].encode()).hexdigest() != source["sha256"]:
+            return False, f"{place} the text of its {name} file has another hash than it says"
+    if start["protocol"] != protocol.protocol:
+        return (
+            False,
+            f"{place} is a session of {start['protocol']!r}, its protocol file is {protocol.protocol!r}",
+        )
+    differing = _first_difference(start["design"], protocol.model_dump(mode="json"), start.get("schema", 1))
+    if differing:
+        return False, f"{place} its design has another {differing} than its protocol file"
+    return True, ""
+
+
+def _first_difference(recorded: dict[str, Any], given: dict[str, Any], schema: int) -> str:
+    """Return the name of the first section whose values differ; a key that either does not know tells nothing."""
+    for name in recorded.keys() & given.keys():
+        known, values = recorded[name], given[name]
+        if isinstance(known, dict) and isinstance(values, dict):
+            # Format 1 wrote the usual length of a stimulus where none was given.
+            skipped = {"presentation_s"} if schema == 1 else set()
+            shared = (known.keys() & values.keys()) - skipped
+            known, values = ({key: each[key] for key in shared} for each in (known, values))
+        if known != values:
+            return name
+    return ""
+
+
+def _check_mode(start: dict[str, Any], place: str) -> tuple[bool, str]:
+    real = start["rig_choice"] != "simulated" and start["answers_choice"] == "window"
+    if start["mode"] == "simulated" or (real and not is_simulated(str(start["rig"]["identity"]))):
+        return True, ""
+    return False, f"{place} is called a {start['mode']} session, and its rig or its answers were simulated"
+
+
+def _check_drive(start: dict[str, Any], restored: Restored, place: str) -> tuple[bool, str]:
+    burst, recorded = restored.preflight.stimulus.burst, start["stimulus"]
+    found, said, hashes = burst.content_hash, recorded["content_hash"], recorded.get("content_hashes")
+    if found != said or (hashes is not None and hashes != restored.hashes):
+        return False, f"{place} the drive computed again has the hash {found[:12]}, the record says {said[:12]}"
+    if recorded.get("amplitude_Vpp", list(burst.amplitude)) != list(burst.amplitude):
+        return False, f"{place} the drive computed again has the amplitudes {burst.amplitude} Vpp, the record others"
+    return (
+        True,
+        f"{f'drives of {len(hashes)} stimuli' if hashes else 'drive'} computed again: the same codes ({found[:12]})",
+    )
+
+
+def _check_own_levels(session: Session, restored: Restored, place: str) -> tuple[bool, str]:
+    """Return whether the levels follow from the participant's threshold, and that from the session that found it."""
+    own, section = session.start["sensation_levels"], restored.protocol.conditions.sensation_levels
+    threshold = f"threshold of {own['threshold_mm_s']:g} mm/s"
+    follow = section is not None and list(section.levels(own["threshold_mm_s"])) == own["levels_mm_s"]
+    if section is None or not follow or list(section.multiples) != own["multiples"]:
+        return False, f"{place} its levels do not follow from the {threshold}"
+    if own["found"] != "session":
+        return True, f"levels follow from the {threshold}, as it was given"
+    log = locate(session.path, session.mode, session.protocol).results / own["session"]
+    if not log.exists():
+        return True, f"levels follow from the {threshold}; {log}, which found it, is not here"
+    if read_chain(log).last_check != own["last_check"]:
+        return False, f"{log}: has changed since the {threshold} was taken from it"
+    return True, f"levels follow from the {threshold}, found in {own['session']}"

@@ -1,0 +1,91 @@
+"""The experiment of a record, made again from the texts that its start record keeps."""
+
+from __future__ import annotations
+
+from functools import cached_property, lru_cache
+
+from modaltouch.preflight import examine_findings
+from modaltouch.protocol import Sources, examine_sources
+from modaltouch.protocol.adaptive_rules import Levels
+from modaltouch.protocol.trial import Condition, Trial
+from modaltouch.rig.interface import RigError
+from modaltouch.rig.settings import Limits, amplitudes, record_peaks
+
+UNTOLD = (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError, RigError)
+"""What a line raises that does not say what is asked of it."""
+
+
+class Restored:
+    """What depends on the texts of a record alone: all sessions of a study share it.
+
+    Parameters
+    ----------
+    sources : Sources
+        The texts.
+
+    Raises
+    ------
+    InputError
+        With every fault of them.
+    """
+
+    def __init__(self, sources: Sources) -> None:
+        self.preflight = examine_findings(examine_sources(sources)).require()
+        self.protocol = self.preflight.experiment.protocol
+        self._limits = Limits.of(self.preflight.experiment.apparatus)
+        self._speeds: dict[Condition, tuple[float, float]] = {}
+        self.agreed: set[tuple[str, float, tuple[float, ...], tuple[float, ...]]] = set()
+        """Stimulus, level, commanded and read back amplitudes that were found to agree."""
+        self._amplitudes: dict[tuple[str, float], tuple[float, ...]] = {}
+
+    @cached_property
+    def levels(self) -> Levels:
+        """What decides the levels of an adaptive run."""
+        return Levels(self.protocol)
+
+    @cached_property
+    def hashes(self) -> dict[str, str]:
+        """Hash of the codes of each stimulus, by name."""
+        return self.preflight.content_hashes
+
+    def speeds_mm_s(self, trial: Trial) -> tuple[float, float]:
+        """Return the predicted peak speeds under the left and the right finger in a trial [mm/s]."""
+        if trial.condition not in self._speeds:
+            left, right = self.preflight.speeds(trial)
+            self._speeds[trial.condition] = left * 1e3, right * 1e3
+        return self._speeds[trial.condition]
+
+    def amplitudes(self, stimulus: str, level_mm_s: float) -> tuple[float, ...]:
+        """Return the amplitude of each channel for a stimulus at a level [V peak to peak].
+
+        Parameters
+        ----------
+        stimulus : str
+            Its name; in a catch trial, which has none, the first is set.
+        level_mm_s : float
+            Peak velocity at the focus [mm/s].
+
+        Raises
+        ------
+        RigError
+            If the level is beyond a limit.
+        """
+        names = self.protocol.stimulus_names
+        which = names.index(stimulus) if stimulus in names else 0
+        key = names[which], level_mm_s
+        if key not in self._amplitudes:
+            burst = self.preflight.bursts[which]
+            self._amplitudes[key] = amplitudes(burst, record_peaks(burst), level_mm_s * 1e-3, self._limits)
+        return self._amplitudes[key]
+
+
+@lru_cache(maxsize=4)
+def restore(sources: Sources) -> Restored:
+    """Return the experiment of a record; that of the latest few is kept.
+
+    Raises
+    ------
+    InputError
+        With every fault of the texts.
+    """
+    return Restored(sources)

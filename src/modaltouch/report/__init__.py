@@ -1,0 +1,1 @@
+"""Figures, pages and files in one style, for whatever analysis, planning and lab have to show."""

@@ -1,0 +1,187 @@
+"""Which session comes next, and which balanced order a participant gets, from the records on disk.
+
+Participants take turns in the order of finger conditions, the placement and the row of a Latin square. By number,
+p01 has the first turn, p02 the second, and whoever drops out leaves a gap. By the records, a new participant gets
+the turn that fewest have filled, so a gap is filled again. A turn is filled by a participant whose latest session
+is complete or is being run now; one whose latest session was left incomplete decides only between turns that are
+otherwise filled alike, since it may still be resumed.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from modaltouch.protocol import Protocol
+from modaltouch.protocol.schedule import Turn, period_of_turns, recorded_turn, turn_of
+from modaltouch.record.chain import RecordError, UnreadableLineError, read_object
+from modaltouch.record.folders import LOG_NAME, SessionFolder
+from modaltouch.record.session import Session, read_session
+from modaltouch.record.shape import check_shape
+from modaltouch.system.locking import is_locked
+
+_TAIL = 4096
+"""Bytes at the end of a log that hold its last line, if that is a stop."""
+
+
+@dataclass(frozen=True)
+class Allotment:
+    """A participant's turn and why it is theirs.
+
+    Attributes
+    ----------
+    turn : Turn
+        Number and reason.
+    n_turns : int
+        Turns there are before orders, placements and rows repeat.
+    filled, left : dict of int to int
+        How many other participants had filled each turn, and left it incomplete; turns without any are not in it.
+    """
+
+    turn: Turn
+    n_turns: int
+    filled: dict[int, int]
+    left: dict[int, int]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as plain values for the record."""
+        return {
+            "rule": "least_filled",
+            "turn": self.turn.number,
+            "reason": self.turn.reason,
+            "n_turns": self.n_turns,
+            "filled": {str(turn): n for turn, n in sorted(self.filled.items())},
+            "left_incomplete": {str(turn): n for turn, n in sorted(self.left.items())},
+        }
+
+
+def allot(place: SessionFolder, protocol: Protocol, drawn_as: int) -> Allotment:
+    """Return the turn of a participant whose session begins; to be called while the dataset is held.
+
+    Parameters
+    ----------
+    place : SessionFolder
+        Where the session will be.
+    protocol : Protocol
+        The design.
+    drawn_as : int
+        Number of the session in the participant's own count; each has the turn after the one before.
+
+    Raises
+    ------
+    RecordError
+        If a session cannot be read.
+    """
+    n_turns = period_of_turns(protocol)
+    filled: Counter[int] = Counter()
+    left: Counter[int] = Counter()
+    own: int | None = None
+    for participant, first, latest in _participants(place.dataset):
+        base = _first_turn(first) % n_turns
+        if participant == place.participant:
+            own = base
+        else:
+            counter = filled if _is_complete(latest) or is_locked(latest) else left
+            counter[base] += 1
+    if own is not None:
+        reason = "the participant's earlier sessions"
+    else:
+        own = min(range(n_turns), key=lambda turn: (filled[turn], left[turn], turn))
+        reason = "least filled in the records"
+    return Allotment(Turn(own + drawn_as - 1, reason), n_turns, dict(filled), dict(left))
+
+
+def next_session(place: SessionFolder, n_sessions: int) -> tuple[SessionFolder, int]:
+    """Return the place of a participant's next session, and its number in the participant's own count.
+
+    The count leaves out sessions that were begun anew; without any of these both numbers are the same.
+
+    Parameters
+    ----------
+    place : SessionFolder
+        Of any session of the participant.
+    n_sessions : int
+        Sessions of each participant.
+
+    Raises
+    ------
+    RecordError
+        If the latest session is not complete, or there are as many as the protocol has.
+    """
+    every = [read_session(log) for log in _logs_of(place.dataset / f"sub-{place.participant}")]
+    for each in every:
+        if not each.start or check_shape(each.events, ""):
+            fault = (*each.problems, f"{each.path}:1: is no start record")[0]
+            way = f"see `modaltouch doctor {each.path.parent}`, or give --session"
+            raise RecordError(f"{fault}; so the participant's next session is not known: {way}")
+    if not every:
+        return replace(place, session=1), 1
+    latest = every[-1]
+    folder = latest.path.parent
+    number = _number(latest.path) + 1
+    faults = "".join(f"\n{fault}" for fault in latest.problems)
+    if not latest.complete:
+        raise RecordError(
+            f"{latest.path}: this session exists already and is not complete; continue it with `modaltouch resume "
+            f"{folder}`, or begin another with --session {number}{faults}"
+        )
+    held = [session for session in every if session.begun_anew_as is None]
+    if len(held) >= n_sessions:
+        what = "its one session" if n_sessions == 1 else f"all {n_sessions} sessions"
+        raise RecordError(
+            f"{latest.path}: participant {place.participant} exists already and has had {what} of the protocol, and "
+            f"nothing is overwritten; give another participant id, or --session {number} for one more{faults}"
+        )
+    return replace(place, session=number), len(held) + 1
+
+
+def _participants(dataset: Path) -> Iterator[tuple[str, Session, Path]]:
+    """Yield every participant with a start record: the beginning of their first session, and the log of their latest.
+
+    Of a thousand participants only the first and last lines are read, as the dataset is held meanwhile.
+    """
+    for folder in sorted(dataset.glob("sub-*")):
+        logs = _logs_of(folder)
+        begun = [Session(log, _first_line(log), ()) for log in logs[:1]]
+        if begun and begun[0].start:
+            yield folder.name.removeprefix("sub-"), begun[0], logs[-1]
+
+
+def _first_line(log: Path) -> tuple[dict[str, Any], ...]:
+    try:
+        with log.open("rb") as file:
+            return (read_object(file.readline()),)
+    except (OSError, UnreadableLineError):
+        return ()
+
+
+def _is_complete(log: Path) -> bool:
+    """Return whether no answer is missing: its last line says so, or else all of them together."""
+    try:
+        with log.open("rb") as file:
+            file.seek(max(file.seek(0, os.SEEK_END) - _TAIL, 0))
+            last = read_object(file.read().rstrip(b"\n").rsplit(b"\n", 1)[-1])
+    except (OSError, UnreadableLineError):
+        last = {}
+    return bool(last.get("event") == "stop" and last.get("complete")) or read_session(log).complete
+
+
+def _logs_of(folder: Path) -> list[Path]:
+    """Return the logs of a participant's sessions in order of their numbers."""
+    return sorted(folder.glob(f"ses-*/beh/{LOG_NAME}"), key=_number)
+
+
+def _number(log: Path) -> int:
+    name = log.parent.parent.name.removeprefix("ses-")
+    return int(name) if name.isdecimal() else 0
+
+
+def _first_turn(session: Session) -> int:
+    """Return the turn that a participant's first session would have, from that of any."""
+    start = session.start
+    turn = recorded_turn(start) or turn_of(session.participant, int(start["seed"]), session.drawn_as)
+    return turn.number - (session.drawn_as - 1)

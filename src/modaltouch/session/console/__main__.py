@@ -1,0 +1,117 @@
+"""The console's own process: draws how the session stands, and sends what the experimenter types.
+
+``python -m modaltouch.session.console KEYS SCREEN EMERGENCY`` with the descriptors of the terminal's two sides and the names
+of the keys for emergencies. Facts come on standard input and requests go to standard output, a JSON object a line.
+It ends when standard input does: so the terminal is given back even if the session was killed.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import queue
+import signal
+import sys
+import threading
+import time
+from contextlib import suppress
+from typing import Any, TextIO
+
+from rich.console import Console, ConsoleDimensions
+from rich.live import Live
+
+from modaltouch.session.console.dialogue import Dialogue
+from modaltouch.session.console.drawing import draw_session
+from modaltouch.session.console.keyboard import Keyboard, open_keyboard
+from modaltouch.system.clock import SYSTEM_CLOCK
+
+_GLANCE = 0.1
+"""How often the reader of keys looks whether the session has ended [s]."""
+_REFRESH = 1.0
+"""The picture is drawn anew this often, for its clock, and over what else was written to the terminal [s]."""
+
+
+News = queue.Queue[dict[str, Any] | None]
+"""Facts to be shown; empty ones where a key was pressed; None at the end."""
+
+
+def main() -> None:
+    """Show and ask until the session ends."""
+    keys, screen, emergency = int(sys.argv[1]), int(sys.argv[2]), sys.argv[3].split(",")
+    # Ctrl-C goes to every process of the terminal; it is the session that ends by it, and ends this one.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for name in ("SIGTERM", "SIGHUP"):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), _end)
+    target = "CONOUT$" if sys.platform == "win32" else screen
+    news: News = queue.Queue()
+    dialogue = Dialogue(emergency)
+    threading.Thread(target=_listen, args=(news, dialogue), daemon=True).start()
+    with open(target, "w", encoding="utf-8", closefd=sys.platform == "win32") as file, open_keyboard(keys) as keyboard:
+        # A thread of its own, so that no key waits for a picture.
+        threading.Thread(target=_read, args=(keyboard, dialogue, news), daemon=True).start()
+        with suppress(OSError):  # the terminal is gone
+            _show(news, file, dialogue)
+
+
+def _show(news: News, file: TextIO, dialogue: Dialogue) -> None:
+    """Draw whatever is new until the end."""
+    console = Console(file=file, force_terminal=True)
+    known, came = None, 0.0
+    with Live(console=console, screen=True, auto_refresh=False, redirect_stdout=False, redirect_stderr=False) as live:
+        while True:
+            try:
+                said = [news.get(timeout=_REFRESH)]
+            except queue.Empty:
+                said = []
+            while not news.empty():
+                said.append(news.get())
+            if None in said:
+                return
+            facts = [each for each in said if each]
+            if facts:
+                known, came = facts[-1], time.monotonic()
+            if known is not None:
+                size = os.get_terminal_size(file.fileno()) if sys.platform != "win32" else console.size
+                console.size = ConsoleDimensions(max(size[0], 40), max(size[1], 12))
+                since = time.monotonic() - came
+                width, height = console.size
+                picture = draw_session(
+                    known, dialogue.prompt, width=width, height=height, since_s=since, emergency=dialogue.emergency
+                )
+                live.update(picture, refresh=True)
+
+
+def _read(keyboard: Keyboard, dialogue: Dialogue, news: News) -> None:
+    """Turn keys into requests until the terminal is gone."""
+    try:
+        while True:
+            for key in keyboard.read(_GLANCE):
+                at = SYSTEM_CLOCK.now()
+                request = dialogue.press(key)
+                if request is not None:
+                    said = {"command": request.command, "text": request.text, "at": at}
+                    sys.stdout.write(json.dumps(said) + "\n")
+                    sys.stdout.flush()
+                news.put({})
+    except (EOFError, OSError):
+        news.put(None)
+
+
+def _listen(news: News, dialogue: Dialogue) -> None:
+    """Take facts from standard input until it ends."""
+    try:
+        for line in sys.stdin:
+            facts = json.loads(line)
+            dialogue.hear(facts)
+            news.put(facts)
+    finally:
+        news.put(None)
+
+
+def _end(*_: object) -> None:
+    sys.exit(0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,199 @@
+"""How a session stands, drawn for a terminal of any size from 40 by 12 characters; readable without colour."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Sequence
+from typing import Any
+
+from rich.console import Group, RenderableType
+from rich.rule import Rule
+from rich.text import Text
+
+from modaltouch.session.console.interface import Facts
+
+STATES = {
+    "waiting": "between trials",
+    "trial": "trial on",
+    "paused": "PAUSED",
+    "break": "break",
+    "ended": "ended",
+}
+HELP = ("p pause", "space go on", "r repeat last trial", "n note", "b end after this block", "q stop")
+_HELP_IN_SHORT = ("p pause", "space go on", "r repeat", "n note", "b end block", "q stop")
+_ARROWS = {name: f"{name} arrow" for name in ("left", "right", "up", "down")}
+_LOW = 20
+"""A terminal of fewer lines than this is told less [lines]."""
+_BAR = 40
+"""Greatest width of the bar of progress [characters]."""
+_NAMES = 14
+"""Width of the column of names [characters]."""
+_MOST_WARNINGS = 4
+_DISPENSABLE = ("generator", "answers", "predicted", "asked", "outputs", "last answer", "fingers")
+"""What a low terminal does without, the first first."""
+
+
+def draw_session(
+    facts: Facts, prompt: str, *, width: int, height: int = 24, since_s: float = 0.0, emergency: str = "f12"
+) -> RenderableType:
+    """Return the console's picture.
+
+    Parameters
+    ----------
+    facts : dict
+        How the session stands (`status.Status.facts`).
+    prompt : str
+        The line that asks the experimenter something, or tells of a key.
+    width, height : int
+        Size of the terminal [characters].
+    since_s : float
+        Age of the facts, for the times to run on [s].
+    emergency : str
+        Name of the key for emergencies.
+    """
+    mode = "" if facts["mode"] == "real" else f"[{facts['mode'].upper()}] "
+    head = f"{mode}{facts['participant']}, session {facts['session']}, {facts['protocol']}"
+    state = STATES.get(str(facts["state"]), str(facts["state"]))
+    keys, effect = (HELP, ": outputs off at once") if height >= _LOW else (_HELP_IN_SHORT, "")
+    foot = [
+        *_wrap("   ".join(key.replace(" ", "\N{NO-BREAK SPACE}") for key in keys), width, "dim"),
+        *_wrap(f"{emergency.upper()} or x   EMERGENCY STOP{effect}", width, "bold"),
+        *(_wrap(prompt, width, "bold") or [Text("")]),
+    ]
+    rows = [
+        ("state", f"{state}{_describe_cause(facts)}"),
+        *([("answer by", _describe_question(facts["question"]))] if facts["question"] is not None else []),
+        ("progress", describe_progress(facts, since_s, width - _NAMES)),
+        *describe_trial(facts["trial"]),
+        *_describe_generator(facts["generator"]),
+        ("last answer", describe_last(facts["last"])),
+        ("answers", ", ".join(f"{answer} {count}" for answer, count in sorted(facts["answers"].items())) or "-"),
+        ("asked", _describe_wishes(facts)),
+    ]
+    # Two rules, a line for the cursor, and the warnings, of which a low terminal shows the first.
+    room = height - 3 - len(foot)
+    warnings = _describe_warnings(facts["warnings"][: _MOST_WARNINGS if height >= 24 else 1], width)
+    table = _draw_rows(rows, width, room - len(warnings))
+    return Group(Rule(Text(head, style="bold"), style="dim"), *table, Rule(style="dim"), *warnings, *foot)
+
+
+def _draw_rows(rows: Sequence[tuple[str, str]], width: int, room: int) -> list[Text]:
+    """Return as many rows as there is room for, long ones on several lines."""
+    spared = ["last error"] if ("last error", "none") in rows else []
+    spared += [name for name, words in rows if words == "-"]
+    spared += [name for name in _DISPENSABLE if name not in spared]
+    kept = list(rows)
+    while True:
+        lines = [line for name, words in kept for line in _draw_row(name, words, width)]
+        gone = next((name for name in spared if any(name == kept_name for kept_name, _ in kept)), None)
+        if len(lines) <= room or gone is None:
+            return lines[: max(room, 1)]
+        kept = [row for row in kept if row[0] != gone]
+
+
+def _draw_row(name: str, words: str, width: int) -> list[Text]:
+    told = textwrap.wrap(words, max(width - _NAMES - 1, 20), max_lines=3, placeholder=" ...") or ["-"]
+    style = {"state": "bold reverse" if words.startswith(STATES["paused"]) else "bold", "last error": "bold"}.get(
+        name, ""
+    )
+    return [
+        Text.assemble((f" {'' if place else name:{_NAMES - 1}}", "dim"), (line, style), no_wrap=True)
+        for place, line in enumerate(told)
+    ]
+
+
+def _wrap(words: str, width: int, style: str) -> list[Text]:
+    return [Text(f" {line}", style=style, no_wrap=True) for line in textwrap.wrap(words, max(width - 2, 20))]
+
+
+def describe_progress(facts: Facts, since_s: float = 0.0, width: int = 80) -> str:
+    """Return the bar of progress, as far as it fits a width [characters], the count, and the time left."""
+    done, total = facts["n_answered"], max(facts["n_trials"], 1)
+    ticking = since_s if facts["state"] != "ended" else 0.0
+    left = max(facts["time_left_s"] - (ticking if facts["state"] == "trial" else 0.0), 0.0)
+    said = f"{done} of {facts['n_trials']}, {_minutes(left)} left"
+    length = min(_BAR, width - len(said) - 3)
+    full = round(length * min(done / total, 1))
+    return f"{'#' * full}{'.' * (length - full)} {said}" if length > 5 else said
+
+
+def describe_trial(trial: dict[str, Any] | None) -> list[tuple[str, str]]:
+    """Return what is presented, in three rows."""
+    if trial is None:
+        return [("trial", "-"), ("fingers", "-"), ("predicted", "-")]
+    number = f"practice {trial['number']}" if trial["practice"] else f"{trial['number']}, block {trial['block']}"
+    which = f"{trial['stimulus']} at " if trial.get("stimulus") else ""
+    level = "catch trial" if trial["velocity_mm_s"] == 0 else f"{which}{trial['velocity_mm_s']:g} mm/s"
+    placed = "" if trial["placement"] == "normal" else f" ({trial['placement'].replace('_', ' ')})"
+    fingers = f"{trial['finger_left']} on {trial['zone_left']}, {trial['finger_right']} on {trial['zone_right']}"
+    left, right = (f"{trial[f'predicted_{side}_mm_s']:.3g} mm/s" for side in ("left", "right"))
+    return [
+        ("trial", f"{number}, {level}"),
+        ("fingers", f"{fingers}{placed}"),
+        ("predicted", f"left {left}, right {right}"),
+    ]
+
+
+def describe_last(last: dict[str, Any] | None) -> str:
+    """Return the last answer in words."""
+    if last is None:
+        return "-"
+    kind = "practice" if last["practice"] else "trial"
+    since = {"first_burst": "first burst", "question": "question"}.get(last["counted_from"], last["counted_from"])
+    return f"{last['answer']}, {last['reaction_time_s']:.2f} s after the {since} ({kind} {last['number']})"
+
+
+def _describe_cause(facts: Facts) -> str:
+    """Return why a session is paused or has ended, after its state."""
+    if facts["state"] == "paused" and facts["paused_by"] == "lost focus":
+        return ": the window lost the keyboard; click into it"
+    if facts["state"] == "paused":
+        return f" by the {facts['paused_by']}"
+    return f": {facts['stopped_by']}" if facts["stopped_by"] else ""
+
+
+def _describe_generator(generator: dict[str, Any]) -> list[tuple[str, str]]:
+    volts = " and ".join(f"{value:.3g}" for value in generator["amplitude_Vpp"])
+    played = f", {volts} Vpp" if generator["outputs"] == "on" and volts else ""
+    sure = {True: ", confirmed", False: ", NOT CONFIRMED", None: ""}[generator["confirmed"]]
+    name = ", ".join(part.strip() for part in generator["identity"].split(",")[:3])
+    return [
+        ("generator", name or "-"),
+        ("outputs", f"{generator['outputs'].upper()}{played}{sure}"),
+        ("last error", generator["last_error"] or "none"),
+    ]
+
+
+def _describe_question(question: dict[str, Any]) -> str:
+    """Return by which keys of the console each answer is typed, while a trial is on."""
+    if not question["open"]:
+        return "-"
+    named = {answer: " or ".join(_ARROWS.get(key, key) for key in keys) for answer, keys in question["keys"].items()}
+    return "; ".join(f"{answer}: {keys}" for answer, keys in named.items())
+
+
+def _describe_wishes(facts: Facts) -> str:
+    wishes = []
+    if facts["too_early"]:
+        wishes.append(f"{facts['too_early']} came before the question and does not count")
+    if facts["repeats_trial"] is not None:
+        kind = "practice" if facts["repeats_practice"] else "trial"
+        wishes.append(f"repeat {kind} {facts['repeats_trial']} after this one (r takes it back)")
+    elif facts["nothing_to_repeat"]:
+        wishes.append("nothing to repeat: no trial of this part is answered yet")
+    if facts["ends_after_block"]:
+        wishes.append("end after this block (b takes it back)")
+    if facts["n_notes"]:
+        wishes.append(f"{facts['n_notes']} note{'s' * (facts['n_notes'] > 1)} kept")
+    return ", ".join(wishes) or "-"
+
+
+def _describe_warnings(warnings: list[str], width: int) -> list[Text]:
+    if not warnings:
+        return [Text(" no warnings", style="dim")]
+    shortened = [textwrap.shorten(f"! {warning}", max(width - 2, 20), placeholder="...") for warning in warnings]
+    return [Text(f" {words}", style="yellow", no_wrap=True) for words in shortened]
+
+
+def _minutes(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"

@@ -1,0 +1,113 @@
+"""What the experimenter asked for, kept until the session acts upon it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from modaltouch.session.console.interface import Console, Silence
+from modaltouch.session.console.status import Status
+from modaltouch.window.interface import SessionStopped, TypedAnswer, Wish
+
+
+class Experimenter:
+    """The session's ear and mouth towards the experimenter.
+
+    Parameters
+    ----------
+    console : Console, optional
+        Where it is shown and asked; nowhere by default.
+    record : callable, optional
+        Takes what was asked for the record, as ``record(event, **facts)``.
+    status : Status, optional
+        How the session stands.
+    """
+
+    def __init__(
+        self,
+        console: Console | None = None,
+        record: Callable[..., Any] = lambda event, **facts: None,
+        status: Status | None = None,
+    ) -> None:
+        self._console = console or Silence()
+        self._record = record
+        self._status = status or Status()
+        self._last: dict[str, Any] | None = None
+        self._repeats: dict[str, Any] | None = None
+        self.ends_after_block = False
+        """Whether the session ends before the next block."""
+
+    def tell(self, event: dict[str, Any], *, replayed: bool = False) -> None:
+        """Take in an event of the record, replayed or new, or one that happens now, and show what it changed."""
+        if event["event"] in ("answered", "trial"):
+            self._last = event
+            if self._repeats is not None and self._repeats["n"] == event.get("answered"):
+                # Asked for as the answer stood there, before its trial was over: the line that counts is this one.
+                self._repeats = event
+        elif event["event"] == "withdrawn" and self._last is not None and self._last["n"] in event["lines"]:
+            self._last = None
+        if self._status.take(event, replayed=replayed):
+            self._console.show(self._status.facts())
+        if event["event"] == "practice_round" or (event["event"] == "trial_next" and not event["trial"]["practice"]):
+            self._leave_practice()
+
+    def attend(self) -> Wish | None:
+        """Take in what was asked, and return what it asks of the window; cheap, called about every millisecond.
+
+        Raises
+        ------
+        SessionStopped
+            If the session is to end now.
+        """
+        wish: Wish | None = None
+        for request in self._console.requests():
+            if request.command == "emergency_stop":
+                # Nothing is written before the outputs are off; the stop record will say why.
+                raise SessionStopped("emergency stop")
+            if request.command == "answer":
+                # The line of the answer says it all; nothing is written while a question is open.
+                answer = self._status.answer_by(request.text)
+                wish = wish if answer is None else TypedAnswer(answer, request.text, request.at)
+                continue
+            self._record("experimenter", asks=request.command, **({"text": request.text} if request.text else {}))
+            if request.command == "stop":
+                raise SessionStopped("experimenter")
+            if request.command == "pause":
+                wish = "continue" if self._status.paused else "pause"
+            elif request.command == "go_on":
+                wish = "continue"
+            elif request.command == "end_after_block":
+                self.ends_after_block = not self.ends_after_block
+                self._show_wishes()
+            elif request.command == "repeat":
+                is_refused = self._repeats is None and self._last is None
+                self._repeats = None if self._repeats is not None else self._last
+                self._show_wishes(nothing_to_repeat=is_refused)
+        return wish
+
+    def take_repeat(self) -> dict[str, Any] | None:
+        """Return the trial event that is to be asked again, once."""
+        repeats, self._repeats = self._repeats, None
+        if repeats is not None:
+            self._show_wishes()
+        return repeats
+
+    def _leave_practice(self) -> None:
+        """Repeat no practice trial any more: its round is judged, or the trials that count have begun."""
+        if self._last is not None and self._last["trial"]["practice"]:
+            self._last = None
+        if self._repeats is not None and self._repeats["trial"]["practice"]:
+            self._repeats = None
+            self._show_wishes(nothing_to_repeat=True)
+
+    def _show_wishes(self, *, nothing_to_repeat: bool = False) -> None:
+        trial = {} if self._repeats is None else self._repeats["trial"]
+        self.tell(
+            {
+                "event": "wishes",
+                "ends_after_block": self.ends_after_block,
+                "repeats_trial": trial.get("index"),
+                "repeats_practice": trial.get("practice", False),
+                "nothing_to_repeat": nothing_to_repeat,
+            }
+        )

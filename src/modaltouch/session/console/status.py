@@ -1,0 +1,346 @@
+"""The session's events -> how it stands, as plain values with units."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from modaltouch.protocol.trial import Answer
+from modaltouch.session.console.dialogue import OWN_KEYS
+from modaltouch.session.console.interface import Facts
+from modaltouch.window.events import canonical_key
+
+HASTY = 0.1
+"""Nobody feels, decides and presses within this time: such an answer was ready before its question [s]."""
+
+
+def read_signs(trials: Sequence[dict[str, Any]], *, offers_none: bool = False) -> list[str]:
+    """Return what is worth a look, in words; empty where nothing is.
+
+    Parameters
+    ----------
+    trials : sequence of dict
+        The trial events that count, practice left out.
+    offers_none : bool
+        Whether ``none`` can be answered: else no catch trial can be told from a real one.
+    """
+    missed = _count_missed(trials) if offers_none else ""
+    signs = [_count_hasty(trials), missed, _count_doubles(trials)]
+    return [sign for sign in signs if sign]
+
+
+def is_hasty(event: dict[str, Any]) -> bool:
+    """Return whether a trial was answered before anybody could have felt and decided."""
+    response = event["response"]
+    since = response["reaction_time"]
+    if response.get("onset") == "first_burst" and response.get("question_after") is not None:
+        since -= response["question_after"]
+    return bool(since < HASTY)
+
+
+def is_catch(event: dict[str, Any]) -> bool:
+    """Return whether nothing was presented in a trial."""
+    return bool(event["trial"]["condition"]["velocity_mm_s"] == 0)
+
+
+def _count_hasty(trials: Sequence[dict[str, Any]]) -> str:
+    hasty = [event["trial"]["index"] for event in trials if is_hasty(event)]
+    if not hasty:
+        return ""
+    return f"{_times(len(hasty))} answered within {HASTY * 1e3:.0f} ms of the question, last in trial {hasty[-1]}"
+
+
+def _count_missed(trials: Sequence[dict[str, Any]]) -> str:
+    caught = [event for event in trials if is_catch(event)]
+    missed = [event["trial"]["index"] for event in caught if event["response"]["answer"] != "none"]
+    if not missed:
+        return ""
+    return f"{len(missed)} of {len(caught)} catch trials felt as real, last trial {missed[-1]}"
+
+
+def _count_doubles(trials: Sequence[dict[str, Any]]) -> str:
+    doubles = [event["trial"]["index"] for event in trials if event["response"].get("double")]
+    return f"{_times(len(doubles))} two answers at once, last in trial {doubles[-1]}" if doubles else ""
+
+
+def _times(count: int) -> str:
+    return "once" if count == 1 else f"{count} times"
+
+
+_ORDER = ("left", "both", "right", "none")
+"""Answers as they stand on the screen, which numbers them from 1."""
+
+
+def typed_keys(keys: Mapping[str, Sequence[str]]) -> dict[str, list[str]]:
+    """Return the keys of each answer at a console, those of the protocol first.
+
+    The console's own keys keep their meaning at every moment, so an answer never has one of them. A terminal sends the
+    keypad's digits as any others. Each answer also has the number of its place on the screen, unless that is a key of
+    another answer; one that would be left without a key has the first free digit.
+
+    Examples
+    --------
+    >>> typed_keys({"left": ["left", "num_4"], "both": ["n"], "right": ["right", "2"]})
+    {'left': ['left', '4', '1'], 'both': ['5'], 'right': ['right', '2', '3']}
+    """
+    answers = [answer for answer in _ORDER if answer in keys]
+    taken: dict[str, str] = {}
+    for answer in answers:
+        for name in map(canonical_key, keys[answer]):
+            if name not in OWN_KEYS and not name.startswith("num_"):
+                taken.setdefault(name, answer)
+    for answer in answers:
+        for name in map(canonical_key, keys[answer]):
+            if name[:4] == "num_" and name[4:].isdecimal():
+                taken.setdefault(name[4:], answer)
+    for place, answer in enumerate(answers, start=1):
+        taken.setdefault(str(place), answer)
+    for answer in answers:
+        if answer not in taken.values():
+            taken[next(digit for digit in "123456789" if digit not in taken)] = answer
+    return {answer: [key for key, whose in taken.items() if whose == answer] for answer in answers}
+
+
+TROUBLES = frozenset(
+    {"connection_lost", "reconnect_failed", "instrument_errors", "upload_repeated", "unconfirmed", "close_failed"}
+)
+"""Events of the rig that an experimenter should know of."""
+_QUIET = frozenset({"rig", "exchange", "discarded", "ignored"})
+"""Events that change nothing an experimenter looks at."""
+_LONGEST = 300.0
+"""A trial that took longer than this was a break, and tells nothing about the next [s]."""
+
+
+class Status:
+    """How a session stands, kept up to date by its events.
+
+    Parameters
+    ----------
+    seconds_per_trial : float
+        What a trial takes before any has been answered [s].
+    clock : callable
+        Monotonic clock [s].
+    """
+
+    def __init__(self, seconds_per_trial: float = 5.0, clock: Callable[[], float] = time.perf_counter) -> None:
+        self._clock = clock
+        self._guess = seconds_per_trial
+        self._began = clock()
+        self._facts: Facts = {
+            "event": "",
+            "line": None,
+            "replayed": False,
+            "participant": "",
+            "session": 0,
+            "mode": "",
+            "protocol": "",
+            "state": "waiting",
+            "paused_by": "",
+            "stopped_by": "",
+            "trial": None,
+            "generator": {"identity": "", "outputs": "off", "amplitude_Vpp": [], "confirmed": None, "last_error": ""},
+            "last": None,
+            "question": None,
+            "too_early": "",
+            "ends_after_block": False,
+            "repeats_trial": None,
+            "repeats_practice": False,
+            "nothing_to_repeat": False,
+            "n_notes": 0,
+        }
+        self._total = 0
+        self._offers_none = False
+        self._trials: dict[int, dict[str, Any]] = {}
+        self._durations: list[float] = []
+        self._answered_at: float | None = None
+        self._held = "waiting"
+        self._unmasked = ""
+
+    def take(self, event: dict[str, Any], *, replayed: bool = False) -> bool:
+        """Take in an event of the record, or one that happens now, and return whether it changed what is shown.
+
+        Parameters
+        ----------
+        event : dict
+            With its name under ``event``, and the number of its line under ``n`` where it is one of the record.
+        replayed : bool
+            Whether it is of an earlier sitting, read again as the session goes on.
+        """
+        name = str(event["event"])
+        react = getattr(self, f"_on_{name}", None)
+        if react is not None:
+            react(event)
+        if name in TROUBLES:
+            self._facts["generator"]["last_error"] = _words(name, event)
+        if name in _QUIET and event.get("what") not in TROUBLES and not event.get("device"):
+            return False
+        self._facts |= {"event": name, "line": event.get("n"), "replayed": replayed}
+        return True
+
+    def answer_by(self, key: str) -> Answer | None:
+        """Return the answer that a key of the console gives now, if any."""
+        question = self._facts["question"]
+        keys = question["keys"].items() if question is not None and question["open"] else ()
+        return next((answer for answer, named in keys if key in named), None)
+
+    @property
+    def paused(self) -> bool:
+        """Whether the session waits for somebody to go on."""
+        return bool(self._facts["state"] == "paused")
+
+    def facts(self) -> Facts:
+        """Return how the session stands."""
+        answers = Counter(str(event["response"]["answer"]) for event in self._trials.values())
+        left = max(self._total - len(self._trials), 0)
+        return {
+            **self._facts,
+            "generator": dict(self._facts["generator"]),
+            "n_answered": len(self._trials),
+            "n_trials": self._total,
+            "answers": dict(answers),
+            "elapsed_s": round(self._clock() - self._began, 1),
+            "time_left_s": round(left * self._pace(), 1),
+            "warnings": [
+                *([self._unmasked] if self._unmasked else []),
+                *read_signs(list(self._trials.values()), offers_none=self._offers_none),
+            ],
+        }
+
+    def _pace(self) -> float:
+        """Return what a trial takes [s]: the median of those answered, once there are three."""
+        return statistics.median(self._durations[-20:]) if len(self._durations) >= 3 else self._guess
+
+    def _on_start(self, event: dict[str, Any]) -> None:
+        facts = self._facts
+        facts |= {name: event.get(name, facts[name]) for name in ("participant", "session", "mode", "protocol")}
+        self._total = event["schedule"]["n_trials"]
+        answers = event.get("design", {}).get("answers", {})
+        self._offers_none = "none" in answers.get("keys", {})
+        if "experimenter" in (answers.get("given_by"), *answers.get("ways", {}).values()):
+            facts["question"] = {"open": False, "keys": typed_keys(answers["keys"])}
+        self._on_resume(event)
+
+    def _on_resume(self, event: dict[str, Any]) -> None:
+        self._facts["generator"]["identity"] = event["rig"]["identity"]
+        self._facts |= {"state": "waiting", "paused_by": "", "stopped_by": ""}
+        self._answered_at = None
+        self._ask(on=False)
+        # An answer whose stimulus was never confirmed is asked for again.
+        self._trials = {index: event for index, event in self._trials.items() if event["event"] == "trial"}
+
+    def _ask(self, *, on: bool) -> None:
+        """Take answers at the console, or no more."""
+        self._facts["too_early"] = ""
+        if self._facts["question"] is not None:
+            self._facts["question"] = {**self._facts["question"], "open": on}
+
+    def _on_masking(self, event: dict[str, Any]) -> None:
+        self._unmasked = self._unmasked if event["state"] == "off" else ""
+
+    def _on_masking_lost(self, event: dict[str, Any]) -> None:
+        self._unmasked = f"the beam is not masked: {event['reason']}"
+
+    def _on_trial_next(self, event: dict[str, Any]) -> None:
+        self._facts |= {"state": "waiting", "trial": event["trial"], "nothing_to_repeat": False}
+
+    def _on_fired(self, event: dict[str, Any]) -> None:
+        firing = event["confirmed"]
+        self._facts["state"] = "trial"
+        self._ask(on=(self._facts["trial"] or {}).get("way") == "experimenter")
+        self._facts["generator"] |= {
+            "outputs": "on",
+            "amplitude_Vpp": list(firing["commanded_amplitude"]),
+            # As it begins nothing is confirmed yet, and nothing speaks against it.
+            "confirmed": firing["confirmed"] or (False if firing.get("reason") else None),
+        }
+
+    def _on_discarded(self, event: dict[str, Any]) -> None:
+        if event.get("device"):
+            self._facts["too_early"] = str(event["key"])
+
+    def _on_trial(self, event: dict[str, Any]) -> None:
+        firing, index = event["confirmed"], event["trial"]["index"]
+        self._facts["generator"] |= {"outputs": "off", "confirmed": firing["confirmed"]}
+        if firing.get("stalled"):
+            said = f"trial {index}: the computer was held up, and the stimulus comes again"
+            self._facts["generator"]["last_error"] = said
+        # Since format 2 of the record the line `answered` has told the answer already.
+        if event.get("answered") is None:
+            self._on_answered(event)
+        if not event["trial"]["practice"]:
+            if firing["confirmed"]:
+                self._trials[index] = event
+            elif event.get("answered") is not None:
+                self._trials.pop(index, None)
+
+    def _on_answered(self, event: dict[str, Any]) -> None:
+        self._ask(on=False)
+        self._facts["last"] = {
+            "line": event.get("n"),
+            "number": event["trial"]["index"],
+            "practice": event["trial"]["practice"],
+            "answer": event["response"]["answer"],
+            "reaction_time_s": round(event["response"]["reaction_time"], 3),
+            "counted_from": event["response"].get("onset", ""),
+        }
+        self._facts["state"] = "waiting"
+        if self._answered_at is not None and event["clock"] - self._answered_at < _LONGEST:
+            self._durations.append(event["clock"] - self._answered_at)
+        self._answered_at = event["clock"]
+        if event["event"] == "answered" and not event["trial"]["practice"]:
+            self._trials[event["trial"]["index"]] = event
+
+    def _on_withdrawn(self, event: dict[str, Any]) -> None:
+        gone = set(event["lines"])
+        self._trials = {index: trial for index, trial in self._trials.items() if trial["n"] not in gone}
+
+    def _on_trial_cut(self, event: dict[str, Any]) -> None:
+        self._facts["generator"]["outputs"] = "off"
+        self._ask(on=False)
+
+    def _on_pause(self, event: dict[str, Any]) -> None:
+        self._facts["generator"]["outputs"] = "off"
+        self._ask(on=False)
+        # A pause within a break leads back to it.
+        self._held = "break" if self._facts["state"] == "break" else "waiting"
+        self._facts |= {"state": "paused", "paused_by": str(event.get("by", "participant"))}
+        self._answered_at = None
+
+    def _on_focus_lost(self, event: dict[str, Any]) -> None:
+        self._on_pause({"by": "lost focus"})
+
+    def _on_continued(self, event: dict[str, Any]) -> None:
+        self._facts |= {"state": self._held, "paused_by": ""}
+
+    def _on_rest(self, event: dict[str, Any]) -> None:
+        self._facts["state"] = "break"
+        self._answered_at = None
+
+    def _on_experimenter(self, event: dict[str, Any]) -> None:
+        self._facts["n_notes"] += event["asks"] == "note"
+
+    def _on_wishes(self, event: dict[str, Any]) -> None:
+        names = ("ends_after_block", "repeats_trial", "repeats_practice", "nothing_to_repeat")
+        self._facts |= {name: event[name] for name in names}
+
+    def _on_stop(self, event: dict[str, Any]) -> None:
+        self._ask(on=False)
+        self._facts["generator"]["outputs"] = "off"
+        self._facts |= {"state": "ended", "stopped_by": event["reason"]}
+
+    def _on_exchange(self, event: dict[str, Any]) -> None:
+        what = event["what"]
+        if what in TROUBLES:
+            self._facts["generator"]["last_error"] = _words(what, event)
+
+
+def _words(name: str, event: dict[str, Any]) -> str:
+    """Return a trouble of the rig in words."""
+    errors = event.get("errors")
+    said = (
+        ", ".join(map(str, errors)) if errors else event.get("reason") or event.get("confirmed", {}).get("reason", "")
+    )
+    return f"{name.replace('_', ' ')}: {said}" if said else name.replace("_", " ")

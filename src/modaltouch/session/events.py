@@ -1,0 +1,219 @@
+"""What is told of a session and its trials: to the record, and to the experimenter."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Literal
+
+from modaltouch.preflight import Preflight
+from modaltouch.protocol import Protocol
+from modaltouch.protocol.adaptive_rules import describe_rule
+from modaltouch.protocol.schedule import Schedule
+from modaltouch.protocol.trial import Response, Trial
+from modaltouch.record.chain import RecordError
+from modaltouch.record.folders import SessionFolder
+from modaltouch.record.shape import SCHEMA
+from modaltouch.rig.interface import Firing, RigError
+from modaltouch.system.interruption import Interrupted
+from modaltouch.window.interface import SessionStopped, WindowError
+from modaltouch.window.masking.interface import MaskingError
+
+
+def describe_start(preflight: Preflight, schedule: Schedule, place: SessionFolder) -> dict[str, Any]:
+    """Return what the start record says of the experiment: all that is needed to repeat the session.
+
+    Parameters
+    ----------
+    preflight : Preflight
+        The checked experiment.
+    schedule : Schedule
+        The participant's trials.
+    place : SessionFolder
+        Where it is recorded.
+    """
+    experiment, burst = preflight.experiment, preflight.stimulus.burst
+    rule = describe_rule(experiment.protocol)
+    return {
+        "schema": SCHEMA,
+        "mode": place.mode,
+        "participant": place.participant,
+        "session": place.session,
+        "protocol": experiment.protocol.protocol,
+        "apparatus": experiment.apparatus.apparatus,
+        "language": experiment.texts.language,
+        "design": experiment.protocol.model_dump(mode="json"),
+        "sources": experiment.sources.as_dict(),
+        "schedule": schedule.as_dict(),
+        **({"adaptive": rule} if rule is not None else {}),
+        "stimulus": {
+            "content_hash": burst.content_hash,
+            "velocity_mm_s": burst.velocity * 1e3,
+            "amplitude_Vpp": list(burst.amplitude),
+            "stimuli": preflight.as_dict()["stimuli"],
+            **({"content_hashes": preflight.content_hashes} if experiment.protocol.stimuli else {}),
+        },
+    }
+
+
+def describe_ending(error: BaseException) -> dict[str, str]:
+    """Return why a session ended early, as its stop record says.
+
+    Parameters
+    ----------
+    error : BaseException
+        What ended it.
+    """
+    if isinstance(error, SessionStopped):
+        return {"reason": error.reason}
+    if isinstance(error, Interrupted):
+        return {"reason": error.signal_name}
+    kinds: dict[type[BaseException], Literal["rig fault", "window lost", "record fault", "masking lost"]] = {
+        RigError: "rig fault",
+        MaskingError: "masking lost",
+        WindowError: "window lost",
+        RecordError: "record fault",
+    }
+    reason = next((reason for kind, reason in kinds.items() if isinstance(error, kind)), "error")
+    return {"reason": reason, "message": f"{type(error).__name__}: {error}"}
+
+
+def describe_answer(
+    protocol: Protocol,
+    speeds: tuple[float, float],
+    trial: Trial,
+    response: Response,
+    firing: Firing,
+    *,
+    masked: bool | None,
+    events: Sequence[dict[str, Any]],
+) -> dict[str, Any]:
+    """Return the trial event of the record: planned, commanded, confirmed and answered apart.
+
+    Parameters
+    ----------
+    protocol : Protocol
+        What is presented and asked.
+    speeds : (left, right) of float
+        Predicted peak speeds under the two fingers [m/s].
+    trial, response, firing
+        What was asked, answered, and confirmed by the instrument.
+    masked : bool or None
+        Whether noise masked the sound of the beam; None where none is asked for.
+    events : sequence of dict
+        The record so far.
+    """
+    values, answered = trial.as_dict(), firing.onset + response.counted_from + response.reaction_time
+    return {
+        "trial": values,
+        "presentation": sum(event["event"] == "fired" and event["trial"] == values for event in events),
+        "fingers": list(fingers(protocol, trial)),
+        **({"catch": True} if trial.condition.is_catch else {}),
+        **({"masked": masked} if masked is not None else {}),
+        "planned": {
+            "velocity_mm_s": trial.condition.velocity_mm_s,
+            "speed_left_mm_s": round(speeds[0] * 1e3, 3),
+            "speed_right_mm_s": round(speeds[1] * 1e3, 3),
+        },
+        "commanded": {"amplitude_Vpp": list(firing.commanded_amplitude)},
+        "confirmed": firing.as_dict(),
+        "bursts": firing.bursts.as_dict(),
+        "response": response.as_dict(),
+        "instants": _instants(
+            onset=firing.onset,
+            onset_uncertainty=firing.onset_uncertainty,
+            answered=answered,
+            answer_uncertainty=response.time_uncertainty,
+            question=None if response.question_after is None else firing.onset + response.question_after,
+            question_uncertainty=response.question_uncertainty,
+            undated=trial.condition.is_catch or firing.repetition == "wired",
+        ),
+        "supersedes": _superseded(events, values),
+    }
+
+
+def describe_trial(protocol: Protocol, speeds: tuple[float, float], trial: Trial) -> dict[str, Any]:
+    """Return what the experimenter should know of a trial before it is on.
+
+    Parameters
+    ----------
+    protocol, speeds, trial
+        As for `describe_answer`.
+    """
+    return {
+        "number": trial.index,
+        "practice": trial.practice,
+        "block": trial.block,
+        **({"stimulus": trial.condition.stimulus} if trial.condition.stimulus else {}),
+        "velocity_mm_s": trial.condition.velocity_mm_s,
+        "predicted_left_mm_s": round(speeds[0] * 1e3, 1),
+        "predicted_right_mm_s": round(speeds[1] * 1e3, 1),
+        **describe_placement(protocol, trial),
+    }
+
+
+def describe_placement(protocol: Protocol, trial: Trial) -> dict[str, Any]:
+    """Return which finger lies on which zone, and how answers are given.
+
+    Parameters
+    ----------
+    protocol, trial
+        As for `describe_answer`.
+    """
+    left, right = fingers(protocol, trial)
+    condition = trial.condition
+    return {
+        "finger_condition": condition.finger_condition,
+        "placement": condition.placement,
+        "way": protocol.answers.way(condition.finger_condition),
+        "zone_left": condition.zone_left,
+        "zone_right": condition.zone_right,
+        "finger_left": left,
+        "finger_right": right,
+    }
+
+
+def fingers(protocol: Protocol, trial: Trial) -> tuple[str, str]:
+    """Return the fingers on the left and on the right zone.
+
+    Parameters
+    ----------
+    protocol, trial
+        As for `describe_answer`.
+    """
+    return trial.condition.fingers(protocol.conditions.hand)
+
+
+def _superseded(events: Sequence[dict[str, Any]], values: dict[str, Any]) -> int | None:
+    """Return the line of the answer that a new one to the same trial replaces, if there is one.
+
+    What is written of one presentation, `answered` and then `trial`, replaces what was written before it alone.
+    """
+    last = max((place for place, event in enumerate(events) if event["event"] == "fired"), default=len(events))
+    answers = (event for event in reversed(events[:last]) if event["event"] in ("trial", "answered"))
+    return next((event["n"] for event in answers if event["trial"] == values), None)
+
+
+def _instants(
+    *,
+    onset: float,
+    onset_uncertainty: float,
+    answered: float,
+    answer_uncertainty: float,
+    question: float | None,
+    question_uncertainty: float,
+    undated: bool,
+) -> dict[str, dict[str, float] | None]:
+    """Return the earliest and the latest instant of first burst, question and answer, by the record's clock [s].
+
+    A picture is on the screen between the call that flips it and the call's return; a monitor's own latency, which no
+    program can see, comes on top. A press is stamped when it is read, at most one poll after it happened.
+    """
+    return {
+        "first_burst": None if undated else _between(onset - onset_uncertainty, onset + onset_uncertainty),
+        "question": None if question is None else _between(question - question_uncertainty, question),
+        "answer": _between(answered - answer_uncertainty, answered),
+    }
+
+
+def _between(earliest: float, latest: float) -> dict[str, float]:
+    return {"earliest_s": round(earliest, 6), "latest_s": round(latest, 6)}

@@ -1,0 +1,365 @@
+"""The one loop: place the fingers, fire, ask, stop, write down."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from modaltouch.protocol import Protocol
+from modaltouch.protocol.adaptive_rules import Levels
+from modaltouch.protocol.practice import expected_answer, judge_round
+from modaltouch.protocol.trial import Response, Trial
+from modaltouch.record.chain import RecordError
+from modaltouch.record.log import SessionLog
+from modaltouch.record.session import Session
+from modaltouch.rig.interface import Bursts, Firing, Rig, RigError, StimulusLost
+from modaltouch.session.console.experimenter import Experimenter
+from modaltouch.session.events import describe_answer, describe_ending, describe_placement, describe_trial
+from modaltouch.system.clock import SYSTEM_CLOCK, Clock
+from modaltouch.window.interface import (
+    AnswerWindow,
+    Presentation,
+    Progress,
+    SessionStopped,
+    Tick,
+    TrialInterrupted,
+)
+from modaltouch.window.masking.interface import Masking, NoMasking
+
+ATTEMPTS = 3
+"""How often a trial that the instrument does not confirm is presented before the session ends."""
+
+MOST_STALLS = 30
+"""How often it is presented in vain because this computer is held up: a minute and more."""
+
+NOT_OVER = "the stimulus is not over yet"
+"""Why the answer is not confirmed when it is written down first."""
+
+
+@dataclass(frozen=True)
+class Sitting:
+    """Everything one sitting of one participant needs.
+
+    Attributes
+    ----------
+    protocol : Protocol
+        What is presented and asked.
+    trials : tuple of Trial
+        What is still to be answered, in order, practice first.
+    total : int
+        Number of scheduled trials, without practice.
+    levels : Levels
+        What decides the levels of an adaptive run.
+    speeds : callable
+        Predicted peak speeds under the left and the right finger in a trial [m/s].
+    rig, window, log
+        The open instrument, answer window and session log.
+    save_view : callable
+        Brings the BIDS view up to date with the log.
+    tick : callable
+        Called between steps; raises when the session was told to end.
+    experimenter : Experimenter
+        Is told what happens, and asks for repeats and for the end of the session after a block.
+    masking : Masking
+        Noise that masks the sound of the beam.
+    clock : Clock
+        Of session, window, instrument and record.
+    """
+
+    protocol: Protocol
+    trials: tuple[Trial, ...]
+    total: int
+    levels: Levels
+    speeds: Callable[[Trial], tuple[float, float]]
+    rig: Rig
+    window: AnswerWindow
+    log: SessionLog
+    save_view: Callable[[], None]
+    tick: Tick
+    experimenter: Experimenter = field(default_factory=Experimenter)
+    masking: Masking = field(default_factory=NoMasking)
+    clock: Clock = SYSTEM_CLOCK
+
+
+def conduct(sitting: Sitting) -> None:
+    """Run every remaining trial of a session.
+
+    Each answer is on the disk before the next trial begins, and the outputs are off whenever no stimulus is
+    wanted.
+
+    Raises
+    ------
+    SessionStopped, Interrupted, RigError, RecordError, WindowError, MaskingError
+        Whatever ended the session early; what was answered is kept.
+    """
+    sitting.window.welcome(sitting.trials[0])
+    previous = practise(sitting)
+    rested = sitting.clock.now()
+    for trial in sitting.trials:
+        if trial.practice:
+            continue
+        if previous is not None and trial.block != previous.block and sitting.experimenter.ends_after_block:
+            sitting.window.goodbye()
+            raise SessionStopped("end of block")
+        if previous is None or previous.practice:
+            sitting.window.announce("start")
+        elif _rest_is_due(sitting, trial, rested):
+            sitting.log.append("rest", before_trial=trial.index)
+            sitting.window.rest(Progress(trial.index, sitting.total))
+            rested = sitting.clock.now()
+        # The record alone decides the next level, so that a session that was killed goes on with the very same one.
+        settled = sitting.levels.settle(trial, _counted(sitting))
+        run(sitting, settled, previous)
+        previous = repeat(sitting, settled)
+    sitting.window.goodbye()
+    # The last trial may be wanted again while the participant is thanked; the fingers are lifted by then.
+    while repeat(sitting, None) is not None:
+        sitting.window.goodbye()
+
+
+def repeat(sitting: Sitting, previous: Trial | None) -> Trial | None:
+    """Ask again what the experimenter wants repeated, and return the last trial that was run.
+
+    The first answer stays in the record, withdrawn: if nothing comes after it, `resume` asks the trial again. In an
+    adaptive run, what was answered since is asked again too, for its level followed from that answer. A practice trial
+    may be repeated until its round is judged, or the first trial that counts begins.
+    """
+    while (event := sitting.experimenter.take_repeat()) is not None:
+        again = [event]
+        if sitting.protocol.adaptive is not None and not event["trial"]["practice"]:
+            first = event["trial"]["index"]
+            again = [e for e in _counted(sitting) if not e["trial"]["practice"] and e["trial"]["index"] >= first]
+        lines = [each["n"] for each in again]
+        sitting.log.append("withdrawn", lines=lines, reason="the experimenter has the trial repeated")
+        for each in again:
+            trial = sitting.levels.settle(Trial.from_dict(each["trial"]), _counted(sitting))
+            response = run(sitting, trial, previous)
+            _comment(sitting, trial, response)
+            previous = trial
+    return previous
+
+
+def _counted(sitting: Sitting) -> tuple[dict[str, Any], ...]:
+    """Return the trial events that count so far."""
+    return Session(sitting.log.path, tuple(sitting.log.events), ()).trials
+
+
+def practise(sitting: Sitting) -> Trial | None:
+    """Run rounds of practice until one is passed, and return the last practice trial.
+
+    Raises
+    ------
+    SessionStopped
+        If no round was passed and the protocol then ends the session.
+    """
+    schedule, previous = sitting.protocol.schedule, None
+    _close_rounds(sitting)
+    for trial in sitting.trials:
+        if not trial.practice or _has_passed_practice(sitting):
+            break
+        is_first = (trial.index - 1) % schedule.practice_trials == 0
+        if previous is None or is_first:
+            sitting.window.announce("practice" if previous is None else "practice_again")
+        response = run(sitting, trial, previous)
+        _comment(sitting, trial, response)
+        previous = repeat(sitting, trial)
+        _close_rounds(sitting)
+    failed = schedule.practice_criterion is not None and not _has_passed_practice(sitting)
+    if failed and schedule.practice_trials and schedule.after_failed_practice == "stop":
+        sitting.window.goodbye()
+        raise SessionStopped("practice not passed")
+    return previous
+
+
+def _comment(sitting: Sitting, trial: Trial, response: Response) -> None:
+    """Tell a participant who practises what was to be felt, where the protocol wants it and there is no doubt."""
+    if not (trial.practice and sitting.protocol.schedule.practice_feedback):
+        return
+    expected = expected_answer(*sitting.speeds(trial))
+    if expected is not None:
+        sitting.window.give_feedback(response, expected)
+
+
+def _has_passed_practice(sitting: Sitting) -> bool:
+    return any(event.get("event") == "practice_round" and event["passed"] for event in sitting.log.events)
+
+
+def _close_rounds(sitting: Sitting) -> None:
+    """Write down how each round of practice went that is over and not yet judged, before a kill or after it."""
+    schedule, events = sitting.protocol.schedule, sitting.log.events
+    counted = [event for event in _counted(sitting) if event["trial"]["practice"]]
+    if schedule.practice_criterion is None or not schedule.practice_trials:
+        return
+    done = {event["trial"]["index"] for event in counted}
+    judged = {event["round"] for event in events if event.get("event") == "practice_round"}
+    for number in range(1, schedule.practice_rounds + 1):
+        last = number * schedule.practice_trials
+        if number not in judged and done.issuperset(range(last - schedule.practice_trials + 1, last + 1)):
+            outcome = judge_round(counted, number, schedule.practice_trials)
+            sitting.log.append(
+                "practice_round",
+                round=number,
+                n_judged=outcome.n_judged,
+                n_agreed=outcome.n_agreed,
+                criterion=schedule.practice_criterion,
+                passed=outcome.passes(schedule.practice_criterion),
+            )
+
+
+def run(sitting: Sitting, trial: Trial, previous: Trial | None) -> Response:
+    """Present one trial until what was played is confirmed, write every answer down; return the last.
+
+    Raises
+    ------
+    RigError
+        If the outputs could not be switched off, or no presentation could be confirmed.
+    """
+    sitting.tick()
+    sitting.experimenter.tell(
+        {"event": "trial_next", "trial": describe_trial(sitting.protocol, sitting.speeds(trial), trial)}
+    )
+    if previous is None or _placement(trial) != _placement(previous):
+        sitting.window.place_fingers(trial)
+        sitting.log.append("placement", **describe_placement(sitting.protocol, trial))
+    attempts = stalls = answers = 0
+    while attempts < ATTEMPTS and stalls < MOST_STALLS:
+        response, firing = present(sitting, trial)
+        if response is not None:
+            answers += 1
+            sitting.window.wait(sitting.protocol.answers.pause_s)
+            if firing.confirmed:
+                return response
+        if firing.stalled:
+            # Nothing is wrong with the instrument: the computer was busy, and the trial waits until it is not.
+            stalls += 1
+            sitting.window.tell_stall()
+        else:
+            attempts += 1
+    n, remedy = ATTEMPTS, "check the instrument with `modaltouch rig check`"
+    if attempts < ATTEMPTS:
+        n, remedy = MOST_STALLS, "close other programs"
+    raise RigError(
+        f"trial {trial.index}: {n} presentations could not be confirmed ({firing.reason}); the outputs are off"
+        + ("; the answers are kept as unconfirmed" if answers else "")
+        + f"; {remedy}, then `modaltouch resume`"
+    )
+
+
+def present(sitting: Sitting, trial: Trial) -> tuple[Response | None, Firing]:
+    """Present a trial once, or again where it is cut; the answer is on the disk before anything else can go wrong.
+
+    Returns
+    -------
+    response : Response or None
+        What the participant answered; None where the stimulus did not last until then.
+    firing : Firing
+        What was played, confirmed at its end or not.
+
+    Raises
+    ------
+    RigError
+        If the outputs could not be switched off.
+    """
+    while True:
+        sitting.window.settle(trial, Progress(trial.index, sitting.total))
+        sitting.masking.ensure(sitting.tick)
+        firing = fire(sitting, trial)
+        if not firing.started:
+            sitting.log.append("unconfirmed", trial=trial.as_dict(), confirmed=firing.as_dict())
+            return None, firing
+        faults: list[RigError] = []
+
+        def stop(faults: list[RigError] = faults) -> None:
+            try:
+                sitting.rig.stop()
+            except RigError as error:
+                faults.append(error)
+
+        presentation = Presentation(firing.onset, _ends(sitting, trial, firing), sitting.rig.end, stop)
+        try:
+            # Whatever ends the session now, the record knows that this stimulus had begun.
+            sitting.log.append("fired", trial=trial.as_dict(), confirmed=firing.as_dict())
+            response = sitting.window.ask(trial, Progress(trial.index, sitting.total), presentation)
+            line = _write_down(sitting, "answered", trial, response, replace(firing, reason=NOT_OVER, bursts=Bursts()))
+            sitting.window.confirm(response)
+        except (TrialInterrupted, StimulusLost) as cut:
+            stop()
+            firing = sitting.rig.firing or firing
+            reason = cut.reason if isinstance(cut, TrialInterrupted) else str(cut)
+            _write_cut(sitting, trial, reason, firing)
+            if faults:
+                raise faults[0] from cut
+            if isinstance(cut, StimulusLost):
+                return None, replace(firing, reason=firing.reason or reason)
+            continue
+        except BaseException as error:
+            with suppress(RigError):
+                sitting.rig.stop(at_once=True)
+            with suppress(RecordError):
+                _write_cut(sitting, trial, describe_ending(error)["reason"], sitting.rig.firing or firing)
+            raise
+        stop()
+        firing = sitting.rig.firing or firing
+        _write_down(sitting, "trial", trial, response, firing, answered=line)
+        sitting.save_view()
+        if faults:
+            raise faults[0]
+        return response, firing
+
+
+def fire(sitting: Sitting, trial: Trial) -> Firing:
+    """Start the stimulus of a trial, a catch trial's silence included."""
+    # A catch trial does all that one at the lowest level does, but lets no burst go.
+    silent = trial.condition.is_catch
+    level = min(sitting.protocol.conditions.peak_velocities_mm_s) if silent else trial.condition.velocity_mm_s
+    names, stimulus = sitting.protocol.stimulus_names, trial.condition.stimulus
+    which = names.index(stimulus) if stimulus in names else 0
+    n_bursts = sitting.protocol.answers.n_bursts(sitting.protocol.stimulus_of(stimulus).repetition_rate_Hz)
+    exactly = sitting.protocol.answers.stimulus_until == "question"
+    return sitting.rig.fire(level * 1e-3, n_bursts=n_bursts, exactly=exactly, silent=silent, which=which)
+
+
+def _ends(sitting: Sitting, trial: Trial, firing: Firing) -> float:
+    """Return when the last burst of a stimulus is over [s]."""
+    stimulus = sitting.protocol.stimulus_of(trial.condition.stimulus)
+    n_bursts = sitting.protocol.answers.n_bursts(stimulus.repetition_rate_Hz)
+    return firing.onset + (n_bursts - 1) / stimulus.repetition_rate_Hz + stimulus.duration_ms * 1e-3
+
+
+def _write_down(sitting: Sitting, event: str, trial: Trial, response: Response, firing: Firing, **further: Any) -> int:
+    """Put an answer on the disk, and return its line."""
+    facts = describe_answer(
+        sitting.protocol,
+        sitting.speeds(trial),
+        trial,
+        response,
+        firing,
+        masked=sitting.masking.is_on,
+        events=sitting.log.events,
+    )
+    return int(sitting.log.append(event, **facts, **further)["n"])
+
+
+def _write_cut(sitting: Sitting, trial: Trial, reason: str, firing: Firing) -> None:
+    """Put on the disk what was played of a stimulus that nobody answered."""
+    sitting.log.append(
+        "trial_cut",
+        trial=trial.as_dict(),
+        reason=reason,
+        confirmed=firing.as_dict(),
+        bursts=firing.bursts.as_dict(),
+    )
+
+
+def _rest_is_due(sitting: Sitting, trial: Trial, rested: float) -> bool:
+    """Return whether a break comes before a trial, by count or by the time since `rested` [s]."""
+    schedule = sitting.protocol.schedule
+    by_count = schedule.break_after_trials is not None and (trial.index - 1) % schedule.break_after_trials == 0
+    minutes = (sitting.clock.now() - rested) / 60
+    return by_count or (schedule.break_after_min is not None and minutes >= schedule.break_after_min)
+
+
+def _placement(trial: Trial) -> tuple[Any, ...]:
+    return (trial.condition.finger_condition, *trial.condition.pair, trial.condition.placement)

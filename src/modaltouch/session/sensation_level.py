@@ -1,0 +1,195 @@
+"""A participant's own threshold, from the session that found it, and the levels that a protocol makes of it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NoReturn
+
+from modaltouch.preflight import Preflight
+from modaltouch.protocol import SensationLevelsSection
+from modaltouch.protocol.document import InputError
+from modaltouch.record.chain import RecordError, read_chain
+from modaltouch.record.folders import SessionFolder
+from modaltouch.record.session import read_session
+
+_SECTION = ("conditions", "sensation_levels")
+
+
+@dataclass(frozen=True)
+class OwnThreshold:
+    """The threshold of one participant.
+
+    Attributes
+    ----------
+    value_mm_s : float
+        The threshold [mm/s].
+    found : str
+        ``session`` or ``given`` (by the experimenter).
+    session : str
+        Log of the session that found it, seen from the folder of results; empty where it was given.
+    last_check : str
+        Check of that log's last line, so that it cannot change unseen.
+    runs : tuple of dict
+        Finger condition, pair, threshold and interval of every run of that session.
+    """
+
+    value_mm_s: float
+    found: str
+    session: str = ""
+    last_check: str = ""
+    runs: tuple[dict[str, Any], ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as plain values for the record."""
+        told = {"session": self.session, "last_check": self.last_check, "runs": list(self.runs)} if self.session else {}
+        return {"threshold_mm_s": self.value_mm_s, "found": self.found, **told}
+
+
+def at_own_levels(
+    preflight: Preflight, place: SessionFolder, given_mm_s: float | None = None
+) -> tuple[Preflight, dict[str, Any]]:
+    """Return a participant's preflight, its levels calibrated where the protocol says so, and facts for the record.
+
+    Parameters
+    ----------
+    preflight : Preflight
+        The checked protocol.
+    place : SessionFolder
+        Where the participant's session will be; the one that found the threshold lies in the same tree.
+    given_mm_s : float, optional
+        The participant's threshold, where it was measured otherwise [mm/s].
+
+    Raises
+    ------
+    InputError
+        If the threshold is not known, the session told none, or a level would leave the protocol's bounds.
+    """
+    section = preflight.experiment.protocol.conditions.sensation_levels
+    if section is None:
+        if given_mm_s is not None:
+            _refuse(
+                preflight, f"a threshold of {given_mm_s:g} mm/s for levels that do not follow from one", "none",
+                "leave --threshold out", path=("conditions", "peak_velocities_mm_s"),
+            )  # fmt: skip
+        return preflight, {}
+    own = OwnThreshold(given_mm_s, "given") if given_mm_s is not None else _find(preflight, place, section)
+    levels = section.levels(own.value_mm_s)
+    _refuse_beyond(preflight, place.participant, own, section, levels)
+    facts = {**own.as_dict(), "multiples": list(section.multiples), "levels_mm_s": list(levels)}
+    return preflight.with_levels(levels), {"sensation_levels": facts}
+
+
+def recorded_levels(preflight: Preflight, start: dict[str, Any]) -> Preflight:
+    """Return the preflight of a recorded session, at the levels that its start record keeps.
+
+    Parameters
+    ----------
+    preflight : Preflight
+        Of the texts that the record keeps.
+    start : dict
+        The session's start record.
+    """
+    facts = start.get("sensation_levels")
+    return preflight.with_levels(tuple(facts["levels_mm_s"])) if facts else preflight
+
+
+def _find(preflight: Preflight, place: SessionFolder, section: SensationLevelsSection) -> OwnThreshold:
+    """Return the threshold that the participant's latest complete session of another protocol found."""
+    log, damage = _latest(replace(place, protocol=section.thresholds_from))
+    who = f"participant {place.participant}"
+    anew = f"run that protocol with `-p {place.participant}`, or give the threshold with --threshold"
+    if damage:
+        _refuse(preflight, f"{section.thresholds_from!r}, whose latest session of {who} is damaged ({damage})",
+                "a sound record", f"see `modaltouch doctor {log}`, or give the threshold with --threshold")  # fmt: skip
+    if log is None:
+        dataset = replace(place, protocol=section.thresholds_from).dataset
+        _refuse(preflight, f"{section.thresholds_from!r}, of which {who} has no complete session in {dataset}",
+                "a protocol that has found the participant's threshold", anew)  # fmt: skip
+    from modaltouch.analysis.reading import read_responses
+    from modaltouch.analysis.thresholds import analyse_runs
+
+    responses = read_responses(log, mode=place.mode)
+    if not responses.is_adaptive:
+        _refuse(preflight, f"{section.thresholds_from!r}, whose session {log.parent} is not adaptive",
+                "an adaptive protocol", "name the one that finds thresholds")  # fmt: skip
+    runs = [run.as_dict() for run in analyse_runs(responses).runs]
+    silent = [run for run in runs if run["threshold_mm_s"] is None]
+    if silent:
+        first = silent[0]
+        _refuse(
+            preflight,
+            f"{section.thresholds_from!r}, where {len(silent)} of {len(runs)} runs of {who} tell no threshold "
+            f"({first['finger_condition']} {first['pair']}: {first['why_not']})",
+            "a threshold from every run",
+            anew,
+        )
+    mean = math.exp(math.fsum(math.log(run["threshold_mm_s"]) for run in runs) / len(runs))
+    names = ("finger_condition", "pair", "stimulus", "threshold_mm_s", "threshold_low_mm_s", "threshold_high_mm_s")
+    told = tuple({name: run[name] for name in names if name in run} for run in runs)
+    seen_from = log.relative_to(place.results).as_posix()
+    return OwnThreshold(float(f"{mean:.4g}"), "session", seen_from, read_chain(log).last_check, told)
+
+
+def _latest(place: SessionFolder) -> tuple[Path | None, str]:
+    """Return the log of a participant's latest session of a protocol that is complete, or damaged and may have been.
+
+    Also what is wrong with it: an older session behind a damaged one may tell another threshold.
+    """
+    folders = place.dataset.glob(f"sub-{place.participant}/ses-*/beh")
+    numbers = (folder.parent.name[4:] for folder in folders)
+    for number in sorted((int(each) for each in numbers if each.isdecimal()), reverse=True):
+        log = replace(place, session=number).log
+        if not log.exists():
+            continue
+        try:
+            session = read_session(log)
+        except RecordError as error:
+            return log, str(error)
+        if session.problems:
+            return log, session.problems[0]
+        if session.complete:
+            return log, ""
+    return None, ""
+
+
+def _refuse_beyond(
+    preflight: Preflight,
+    participant: str,
+    own: OwnThreshold,
+    section: SensationLevelsSection,
+    levels: tuple[float, ...],
+) -> None:
+    velocities = preflight.experiment.protocol.conditions.peak_velocities_mm_s
+    low, high = min(velocities), max(velocities)
+    beyond = [
+        (at, multiple, level)
+        for at, (multiple, level) in enumerate(zip(section.multiples, levels, strict=True))
+        if not low <= level <= high
+    ]
+    if beyond:
+        at, multiple, level = beyond[0]
+        fits = section.thresholds(low, high)
+        _refuse(
+            preflight,
+            f"{multiple:g} times the threshold of participant {participant}, {own.value_mm_s:g} mm/s, which makes "
+            f"{level:g} mm/s",
+            f"{low:g} to {high:g} mm/s, so thresholds of {fits[0]:.4g} to {fits[1]:.4g} mm/s",
+            ("check the value of --threshold, or " if own.found == "given" else "")
+            + "change the multiples or conditions.peak_velocities_mm_s for all participants",
+            path=(*_SECTION, "multiples", at),
+        )
+
+
+def _refuse(
+    preflight: Preflight,
+    given: str,
+    allowed: str,
+    remedy: str,
+    *,
+    path: tuple[str | int, ...] = (*_SECTION, "thresholds_from"),
+) -> NoReturn:
+    """Raise InputError at a place in the protocol."""
+    reading = preflight.findings.protocol
+    raise InputError([] if reading is None else [reading.problem(path, given, allowed, remedy)])

@@ -1,0 +1,339 @@
+"""Masking noise on a sound device, through PortAudio.
+
+A device that is lost in mid-session (unplugged, taken away by the system) leaves the trial that is on alone: its
+answer is recorded as not masked. Before the next trial the device is opened again; where that fails, a protocol
+that demands masking ends the session in order, and `modaltouch resume` goes on once the device is back; any other
+goes on without, every trial recorded as such.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Self
+
+from modaltouch.window.masking.interface import Masking, MaskingError, NoMasking
+from modaltouch.window.masking.noise import SEED, amplitude_at, make_noise
+
+if TYPE_CHECKING:
+    from modaltouch.protocol import MaskingSection
+    from modaltouch.protocol.apparatus import Sound
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from modaltouch.protocol.apparatus import Sound
+
+
+class DeviceError(Exception):
+    """There is no sound device, or it refuses; says why, and what to do about it."""
+
+
+def default_device(name: str = "") -> dict[str, Any]:
+    """Return what a device can do, as PortAudio tells it.
+
+    Parameters
+    ----------
+    name : str
+        Part of its name; empty for the system's own choice.
+
+    Raises
+    ------
+    DeviceError
+        If there is none, or no PortAudio.
+    """
+    try:
+        import sounddevice
+    except OSError as error:
+        raise DeviceError(f"{error}; install libportaudio2 (`make install`)") from error
+    try:
+        return dict(sounddevice.query_devices(name or None, kind="output"))
+    except (sounddevice.PortAudioError, ValueError) as error:
+        what = f"no sound device like {name!r}" if name else "no sound device"
+        remedy = "connect one and choose it with sound.device in the apparatus"
+        raise DeviceError(f"there is {what} ({error}); {remedy}") from error
+
+
+def open_stream(sound: Sound, fill: Callable[..., None]) -> tuple[dict[str, Any], Any]:
+    """Return what the device can do, and a stream on it that runs.
+
+    Parameters
+    ----------
+    sound : Sound
+        Which device, at which rate.
+    fill : callable
+        Hands over the next samples, as sounddevice calls it.
+
+    Raises
+    ------
+    DeviceError
+        If there is no such device, or it refuses.
+    """
+    device = default_device(sound.device)
+    import sounddevice
+
+    channels = max(1, min(2, int(device["max_output_channels"])))
+    stream = None
+    try:
+        stream = sounddevice.OutputStream(
+            samplerate=sound.sampling_rate_Hz,
+            device=sound.device or None,
+            channels=channels,
+            dtype="float32",
+            latency="high",
+            callback=fill,
+        )
+        stream.start()
+    except (sounddevice.PortAudioError, ValueError) as error:
+        if stream is not None:
+            stream.close()
+        raise DeviceError(
+            f"the sound device {device.get('name')!r} refuses {sound.sampling_rate_Hz:g} Hz ({error}); change "
+            "sound.sampling_rate_Hz or sound.device in the apparatus"
+        ) from error
+    return device, stream
+
+
+class Playback:
+    """Goes round a period of noise for ever.
+
+    Parameters
+    ----------
+    period : (n_samples,) array
+        One period, at its full level.
+    n_fade : int
+        Samples that a fade takes.
+    """
+
+    def __init__(self, period: NDArray[np.float32], n_fade: int) -> None:
+        self._period = period
+        self._n_fade = max(n_fade, 1)
+        self._place = 0
+        self._way = self._target = 0
+
+    def fade_in(self) -> None:
+        """Let what follows grow to its full level."""
+        self._target = self._n_fade
+
+    def fade_out(self) -> None:
+        """Let what follows fall silent."""
+        self._target = 0
+
+    @property
+    def is_full(self) -> bool:
+        """Whether the noise is at its full level."""
+        return self._way == self._target == self._n_fade
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether nothing is heard any more."""
+        return self._way == self._target == 0
+
+    def fill(self, out: NDArray[np.float32]) -> None:
+        """Write what comes next into a block.
+
+        Parameters
+        ----------
+        out : (n_samples, n_channels) array
+            Where it goes; every channel gets the same.
+        """
+        n = len(out)
+        if self.is_silent:
+            out.fill(0)
+            return
+        samples = np.take(self._period, np.arange(self._place, self._place + n), mode="wrap")
+        self._place = (self._place + n) % len(self._period)
+        if self._way != self._target:
+            ahead = np.arange(1, n + 1) * (1 if self._target > self._way else -1)
+            way = np.clip(self._way + ahead, 0, self._n_fade)
+            self._way = int(way[-1])
+            # Along half a sine: neither end has a corner.
+            samples = samples * np.sin(np.pi / 2 * way / self._n_fade).astype(np.float32) ** 2
+        out[:] = samples[:, np.newaxis]
+
+
+Log = Callable[..., None]
+
+STALE = 1.0
+"""A device that asks for no samples for so long is lost [s]."""
+_HURRY = 0.1
+"""Longest fade where something went wrong [s]."""
+
+
+def open_masking(section: MaskingSection | None, sound: Sound, log: Log) -> Masking:
+    """Return the masking that a protocol wants, silent until `start`.
+
+    Parameters
+    ----------
+    section : MaskingSection or None
+        What the protocol wants.
+    sound : Sound
+        What the apparatus plays it with.
+    log : callable
+        Takes what happens to it for the record.
+
+    Raises
+    ------
+    MaskingError
+        If it cannot be played and the protocol demands it.
+    """
+    if section is None:
+        return NoMasking()
+    try:
+        return NoiseMasking(section, sound, log)
+    except MaskingError as error:
+        if section.required:
+            raise
+        log("masking_lost", reason=str(error))
+        return NoMasking(str(error))
+
+
+class NoiseMasking:
+    """Noise on a sound device.
+
+    Parameters
+    ----------
+    section : MaskingSection
+        Which noise, how loud.
+    sound : Sound
+        Device, sampling rate, calibration.
+    log : callable
+        Takes what happens for the record.
+
+    Raises
+    ------
+    MaskingError
+        If the device cannot be opened.
+    """
+
+    def __init__(self, section: MaskingSection, sound: Sound, log: Log) -> None:
+        level = section.level(sound)
+        if level is None:
+            raise MaskingError("the masking noise has no level; give masking.level_dB_FS")
+        self._section, self._sound, self._log, self._level = section, sound, log, level
+        period = make_noise(section.noise, sound.sampling_rate_Hz) * amplitude_at(level)
+        self._playback = Playback(period, round(section.fade_s * sound.sampling_rate_Hz))
+        self._device: dict[str, Any] = {}
+        self._stream: Any = None
+        self._asked = 0.0
+        self._n_underflows = 0
+        self._is_lost = self._given_up = False
+        self._open()
+
+    def describe(self) -> dict[str, Any] | None:
+        """Return noise, level and device for the start record."""
+        full_scale = self._sound.full_scale_dB_SPL
+        return {
+            "state": "masked",
+            "noise": self._section.noise,
+            "level_dB_FS": self._level,
+            "level_dB_SPL": None if full_scale is None else round(self._level + full_scale, 2),
+            "fade_s": self._section.fade_s,
+            "seed": SEED,
+            "device": self._device.get("name"),
+            "sampling_rate_Hz": self._sound.sampling_rate_Hz,
+            "required": self._section.required,
+        }
+
+    def start(self) -> None:
+        """Begin to fade in."""
+        self._playback.fade_in()
+        self._log("masking", state="on")
+
+    def ensure(self, tick: Callable[[], object]) -> None:
+        """See before a trial that the noise is on and at its level; open the device again where it was lost.
+
+        Raises
+        ------
+        MaskingError
+            If it is lost and the protocol demands it.
+        """
+        self._watch()
+        if self._is_lost and not self._given_up:
+            self._reopen()
+        while not (self._is_lost or self._playback.is_full):
+            tick()
+            time.sleep(1e-3)
+            self._watch()
+
+    @property
+    def is_on(self) -> bool | None:
+        """Whether the noise has been on since `ensure`."""
+        self._watch()
+        return not self._is_lost and self._playback.is_full
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        """Let the device go, whatever happened."""
+        self._close()
+
+    def stop(self, *, hurry: bool) -> None:
+        """Fade out, in an instant where something went wrong, and let the device go.
+
+        How often the device got no samples in time, a click each, goes into the record.
+        """
+        if self._stream is None:
+            return
+        self._playback.fade_out()
+        until = time.perf_counter() + (_HURRY if hurry else self._section.fade_s + STALE)
+        while not (self._is_lost or self._playback.is_silent) and time.perf_counter() < until:
+            time.sleep(0.01)
+            self._watch()
+        self._close()
+        self._log("masking", state="off", n_underflows=self._n_underflows)
+
+    def _open(self) -> None:
+        try:
+            self._device, self._stream = open_stream(self._sound, self._fill)
+        except DeviceError as error:
+            raise MaskingError(f"no masking noise can be played: {error}, or set masking.required: false") from error
+        self._asked = time.perf_counter()
+
+    def _fill(self, out: Any, n_frames: int, moment: Any, status: Any) -> None:
+        """Hand over the next samples; called by PortAudio in a thread of its own."""
+        self._asked = time.perf_counter()
+        self._n_underflows += bool(status.output_underflow)
+        self._playback.fill(out)
+
+    def _watch(self) -> None:
+        """Notice that the device is gone, and write it down once."""
+        if self._is_lost:
+            return
+        stale = time.perf_counter() - self._asked > STALE
+        if stale or self._stream is None or not self._stream.active:
+            self._is_lost = True
+            reason = f"the sound device {self._device.get('name')!r} takes no more samples"
+            # On the record's clock: an answer of the last second may have been written down as masked.
+            self._log("masking_lost", reason=reason, last_samples_s=round(self._asked, 6))
+
+    def _reopen(self) -> None:
+        self._close()
+        with contextlib.suppress(Exception):
+            import sounddevice
+
+            # PortAudio knows only the devices that were there when it began.
+            sounddevice._terminate()
+            sounddevice._initialize()
+        try:
+            self._open()
+        except MaskingError as error:
+            if self._section.required:
+                raise
+            self._given_up = True
+            self._log("masking_lost", reason=str(error))
+            return
+        self._is_lost = False
+        self._log("masking", state="on again", device=self._device.get("name"))
+
+    def _close(self) -> None:
+        stream, self._stream = self._stream, None
+        if stream is not None:
+            with contextlib.suppress(Exception):
+                stream.abort()
+            with contextlib.suppress(Exception):
+                stream.close()
