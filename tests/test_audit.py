@@ -18,7 +18,7 @@ import pytest
 from modaltouch.analysis.reading import read_responses
 from modaltouch.protocol import Sources, restore_experiment
 from modaltouch.protocol.document import InputError
-from modaltouch.record.audit.beginning import draw_again
+from modaltouch.record.audit.start import draw_again
 from modaltouch.record.chain import GENESIS, RecordError, encode_line, read_chain
 from modaltouch.record.folders import locate
 from modaltouch.record.session import Session

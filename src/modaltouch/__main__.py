@@ -19,7 +19,7 @@ try:
     import typer
 
     from modaltouch.cli.app import app
-    from modaltouch.cli.faults import BAD_INPUT, INTERRUPTED, print_json
+    from modaltouch.cli.exit_status import BAD_INPUT, INTERRUPTED, print_json
 except KeyboardInterrupt:
     _leave()
 

@@ -5,7 +5,7 @@ import pytest
 from matplotlib.colors import to_hex, to_rgb
 
 from modaltouch.analysis.counts import count_answers
-from modaltouch.analysis.courses import draw_order, draw_side, draw_speeds, draw_times
+from modaltouch.analysis.covariate_figures import draw_order, draw_side, draw_speeds, draw_times
 from modaltouch.analysis.figures import draw_counts, draw_overview, draw_participants
 from modaltouch.analysis.tables import count_responses, zone_table
 from modaltouch.report.style import PAIR_COLOURS, render

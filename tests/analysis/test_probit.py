@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import minimize
 from scipy.stats import norm
 
-from modaltouch.analysis.secondary import fit_ordered_probit
+from modaltouch.analysis.covariates import fit_ordered_probit
 
 
 def simulate(slope: float, n: int = 400, seed: int = 1) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from modaltouch.analysis.record_facts import describe_record, take_facts
+from modaltouch.analysis.provenance import describe_record, take_facts
 from modaltouch.record.session import Session
 
 

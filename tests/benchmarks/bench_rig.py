@@ -19,8 +19,8 @@ import pyvisa
 
 from modaltouch.protocol.apparatus import read_apparatus
 from modaltouch.rig.generator import Generator
-from modaltouch.rig.guard import Watchdog
 from modaltouch.rig.simulator import Simulator
+from modaltouch.rig.watchdog_client import Watchdog
 from modaltouch.stimulus.burst import Burst
 
 ROOT = Path(__file__).parents[2]

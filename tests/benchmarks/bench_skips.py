@@ -21,7 +21,7 @@ from modaltouch.rig.generator import Generator
 from modaltouch.rig.simulator import Simulator
 from modaltouch.stimulus.burst import Burst
 from modaltouch.stimulus.design import Stimulus, Timing
-from modaltouch.stimulus.economy import cheapest_samples
+from modaltouch.stimulus.sample_count import cheapest_samples
 from modaltouch.stimulus.synthesis import synthesise
 from modaltouch.stimulus.vibration import modal_history, peak_velocity, states_by_channel, velocity_history
 

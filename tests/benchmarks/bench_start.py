@@ -35,7 +35,7 @@ for name in sys.argv[1].split(","):
 FIRST = f"""
 import time
 from pathlib import Path
-import modaltouch.__main__, modaltouch.cli.checking, numpy.random
+import modaltouch.__main__, modaltouch.cli.check, numpy.random
 from modaltouch.preflight import examine_findings
 from modaltouch.protocol import examine_files
 files = examine_files(Path("{PROTOCOL}"))

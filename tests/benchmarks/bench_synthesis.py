@@ -17,7 +17,7 @@ from peers import design, plain_synthesis, race, shipped_model
 from threadpoolctl import threadpool_limits
 
 from modaltouch.stimulus.drive import steering
-from modaltouch.stimulus.gramian import GramianSolver
+from modaltouch.stimulus.reachability import GramianSolver
 from modaltouch.stimulus.synthesis import synthesise
 
 COPIES = {65_536: 8.0, 125_000: 4.0}

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from modaltouch.lab.calibration.corrections import aimed_ground
 from modaltouch.lab.calibration.loop import calibrate
 from modaltouch.lab.calibration.outcome import Outcome
-from modaltouch.lab.calibration.refining import aimed_ground
 from modaltouch.preflight import Preflight, examine
 from modaltouch.preflight.examination import design_to_fit
 from modaltouch.protocol.apparatus import Apparatus, TrueAmplifier

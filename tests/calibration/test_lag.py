@@ -8,9 +8,9 @@ from itertools import product
 import numpy as np
 import pytest
 
+from modaltouch.lab.calibration.acquisition import Taking
 from modaltouch.lab.calibration.bursts import commanded_voltage, identifying_burst, timing_voltage
-from modaltouch.lab.calibration.lag import SightLag, fit_drive, fit_sight
-from modaltouch.lab.calibration.taking import Taking
+from modaltouch.lab.calibration.delays import SightLag, fit_drive, fit_sight
 from modaltouch.preflight import Preflight
 from modaltouch.protocol.apparatus import Apparatus, TrueAmplifier
 

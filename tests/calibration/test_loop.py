@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from modaltouch.lab.calibration.acquisition import measuring_points
+from modaltouch.lab.calibration.corrections import aimed_ground, grounds_of, significant
 from modaltouch.lab.calibration.loop import calibrate
 from modaltouch.lab.calibration.outcome import Progress, Turn
 from modaltouch.lab.calibration.plant import ModalState
-from modaltouch.lab.calibration.refining import aimed_ground, grounds_of, significant
-from modaltouch.lab.calibration.taking import measuring_points
 from modaltouch.preflight import Preflight, examine
 from modaltouch.preflight.design_inputs import design
 from modaltouch.preflight.examination import design_to_fit

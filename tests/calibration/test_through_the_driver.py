@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from modaltouch.__main__ import main
-from modaltouch.cli import calibrating
+from modaltouch.cli import calibrate as calibrating
 from modaltouch.lab.measurement import Laboratory, open_laboratory
 from modaltouch.preflight import examine
 from modaltouch.record.chain import read_chain

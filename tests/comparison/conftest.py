@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modaltouch.lab.comparison.learned import Knowledge, Responses, band
+from modaltouch.lab.comparison.training_data import Knowledge, Responses, band
 from modaltouch.preflight import Preflight, examine
 from modaltouch.stimulus.modes import ModalModel
 

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modaltouch.lab.comparison.learned import Knowledge
+from modaltouch.lab.comparison.contest import Settings, for_rivals, identified_model, learn, without_mismatch
 from modaltouch.lab.comparison.methods import design_all
-from modaltouch.lab.comparison.study import Settings, for_rivals, identified_model, learn, without_mismatch
-from modaltouch.lab.identification.identified import identify
+from modaltouch.lab.comparison.training_data import Knowledge
+from modaltouch.lab.identification.joint_fit import identify
 from modaltouch.lab.identification.responses import FrequencyResponses
 from modaltouch.rig.simulator.twin import Twin
 

@@ -7,19 +7,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modaltouch.lab.comparison.inverse import (
+from modaltouch.lab.comparison.inverse_filter import (
     inverse_filter,
     inverse_filter_at_instant,
     least_energy,
     regularised_inverse,
 )
-from modaltouch.lab.comparison.learned import Knowledge, Responses
-from modaltouch.lab.comparison.reversal import one_bit_reversal, time_reversal
+from modaltouch.lab.comparison.time_reversal import one_bit_reversal, time_reversal
+from modaltouch.lab.comparison.training_data import Knowledge, Responses
 from modaltouch.stimulus.dynamics import Amplifier
 from modaltouch.stimulus.modes import ModalModel
+from modaltouch.stimulus.target_field import Wish
 from modaltouch.stimulus.timing import Timing
 from modaltouch.stimulus.vibration import velocity_history
-from modaltouch.stimulus.wish import Wish
 
 
 @dataclass(frozen=True, eq=False)

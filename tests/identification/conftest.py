@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from modaltouch.lab.identification.estimates import Identification
-from modaltouch.lab.identification.identified import identify
+from modaltouch.lab.identification.joint_fit import identify
 from modaltouch.lab.identification.responses import FrequencyResponses
 from modaltouch.protocol.apparatus import Apparatus, read_apparatus
 from modaltouch.rig.simulator.true_beam import TrueBeam, true_beam

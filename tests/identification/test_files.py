@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from modaltouch.lab.identification.files import Reading, read_responses
-from modaltouch.lab.identification.identified import identify_each
+from modaltouch.lab.identification.joint_fit import identify_each
 from modaltouch.lab.identification.peaks import half_power
 from modaltouch.lab.identification.report import recognise, roots
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from modaltouch.lab.identification.estimates import Identification
-from modaltouch.lab.identification.identified import identify
+from modaltouch.lab.identification.joint_fit import identify
 from modaltouch.lab.identification.peaks import Poles
 from modaltouch.lab.identification.responses import QUANTITIES, FrequencyResponses, Quantity, as_velocity
 from modaltouch.lab.identification.shapes import check_points, label_shapes, mac

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from modaltouch.lab.identification.excitation import LOWEST, Campaign, Excitation, evenly, excite
-from modaltouch.lab.identification.identified import identify
+from modaltouch.lab.identification.joint_fit import identify
 from modaltouch.lab.identification.responses import Spectra, responses_of
 from modaltouch.lab.identification.shapes import mac
 from modaltouch.lab.measurement import Laboratory, ScanPlan, open_laboratory, read_scan, take_scan

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from modaltouch.stimulus.field import Projection
-from modaltouch.stimulus.wish import Wish
+from modaltouch.stimulus.target_field import Wish
 
 
 def test_triangle_projects_as_its_closed_form(model):

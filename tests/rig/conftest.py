@@ -13,7 +13,7 @@ import pytest
 from modaltouch.protocol.apparatus import Apparatus, read_apparatus
 from modaltouch.rig.connection import Patience
 from modaltouch.rig.generator import Generator
-from modaltouch.rig.local_guard import SameProcess
+from modaltouch.rig.local_client import SameProcess
 from modaltouch.rig.simulator import Simulator
 from modaltouch.rig.simulator.behaviour import Behaviour
 from modaltouch.rig.visa import VisaSession

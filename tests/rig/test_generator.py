@@ -16,9 +16,9 @@ import pytest
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.apparatus.sections import LatencyBounds
 from modaltouch.rig.generator import Generator
-from modaltouch.rig.guard import HELD_UP
 from modaltouch.rig.interface import Bursts, RigError
 from modaltouch.rig.simulator import Simulator
+from modaltouch.rig.watchdog_client import HELD_UP
 from modaltouch.stimulus.burst import Burst
 from modaltouch.system.clock import VirtualClock
 

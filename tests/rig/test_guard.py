@@ -18,11 +18,11 @@ import pytest
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.connection import Patience
 from modaltouch.rig.generator import Generator
-from modaltouch.rig.guard import Watchdog
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.simulator import Simulator
 from modaltouch.rig.transport import LinkError
-from modaltouch.rig.watchdog import LIMIT
+from modaltouch.rig.watchdog_client import Watchdog
+from modaltouch.rig.watchdog_process import LIMIT
 from modaltouch.stimulus.burst import Burst
 
 
@@ -98,7 +98,7 @@ def test_watchdog_that_is_stuck_is_ended_and_replaced(
     rig: Generator, single_link: Simulator, dogs: list[Watchdog], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One that is stopped does not answer: ended after the times that it was given, and the outputs go off."""
-    monkeypatch.setattr("modaltouch.rig.guard.OVERHEAD", 0.5)
+    monkeypatch.setattr("modaltouch.rig.watchdog_client.OVERHEAD", 0.5)
     rig.fire(0.1)
     stuck = dogs[0]._process
     os.kill(stuck.pid, signal.SIGSTOP)
@@ -205,7 +205,7 @@ def test_machine_that_starts_no_process_touches_no_generator(
     def refuse(*parts: object, **options: object) -> None:
         raise OSError("Resource temporarily unavailable")
 
-    monkeypatch.setattr("modaltouch.rig.guard.subprocess.Popen", refuse)
+    monkeypatch.setattr("modaltouch.rig.watchdog_client.subprocess.Popen", refuse)
     with pytest.raises(RigError, match="cannot be started .Resource temporarily.*was not touched; see whether"):
         Watchdog(single_link.address)
 
@@ -234,7 +234,7 @@ def test_watchdog_has_a_console_of_its_own_on_windows(monkeypatch: pytest.Monkey
         asked.append(options)
         raise OSError("enough is known")
 
-    monkeypatch.setattr("modaltouch.rig.guard.subprocess.Popen", refuse)
+    monkeypatch.setattr("modaltouch.rig.watchdog_client.subprocess.Popen", refuse)
     with pytest.raises(RigError, match="enough is known"):
         Watchdog("TCPIP::192.0.2.1::INSTR")
     assert asked[0]["creationflags"] == 0x08000200

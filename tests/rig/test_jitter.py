@@ -10,7 +10,7 @@ from modaltouch.preflight import examine
 from modaltouch.preflight.examination import design_to_fit
 from modaltouch.rig.pacing import LATEST
 from modaltouch.stimulus.drive import Release
-from modaltouch.stimulus.quantise import signed_codes
+from modaltouch.stimulus.quantisation import signed_codes
 from modaltouch.stimulus.vibration import states_by_channel
 
 PROTOCOL = Path(__file__).parents[2] / "protocols" / "differentiated_stimulation.yaml"

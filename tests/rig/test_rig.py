@@ -37,7 +37,7 @@ def loaded_modules(code: str) -> set[str]:
 def test_front_door_is_light() -> None:
     """`modaltouch --help` pays for neither PyVISA nor numbers; the watchdog starts without them too."""
     heavy = {"pyvisa", "pyvisa_py", "pandas", "scipy", "numpy", "pydantic"}
-    assert not loaded_modules("import modaltouch.rig, modaltouch.rig.watchdog") & heavy
+    assert not loaded_modules("import modaltouch.rig, modaltouch.rig.watchdog_process") & heavy
 
 
 def test_interface_does_not_load_pyvisa() -> None:

@@ -16,10 +16,10 @@ from typing import Any
 
 import pytest
 
-from modaltouch.rig import watchdog
+from modaltouch.rig import watchdog_process as watchdog
 from modaltouch.rig.pacing import Order, Pacer
 from modaltouch.rig.transport import InUse
-from modaltouch.rig.watchdog import (
+from modaltouch.rig.watchdog_process import (
     ARM,
     BEAT,
     CLEAN,

@@ -18,7 +18,7 @@ from pathlib import Path
 import pytest
 
 from modaltouch.rig.simulator import Simulator
-from modaltouch.rig.watchdog import LIMIT, REPLY_TIMEOUT
+from modaltouch.rig.watchdog_process import LIMIT, REPLY_TIMEOUT
 
 APPARATUS = Path(__file__).parents[2] / "protocols" / "apparatus" / "beam_100x6x2.yaml"
 

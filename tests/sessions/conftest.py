@@ -21,7 +21,7 @@ def context():
     # questplus brings pandas and xarray along, which a session of fixed levels does not load; xarray in its turn looks
     # for pint, which is here with the tests' own tools.
     context.set_forkserver_preload(
-        ["modaltouch.session.wiring", "modaltouch.cli.running", "modaltouch.rig.generator", "modaltouch.rig.simulator"]
+        ["modaltouch.session.wiring", "modaltouch.cli.run", "modaltouch.rig.generator", "modaltouch.rig.simulator"]
         + ["modaltouch.session.console.drawing", "rich.table", "questplus", "pint"]
     )
     return context

@@ -150,7 +150,7 @@ def _watchdogs(session: int) -> list[int]:
     for path in Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(OSError):
             parent = int((path / "stat").read_text().rpartition(")")[2].split()[1])
-            if parent == session and b"modaltouch.rig.watchdog" in (path / "cmdline").read_bytes():
+            if parent == session and b"modaltouch.rig.watchdog_process" in (path / "cmdline").read_bytes():
                 found.append(int(path.name))
     return found
 

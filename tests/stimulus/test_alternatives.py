@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from modaltouch.stimulus.alternatives import least_norm, least_peak, trade
+from modaltouch.stimulus.alternative_designs import least_norm, least_peak, trade
 from modaltouch.stimulus.design import ModalModel, Timing
 
 UNMODELLED = ModalModel((19,), [120e3], [0.015], [[50.0, 50.0]], 0.1)

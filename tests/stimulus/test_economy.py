@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from modaltouch.stimulus.economy import cheapest_samples
+from modaltouch.stimulus.sample_count import cheapest_samples
 from modaltouch.stimulus.vibration import modal_history
 
 PLACES = np.linspace(-0.05, 0.05, 21)

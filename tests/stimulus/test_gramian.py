@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from modaltouch.stimulus.gramian import GramianSolver, Taper, raised_cosine
+from modaltouch.stimulus.reachability import GramianSolver, Taper, raised_cosine
 
 
 def weights(taper):

@@ -6,7 +6,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from modaltouch.stimulus.burst import MID_CODE, round_amplitude
-from modaltouch.stimulus.quantise import full_scale, round_to_codes, signed_codes, unsigned_codes
+from modaltouch.stimulus.quantisation import full_scale, round_to_codes, signed_codes, unsigned_codes
 
 SHIPPED_SHARES = (0.4, 0.5, 0.75, 1.0)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from modaltouch.stimulus.design import Amplifier, Timing, Wish
-from modaltouch.stimulus.settling import _changes, _Walk
+from modaltouch.stimulus.rounding import _changes, _Walk
 from modaltouch.stimulus.vibration import states_by_channel
 
 

@@ -9,8 +9,8 @@ from typer.testing import CliRunner
 
 from modaltouch.cli.app import app
 from modaltouch.lab.validation.key_figures import key_figures
+from modaltouch.lab.validation.narrative import findings
 from modaltouch.lab.validation.page import Occasion, write_evidence
-from modaltouch.lab.validation.words import findings
 from modaltouch.record.chain import RecordError
 from modaltouch.report.output import write_files
 

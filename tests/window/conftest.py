@@ -16,8 +16,8 @@ from modaltouch.protocol.trial import Condition, Trial
 from modaltouch.system.clock import SYSTEM_CLOCK, Clock, VirtualClock
 from modaltouch.window.events import Event
 from modaltouch.window.interface import Presentation
-from modaltouch.window.marks import Picture
 from modaltouch.window.participant import ParticipantWindow
+from modaltouch.window.shapes import Picture
 from modaltouch.window.theme import DARK
 from modaltouch.window.virtual_display import virtual_display
 

@@ -12,7 +12,7 @@ import pytest
 from modaltouch.protocol import KEY_NAMES
 from modaltouch.window.events import EventTap, canonical_key
 from modaltouch.window.layout import lay_out
-from modaltouch.window.reading import Reader
+from modaltouch.window.meanings import Reader
 
 pytestmark = pytest.mark.window
 

@@ -11,12 +11,12 @@ import pytest
 
 from modaltouch.planning.observer import Participant
 from modaltouch.protocol.trial import Condition, Response, Trial
+from modaltouch.window.display_loop import Nobody, Stage
 from modaltouch.window.events import Event
 from modaltouch.window.interface import Progress, SessionStopped, TrialInterrupted, TypedAnswer, WindowError, Wish
-from modaltouch.window.marks import Picture
 from modaltouch.window.robot import Robot
+from modaltouch.window.shapes import Picture
 from modaltouch.window.simulated import Answerer
-from modaltouch.window.stage import Nobody, Stage
 
 PROGRESS = Progress(5, 12)
 

@@ -13,8 +13,8 @@ from modaltouch.protocol import Experiment
 from modaltouch.protocol.trial import FINGERS, Condition, Trial
 from modaltouch.window.interface import Progress
 from modaltouch.window.layout import lay_out
-from modaltouch.window.marks import Mark, Picture, Shape, Words
 from modaltouch.window.pictures import Illustrator, draw_hands
+from modaltouch.window.shapes import Mark, Picture, Shape, Words
 from modaltouch.window.theme import DARK, Theme
 
 PROGRESS = Progress(5, 12)

@@ -14,8 +14,8 @@ from modaltouch.protocol import Experiment, Texts
 from modaltouch.protocol.trial import Condition, Trial
 from modaltouch.window.interface import Progress, WindowError
 from modaltouch.window.layout import lay_out
-from modaltouch.window.marks import Box, Picture, Words, rectangle, triangle
 from modaltouch.window.pictures import Illustrator
+from modaltouch.window.shapes import Box, Picture, Words, rectangle, triangle
 from modaltouch.window.theme import DARK, THEMES
 from modaltouch.window.virtual_display import virtual_display
 
@@ -25,7 +25,7 @@ OPEN = """
 from pathlib import Path
 from modaltouch.window.interface import WindowError
 from modaltouch.window.screen import Screen
-from modaltouch.window.marks import Picture, Words, Box
+from modaltouch.window.shapes import Picture, Words, Box
 try:
     screen = Screen(size=(400, 300))
     screen.draw(Picture("any", (Words("Bonjour", Box(0, 0, 1, 1), 0.1, "#FFFFFF"),)))

@@ -8,10 +8,10 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from modaltouch.analysis.counts import AnswerCounts
-from modaltouch.analysis.courses import draw_order, draw_side, draw_speeds, draw_times
+from modaltouch.analysis.covariate_figures import draw_order, draw_side, draw_speeds, draw_times
+from modaltouch.analysis.covariates import known_to
 from modaltouch.analysis.figures import draw_counts, draw_overview, draw_participants
 from modaltouch.analysis.responses import Responses
-from modaltouch.analysis.secondary import known_to
 from modaltouch.analysis.tables import figure_names, tabulate, zone_table
 
 FIELDS = (

@@ -243,7 +243,7 @@ TEMPLATE = "report.html.j2"
 
 def render_report(analysis: Analysis, pictures: Sequence[Picture], vectors: Mapping[str, bytes]) -> str:
     """Return the report as HTML."""
-    from modaltouch.analysis.record_facts import describe_record
+    from modaltouch.analysis.provenance import describe_record
 
     answers = analysis.answers
     return render_page(

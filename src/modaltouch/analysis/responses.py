@@ -19,7 +19,7 @@ from modaltouch.analysis.scale import scale_of
 if TYPE_CHECKING:
     import pandas as pd
 
-    from modaltouch.analysis.record_facts import SessionFacts
+    from modaltouch.analysis.provenance import SessionFacts
 
 REQUIRED = ("participant", "finger_condition", "zone_left", "zone_right", "velocity_mm_s", "response")
 CELL = ("finger_condition", "zone_left", "zone_right", "velocity_mm_s")

@@ -20,7 +20,7 @@ import pandas as pd
 
 from modaltouch.analysis.balance import answers_per_cell, describe_cell
 from modaltouch.analysis.mirroring import unmirror
-from modaltouch.analysis.record_facts import SessionFacts, take_facts
+from modaltouch.analysis.provenance import SessionFacts, take_facts
 from modaltouch.analysis.responses import LeftOut, Responses, Source
 from modaltouch.analysis.scale import OWN_THRESHOLD, VELOCITY, scale_of
 from modaltouch.protocol.document import InputError, Problem

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from modaltouch.analysis.catches import Catches, catch_findings
 from modaltouch.analysis.consistency import association_findings, consistency_findings, effect_findings
 from modaltouch.analysis.counts import BOTH, NONE, AnswerCounts, Pair, count_answers
+from modaltouch.analysis.covariates import secondary_findings
 from modaltouch.analysis.exact import ExactTest, multinomial_tests, sign_flip_test, sign_test
 from modaltouch.analysis.findings import Finding, correct, finding_of, to_frame
 from modaltouch.analysis.intervals import Interval, clopper_pearson, clustered_difference, paired_mean
-from modaltouch.analysis.secondary import secondary_findings
 from modaltouch.analysis.trend import trend_test
 
 IntArray = NDArray[np.int64]

@@ -7,18 +7,40 @@ from typing import Annotated
 import typer
 
 from modaltouch.cli import (
-    analysing,
-    beginning,
-    calibrating,
-    checking,
-    comparing,
-    fitting,
-    identifying,
-    looking,
-    planning,
-    rigs,
-    running,
-    validating,
+    analyse as analysing,
+)
+from modaltouch.cli import (
+    calibrate as calibrating,
+)
+from modaltouch.cli import (
+    check as checking,
+)
+from modaltouch.cli import (
+    compare as comparing,
+)
+from modaltouch.cli import (
+    fit as fitting,
+)
+from modaltouch.cli import (
+    identify as identifying,
+)
+from modaltouch.cli import (
+    new as beginning,
+)
+from modaltouch.cli import (
+    power as planning,
+)
+from modaltouch.cli import (
+    records as looking,
+)
+from modaltouch.cli import (
+    rig as rigs,
+)
+from modaltouch.cli import (
+    run as running,
+)
+from modaltouch.cli import (
+    validate as validating,
 )
 
 app = typer.Typer(

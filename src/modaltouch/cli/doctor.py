@@ -118,8 +118,8 @@ def _libraries() -> Finding:
 def _window() -> Finding:
     """Open the window and draw a letter, which needs a display, OpenGL, fonts and PsychoPy together."""
     from modaltouch.window.interface import WindowError
-    from modaltouch.window.marks import Box, Picture, Words
     from modaltouch.window.screen import Screen
+    from modaltouch.window.shapes import Box, Picture, Words
     from modaltouch.window.virtual_display import some_display
 
     try:
@@ -183,7 +183,7 @@ def _usb() -> Finding:
 
 
 def _precedence() -> Finding:
-    """Find out whether the process that triggers bursts may go before others (`modaltouch.rig.watchdog`)."""
+    """Find out whether the process that triggers bursts may go before others (`modaltouch.rig.watchdog_process`)."""
     if sys.platform != "linux":
         return Finding("real time", "ok", "as the system shares out its processors")
     import resource

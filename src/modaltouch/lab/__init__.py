@@ -1,4 +1,5 @@
-"""Measures the beam: identification, calibration, validation and comparison, each loaded by its own command alone.
+"""Measures the beam: identification, calibration, validation and comparison.
 
-In come a rig, or its twin, and an apparatus or a protocol; out come apparatus and calibration files, figures and a page.
+Each loads for its own command alone. In come a rig, or its twin, and an apparatus or a protocol;
+out come apparatus and calibration files, figures and a page.
 """

@@ -32,7 +32,7 @@ from modaltouch.rig.settings import MAX_POINTS, continuous_codes
 from modaltouch.stimulus.burst import Burst
 from modaltouch.stimulus.design import Stimulus
 from modaltouch.stimulus.drive import Law
-from modaltouch.stimulus.quantise import signed_codes
+from modaltouch.stimulus.quantisation import signed_codes
 from modaltouch.stimulus.vibration import states_by_channel
 
 

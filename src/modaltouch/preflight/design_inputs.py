@@ -16,7 +16,7 @@ from modaltouch.stimulus.drive import Law, Release
 
 if TYPE_CHECKING:
     from modaltouch.protocol.calibration_sections import CalibrationFile
-from modaltouch.protocol.wished import Points, read_points
+from modaltouch.protocol.field_points import Points, read_points
 
 _NEEDED = ("stimulus", "beam", "actuator_sets", "modes", "amplifier", "generator")
 

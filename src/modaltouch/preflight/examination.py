@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from modaltouch.preflight.checked import Preflight
 from modaltouch.preflight.design_inputs import Ground, design, find_ground
-from modaltouch.preflight.several import at_stimulus, check_memories, each_stimulus
+from modaltouch.preflight.several_stimuli import at_stimulus, check_memories, each_stimulus
 from modaltouch.preflight.sound import check_masking_level
 from modaltouch.protocol import Findings, Protocol, examine_files
 from modaltouch.protocol.apparatus import zone_edges

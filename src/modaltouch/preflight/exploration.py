@@ -66,7 +66,7 @@ def design_figures(stimulus: Stimulus) -> list[dict[str, Any]]:
     stimulus : Stimulus
         The stimulus, at its highest level.
     """
-    from modaltouch.stimulus.alternatives import least_norm, least_peak, trade
+    from modaltouch.stimulus.alternative_designs import least_norm, least_peak, trade
 
     others = [least_norm(stimulus, 4.0), least_norm(stimulus, 8.0), least_peak(stimulus)]
     unmodelled = _supposed_mode(stimulus.model)
@@ -100,7 +100,7 @@ def sample_figures(ground: Ground, stimulus: Stimulus, tolerance: float) -> dict
     ValueError
         If the tolerance is not above zero.
     """
-    from modaltouch.stimulus.economy import cheapest_samples
+    from modaltouch.stimulus.sample_count import cheapest_samples
 
     found = cheapest_samples(stimulus, tolerance, zone_centres(ground))
     return {

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 from modaltouch.protocol.adaptive_checks import check_adaptive, check_sensation_levels, is_adaptive
 from modaltouch.protocol.document import Problem, Reading, suggest
+from modaltouch.protocol.field_points import check_wished
 from modaltouch.protocol.keys import END_KEY, KEY_ALIASES, KEY_NAMES, RESERVED_KEYS
 from modaltouch.protocol.sections import AnswersSection, Protocol
-from modaltouch.protocol.wished import check_wished
 
 TRIAL_LIMIT = 10_000
 """Most trials of a session: a day of them."""

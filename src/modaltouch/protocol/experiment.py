@@ -11,10 +11,10 @@ from modaltouch.protocol.calibration_file import check_age, check_calibration, e
 from modaltouch.protocol.checks import check_protocol, check_settling
 from modaltouch.protocol.document import InputError, Problem, Reading, Source, find, load_source, read
 from modaltouch.protocol.document.source import YAML_FILE
+from modaltouch.protocol.field_points import read_points
 from modaltouch.protocol.fit import check_fit
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.texts import Texts, check_words
-from modaltouch.protocol.wished import read_points
 
 if TYPE_CHECKING:
     from modaltouch.protocol.calibration_sections import Calibration

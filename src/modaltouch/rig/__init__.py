@@ -20,10 +20,10 @@ from modaltouch.system.clock import SYSTEM_CLOCK, Clock, VirtualClock
 
 if TYPE_CHECKING:
     from modaltouch.protocol.apparatus import Apparatus
-    from modaltouch.rig.guard import Guard
     from modaltouch.rig.interface import Rig
     from modaltouch.rig.link import Log
     from modaltouch.rig.simulator import Simulator
+    from modaltouch.rig.watchdog_client import Guard
 
 
 def open_rig(address: str, apparatus: Apparatus, *, log: Log, **options: Any) -> Rig:
@@ -52,7 +52,7 @@ def open_rig(address: str, apparatus: Apparatus, *, log: Log, **options: Any) ->
 
 def same_process(clock: VirtualClock) -> Callable[[str], Guard]:
     """Return what stands in a watchdog's place for a session in virtual time, as `open_rig`'s ``start_guard``."""
-    from modaltouch.rig.local_guard import SameProcess
+    from modaltouch.rig.local_client import SameProcess
     from modaltouch.rig.visa import VisaSession
 
     return lambda address: SameProcess(VisaSession(address), clock)

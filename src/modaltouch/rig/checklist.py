@@ -12,10 +12,10 @@ from typing import Any
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.connection import Connection, Patience
 from modaltouch.rig.controls import Unconfirmed
-from modaltouch.rig.guard import Watchdog
 from modaltouch.rig.link import Log
-from modaltouch.rig.questions import QUESTIONS, Bench, Finding, State
+from modaltouch.rig.open_questions import QUESTIONS, Bench, Finding, State
 from modaltouch.rig.transport import LinkError
+from modaltouch.rig.watchdog_client import Watchdog
 
 
 @dataclass(frozen=True)

@@ -17,13 +17,13 @@ from typing import Any, Self
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.connection import Connection, Found, Patience
 from modaltouch.rig.controls import CHANNELS, Unconfirmed
-from modaltouch.rig.guard import HELD_UP, Guard, Watchdog
 from modaltouch.rig.interface import MANY, Bursts, Firing, RigError, StimulusLost
 from modaltouch.rig.link import Log
 from modaltouch.rig.pacing import Report
 from modaltouch.rig.player import RELAYS_SETTLE, Player, Repetition, numbers
 from modaltouch.rig.transport import LinkError
-from modaltouch.rig.watchdog import LIMIT
+from modaltouch.rig.watchdog_client import HELD_UP, Guard, Watchdog
+from modaltouch.rig.watchdog_process import LIMIT
 from modaltouch.stimulus.burst import Burst
 from modaltouch.system.clock import SYSTEM_CLOCK, Clock
 

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.stimulus.dynamics import DiagonalSystem
-from modaltouch.stimulus.envelope import Effort, bound_weights
-from modaltouch.stimulus.scan import SHORT, Scan
+from modaltouch.stimulus.peak_bound import Effort, bound_weights
+from modaltouch.stimulus.recursion import SHORT, Scan
 from modaltouch.stimulus.synthesis import decay
 
 FloatArray = NDArray[np.float64]

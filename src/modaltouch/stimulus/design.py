@@ -11,8 +11,8 @@ from modaltouch.stimulus.designed import Design, Rounding, Stimulus
 from modaltouch.stimulus.drive import Law, Release, check_drivable
 from modaltouch.stimulus.dynamics import Amplifier
 from modaltouch.stimulus.modes import ModalModel
+from modaltouch.stimulus.target_field import Wish
 from modaltouch.stimulus.timing import Timing
-from modaltouch.stimulus.wish import Wish
 
 __all__ = ["Amplifier", "Burst", "Correction", "ModalModel", "Stimulus", "Timing", "Wish", "design_stimulus"]
 

@@ -14,8 +14,8 @@ from modaltouch.stimulus.burst import MID_CODE, Burst, amplitudes_at
 from modaltouch.stimulus.correction import Correction, Trims, trimmed
 from modaltouch.stimulus.drive import Drive, Law
 from modaltouch.stimulus.played import Played
-from modaltouch.stimulus.quantise import full_scale, round_to_codes, unsigned_codes
-from modaltouch.stimulus.settling import settle
+from modaltouch.stimulus.quantisation import full_scale, round_to_codes, unsigned_codes
+from modaltouch.stimulus.rounding import settle
 from modaltouch.stimulus.vibration import states_by_channel
 from modaltouch.stimulus.voltages import LAWLESS, Voltages
 
@@ -62,7 +62,7 @@ class Stimulus(Voltages):
         """Voltages before rounding, and how well they were solved for."""
         if self.law == "paper" or self.design == "least_energy":
             return super().drive
-        from modaltouch.stimulus.alternatives import alternative_drive
+        from modaltouch.stimulus.alternative_designs import alternative_drive
 
         return alternative_drive(self, self.design)
 

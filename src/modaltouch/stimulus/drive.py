@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.stimulus.dynamics import DiagonalSystem
-from modaltouch.stimulus.gramian import GramianSolver, Reach, Taper
 from modaltouch.stimulus.modes import ModalModel
+from modaltouch.stimulus.reachability import GramianSolver, Reach, Taper
 from modaltouch.stimulus.timing import Timing
 from modaltouch.stimulus.vibration import states_by_channel
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.shapes import mode_shapes
-from modaltouch.stimulus.wish import Wish
+from modaltouch.stimulus.target_field import Wish
 
 FloatArray = NDArray[np.float64]
 _NODES = 16

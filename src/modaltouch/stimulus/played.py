@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from modaltouch.stimulus.course import Course
+from modaltouch.stimulus.block_states import Course
 from modaltouch.stimulus.dynamics import DiagonalSystem
 from modaltouch.stimulus.timing import Timing
 from modaltouch.stimulus.vibration import states_by_channel

@@ -12,10 +12,10 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from modaltouch.stimulus.block_states import Course
 from modaltouch.stimulus.blocks import BlockKernel
-from modaltouch.stimulus.course import Course
+from modaltouch.stimulus.clock_quantisation import clock_inputs, clock_pushes, late_gains, late_steps
 from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem, modal_system
-from modaltouch.stimulus.lateness import clock_inputs, clock_pushes, late_gains, late_steps
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.synthesis import BLOCK, CHUNK, decay, ladders
 from modaltouch.stimulus.timing import Timing

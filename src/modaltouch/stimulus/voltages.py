@@ -13,8 +13,8 @@ from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem, modal_system
 from modaltouch.stimulus.field import Projection
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.paper_law import paper_drive
+from modaltouch.stimulus.target_field import Wish
 from modaltouch.stimulus.timing import Timing
-from modaltouch.stimulus.wish import Wish
 
 FloatArray = NDArray[np.float64]
 

@@ -6,11 +6,11 @@ from collections.abc import Callable
 from typing import NoReturn
 
 from modaltouch.protocol.trial import Answer, Trial
+from modaltouch.window.display_loop import Moment, Stage
 from modaltouch.window.events import Event
 from modaltouch.window.interface import Progress, SessionStopped
+from modaltouch.window.meanings import Reader, describe_press, is_press
 from modaltouch.window.pictures import Illustrator
-from modaltouch.window.reading import Reader, describe_press, is_press
-from modaltouch.window.stage import Moment, Stage
 
 SETTLE = 0.25
 """A press this soon after a screen appeared was meant for the one before [s]."""

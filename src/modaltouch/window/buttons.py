@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from modaltouch.protocol import AnswersSection, Texts
 from modaltouch.protocol.trial import Answer
 from modaltouch.window.layout import Layout
-from modaltouch.window.marks import Box, Mark, Words, framed, rounded, triangle
+from modaltouch.window.shapes import Box, Mark, Words, framed, rounded, triangle
 from modaltouch.window.theme import Theme
 
 _ARROWS = ("left", "right", "up", "down")

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import TypeVar
 
 from modaltouch.protocol.trial import Answer
-from modaltouch.window.marks import Box
+from modaltouch.window.shapes import Box
 
 SHOWN_ANSWERS: tuple[Answer, ...] = ("left", "both", "right")
 """Answers in the order of their buttons, from the left; the answer none lies below them all, on no finger's side."""

@@ -12,13 +12,13 @@ from modaltouch.protocol import Protocol, Texts
 from modaltouch.protocol.trial import TIME_OUT, Answer, Response, Trial
 from modaltouch.system.clock import SYSTEM_CLOCK, Clock
 from modaltouch.window.answering import SETTLE, AnswerTaker, Pauser
+from modaltouch.window.display_loop import POLL_INTERVAL, Display, Moment, Nobody, Sitter, Stage
 from modaltouch.window.events import Event, canonical_key
 from modaltouch.window.interface import Log, Presentation, Progress, Tick, TrialInterrupted
 from modaltouch.window.layout import lay_out
-from modaltouch.window.marks import Picture
+from modaltouch.window.meanings import DEVICES, Reader, is_press
 from modaltouch.window.pictures import Illustrator
-from modaltouch.window.reading import DEVICES, Reader, is_press
-from modaltouch.window.stage import POLL_INTERVAL, Display, Moment, Nobody, Sitter, Stage
+from modaltouch.window.shapes import Picture
 from modaltouch.window.theme import THEMES, Theme
 
 _CONFIRMATION = 0.4

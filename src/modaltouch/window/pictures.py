@@ -10,7 +10,7 @@ from modaltouch.protocol.trial import Trial
 from modaltouch.window.buttons import Buttons, key_name
 from modaltouch.window.interface import Progress
 from modaltouch.window.layout import Layout
-from modaltouch.window.marks import Box, Mark, Picture, Point, Words, capsule, framed, moved, rectangle, rounded
+from modaltouch.window.shapes import Box, Mark, Picture, Point, Words, capsule, framed, moved, rectangle, rounded
 from modaltouch.window.theme import Theme, mixed
 
 

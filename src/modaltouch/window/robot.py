@@ -10,10 +10,10 @@ from collections.abc import Callable
 
 from modaltouch.protocol import AnswersSection
 from modaltouch.protocol.trial import Answer
+from modaltouch.window.display_loop import Moment
 from modaltouch.window.events import canonical_key
 from modaltouch.window.interface import WindowError
 from modaltouch.window.simulated import Answerer
-from modaltouch.window.stage import Moment
 
 _HOLD = 0.06
 """How long a key stays down at least, and up before the next press [s]."""

@@ -19,7 +19,7 @@ from modaltouch.system.clock import SYSTEM_CLOCK, Clock
 from modaltouch.window.environment import explain, few_imports, fit, missing_libraries, prepare_environment
 from modaltouch.window.events import Event, EventTap
 from modaltouch.window.interface import WindowError
-from modaltouch.window.marks import Mark, Picture, Shape, Words
+from modaltouch.window.shapes import Mark, Picture, Shape, Words
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from modaltouch.window.marks import Box, Picture, rectangle
+from modaltouch.window.display_loop import POLL_INTERVAL
 from modaltouch.window.screen import Screen
-from modaltouch.window.stage import POLL_INTERVAL
+from modaltouch.window.shapes import Box, Picture, rectangle
 
 _LATE_FRAME = 1.5
 """A frame counts as dropped when it takes this many times the usual [1]."""

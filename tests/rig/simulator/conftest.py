@@ -12,8 +12,8 @@ from modaltouch.protocol.apparatus import Apparatus, TrueAmplifier
 from modaltouch.rig.simulator.channel import Playback
 from modaltouch.rig.simulator.twin import Twin
 from modaltouch.stimulus.design import design_stimulus
+from modaltouch.stimulus.target_field import Wish
 from modaltouch.stimulus.timing import Timing
-from modaltouch.stimulus.wish import Wish
 
 
 def make_playback(amplitude: float = 4.0, *, n: int = 2000, hertz: float = 229.0, code: int = 8191) -> Playback:

@@ -10,12 +10,12 @@ import pytest
 
 from modaltouch.protocol.apparatus import Apparatus, TrueAmplifier
 from modaltouch.rig.simulator.channel import Playback
-from modaltouch.rig.simulator.course import Drive, Motion
-from modaltouch.rig.simulator.response import state_at
+from modaltouch.rig.simulator.held_response import state_at
+from modaltouch.rig.simulator.motion import Drive, Motion
 from modaltouch.rig.simulator.twin import Twin
 from modaltouch.stimulus.design import design_stimulus
+from modaltouch.stimulus.target_field import Wish
 from modaltouch.stimulus.timing import Timing
-from modaltouch.stimulus.wish import Wish
 
 
 def test_twin_without_differences_does_what_the_design_predicts(

@@ -100,7 +100,7 @@ def render_runs(analysis: ThresholdAnalysis) -> dict[str, bytes]:
 def _report(
     analysis: ThresholdAnalysis, together: list[dict[str, Any]], vectors: Mapping[str, bytes], n_sessions: int
 ) -> str:
-    from modaltouch.analysis.record_facts import describe_record
+    from modaltouch.analysis.provenance import describe_record
 
     responses = analysis.responses
     design = responses.start["design"]

@@ -11,8 +11,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from modaltouch.analysis.covariates import student_interval
 from modaltouch.analysis.responses import Responses
-from modaltouch.analysis.secondary import student_interval
 from modaltouch.analysis.thresholds.psychometric import Estimate, Psychometric, fit_psychometric
 from modaltouch.protocol.adaptive_rules.levels import to_dB
 from modaltouch.protocol.adaptive_rules.staircase import is_success

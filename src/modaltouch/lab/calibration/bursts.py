@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from modaltouch.stimulus.burst import MID_CODE, Burst, round_amplitude
 from modaltouch.stimulus.dynamics import Amplifier
-from modaltouch.stimulus.gramian import Taper
 from modaltouch.stimulus.modes import ModalModel
-from modaltouch.stimulus.quantise import round_to_codes, unsigned_codes
+from modaltouch.stimulus.quantisation import round_to_codes, unsigned_codes
+from modaltouch.stimulus.reachability import Taper
 from modaltouch.stimulus.synthesis import synthesise
 from modaltouch.stimulus.timing import Timing
 from modaltouch.stimulus.vibration import peak_velocity

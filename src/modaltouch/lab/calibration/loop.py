@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from modaltouch.lab.calibration.acquisition import Bench, Taking, measuring_points
 from modaltouch.lab.calibration.bursts import commanded_voltage, identifying_burst, probe_voltage, timing_voltage
+from modaltouch.lab.calibration.corrections import DIGITS, aimed_ground, refined_apparatus, significant
 from modaltouch.lab.calibration.decay import find_poles, fit_residues
-from modaltouch.lab.calibration.lag import DriveLag, fit_drive
+from modaltouch.lab.calibration.delays import DriveLag, fit_drive
 from modaltouch.lab.calibration.outcome import Level, Outcome, Progress, Turn
 from modaltouch.lab.calibration.plant import Plant, identify_plant
-from modaltouch.lab.calibration.refining import DIGITS, aimed_ground, refined_apparatus, significant
-from modaltouch.lab.calibration.taking import Bench, Taking, measuring_points
 from modaltouch.preflight.design_inputs import Ground
 from modaltouch.preflight.examination import design_to_fit
 from modaltouch.protocol.apparatus import Apparatus

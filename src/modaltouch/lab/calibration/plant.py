@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.lab.calibration.decay import Decay
-from modaltouch.lab.calibration.lag import DriveLag, SightLag, fit_sight
+from modaltouch.lab.calibration.delays import DriveLag, SightLag, fit_sight
 from modaltouch.stimulus.dynamics import Amplifier, modal_system
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.timing import Timing

@@ -10,10 +10,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from modaltouch.lab.comparison.judging import Verdict
+from modaltouch.lab.comparison.assessment import Verdict
+from modaltouch.lab.comparison.contest import Contest
+from modaltouch.lab.comparison.narrative import paragraphs
 from modaltouch.lab.comparison.results import Row, criteria
-from modaltouch.lab.comparison.study import Contest
-from modaltouch.lab.comparison.words import paragraphs
 from modaltouch.report.output import csv_bytes, json_bytes, refuse_other, write_files
 from modaltouch.report.page import embed_svg, render_page
 from modaltouch.report.style import FAINT, INK, house_style, level_label, new_figure, quiet_grid, render

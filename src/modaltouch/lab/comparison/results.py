@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from modaltouch.lab.comparison.judging import Verdict
+from modaltouch.lab.comparison.assessment import Verdict
+from modaltouch.lab.comparison.contest import Contest
 from modaltouch.lab.comparison.methods import Designed
-from modaltouch.lab.comparison.study import Contest
 from modaltouch.preflight.figures import finite
 
 Row = dict[str, Any]

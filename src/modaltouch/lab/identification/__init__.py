@@ -12,7 +12,7 @@
 """
 
 from modaltouch.lab.identification.estimates import Estimate, Identification, IdentifiedMode
-from modaltouch.lab.identification.identified import identify
+from modaltouch.lab.identification.joint_fit import identify
 from modaltouch.lab.identification.responses import FrequencyResponses
 
 __all__ = ["Estimate", "FrequencyResponses", "Identification", "IdentifiedMode", "identify"]

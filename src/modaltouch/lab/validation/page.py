@@ -10,7 +10,11 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from modaltouch.lab.validation.courses import (
+from modaltouch.lab.validation.evidence import Evidence
+from modaltouch.lab.validation.key_figures import coefficients
+from modaltouch.lab.validation.narrative import findings, summary
+from modaltouch.lab.validation.pictures import PAPER_WORST, draw_coefficients, draw_decomposition, draw_fields
+from modaltouch.lab.validation.time_histories import (
     around_focus,
     draw_drives,
     draw_maps,
@@ -18,10 +22,6 @@ from modaltouch.lab.validation.courses import (
     draw_zones,
     spectrogram_of,
 )
-from modaltouch.lab.validation.evidence import Evidence
-from modaltouch.lab.validation.key_figures import coefficients
-from modaltouch.lab.validation.pictures import PAPER_WORST, draw_coefficients, draw_decomposition, draw_fields
-from modaltouch.lab.validation.words import findings, summary
 from modaltouch.report.output import csv_bytes, json_bytes, refuse_other, write_files
 from modaltouch.report.page import embed_svg, render_page
 from modaltouch.report.style import level_label, render

@@ -14,10 +14,10 @@ from pathlib import Path
 
 from modaltouch.protocol import Sources
 from modaltouch.protocol.document import InputError
-from modaltouch.record.audit.beginning import check_beginning, draw_again, levels_of
-from modaltouch.record.audit.course import Course
-from modaltouch.record.audit.presented import Given
-from modaltouch.record.audit.restored import UNTOLD, restore
+from modaltouch.record.audit.experiment import UNTOLD, restore
+from modaltouch.record.audit.presentation import Given
+from modaltouch.record.audit.sequence import Course
+from modaltouch.record.audit.start import check_beginning, draw_again, levels_of
 from modaltouch.record.audit.view import check_view
 from modaltouch.record.chain import Chain, RecordError, read_chain
 from modaltouch.record.session import Session

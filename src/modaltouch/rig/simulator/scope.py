@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from modaltouch.rig.acquisition import Acquisition, Inputs, Recording
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.simulator.channel import Playback
-from modaltouch.rig.simulator.course import Drive, Motion
+from modaltouch.rig.simulator.motion import Drive, Motion
 from modaltouch.rig.simulator.twin import Twin
 
 FloatArray = NDArray[np.float64]

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.simulator.channel import MID_CODE, Playback
-from modaltouch.rig.simulator.course import Drive, Motion, low_passed
-from modaltouch.rig.simulator.response import LONGEST_SILENCE, Held, peak, refined, state_at
+from modaltouch.rig.simulator.held_response import LONGEST_SILENCE, Held, peak, refined, state_at
+from modaltouch.rig.simulator.motion import Drive, Motion, low_passed
 from modaltouch.rig.simulator.true_beam import generator_gains, true_amplifier, true_beam
 from modaltouch.stimulus.dynamics import DiagonalSystem
 

@@ -1,8 +1,8 @@
 """The console's own process: draws how the session stands, and sends what the experimenter types.
 
-``python -m modaltouch.session.console KEYS SCREEN EMERGENCY`` with the descriptors of the terminal's two sides and the names
-of the keys for emergencies. Facts come on standard input and requests go to standard output, a JSON object a line.
-It ends when standard input does: so the terminal is given back even if the session was killed.
+``python -m modaltouch.session.console KEYS SCREEN EMERGENCY`` with the descriptors of the terminal's two sides and the
+names of the keys for emergencies. Facts come on standard input and requests go to standard output, a JSON object a
+line. It ends when standard input does: so the terminal is given back even if the session was killed.
 """
 
 from __future__ import annotations

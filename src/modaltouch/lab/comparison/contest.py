@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from modaltouch.lab.comparison.judging import Playbacks, Task, Verdict, judge
-from modaltouch.lab.comparison.learned import Knowledge, Responses, band
+from modaltouch.lab.comparison.assessment import Playbacks, Task, Verdict, judge
 from modaltouch.lab.comparison.methods import Designed, design_all
+from modaltouch.lab.comparison.training_data import Knowledge, Responses, band
 from modaltouch.lab.identification.estimates import Identification
 from modaltouch.lab.identification.excitation import LOWEST, Campaign, evenly, highest_needed
-from modaltouch.lab.identification.identified import identify
+from modaltouch.lab.identification.joint_fit import identify
 from modaltouch.lab.identification.responses import FrequencyResponses, responses_of
 from modaltouch.lab.measurement import open_laboratory
 from modaltouch.preflight import Preflight

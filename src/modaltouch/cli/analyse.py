@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from modaltouch.cli.faults import print_json, reporting
+from modaltouch.cli.exit_status import print_json, reporting
 from modaltouch.cli.options import JSON, MODE
 
 

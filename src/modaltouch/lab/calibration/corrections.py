@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from modaltouch.lab.calibration.plant import ModalState, Plant
 from modaltouch.preflight import Preflight
 from modaltouch.preflight.design_inputs import Ground
-from modaltouch.preflight.several import at_stimulus
+from modaltouch.preflight.several_stimuli import at_stimulus
 from modaltouch.protocol import Protocol
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.document import InputError, Problem

@@ -1,6 +1,6 @@
 """Holds the one session with the instrument, paces its bursts, and switches the outputs off when its master cannot.
 
-``python -m modaltouch.rig.watchdog ADDRESS`` is a process of its own. The driver asks it for every
+``python -m modaltouch.rig.watchdog_process ADDRESS`` is a process of its own. The driver asks it for every
 exchange through a pipe, so that it can go in at any time: over any interface, those that admit one session (USB)
 among them. While armed it expects a sign of life at least every `LIMIT` seconds; an exchange is one. If none comes, no
 further burst is triggered and the outputs are switched off; so too when the pipe ends without `CLEAN` (the master was

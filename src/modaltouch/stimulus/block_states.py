@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.stimulus.blocks import SHORT, BlockKernel
+from modaltouch.stimulus.clock_quantisation import clock_inputs, clock_pushes
 from modaltouch.stimulus.dynamics import DiagonalSystem
-from modaltouch.stimulus.envelope import Effort, bound_weights
-from modaltouch.stimulus.lateness import clock_inputs, clock_pushes
-from modaltouch.stimulus.scan import Scan
+from modaltouch.stimulus.peak_bound import Effort, bound_weights
+from modaltouch.stimulus.recursion import Scan
 from modaltouch.stimulus.synthesis import BLOCK, decay, ladders
 from modaltouch.stimulus.timing import Timing
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from modaltouch.cli.faults import INTERRUPTED, print_json, reporting
+from modaltouch.cli.exit_status import INTERRUPTED, print_json, reporting
 from modaltouch.cli.options import JSON, OBSERVER, PROTOCOL, progress
 
 if TYPE_CHECKING:
@@ -54,10 +54,10 @@ def power(
     sizes_n = parse_sizes(participants, "--participants", _MOST_PARTICIPANTS)
     sizes_r = parse_sizes(reps, "--reps", _MOST_ANSWERS) if reps is not None else None
     from modaltouch.planning.experiments import Study
+    from modaltouch.planning.files import COMMAND
     from modaltouch.planning.observer.file import read_observer
     from modaltouch.planning.power import plan
     from modaltouch.planning.presented import designs_for
-    from modaltouch.planning.writing import COMMAND
     from modaltouch.preflight import examine
     from modaltouch.report.output import refuse_other
     from modaltouch.system.interruption import Interruption
@@ -91,7 +91,7 @@ def power(
 
 def _report(plans: Sequence[Power], target: float, folders: Mapping[str, Path], *, json_output: bool) -> None:
     """Write and print the plan of each stimulus, also where the last was interrupted."""
-    from modaltouch.planning.writing import write_power
+    from modaltouch.planning.files import write_power
 
     values = []
     for found in plans:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from modaltouch.cli.faults import RECORD_AT_RISK, RIG_FAILED, print_json, reporting
+from modaltouch.cli.exit_status import RECORD_AT_RISK, RIG_FAILED, print_json, reporting
 from modaltouch.cli.options import APPARATUS, JSON, SESSION, SHIPPED_APPARATUS
 
 if TYPE_CHECKING:

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from modaltouch.cli.asking import ask_participant, ask_rig, ask_session, can_ask, wait_for_start
-from modaltouch.cli.faults import print_json, reporting
+from modaltouch.cli.exit_status import print_json, reporting
 from modaltouch.cli.options import (
     CALIBRATION,
     EVENTS,
@@ -35,6 +34,7 @@ from modaltouch.cli.options import (
     Theme,
     progress,
 )
+from modaltouch.cli.prompts import ask_participant, ask_rig, ask_session, can_ask, wait_for_start
 
 if TYPE_CHECKING:
     from modaltouch.record.session import Session

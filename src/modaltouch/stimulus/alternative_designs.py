@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from modaltouch.stimulus.drive import Drive, brake, exact_drive, steering
 from modaltouch.stimulus.dynamics import modal_system
-from modaltouch.stimulus.gramian import GramianSolver, Reach
 from modaltouch.stimulus.modes import ModalModel
+from modaltouch.stimulus.reachability import GramianSolver, Reach
 from modaltouch.stimulus.synthesis import decay
 from modaltouch.stimulus.vibration import states_by_channel
 from modaltouch.stimulus.voltages import Voltages

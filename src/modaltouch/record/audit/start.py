@@ -8,7 +8,7 @@ from typing import Any
 
 from modaltouch.protocol import Protocol
 from modaltouch.protocol.schedule import Schedule, draw_schedule, recorded_turn
-from modaltouch.record.audit.restored import Restored
+from modaltouch.record.audit.experiment import Restored
 from modaltouch.record.chain import read_chain
 from modaltouch.record.folders import locate
 from modaltouch.record.session import Session

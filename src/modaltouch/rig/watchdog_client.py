@@ -16,7 +16,7 @@ from typing import Any
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.pacing import LEASE, Order, Report
 from modaltouch.rig.transport import InUse, LinkError, Transport, TransportError
-from modaltouch.rig.watchdog import (
+from modaltouch.rig.watchdog_process import (
     ARM,
     BEAT,
     CLEAN,
@@ -101,7 +101,7 @@ class Watchdog:
     """
 
     def __init__(self, address: str) -> None:
-        self._command = [sys.executable, "-P", "-m", "modaltouch.rig.watchdog", address]
+        self._command = [sys.executable, "-P", "-m", "modaltouch.rig.watchdog_process", address]
         self._came_round = 0.0
         self._armed = threading.Event()
         self._lost = ""

@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.rig.simulator.response import Held, blocks_of, refined, start_state
+from modaltouch.rig.simulator.held_response import Held, blocks_of, refined, start_state
 from modaltouch.stimulus.blocks import BlockKernel
 from modaltouch.stimulus.dynamics import DiagonalSystem
 from modaltouch.stimulus.vibration import moments

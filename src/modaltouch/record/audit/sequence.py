@@ -9,7 +9,8 @@ from datetime import datetime
 from modaltouch.protocol.practice import judge_round
 from modaltouch.protocol.schedule import Schedule
 from modaltouch.protocol.trial import Trial
-from modaltouch.record.audit.presented import (
+from modaltouch.record.audit.experiment import UNTOLD
+from modaltouch.record.audit.presentation import (
     Event,
     Given,
     check_amplitudes,
@@ -17,7 +18,6 @@ from modaltouch.record.audit.presented import (
     check_bursts,
     check_instants,
 )
-from modaltouch.record.audit.restored import UNTOLD
 from modaltouch.record.session import Session
 
 Key = tuple[bool, int]

@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from modaltouch.analysis.counts import LEFT, RIGHT, AnswerCounts
+from modaltouch.analysis.covariates import ANTICIPATION, has_values, ranked_answers
 from modaltouch.analysis.intervals import korn_graubard
-from modaltouch.analysis.secondary import ANTICIPATION, has_values, ranked_answers
 from modaltouch.report.style import (
     ANSWER_COLOURS,
     CONDITION_COLOURS,

@@ -7,10 +7,10 @@ from typing import Annotated, Any
 
 import typer
 
-from modaltouch.cli.faults import print_json, reporting
-from modaltouch.cli.measuring import bars
+from modaltouch.cli.exit_status import print_json, reporting
+from modaltouch.cli.measurement import bars
 from modaltouch.cli.options import JSON, PROTOCOL
-from modaltouch.cli.validating import refuse_few_points
+from modaltouch.cli.validate import refuse_few_points
 
 COLUMNS = {
     "at_focus_mm_s": "at focus mm/s",
@@ -48,9 +48,9 @@ def compare(
 
     Everything happens on the twin, whose true beam judges. All methods learn from the same recordings.
     """
+    from modaltouch.lab.comparison.contest import Settings, contest, learn
     from modaltouch.lab.comparison.page import COMMAND, as_dict, write_comparison
     from modaltouch.lab.comparison.results import rows_of
-    from modaltouch.lab.comparison.study import Settings, contest, learn
     from modaltouch.preflight import examine
     from modaltouch.report.output import refuse_other
     from modaltouch.system.interruption import Interruption
@@ -99,8 +99,8 @@ def tell(rows: list[dict[str, Any]], level: float, n_beams: int) -> None:
     from rich.console import Console
     from rich.table import Table
 
+    from modaltouch.lab.comparison.narrative import paragraphs
     from modaltouch.lab.comparison.results import criteria
-    from modaltouch.lab.comparison.words import paragraphs
 
     console = Console()
     shown = {key: heading for key, heading in COLUMNS.items() if rows[0].get(key) is not None}

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from modaltouch.cli.analysing import participants
-from modaltouch.cli.faults import print_json, reporting
+from modaltouch.cli.analyse import participants
+from modaltouch.cli.exit_status import print_json, reporting
 from modaltouch.cli.options import JSON, MODE, OBSERVER, PROTOCOL
 
 

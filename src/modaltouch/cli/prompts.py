@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from modaltouch.cli.checking import show
-from modaltouch.cli.faults import INTERRUPTED, leave
+from modaltouch.cli.check import show
+from modaltouch.cli.exit_status import INTERRUPTED, leave
 
 if TYPE_CHECKING:
     from pathlib import Path

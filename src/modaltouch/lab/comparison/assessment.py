@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from modaltouch.lab.validation.measures import contrast, root_mean_square, spot_width
 from modaltouch.rig.simulator.channel import Playback
 from modaltouch.rig.simulator.twin import Twin
-from modaltouch.stimulus.wish import Wish
+from modaltouch.stimulus.target_field import Wish
 
 FloatArray = NDArray[np.float64]
 Playbacks = Sequence[Playback | None]

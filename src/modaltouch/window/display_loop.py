@@ -13,7 +13,7 @@ from modaltouch.protocol.trial import Trial
 from modaltouch.system.clock import SYSTEM_CLOCK, Clock
 from modaltouch.window.events import Event
 from modaltouch.window.interface import Log, SessionStopped, Tick, TypedAnswer, WindowError
-from modaltouch.window.marks import Picture
+from modaltouch.window.shapes import Picture
 
 POLL_INTERVAL = 1e-3
 """Rest between two polls: the resolution of a reaction time [s]."""

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from modaltouch.lab.calibration.corrections import DIGITS
 from modaltouch.lab.calibration.outcome import Level, Outcome, Turn
-from modaltouch.lab.calibration.refining import DIGITS
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.calibration_file import apparatus_hash
 from modaltouch.protocol.calibration_sections import (

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from modaltouch.cli.faults import print_json, reporting
-from modaltouch.cli.measuring import aside, ask_to_aim
+from modaltouch.cli.exit_status import print_json, reporting
+from modaltouch.cli.measurement import aside, ask_to_aim
 from modaltouch.cli.options import JSON, MEASURED_RIG, PROTOCOL
 
 if TYPE_CHECKING:
@@ -37,9 +37,9 @@ def calibrate(
     63.25 and 200 of 2 to 200 mm/s). Of a protocol with
     several stimuli all are calibrated, into one file. Nothing is written before the end.
     """
+    from modaltouch.lab.calibration.corrections import grounds_of, levels_between
+    from modaltouch.lab.calibration.file import Circumstances, calibration_of, write_calibration
     from modaltouch.lab.calibration.loop import calibrate_each
-    from modaltouch.lab.calibration.refining import grounds_of, levels_between
-    from modaltouch.lab.calibration.writing import Circumstances, calibration_of, write_calibration
     from modaltouch.lab.measurement import open_laboratory
     from modaltouch.preflight import examine
     from modaltouch.record.files import prepare_file

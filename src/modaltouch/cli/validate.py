@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from modaltouch.cli.faults import print_json, reporting
-from modaltouch.cli.measuring import bars
+from modaltouch.cli.exit_status import print_json, reporting
+from modaltouch.cli.measurement import bars
 from modaltouch.cli.options import CALIBRATION, JSON, MEASURED_RIG, PROTOCOL
 
 if TYPE_CHECKING:
@@ -149,7 +149,7 @@ def tell(figures: list[dict[str, Any]]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from modaltouch.lab.validation.words import summary
+    from modaltouch.lab.validation.narrative import summary
 
     table = Table(title=f"Measured at {figures[0]['velocity_mm_s']:g} mm/s", title_justify="left")
     table.add_column("quantity [unit]")

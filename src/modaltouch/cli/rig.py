@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from modaltouch.cli.faults import print_json, reporting
+from modaltouch.cli.exit_status import print_json, reporting
 from modaltouch.cli.options import APPARATUS, JSON, SEED_OF_TWIN, SHIPPED_APPARATUS
 
 app = typer.Typer(no_args_is_help=True, help="Find, check and simulate the generator.")

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from modaltouch.cli.faults import BAD_INPUT, print_json, reporting
+from modaltouch.cli.exit_status import BAD_INPUT, print_json, reporting
 from modaltouch.cli.options import CALIBRATION, JSON, PROTOCOL
 
 if TYPE_CHECKING:

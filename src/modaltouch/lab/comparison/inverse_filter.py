@@ -32,7 +32,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.lab.comparison.learned import Knowledge
+from modaltouch.lab.comparison.training_data import Knowledge
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.lab.calibration.bursts import SWEEP
-from modaltouch.lab.calibration.lag import DriveLag
+from modaltouch.lab.calibration.delays import DriveLag
 from modaltouch.rig.acquisition import Acquisition, Recording
 from modaltouch.rig.interface import RigError
 from modaltouch.stimulus.burst import Burst

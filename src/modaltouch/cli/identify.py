@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from modaltouch.cli.faults import BAD_INPUT, leave, print_json, reporting
+from modaltouch.cli.exit_status import BAD_INPUT, leave, print_json, reporting
 from modaltouch.cli.options import APPARATUS, JSON, MEASURED_RIG, SHIPPED_APPARATUS, progress
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 import math
 from typing import TYPE_CHECKING
 
-from modaltouch.cli.measuring import bars
+from modaltouch.cli.measurement import bars
 
 if TYPE_CHECKING:
     from modaltouch.lab.identification.responses import FrequencyResponses
@@ -165,7 +165,7 @@ class Wanted:
         """Return the identification as plain values, its files written."""
         from modaltouch.lab.identification.apparatus_file import identified_apparatus
         from modaltouch.lab.identification.excitation import CLOCK_TOLERANCE
-        from modaltouch.lab.identification.identified import identify as identify_responses
+        from modaltouch.lab.identification.joint_fit import identify as identify_responses
         from modaltouch.lab.identification.report import COMMAND, as_dict, check_modes, write_identification
         from modaltouch.lab.identification.shapes import check_points
         from modaltouch.report.output import refuse_other
@@ -415,7 +415,7 @@ def _file_facts(files: list[Path]) -> dict[str, Any]:
 
 def _without_shapes(files: list[Path], responses: FrequencyResponses, out: Path) -> dict[str, Any]:
     """Return the modes of responses at unknown places, or at too few: no shapes, no gains, no apparatus file."""
-    from modaltouch.lab.identification.identified import identify_each
+    from modaltouch.lab.identification.joint_fit import identify_each
     from modaltouch.lab.identification.report import COMMAND, as_dict, write_identification
     from modaltouch.report.output import refuse_other
 

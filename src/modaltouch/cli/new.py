@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from modaltouch.cli.faults import print_json, reporting
+from modaltouch.cli.exit_status import print_json, reporting
 from modaltouch.cli.options import JSON
 
 

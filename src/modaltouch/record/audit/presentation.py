@@ -9,7 +9,7 @@ from typing import Any
 
 from modaltouch.protocol import Protocol
 from modaltouch.protocol.trial import Trial
-from modaltouch.record.audit.restored import Restored
+from modaltouch.record.audit.experiment import Restored
 from modaltouch.rig.settings import level_setting
 
 Event = dict[str, Any]

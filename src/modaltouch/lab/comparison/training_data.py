@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from modaltouch.stimulus.dynamics import Amplifier
 from modaltouch.stimulus.modes import ModalModel
+from modaltouch.stimulus.target_field import Wish
 from modaltouch.stimulus.timing import Timing
-from modaltouch.stimulus.wish import Wish
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
