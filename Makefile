@@ -101,12 +101,12 @@ bench: install
 .PHONY: soak
 soak: install
 	MODALTOUCH_KILL_POINTS=1200 MODALTOUCH_SOAK_RESULTS=results/benchmarks/soak.json \
-	  $(PYTHON) -m pytest --timeout 7200 tests/sessions/test_durability.py
+	  $(PYTHON) -m pytest --timeout 7200 tests/session/test_durability.py
 
 ## accounted: a session of 240 trials in real time, its record against what the twin played
 .PHONY: accounted
 accounted: install
-	$(PYTHON) tests/sessions/accounted.py --out results/benchmarks/accounted.json
+	$(PYTHON) tests/session/accounted.py --out results/benchmarks/accounted.json
 
 ## stops: 1,000 seeded deaths and dead links while bursts play; what came of them goes into results/benchmarks/stops.json
 .PHONY: stops
@@ -122,19 +122,19 @@ doorstep: install
 ## stalls: twenty demonstrations whose processes are stopped and continued at seeded moments; results/benchmarks/stalls.json
 .PHONY: stalls
 stalls: install
-	$(PYTHON) tests/sessions/stalls.py --demos 20 --out results/benchmarks/stalls.json
+	$(PYTHON) tests/session/stalls.py --demos 20 --out results/benchmarks/stalls.json
 
 ## soak-identification: intervals judged by 200 seeds, and all nine modes through the whole driver, chirp and multisine
 .PHONY: soak-identification
 soak-identification: install
 	MODALTOUCH_IDENTIFIED_SEEDS=200 MODALTOUCH_SCANNED_POINTS=41 \
-	  $(PYTHON) -m pytest --timeout 3600 tests/identification/test_identify.py tests/identification/test_through_the_driver.py
+	  $(PYTHON) -m pytest --timeout 3600 tests/lab/identification/test_identify.py tests/lab/identification/test_through_the_driver.py
 
 ## soak-calibration: forty beams calibrated, and forty through the whole driver, judged by the twin's true state
 .PHONY: soak-calibration
 soak-calibration: install
 	MODALTOUCH_CALIBRATED_BEAMS=40 MODALTOUCH_SEEDED_BEAMS=40 \
-	  $(PYTHON) -m pytest --timeout 600 tests/calibration/test_through_the_driver.py tests/calibration/test_seeded_beams.py
+	  $(PYTHON) -m pytest --timeout 600 tests/lab/calibration/test_through_the_driver.py tests/lab/calibration/test_seeded_beams.py
 
 ## fuzz: 20,000 spoilt files through every reader, and new examples for every property
 .PHONY: fuzz
@@ -150,8 +150,8 @@ oldest: | $(filter .uv/bin/uv,$(UV))
 	$(UV) pip compile --quiet --resolution lowest-direct --python-version 3.11 --group dev pyproject.toml -o build/oldest.txt
 	$(UV) venv --quiet --clear --python 3.11 build/oldest
 	$(UV) pip install --quiet --python build/oldest/bin/python -r build/oldest.txt
-	PYTHONPATH=src build/oldest/bin/python -m pytest -n 2 --dist loadfile -W ignore tests/adaptive tests/analysis tests/apparatus \
-	  tests/observer tests/planning tests/preflight tests/protocol tests/record tests/schedule tests/stimulus
+	PYTHONPATH=src build/oldest/bin/python -m pytest -n 2 --dist loadfile -W ignore tests/protocol tests/stimulus \
+	  tests/preflight tests/record tests/analysis tests/planning
 
 ## mutants: spoil what others rest on, from stimulus to watchdog, one small mistake at a time; a test must notice each
 .PHONY: mutants

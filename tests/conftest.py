@@ -16,24 +16,24 @@ Edit = Callable[..., Path]
 
 LONGEST = (
     "tests/test_readme.py",
-    "tests/sessions/test_durability.py",
-    "tests/sessions/test_in_the_window.py",
+    "tests/session/test_durability.py",
+    "tests/session/test_in_the_window.py",
     "tests/window/test_session_from_outside.py",
-    "tests/sessions/test_kill_and_resume.py",
-    "tests/test_resumption.py",
-    "tests/test_sensation.py",
-    "tests/console/test_terminal.py",
+    "tests/session/test_kill_and_resume.py",
+    "tests/session/test_resumption.py",
+    "tests/session/test_sensation_level.py",
+    "tests/session/console/test_terminal.py",
     "tests/rig/test_watchdog.py",
-    "tests/identification/test_identify.py",
+    "tests/lab/identification/test_identify.py",
 )
 """Files that take longest, begun first, so that no process is left with one of them when the others are done."""
 
 SPLIT = (
-    "tests/sessions/test_durability.py",
+    "tests/session/test_durability.py",
     "tests/test_readme.py",
-    "tests/test_resumption.py",
-    "tests/sessions/test_in_the_window.py",
-    "tests/sessions/test_kill_and_resume.py",
+    "tests/session/test_resumption.py",
+    "tests/session/test_in_the_window.py",
+    "tests/session/test_kill_and_resume.py",
 )
 """Files of which each test may run in another process: one takes longer than most files."""
 

@@ -1,0 +1,81 @@
+"""What a machine lacks is named with what brings it, before anybody sits down."""
+
+from __future__ import annotations
+
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from modaltouch.cli import doctor
+from modaltouch.window import environment
+from modaltouch.window.interface import WindowError
+
+
+def lack(monkeypatch: pytest.MonkeyPatch, *missing: str) -> None:
+    """Have the loader miss some libraries, as on a bare Debian."""
+    monkeypatch.setattr(environment, "is_loadable", lambda name: name not in missing)
+
+
+def test_each_missing_library_is_named_with_its_package(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A bare Debian has neither: pyglet ended in `Library "fontconfig" not found`."""
+    lack(monkeypatch, "libfontconfig.so.1", "libGLU.so.1", "libportaudio.so.2")
+    found = doctor._libraries()
+    assert found.state == "fault"
+    assert found.found == "missing: libGLU.so.1 (libglu1-mesa), libfontconfig.so.1 (libfontconfig1)"
+    assert found.remedy == "apt install libglu1-mesa libfontconfig1"
+    assert doctor.missing_packages()[:3] == ["libglu1-mesa", "libfontconfig1", "libportaudio2"]
+
+
+def test_a_graphics_card_with_its_own_drivers_needs_none_of_mesa(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What Mesa would bring is no fault there; what everybody needs is."""
+    lack(monkeypatch, "libGLX_mesa.so.0", "libGLU.so.1")
+    assert environment.missing_libraries() == {"libGLU.so.1": "libglu1-mesa"}
+
+
+def test_a_window_that_lacks_a_library_says_which(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same words wherever a window is opened: what is missing, and what to install."""
+    lack(monkeypatch, "libfontconfig.so.1")
+    assert environment.explain(ImportError('Library "fontconfig" not found.')) == (
+        "the answer window cannot be drawn: this machine lacks libfontconfig.so.1; install the Debian packages "
+        "libfontconfig1, or what holds them on this system"
+    )
+
+
+@pytest.mark.window
+@pytest.mark.parametrize(("seen", "state"), [("", "ok"), ("doctor._share_lit = lambda picture: 0.0; ", "fault")])
+def test_a_letter_is_drawn(seen: str, state: str) -> None:
+    """White pixels of an A; where none can be seen it is a fault. In a process of its own: a window has one display."""
+    program = f"from modaltouch.cli import doctor; {seen}print(doctor._window().state)"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.split()[-1] == state
+
+
+def test_a_window_that_does_not_open_is_a_fault_with_its_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The reason on one side, what to do on the other."""
+
+    def fail() -> None:
+        raise WindowError("there is no display; log in at a screen")
+
+    monkeypatch.setattr("modaltouch.window.virtual_display.some_display", fail)
+    found = doctor._window()
+    assert (found.state, found.found, found.remedy) == ("fault", "there is no display", "log in at a screen")
+
+
+@pytest.mark.parametrize(("limit", "state"), [(0, "warning"), (10, "ok")])
+def test_a_user_who_may_not_go_before_others_is_told_how(
+    monkeypatch: pytest.MonkeyPatch, limit: int, state: str
+) -> None:
+    """The limit `rtprio` of an ordinary user; root has none."""
+    monkeypatch.setattr("os.geteuid", lambda: 1000)
+    monkeypatch.setattr(resource, "getrlimit", lambda which: (limit, limit))
+    assert doctor._precedence().state == state
+
+
+def test_the_makefile_asks_doctor() -> None:
+    """One list of packages: none is written down in the Makefile a second time."""
+    makefile = (Path(__file__).parents[2] / "Makefile").read_text(encoding="utf-8")
+    assert "doctor --packages" in makefile
+    assert not [package for package in environment.LIBRARIES.values() if package in makefile]

@@ -1,0 +1,153 @@
+"""A bench at physics level, twin and scope without the generator's commands, and the mismatch of the issue."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from modaltouch.lab.calibration.corrections import aimed_ground
+from modaltouch.lab.calibration.loop import calibrate
+from modaltouch.lab.calibration.outcome import Outcome
+from modaltouch.preflight import Preflight, examine
+from modaltouch.preflight.examination import design_to_fit
+from modaltouch.protocol.apparatus import Apparatus, TrueAmplifier
+from modaltouch.rig.acquisition import Acquisition, Recording
+from modaltouch.rig.simulator.channel import Playback
+from modaltouch.rig.simulator.scope import SimulatedScope
+from modaltouch.rig.simulator.twin import TrueState, Twin
+from modaltouch.stimulus.burst import Burst
+
+PROTOCOL = Path(__file__).parents[3] / "protocols" / "differentiated_stimulation.yaml"
+
+BAR = 0.3e-3
+"""Of every modelled mode's velocity and w eta, read from the twin's true state [m/s]."""
+
+LEVEL_BAR = 0.01
+"""Of every level at the focus [1]."""
+
+
+class TwinBench:
+    """Plays on a twin and records with its scope; `amplitude_error` is what the generator makes of an amplitude."""
+
+    def __init__(self, apparatus: Apparatus, seed: int, amplitude_error: Callable[[float], float] | None = None):
+        self.twin = Twin(apparatus, seed)
+        self.playing: tuple[Playback | None, ...] = ()
+        self.n_records = 0
+        self.highest_voltage = 0.0
+        self.asked: list[Acquisition] = []
+        self._error = amplitude_error or (lambda amplitude: 1.0)
+        self._scope = SimulatedScope(self.twin, lambda: self.playing, lambda: ())
+
+    def load(self, burst: Burst) -> None:
+        self._burst = burst
+
+    def play(self, burst: Burst, velocity: float) -> None:
+        """Send a burst at a level."""
+        first = burst.amplitude_for(velocity)[0]
+        self.playing = tuple(
+            Playback(
+                codes.astype(">u2").tobytes(),
+                amplitude * self._error(first),
+                0.0,
+                burst.duration,
+                1 / burst.repetition_rate,
+                8191,
+            )
+            for codes, amplitude in zip(burst.codes, burst.amplitude_for(velocity), strict=True)
+        )
+        for held in self.twin.held_of(self.playing):
+            self.highest_voltage = max(self.highest_voltage, float(np.abs(held.voltage).max()))
+
+    def record(self, position: float, velocity: float, acquisition: Acquisition) -> Recording:
+        self.play(self._burst, velocity)
+        self.n_records += 1
+        self.asked.append(acquisition)
+        self._scope.configure(acquisition)
+        return self._scope.measure(position)
+
+    def true_state(self, burst: Burst, velocity: float, instant: float) -> TrueState:
+        """Return what a burst, repeated for long, really does at an instant."""
+        self.play(burst, velocity)
+        return self.twin.true_state(self.playing, instant)
+
+
+@pytest.fixture(scope="session")
+def make_bench() -> type[TwinBench]:
+    """What makes a bench of an apparatus and a seed."""
+    return TwinBench
+
+
+@pytest.fixture(scope="session")
+def preflight() -> Preflight:
+    """The paper's protocol, checked."""
+    return examine(PROTOCOL).require()
+
+
+@pytest.fixture(scope="session")
+def shipped_apparatus(preflight: Preflight) -> Apparatus:
+    """The apparatus with the mismatch it is shipped with."""
+    return preflight.experiment.apparatus
+
+
+@pytest.fixture(scope="session")
+def mismatched(shipped_apparatus: Apparatus) -> Apparatus:
+    """The apparatus with the mismatch of the issue."""
+    changed = {
+        "natural_frequency_mismatch": 0.005,
+        "damping_ratio_mismatch": 0.1,
+        "gain_mismatch": 0.1,
+        "amplifier": TrueAmplifier(bandwidth_kHz=100.0, delay_us=5.0),
+    }
+    return shipped_apparatus.model_copy(update={"twin": shipped_apparatus.twin.model_copy(update=changed)})
+
+
+@pytest.fixture(scope="session")
+def judge(preflight: Preflight) -> Callable[[TwinBench, Outcome], tuple[float, float, float]]:
+    """Return what judges a calibration by the twin's true state, playing the burst that a session plays.
+
+    Largest true errors of velocity and w eta over the modes at the reference level [m/s], and the largest relative
+    error of the true velocity at the focus over the levels [1].
+    """
+
+    def judged(bench: TwinBench, outcome: Outcome) -> tuple[float, float, float]:
+        assert preflight.ground is not None
+        stimulus = design_to_fit(aimed_ground(preflight.ground, outcome.refined, outcome.correction))
+        assert stimulus.release == "braked"
+        instant = stimulus.timing.focusing_instant
+        state = bench.true_state(stimulus.burst, stimulus.wish.velocity, instant)
+        shapes = bench.twin.beam.shapes(stimulus.wish.centre)[:, 0]
+        off = []
+        for level in stimulus.levels:
+            true = bench.true_state(stimulus.burst, level, instant)
+            velocity = float(shapes @ np.concatenate([true.velocity, true.unlisted_velocity]))
+            off.append(abs(velocity / level - 1))
+        return (
+            float(np.abs(state.velocity - stimulus.target).max()),
+            float(np.abs(state.displacement).max()),
+            max(off),
+        )
+
+    return judged
+
+
+@pytest.fixture
+def run_seed(preflight: Preflight, mismatched: Apparatus, judge: Callable) -> Callable[[int], None]:
+    """Return what calibrates one beam of the issue's mismatch and holds it against the bars."""
+
+    def run(seed: int) -> None:
+        bench = TwinBench(mismatched, seed)
+        assert preflight.ground is not None
+        outcome = calibrate(bench, mismatched, preflight.ground)
+        velocity, displacement, level = judge(bench, outcome)
+        assert velocity <= BAR
+        assert displacement <= BAR
+        assert level <= LEVEL_BAR
+        assert outcome.turns[-1].number <= 4
+        assert outcome.turns[0].worst > 1e-3
+        assert all(each.highest > 0.95 * each.velocity for each in outcome.levels)
+        assert bench.highest_voltage <= mismatched.amplifier.limit_V
+
+    return run

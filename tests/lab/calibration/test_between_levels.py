@@ -1,0 +1,46 @@
+"""A calibration for adaptive runs: levels between the bounds are verified, and those between them follow."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from modaltouch.lab.calibration.corrections import aimed_ground, grounds_of, levels_between
+from modaltouch.lab.calibration.loop import calibrate_each
+from modaltouch.preflight import examine
+from modaltouch.preflight.examination import design_to_fit
+from modaltouch.protocol.apparatus import Apparatus
+
+THRESHOLD = Path(__file__).parents[3] / "protocols" / "threshold.yaml"
+
+
+def test_three_levels_at_equal_ratios_are_verified_between_the_bounds() -> None:
+    """Of 2 to 200 mm/s a factor of 100^(1/4) = 3.162 apart; a protocol of fixed levels needs none."""
+    assert levels_between(examine(THRESHOLD).require().experiment.protocol) == (6.325, 20.0, 63.25)
+    own = examine(THRESHOLD.with_name("sensation_levels.yaml")).require().experiment.protocol
+    assert levels_between(own) == (6.325, 20.0, 63.25), "participants' own levels lie anywhere between"
+    assert levels_between(examine(THRESHOLD.with_name("demo.yaml")).require().experiment.protocol) == ()
+
+
+def test_levels_that_a_run_may_play_are_met_between_those_that_were_verified(
+    make_bench: Callable, shipped_apparatus: Apparatus
+) -> None:
+    """Amplitudes come out 2 % higher for each decade below 15 Vpp: 4 % at 2 mm/s, and what is between within 1 %."""
+    preflight = examine(THRESHOLD).require()
+    grounds, between = grounds_of(preflight), levels_between(preflight.experiment.protocol)
+    bench = make_bench(shipped_apparatus, 1, lambda amplitude: 1 + 0.02 * math.log10(15 / max(amplitude, 0.01)))
+    outcome = calibrate_each(bench, shipped_apparatus, grounds, between=between)[""]
+    assert [round(level.velocity * 1e3, 3) for level in outcome.levels] == [2, 6.325, 20, 63.25, 200]
+    stimulus = design_to_fit(aimed_ground(grounds[""], outcome.refined, outcome.correction))
+    shapes = bench.twin.beam.shapes(stimulus.wish.centre)[:, 0]
+    for level in (0.011, 0.035, 0.11):
+        assert level not in [each.velocity for each in outcome.levels]
+        true = bench.true_state(stimulus.burst, level, stimulus.timing.focusing_instant)
+        at_focus = float(shapes @ np.concatenate([true.velocity, true.unlisted_velocity]))
+        proportional = stimulus.burst.amplitude[0] * level / stimulus.burst.velocity
+        assert at_focus == pytest.approx(level, rel=0.01)
+        assert stimulus.burst.amplitude_for(level)[0] < 0.99 * proportional or level > 0.1

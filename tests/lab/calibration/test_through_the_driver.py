@@ -1,0 +1,177 @@
+"""Whole runs through VISA: `calibrate`, then a session with its file, judged by the twin's true state.
+
+``MODALTOUCH_CALIBRATED_BEAMS`` says how many beams are calibrated so; ``make soak-calibration`` takes forty.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from modaltouch.__main__ import main
+from modaltouch.cli import calibrate as calibrating
+from modaltouch.lab.measurement import Laboratory, open_laboratory
+from modaltouch.preflight import examine
+from modaltouch.record.chain import read_chain
+from modaltouch.rig.acquisition import Recording
+
+N_BEAMS = int(os.environ.get("MODALTOUCH_CALIBRATED_BEAMS", "1"))
+
+MISMATCH = (
+    ("natural_frequency_mismatch: 0.001", "natural_frequency_mismatch: 0.005"),
+    ("damping_ratio_mismatch: 0.02", "damping_ratio_mismatch: 0.1"),
+    ("  gain_mismatch: 0.02", "  gain_mismatch: 0.1"),
+    ("amplifier: {bandwidth_kHz: 300, delay_us: 1}", "amplifier: {bandwidth_kHz: 100, delay_us: 5}"),
+)
+
+
+def command(*words: object) -> int:
+    """Return the exit status of a command."""
+    with pytest.raises(SystemExit) as ended:
+        main([str(word) for word in words])
+    return int(ended.value.code or 0)
+
+
+@pytest.mark.timeout(120)
+@pytest.mark.parametrize("seed", range(100, 100 + N_BEAMS))
+def test_calibrated_session_plays_the_wished_field(
+    seed: int, edit: Callable, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """0.3 mm/s in velocity and w eta of every modelled mode, 1 % of each level, on the twin a session plays on."""
+    apparatus = edit("apparatus/beam_100x6x2.yaml", ("  seed: 1\n", f"  seed: {seed}\n"), *MISMATCH)
+    folder = apparatus.parents[1]
+    protocol, out = folder / "differentiated_stimulation.yaml", tmp_path / "calibration.yaml"
+    assert command("calibrate", protocol, "--out", out, "--json") == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["iterations"][0]["worst_displacement_error_mm_s"] > 2
+    assert told["instruments"]["mode"] == "simulated"
+    preflight = examine(protocol, out).require()
+    stimulus = preflight.stimulus
+    with open_laboratory(preflight.experiment.apparatus) as laboratory:
+        assert laboratory.simulator is not None
+        laboratory.load(stimulus.burst)
+        shapes = laboratory.simulator.twin.beam.shapes(0.0)[:, 0]
+        for level in stimulus.levels:
+            assert laboratory.rig.fire(level).started
+            state = laboratory.simulator.true_state(stimulus.timing.focusing_instant)
+            wished = stimulus.target * level / stimulus.wish.velocity
+            assert np.abs(state.velocity - wished).max() <= 0.3e-3
+            assert np.abs(state.displacement).max() <= 0.3e-3
+            assert shapes @ np.append(state.velocity, state.unlisted_velocity) == pytest.approx(level, rel=0.01)
+            laboratory.rig.stop()
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A calibration of the shipped demonstration on the simulated rig."""
+    out = tmp_path_factory.mktemp("calibration") / "calibration.yaml"
+    protocol = Path(__file__).parents[3] / "protocols" / "demo.yaml"
+    assert command("calibrate", protocol, "--out", out, "--person", "tester") == 0
+    return out
+
+
+def test_session_keeps_its_calibration(made: Path, edit: Callable, tmp_path: Path) -> None:
+    """Run, verify: the record holds the calibration's text, and the drive is computed again from it alone."""
+    protocol = edit("demo.yaml")
+    copy = tmp_path / "calibration.yaml"
+    copy.write_bytes(made.read_bytes())
+    words = (
+        "run",
+        protocol,
+        "-p",
+        "p01",
+        "--rig",
+        "simulated",
+        "--answers",
+        "simulated",
+        "--results",
+        tmp_path / "results",
+        "--yes",
+    )
+    assert command(*words, "--calibration", copy) == 0
+    (log,) = (tmp_path / "results").rglob("session.jsonl")
+    start = read_chain(log).events[0]
+    assert start["sources"]["calibration"]["text"] == made.read_text(encoding="utf-8")
+    assert start["stimulus"]["content_hash"] != examine(protocol).stimulus.burst.content_hash
+    copy.unlink()
+    assert command("verify", log) == 0
+
+
+def test_another_generator_is_refused(
+    made: Path, edit: Callable, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A serial number that is not the open generator's: exit 2 with the place in the file, before any record."""
+    protocol, other = edit("demo.yaml"), tmp_path / "other.yaml"
+    other.write_text(made.read_text(encoding="utf-8").replace(",SIMULATED,", ",C012345,"), encoding="utf-8")
+    words = (
+        "run",
+        protocol,
+        "-p",
+        "p01",
+        "--rig",
+        "simulated",
+        "--answers",
+        "simulated",
+        "--results",
+        tmp_path / "results",
+        "--yes",
+    )
+    assert command(*words, "--calibration", other) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "instruments.generator: given TEKTRONIX,AFG3022B,C012345" in said
+    assert not list((tmp_path / "results").rglob("session.jsonl"))
+
+
+def test_an_existing_file_is_refused_before_anything_is_opened(made: Path, shipped: Path) -> None:
+    """Exit 4, the file as it was."""
+    before = made.read_bytes()
+    assert command("calibrate", shipped / "demo.yaml", "--out", made) == 4
+    assert made.read_bytes() == before
+
+
+def test_calibrate_needs_a_sound_protocol(edit: Callable, tmp_path: Path) -> None:
+    """Exit 2, nothing written."""
+    path = edit("demo.yaml", ("focus: C", "focus: Q"))
+    assert command("calibrate", path, "--out", tmp_path / "c.yaml") == 2
+    assert not (tmp_path / "c.yaml").exists()
+
+
+def test_a_signal_ends_it_with_the_outputs_off_and_nothing_written(
+    shipped: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """SIGINT while the fourth record is taken: exit 130 before a fifth, outputs off, no file, one JSON object."""
+    records, outputs = [], []
+    genuine = Laboratory.record
+
+    def record(self: Laboratory, *asked: Any) -> Recording:
+        records.append(asked)
+        if len(records) == 4:
+            os.kill(os.getpid(), signal.SIGINT)
+        recording = genuine(self, *asked)
+        assert self.simulator is not None
+        outputs.append(self.simulator.outputs)
+        return recording
+
+    monkeypatch.setattr(Laboratory, "record", record)
+    assert command("calibrate", shipped / "demo.yaml", "--out", tmp_path / "c.yaml", "--json") == 130
+    assert len(records) == 4
+    assert outputs[-1] == (False, False)
+    assert "the outputs are off" in json.loads(capsys.readouterr().out)["error"]
+    assert list(tmp_path.glob("*.yaml")) == []
+
+
+def test_a_spot_moved_by_hand_is_asked_for_once_a_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same place twice in a row: one question."""
+    asked: list[float] = []
+    monkeypatch.setattr(calibrating, "ask_to_aim", asked.append)
+    with calibrating._showing(lambda: None, by_hand=True) as (_, aim):
+        for position in (0.01, 0.01, -0.01, 0.01):
+            aim(position)
+    assert asked == [0.01, -0.01, 0.01]

@@ -1,0 +1,47 @@
+"""The beam of Table I as recordings without noise would show it, and the shipped protocol."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from modaltouch.lab.comparison.training_data import Knowledge, Responses, band
+from modaltouch.preflight import Preflight, examine
+from modaltouch.stimulus.modes import ModalModel
+
+PROTOCOL = Path(__file__).parents[3] / "protocols" / "differentiated_stimulation.yaml"
+
+
+def responses_of(model: ModalModel, positions: np.ndarray, highest: float = 120e3) -> Responses:
+    r"""Return the velocity responses of modes in closed form, :math:`\sum_k \varphi_k G_k i\omega / (...)`."""
+    frequency = np.arange(1, int(highest * 0.262144)) / 0.262144
+    omega = 2 * np.pi * frequency
+    own = (
+        1j
+        * omega
+        / (
+            model.angular_frequency[:, None] ** 2
+            - omega**2
+            + 2j * model.damping_ratio[:, None] * model.angular_frequency[:, None] * omega
+        )
+    )
+    response = np.einsum("kc,kp,kf->cpf", model.modal_gain, model.shapes(positions), own, optimize=True)
+    window = band(frequency, 0.5 * model.natural_frequency.min(), 1.1 * model.natural_frequency.max())
+    return Responses(frequency, response * window, positions, np.full((model.n_channels, frequency.size), 1e-10))
+
+
+@pytest.fixture(scope="session")
+def preflight() -> Preflight:
+    """Return the shipped protocol, examined."""
+    return examine(PROTOCOL).require()
+
+
+@pytest.fixture(scope="session")
+def known(preflight: Preflight) -> Knowledge:
+    """Return what every method is given: the table, and the responses that go with it."""
+    stimulus = preflight.stimulus
+    positions = np.round(np.linspace(-0.05, 0.05, 41), 9)
+    responses = responses_of(stimulus.model, positions)
+    return Knowledge(stimulus.model, responses, stimulus.wish, stimulus.timing, stimulus.amplifier)

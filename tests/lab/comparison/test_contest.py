@@ -1,0 +1,138 @@
+"""The comparison: one generator, one judge, and words that follow the numbers."""
+
+import csv
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from modaltouch.cli.app import app
+from modaltouch.lab.comparison.assessment import true_lag
+from modaltouch.lab.comparison.contest import Settings, contend, without_mismatch
+from modaltouch.lab.comparison.narrative import paragraphs
+from modaltouch.lab.comparison.page import write_comparison
+from modaltouch.lab.comparison.results import Criterion, criteria, rows_of
+from modaltouch.rig.simulator.twin import Twin
+
+SHIPPED = Path(__file__).parents[3] / "protocols" / "differentiated_stimulation.yaml"
+ABOUT = {"title": "A <title>", "protocol": "p.yaml", "apparatus": "beam", "seed": 1, "n_records": 2, "commit": ""}
+
+
+@pytest.fixture(scope="module")
+def found(preflight, known):
+    """Return the comparison with what the table says, played through the driver, on two other beams."""
+    return contend(preflight, known, Settings(n_beams=2))
+
+
+@pytest.fixture(scope="module")
+def rows(found):
+    """Return the figures of every method."""
+    return rows_of(found, "C")
+
+
+def by_method(rows):
+    """Return the rows by method."""
+    return {row["method"]: row for row in rows}
+
+
+def test_every_method_keeps_the_limit_and_fills_the_burst(found):
+    """Same limit, same clock, same length for all; the generator's codes begin and end at rest."""
+    for each in found.designed:
+        assert each.peak_voltage <= found.known.amplifier.limit * (1 + 1e-9), each.method.key
+        assert each.burst.codes.shape == (2, found.known.timing.n_samples), each.method.key
+        assert (each.burst.codes[:, [0, -1]] == 8191).all(), each.method.key
+
+
+def test_judge_reads_the_true_state(found, preflight):
+    """The exact law on the beam of the table: the field of the selected modes, for all that the twin has besides."""
+    verdict = found.verdicts[0]
+    assert found.designed[0].method.key == "exact"
+    assert verdict.at_focus == pytest.approx(0.2, abs=2e-3)
+    assert verdict.rms_from_selected < 2e-3
+    twin = Twin(without_mismatch(preflight.experiment.apparatus), 1)
+    assert true_lag(twin) == pytest.approx(1e-6 + 1 / (2 * np.pi * 300e3))
+
+
+def test_other_beams_differ_and_the_learned_one_does_not_depend_on_a_seed(found, preflight):
+    """Mismatch left out, two seeds are one beam; with it they are two."""
+    centre = without_mismatch(preflight.experiment.apparatus)
+    one, other = Twin(centre, 1).beam.table, Twin(centre, 2).beam.table
+    assert (one.natural_frequency == other.natural_frequency).all()
+    assert (one.modal_gain == other.modal_gain).all()
+    first, second = found.changed[0]
+    assert np.abs(first.field - second.field).max() > 1e-4
+
+
+def test_each_method_wins_where_theory_says(rows):
+    """Reversal is the matched filter, 1-bit gives most for a volt, the exact law meets the selected modes."""
+    row = by_method(rows)
+    assert min(rows, key=lambda each: each["energy_V2_s"])["method"] == "time_reversal"
+    assert min(rows, key=lambda each: each["peak_voltage_V"])["method"] == "one_bit"
+    assert min(rows, key=lambda each: each["rms_from_selected_mm_s"])["method"] == "exact"
+    assert row["time_reversal"]["width_80_mm"] < row["exact"]["width_80_mm"]
+    assert row["inverse_filter"]["contrast_A_C"] > row["exact"]["contrast_A_C"]
+    assert row["time_reversal"]["recordings"] == 2 < row["exact"]["recordings"] == 82
+
+
+def test_winners_share_what_is_printed_alike():
+    """Two that print the same both win; a level is won from either side; a dash wins nothing."""
+    low = Criterion("x", "x", "V", "low", 1)
+    rows = [{"x": 1.04}, {"x": 1.01}, {"x": 3.0}, {"x": None}]
+    assert low.winners(rows, 0.0) == rows[:2]
+    assert Criterion("x", "x", "V", "level", 0).winners([{"x": 195.0}, {"x": 204.0}], 200.0) == [{"x": 204.0}]
+    assert Criterion("x", "x", "V", "none").winners(rows, 0.0) == []
+    assert [low.printed(row) for row in rows] == ["1.0", "1.0", "3.0", "–"]
+
+
+def test_words_name_the_rival_that_wins_and_change_with_the_numbers(rows):
+    """Honest rows: what a rival does better is said, and no longer once it does not."""
+    said = " ".join(paragraphs(rows, 200.0, 2))
+    assert re.search(r"1-bit time reversal: best in peak voltage \(\d", said)
+    worse = [row | {"peak_voltage_V": 999.0} if row["method"] == "one_bit" else row for row in rows]
+    again = " ".join(paragraphs(worse, 200.0, 2))
+    assert "Time reversal: best in peak voltage" in again
+    weak = [row | {"at_focus_mm_s": 100.0} if row["method"] == "paper" else row for row in rows]
+    assert "More than 5 % short of the 200 mm/s: paper's law 100 mm/s" in " ".join(paragraphs(weak, 200.0, 2))
+
+
+def test_page_json_and_table_hold_the_same(found, rows, tmp_path):
+    """One page without network, one JSON, one CSV; every criterion and every method."""
+    files = write_comparison(tmp_path / "out", found, rows, ABOUT)
+    page = files["comparison.html"].read_text()
+    assert "A &lt;title&gt;" in page
+    assert len(re.findall(r'<img src="data:image/svg\+xml;base64,', page)) == page.count("<img") == 4
+    assert not re.search(r'(src|href)="(https?:)?//', page)
+    for each in criteria(rows):
+        assert each.name in page, each.name
+    values = json.loads(files["comparison.json"].read_text())
+    table = list(csv.DictReader(files["comparison.csv"].read_text().splitlines()))
+    assert [line["method"] for line in table] == [method["method"] for method in values["methods"]]
+    for line, method in zip(table, values["methods"], strict=True):
+        assert float(line["rms_error_mm_s"]) == pytest.approx(method["rms_error_mm_s"], abs=1e-4)
+
+
+def test_without_other_beams_there_is_no_robustness_to_speak_of(found):
+    """Expected: dashes instead of numbers, and no sentence on other beams."""
+    alone = rows_of(replace(found, changed=tuple(() for _ in found.designed)), "C")
+    assert alone[0]["changed_drift_mm_s"] is None
+    assert "other beams" not in " ".join(paragraphs(alone, 200.0, 0))
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--points", "20"], "at least 26"),
+        (["--averages", "1"], "--averages"),
+        (["--beams", "-1"], "--beams"),
+    ],
+)
+def test_command_refuses_bad_options(tmp_path, words, message):
+    """Exit status 2, what is allowed, nothing written."""
+    done = CliRunner().invoke(app, ["compare", str(SHIPPED), *words, "--out", str(tmp_path / "o")])
+    assert done.exit_code == 2
+    assert message in done.output
+    assert not (tmp_path / "o").exists()

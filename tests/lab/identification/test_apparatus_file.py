@@ -1,0 +1,152 @@
+"""What is identified becomes an apparatus file: values, intervals, provenance; nothing of the rest is lost."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from modaltouch.cli.app import app
+from modaltouch.lab.identification.apparatus_file import identified_apparatus
+from modaltouch.lab.identification.estimates import Estimate, Identification
+from modaltouch.lab.identification.report import check_modes, write_identification
+from modaltouch.protocol.apparatus import read_apparatus
+from modaltouch.protocol.document import InputError, load_source
+from modaltouch.rig.simulator.true_beam import TrueBeam
+from modaltouch.stimulus.measured import MeasuredShapes
+
+APPARATUS = Path(__file__).parents[3] / "protocols" / "apparatus" / "beam_100x6x2.yaml"
+LABELS = (1, 3, 5, 7, 9, 11, 13, 15, 17)
+FACTS = {"date": "2026-01-01T00:00:00", "mode": "simulated", "source": "test"}
+
+
+def test_file_is_read_back_with_every_number(found: Identification, tmp_path: Path) -> None:
+    """Values in the middle of their intervals, gains of both sets, provenance in words; beam and zones as before."""
+    source = load_source(APPARATUS)
+    name, text = identified_apparatus(source, found, LABELS, FACTS)
+    path = tmp_path / name
+    path.write_text(text, encoding="utf-8")
+    before, after = read_apparatus(APPARATUS), read_apparatus(path)
+    assert after.apparatus == "beam_100x6x2_identified"
+    assert after.zones == before.zones
+    assert after.amplifier == before.amplifier
+    for mode in after.modes:
+        mine = found.mode(mode.label)
+        assert mode.natural_frequency_Hz == pytest.approx(mine.natural_frequency.value, rel=1e-6)
+        assert mode.gain_mm_s2_per_V["side"] == pytest.approx(mine.gain[1].value * 1e3, rel=1e-6)
+        assert mode.intervals_95 is not None
+        low, high = mode.intervals_95.natural_frequency_Hz or (0, 0)
+        assert low < mode.natural_frequency_Hz < high
+        assert set(mode.intervals_95.gain_mm_s2_per_V) == {"centre", "side"}
+        assert mode.provenance is not None
+        assert "joint fit" in mode.provenance.damping_ratio
+        assert mode.assumed == ()
+    assert after.identified is not None
+    assert after.identified.replaced_sha256 == source.sha256
+    assert after.identified.velocity_delay_us == pytest.approx(4.0, abs=0.01)
+
+
+def test_modes_that_are_listed_now_leave_the_twin(found: Identification, tmp_path: Path) -> None:
+    """Label 4 becomes a mode of the table: as an unlisted one it would stand twice, and the file would be refused."""
+    _, text = identified_apparatus(load_source(APPARATUS), found, (1, 3, 4, 5), FACTS)
+    path = tmp_path / "all.yaml"
+    path.write_text(text, encoding="utf-8")
+    apparatus = read_apparatus(path)
+    assert [mode.label for mode in apparatus.modes] == [1, 3, 4, 5]
+    assert 4 not in [mode.label for mode in apparatus.twin.unlisted_modes if mode.family == "bending"]
+
+
+def test_interval_that_is_upside_down_is_refused_in_its_place(found: Identification, tmp_path: Path) -> None:
+    """Whoever edits the file by hand is told the line."""
+    _, text = identified_apparatus(load_source(APPARATUS), found, (1,), FACTS)
+    line = next(row for row in text.splitlines() if "damping_ratio: [" in row)
+    path = tmp_path / "edited.yaml"
+    path.write_text(text.replace(line, line.split("[")[0] + "[0.06, 0.05]"), encoding="utf-8")
+    with pytest.raises(InputError, match=r"edited.yaml:\d+:\d+: .*an interval from 0.06 to 0.05"):
+        read_apparatus(path)
+
+
+def test_folder_holds_table_shapes_and_figures(found: Identification, tmp_path: Path) -> None:
+    """Table I with half-power beside the fit; shapes that the stimulus engine reads; nothing stands for no number."""
+    name, text = identified_apparatus(load_source(APPARATUS), found, LABELS, FACTS)
+    folder = tmp_path / "out"
+    files = write_identification(folder, found, (name, text), {})
+    with files["table_1.csv"].open(encoding="utf-8", newline="") as opened:
+        rows = list(csv.DictReader(opened))
+    first = rows[0]
+    assert float(first["natural_frequency_Hz_low"]) < float(first["natural_frequency_Hz"])
+    assert float(first["half_power_damping_ratio"]) == pytest.approx(float(first["damping_ratio"]), rel=0.25)
+    assert "nan" not in files["table_1.csv"].read_text()
+    json.loads(files["identification.json"].read_text())
+    table = np.genfromtxt(files["shapes.csv"], delimiter=",", names=True)
+    labels = tuple(int(column.removeprefix("mode_")) for column in table.dtype.names[1:])
+    values = np.array([table[column] for column in table.dtype.names[1:]])
+    shapes = MeasuredShapes(labels, table["position_mm"] * 1e-3, values, 0.1)
+    row = shapes.label.index(13)
+    np.testing.assert_allclose(shapes.shape[row], found.mode(13).shape, rtol=2e-3, atol=2e-3)
+    for picture in ("responses", "coherence", "fig_4"):
+        assert files[f"{picture}.png"].stat().st_size > 10_000
+
+
+def test_missing_and_incoherent_modes_are_all_named(found: Identification) -> None:
+    """One mode that is not there and one that is too weak: both in one message, with what to do."""
+    weak = replace(found.mode(3), coherence=0.2)
+    modes = tuple(weak if mode.label == 3 else mode for mode in found.modes if mode.label != 9)
+    with pytest.raises(ValueError, match=r"(?s)mode 3 has a coherence of 0.20 .*--averages.*mode 9 was not found"):
+        check_modes(replace(found, modes=modes), LABELS)
+    check_modes(found, LABELS)
+
+
+def write_responses(path: Path, exact: Callable[..., np.ndarray], sets: list[str]) -> Path:
+    """Write responses of eight points up to 12 kHz, with a little noise, as another program exports them."""
+    frequency, positions = np.arange(16, 3100) * 3.9, np.linspace(-0.05, 0.05, 8)
+    response = exact(frequency, positions)[: len(sets)]
+    rng = np.random.default_rng(0)
+    response = response + 1e-5 * (rng.standard_normal(response.shape) + 1j * rng.standard_normal(response.shape))
+    np.savez(path, frequency=frequency, response=response, positions=positions, sets=sets, quantity="velocity")
+    return path
+
+
+def test_files_with_positions_give_an_apparatus_file_too(
+    exact: Callable[..., np.ndarray], beam: TrueBeam, tmp_path: Path
+) -> None:
+    """Both sets at eight points: modes 1, 3 and 5 with gains within 5 %, in a file that is read back."""
+    file, out = write_responses(tmp_path / "lab.npz", exact, ["centre", "side"]), tmp_path / "out"
+    command = ["identify", str(file), "--apparatus", str(APPARATUS), "--modes", "1,3,5", "--out", str(out), "--json"]
+    done = CliRunner().invoke(app, command)
+    assert done.exit_code == 0, done.output
+    after = read_apparatus(Path(json.loads(done.stdout)["apparatus_file"]))
+    for mode in after.modes:
+        true = beam.table.modal_gain[beam.table.label.index(mode.label)] * 1e3
+        gains = [mode.gain_mm_s2_per_V["centre"], mode.gain_mm_s2_per_V["side"]]
+        assert gains == pytest.approx(true, abs=0.05 * np.abs(true).max())
+    assert after.identified is not None
+    assert after.identified.mode == "file"
+
+
+def test_actuator_set_that_is_missing_in_the_files_is_named(exact: Callable[..., np.ndarray], tmp_path: Path) -> None:
+    """One set was measured: refused, unless it is said that this is all there is."""
+    file, out = write_responses(tmp_path / "lab.npz", exact, ["centre"]), tmp_path / "out"
+    command = ["identify", str(file), "--apparatus", str(APPARATUS), "--modes", "1,3", "--out", str(out)]
+    done = CliRunner().invoke(app, command)
+    assert done.exit_code == 2
+    assert "the files hold responses to centre, none to the actuator set side" in " ".join(done.stderr.split())
+    assert not out.exists()
+    done = CliRunner().invoke(app, [*command, "--set", "centre", "--json"])
+    assert done.exit_code == 0, done.output
+    after = read_apparatus(Path(json.loads(done.stdout)["apparatus_file"]))
+    assert after.unknown_gains() == ((1, "side"), (3, "side"))
+
+
+def test_estimate_contains_what_its_interval_covers() -> None:
+    """1.96 deviations each way."""
+    estimate = Estimate.of(10.0, 1.0)
+    assert 11.9 in estimate
+    assert 12.1 not in estimate
+    assert estimate.deviation == pytest.approx(1.0)

@@ -1,0 +1,219 @@
+"""From chirp to Table I through generator, amplifier, beam, vibrometer and scope, judged by the twin's true beam.
+
+``MODALTOUCH_SCANNED_POINTS`` says how many points are scanned: with eight the lowest modes are told apart, with 41, as
+``make soak-identification`` takes, all nine, at a noise that leaves the weakest a coherence of about 0.95.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+import pytest
+
+from modaltouch.lab.identification.excitation import LOWEST, Campaign, Excitation, evenly, excite
+from modaltouch.lab.identification.joint_fit import identify
+from modaltouch.lab.identification.responses import Spectra, responses_of
+from modaltouch.lab.identification.shapes import mac
+from modaltouch.lab.measurement import Laboratory, ScanPlan, open_laboratory, read_scan, take_scan
+from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.protocol.document import load_source
+from modaltouch.record.chain import RecordInputError
+from modaltouch.rig.acquisition import Acquisition
+from modaltouch.rig.interface import RigError
+from modaltouch.stimulus.shapes import mode_shapes
+
+APPARATUS = Path(__file__).parents[3] / "protocols" / "apparatus" / "beam_100x6x2.yaml"
+LENGTH = 0.1
+N_POINTS = int(os.environ.get("MODALTOUCH_SCANNED_POINTS", "8"))
+WHOLE = N_POINTS >= 26
+EXCITATIONS: tuple[Excitation, ...] = get_args(Excitation)
+
+
+class StoppedError(Exception):
+    """Somebody ends the scan."""
+
+
+def never() -> None:
+    """Stop at no moment."""
+
+
+def nothing(done: int, total: int) -> None:
+    """Show no progress."""
+
+
+def with_noise(apparatus: Apparatus, density: float) -> Apparatus:
+    """Return the apparatus with a vibrometer of a noise density [um/s per root Hz]."""
+    vibrometer = apparatus.twin.vibrometer.model_copy(update={"noise_um_s_per_sqrt_Hz": density})
+    return apparatus.model_copy(update={"twin": apparatus.twin.model_copy(update={"vibrometer": vibrometer})})
+
+
+def density_of_the_bar(apparatus: Apparatus, campaign: Campaign) -> float:
+    """Return the noise with which the coherence at the peak of the weakest mode is about 0.95 [um/s per root Hz].
+
+    That mode is the first: 0.9 mm/s per volt, everywhere alike.
+    """
+    burst = excite(apparatus, "centre", campaign.voltage, campaign.highest, campaign.excitation)
+    power = campaign.voltage**2 * np.mean((burst.codes[0] / 8191.0 - 1) ** 2) / (campaign.highest - LOWEST)
+    height = 0.114 / (2 * 0.0437 * 2 * np.pi * 229)
+    return float(np.sqrt(height**2 * power * 0.05 / 0.95) * 1e6)
+
+
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("excitation", EXCITATIONS if WHOLE else EXCITATIONS[:1])
+def test_twin_is_identified_through_all_its_instruments(
+    apparatus: Apparatus, tmp_path: Path, excitation: Excitation
+) -> None:
+    """Frequencies within 0.1 %, damping within 5 %, gains within 5 % of the larger of their mode, MAC above 0.99.
+
+    Eight bits, two clocks, a delay, a low-pass, torsion beside the mid-line and even modes notwithstanding.
+    """
+    labels = (1, 3, 5, 7, 9, 11, 13, 15, 17) if WHOLE else (1, 3, 5)
+    campaign = Campaign(
+        positions=evenly(LENGTH, N_POINTS, 0.5e-3),
+        averages=10 if WHOLE else 2,
+        voltage=50.0 if excitation == "multisine" else 20.0,
+        highest=110e3 if WHOLE else 12e3,
+        sets=("centre", "side"),
+        excitation=excitation,
+    )
+    if WHOLE:
+        apparatus = with_noise(apparatus, density_of_the_bar(apparatus, campaign))
+    with open_laboratory(apparatus, repetition="continuous") as laboratory:
+        scans = campaign.scan(laboratory, load_source(APPARATUS), tmp_path, on_progress=nothing, check=never)
+        assert laboratory.simulator is not None
+        true = laboratory.simulator.twin.beam.table
+    bandwidth = (apparatus.acquisition.vibrometer_bandwidth_kHz or 0) * 1e3
+    responses = responses_of(scans, bandwidth).between(60, campaign.highest)
+    found = identify(responses, LENGTH)
+    for label in labels:
+        mode, k = found.mode(label), true.label.index(label)
+        assert mode.natural_frequency.value == pytest.approx(true.natural_frequency[k], rel=1e-3)
+        assert mode.damping_ratio.value == pytest.approx(true.damping_ratio[k], rel=0.05)
+        gain = np.array([estimate.value for estimate in mode.gain])
+        assert gain == pytest.approx(true.modal_gain[k], abs=0.05 * np.abs(true.modal_gain[k]).max())
+        assert mode.shape is not None
+        assert mac(mode.shape[None], mode_shapes([label], responses.positions, LENGTH))[0, 0] > 0.99
+    if WHOLE:
+        assert 0.9 < min(found.mode(label).coherence for label in labels) < 0.97
+
+
+def small(**changes: Any) -> Campaign:
+    """Return a scan of three points of one set."""
+    return replace(Campaign((-0.04, 0.01, 0.049), 1, 20.0, 12e3, ("centre",)), **changes)
+
+
+@pytest.fixture(scope="module")
+def laboratory(apparatus: Apparatus) -> Any:
+    """Return an open laboratory on the twin, for records that follow each other without a gap."""
+    with open_laboratory(apparatus, repetition="continuous") as opened:
+        yield opened
+
+
+def test_stopped_scan_keeps_its_range(laboratory: Laboratory, tmp_path: Path) -> None:
+    """Gone on with, it measures with the range it was begun with, and only what is left."""
+    source, passed = load_source(APPARATUS), iter(range(1))
+
+    def check() -> None:
+        if next(passed, None) is None:
+            raise StoppedError
+
+    with pytest.raises(StoppedError):
+        small().scan(laboratory, source, tmp_path, on_progress=nothing, check=check)
+    half = read_scan(tmp_path / "scan_centre")
+    with pytest.raises(RecordInputError, match="stopped half way, with 1 of 3 positions"):
+        responses_of({"centre": half})
+    shown: list[tuple[int, int]] = []
+    scans = small().scan(laboratory, source, tmp_path, on_progress=lambda *n: shown.append(n), check=never)
+    assert shown == [(1, 3), (2, 3), (3, 3)]
+    assert scans["centre"].facts["settings"] == half.facts["settings"]
+
+
+def test_saturated_records_are_refused_with_their_place(laboratory: Laboratory) -> None:
+    """A range of 1 mm/s cuts what moves by eight: no response is made of it."""
+    burst = excite(laboratory.apparatus, "centre", 20.0, 12e3)
+    narrow = Acquisition(3.125e6, 819_200, 1, (1,), velocity_range=1e-3, drive_range=25.0)
+    scan = take_scan(laboratory, ScanPlan(burst, burst.velocity, (0.049,), narrow), reduction=Spectra(12e3))
+    with pytest.raises(RecordInputError, match="velocity reached the end of the range at 49 mm.* another folder"):
+        responses_of({"centre": scan})
+
+
+def test_scans_at_other_positions_do_not_go_together(laboratory: Laboratory) -> None:
+    """Each set at the same positions: no shape has two places at once."""
+    source = load_source(APPARATUS)
+    one, other = (
+        small(positions=(place,)).scan(laboratory, source, None, on_progress=nothing, check=never)["centre"]
+        for place in (0.0, 0.01)
+    )
+    with pytest.raises(RecordInputError, match="the scan of the set side is at other positions than the first"):
+        responses_of({"centre": one, "side": other})
+
+
+def test_drive_that_does_not_arrive_is_told(laboratory: Laboratory, tmp_path: Path) -> None:
+    """An amplifier that has tripped: refused before any position is measured, and nothing is written."""
+    assert laboratory.simulator is not None
+    laboratory.simulator.trip_amplifier()
+    try:
+        with pytest.raises(RigError, match="the drive of the actuator set centre was measured as .* where 20 V"):
+            small().scan(laboratory, load_source(APPARATUS), tmp_path, on_progress=nothing, check=never)
+    finally:
+        laboratory.simulator.reset_amplifier()
+    assert list(tmp_path.iterdir()) == []
+    assert laboratory.simulator.outputs == (False, False)
+
+
+def test_velocity_beyond_the_safety_limit_is_refused(apparatus: Apparatus) -> None:
+    """A limit of 5 mm/s: the first record of the beam's end shows more, and the outputs are off."""
+    safety = apparatus.safety.model_copy(update={"velocity_limit_mm_s": 5.0})
+    careful = apparatus.model_copy(update={"safety": safety})
+    with (
+        open_laboratory(careful, repetition="continuous") as laboratory,
+        pytest.raises(RigError, match="mm/s, the safety limit is 5; the outputs are off; lower --drive-V"),
+    ):
+        small(voltage=100.0).scan(laboratory, load_source(APPARATUS), None, on_progress=nothing, check=never)
+
+
+def test_headroom_ends_at_the_vibrometer_s_own_range(apparatus: Apparatus) -> None:
+    """What nearly fills the vibrometer's range is measured with all of it, and not refused for want of more."""
+    knobs = apparatus.acquisition.model_copy(update={"range_mm_s": 7.5})
+    tight = apparatus.model_copy(update={"acquisition": knobs})
+    with open_laboratory(tight, repetition="continuous") as laboratory:
+        scans = small(positions=(0.049,)).scan(
+            laboratory, load_source(APPARATUS), None, on_progress=nothing, check=never
+        )
+    assert scans["centre"].overloaded == ((),)
+    assert scans["centre"].facts["settings"]["acquisition"]["velocity_range"] == pytest.approx(0.0075)
+
+
+@pytest.mark.parametrize("kind", EXCITATIONS)
+def test_excitation_is_flat_and_periodic(apparatus: Apparatus, kind: Excitation) -> None:
+    """At least 0.26 s, peak as asked, nothing on the other output, and within 3 dB of its mean over all of its band."""
+    burst = excite(apparatus, "side", 20.0, 100e3, kind)
+    assert burst.duration >= 0.26
+    assert burst.repetition_rate == pytest.approx(1 / burst.duration)
+    assert (burst.codes[0] == 8191).all()
+    wave = burst.codes[1] / 8191.0 - 1
+    assert np.abs(wave).max() * burst.amplitude[1] / 2 * 25 == pytest.approx(20.0, rel=1e-3)
+    power = np.abs(np.fft.rfft(wave)) ** 2
+    line = np.fft.rfftfreq(wave.size, burst.duration / wave.size)
+    inside = power[(line > 100) & (line < 98e3)]
+    smooth = np.convolve(inside, np.ones(25) / 25, "valid")
+    assert (smooth > 0.5 * inside.mean()).all()
+    assert (smooth < 2 * inside.mean()).all()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("left", 20.0, 50e3), "'left' is not an actuator set .* name one of centre, side"),
+        (("side", 300.0, 50e3), "an excitation of 300 V was asked for: allowed above 0, up to 250 V"),
+        (("side", 20.0, 300e3), "an excitation up to 300 kHz was asked for"),
+    ],
+)
+def test_excitation_out_of_bounds_is_refused(apparatus: Apparatus, arguments: Any, words: str) -> None:
+    """Set, voltage, frequency."""
+    with pytest.raises(ValueError, match=words):
+        excite(apparatus, *arguments)

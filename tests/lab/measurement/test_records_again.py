@@ -1,0 +1,113 @@
+"""A record that a stall of the computer spoilt is taken again; nothing else is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from modaltouch.lab.measurement import Laboratory
+from modaltouch.lab.measurement.laboratory import ATTEMPTS
+from modaltouch.protocol.apparatus import read_apparatus
+from modaltouch.rig.acquisition import Acquisition, Recording
+from modaltouch.rig.interface import Firing, RigError, StimulusLost
+
+APPARATUS = read_apparatus(Path(__file__).parents[3] / "protocols" / "apparatus" / "beam_100x6x2.yaml")
+SOUND = Firing((1.0, 1.0), (1.0, 1.0), 0.0, 0.001, started=True, confirmed=True)
+STALLED = Firing(
+    (1.0, 1.0), (1.0, 1.0), 0.0, 0.001, started=True, stalled=True, reason="this computer was held up for 1.4 s"
+)
+TOUCHED = Firing((1.0, 1.0), (1.0, 1.0), 0.0, 0.001, started=True, reason="SOUR1:VOLT reads 3, 6VPP was set")
+REFUSED = Firing((1.0, 1.0), (), 0.0, 0.001, reason="SOUR1:FUNC reads SIN")
+
+
+@dataclass
+class Bench:
+    """Generator and scope in one: plays what comes of each stimulus in turn, and notes what is done with it."""
+
+    ends: list[Firing]
+    lost: int = 0
+    done: list[str] = field(default_factory=list)
+    firing: Firing | None = None
+
+    def configure(self, acquisition: Acquisition) -> None:
+        self.done.append("configure")
+
+    def aim(self, position: float) -> None:
+        self.done.append(f"aim {position:g}")
+
+    def fire(self, velocity: float, **options: Any) -> Firing:
+        self.done.append(f"fire {velocity:g}")
+        self.firing = self.ends.pop(0)
+        return self.firing
+
+    def heartbeat(self) -> None:
+        """Tell of bursts that ended by themselves, as often as asked."""
+        if self.lost:
+            self.lost -= 1
+            raise StimulusLost("the bursts ended before the stimulus did")
+
+    def measure(self, position: float) -> Recording:
+        self.done.append("measure")
+        return Recording(position, np.zeros(2), np.zeros((1, 2)), np.zeros((1, 1, 2)), 500e3, ())
+
+    def stop(self) -> None:
+        self.done.append("stop")
+
+
+def record(bench: Bench) -> Recording:
+    """Take a record at 20 mm at 200 mm/s."""
+    laboratory = Laboratory(APPARATUS, bench, bench, "simulated", aim=bench.aim)
+    return laboratory.record(0.02, 0.2, Acquisition(n_samples=2))
+
+
+TAKEN = ["fire 0.2", "measure", "stop"]
+
+
+@pytest.mark.parametrize("n_stalls", [0, 1, 2])
+def test_record_spoilt_by_a_stall_is_taken_again(n_stalls: int) -> None:
+    """Where the spot is, as often as it takes, three times at most; the sound record is what is returned."""
+    bench = Bench([*[STALLED] * n_stalls, SOUND, SOUND])
+    assert record(bench).position == 0.02
+    assert bench.done == ["configure", "aim 0.02", *TAKEN * (n_stalls + 1)]
+
+
+def test_third_stall_is_an_error_that_names_it() -> None:
+    """The computer, not the instrument, is what to look after."""
+    assert ATTEMPTS == 3
+    bench = Bench([STALLED] * 4)
+    with pytest.raises(RigError, match="at 20 mm the record is void: this computer was held up for 1.4 s; the outputs"):
+        record(bench)
+    assert bench.done == ["configure", "aim 0.02", *TAKEN * 3]
+
+
+@pytest.mark.parametrize(("before", "n_taken"), [([], 1), ([STALLED], 2)])
+def test_what_changes_the_instrument_is_not_tried_again(before: list[Firing], n_taken: int) -> None:
+    """Somebody has to find out what it is, at once, or after a stall."""
+    bench = Bench([*before, TOUCHED, SOUND])
+    with pytest.raises(RigError, match="at 20 mm the record is void: SOUR1:VOLT reads 3, 6VPP was set"):
+        record(bench)
+    assert bench.done[2:] == TAKEN * n_taken
+
+
+def test_stimulus_that_does_not_start_is_not_tried_again() -> None:
+    """Nothing was played, so nothing is stopped or recorded."""
+    bench = Bench([REFUSED, SOUND])
+    with pytest.raises(RigError, match=r"does not confirm what it is to play \(SOUR1:FUNC reads SIN\)"):
+        record(bench)
+    assert bench.done[2:] == ["fire 0.2"]
+
+
+@pytest.mark.parametrize(("end", "n_taken"), [(STALLED, 2), (SOUND, 1)])
+def test_bursts_that_ended_by_themselves_give_no_record(end: Firing, n_taken: int) -> None:
+    """Lost to a stall, it is taken again; lost otherwise, it is void, whatever the settings say."""
+    bench = Bench([end, SOUND], lost=1)
+    if end is STALLED:
+        assert record(bench).position == 0.02
+    else:
+        with pytest.raises(RigError, match="at 20 mm the record is void"):
+            record(bench)
+    assert bench.done.count("stop") == n_taken

@@ -1,0 +1,51 @@
+"""The shipped stimulus, recorded once on the twin."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from modaltouch.lab.measurement import open_laboratory
+from modaltouch.lab.validation.evidence import Evidence, evaluate
+from modaltouch.lab.validation.recording import Observation, record_laws
+from modaltouch.preflight import Preflight, examine
+from modaltouch.rig.simulator.twin import TrueState
+
+PROTOCOL = Path(__file__).parents[3] / "protocols" / "differentiated_stimulation.yaml"
+N_POINTS, N_RECORDS = 41, 4
+
+
+@pytest.fixture(scope="session")
+def preflight() -> Preflight:
+    """Return the shipped protocol, examined."""
+    return examine(PROTOCOL).require()
+
+
+@pytest.fixture(scope="session")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder that will hold the scans."""
+    return tmp_path_factory.mktemp("validation") / "scans"
+
+
+@pytest.fixture(scope="session")
+def recorded(preflight: Preflight, kept: Path) -> tuple[list[Observation], TrueState]:
+    """Return what was recorded, and the true state under the last law 1.6 us after the focusing instant.
+
+    By then what was sent before the focusing instant has passed the twin's amplifier: 1 us and a pole of 300 kHz.
+    """
+    with open_laboratory(preflight.experiment.apparatus) as laboratory:
+        observed = record_laws(
+            preflight.ground, laboratory, 0.2, n_points=N_POINTS, n_records=N_RECORDS, folder=kept,
+            source=preflight.experiment.sources.apparatus,
+        )  # fmt: skip
+        laboratory.load(observed[1].stimulus.burst)
+        assert laboratory.rig.fire(0.2).started
+        state = laboratory.simulator.true_state(0.025 + 1.53e-6)
+    return observed, state
+
+
+@pytest.fixture(scope="session")
+def evidences(recorded: tuple[list[Observation], TrueState]) -> list[Evidence]:
+    """Return what the recordings show."""
+    return evaluate(recorded[0])

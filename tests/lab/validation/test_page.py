@@ -1,0 +1,106 @@
+"""The page: everything inside, made from the numbers, the same bytes from the same recordings."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from modaltouch.cli.app import app
+from modaltouch.lab.validation.key_figures import key_figures
+from modaltouch.lab.validation.narrative import findings
+from modaltouch.lab.validation.page import Occasion, write_evidence
+from modaltouch.record.chain import RecordError
+from modaltouch.report.output import write_files
+
+OCCASION = Occasion("A <title>", "p.yaml", "beam", "simulated", "generator", "scope", 250.0, "", "abc")
+SHIPPED = Path(__file__).parents[3] / "protocols"
+PAIRS = [("A", "C"), ("B", "D"), ("C", "E")]
+
+
+@pytest.fixture(scope="module")
+def written(evidences, tmp_path_factory):
+    """Return the files, and the figures that they show."""
+    folder = tmp_path_factory.mktemp("page") / "out"
+    figures = [key_figures(each, PAIRS) for each in evidences]
+    return write_evidence(folder, evidences, figures, OCCASION), figures
+
+
+def test_page_needs_no_network(written):
+    """Every picture is inside; nothing is fetched."""
+    page = written[0]["validation.html"].read_text()
+    assert len(re.findall(r'<img src="data:image/svg\+xml;base64,', page)) == page.count("<img") == 8
+    assert not re.search(r'(src|href)="(https?:)?//', page)
+    assert "default-src 'none'" in page
+
+
+def test_page_escapes_the_title_and_says_that_it_is_simulated(written):
+    """A title is text, not HTML."""
+    page = written[0]["validation.html"].read_text()
+    assert "A &lt;title&gt;" in page
+    assert "SIMULATED DATA" in page
+
+
+def test_tables_hold_what_the_json_says(written):
+    """Fig. 6 as CSV and as JSON."""
+    files, _ = written
+    values = json.loads(files["validation.json"].read_text())
+    lines = files["fig_6.csv"].read_text().splitlines()
+    assert len(lines) == 1 + sum(len(law["coefficients"]) for law in values["laws"])
+    first = dict(zip(lines[0].split(","), lines[1].split(","), strict=True))
+    assert float(first["achieved_mm_s"]) == pytest.approx(
+        values["laws"][0]["coefficients"][0]["achieved_mm_s"], abs=1e-3
+    )
+
+
+def test_words_follow_the_numbers(written):
+    """With the errors exchanged the sentence names the other law."""
+    figures = written[1]
+    assert "Law “exact” has the smaller worst modal error" in " ".join(findings(figures))
+    swapped = [{**one, "law": other["law"]} for one, other in zip(figures, figures[::-1], strict=True)]
+    assert "Law “paper” has the smaller worst modal error" in " ".join(findings(swapped))
+
+
+def test_an_analysis_is_not_replaced(written, evidences, tmp_path):
+    """A folder belongs to the command that made it."""
+    write_files(tmp_path / "out", {"tests.csv": b"1"}, {})
+    with pytest.raises(RecordError, match="holds what `modaltouch analyse` made"):
+        write_evidence(tmp_path / "out", evidences, written[1], OCCASION)
+
+
+def test_command_reads_kept_scans_without_a_rig(written, kept, tmp_path):
+    """No rig is at that address; the same recordings give the same bytes, and one JSON object on standard output."""
+    protocol = str(SHIPPED / "differentiated_stimulation.yaml")
+    words = [
+        "validate",
+        protocol,
+        "--rig",
+        "TCPIP::192.0.2.1::INSTR",
+        "--scan",
+        str(kept),
+        "--out",
+        str(tmp_path / "o"),
+    ]
+    done = CliRunner().invoke(app, [*words, "--json"])
+    assert done.exit_code == 0, done.output
+    values = json.loads(done.stdout)
+    assert [law["law"] for law in values["laws"]] == ["exact", "paper"]
+    for name in ("fig_5.svg", "fig_6.svg", "fig_7.png", "fig_8.png", "fig_5_exact.csv"):
+        assert (tmp_path / "o" / name).read_bytes() == written[0][name].read_bytes(), name
+
+
+def test_command_refuses_too_few_points(tmp_path):
+    """Expected: exit status 2, the least that will do, and nothing written."""
+    words = [
+        "validate",
+        str(SHIPPED / "differentiated_stimulation.yaml"),
+        "--points",
+        "21",
+        "--out",
+        str(tmp_path / "o"),
+    ]
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 2
+    assert "at least 26" in done.output
+    assert not (tmp_path / "o").exists()

@@ -1,0 +1,356 @@
+"""A forger who redoes every check of a log is found out by what the log says of itself.
+
+Each lie is told in a copy of a sound session, the chain of checks and the BIDS view are made to fit, and the audit must
+name it with its line.
+"""
+
+from __future__ import annotations
+
+import copy
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from modaltouch.analysis.reading import read_responses
+from modaltouch.protocol import Sources, restore_experiment
+from modaltouch.protocol.document import InputError
+from modaltouch.record.audit.start import draw_again
+from modaltouch.record.chain import GENESIS, RecordError, encode_line, read_chain
+from modaltouch.record.folders import locate
+from modaltouch.record.session import Session
+from modaltouch.record.view import write_view
+from modaltouch.session.simulation import simulate_session
+from modaltouch.session.verification import verify_session
+from modaltouch.session.wiring import wire_resume
+
+Events = list[dict[str, Any]]
+Lie = Callable[[Events], None]
+
+PROTOCOLS = Path(__file__).parents[2] / "protocols"
+FORMAT_1 = Path(__file__).parent / "format_1"
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Results with a session of each kind: of today's format, and of the format before."""
+    now = tmp_path_factory.mktemp("now")
+    for name in ("demo", "with_catch_trials"):
+        simulate_session(PROTOCOLS / f"{name}.yaml", "sim01", now)
+    return {"2": now, "1": FORMAT_1}
+
+
+@pytest.fixture
+def copied(recorded: dict[str, Path], tmp_path: Path) -> Callable[..., Path]:
+    """Return a function that copies a session and returns the copy's log."""
+
+    def copy_of(protocol: str = "demo", schema: str = "2") -> Path:
+        shutil.copytree(recorded[schema] / "simulated" / protocol, tmp_path / "simulated" / protocol)
+        (log,) = (tmp_path / "simulated" / protocol).rglob("session.jsonl")
+        return log
+
+    return copy_of
+
+
+def forge(log: Path, lie: Lie) -> None:
+    """Tell a lie in a log, and make its checks and its view fit."""
+    events: Events = [copy.deepcopy(event) for event in read_chain(log).events]
+    place = locate(log, "simulated", events[0]["protocol"])
+    lie(events)
+    check, lines = GENESIS, []
+    for event in events:
+        line, check = encode_line(event, check)
+        lines.append(line)
+    log.write_bytes(b"".join(lines))
+    write_view(place, Session(log, tuple(events), ()), {"lines": len(lines), "check": check})
+
+
+def of(events: Events, *kinds: str) -> Events:
+    """Return the lines of some kinds."""
+    return [event for event in events if event["event"] in kinds]
+
+
+def last(events: Events, kind: str = "trial") -> dict[str, Any]:
+    """Return the last line of a kind."""
+    return of(events, kind)[-1]
+
+
+def everywhere(change: Callable[[dict[str, Any]], None], *kinds: str) -> Lie:
+    """Return the lie that changes the last presentation in each of its lines."""
+
+    def lie(events: Events) -> None:
+        told = last(events)["trial"]
+        for event in of(events, *(kinds or ("answered", "trial"))):
+            if event["trial"] == told:
+                change(event)
+
+    return lie
+
+
+def rewrite_levels(events: Events) -> None:
+    """Say of every trial that it was presented at half its level, speeds and amplitudes along with it."""
+    for event in of(events, "fired", "answered", "trial"):
+        event["trial"]["condition"]["velocity_mm_s"] /= 2
+        for name in event.get("planned", {}):
+            event["planned"][name] /= 2
+        for said in (event["confirmed"], event.get("commanded", {})):
+            for name in {"commanded_amplitude", "confirmed_amplitude", "amplitude_Vpp"} & said.keys():
+                said[name] = [round(each / 2, 4) for each in said[name]]
+
+
+def rewrite_levels_and_order(events: Events) -> None:
+    """The same, and the order along with it."""
+    rewrite_levels(events)
+    for name in ("order", "practice"):
+        for brief in events[0]["schedule"][name]:
+            brief[4] /= 2
+
+
+def rewrite_protocol(events: Events) -> None:
+    """Say that the protocol had another level: in text, hash, design, the order drawn from it, every line."""
+    start = events[0]
+    source = start["sources"]["protocol"]
+    source["text"] = re.sub(r"peak_velocities_mm_s: \[80,", "peak_velocities_mm_s: [90,", source["text"])
+    sources = Sources.from_dict(start["sources"])
+    source["sha256"] = sources.protocol.sha256
+    protocol = restore_experiment(sources).protocol
+    start["design"] = protocol.model_dump(mode="json")
+    start["schedule"] = draw_again(Session(Path(), tuple(events), ()), protocol).as_dict()
+    for event in of(events, "fired", "answered", "trial"):
+        condition = event["trial"]["condition"]
+        condition["velocity_mm_s"] = 90.0 if condition["velocity_mm_s"] == 80 else condition["velocity_mm_s"]
+        if "planned" in event and event["planned"]["velocity_mm_s"] == 80:
+            event["planned"] = {name: round(value * 90 / 80, 3) for name, value in event["planned"].items()}
+
+
+def swap(events: Events) -> None:
+    """Exchange what the last two presentations were of."""
+    one, other = (event["trial"] for event in of(events, "trial")[-2:])
+    one, other = copy.deepcopy(one), copy.deepcopy(other)
+    for event in of(events, "fired", "answered", "trial"):
+        if event["trial"] in (one, other):
+            event["trial"] = copy.deepcopy(other if event["trial"] == one else one)
+
+
+def leave_out(*kinds: str) -> Lie:
+    """Return the lie that leaves the lines of the first trial that counts out, and numbers the others anew."""
+
+    def lie(events: Events) -> None:
+        told = next(event["trial"] for event in of(events, "trial") if not event["trial"]["practice"])
+        events[:] = [event for event in events if event["event"] not in kinds or event["trial"] != told]
+        numbers = {event["n"]: number for number, event in enumerate(events, 1)}
+        for number, event in enumerate(events, 1):
+            event["n"] = number
+            if event.get("answered") in numbers:
+                event["answered"] = numbers[event["answered"]]
+
+    return lie
+
+
+def start_says(**facts: Any) -> Lie:
+    """Return the lie of a start record that says something else."""
+
+    def lie(events: Events) -> None:
+        for name, value in facts.items():
+            section, _, key = name.partition("__")
+            if key:
+                events[0][section][key] = value
+            else:
+                events[0][section] = value
+
+    return lie
+
+
+def set_in(section: str, **facts: Any) -> Callable[[dict[str, Any]], None]:
+    """Return what changes members of a section of a line."""
+    return lambda event: event[section].update(facts)
+
+
+def shift(section: str, name: str, by: float) -> Callable[[dict[str, Any]], None]:
+    """Return what moves a number of a line."""
+    return lambda event: event[section].update({name: event[section][name] + by})
+
+
+def shift_answer(event: dict[str, Any], by: float = -30.0) -> None:
+    """Say that an answer came earlier."""
+    event["instants"]["answer"] = {name: value + by for name, value in event["instants"]["answer"].items()}
+
+
+def shift_first(event: dict[str, Any]) -> None:
+    """Say that the first burst came 50 ms later, wherever that is said but in the reaction time."""
+    event["instants"]["first_burst"] = {k: v + 0.05 for k, v in event["instants"]["first_burst"].items()}
+    event["confirmed"]["onset"] += 0.05
+    if event["bursts"]["first_s"] is not None:
+        event["bursts"]["first_s"] += 0.05
+
+
+def count(**counts: int) -> Callable[[dict[str, Any]], None]:
+    """Return what adds to the counts of bursts."""
+    return lambda event: event["bursts"].update({name: event["bursts"][name] + n for name, n in counts.items()})
+
+
+def to_line(event: dict[str, Any], **facts: Any) -> None:
+    """Change members of a line."""
+    event.update(facts)
+
+
+IN_BOTH: dict[str, tuple[Lie, str]] = {
+    "every level": (rewrite_levels, "has the velocity_mm_s"),
+    "every level and the order": (rewrite_levels_and_order, "draws another order"),
+    "the protocol": (rewrite_protocol, "90 mm/s takes"),
+    "one level": (
+        everywhere(lambda e: e["trial"]["condition"].update(velocity_mm_s=81.0), "trial"),
+        "velocity_mm_s 81",
+    ),
+    "two trials exchanged": (swap, "was presented out of its order"),
+    "a trial left out": (leave_out("fired", "answered", "trial"), "was presented out of its order"),
+    "a stimulus left out": (leave_out("fired"), "was answered without having been presented"),
+    "a trial of nobody": (everywhere(lambda e: e["trial"].update(index=99), "trial"), "is none of the"),
+    "a planned level": (everywhere(set_in("planned", velocity_mm_s=100.5)), "was planned at 100.5 mm/s"),
+    "a speed": (everywhere(shift("planned", "speed_left_mm_s", 1)), "at the fingers, not"),
+    "a commanded amplitude": (everywhere(set_in("commanded", amplitude_Vpp=[1.0, 1.0])), "1, 1 Vpp were commanded"),
+    "a read-back": (
+        everywhere(set_in("confirmed", confirmed_amplitude=[1.0, 1.0]), "trial"),
+        "1, 1 Vpp were read back",
+    ),
+    "fingers": (everywhere(lambda e: e["fingers"].reverse()), "was felt with"),
+    "a catch trial": (everywhere(lambda e: to_line(e, catch=True)), "it is not a catch trial"),
+    "a word": (everywhere(set_in("response", answer="upwards")), "was answered 'upwards'; allowed:"),
+    "a reaction time": (everywhere(set_in("response", reaction_time=-1.0)), "has a reaction time of -1.0 s"),
+    "a presentation": (everywhere(lambda e: to_line(e, presentation=2)), "is called presentation 2"),
+    "a replaced answer": (everywhere(lambda e: to_line(e, supersedes=5)), "replaces the answer of line 5"),
+    "a withdrawn line": (lambda events: events[4].update(event="withdrawn", lines=[3]), "withdraws line 3"),
+    "a line number": (lambda events: to_line(events[9], n=11), "is numbered 11"),
+    "the clock": (lambda events: to_line(events[9], clock=events[8]["clock"] - 1), "its clock says"),
+    "the time": (lambda events: to_line(events[9], time="2026-11-22T05:00:00"), "names no zone"),
+    "an end": (lambda events: to_line(last(events, "stop"), n_answered=11), "says that 11 trials are answered, 12 are"),
+    "the seed": (start_says(seed=2), "seed 2 draws another order"),
+    "the codes": (start_says(stimulus__content_hash="0" * 64), "the drive computed again has the hash"),
+    "the design": (start_says(design__stimulus={"focus": "A"}), "has another stimulus than its protocol file"),
+    "the protocol's name": (start_says(protocol="other"), "is a session of 'other'"),
+    "the mode": (start_says(mode="real"), "is called a real session, and its rig or its answers were simulated"),
+    "a text": (start_says(sources__texts={"path": "t", "text": "", "sha256": "0" * 64}), "do not hold"),
+}
+"""Lies that are found in a log of either format, and the words that find them."""
+
+IN_FORMAT_2: dict[str, tuple[Lie, str]] = {
+    "a burst more than whole": (everywhere(count(whole=1), "trial"), "is confirmed with"),
+    "a burst that was cut": (everywhere(count(whole=-1), "trial"), "is confirmed with"),
+    "bursts that nobody waited for": (
+        everywhere(count(asked=20, played=20, whole=20), "trial"), "were due by its answer"),
+    "bursts left out": (everywhere(count(asked=-3, played=-3, whole=-3), "trial"), "were due by its answer"),
+    "a number that is none": (everywhere(set_in("bursts", asked=-1), "trial"), "are counted as"),
+    "uncounted bursts": (everywhere(set_in("bursts", whole=None), "trial"), "though its bursts are not all counted"),
+    "the first burst": (everywhere(shift("bursts", "first_s", 0.01), "trial"), "its first burst came at"),
+    "the first burst, everywhere": (everywhere(shift_first), "its instants one of"),
+    "how sure it is": (everywhere(shift("bursts", "uncertainty_s", -0.0009), "trial"), "its first burst came at"),
+    "an answer before its stimulus": (everywhere(shift_answer), "its answer came before its first burst"),
+    "an answer after its line": (everywhere(lambda e: shift_answer(e, 30.0)), "after its line was written"),
+    "a quicker answer": (everywhere(set_in("response", reaction_time=0.2)), "has a reaction time of 0.2 s"),
+    "an interval": (
+        everywhere(lambda e: e["instants"]["answer"].update(earliest_s=e["clock"] + 1)), "its answer came between"),
+    "another answer": (everywhere(set_in("response", answer="upwards"), "trial"), "has another response than line"),
+    "an answer of nobody": (everywhere(lambda e: to_line(e, answered=3), "trial"), "finishes the answer of line 3"),
+    "confirmed too soon": (
+        everywhere(set_in("confirmed", confirmed=True), "answered"), "is confirmed before its end"),
+    "what repeats": (everywhere(set_in("confirmed", repetition="timer"), "trial"), "were repeated as 'timer'"),
+}  # fmt: skip
+"""Lies about what only format 2 tells."""
+
+
+@pytest.mark.parametrize("schema", ["1", "2"])
+@pytest.mark.parametrize("name", IN_BOTH)
+def test_a_forged_log_is_found_out(copied: Callable[..., Path], name: str, schema: str) -> None:
+    """The words of the check that finds the lie, with the file and the line."""
+    lie, words = IN_BOTH[name]
+    log = copied(schema=schema)
+    forge(log, lie)
+    found = [problem for problem in verify_session(log).problems if words in problem]
+    assert found, verify_session(log).problems
+    assert re.match(rf"{re.escape(str(log))}:\d+: ", found[0])
+
+
+@pytest.mark.parametrize("name", IN_FORMAT_2)
+def test_forged_bursts_and_instants_are_found_out(copied: Callable[..., Path], name: str) -> None:
+    """The same of what is told since bursts are counted."""
+    lie, words = IN_FORMAT_2[name]
+    log = copied()
+    forge(log, lie)
+    problems = verify_session(log).problems
+    assert any(words in problem and problem.startswith(f"{log}:") for problem in problems), problems
+
+
+def test_a_catch_trial_with_bursts_is_found_out(copied: Callable[..., Path]) -> None:
+    """Nothing is driven in a catch trial, and the lowest level is set."""
+    log = copied("with_catch_trials")
+
+    def lie(events: Events) -> None:
+        event = next(event for event in of(events, "trial") if event.get("catch"))
+        event["bursts"] |= {"asked": 1, "played": 1, "whole": 1}
+        event["commanded"]["amplitude_Vpp"] = [each * 2 for each in event["commanded"]["amplitude_Vpp"]]
+
+    forge(log, lie)
+    problems = "\n".join(verify_session(log).problems)
+    assert "is a catch trial with 1 bursts asked" in problems
+    assert "80 mm/s takes" in problems
+
+
+def nothing(events: Events) -> None:
+    """Tell no lie."""
+
+
+@pytest.mark.parametrize("schema", ["1", "2"])
+@pytest.mark.parametrize("protocol", ["demo", "with_catch_trials"])
+def test_a_log_written_anew_without_a_lie_passes(copied: Callable[..., Path], protocol: str, schema: str) -> None:
+    """So that it is the lie that is found, and not the forger's hand."""
+    log = copied(protocol, schema)
+    before = log.read_bytes()
+    forge(log, nothing)
+    assert log.read_bytes() == before
+    assert verify_session(log).problems == ()
+
+
+@pytest.mark.parametrize("name", ["every level", "the codes", "a line number"])
+def test_what_verify_refuses_is_neither_analysed_nor_gone_on_with(copied: Callable[..., Path], name: str) -> None:
+    """With the same sentence."""
+    log = copied()
+    forge(log, IN_BOTH[name][0])
+    said = verify_session(log).problems[0]
+    with pytest.raises(RecordError, match=re.escape(said)):
+        wire_resume(log)
+    with pytest.raises(InputError, match=re.escape(said)):
+        read_responses(log)
+
+
+def test_many_faults_are_told_to_a_number(copied: Callable[..., Path]) -> None:
+    """A page of them helps nobody."""
+    log = copied("with_catch_trials")
+    forge(log, rewrite_levels)
+    problems = verify_session(log).problems
+    assert len(problems) == 21
+    assert problems[-1].endswith("more such faults")
+
+
+@pytest.mark.parametrize("protocol", ["demo", "two_fields", "threshold", "with_catch_trials"])
+def test_a_session_of_format_1_is_verified_and_analysed_for_ever(copied: Callable[..., Path], protocol: str) -> None:
+    """Recorded before bursts were counted."""
+    log = copied(protocol, "1")
+    assert verify_session(log).problems == ()
+    stimulus = "sharp" if protocol == "two_fields" else None
+    assert len(read_responses(log, stimulus=stimulus).frame) == {"two_fields": 16, "threshold": 90}.get(
+        protocol, 12 if protocol == "demo" else 24
+    )
+
+
+def test_a_session_of_format_1_that_was_cut_says_how_to_go_on(copied: Callable[..., Path]) -> None:
+    """Half a session of each format is no session."""
+    log = copied("demo", "1")
+    log.write_bytes(b"".join(log.read_bytes().splitlines(keepends=True)[:40]))
+    for view in log.parent.glob("*_beh.*"):
+        view.unlink()
+    with pytest.raises(RecordError, match="modaltouch resume --restart"):
+        wire_resume(log)
+    assert wire_resume(log, restart=True).place.session == 2

@@ -1,0 +1,217 @@
+"""Who gets which balanced order: by number as ever, or the least filled in the records, dropouts made good."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from modaltouch.protocol import Protocol, read_protocol
+from modaltouch.protocol.schedule import draw_schedule, period_of_turns, recorded_turn, turn_of
+from modaltouch.record.chain import RecordError
+from modaltouch.record.folders import SessionFolder
+from modaltouch.record.log import SessionLog
+from modaltouch.session.assignment import allot, next_session
+
+PAPER = read_protocol(Path(__file__).parents[2] / "protocols" / "differentiated_stimulation.yaml").protocol
+
+
+def changed(**changes: Any) -> Protocol:
+    """Return the paper's protocol with other placements or another schedule."""
+    placements = changes.pop("placements", PAPER.conditions.placements)
+    conditions = PAPER.conditions.model_copy(update={"placements": placements})
+    schedule = PAPER.schedule.model_copy(update={"balance": "least_filled", **changes})
+    return PAPER.model_copy(update={"schedule": schedule, "conditions": conditions})
+
+
+FOUR = changed(placements=("normal", "mirrored"))
+
+
+def place_of(results: Path, participant: str, session: int = 1) -> SessionFolder:
+    """Return where a session of a participant is recorded."""
+    return SessionFolder(results, "simulated", PAPER.protocol, participant, session)
+
+
+def sit(
+    place: SessionFolder, protocol: Protocol, *, complete: bool, drawn_as: int | None = None
+) -> tuple[int, SessionLog]:
+    """Record a session as the program does, as far as the allotment reads it; return its turn and its open log."""
+    drawn_as = drawn_as or place.session
+    allotment = allot(place, protocol, drawn_as)
+    schedule = draw_schedule(protocol, place.participant, 1, drawn_as, given=allotment.turn)
+    about = {"mode": place.mode, "protocol": place.protocol}
+    facts = {**about, "participant": place.participant, "session": place.session, "seed": 1}
+    log = SessionLog.create(place.log, "start", **facts, schedule={**schedule.as_dict(), "n_trials": int(not complete)})
+    return allotment.turn.number, log
+
+
+def test_participants_take_the_turns_one_after_the_other(tmp_path: Path) -> None:
+    """Two orders in two placements: four turns, then again from the first, whatever the participants are called."""
+    turns = []
+    for name in ("zoe", "p99", "a1", "ben", "c3", "dan"):
+        turn, log = sit(place_of(tmp_path, name), FOUR, complete=True)
+        log.close()
+        turns.append(turn)
+    assert turns == [0, 1, 2, 3, 0, 1]
+
+
+def test_a_gap_left_by_a_dropout_is_filled_next(tmp_path: Path) -> None:
+    """The second of four drops out: the fifth gets the second's turn, the sixth begins the next round."""
+    turns = []
+    for number in range(1, 7):
+        turn, log = sit(place_of(tmp_path, f"p{number}"), FOUR, complete=number != 2)
+        log.close()
+        turns.append(turn)
+    assert turns == [0, 1, 2, 3, 1, 0]
+
+
+def test_a_session_that_runs_now_fills_its_turn(tmp_path: Path) -> None:
+    """Its log is locked by its process, so it is no dropout; once its process is gone, it is one."""
+    first, log = sit(place_of(tmp_path, "p1"), FOUR, complete=False)
+    beside = allot(place_of(tmp_path, "p2"), FOUR, 1)
+    assert (first, beside.turn.number, beside.filled) == (0, 1, {0: 1})
+    log.close()
+    after = allot(place_of(tmp_path, "p2"), FOUR, 1)
+    assert (after.filled, after.left) == ({}, {0: 1})
+
+
+def test_an_incomplete_session_decides_between_turns_filled_alike(tmp_path: Path) -> None:
+    """It may be resumed yet: as long as others are as empty, its turn comes last."""
+    _, log = sit(place_of(tmp_path, "p1"), FOUR, complete=False)
+    log.close()
+    assert [allot(place_of(tmp_path, name), FOUR, 1).turn.number for name in ("p2", "p3")] == [1, 1]
+
+
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.lists(st.booleans(), min_size=1, max_size=24), st.integers(0, 10**9))
+def test_whoever_drops_out_the_turns_stay_balanced(tmp_path: Path, complete: list[bool], study: int) -> None:
+    """After every participant, the numbers of those who completed each turn differ by one at most."""
+    results = tmp_path / f"{study}-{len(complete)}-{sum(complete)}-{len(list(tmp_path.iterdir()))}"
+    filled = Counter(dict.fromkeys(range(4), 0))
+    for number, completed in enumerate(complete, start=1):
+        turn, log = sit(place_of(results, f"p{number}"), FOUR, complete=completed)
+        log.close()
+        filled[turn] += completed
+        assert max(filled.values()) - min(filled.values()) <= 1
+
+
+def test_sessions_of_one_participant_take_turns_whatever_others_fill(tmp_path: Path) -> None:
+    """The second session has the turn after the first's; it counts no more for others than its participant does."""
+    first, log = sit(place_of(tmp_path, "p1"), FOUR, complete=True)
+    log.close()
+    other, log = sit(place_of(tmp_path, "p2"), FOUR, complete=True)
+    log.close()
+    second, log = sit(place_of(tmp_path, "p1", 2), FOUR, complete=True)
+    log.close()
+    assert (first, other, second) == (0, 1, 1)
+    third = allot(place_of(tmp_path, "p3"), FOUR, 1)
+    assert third.turn.number == 2
+    assert third.filled == {0: 1, 1: 1}
+    again = allot(place_of(tmp_path, "p1", 3), FOUR, 3)
+    assert (again.turn.number, again.turn.reason) == (2, "the participant's earlier sessions")
+
+
+def test_sessions_drawn_by_number_count_with_their_own_turn(tmp_path: Path) -> None:
+    """A study that changes its rule goes on from what is there: p02 by number has the second turn."""
+    place = place_of(tmp_path, "p02")
+    schedule = draw_schedule(PAPER, "p02", 1)
+    facts = {"participant": "p02", "session": 1, "seed": 1}
+    SessionLog.create(place.log, "start", **facts, schedule={**schedule.as_dict(), "n_trials": 0}).close()
+    assert turn_of("p02", 1, 1).number == 1
+    assert allot(place_of(tmp_path, "p07"), FOUR, 1).filled == {1: 1}
+
+
+def test_a_given_turn_is_in_the_record_and_draws_the_same_schedule_again(tmp_path: Path) -> None:
+    """Order, placement and reason come from the record alone; without a given turn there is no trace of it."""
+    allotment = allot(place_of(tmp_path, "p9"), FOUR, 1)
+    schedule = draw_schedule(FOUR, "p9", 1, given=replace(allotment.turn, number=3))
+    start = {"schedule": schedule.as_dict()}
+    assert draw_schedule(FOUR, "p9", 1, given=recorded_turn(start)) == schedule
+    assert schedule.finger_conditions_by == "least filled in the records"
+    assert [block.finger_condition for block in schedule.blocks] == ["two_hands", "one_hand"]
+    assert schedule.trials[0].condition.placement == "mirrored"
+    assert recorded_turn({"schedule": draw_schedule(PAPER, "p9", 1).as_dict()}) is None
+
+
+@pytest.mark.parametrize(
+    ("changes", "period"),
+    [
+        ({}, 2),
+        ({"placements": ("normal", "mirrored", "swapped")}, 6),
+        ({"order": "by_pair", "max_same_pair_running": None}, 36),
+        ({"order": "by_velocity", "max_same_pair_running": None}, 16),
+        ({"order": "latin_square", "max_same_pair_running": None}, 144),
+        ({"counterbalance_finger_conditions": False}, 1),
+    ],
+)
+def test_turns_repeat_after_their_period_and_not_before(changes: dict[str, Any], period: int) -> None:
+    """Orders of finger conditions, placements and rows, told apart by drawing them for two periods."""
+    protocol = changed(**changes)
+    assert period_of_turns(protocol) == period
+    drawn = [draw_schedule(protocol, f"p{n}", 1) for n in range(1, 2 * period + 1)]
+
+    def told(schedule: Any) -> Any:
+        # Of a block, only what does not depend on the participant's own stream.
+        key = {"by_pair": "pair", "by_velocity": "velocity_mm_s"}.get(protocol.schedule.order)
+        rows = []
+        for block in schedule.blocks:
+            cells = [trial.condition for trial in block.trials]
+            if protocol.schedule.order == "latin_square":
+                rows.append([(cell.pair, cell.velocity_mm_s) for cell in cells])
+            elif key is not None:
+                rows.append(list(dict.fromkeys(getattr(cell, key) for cell in cells)))
+        return [block.finger_condition for block in schedule.blocks], schedule.trials[0].condition.placement, rows
+
+    kinds = [told(schedule) for schedule in drawn]
+    assert kinds[:period] == kinds[period:]
+    assert not any(
+        kinds[:shorter] * (period // shorter) == kinds[:period] for shorter in range(1, period) if period % shorter == 0
+    )
+
+
+def test_the_next_session_is_the_next_free_number(tmp_path: Path) -> None:
+    """The first, the second of two; then there is none left, and an incomplete one is to be resumed."""
+    protocol = changed(sessions=2)
+    place = place_of(tmp_path, "p1")
+    for number in (1, 2):
+        following, drawn_as = next_session(place, protocol.schedule.sessions)
+        assert (following.session, drawn_as) == (number, number)
+        sit(following, protocol, complete=True)[1].close()
+    with pytest.raises(RecordError, match="has had all 2 sessions of the protocol.*--session 3"):
+        next_session(place, protocol.schedule.sessions)
+    other = place_of(tmp_path, "p2")
+    sit(other, protocol, complete=False)[1].close()
+    with pytest.raises(RecordError, match="exists already and is not complete; continue it with `modaltouch resume"):
+        next_session(other, protocol.schedule.sessions)
+
+
+def test_a_session_begun_anew_counts_once(tmp_path: Path) -> None:
+    """Session 1 was closed and begun anew as 2: the next is number 3 in its folder and the participant's second."""
+    place = place_of(tmp_path, "p1")
+    _, log = sit(place, FOUR, complete=False)
+    log.append("closed", begun_anew_as=2)
+    log.close()
+    sit(place_of(tmp_path, "p1", 2), FOUR, complete=True, drawn_as=1)[1].close()
+    following, drawn_as = next_session(place, 2)
+    assert (following.session, drawn_as) == (3, 2)
+
+
+def test_completeness_is_read_from_the_last_line_or_else_from_all_of_them(tmp_path: Path) -> None:
+    """A stop that says complete; a stop that does not; a kill after the last answer; a cut line at the end."""
+    logs = {}
+    for name, complete in (("done", False), ("left", False), ("killed", True), ("torn", True)):
+        _, log = sit(place_of(tmp_path, name), FOUR, complete=complete)
+        if name in ("done", "left"):
+            log.append("stop", reason="finished", complete=name == "done")
+        log.close()
+        logs[name] = log.path
+    with logs["torn"].open("ab") as file:
+        file.write(b'{"n":2,"event":"st')
+    seen = allot(place_of(tmp_path, "new"), FOUR, 1)
+    assert sum(seen.filled.values()) == 3
+    assert sum(seen.left.values()) == 1

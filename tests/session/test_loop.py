@@ -1,0 +1,564 @@
+"""The one loop, with a rig of paper and a participant who says what the test wants."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from modaltouch.protocol import Experiment, Protocol, read_protocol
+from modaltouch.protocol.adaptive_rules import Levels
+from modaltouch.protocol.schedule import draw_schedule
+from modaltouch.protocol.trial import Answer, Response, Trial
+from modaltouch.record.log import SessionLog
+from modaltouch.record.session import Session
+from modaltouch.rig.interface import Bursts, Firing, RigError, StimulusLost
+from modaltouch.session.console.experimenter import Experimenter
+from modaltouch.session.console.interface import Request, Silence
+from modaltouch.session.console.status import Status
+from modaltouch.session.loop import Sitting, conduct
+from modaltouch.system.clock import VirtualClock
+from modaltouch.window.interface import Presentation, Progress, SessionStopped, TrialInterrupted
+from modaltouch.window.masking.interface import MaskingError, NoMasking
+
+SPEEDS = {"A": 0.12, "B": 0.115, "C": 0.2, "D": 0.115, "E": 0.12}
+
+
+@dataclass
+class PaperRig:
+    """Fires nothing, and notes what it was told."""
+
+    told: list[str] = field(default_factory=list)
+    unstarted: int = 0
+    unconfirmed: int = 0
+    stalled: int = 0
+    breaks: bool = False
+    firing: Firing | None = None
+
+    def fire(self, velocity: float, *, silent: bool = False, **_: object) -> Firing:
+        self.told.append(f"silent {velocity:g}" if silent else f"fire {velocity:g}")
+        started = self.unstarted == 0
+        self.unstarted = max(self.unstarted - 1, 0)
+        reason = "" if started else "the amplitude reads 5"
+        self.firing = Firing((1.0, 1.0), (1.0, 1.0), 0.0, 0.001, started=started, reason=reason)
+        return self.firing
+
+    def end(self) -> None:
+        self.told.append("end")
+
+    def stop(self, *, at_once: bool = False) -> None:
+        self.told.append("cut" if at_once else "stop")
+        if self.firing is None:
+            return
+        if self.breaks:
+            self.firing = replace(self.firing, reason="the link broke")
+            raise RigError("the outputs could not be confirmed off")
+        failed = self.unconfirmed > 0 or self.stalled > 0
+        stalled = self.stalled > 0
+        self.unconfirmed, self.stalled = max(self.unconfirmed - 1, 0), max(self.stalled - 1, 0)
+        reason = "held up" if stalled else "the knob was turned"
+        bursts = Bursts(8, 8, 8, 0, 0.0, 0.001)
+        self.firing = replace(
+            self.firing, confirmed=not failed, stalled=stalled, reason=reason if failed else "", bursts=bursts
+        )
+
+
+@dataclass
+class Person:
+    """Answers by a rule, and notes every screen."""
+
+    rule: Callable[[Trial], Answer]
+    seen: list[str] = field(default_factory=list)
+    cut: list[str | Exception] = field(default_factory=list)
+
+    def welcome(self, trial: Trial) -> None:
+        self.seen.append("welcome " + "".join(trial.condition.pair))
+
+    def announce(self, text: str) -> None:
+        self.seen.append(text)
+
+    def place_fingers(self, trial: Trial) -> None:
+        self.seen.append("place " + "".join(trial.condition.pair))
+
+    def ask(self, trial: Trial, progress: Progress, presentation: Presentation) -> Response:
+        self.seen.append(f"{'practice' if trial.practice else 'trial'} {trial.index}")
+        if self.cut:
+            cut = self.cut.pop()
+            raise cut if isinstance(cut, Exception) else TrialInterrupted(cut)
+        presentation.end()
+        return Response(self.rule(trial), 1.0, way="free_hand")
+
+    def confirm(self, response: Response) -> None:
+        self.seen.append(response.answer)
+
+    def give_feedback(self, response: Response, expected: Answer) -> None:
+        self.seen.append(f"feedback {response.answer} {expected}")
+
+    def wait(self, seconds: float) -> None:
+        pass
+
+    def rest(self, progress: Progress) -> None:
+        self.seen.append("rest")
+
+    def settle(self, trial: Trial, progress: Progress) -> None:
+        pass
+
+    def tell_stall(self) -> None:
+        self.seen.append("stall")
+
+    def goodbye(self) -> None:
+        self.seen.append("goodbye")
+
+
+class Keys(Silence):
+    """A console whose keys are pressed by the test."""
+
+    def __init__(self) -> None:
+        self.asked: list[Request] = []
+
+    def requests(self) -> list[Request]:
+        asked, self.asked = self.asked, []
+        return asked
+
+
+def right_answer(trial: Trial) -> Answer:
+    """Say what somebody says who feels the speeds of SPEEDS without noise."""
+    left, right = (SPEEDS[zone] for zone in trial.condition.pair)
+    return "both" if left == right else ("left" if left > right else "right")
+
+
+def wrong_answer(trial: Trial) -> Answer:
+    """Say anything else."""
+    return "left" if right_answer(trial) == "both" else "both"
+
+
+@pytest.fixture(scope="module")
+def experiment() -> Experiment:
+    """Give the shipped demonstration."""
+    return read_protocol(Path(__file__).resolve().parents[2] / "protocols" / "demo.yaml")
+
+
+@pytest.fixture
+def sit(experiment: Experiment, tmp_path: Path) -> Iterator[Callable[..., Sitting]]:
+    """Give sittings whose logs are closed in the end."""
+    logs: list[SessionLog] = []
+
+    def make(rule: Callable[[Trial], Answer] = right_answer, **schedule: Any) -> Sitting:
+        protocol = change(experiment.protocol, **schedule)
+        drawn = draw_schedule(protocol, "p01", 1)
+        log = SessionLog.create(tmp_path / f"session{len(logs)}.jsonl", "start")
+        logs.append(log)
+        return Sitting(
+            protocol=protocol,
+            trials=(*drawn.practice, *drawn.trials),
+            total=len(drawn.trials),
+            levels=Levels(protocol),
+            speeds=lambda trial: (SPEEDS[trial.condition.zone_left], SPEEDS[trial.condition.zone_right]),
+            rig=PaperRig(),  # type: ignore[arg-type]
+            window=Person(rule),  # type: ignore[arg-type]
+            log=log,
+            save_view=lambda: None,
+            tick=lambda: None,
+        )
+
+    yield make
+    for log in logs:
+        log.close()
+
+
+def change(protocol: Protocol, **schedule: Any) -> Protocol:
+    """Return the protocol with another schedule."""
+    return protocol.model_copy(update={"schedule": protocol.schedule.model_copy(update=schedule)})
+
+
+def events(sitting: Sitting, name: str) -> list[dict[str, Any]]:
+    """Return the events of one kind in the log."""
+    return [event for event in sitting.log.events if event["event"] == name]
+
+
+def seen(sitting: Sitting) -> list[str]:
+    """Return what the person saw."""
+    return sitting.window.seen  # type: ignore[attr-defined,no-any-return]
+
+
+def test_every_trial_is_answered_once_in_order(sit: Callable[..., Sitting]) -> None:
+    """Expected: one practice trial and twelve that count, each fired, stopped and written down."""
+    sitting = sit()
+    conduct(sitting)
+    done = [(event["trial"]["practice"], event["trial"]["index"]) for event in events(sitting, "trial")]
+    assert done == [(True, 1), *((False, index) for index in range(1, 13))]
+    told = sitting.rig.told  # type: ignore[attr-defined]
+    fired = [place for place, command in enumerate(told) if command.startswith("fire")]
+    assert len(fired) == 13
+    assert all(told[place + 1 : place + 3] == ["end", "stop"] for place in fired)
+    first = "".join(sitting.trials[0].condition.pair)
+    assert seen(sitting)[:2] == [f"welcome {first}", "practice"], "the fingers of the first trial, as they are placed"
+    assert seen(sitting)[-1] == "goodbye"
+
+
+def test_the_last_trial_can_be_repeated_while_the_participant_is_thanked(sit: Callable[..., Sitting]) -> None:
+    """Expected: placed anew, asked again, the first answer withdrawn, thanked again; nothing is asked for in vain."""
+    sitting = sit()
+    console = Keys()
+    experimenter = Experimenter(console)
+    sitting.log.listener = experimenter.tell
+    thank = sitting.window.goodbye
+
+    def goodbye() -> None:
+        thank()
+        if seen(sitting).count("goodbye") <= 2:
+            console.asked.append(Request("repeat"))
+        experimenter.attend()
+
+    sitting.window.goodbye = goodbye  # type: ignore[method-assign]
+    conduct(replace(sitting, experimenter=experimenter))
+    last = seen(sitting)[seen(sitting).index("goodbye") :]
+    answer, place = right_answer(sitting.trials[-1]), "place " + "".join(sitting.trials[-1].condition.pair)
+    assert last == ["goodbye", *[place, "trial 12", answer, "goodbye"] * 2]
+    assert len(events(sitting, "withdrawn")) == 2
+    assert Session(sitting.log.path, tuple(sitting.log.events), ()).n_answered == 12
+
+
+def pressing(sitting: Sitting, *moments: int) -> Sitting:
+    """Return the sitting with `repeat` pressed while the answers of these numbers, from 1, are confirmed."""
+    console, confirmed = Keys(), list[Response]()
+    experimenter = Experimenter(console)
+    sitting.log.listener = experimenter.tell
+    confirm = sitting.window.confirm
+
+    def press(response: Response) -> None:
+        confirmed.append(response)
+        confirm(response)
+        if len(confirmed) in moments:
+            console.asked.append(Request("repeat"))
+        experimenter.attend()
+
+    sitting.window.confirm = press  # type: ignore[method-assign]
+    return replace(sitting, experimenter=experimenter)
+
+
+def asked(sitting: Sitting) -> list[str]:
+    """Return what was asked, in order."""
+    return [name for name in seen(sitting) if name.split()[0] in ("practice", "trial") and " " in name]
+
+
+def test_a_practice_trial_is_repeated_with_what_was_to_be_felt(sit: Callable[..., Sitting]) -> None:
+    """Expected: asked again at once, commented again, the first answer withdrawn and kept; the round goes on."""
+    sitting = pressing(sit(practice_trials=3, practice_feedback=True), 2)
+    conduct(sitting)
+    names = asked(sitting)
+    assert names[:4] == ["practice 1", "practice 2", "practice 2", "practice 3"]
+    shown = [name for name in seen(sitting) if name.startswith("feedback")]
+    assert len(shown) == sum(name.startswith("practice") for name in names)
+    (withdrawn,) = events(sitting, "withdrawn")
+    kept = [event for event in events(sitting, "trial") if event["trial"]["practice"] and event["trial"]["index"] == 2]
+    assert len(kept) == 2
+    assert withdrawn["lines"] == [kept[0]["n"]]
+    session = Session(sitting.log.path, tuple(sitting.log.events), ())
+    assert {kept[0]["n"], kept[1]["n"]} & {event["n"] for event in session.trials} == {kept[1]["n"]}
+    assert session.n_answered == 12
+
+
+def test_a_round_is_judged_by_the_repeated_answer(sit: Callable[..., Sitting]) -> None:
+    """The last trial of a round, answered wrongly and repeated before the round is judged: passed by the second."""
+    given: list[Trial] = []
+
+    def rule(trial: Trial) -> Answer:
+        first = trial.practice and trial.index == 3 and trial not in given
+        given.append(trial)
+        return wrong_answer(trial) if first else right_answer(trial)
+
+    sitting = pressing(sit(rule, practice_trials=3, practice_criterion=1.0), 3)
+    conduct(sitting)
+    assert asked(sitting)[:5] == ["practice 1", "practice 2", "practice 3", "practice 3", "trial 1"]
+    (judged,) = events(sitting, "practice_round")
+    assert judged["passed"]
+    assert judged["n_agreed"] == judged["n_judged"]
+
+
+def test_practice_that_is_over_is_not_repeated_and_the_console_says_so() -> None:
+    """R between practice and the first trial that counts: dropped there, and told, not done amid the trials."""
+    console, status = Keys(), Status()
+    experimenter = Experimenter(console, status=status)
+    practice = {"event": "trial", "n": 5, "clock": 1.0, "trial": {"practice": True, "index": 3},
+                "response": {"answer": "left", "reaction_time": 1.0}, "confirmed": {"confirmed": True}}  # fmt: skip
+    experimenter.tell(practice)
+    console.asked.append(Request("repeat"))
+    experimenter.attend()
+    assert (status.facts()["repeats_trial"], status.facts()["repeats_practice"]) == (3, True)
+    experimenter.tell({"event": "trial_next", "trial": {"practice": False}})
+    assert experimenter.take_repeat() is None
+    assert status.facts()["nothing_to_repeat"]
+    assert status.facts()["repeats_trial"] is None
+    experimenter.tell(practice)
+    experimenter.tell({"event": "practice_round"})
+    console.asked.append(Request("repeat"))
+    experimenter.attend()
+    assert experimenter.take_repeat() is None, "a judged round stays as it was judged"
+
+
+def test_fingers_are_placed_anew_only_where_they_change(sit: Callable[..., Sitting]) -> None:
+    """Expected: a placement before a trial exactly where pair or finger condition differ from the trial before."""
+    sitting = sit()
+    conduct(sitting)
+    trials = [event["trial"]["condition"] for event in events(sitting, "trial")]
+    places = [(c["finger_condition"], c["zone_left"], c["zone_right"]) for c in trials]
+    changes = 1 + sum(one != other for one, other in zip(places, places[1:], strict=False))
+    assert len(events(sitting, "placement")) == changes
+    first = events(sitting, "placement")[0]
+    assert {"finger_left", "finger_right", "zone_left", "zone_right", "placement", "way"} <= set(first)
+
+
+def test_an_answer_is_confirmed_only_once_it_is_written(sit: Callable[..., Sitting]) -> None:
+    """Expected: when the window confirms, the log's last line is that answer; the stimulus is not over yet."""
+    sitting = sit()
+    confirm = sitting.window.confirm
+    last: list[str] = []
+
+    def note(response: Response) -> None:
+        last.append(sitting.log.events[-1]["event"])
+        assert not sitting.log.events[-1]["confirmed"]["confirmed"]
+        confirm(response)
+
+    sitting.window.confirm = note  # type: ignore[method-assign]
+    conduct(sitting)
+    assert set(last) == {"answered"}
+    answered = {event["n"]: event for event in events(sitting, "answered")}
+    for event in events(sitting, "trial"):
+        assert event["response"] == answered[event["answered"]]["response"]
+        assert event["confirmed"]["confirmed"]
+        assert event["bursts"]["whole"] == 8
+
+
+def test_a_cut_trial_is_offered_again(sit: Callable[..., Sitting]) -> None:
+    """Expected: the same trial fired twice, the cut in the log, one answer."""
+    sitting = sit()
+    sitting.window.cut.append("escape")  # type: ignore[attr-defined]
+    conduct(sitting)
+    assert [name for name in seen(sitting) if name == "practice 1"] == ["practice 1"] * 2
+    assert [event["reason"] for event in events(sitting, "trial_cut")] == ["escape"]
+    assert len(events(sitting, "trial")) == 13
+
+
+def test_a_stimulus_that_does_not_start_is_tried_again(sit: Callable[..., Sitting]) -> None:
+    """Expected: no question before it has started; three attempts, then RigError."""
+    sitting = sit()
+    sitting.rig.unstarted = 1  # type: ignore[attr-defined]
+    conduct(sitting)
+    assert len(events(sitting, "unconfirmed")) == 1
+    sitting = sit()
+    sitting.rig.unstarted = 3  # type: ignore[attr-defined]
+    with pytest.raises(RigError, match=r"3 presentations could not be confirmed .the amplitude reads 5.; the outputs"):
+        conduct(sitting)
+    assert "practice 1" not in seen(sitting)
+
+
+def test_an_answer_to_an_unconfirmed_stimulus_is_kept_and_its_trial_offered_again(sit: Callable[..., Sitting]) -> None:
+    """Expected: two answers to the first trial, the second in place of the first; three in a row end the session."""
+    sitting = sit()
+    sitting.rig.unconfirmed = 1  # type: ignore[attr-defined]
+    conduct(sitting)
+    first, second = events(sitting, "trial")[:2]
+    assert (first["confirmed"]["confirmed"], second["confirmed"]["confirmed"]) == (False, True)
+    assert second["supersedes"] == first["n"]
+    assert (first["presentation"], second["presentation"]) == (1, 2)
+    sitting = sit()
+    sitting.rig.unconfirmed = 3  # type: ignore[attr-defined]
+    with pytest.raises(RigError, match=r"the knob was turned.*the answers are kept as unconfirmed"):
+        conduct(sitting)
+
+
+def test_stalls_use_up_no_attempt_and_are_told_to_the_participant(sit: Callable[..., Sitting]) -> None:
+    """Expected: ten stalls in a row, ten words to the participant, and the session goes on."""
+    sitting = sit()
+    sitting.rig.stalled = 10  # type: ignore[attr-defined]
+    conduct(sitting)
+    assert seen(sitting).count("stall") == 10
+    assert Session(sitting.log.path, tuple(sitting.log.events), ()).n_answered == 12
+
+
+def test_a_computer_that_is_always_held_up_is_told_of_at_last(sit: Callable[..., Sitting]) -> None:
+    """Expected: after 30 presentations of a trial the session ends, and nothing is said against the instrument."""
+    sitting = sit()
+    sitting.rig.stalled = 30  # type: ignore[attr-defined]
+    with pytest.raises(RigError, match=r"30 presentations could not be confirmed .held up.*close other programs, then"):
+        conduct(sitting)
+    sitting = sit()
+    sitting.rig.stalled = 29  # type: ignore[attr-defined]
+    conduct(sitting)
+
+
+def test_a_stimulus_that_ends_by_itself_gets_no_answer(sit: Callable[..., Sitting]) -> None:
+    """The link is lost while the participant feels: the trial is cut, in the record, and offered again."""
+    sitting = sit()
+    sitting.window.cut.append(StimulusLost("the bursts ended"))  # type: ignore[attr-defined]
+    conduct(sitting)
+    (cut,) = events(sitting, "trial_cut")
+    assert cut["reason"] == "the bursts ended"
+    assert len(events(sitting, "trial")) == 13
+
+
+def test_an_instrument_that_dies_in_a_stimulus_confirms_nothing(sit: Callable[..., Sitting]) -> None:
+    """The outputs cannot be switched off at the end: the answer is on the disk, unconfirmed, and the session ends."""
+    sitting = sit()
+    sitting.rig.breaks = True  # type: ignore[attr-defined]
+    with pytest.raises(RigError, match="could not be confirmed off"):
+        conduct(sitting)
+    (trial,) = events(sitting, "trial")
+    assert not trial["confirmed"]["confirmed"]
+    assert trial["confirmed"]["reason"] == "the link broke"
+
+
+def test_an_emergency_stop_cuts_the_burst_and_is_recorded_as_cut(sit: Callable[..., Sitting]) -> None:
+    """Expected: outputs off at once, not after the burst, and a line that says what was played until then."""
+    sitting = sit()
+    sitting.window.cut.append(SessionStopped("emergency stop"))  # type: ignore[attr-defined]
+    with pytest.raises(SessionStopped, match="emergency stop"):
+        conduct(sitting)
+    assert sitting.rig.told[-1] == "cut"  # type: ignore[attr-defined]
+    (cut,) = events(sitting, "trial_cut")
+    assert cut["reason"] == "emergency stop"
+    assert cut["bursts"]["played"] == 8
+
+
+@pytest.mark.parametrize(("rule", "passed"), [(right_answer, True), (wrong_answer, False)])
+def test_practice_is_judged_by_its_criterion(
+    sit: Callable[..., Sitting],
+    rule: Callable[[Trial], Answer],
+    passed: bool,
+) -> None:
+    """Expected: one round where it is passed, all rounds where it is not, and then the session goes on."""
+    sitting = sit(rule, practice_trials=3, practice_criterion=0.6, practice_rounds=2)
+    conduct(sitting)
+    rounds = events(sitting, "practice_round")
+    assert [event["passed"] for event in rounds] == ([True] if passed else [False, False])
+    assert seen(sitting).count("practice_again") == (0 if passed else 1)
+    n_practised = sum(event["trial"]["practice"] for event in events(sitting, "trial"))
+    assert n_practised == (3 if passed else 6)
+    assert sum(not event["trial"]["practice"] for event in events(sitting, "trial")) == 12
+
+
+def test_failed_practice_ends_the_session_where_the_protocol_says_so(sit: Callable[..., Sitting]) -> None:
+    """Expected: thanks, then SessionStopped; no trial that counts, and the same again on resumption."""
+    sitting = sit(wrong_answer, practice_trials=2, practice_criterion=1.0, after_failed_practice="stop")
+    with pytest.raises(SessionStopped, match="practice not passed"):
+        conduct(sitting)
+    assert seen(sitting)[-1] == "goodbye"
+    assert not any(not event["trial"]["practice"] for event in events(sitting, "trial"))
+    resumed = replace(sitting, trials=tuple(trial for trial in sitting.trials if not trial.practice))
+    with pytest.raises(SessionStopped, match="practice not passed"):
+        conduct(resumed)
+
+
+def test_a_round_answered_before_a_kill_is_judged_after_it(sit: Callable[..., Sitting]) -> None:
+    """Expected: killed between the last practice answer and its verdict, the session gives the verdict first."""
+    sitting = sit(practice_trials=2, practice_criterion=1.0, practice_rounds=3)
+    conduct(sitting)
+    trials = [event for event in events(sitting, "trial") if event["trial"]["practice"]]
+    killed = sit(practice_trials=2, practice_criterion=1.0, practice_rounds=3)
+    for event in trials:
+        killed.log.append("trial", **{name: event[name] for name in ("trial", "planned", "response", "confirmed")})
+    conduct(replace(killed, trials=tuple(t for t in killed.trials if not t.practice or t.index > 2)))
+    assert [event["passed"] for event in events(killed, "practice_round")] == [True]
+    assert not any(name.startswith("practice") for name in seen(killed))
+
+
+def test_feedback_follows_practice_trials_alone(sit: Callable[..., Sitting]) -> None:
+    """Expected: after each of three practice trials what was predicted, and never after a trial that counts."""
+    sitting = sit(wrong_answer, practice_trials=3, practice_feedback=True)
+    conduct(sitting)
+    given = [name for name in seen(sitting) if name.startswith("feedback")]
+    assert len(given) == 3
+    assert all(name.split()[1] != name.split()[2] for name in given)
+    assert seen(sitting).index("start") > max(seen(sitting).index(name) for name in given)
+
+
+def test_breaks_come_by_count(sit: Callable[..., Sitting]) -> None:
+    """Expected: after every four of twelve trials, none before the first nor after the last."""
+    sitting = sit(break_after_trials=4)
+    conduct(sitting)
+    names = [name for name in seen(sitting) if name == "rest" or name.startswith("trial")]
+    assert [place for place, name in enumerate(names) if name == "rest"] == [4, 9]
+
+
+def test_breaks_come_by_time(sit: Callable[..., Sitting]) -> None:
+    """Expected: at the first trial after five minutes, where each answer takes 70 s: after every fifth of twelve."""
+    clock = VirtualClock()
+
+    def slowly(trial: Trial) -> Answer:
+        clock.sleep(70.0)
+        return right_answer(trial)
+
+    sitting = replace(sit(slowly, break_after_trials=None, break_after_min=5.0, practice_trials=0), clock=clock)
+    conduct(sitting)
+    names = [name for name in seen(sitting) if name == "rest" or name.startswith("trial")]
+    assert [place for place, name in enumerate(names) if name == "rest"] == [5, 11]
+
+
+def test_no_breaks_where_none_are_asked_for(sit: Callable[..., Sitting]) -> None:
+    """Expected: null for both kinds of break means none."""
+    sitting = sit(break_after_trials=None, break_after_min=None)
+    conduct(sitting)
+    assert "rest" not in seen(sitting)
+
+
+def test_a_catch_trial_is_asked_like_any_other_and_drives_nothing(sit: Callable[..., Sitting]) -> None:
+    """Expected: fired silently at the lowest level, 80 mm/s; the same screens; marked in the record, speeds 0."""
+    sitting = sit(lambda trial: "none" if trial.condition.is_catch else right_answer(trial), catch_trials=2)
+    conduct(sitting)
+    told = sitting.rig.told  # type: ignore[attr-defined]
+    assert [each for each in told if each.startswith("silent")] == ["silent 0.08"] * 4
+    caught = [event for event in events(sitting, "trial") if event.get("catch")]
+    assert [event["response"]["answer"] for event in caught] == ["none"] * 4
+    assert [event["trial"]["condition"]["velocity_mm_s"] for event in caught] == [0.0] * 4
+    assert [event["instants"]["first_burst"] for event in caught] == [None] * 4
+    asked = [name for name in seen(sitting) if name.startswith("trial ")]
+    assert asked == [f"trial {index}" for index in range(1, 17)]
+    assert not any(
+        "catch" in event for event in events(sitting, "trial") if event["trial"]["condition"]["velocity_mm_s"]
+    )
+
+
+class FragileNoise(NoMasking):
+    """Masking that is lost during the third trial and, where it is demanded, cannot be had again."""
+
+    def __init__(self, *, required: bool) -> None:
+        super().__init__("stands in")
+        object.__setattr__(self, "n_ensured", 0)
+        object.__setattr__(self, "required", required)
+
+    def ensure(self, tick: Callable[[], object]) -> None:
+        object.__setattr__(self, "n_ensured", self.n_ensured + 1)  # type: ignore[attr-defined]
+        if self.n_ensured > 3 and self.required:  # type: ignore[attr-defined]
+            raise MaskingError("no sound device")
+
+    @property
+    def is_on(self) -> bool | None:
+        return bool(self.n_ensured < 3)  # type: ignore[attr-defined]
+
+
+def test_each_trial_says_whether_it_was_masked(sit: Callable[..., Sitting]) -> None:
+    """Expected: two masked trials, then none, where the protocol does not demand the noise; all are answered."""
+    sitting = replace(sit(), masking=FragileNoise(required=False))
+    conduct(sitting)
+    masked = [event["masked"] for event in events(sitting, "trial")]
+    assert masked == [True, True, *([False] * 11)]
+
+
+def test_a_lost_noise_that_is_demanded_ends_the_session_before_the_next_trial(sit: Callable[..., Sitting]) -> None:
+    """Expected: the third answer is kept as not masked, and nothing is fired after it."""
+    sitting = replace(sit(), masking=FragileNoise(required=True))
+    with pytest.raises(MaskingError, match="no sound device"):
+        conduct(sitting)
+    assert [event["masked"] for event in events(sitting, "trial")] == [True, True, False]
+    assert sum(told.startswith("fire") for told in sitting.rig.told) == 3  # type: ignore[attr-defined]
+
+
+def test_a_protocol_without_masking_says_nothing_of_it(sit: Callable[..., Sitting]) -> None:
+    """Expected: no such key in any trial."""
+    sitting = sit()
+    conduct(sitting)
+    assert not any("masked" in event for event in events(sitting, "trial"))

@@ -1,0 +1,296 @@
+"""Levels calibrated by participant (issue 6, item 6): from the session that found a threshold to the statistics."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from modaltouch.analysis.outcome import Analysis
+from modaltouch.analysis.pipeline import analyse
+from modaltouch.analysis.reading import read_responses
+from modaltouch.planning.fitting import fit_answers
+from modaltouch.planning.observer import Observer, Participant
+from modaltouch.planning.presented import designs_for
+from modaltouch.preflight import Preflight, examine
+from modaltouch.protocol.document import InputError
+from modaltouch.record.chain import GENESIS, encode_line, read_chain
+from modaltouch.record.folders import SessionFolder
+from modaltouch.record.session import Session, read_session
+from modaltouch.session.setup import begin, resume
+from modaltouch.session.verification import verify_session
+from modaltouch.session.wiring import wire_resume, wire_run
+from modaltouch.window.interface import SessionStopped
+
+PROTOCOLS = Path(__file__).parents[2] / "protocols"
+FAINT = Observer(Participant(detection_speed=0.015, lapse_rate=0.01), name="faint")
+"""Feels only what moves fast, so that thresholds lie well within the levels."""
+
+PEOPLE = ("p01", "p02", "p03")
+MULTIPLES = [1.0, 1.5, 2.0, 3.0]
+
+
+@pytest.fixture(scope="module")
+def preflight() -> Preflight:
+    """The shipped protocol."""
+    return examine(PROTOCOLS / "sensation_levels.yaml").require()
+
+
+@pytest.fixture(scope="module")
+def finding(tmp_path_factory: pytest.TempPathFactory) -> Preflight:
+    """The shipped protocol that finds thresholds, its runs of 16 trials."""
+    folder = tmp_path_factory.mktemp("protocols") / "protocols"
+    shutil.copytree(PROTOCOLS, folder)
+    file = folder / "threshold.yaml"
+    text = file.read_text(encoding="utf-8").replace("trials: 40", "trials: 16").replace("trials: 10", "trials: 4")
+    file.write_text(text, encoding="utf-8")
+    return examine(file).require()
+
+
+@pytest.fixture(scope="module")
+def results(preflight: Preflight, finding: Preflight, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three participants, each with a session that found the threshold and one at levels made of it."""
+    folder = tmp_path_factory.mktemp("results")
+    for participant in PEOPLE:
+        for each in (finding, preflight):
+            begin(wire_run(each, participant, answers="simulated", results=folder, observer=FAINT))
+    return folder
+
+
+def session_of(results: Path, participant: str) -> Session:
+    """Return a participant's session at own levels."""
+    return read_session(SessionFolder(results, "simulated", "sensation_levels", participant).log)
+
+
+def test_everyone_gets_multiples_of_their_own_threshold(results: Path, tmp_path: Path) -> None:
+    """Reference: the geometric mean of the thresholds that the analysis of the first session reports."""
+    found = analyse(results / "simulated" / "threshold", tmp_path / "out").as_dict()["thresholds"]
+    seen = set()
+    for participant in PEOPLE:
+        own = [row["threshold_mm_s"] for row in found if row["participant"] == participant]
+        assert len(own) == 2
+        session = session_of(results, participant)
+        facts = session.start["sensation_levels"]
+        assert facts["threshold_mm_s"] == pytest.approx(math.prod(own) ** 0.5, rel=1e-3)
+        assert [run["threshold_mm_s"] for run in facts["runs"]] == own
+        assert facts["levels_mm_s"] == pytest.approx([m * facts["threshold_mm_s"] for m in MULTIPLES], rel=1e-3)
+        velocities = {event["trial"]["condition"]["velocity_mm_s"] for event in session.trials}
+        assert velocities == {0.0, *facts["levels_mm_s"]}
+        seen.add(facts["threshold_mm_s"])
+    assert len(seen) == 3, "the simulated participants differ"
+
+
+def test_the_instrument_plays_the_levels_and_all_get_the_same_codes(results: Path) -> None:
+    """Amplitudes stand to each other as the multiples do; the burst is that of the bounds, one for everyone."""
+    sessions = [session_of(results, participant) for participant in PEOPLE]
+    assert len({session.start["stimulus"]["content_hash"] for session in sessions}) == 1
+    for session in sessions:
+        amplitudes = {}
+        for event in session.trials:
+            if event["trial"]["condition"]["velocity_mm_s"] != 0:
+                assert event["confirmed"]["confirmed"]
+                level = event["trial"]["condition"]["velocity_mm_s"]
+                amplitudes[session.multiples[level]] = event["commanded"]["amplitude_Vpp"][0]
+        ratios = {multiple: value / amplitudes[1.0] for multiple, value in sorted(amplitudes.items())}
+        assert list(ratios.values()) == pytest.approx(MULTIPLES, rel=2e-3)
+
+
+def test_the_table_tells_the_multiple_of_every_answer(results: Path) -> None:
+    """BIDS view: both the velocity and what it is to the participant; nothing in a catch trial."""
+    session = session_of(results, "p02")
+    table = next(session.path.parent.glob("*_beh.tsv"))
+    frame = pd.read_csv(table, sep="\t")
+    threshold = session.start["sensation_levels"]["threshold_mm_s"]
+    driven = frame[frame["catch"] == 0]
+    assert (driven["velocity_mm_s"] / driven["multiple_of_threshold"]).to_numpy() == pytest.approx(threshold, rel=1e-3)
+    assert frame.loc[frame["catch"] == 1, "multiple_of_threshold"].isna().all()
+    side = json.loads(table.with_suffix(".json").read_text(encoding="utf-8"))
+    assert side["multiple_of_threshold"]["Units"] == "1"
+
+
+def test_the_analysis_counts_by_multiple(results: Path, tmp_path: Path) -> None:
+    """Participants at different velocities share their cells; the unit is said wherever a level is."""
+    found = analyse(results / "simulated" / "sensation_levels", tmp_path / "out")
+    assert isinstance(found, Analysis)
+    assert found.answers.levels == tuple(MULTIPLES)
+    assert found.answers.counts.sum() == 3 * 40
+    counts = pd.read_csv(tmp_path / "out" / "counts.csv")
+    assert "velocity_mm_s" not in counts
+    assert sorted(counts["multiple_of_threshold"].unique()) == MULTIPLES
+    trends = found.tests.loc[found.tests["question"] == "b", "quantity"].dropna()
+    assert {quantity for quantity in trends if quantity} == {"change of P(C) per one threshold"}
+    report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    words = re.sub(r"<[^>]+>", " ", report)
+    assert "1.5 x threshold" in words
+    assert "own threshold [mm/s]" in words
+    for participant in PEOPLE:
+        assert f"{session_of(results, participant).start['sensation_levels']['threshold_mm_s']:g}" in words
+    assert not re.search(r"\b(1|1\.5|2|3) mm/s", words), "a multiple is no velocity"
+
+
+def test_more_is_felt_at_higher_multiples(results: Path) -> None:
+    """At the threshold about half of the answers name C, three times above nearly all: all three taken together."""
+    frame = read_responses(results / "simulated" / "sensation_levels").frame
+    right = ((frame["zone_left"] == "C") & (frame["response"] == "left")) | (
+        (frame["zone_right"] == "C") & (frame["response"] == "right")
+    )
+    share = right.groupby(frame["multiple_of_threshold"]).mean()
+    assert share[1.0] < share[3.0]
+    assert share[3.0] > 0.8
+
+
+def test_an_interrupted_session_goes_on_at_the_same_levels(preflight: Preflight, tmp_path: Path) -> None:
+    """Stopped in the middle and resumed from its record alone: nobody asks for the threshold again."""
+    setup = wire_run(preflight, "p07", answers="simulated", results=tmp_path, observer=FAINT, threshold_mm_s=12.34)
+    with pytest.raises(SessionStopped):
+        begin(_stopped_after(setup, 9))
+    log = setup.place.log
+    order = [event["trial"] for event in read_session(log).trials]
+    resumed = resume(wire_resume(log.parent))
+    assert resumed.complete
+    assert [event["trial"] for event in resumed.trials][: len(order)] == order
+    assert set(resumed.multiples.values()) == set(MULTIPLES)
+    assert list(resumed.multiples) == [12.34, 18.51, 24.68, 37.02]
+    verdict = verify_session(log.parent)
+    assert verdict.problems == ()
+    assert "levels follow from the threshold of 12.34 mm/s, as it was given" in verdict.lines
+
+
+def test_begun_anew_it_keeps_the_levels(preflight: Preflight, tmp_path: Path) -> None:
+    """The order and the levels of the interrupted session, both in the new one's record."""
+    setup = wire_run(preflight, "p08", answers="simulated", results=tmp_path, observer=FAINT, threshold_mm_s=12.34)
+    with pytest.raises(SessionStopped):
+        begin(_stopped_after(setup, 5))
+    anew = resume(wire_resume(setup.place.log.parent, restart=True))
+    assert anew.complete
+    assert list(anew.multiples) == [12.34, 18.51, 24.68, 37.02]
+    assert verify_session(anew.path.parent).problems == ()
+
+
+def _stopped_after(setup, n_trials: int):
+    """Return a setup whose session is stopped after some answers."""
+
+    def stop(answered: int, total: int) -> None:
+        if answered >= n_trials:
+            raise SessionStopped("experimenter")
+
+    return replace(setup, on_progress=stop)
+
+
+@pytest.mark.parametrize(
+    ("forge", "words"),
+    [
+        (lambda start: start["sensation_levels"].update(threshold_mm_s=9.0), "do not follow from the threshold"),
+        (lambda start: start["sensation_levels"].update(last_check="0" * 64), "has changed since the threshold"),
+    ],
+)
+def test_a_forged_threshold_is_noticed(results: Path, tmp_path: Path, forge, words: str) -> None:
+    """Changed in the record, every check made to fit."""
+    copy = tmp_path / "results"
+    shutil.copytree(results, copy)
+    log = SessionFolder(copy, "simulated", "sensation_levels", "p01").log
+    events = [dict(event) for event in read_chain(log).events]
+    forge(events[0])
+    lines, check = [], GENESIS
+    for event in events:
+        line, check = encode_line(event, check)
+        lines.append(line)
+    log.write_bytes(b"".join(lines))
+    assert any(words in problem for problem in verify_session(log.parent).problems)
+
+
+@pytest.mark.parametrize(
+    ("participant", "given", "words"),
+    [
+        ("p99", None, "participant p99 has no complete session in"),
+        ("p01", 90.0, "3 times the threshold of participant p01, 90 mm/s, which makes 270 mm/s; allowed: 2 to 200"),
+        ("p01", 1.5, "1 times the threshold of participant p01, 1.5 mm/s, which makes 1.5 mm/s"),
+    ],
+)
+def test_unknown_and_unplayable_thresholds_are_refused(
+    preflight: Preflight, results: Path, participant: str, given: float | None, words: str
+) -> None:
+    """With the place in the protocol and a way out, before anything is recorded."""
+    with pytest.raises(InputError, match=re.escape(words)) as told:
+        wire_run(preflight, participant, answers="simulated", results=results, session=5, threshold_mm_s=given)
+    assert re.search(r"sensation_levels\.yaml:\d+:\d+: conditions\.sensation_levels\.", str(told.value))
+
+
+def test_a_session_that_tells_no_threshold_is_refused(preflight: Preflight, finding: Preflight, tmp_path: Path) -> None:
+    """A participant who guesses has none: said with the reason of the run, and with a way out."""
+    guessing = Observer(Participant(lapse_rate=1.0), name="guessing")
+    begin(wire_run(finding, "p01", answers="simulated", results=tmp_path, observer=guessing))
+    with pytest.raises(InputError, match=r"runs of participant p01 tell no threshold .*give the threshold with --thr"):
+        wire_run(preflight, "p01", answers="simulated", results=tmp_path)
+
+
+def test_the_latest_complete_session_counts(
+    preflight: Preflight, finding: Preflight, results: Path, tmp_path: Path
+) -> None:
+    """A second session replaces the first; a third that was interrupted does not."""
+    for session, observer in ((1, FAINT), (2, Observer(Participant(detection_speed=0.03, lapse_rate=0.01)))):
+        begin(wire_run(finding, "p01", session=session, answers="simulated", results=tmp_path, observer=observer))
+    with pytest.raises(SessionStopped):
+        begin(_stopped_after(wire_run(finding, "p01", session=3, answers="simulated", results=tmp_path), 9))
+    facts = wire_run(preflight, "p01", answers="simulated", results=tmp_path).facts["sensation_levels"]
+    assert facts["session"] == "simulated/threshold/sub-p01/ses-2/beh/session.jsonl"
+    assert facts["threshold_mm_s"] > 1.2 * session_of(results, "p01").start["sensation_levels"]["threshold_mm_s"]
+
+
+@pytest.mark.parametrize("spoil", [lambda data: data.replace(b"answer", b"answar", 1), lambda data: data[:-40]])
+def test_a_damaged_session_is_not_passed_over_for_an_older_one(
+    preflight: Preflight, results: Path, tmp_path: Path, spoil
+) -> None:
+    """The threshold of the session before may be another one: refused by name, with the way to look at it."""
+    shutil.copytree(results / "simulated" / "threshold" / "sub-p01", tmp_path / "simulated" / "threshold" / "sub-p01")
+    first = tmp_path / "simulated" / "threshold" / "sub-p01" / "ses-1"
+    shutil.copytree(first, first.with_name("ses-2"))
+    log = first.with_name("ses-2") / "beh" / "session.jsonl"
+    log.write_bytes(spoil(log.read_bytes()))
+    with pytest.raises(InputError, match=r"latest session of participant p01 is damaged \(.*ses-2.*modaltouch doctor"):
+        wire_run(preflight, "p01", answers="simulated", results=tmp_path)
+
+
+def test_a_protocol_that_is_not_adaptive_finds_no_threshold(edit, tmp_path: Path) -> None:
+    """The name of a protocol of fixed levels, whose sessions are there."""
+    results = tmp_path / "results"
+    begin(wire_run(examine(PROTOCOLS / "demo.yaml").require(), "p01", answers="simulated", results=results))
+    preflight = examine(edit("sensation_levels.yaml", ("from: threshold ", "from: demo "))).require()
+    with pytest.raises(InputError, match=r"'demo', whose session .* is not adaptive; allowed: an adaptive protocol"):
+        wire_run(preflight, "p01", answers="simulated", results=results)
+
+
+def test_a_threshold_is_refused_where_levels_are_the_same_for_all(tmp_path: Path) -> None:
+    """Given to a protocol of fixed levels it would be ignored, so it is refused."""
+    demo = examine(PROTOCOLS / "demo.yaml").require()
+    with pytest.raises(InputError, match=r"a threshold of 20 mm/s for levels that do not follow from one.*leave"):
+        wire_run(demo, "p01", answers="simulated", results=tmp_path, threshold_mm_s=20.0)
+
+
+def test_fixed_and_calibrated_levels_are_not_mixed(results: Path, tmp_path: Path, edit) -> None:
+    """Under one name: refused, since a level would mean two things."""
+    shutil.copytree(results, tmp_path / "results")
+    fixed = edit(
+        "sensation_levels.yaml",
+        ("    thresholds_from: threshold        # name of the protocol whose sessions find the thresholds\n", ""),
+        ("  sensation_levels:\n", ""),
+        ("    multiples: [1, 1.5, 2, 3]\n", ""),
+        ("[2, 200]      # lowest and highest level that anyone may get", "[20, 30, 40, 60]"),
+    )
+    begin(wire_run(examine(fixed).require(), "p04", answers="simulated", results=tmp_path / "results"))
+    with pytest.raises(InputError, match="sessions with calibrated and fixed levels under the name of one protocol"):
+        read_responses(tmp_path / "results" / "simulated" / "sensation_levels")
+
+
+def test_what_needs_the_same_velocities_for_all_refuses_it(preflight: Preflight, results: Path) -> None:
+    """Power and fits know velocities: refused with a reason, never a traceback."""
+    with pytest.raises(InputError, match="levels calibrated by participant, which depend on thresholds not yet known"):
+        designs_for(preflight, FAINT)
+    with pytest.raises(InputError, match="levels calibrated by participant, who felt each a velocity of their own"):
+        fit_answers(preflight, results / "simulated" / "sensation_levels", FAINT)

@@ -1,0 +1,201 @@
+"""A session is checked against itself: chain, order, drive and BIDS view, all recomputed; test_audit has the rest."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from modaltouch.cli.app import app
+from modaltouch.preflight import examine
+from modaltouch.record.chain import GENESIS, encode_line, line_check, read_chain
+from modaltouch.session.setup import begin, resume
+from modaltouch.session.verification import verify_session
+from modaltouch.session.wiring import wire_resume, wire_run
+
+PROTOCOL = Path(__file__).parents[2] / "protocols" / "demo.yaml"
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory):
+    """The folder of a sound session."""
+    setup = wire_run(
+        examine(PROTOCOL).require(), "p01", answers="simulated", results=tmp_path_factory.mktemp("results")
+    )
+    return begin(setup).path.parent
+
+
+@pytest.fixture
+def folder(sound, tmp_path):
+    """A copy of it that a test may spoil."""
+    return Path(shutil.copytree(sound, tmp_path / "beh"))
+
+
+def forge(folder, change):
+    """Write the log anew with its start record changed and every check made to fit."""
+    log = folder / "session.jsonl"
+    check, lines = GENESIS, []
+    for event in read_chain(log).events:
+        if event["event"] == "start":
+            change(event)
+        line, check = encode_line(event, check)
+        lines.append(line)
+    log.write_bytes(b"".join(lines))
+
+
+def test_a_sound_session_passes(folder):
+    """Nothing is wrong with what the program itself recorded."""
+    verdict = verify_session(folder)
+    assert verdict.problems == ()
+    assert verdict.lines[-1] == "complete"
+
+
+def test_a_session_whose_screens_were_spoken_is_read_as_any_other(edit, tmp_path):
+    """The key `speech` is ignored, also with what former versions added to it in the record; the view alone differs."""
+    protocol = edit("demo.yaml", ("answers:\n  given_by", "speech: {voice: en}\nanswers:\n  given_by"))
+    setup = wire_run(examine(protocol).require(), "p01", answers="simulated", results=tmp_path / "results")
+    folder = begin(setup).path.parent
+    former = {"voice": "en", "screens": ["question"], "rate_words_per_min": 160, "level_dB_FS": -20.0}
+    forge(folder, lambda start: start["design"].update(speech=former))
+    (problem,) = verify_session(folder).problems
+    assert "was made from another log" in problem
+
+
+def test_lines_removed_from_the_end_are_noticed(folder):
+    """The chain alone cannot tell; the BIDS side file knows how far the log had come."""
+    log = folder / "session.jsonl"
+    log.write_bytes(b"".join(log.read_bytes().splitlines(keepends=True)[:-3]))
+    assert any("lines were removed from its end" in problem for problem in verify_session(folder).problems)
+
+
+def test_a_changed_table_is_noticed(folder):
+    """An answer changed in the table, where the eye looks first."""
+    table = next(folder.glob("*_beh.tsv"))
+    table.write_text(table.read_text().replace("\tboth\t", "\tleft\t", 1))
+    assert any("differs from what the log says" in problem for problem in verify_session(folder).problems)
+
+
+def test_an_order_that_the_seed_does_not_draw_is_noticed(folder):
+    """Even in a log whose checks were all made to fit."""
+    forge(folder, lambda start: start.update(seed=start["seed"] + 1))
+    assert any("draws another order" in problem for problem in verify_session(folder).problems)
+
+
+def test_a_drive_that_the_apparatus_does_not_give_is_noticed(folder):
+    """A gain changed in the recorded apparatus gives other codes than those recorded as played."""
+
+    def change(start):
+        apparatus = start["sources"]["apparatus"]
+        apparatus["text"] = apparatus["text"].replace("{centre: 114}", "{centre: 115}")
+
+    forge(folder, change)
+    assert any("the drive computed again" in problem for problem in verify_session(folder).problems)
+
+
+def test_the_side_file_carries_the_head_of_the_log(folder):
+    """It names the number of lines and the check of the last one."""
+    head = json.loads(next(folder.glob("*_beh.json")).read_text())["SessionLog"]
+    chain = read_chain(folder / "session.jsonl")
+    assert head["lines"] == len(chain.events)
+    assert head["check"] == chain.last_check
+
+
+def test_a_table_newer_than_its_side_file_agrees(folder):
+    """A kill between the replacement of the table and that of its side file."""
+    (side,) = folder.glob("*_beh.json")
+    values = json.loads(side.read_text())
+    chain = read_chain(folder / "session.jsonl")
+    values["SessionLog"] |= {"lines": 5, "check": chain.checks[4]}
+    side.write_text(json.dumps(values))
+    verdict = verify_session(folder)
+    assert verdict.problems == ()
+    assert any(line.startswith("BIDS view agrees: ") for line in verdict.lines)
+
+
+def test_a_view_behind_its_log_is_said_to_be_behind(folder):
+    """After a kill between the log and the table: not an error, and not called up to date either."""
+    table = next(folder.glob("*_beh.tsv"))
+    chain = read_chain(folder / "session.jsonl")
+    n_lines = next(event["n"] for event in chain.events if event["event"] == "trial")
+    side = table.with_suffix(".json")
+    described = json.loads(side.read_text())
+    described["SessionLog"] |= {"lines": n_lines, "check": chain.checks[n_lines - 1]}
+    side.write_text(json.dumps(described))
+    table.write_text("\n".join(table.read_text().splitlines()[:2]) + "\n")
+    verdict = verify_session(folder)
+    assert verdict.problems == ()
+    assert any("lines behind the log" in line for line in verdict.lines)
+
+
+def test_a_complete_session_is_not_rewritten(folder, tmp_path):
+    """Gone on with, it keeps every file as it is, the time of its last change included."""
+    place = tmp_path / "simulated" / "demo" / "sub-p01" / "ses-1"
+    place.mkdir(parents=True)
+    folder = folder.rename(place / "beh")
+    before = {path: (path.read_bytes(), path.stat()) for path in folder.iterdir()}
+    assert resume(wire_resume(folder)).complete
+    assert {path: (path.read_bytes(), path.stat()) for path in folder.iterdir()} == before
+
+
+@pytest.mark.parametrize("cut", [1, 40])
+def test_a_complete_session_is_given_the_last_line_that_was_cut(folder, tmp_path, cut):
+    """By a power cut, newline alone or half the line: no answer is missing, and it is sound again."""
+    place = tmp_path / "simulated" / "demo" / "sub-p01" / "ses-1"
+    place.mkdir(parents=True)
+    log = folder.rename(place / "beh") / "session.jsonl"
+    log.write_bytes(log.read_bytes()[:-cut])
+    assert verify_session(log).problems
+    assert resume(wire_resume(log)).complete
+    assert verify_session(log).problems == ()
+
+
+UNREADABLE = {
+    "no JSON": b'{"n":3,"event":nothing',
+    "nested without end": b'{"n":3,"event":"rig","deep":' + b"[" * 100_000 + b"]" * 100_000,
+    "a number of 6,000 digits": b'{"n":3,"event":"rig","number":' + b"7" * 6000,
+}
+COMMANDS = {
+    "verify": "verify SESSION",
+    "resume": "resume SESSION",
+    "restart": "resume --restart SESSION",
+    "analyse": "analyse SESSION --out OUT",
+    "analyse a tree": "analyse TREE --out OUT",
+    "run": "run PROTOCOL -p p01 --results RESULTS --rig simulated --answers simulated --yes",
+    "fit": "fit PROTOCOL TREE --out OUT",
+    "doctor": "doctor SESSION",
+    "recover": "doctor SESSION --into OUT",
+}
+
+
+@pytest.mark.parametrize("kind", UNREADABLE)
+@pytest.mark.parametrize("line", [1, 3])
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_line_that_nobody_can_read_ends_in_a_sentence(sound, tmp_path, command, line, kind):
+    """Its check is right, so that only what it says can tell; every command that reads the log names its place."""
+    folder = tmp_path / "results" / "simulated" / "demo" / "sub-p01" / "ses-1" / "beh"
+    log = Path(shutil.copytree(sound, folder)) / "session.jsonl"
+    check, lines = GENESIS, []
+    for number, event in enumerate(read_chain(log).events, 1):
+        data, after = encode_line(event, check)
+        if number == line:
+            body = UNREADABLE[kind]
+            after = line_check(check, body)
+            data = body + b',"check":"' + after.encode() + b'"}\n'
+        lines.append(data)
+        check = after
+    log.write_bytes(b"".join(lines))
+    places = {"SESSION": folder, "TREE": tmp_path / "results", "RESULTS": tmp_path / "results", "PROTOCOL": PROTOCOL}
+    words = [str(places.get(word, tmp_path / "out" if word == "OUT" else word)) for word in COMMANDS[command].split()]
+    told = CliRunner().invoke(app, words)
+    assert isinstance(told.exception, SystemExit | None), told.exception
+    if command == "recover" and line == 3:
+        assert told.exit_code == 0
+    else:
+        assert told.exit_code in (2, 4)
+    if command == "recover" and line == 1:
+        assert "its start record does not prove itself" in told.output
+    elif command in ("doctor", "recover"):
+        assert f"line {line} is left out: it cannot be read: " in told.output
+    else:
+        assert f"session.jsonl:{line}: cannot be read: " in told.output

@@ -1,0 +1,101 @@
+"""What is simulated, a pilot or real is decided in one place, and a session goes on as it began."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from modaltouch.preflight import examine
+from modaltouch.record.chain import RecordError
+from modaltouch.session.setup import begin
+from modaltouch.session.wiring import wire_resume, wire_run
+from modaltouch.window import WindowOptions
+from modaltouch.window.interface import SessionStopped
+
+PROTOCOL = Path(__file__).parents[2] / "protocols" / "demo.yaml"
+ADDRESS = "TCPIP::192.0.2.1::INSTR"
+
+
+@pytest.fixture(scope="module")
+def preflight():
+    """The demonstration, checked."""
+    return examine(PROTOCOL).require()
+
+
+@pytest.mark.parametrize(
+    ("rig", "answers", "pilot", "mode"),
+    [
+        (ADDRESS, "window", False, "real"),
+        (ADDRESS, "window", True, "pilot"),
+        ("simulated", "window", False, "simulated"),
+        ("simulated", "window", True, "simulated"),
+        (ADDRESS, "robot", False, "simulated"),
+        (ADDRESS, "simulated", True, "simulated"),
+    ],
+)
+def test_a_session_is_simulated_as_soon_as_anything_in_it_is(preflight, rig, answers, pilot, mode):
+    """Architecture: the mode is unforgeable, and it is the folder."""
+    setup = wire_run(preflight, "p01", rig=rig, answers=answers, pilot=pilot)
+    assert setup.place.mode == mode
+
+
+def test_a_session_does_not_go_on_as_another_kind(preflight, tmp_path):
+    """A simulated session resumed at a real rig by a person would be neither."""
+    session = begin(wire_run(preflight, "p01", answers="simulated", results=tmp_path))
+    with pytest.raises(RecordError, match="would go on as another kind"):
+        wire_resume(session.path, rig=ADDRESS, answers="window")
+
+
+def test_a_simulated_participant_is_not_masked_and_the_record_says_so(edit, tmp_path):
+    """Nobody hears the noise, so no sound device is needed to simulate a protocol that demands it."""
+    old = "answers:\n  given_by"
+    demanding = examine(edit("demo.yaml", (old, f"masking: {{level_dB_FS: -20}}\n{old}"))).require()
+    for answers in ("simulated", "robot"):
+        with wire_run(demanding, "p01", answers=answers).open_masking(lambda event, **facts: None) as masking:
+            assert masking.describe() == {"state": "not masked", "reason": "a simulated participant hears nothing"}
+    session = begin(wire_run(demanding, "p01", answers="simulated", results=tmp_path))
+    assert session.start["masking"]["state"] == "not masked"
+    assert {event["masked"] for event in session.trials} == {False}
+    table = next(session.path.parent.glob("*_beh.tsv")).read_text().splitlines()
+    assert table[0].split("\t")[-1] == "masked"
+    assert {row.split("\t")[-1] for row in table[1:]} == {"0"}
+
+
+@pytest.mark.parametrize(
+    ("recorded", "given", "opened"),
+    [
+        (
+            {"size_px": [1024, 768], "fullscreen": False, "monitor": 1, "theme": "light"},
+            {},
+            WindowOptions((1024, 768), False, "light", 1),
+        ),
+        (
+            {"size_px": [1024, 768], "fullscreen": False, "monitor": 1, "theme": "light"},
+            {"theme": "dark", "screen": 0},
+            WindowOptions((1024, 768), False, "dark", 0),
+        ),
+        (
+            {"size_px": [1920, 1080], "fullscreen": True, "monitor": 0, "theme": "dark"},
+            {},
+            WindowOptions(fullscreen=True),
+        ),
+        ({"size_px": [1920, 1080], "fullscreen": True, "theme": "dark"}, {"fullscreen": False}, WindowOptions()),
+        ({"backend": "psychopy", "size_px": [800, 600]}, {}, WindowOptions((800, 600))),
+    ],
+)
+def test_a_window_opens_again_as_it_was_unless_told_otherwise(preflight, tmp_path, recorded, given, opened):
+    """Of a full screen the size is the monitor's; what records of before do not say is as usual."""
+    setup = wire_run(preflight, "p01", answers="simulated", results=tmp_path)
+
+    def open_window(tick, log):
+        def leave(trial):
+            raise SessionStopped("experimenter")
+
+        window = setup.open_window(tick, log)
+        window.describe, window.welcome = lambda: recorded, leave
+        return window
+
+    with pytest.raises(SessionStopped):
+        begin(replace(setup, open_window=open_window))
+    again = wire_resume(setup.place.log, window=given)
+    assert again.open_window.__self__._window_options == opened
