@@ -174,13 +174,10 @@ def test_every_protocol_named_is_shipped_and_every_one_shipped_is_named():
     assert named == {path.name for path in (ROOT / "protocols").glob("*.yaml")}
 
 
-def test_every_stage_has_its_line():
-    """The table of stages names every module and folder of the package but the private ones."""
-    table = TEXT.partition("| stage | does |")[2].partition("\n\n")[0]
-    named = set(
-        re.findall(r"`(\w+)`", "".join(line.split("|")[1] for line in table.splitlines() if line.count("|") > 2))
-    )
+def test_every_room_has_its_line():
+    """The table of rooms names every folder of the package that is one, and there is nothing beside them."""
+    table = TEXT.partition("| room | does |")[2].partition("\n\n")[0]
+    named = set(re.findall(r"^\| `(\w+)` \|", table, flags=re.MULTILINE))
     package = ROOT / "src" / "modaltouch"
-    stages = {path.stem for path in package.iterdir() if path.suffix == ".py" or (path / "__init__.py").exists()}
-    helpers = {"__init__", "__main__", "provenance", "interruption", "practice"}
-    assert stages - helpers - {"__pycache__"} == named
+    assert {path.parent.name for path in package.glob("*/__init__.py")} == named
+    assert {path.name for path in package.glob("*.py")} == {"__init__.py", "__main__.py"}

@@ -1,30 +1,19 @@
 """From a YAML protocol to the statistics of the paper: a haptics experiment on a vibrating beam.
 
-The stages, in the order in which values flow through them:
+The rooms, in the order in which values flow through them:
 
-``document``   reads YAML with the place of every value
-``apparatus``  YAML -> Apparatus: beam, zones, modes, actuator sets, amplifier, generator
-``protocol``   YAML -> Protocol: what is presented, asked and repeated
-``stimulus``   modal synthesis: wished velocity field -> voltages -> codes -> predicted field
-``trial``      Trial (what is asked) and Response (what is answered)
-``schedule``   Protocol + participant + seed -> Schedule of Blocks of Trials
-``adaptive``   the next level of a threshold run, from the recorded answers
-``preflight``  everything that can fail before the participant sits down
+``system``     clocks, locks, signals, and which build this is
+``stimulus``   modal synthesis: target field -> voltages -> codes -> predicted field
+``protocol``   YAML -> Protocol and Apparatus, every fault in its place; Protocol + participant + seed -> Schedule
 ``rig``        plays the burst: an AFG3022B over PyVISA, or its simulated twin behind the same driver
-``window``     asks the question: a PsychoPy window, or a simulated participant
-``masking``    noise, so that the beam is felt and not heard
-``console``    the experimenter's view and keys
-``observer``   models of a participant, for simulated sessions and for planning
-``record``     the append-only session log and its BIDS view
-``session``    the one loop
-``sitting``    sets a session up and ends it in order, new or resumed
-``sensation``  levels calibrated by participant, from the session that found their threshold
-``wiring``     puts real or simulated parts behind the session's interfaces
-``measurement``, ``identification``, ``calibration``, ``validation``, ``comparison``
-               the beam scanned, its modes, its targets corrected, the paper's evidence, the rivals
+``window``     asks the question: a PsychoPy window, or a simulated participant; masking noise
+``preflight``  everything that can fail before the participant sits down
+``record``     the append-only session log, its audit and its BIDS view
+``report``     figures, pages and files in one style
 ``analysis``   records -> tables, statistics, figures, report
-``planning``   how many participants, by simulating the very protocol
-``study``      a shipped protocol in a folder of its own, to begin with
+``planning``   observers; how many participants, by simulating the very protocol
+``session``    the one loop, its set-up, its console, its verification
+``lab``        identification, calibration, validation and comparison of a beam
 ``cli``        the command line
 
 From Python, without the command line:
