@@ -37,7 +37,7 @@ def chance(level: float, threshold: float, spread: float, guess: float, lapse: f
 
 def staircase(threshold: float, seed: int, n_trials: int = 40) -> Psychometric:
     """Return the fit of a simulated one-up-one-down run: spread 4 dB, 3 % guesses, 2 % lapses, 5 catch trials."""
-    from modaltouch.protocol import StaircaseSection
+    from modaltouch.protocol.adaptive import StaircaseSection
 
     rng, rule = np.random.default_rng(seed), StaircaseSection(steps_dB=(8.0, 4.0, 2.0))
     levels, successes = [], list[bool]()

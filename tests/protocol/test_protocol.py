@@ -10,15 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from modaltouch.protocol import (
-    KEY_NAMES,
-    Sources,
-    examine_files,
-    read_protocol,
-    restore_experiment,
-)
+from modaltouch.protocol import Sources, examine_files, read_protocol
 from modaltouch.protocol.document import InputError
-from modaltouch.protocol.keys import KEY_ALIASES
+from modaltouch.protocol.experiment import restore_experiment
+from modaltouch.protocol.keys import KEY_ALIASES, KEY_NAMES
 
 Edit = Callable[..., Path]
 FILE = "differentiated_stimulation.yaml"

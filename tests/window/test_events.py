@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from modaltouch.protocol import KEY_NAMES
+from modaltouch.protocol.keys import KEY_NAMES
 from modaltouch.window.events import EventTap, canonical_key
 from modaltouch.window.layout import lay_out
 from modaltouch.window.meanings import Reader

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from modaltouch.analysis.csv_table import MOST_LISTED, Table
 from modaltouch.analysis.responses import cell_of, keys_of
 from modaltouch.analysis.scale import VELOCITY, LevelScale, scale_of
-from modaltouch.protocol.document import Problem
+from modaltouch.protocol import Problem
 
 _ANY = "\0any"
 """Stands for a word that cannot be read and may be any; no text file holds it."""

@@ -15,7 +15,7 @@ import numpy as np
 from modaltouch.analysis.counts import NONE, AnswerCounts
 from modaltouch.analysis.findings import Finding
 from modaltouch.analysis.intervals import Interval, clopper_pearson, korn_graubard
-from modaltouch.protocol.trial import ANSWERS_WITH_NONE
+from modaltouch.protocol import ANSWERS_WITH_NONE
 
 Catches = Mapping[str, Counter[str]]
 """Answers to catch trials by participant."""

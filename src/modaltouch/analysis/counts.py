@@ -12,7 +12,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from modaltouch.analysis.scale import VELOCITY, LevelScale, scale_of
-from modaltouch.protocol.trial import ANSWERS_WITH_NONE
+from modaltouch.protocol import ANSWERS_WITH_NONE
 
 T = TypeVar("T")
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from modaltouch.analysis.counts import LEFT, RIGHT, AnswerCounts
 from modaltouch.analysis.covariates import ANTICIPATION, has_values, ranked_answers
 from modaltouch.analysis.intervals import korn_graubard
-from modaltouch.report.style import (
+from modaltouch.report import (
     ANSWER_COLOURS,
     CONDITION_COLOURS,
     FAINT,

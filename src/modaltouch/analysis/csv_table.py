@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.protocol.document import InputError, Problem, suggest
+from modaltouch.protocol import InputError, Problem, suggest
 
 SEPARATORS = {",": "comma", ";": "semicolon", "\t": "tab"}
 CHUNK_ROWS = 1_000

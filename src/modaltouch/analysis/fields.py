@@ -9,9 +9,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from modaltouch.preflight import Preflight, examine_findings
-from modaltouch.protocol import Sources, examine_sources
-from modaltouch.protocol.document import InputError
-from modaltouch.report.style import CONDITION_COLOURS, FAINT, INK, house_style, level_label, new_figure, quiet_grid
+from modaltouch.protocol import InputError, Sources, examine_sources
+from modaltouch.report import (
+    CONDITION_COLOURS,
+    FAINT,
+    INK,
+    house_style,
+    level_label,
+    new_figure,
+    quiet_grid,
+)
 
 POINTS = 201
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from modaltouch.analysis.counts import BOTH, NONE, RIGHT, AnswerCounts
 from modaltouch.analysis.intervals import clopper_pearson, korn_graubard
 from modaltouch.analysis.scale import scale_of
-from modaltouch.report.style import (
+from modaltouch.report import (
     ANSWER_COLOURS,
     CONDITION_COLOURS,
     FAINT,

@@ -14,9 +14,8 @@ from modaltouch.analysis.outcome import Analysis, plain_row
 from modaltouch.analysis.reading import read_responses
 from modaltouch.analysis.statistics import find
 from modaltouch.analysis.tables import figure_names, zone_table
-from modaltouch.report.output import json_bytes, write_files
-from modaltouch.report.style import level_label
-from modaltouch.system.provenance import version
+from modaltouch.report import json_bytes, level_label, write_files
+from modaltouch.system import version
 
 if TYPE_CHECKING:
     from modaltouch.analysis.thresholds import ThresholdAnalysis
@@ -86,7 +85,7 @@ def render_files(analysis: Analysis) -> dict[str, bytes]:
     """Return the contents of every file of an analysis, by name."""
     from modaltouch.analysis.gallery import draw_all
     from modaltouch.analysis.report import render_report
-    from modaltouch.report.style import render
+    from modaltouch.report import render
 
     counts, tests = analysis.counts, analysis.tests
     files = {"counts.csv": _csv(counts)}

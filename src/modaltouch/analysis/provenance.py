@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from modaltouch.record.session import Session
+from modaltouch.record import Session
 
 Ranges = list[tuple[float, float]] | None
 """Lowest and highest value of each channel; None where trials differ in their number of channels."""

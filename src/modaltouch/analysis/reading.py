@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from modaltouch.analysis.responses import Responses
-from modaltouch.protocol.document import InputError, Problem
+from modaltouch.protocol import InputError, Problem
 
 
 def read_responses(path: Path | str, *, mode: str | None = None, stimulus: str | None = None) -> Responses:

@@ -17,9 +17,8 @@ from modaltouch.analysis.gallery import Picture
 from modaltouch.analysis.outcome import Analysis
 from modaltouch.analysis.scale import OWN_THRESHOLD
 from modaltouch.analysis.tables import tabulate, zone_table
-from modaltouch.report.page import embed_svg, render_page
-from modaltouch.report.style import level_label
-from modaltouch.system.provenance import commit, version, versions
+from modaltouch.report import embed_svg, level_label, render_page
+from modaltouch.system import commit, version, versions
 
 HEADINGS = {
     "a1": "Do the answers of a cell differ from guessing?",

@@ -23,12 +23,8 @@ from modaltouch.analysis.mirroring import unmirror
 from modaltouch.analysis.provenance import SessionFacts, take_facts
 from modaltouch.analysis.responses import LeftOut, Responses, Source
 from modaltouch.analysis.scale import OWN_THRESHOLD, VELOCITY, scale_of
-from modaltouch.protocol.document import InputError, Problem
-from modaltouch.protocol.trial import ANSWERS, ANSWERS_WITH_NONE, TIME_OUT
-from modaltouch.record.audit import audit
-from modaltouch.record.chain import Chain, RecordError, read_chain
-from modaltouch.record.folders import LOG_NAME
-from modaltouch.record.session import Session, read_session
+from modaltouch.protocol import ANSWERS, ANSWERS_WITH_NONE, TIME_OUT, InputError, Problem
+from modaltouch.record import LOG_NAME, Chain, RecordError, Session, audit_session, read_chain, read_session
 
 
 @dataclass(frozen=True)
@@ -197,7 +193,7 @@ def open_log(path: Path) -> Found:
 
 
 def _unfit(session: Session, chain: Chain) -> str:
-    if faults := session.problems or audit(session, chain).problems:
+    if faults := session.problems or audit_session(session, chain).problems:
         return f"damaged: {faults[0]}"
     if not session.complete and session.begun_anew_as is not None:
         return f"closed: begun anew as session {session.begun_anew_as}"

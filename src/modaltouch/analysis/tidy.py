@@ -17,8 +17,7 @@ from modaltouch.analysis.csv_table import MOST_LISTED, Column, Table, read_table
 from modaltouch.analysis.mirroring import unmirror
 from modaltouch.analysis.responses import REQUIRED, LeftOut, Responses, Source
 from modaltouch.analysis.scale import OWN_THRESHOLD, VELOCITY, scale_of
-from modaltouch.protocol.document import InputError, Problem, suggest
-from modaltouch.protocol.trial import ANSWERS, ANSWERS_WITH_NONE
+from modaltouch.protocol import ANSWERS, ANSWERS_WITH_NONE, InputError, Problem, suggest
 
 FINGER_CONDITIONS = ("one_hand", "two_hands")
 

@@ -34,7 +34,7 @@ def analyse(
     json_output: JSON = False,
 ) -> None:
     """Write the tables and bars of Fig. 10 and Fig. 11, exact statistics, and an HTML report."""
-    from modaltouch.analysis.pipeline import analyse as run_analysis
+    from modaltouch.analysis import analyse as run_analysis
 
     with reporting(json_output=json_output):
         analysis = run_analysis(source, out, mode=mode, stimulus=stimulus)

@@ -63,7 +63,7 @@ app = typer.Typer(
 
 def _show_version(asked: bool) -> None:
     if asked:
-        from modaltouch.system.provenance import version
+        from modaltouch.system import version
 
         print(version())
         raise typer.Exit

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from modaltouch.lab.calibration.outcome import Progress, Turn
-    from modaltouch.protocol.calibration_sections import CalibratedStimulus, Calibration
+    from modaltouch.protocol import CalibratedStimulus, Calibration
 
 
 def calibrate(
@@ -42,8 +42,8 @@ def calibrate(
     from modaltouch.lab.calibration.loop import calibrate_each
     from modaltouch.lab.measurement import open_laboratory
     from modaltouch.preflight import examine
-    from modaltouch.record.files import prepare_file
-    from modaltouch.system.interruption import Interruption
+    from modaltouch.record import prepare_file
+    from modaltouch.system import Interruption
 
     with reporting(json_output=json_output):
         preflight = examine(protocol, uncalibrated=True).require()

@@ -120,7 +120,7 @@ def _explore(preflight: Preflight, sensitivity: bool, designs: bool, tolerance: 
     asked: dict[str, Any] = {}
     if not (sensitivity or designs or tolerance is not None):
         return asked
-    from modaltouch.preflight.exploration import design_figures, sample_figures, sensitivity_figures
+    from modaltouch.preflight import design_figures, sample_figures, sensitivity_figures
 
     ground, stimulus = preflight.of_one_stimulus().sound
     if sensitivity:

@@ -52,9 +52,8 @@ def compare(
     from modaltouch.lab.comparison.page import COMMAND, as_dict, write_comparison
     from modaltouch.lab.comparison.results import rows_of
     from modaltouch.preflight import examine
-    from modaltouch.report.output import refuse_other
-    from modaltouch.system.interruption import Interruption
-    from modaltouch.system.provenance import commit
+    from modaltouch.report import refuse_other
+    from modaltouch.system import Interruption, commit
 
     with reporting(json_output=json_output):
         preflight = examine(protocol).require()

@@ -7,15 +7,12 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from modaltouch.analysis.pipeline import analyse
+from modaltouch.analysis import analyse
 from modaltouch.preflight import examine
-from modaltouch.protocol.document import shipped
-from modaltouch.record.folders import SessionFolder
-from modaltouch.record.log import RecordExistsError
-from modaltouch.session.setup import begin
-from modaltouch.session.wiring import wire_run
-from modaltouch.window import WindowOptions
-from modaltouch.window.virtual_display import some_display
+from modaltouch.protocol import shipped
+from modaltouch.record import RecordExistsError, SessionFolder
+from modaltouch.session import begin, wire_run
+from modaltouch.window import WindowOptions, some_display
 
 PARTICIPANT = "demo"
 

@@ -13,8 +13,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Literal
 
-from modaltouch.record.files import sync_file
-from modaltouch.system.provenance import versions
+from modaltouch.record import sync_file
+from modaltouch.system import versions
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ def _packages() -> list[Finding]:
 
 def missing_packages() -> list[str]:
     """Return the Debian packages that hold what this machine lacks for a session, a test or the demonstration."""
-    from modaltouch.window.environment import is_loadable, missing_libraries
+    from modaltouch.window import is_loadable, missing_libraries
 
     if sys.platform != "linux":
         return []
@@ -106,7 +106,7 @@ def _display() -> Finding:
 
 
 def _libraries() -> Finding:
-    from modaltouch.window.environment import LIBRARIES, missing_libraries
+    from modaltouch.window import LIBRARIES, missing_libraries
 
     missing = missing_libraries()
     if missing:
@@ -117,10 +117,7 @@ def _libraries() -> Finding:
 
 def _window() -> Finding:
     """Open the window and draw a letter, which needs a display, OpenGL, fonts and PsychoPy together."""
-    from modaltouch.window.interface import WindowError
-    from modaltouch.window.screen import Screen
-    from modaltouch.window.shapes import Box, Picture, Words
-    from modaltouch.window.virtual_display import some_display
+    from modaltouch.window import Box, Picture, Screen, WindowError, Words, some_display
 
     try:
         with some_display() as where:
@@ -157,7 +154,7 @@ def _virtual_display() -> Finding:
 
 
 def _sound() -> Finding:
-    from modaltouch.window.masking.player import DeviceError, default_device
+    from modaltouch.window import DeviceError, default_device
 
     try:
         device = default_device()

@@ -48,7 +48,7 @@ def reporting(*, json_output: bool = False) -> Iterator[None]:
 def explain(error: BaseException) -> tuple[int | None, list[dict[str, Any]]]:
     """Return the exit status of an error and its problems one by one; no status for a programming error."""
     # By name of the modules already loaded: a failure must not import PyVISA or pandas to be told.
-    from modaltouch.protocol.document import InputError
+    from modaltouch.protocol import InputError
 
     if isinstance(error, InputError):
         return BAD_INPUT, [problem.as_dict() for problem in error.problems]

@@ -29,10 +29,9 @@ def fit(
     The observer that is given is the centre of the priors, and its front end is kept. Where the protocol has several
     stimuli, one observer is fitted to the answers to all of them.
     """
-    from modaltouch.planning.fitting import NOT_IDENTIFIABLE, fit_answers
-    from modaltouch.planning.observer.file import read_observer, write_observer
+    from modaltouch.planning import NOT_IDENTIFIABLE, fit_answers, read_observer, write_observer
     from modaltouch.preflight import examine
-    from modaltouch.record.files import prepare_file, replace_file
+    from modaltouch.record import prepare_file, replace_file
 
     with reporting(json_output=json_output):
         prior = read_observer(observer)

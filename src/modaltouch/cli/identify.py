@@ -21,16 +21,14 @@ from modaltouch.cli.measurement import bars
 if TYPE_CHECKING:
     from modaltouch.lab.identification.responses import FrequencyResponses
     from modaltouch.lab.measurement import Scan
-    from modaltouch.protocol.apparatus import Apparatus
-    from modaltouch.protocol.document import Source
+    from modaltouch.protocol import Apparatus, Source
 
 
 class Wanted:
     """What is to be identified, checked before anything is opened."""
 
     def __init__(self, path: Path, sets: list[str] | None, modes: str, folder: Path | None) -> None:
-        from modaltouch.protocol.apparatus import read_apparatus
-        from modaltouch.protocol.document import find, load_source
+        from modaltouch.protocol import find, load_source, read_apparatus
 
         self.source: Source = load_source(find("apparatus", path))
         self.apparatus: Apparatus = read_apparatus(self.source.path)
@@ -75,8 +73,8 @@ class Wanted:
         from modaltouch.lab.identification.report import COMMAND
         from modaltouch.lab.identification.shapes import check_points
         from modaltouch.lab.measurement import open_laboratory
-        from modaltouch.report.output import refuse_other
-        from modaltouch.system.interruption import Interrupted, Interruption
+        from modaltouch.report import refuse_other
+        from modaltouch.system import Interrupted, Interruption
 
         refuse_other(out, COMMAND)
         positions = evenly(self.length, points, margin)
@@ -168,7 +166,7 @@ class Wanted:
         from modaltouch.lab.identification.joint_fit import identify as identify_responses
         from modaltouch.lab.identification.report import COMMAND, as_dict, check_modes, write_identification
         from modaltouch.lab.identification.shapes import check_points
-        from modaltouch.report.output import refuse_other
+        from modaltouch.report import refuse_other
 
         refuse_other(out, COMMAND)
         if responses.positions is not None:
@@ -417,7 +415,7 @@ def _without_shapes(files: list[Path], responses: FrequencyResponses, out: Path)
     """Return the modes of responses at unknown places, or at too few: no shapes, no gains, no apparatus file."""
     from modaltouch.lab.identification.joint_fit import identify_each
     from modaltouch.lab.identification.report import COMMAND, as_dict, write_identification
-    from modaltouch.report.output import refuse_other
+    from modaltouch.report import refuse_other
 
     refuse_other(out, COMMAND)
     with progress("fitting", counted=False):

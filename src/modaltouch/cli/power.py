@@ -12,7 +12,7 @@ from modaltouch.cli.exit_status import INTERRUPTED, print_json, reporting
 from modaltouch.cli.options import JSON, OBSERVER, PROTOCOL, progress
 
 if TYPE_CHECKING:
-    from modaltouch.planning.power import Power
+    from modaltouch.planning import Power
 
 _MOST_PARTICIPANTS, _MOST_ANSWERS = 1000, 10_000
 _MOST_LINES = 12
@@ -53,14 +53,10 @@ def power(
     """
     sizes_n = parse_sizes(participants, "--participants", _MOST_PARTICIPANTS)
     sizes_r = parse_sizes(reps, "--reps", _MOST_ANSWERS) if reps is not None else None
-    from modaltouch.planning.experiments import Study
-    from modaltouch.planning.files import COMMAND
-    from modaltouch.planning.observer.file import read_observer
-    from modaltouch.planning.power import plan
-    from modaltouch.planning.presented import designs_for
+    from modaltouch.planning import COMMAND, Study, designs_for, plan, read_observer
     from modaltouch.preflight import examine
-    from modaltouch.report.output import refuse_other
-    from modaltouch.system.interruption import Interruption
+    from modaltouch.report import refuse_other
+    from modaltouch.system import Interruption
 
     with reporting(json_output=json_output):
         model = read_observer(observer)
@@ -91,7 +87,7 @@ def power(
 
 def _report(plans: Sequence[Power], target: float, folders: Mapping[str, Path], *, json_output: bool) -> None:
     """Write and print the plan of each stimulus, also where the last was interrupted."""
-    from modaltouch.planning.files import write_power
+    from modaltouch.planning import write_power
 
     values = []
     for found in plans:
@@ -162,7 +158,7 @@ def _refuse_too_large(n_answers: int) -> None:
 
 def _families(questions: str, scopes: Callable[[str], tuple[str, ...]]) -> tuple[str, ...]:
     """Return the families of the questions that the protocol has tests for."""
-    from modaltouch.planning.questions import FAMILIES
+    from modaltouch.planning import FAMILIES
 
     known = tuple(dict.fromkeys(family.split()[0] for family in FAMILIES))
     asked = [word.strip() for word in questions.split(",")]

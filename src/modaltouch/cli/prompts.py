@@ -14,7 +14,7 @@ from modaltouch.cli.exit_status import INTERRUPTED, leave
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from modaltouch.session.setup import Setup
+    from modaltouch.session import Setup
 
 _NUMBERED = re.compile(r"([A-Za-z]*)(\d+)\Z")
 _NAME = re.compile(r"[A-Z]?[a-z]{2,}\Z|[A-Za-z]{3,}\Z")
@@ -38,9 +38,8 @@ def ask_rig(may_ask: bool) -> str:
     typer.BadParameter
         If nobody is: a forgotten option must not leave a participant at a beam that is silent.
     """
-    from modaltouch.rig.interface import RigError
-    from modaltouch.rig.visa import find_instruments
-    from modaltouch.session.wiring.parts import SIMULATED
+    from modaltouch.rig import RigError, find_instruments
+    from modaltouch.session import SIMULATED
 
     if not may_ask:
         raise typer.BadParameter(
@@ -77,8 +76,7 @@ def ask_participant(dataset: Path) -> str:
     typer.BadParameter
         If there is no terminal to ask in.
     """
-    from modaltouch.record.chain import RecordError
-    from modaltouch.record.folders import check_participant
+    from modaltouch.record import RecordError, check_participant
 
     if not can_ask():
         raise typer.BadParameter("a session needs a participant id: give it with -p, for example -p p01")
@@ -127,9 +125,8 @@ def ask_session(dataset: Path, participant: str, n_sessions: int) -> int | None:
     n_sessions : int
         Sessions that the protocol gives each participant.
     """
-    from modaltouch.record.session import read_session
-    from modaltouch.record.shape import check_shape
-    from modaltouch.system.locking import is_locked
+    from modaltouch.record import check_shape, read_session
+    from modaltouch.system import is_locked
 
     logs = {
         int(log.parents[1].name[4:]): log

@@ -12,8 +12,8 @@ from modaltouch.cli.exit_status import RECORD_AT_RISK, RIG_FAILED, print_json, r
 from modaltouch.cli.options import APPARATUS, JSON, SESSION, SHIPPED_APPARATUS
 
 if TYPE_CHECKING:
-    from modaltouch.rig.latency import CommandLatency
-    from modaltouch.window.timing import WindowTiming
+    from modaltouch.rig import CommandLatency
+    from modaltouch.window import WindowTiming
 
 MARKS = {"ok": ("ok", "green"), "warning": ("warning", "yellow"), "fault": ("FAULT", "red")}
 
@@ -23,7 +23,7 @@ def verify(
     json_output: JSON = False,
 ) -> None:
     """Check a session's record: its chain of lines, its order, its drive and its BIDS view, all recomputed."""
-    from modaltouch.session.verification import verify_session
+    from modaltouch.session import verify_session
 
     with reporting(json_output=json_output):
         verdict = verify_session(session)
@@ -93,9 +93,7 @@ def doctor(
 
 def _examine_record(session: Path, into: Path | None, *, json_output: bool) -> None:
     """Say what a record proves, and write it anew where that is asked; the exit status tells whether it is sound."""
-    from modaltouch.record.chain import read_chain
-    from modaltouch.record.folders import find_log
-    from modaltouch.record.recovery import recover, survey
+    from modaltouch.record import find_log, read_chain, recover, survey
 
     found = survey(find_log(session))
     chain = read_chain(found.path)
@@ -120,9 +118,9 @@ def _examine_record(session: Path, into: Path | None, *, json_output: bool) -> N
 
 def _measure(rig: str, apparatus: Path, *, json_output: bool) -> None:
     """Say how exactly window, keyboard, generator and clock keep time; one that cannot be reached is a fault."""
-    from modaltouch.rig.interface import RigError
-    from modaltouch.system.clock import measure_clock
-    from modaltouch.window.interface import WindowError
+    from modaltouch.rig import RigError
+    from modaltouch.system import measure_clock
+    from modaltouch.window import WindowError
 
     figures: dict[str, Any] = {}
     verdicts: dict[str, str] = {}
@@ -152,9 +150,7 @@ def _measure(rig: str, apparatus: Path, *, json_output: bool) -> None:
 
 
 def _measure_window() -> WindowTiming:
-    from modaltouch.window.screen import Screen
-    from modaltouch.window.timing import measure_timing
-    from modaltouch.window.virtual_display import some_display
+    from modaltouch.window import Screen, measure_timing, some_display
 
     with some_display() as where:
         screen = Screen(title="modaltouch doctor")
@@ -165,9 +161,8 @@ def _measure_window() -> WindowTiming:
 
 
 def _measure_generator(rig: str, apparatus: Path) -> CommandLatency:
-    from modaltouch.protocol.apparatus import read_apparatus
-    from modaltouch.rig import start_simulator
-    from modaltouch.rig.latency import measure_latency
+    from modaltouch.protocol import read_apparatus
+    from modaltouch.rig import measure_latency, start_simulator
 
     parts = read_apparatus(apparatus)
     with ExitStack() as stack:

@@ -18,7 +18,7 @@ def list_addresses(
     json_output: JSON = False,
 ) -> None:
     """List the VISA addresses of the instruments that this machine can see."""
-    from modaltouch.rig.visa import find_instruments
+    from modaltouch.rig import find_instruments
 
     with reporting(json_output=json_output):
         addresses = find_instruments()
@@ -42,9 +42,8 @@ def check(
     """
     from contextlib import ExitStack
 
-    from modaltouch.protocol.apparatus import read_apparatus
-    from modaltouch.rig import start_simulator
-    from modaltouch.rig.checklist import check_rig
+    from modaltouch.protocol import read_apparatus
+    from modaltouch.rig import check_rig, start_simulator
 
     with reporting(json_output=json_output), ExitStack() as stack:
         parts = read_apparatus(apparatus)
@@ -75,8 +74,8 @@ def simulate(
     speed `zone_peak_mm_s` at each zone's centre, and the `link` that triggered it: 0 for the front panel, null for a
     burst that came by itself.
     """
-    from modaltouch.protocol.apparatus import read_apparatus
-    from modaltouch.rig.simulator import serve
+    from modaltouch.protocol import read_apparatus
+    from modaltouch.rig import serve
 
     with reporting():
         serve(read_apparatus(apparatus), port=port, seed=seed, played=played)

@@ -37,8 +37,8 @@ from modaltouch.cli.options import (
 from modaltouch.cli.prompts import ask_participant, ask_rig, ask_session, can_ask, wait_for_start
 
 if TYPE_CHECKING:
-    from modaltouch.record.session import Session
-    from modaltouch.session.setup import Setup
+    from modaltouch.record import Session
+    from modaltouch.session import Setup
     from modaltouch.window import WindowOptions
 import os
 import sys
@@ -47,7 +47,7 @@ from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from modaltouch.session.console.interface import Console
+    from modaltouch.session import Console
 
 
 @contextmanager
@@ -59,11 +59,11 @@ def open_console(events: Path | None, emergency_keys: Sequence[str], *, plain: b
     typer.BadParameter
         If the events can be written nowhere.
     """
-    from modaltouch.session.console.interface import Consoles
+    from modaltouch.session import Consoles
 
     consoles: list[Console] = []
     if events is not None:
-        from modaltouch.session.console.lines import EventLines
+        from modaltouch.session import EventLines
 
         try:
             consoles.append(EventLines(events))
@@ -72,11 +72,11 @@ def open_console(events: Path | None, emergency_keys: Sequence[str], *, plain: b
                 f"given --events {events}, which cannot be written ({error.strerror}); give a file in a folder you "
                 "may write to, or a named pipe (`mkfifo`)"
             ) from error
-    from modaltouch.session.console.lines import PlainLines
+    from modaltouch.session import PlainLines
 
     shown: Console = PlainLines(sys.stderr)
     if has_terminal() and not plain:
-        from modaltouch.session.console.terminal import TerminalConsole
+        from modaltouch.session import TerminalConsole
 
         # A machine that can start no more processes shows plain lines.
         with suppress(OSError):
@@ -173,9 +173,8 @@ def run(
     with reporting(json_output=json_output):
         window_options = _window_options(fullscreen, size, theme, screen, screenshots)
         preflight = examine(protocol, calibration).require()
-        from modaltouch.record.folders import check_participant, dataset_of
-        from modaltouch.record.log import refuse_existing
-        from modaltouch.session.wiring import mode_of, wire_run
+        from modaltouch.record import check_participant, dataset_of, refuse_existing
+        from modaltouch.session import mode_of, wire_run
 
         rig = rig or ask_rig(can_ask() and not yes and not json_output)
         mode = mode_of(rig, answers.value, pilot=pilot)
@@ -202,7 +201,7 @@ def run(
         _try_masking(setup)
         if can_ask() and not yes and not json_output:
             wait_for_start(setup, rig)
-        from modaltouch.session.setup import begin
+        from modaltouch.session import begin
 
         _conduct(begin, setup, events, plain=plain, json_output=json_output)
 
@@ -238,8 +237,8 @@ def resume(
     Everything is taken from the record itself, so it does not matter what became of the protocol's files. The answer
     window opens as it was, unless an option says otherwise.
     """
-    from modaltouch.session.setup import resume as go_on
-    from modaltouch.session.wiring import wire_resume
+    from modaltouch.session import resume as go_on
+    from modaltouch.session import wire_resume
 
     with reporting(json_output=json_output):
         given = {
@@ -270,9 +269,9 @@ def simulate(
 ) -> None:
     """Run a cohort of simulated participants through the same code on the simulated rig."""
     from modaltouch.cli.study import analyses
-    from modaltouch.planning.observer.file import read_observer, usual_observer
+    from modaltouch.planning import read_observer, usual_observer
     from modaltouch.preflight import examine
-    from modaltouch.session.simulation import simulate_session
+    from modaltouch.session import simulate_session
 
     with reporting(json_output=json_output):
         # An observer that does not exist is told before a protocol is designed.

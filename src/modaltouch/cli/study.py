@@ -7,9 +7,8 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import NoReturn
 
-from modaltouch.protocol import Protocol, read_protocol
-from modaltouch.protocol.document import InputError, Problem, shipped
-from modaltouch.system.provenance import version
+from modaltouch.protocol import InputError, Problem, Protocol, read_protocol, shipped
+from modaltouch.system import version
 
 
 def write_study(folder: Path, template: str) -> tuple[Path, ...]:

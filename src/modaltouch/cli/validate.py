@@ -44,7 +44,7 @@ def validate(
     from modaltouch.lab.validation.key_figures import key_figures
     from modaltouch.lab.validation.page import COMMAND, as_dict, write_evidence
     from modaltouch.preflight import examine
-    from modaltouch.report.output import refuse_other
+    from modaltouch.report import refuse_other
 
     with reporting(json_output=json_output):
         preflight = examine(protocol, calibration).of_one_stimulus()
@@ -95,8 +95,7 @@ def _observe(
     from modaltouch.lab.measurement import open_laboratory
     from modaltouch.lab.validation.page import Occasion
     from modaltouch.lab.validation.recording import complete, read_laws, record_laws
-    from modaltouch.system.interruption import Interruption
-    from modaltouch.system.provenance import commit
+    from modaltouch.system import Interruption, commit
 
     experiment, (ground, stimulus) = preflight.experiment, preflight.sound
     if folder is not None and complete(folder):

@@ -8,7 +8,7 @@ from itertools import combinations, product
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.analysis.counts import Pair
+from modaltouch.analysis import Pair
 
 FloatArray = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.analysis.findings import ALPHA
+from modaltouch.analysis import ALPHA
 from modaltouch.planning.design import Design
 from modaltouch.planning.observer import Observer, Participant
 from modaltouch.planning.questions import Answers, half_widths, p_values

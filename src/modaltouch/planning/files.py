@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from modaltouch.planning.power import Power
-from modaltouch.report.output import csv_bytes, json_bytes, write_files
-from modaltouch.system.provenance import version
+from modaltouch.report import csv_bytes, json_bytes, write_files
+from modaltouch.system import version
 
 COMMAND = "power"
 """The command that owns the folder."""
@@ -30,7 +30,7 @@ def write_power(folder: Path, power: Power, target: float = 0.8) -> dict[str, Pa
         If the folder holds something else, or cannot be written.
     """
     from modaltouch.planning.pictures import draw_power
-    from modaltouch.report.style import render
+    from modaltouch.report import render
 
     values = power.as_dict(target)
     figure = draw_power(power, target)

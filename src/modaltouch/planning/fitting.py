@@ -8,16 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from modaltouch.analysis.counts import NONE, AnswerCounts, count_answers
-from modaltouch.analysis.reading import read_responses
-from modaltouch.analysis.responses import Responses
-from modaltouch.analysis.scale import OWN_THRESHOLD, scale_of
+from modaltouch.analysis import NONE, OWN_THRESHOLD, AnswerCounts, Responses, count_answers, read_responses, scale_of
 from modaltouch.planning.observer import Observer
 from modaltouch.planning.observer.felt import Felt
 from modaltouch.planning.observer.fit import Fit, fit_observer
 from modaltouch.planning.observer.likelihood import Recorded
 from modaltouch.preflight import Preflight
-from modaltouch.protocol.document import InputError, Problem
+from modaltouch.protocol import InputError, Problem
 
 NOT_IDENTIFIABLE = (
     "Noise, criterion, one plus suppression, side bias and its spread are known only relative to each other; their "

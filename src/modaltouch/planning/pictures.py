@@ -11,7 +11,14 @@ from matplotlib.lines import Line2D
 
 from modaltouch.planning.power import Power
 from modaltouch.planning.questions import FAMILIES
-from modaltouch.report.style import FAINT, INK, PAIR_COLOURS, house_style, new_figure, quiet_grid
+from modaltouch.report import (
+    FAINT,
+    INK,
+    PAIR_COLOURS,
+    house_style,
+    new_figure,
+    quiet_grid,
+)
 
 _LINES = {0.5: "dotted", 0.8: "solid", 0.95: "dashed"}
 """Contours that are drawn, and how."""

@@ -12,10 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.analysis.exact import multinomial_test
-from modaltouch.analysis.findings import ALPHA
-from modaltouch.analysis.intervals import wilson
-from modaltouch.analysis.trend import draws_without_replacement, level_scores
+from modaltouch.analysis import ALPHA, draws_without_replacement, level_scores, multinomial_test, wilson
 from modaltouch.planning.design import Design
 from modaltouch.planning.experiments import Job, Study, Tallies, divide, run_job
 from modaltouch.planning.significance import trend_p

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from modaltouch.analysis.counts import PAPER_CONDITIONS, orient
+from modaltouch.analysis import PAPER_CONDITIONS, orient
 from modaltouch.planning.design import Design
 from modaltouch.planning.observer import Observer
 from modaltouch.planning.observer.felt import Felt
 from modaltouch.preflight import Preflight
-from modaltouch.protocol import Protocol
-from modaltouch.protocol.document import InputError
-from modaltouch.protocol.schedule import draw_schedule
+from modaltouch.protocol import InputError, Protocol, draw_schedule
 
 
 def designs_for(preflight: Preflight, observer: Observer) -> dict[str, Design]:

@@ -14,8 +14,7 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from modaltouch.analysis.counts import LEFT
-from modaltouch.analysis.intervals import CONFIDENCE
+from modaltouch.analysis import CONFIDENCE, LEFT
 from modaltouch.planning.design import Design
 from modaltouch.planning.significance import multinomial_p, sign_flip_p, trend_p
 

@@ -15,7 +15,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from modaltouch.analysis.trend import draws_without_replacement, level_scores
+from modaltouch.analysis import draws_without_replacement, level_scores
 
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
@@ -215,7 +215,7 @@ def _in_slices(compute: Callable[[slice], FloatArray], n_rows: int, nodes: _Node
 @lru_cache(maxsize=1024)
 def _multinomial_table(n: int) -> FloatArray:
     """Return p by the smallest and the middle count of n answers."""
-    from modaltouch.analysis.exact import multinomial_tests
+    from modaltouch.analysis import multinomial_tests
 
     outcomes = [
         (low, middle, n - low - middle) for low in range(n // 3 + 1) for middle in range(low, (n - low) // 2 + 1)

@@ -6,7 +6,43 @@
 ``examine``  the whole check: limits at every level, and what the engine refuses, with its place
 """
 
-from modaltouch.preflight.checked import Preflight
-from modaltouch.preflight.examination import examine, examine_findings
+from __future__ import annotations
 
-__all__ = ["Preflight", "examine", "examine_findings"]
+from typing import TYPE_CHECKING
+
+from modaltouch.system import lazily
+
+if TYPE_CHECKING:
+    from modaltouch.preflight.checked import Preflight
+    from modaltouch.preflight.design_inputs import Ground, design
+    from modaltouch.preflight.examination import design_to_fit, examine, examine_findings
+    from modaltouch.preflight.exploration import design_figures, sample_figures, sensitivity_figures
+    from modaltouch.preflight.figures import estimated_duration, finite
+    from modaltouch.preflight.several_stimuli import at_stimulus
+
+__all__ = [
+    "Ground",
+    "Preflight",
+    "at_stimulus",
+    "design",
+    "design_figures",
+    "design_to_fit",
+    "estimated_duration",
+    "examine",
+    "examine_findings",
+    "finite",
+    "sample_figures",
+    "sensitivity_figures",
+]
+
+__getattr__ = lazily(
+    __name__,
+    {
+        "checked": "Preflight",
+        "design_inputs": "Ground design",
+        "examination": "design_to_fit examine examine_findings",
+        "exploration": "design_figures sample_figures sensitivity_figures",
+        "figures": "estimated_duration finite",
+        "several_stimuli": "at_stimulus",
+    },
+)

@@ -5,13 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from modaltouch.preflight.design_inputs import Ground
-from modaltouch.protocol import Protocol
-from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.protocol.document import Reading
-from modaltouch.protocol.document.section import Section
-from modaltouch.protocol.document.tree import Node
-from modaltouch.protocol.stimulus_sections import StimulusSection
-from modaltouch.stimulus.design import Stimulus
+from modaltouch.protocol import Apparatus, Node, Protocol, Reading, Section, StimulusSection
+from modaltouch.stimulus import Stimulus
 
 _FASTER = 1 + 2e-3
 """Times the focus zone's speed from which another zone counts as faster; less is the codes' rounding [1]."""

@@ -24,16 +24,9 @@ from modaltouch.preflight.figures import (
     zone_centres,
 )
 from modaltouch.preflight.sound import sound_warnings
-from modaltouch.protocol import Experiment, Findings, Protocol
-from modaltouch.protocol.apparatus import offered_gains
-from modaltouch.protocol.document import InputError, Problem
-from modaltouch.protocol.trial import Trial
-from modaltouch.rig.settings import MAX_POINTS, continuous_codes
-from modaltouch.stimulus.burst import Burst
-from modaltouch.stimulus.design import Stimulus
-from modaltouch.stimulus.drive import Law
-from modaltouch.stimulus.quantisation import signed_codes
-from modaltouch.stimulus.vibration import states_by_channel
+from modaltouch.protocol import Experiment, Findings, InputError, Problem, Protocol, Trial, offered_gains
+from modaltouch.rig import MAX_POINTS, continuous_codes
+from modaltouch.stimulus import Burst, Law, Stimulus, signed_codes, states_by_channel
 
 
 def continuous_figures(stimulus: Stimulus, velocity: float) -> dict[str, Any]:

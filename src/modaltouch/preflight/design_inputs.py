@@ -7,16 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from modaltouch.protocol import Findings, StimulusSection
-from modaltouch.protocol.apparatus import Apparatus, Zone
-from modaltouch.protocol.calibration_file import calibrated_apparatus
-from modaltouch.protocol.document import Problem
-from modaltouch.stimulus.design import Correction, Stimulus, Timing, Wish, design_stimulus
-from modaltouch.stimulus.drive import Law, Release
+from modaltouch.protocol import Apparatus, Findings, Problem, StimulusSection, Zone, calibrated_apparatus
+from modaltouch.stimulus import Correction, Law, Release, Stimulus, Timing, Wish, design_stimulus
 
 if TYPE_CHECKING:
-    from modaltouch.protocol.calibration_sections import CalibrationFile
-from modaltouch.protocol.field_points import Points, read_points
+    from modaltouch.protocol import CalibrationFile
+from modaltouch.protocol import Points, read_points
 
 _NEEDED = ("stimulus", "beam", "actuator_sets", "modes", "amplifier", "generator")
 

@@ -15,13 +15,9 @@ from modaltouch.preflight.checked import Preflight
 from modaltouch.preflight.design_inputs import Ground, design, find_ground
 from modaltouch.preflight.several_stimuli import at_stimulus, check_memories, each_stimulus
 from modaltouch.preflight.sound import check_masking_level
-from modaltouch.protocol import Findings, Protocol, examine_files
-from modaltouch.protocol.apparatus import zone_edges
-from modaltouch.protocol.document import Problem, Reading
-from modaltouch.protocol.schedule import draw_schedule
-from modaltouch.rig.settings import LOWEST_AMPLITUDE, highest_level
-from modaltouch.stimulus.design import Stimulus
-from modaltouch.stimulus.drive import Release
+from modaltouch.protocol import Findings, Problem, Protocol, Reading, draw_schedule, examine_files, zone_edges
+from modaltouch.rig import LOWEST_AMPLITUDE, highest_level
+from modaltouch.stimulus import Release, Stimulus
 
 _POINTS_PER_ZONE = 5
 """Points at which a zone's speed is looked at: a quarter of the shortest wavelength of Table I apart."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from modaltouch.preflight.design_inputs import Ground
 from modaltouch.preflight.figures import zone_centres
-from modaltouch.stimulus.design import ModalModel, Stimulus
+from modaltouch.stimulus import ModalModel, Stimulus
 
 ERRORS = {"natural_frequency": 0.001, "damping_ratio": 0.05, "modal_gain": 0.05}
 """Relative errors of the table of sensitivities [1]."""
@@ -27,7 +27,7 @@ def sensitivity_figures(ground: Ground, stimulus: Stimulus) -> dict[str, Any]:
     stimulus : Stimulus
         The stimulus, at its highest level.
     """
-    from modaltouch.stimulus.sensitivity import focus_sensitivity, scatter
+    from modaltouch.stimulus import focus_sensitivity, scatter
 
     half = ground.apparatus.beam.length_mm * 0.5e-3
     shapes = stimulus.model.shapes(np.linspace(-half, half, 201))
@@ -66,7 +66,7 @@ def design_figures(stimulus: Stimulus) -> list[dict[str, Any]]:
     stimulus : Stimulus
         The stimulus, at its highest level.
     """
-    from modaltouch.stimulus.alternative_designs import least_norm, least_peak, trade
+    from modaltouch.stimulus import least_norm, least_peak, trade
 
     others = [least_norm(stimulus, 4.0), least_norm(stimulus, 8.0), least_peak(stimulus)]
     unmodelled = _supposed_mode(stimulus.model)
@@ -100,7 +100,7 @@ def sample_figures(ground: Ground, stimulus: Stimulus, tolerance: float) -> dict
     ValueError
         If the tolerance is not above zero.
     """
-    from modaltouch.stimulus.sample_count import cheapest_samples
+    from modaltouch.stimulus import cheapest_samples
 
     found = cheapest_samples(stimulus, tolerance, zone_centres(ground))
     return {

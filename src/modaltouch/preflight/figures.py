@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from modaltouch.preflight.design_inputs import Ground
-from modaltouch.protocol import Protocol
-from modaltouch.protocol.apparatus import offered_gains
-from modaltouch.stimulus.design import Stimulus
+from modaltouch.protocol import Protocol, offered_gains
+from modaltouch.stimulus import Stimulus
 
 ANSWER_S, PLACEMENT_S, BREAK_S, INSTRUCTIONS_S = 1.5, 5.0, 30.0, 90.0
 """Guesses that go into the estimated duration: answering, moving the fingers, a break, the instructions [s]."""

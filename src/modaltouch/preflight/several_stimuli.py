@@ -5,10 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
-from modaltouch.protocol import Findings, check_fit, check_protocol
-from modaltouch.protocol.calibration_file import calibration_alone, check_calibration, in_calibration
-from modaltouch.protocol.document import Problem
-from modaltouch.stimulus.burst import Burst
+from modaltouch.protocol import (
+    Findings,
+    Problem,
+    calibration_alone,
+    check_calibration,
+    check_fit,
+    check_protocol,
+    in_calibration,
+)
+from modaltouch.stimulus import Burst
 
 MEMORIES = 4
 """Records that an AFG3022B holds."""

@@ -5,10 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from modaltouch.protocol import Findings, Protocol
-from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.protocol.document import Problem
-from modaltouch.window.masking.noise import highest_level
+from modaltouch.protocol import Apparatus, Findings, Problem, Protocol
+from modaltouch.window import highest_level
 
 LOUD = 80.0
 """Level at which hearing protection begins to be a matter of hours (2003/10/EC, lower action value) [dB SPL]."""

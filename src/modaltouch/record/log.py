@@ -13,8 +13,7 @@ from typing import Any, Self
 from modaltouch.record.chain import GENESIS, Chain, RecordError, describe_torn, encode_line, read_chain
 from modaltouch.record.files import move, open_file, sync_file, sync_folder
 from modaltouch.record.folders import make_folder
-from modaltouch.system.clock import SYSTEM_CLOCK, Clock
-from modaltouch.system.locking import is_locked, lock
+from modaltouch.system import SYSTEM_CLOCK, Clock, is_locked, lock
 
 _MOMENT = 0.1
 """How long whoever only asks whether a log is locked may keep it so, at most [s]."""

@@ -20,8 +20,7 @@ from modaltouch.record.chain import RecordError
 from modaltouch.record.files import OWNER_ALONE, replace_file
 from modaltouch.record.folders import LOG_NAME, SessionFolder, make_folder
 from modaltouch.record.session import Session
-from modaltouch.system.locking import LOCK_NAME, hold
-from modaltouch.system.provenance import version
+from modaltouch.system import LOCK_NAME, hold, version
 
 BIDS_VERSION = "1.10.0"
 

@@ -12,8 +12,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from modaltouch.record.chain import RecordError
-from modaltouch.record.files import move, sync_file
+from modaltouch.record import RecordError, move, sync_file
 
 MANIFEST = "manifest.json"
 

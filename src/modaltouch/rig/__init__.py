@@ -12,64 +12,82 @@ What measures the beam (`acquisition`) is an instrument of its own: ``simulator.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from modaltouch.rig.interface import is_simulated as is_simulated
-from modaltouch.system.clock import SYSTEM_CLOCK, Clock, VirtualClock
+from modaltouch.system import lazily
 
 if TYPE_CHECKING:
-    from modaltouch.protocol.apparatus import Apparatus
-    from modaltouch.rig.interface import Rig
-    from modaltouch.rig.link import Log
-    from modaltouch.rig.simulator import Simulator
-    from modaltouch.rig.watchdog_client import Guard
+    from modaltouch.rig.acquisition import Acquisition, Recording, Scope
+    from modaltouch.rig.checklist import check_rig
+    from modaltouch.rig.interface import Bursts, Firing, Rig, RigError, StimulusLost, is_simulated
+    from modaltouch.rig.latency import CommandLatency, measure_latency
+    from modaltouch.rig.opening import open_rig, same_process, start_simulator
+    from modaltouch.rig.picoscope import PicoScope
+    from modaltouch.rig.player import Repetition
+    from modaltouch.rig.settings import (
+        LOWEST_AMPLITUDE,
+        MAX_POINTS,
+        Limits,
+        amplitudes,
+        continuous_codes,
+        highest_level,
+        level_setting,
+        record_peaks,
+    )
+    from modaltouch.rig.simulator import Simulator, serve
+    from modaltouch.rig.simulator.channel import Playback
+    from modaltouch.rig.simulator.twin import Twin
+    from modaltouch.rig.visa import find_instruments
 
+__all__ = [
+    "Acquisition",
+    "Bursts",
+    "CommandLatency",
+    "Firing",
+    "LOWEST_AMPLITUDE",
+    "Limits",
+    "MAX_POINTS",
+    "PicoScope",
+    "Playback",
+    "Recording",
+    "Repetition",
+    "Rig",
+    "RigError",
+    "Scope",
+    "Simulator",
+    "StimulusLost",
+    "Twin",
+    "amplitudes",
+    "check_rig",
+    "continuous_codes",
+    "find_instruments",
+    "highest_level",
+    "is_simulated",
+    "level_setting",
+    "measure_latency",
+    "open_rig",
+    "record_peaks",
+    "same_process",
+    "serve",
+    "start_simulator",
+]
 
-def open_rig(address: str, apparatus: Apparatus, *, log: Log, **options: Any) -> Rig:
-    """Return the generator at a VISA address, outputs off.
-
-    Parameters
-    ----------
-    address : str
-        VISA address, of an instrument or of a simulator.
-    apparatus : Apparatus
-        What is on the table.
-    log : callable
-        ``log(event, **facts)`` takes every exchange and event.
-    **options
-        Further arguments of `modaltouch.rig.generator.Generator`.
-
-    Raises
-    ------
-    RigError
-        If there is no such instrument at the address.
-    """
-    from modaltouch.rig.generator import Generator
-
-    return Generator(address, apparatus, log=log, **options)
-
-
-def same_process(clock: VirtualClock) -> Callable[[str], Guard]:
-    """Return what stands in a watchdog's place for a session in virtual time, as `open_rig`'s ``start_guard``."""
-    from modaltouch.rig.local_client import SameProcess
-    from modaltouch.rig.visa import VisaSession
-
-    return lambda address: SameProcess(VisaSession(address), clock)
-
-
-def start_simulator(apparatus: Apparatus, seed: int | None = None, *, clock: Clock = SYSTEM_CLOCK) -> Simulator:
-    """Return a running simulator of a rig, with its address.
-
-    Parameters
-    ----------
-    apparatus : Apparatus
-        What is on the table, and in its section ``twin`` how the true beam differs from the identified one.
-    seed : int, optional
-        Instead of the seed in ``twin``.
-    clock : Clock
-        By which it plays.
-    """
-    from modaltouch.rig.simulator import Simulator
-
-    return Simulator(apparatus, seed, clock=clock)
+__getattr__ = lazily(
+    __name__,
+    {
+        "opening": "open_rig same_process start_simulator",
+        "acquisition": "Acquisition Recording Scope",
+        "checklist": "check_rig",
+        "interface": "Bursts Firing Rig RigError StimulusLost is_simulated",
+        "latency": "CommandLatency measure_latency",
+        "picoscope": "PicoScope",
+        "player": "Repetition",
+        "settings": (
+            "LOWEST_AMPLITUDE Limits MAX_POINTS amplitudes continuous_codes highest_level level_setting record_peaks"
+        ),
+        "simulator": "Simulator serve",
+        "simulator.channel": "Playback",
+        "simulator.twin": "Twin",
+        "visa": "find_instruments",
+    },
+)

@@ -6,14 +6,14 @@ import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.protocol import Apparatus
 from modaltouch.rig.controls import CHANNELS, Controls, Unconfirmed
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.link import Link, Log
 from modaltouch.rig.settings import KNOWN_MODELS, STOPPED, Limits, Setting, quiet_settings
 from modaltouch.rig.transport import InUse, LinkError
 from modaltouch.rig.watchdog_client import Guard
-from modaltouch.system.clock import SYSTEM_CLOCK, Clock
+from modaltouch.system import SYSTEM_CLOCK, Clock
 
 
 @dataclass(frozen=True)

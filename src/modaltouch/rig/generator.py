@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any, Self
 
-from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.protocol import Apparatus
 from modaltouch.rig.connection import Connection, Found, Patience
 from modaltouch.rig.controls import CHANNELS, Unconfirmed
 from modaltouch.rig.interface import MANY, Bursts, Firing, RigError, StimulusLost
@@ -24,8 +24,8 @@ from modaltouch.rig.player import RELAYS_SETTLE, Player, Repetition, numbers
 from modaltouch.rig.transport import LinkError
 from modaltouch.rig.watchdog_client import HELD_UP, Guard, Watchdog
 from modaltouch.rig.watchdog_process import LIMIT
-from modaltouch.stimulus.burst import Burst
-from modaltouch.system.clock import SYSTEM_CLOCK, Clock
+from modaltouch.stimulus import Burst
+from modaltouch.system import SYSTEM_CLOCK, Clock
 
 UNMEASURED = 1e-3
 """Taken as the longest time from trigger to first sample, where that has not been measured [s]."""

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Self
 
 if TYPE_CHECKING:
-    from modaltouch.stimulus.burst import Burst
+    from modaltouch.stimulus import Burst
 
 
 class RigError(Exception):

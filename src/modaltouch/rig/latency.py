@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.protocol import Apparatus
 
 _AMPLITUDES = (0.02, 0.03)
 """Amplitudes between which the level goes to and fro, the lowest there are [V peak to peak]."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from modaltouch.rig.pacing import Order, Pacer, Report
 from modaltouch.rig.visa import VisaSession
-from modaltouch.system.clock import VirtualClock
+from modaltouch.system import VirtualClock
 
 ROUNDING = 1e-9
 """What a sum of virtual times may lack [s]."""

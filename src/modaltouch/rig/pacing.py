@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 from modaltouch.rig.transport import describe_error
-from modaltouch.system.clock import Clock
+from modaltouch.system import Clock
 
 LATEST = 0.05
 """A burst that would come later than this part of the period is left out [1]."""

@@ -16,7 +16,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.protocol import Apparatus
 from modaltouch.rig.acquisition import INPUT_RANGES, Acquisition, Inputs, Recording
 from modaltouch.rig.interface import RigError
 

@@ -28,8 +28,8 @@ from modaltouch.rig.settings import (
     refuse_steps,
     timer_setting,
 )
-from modaltouch.stimulus.burst import Burst
-from modaltouch.system.clock import Clock
+from modaltouch.stimulus import Burst
+from modaltouch.system import Clock
 
 Repetition = Literal["single", "timer", "continuous", "wired"]
 """``single``: each burst is triggered by itself; ``timer``: by the free timer of the generator; ``wired``: by pulses at

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.protocol import Apparatus
 from modaltouch.rig.interface import RigError
-from modaltouch.stimulus.burst import MID_CODE, Burst
+from modaltouch.stimulus import MID_CODE, Burst
 
 LOWEST_AMPLITUDE = 20e-3
 """Smallest amplitude of an AFG3022B into an open circuit [V peak to peak]."""

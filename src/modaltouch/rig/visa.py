@@ -15,7 +15,7 @@ from typing import Any, cast
 
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.transport import InUse, block_bounds
-from modaltouch.system.locking import lock
+from modaltouch.system import lock
 
 KNOCKED = 2.0
 """How long a TCP connection to the instrument may take [s]: a lost packet is sent again after one."""

@@ -29,7 +29,7 @@ from collections.abc import Callable, Iterator
 from modaltouch.rig.pacing import PATIENCE, Order, Pacer
 from modaltouch.rig.transport import InUse, Transport, describe_error
 from modaltouch.rig.visa import VisaSession
-from modaltouch.system.clock import SYSTEM_CLOCK, Clock
+from modaltouch.system import SYSTEM_CLOCK, Clock
 
 OPEN, EXCHANGE, CLOSE, ARM, BEAT, DISARM, CLEAN = b"O", b"X", b"Z", b"A", b".", b"D", b"C"
 PLAY, LOOK, END, REPORT, LATE = b"P", b"?", b"E", b"R", b"L"

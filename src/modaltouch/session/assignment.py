@@ -16,13 +16,18 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from modaltouch.protocol import Protocol
-from modaltouch.protocol.schedule import Turn, period_of_turns, recorded_turn, turn_of
-from modaltouch.record.chain import RecordError, UnreadableLineError, read_object
-from modaltouch.record.folders import LOG_NAME, SessionFolder
-from modaltouch.record.session import Session, read_session
-from modaltouch.record.shape import check_shape
-from modaltouch.system.locking import is_locked
+from modaltouch.protocol import Protocol, Turn, period_of_turns, recorded_turn, turn_of
+from modaltouch.record import (
+    LOG_NAME,
+    RecordError,
+    Session,
+    SessionFolder,
+    UnreadableLineError,
+    check_shape,
+    read_object,
+    read_session,
+)
+from modaltouch.system import is_locked
 
 _TAIL = 4096
 """Bytes at the end of a log that hold its last line, if that is a stop."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from modaltouch.record.log import SessionLog
+from modaltouch.record import SessionLog
 
 
 class Journal:

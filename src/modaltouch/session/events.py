@@ -6,17 +6,11 @@ from collections.abc import Sequence
 from typing import Any, Literal
 
 from modaltouch.preflight import Preflight
-from modaltouch.protocol import Protocol
-from modaltouch.protocol.adaptive_rules import describe_rule
-from modaltouch.protocol.schedule import Schedule
-from modaltouch.protocol.trial import Response, Trial
-from modaltouch.record.chain import RecordError
-from modaltouch.record.folders import SessionFolder
-from modaltouch.record.shape import SCHEMA
-from modaltouch.rig.interface import Firing, RigError
-from modaltouch.system.interruption import Interrupted
-from modaltouch.window.interface import SessionStopped, WindowError
-from modaltouch.window.masking.interface import MaskingError
+from modaltouch.protocol import Protocol, Response, Schedule, Trial, describe_rule
+from modaltouch.record import SCHEMA, RecordError, SessionFolder
+from modaltouch.rig import Firing, RigError
+from modaltouch.system import Interrupted
+from modaltouch.window import MaskingError, SessionStopped, WindowError
 
 
 def describe_start(preflight: Preflight, schedule: Schedule, place: SessionFolder) -> dict[str, Any]:

@@ -7,26 +7,22 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from modaltouch.protocol import Protocol
-from modaltouch.protocol.adaptive_rules import Levels
-from modaltouch.protocol.practice import expected_answer, judge_round
-from modaltouch.protocol.trial import Response, Trial
-from modaltouch.record.chain import RecordError
-from modaltouch.record.log import SessionLog
-from modaltouch.record.session import Session
-from modaltouch.rig.interface import Bursts, Firing, Rig, RigError, StimulusLost
+from modaltouch.protocol import Levels, Protocol, Response, Trial, expected_answer, judge_round
+from modaltouch.record import RecordError, Session, SessionLog
+from modaltouch.rig import Bursts, Firing, Rig, RigError, StimulusLost
 from modaltouch.session.console.experimenter import Experimenter
 from modaltouch.session.events import describe_answer, describe_ending, describe_placement, describe_trial
-from modaltouch.system.clock import SYSTEM_CLOCK, Clock
-from modaltouch.window.interface import (
+from modaltouch.system import SYSTEM_CLOCK, Clock
+from modaltouch.window import (
     AnswerWindow,
+    Masking,
+    NoMasking,
     Presentation,
     Progress,
     SessionStopped,
     Tick,
     TrialInterrupted,
 )
-from modaltouch.window.masking.interface import Masking, NoMasking
 
 ATTEMPTS = 3
 """How often a trial that the instrument does not confirm is presented before the session ends."""

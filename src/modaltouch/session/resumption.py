@@ -14,14 +14,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from modaltouch.protocol import ResumeSection
-from modaltouch.protocol.schedule import Schedule
-from modaltouch.record.chain import RecordInputError
-from modaltouch.record.folders import SessionFolder
-from modaltouch.record.log import SessionLog
-from modaltouch.record.session import Session
-from modaltouch.record.view import write_view
-from modaltouch.system.clock import SYSTEM_CLOCK, Clock
+from modaltouch.protocol import ResumeSection, Schedule
+from modaltouch.record import RecordInputError, Session, SessionFolder, SessionLog, write_view
+from modaltouch.system import SYSTEM_CLOCK, Clock
 
 CLOCK_TOLERANCE = 60.0
 """A clock this far off is being kept right by the network, not set back [s]."""

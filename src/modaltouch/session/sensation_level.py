@@ -8,11 +8,8 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from modaltouch.preflight import Preflight
-from modaltouch.protocol import SensationLevelsSection
-from modaltouch.protocol.document import InputError
-from modaltouch.record.chain import RecordError, read_chain
-from modaltouch.record.folders import SessionFolder
-from modaltouch.record.session import read_session
+from modaltouch.protocol import InputError, SensationLevelsSection
+from modaltouch.record import RecordError, SessionFolder, read_chain, read_session
 
 _SECTION = ("conditions", "sensation_levels")
 
@@ -107,8 +104,7 @@ def _find(preflight: Preflight, place: SessionFolder, section: SensationLevelsSe
         dataset = replace(place, protocol=section.thresholds_from).dataset
         _refuse(preflight, f"{section.thresholds_from!r}, of which {who} has no complete session in {dataset}",
                 "a protocol that has found the participant's threshold", anew)  # fmt: skip
-    from modaltouch.analysis.reading import read_responses
-    from modaltouch.analysis.thresholds import analyse_runs
+    from modaltouch.analysis import analyse_runs, read_responses
 
     responses = read_responses(log, mode=place.mode)
     if not responses.is_adaptive:

@@ -8,20 +8,23 @@ from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from typing import Any
 
-from modaltouch.preflight import Preflight
-from modaltouch.preflight.figures import estimated_duration
-from modaltouch.protocol.adaptive_rules import Levels
-from modaltouch.protocol.calibration_file import generator_problem
-from modaltouch.protocol.document import InputError
-from modaltouch.protocol.schedule import Schedule, draw_schedule
-from modaltouch.record.audit.view import check_view
-from modaltouch.record.chain import RecordError, read_chain
-from modaltouch.record.folders import SessionFolder
-from modaltouch.record.log import SessionLog, refuse_existing
-from modaltouch.record.session import Session, read_session
-from modaltouch.record.view import describe_dataset, hold_dataset, list_participants, write_view
-from modaltouch.rig import is_simulated
-from modaltouch.rig.interface import Rig
+from modaltouch.preflight import Preflight, estimated_duration
+from modaltouch.protocol import InputError, Levels, Schedule, draw_schedule, generator_problem
+from modaltouch.record import (
+    RecordError,
+    Session,
+    SessionFolder,
+    SessionLog,
+    check_view,
+    describe_dataset,
+    hold_dataset,
+    list_participants,
+    read_chain,
+    read_session,
+    refuse_existing,
+    write_view,
+)
+from modaltouch.rig import Rig, is_simulated
 from modaltouch.session.assignment import allot
 from modaltouch.session.console.experimenter import Experimenter
 from modaltouch.session.console.interface import Console, Silence
@@ -30,11 +33,8 @@ from modaltouch.session.event_buffer import Journal
 from modaltouch.session.events import describe_ending, describe_start
 from modaltouch.session.loop import Sitting, conduct
 from modaltouch.session.resumption import begin_anew, examine_interruption, go_on, refuse_failed, refuse_old, way_on
-from modaltouch.system.clock import SYSTEM_CLOCK, Clock
-from modaltouch.system.interruption import Interruption
-from modaltouch.system.provenance import boot, commit, versions
-from modaltouch.window.interface import AnswerWindow, Tick, Wish
-from modaltouch.window.masking.interface import Masking, NoMasking
+from modaltouch.system import SYSTEM_CLOCK, Clock, Interruption, boot, commit, versions
+from modaltouch.window import AnswerWindow, Masking, NoMasking, Tick, Wish
 
 OpenRig = Callable[[Callable[..., None]], AbstractContextManager[Rig]]
 """Opens the instrument for a while, given a function that takes each exchange with it."""

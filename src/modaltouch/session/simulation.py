@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from modaltouch.planning.observer import Observer
+from modaltouch.planning import Observer
 from modaltouch.preflight import Preflight, examine
-from modaltouch.record.session import Session
+from modaltouch.record import Session
 from modaltouch.session.setup import begin
 from modaltouch.session.wiring import wire_run
 

@@ -6,10 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from modaltouch.record.audit import audit
-from modaltouch.record.chain import read_chain
-from modaltouch.record.folders import find_log
-from modaltouch.record.session import Session
+from modaltouch.record import Session, audit_session, find_log, read_chain
 
 
 @dataclass(frozen=True)
@@ -56,7 +53,7 @@ def verify_session(path: Path) -> Verdict:
     log = find_log(path)
     chain = read_chain(log)
     session = Session(log, chain.events, chain.problems)
-    found = audit(session, chain)
+    found = audit_session(session, chain)
     if not found.lines:  # nothing is known of such a session
         return Verdict(log, (), found.problems)
     return Verdict(log, (*found.lines, _completeness(session)), found.problems)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NoReturn
 
-from modaltouch.protocol.trial import Answer, Trial
+from modaltouch.protocol import Answer, Trial
 from modaltouch.window.display_loop import Moment, Stage
 from modaltouch.window.events import Event
 from modaltouch.window.interface import Progress, SessionStopped

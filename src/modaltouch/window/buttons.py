@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from modaltouch.protocol import AnswersSection, Texts
-from modaltouch.protocol.trial import Answer
+from modaltouch.protocol import Answer, AnswersSection, Texts
 from modaltouch.window.layout import Layout
 from modaltouch.window.shapes import Box, Mark, Words, framed, rounded, triangle
 from modaltouch.window.theme import Theme

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from modaltouch.protocol.trial import Trial
-from modaltouch.system.clock import SYSTEM_CLOCK, Clock
+from modaltouch.protocol import Trial
+from modaltouch.system import SYSTEM_CLOCK, Clock
 from modaltouch.window.events import Event
 from modaltouch.window.interface import Log, SessionStopped, Tick, TypedAnswer, WindowError
 from modaltouch.window.shapes import Picture

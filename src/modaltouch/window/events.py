@@ -12,9 +12,8 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from modaltouch.protocol.keys import KEY_ALIASES
-from modaltouch.protocol.trial import Answer
-from modaltouch.system.clock import SYSTEM_CLOCK, Clock
+from modaltouch.protocol import KEY_ALIASES, Answer
+from modaltouch.system import SYSTEM_CLOCK, Clock
 
 EventKind = Literal["key", "release", "click", "close", "focus", "blur", "expose", "pause", "continue", "answer"]
 

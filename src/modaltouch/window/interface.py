@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Self
 
-from modaltouch.protocol.trial import Answer, Response, Trial
+from modaltouch.protocol import Answer, Response, Trial
 
 
 class WindowError(Exception):

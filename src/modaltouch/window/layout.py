@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
-from modaltouch.protocol.trial import Answer
+from modaltouch.protocol import Answer
 from modaltouch.window.shapes import Box
 
 SHOWN_ANSWERS: tuple[Answer, ...] = ("left", "both", "right")

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Self
 
-from modaltouch.protocol import END_KEY, PAUSE_KEY, AnswersSection
-from modaltouch.protocol.trial import Answer
+from modaltouch.protocol import END_KEY, PAUSE_KEY, Answer, AnswersSection
 from modaltouch.window.events import Event, canonical_key
 from modaltouch.window.layout import Layout
 

@@ -8,9 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn, Self
 
-from modaltouch.protocol import Protocol, Texts
-from modaltouch.protocol.trial import TIME_OUT, Answer, Response, Trial
-from modaltouch.system.clock import SYSTEM_CLOCK, Clock
+from modaltouch.protocol import TIME_OUT, Answer, Protocol, Response, Texts, Trial
+from modaltouch.system import SYSTEM_CLOCK, Clock
 from modaltouch.window.answering import SETTLE, AnswerTaker, Pauser
 from modaltouch.window.display_loop import POLL_INTERVAL, Display, Moment, Nobody, Sitter, Stage
 from modaltouch.window.events import Event, canonical_key

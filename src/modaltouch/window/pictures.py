@@ -5,8 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from modaltouch.protocol import END_KEY, PAUSE_KEY, AnswersSection, Texts
-from modaltouch.protocol.trial import Trial
+from modaltouch.protocol import END_KEY, PAUSE_KEY, AnswersSection, Texts, Trial
 from modaltouch.window.buttons import Buttons, key_name
 from modaltouch.window.interface import Progress
 from modaltouch.window.layout import Layout

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from modaltouch.protocol import AnswersSection
-from modaltouch.protocol.trial import Answer
+from modaltouch.protocol import Answer, AnswersSection
 from modaltouch.window.display_loop import Moment
 from modaltouch.window.events import canonical_key
 from modaltouch.window.interface import WindowError

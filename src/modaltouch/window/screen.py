@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.system.clock import SYSTEM_CLOCK, Clock
+from modaltouch.system import SYSTEM_CLOCK, Clock
 from modaltouch.window.environment import explain, few_imports, fit, missing_libraries, prepare_environment
 from modaltouch.window.events import Event, EventTap
 from modaltouch.window.interface import WindowError

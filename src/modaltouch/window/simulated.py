@@ -10,8 +10,8 @@ from typing import Any, Protocol, Self
 
 import numpy as np
 
-from modaltouch.protocol.trial import ANSWERS, TIME_OUT, Answer, Response, Trial
-from modaltouch.system.clock import SYSTEM_CLOCK, Clock
+from modaltouch.protocol import ANSWERS, TIME_OUT, Answer, Response, Trial
+from modaltouch.system import SYSTEM_CLOCK, Clock
 from modaltouch.window.interface import Log, Presentation, Progress, Tick, TrialInterrupted
 
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from modaltouch.protocol import Protocol, StaircaseSection, read_protocol
+from modaltouch.protocol import Protocol, read_protocol
+from modaltouch.protocol.adaptive import StaircaseSection
 from modaltouch.protocol.adaptive_rules import Levels, describe_rule
 from modaltouch.protocol.adaptive_rules.levels import from_dB, to_dB
 from modaltouch.protocol.adaptive_rules.staircase import is_success

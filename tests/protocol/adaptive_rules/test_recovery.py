@@ -21,7 +21,7 @@ from modaltouch.analysis.thresholds.psychometric import fit_psychometric
 from modaltouch.planning.observer import Participant
 from modaltouch.planning.observer.file import read_observer
 from modaltouch.preflight import examine
-from modaltouch.protocol import AdaptiveSection
+from modaltouch.protocol.adaptive import AdaptiveSection
 from modaltouch.protocol.adaptive_rules.levels import from_dB, to_dB
 from modaltouch.protocol.adaptive_rules.quest import Quest
 from modaltouch.protocol.adaptive_rules.staircase import follow

@@ -12,9 +12,8 @@ import pandas as pd
 
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.thresholds.runs import Run, find_runs, in_words, over_participants
-from modaltouch.report.output import json_bytes
-from modaltouch.report.page import embed_svg, render_page
-from modaltouch.system.provenance import commit, version, versions
+from modaltouch.report import embed_svg, json_bytes, render_page
+from modaltouch.system import commit, version, versions
 
 MOST_FIGURES = 60
 """Sessions whose runs are drawn; more would make a report that no browser opens."""
@@ -78,7 +77,7 @@ def render_runs(analysis: ThresholdAnalysis) -> dict[str, bytes]:
         What was found.
     """
     from modaltouch.analysis.thresholds.figures import draw_runs, draw_thresholds
-    from modaltouch.report.style import render
+    from modaltouch.report import render
 
     rows = [run.as_dict() for run in analysis.runs]
     together = over_participants(analysis.runs)

@@ -12,8 +12,15 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from modaltouch.analysis.thresholds.psychometric import Estimate
 from modaltouch.analysis.thresholds.runs import Run
-from modaltouch.protocol.adaptive_rules.levels import to_dB
-from modaltouch.report.style import CONDITION_COLOURS, FAINT, INK, house_style, new_figure, quiet_grid
+from modaltouch.protocol import to_dB
+from modaltouch.report import (
+    CONDITION_COLOURS,
+    FAINT,
+    INK,
+    house_style,
+    new_figure,
+    quiet_grid,
+)
 
 BLUE = CONDITION_COLOURS[0]
 _ROW = 2.5

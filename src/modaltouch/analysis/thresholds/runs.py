@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from modaltouch.analysis.covariates import student_interval
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.thresholds.psychometric import Estimate, Psychometric, fit_psychometric
-from modaltouch.protocol.adaptive_rules.levels import to_dB
-from modaltouch.protocol.adaptive_rules.staircase import is_success
+from modaltouch.protocol import is_success, to_dB
 
 KEYS = ("participant", "session", "finger_condition", "zone_left", "zone_right")
 

@@ -11,11 +11,8 @@ from numpy.typing import NDArray
 
 from modaltouch.lab.calibration.bursts import SWEEP
 from modaltouch.lab.calibration.delays import DriveLag
-from modaltouch.rig.acquisition import Acquisition, Recording
-from modaltouch.rig.interface import RigError
-from modaltouch.stimulus.burst import Burst
-from modaltouch.stimulus.modes import ModalModel
-from modaltouch.stimulus.timing import Timing
+from modaltouch.rig import Acquisition, Recording, RigError
+from modaltouch.stimulus import Burst, ModalModel, Timing
 
 FloatArray = NDArray[np.float64]
 

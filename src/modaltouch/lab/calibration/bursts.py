@@ -5,14 +5,19 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.stimulus.burst import MID_CODE, Burst, round_amplitude
-from modaltouch.stimulus.dynamics import Amplifier
-from modaltouch.stimulus.modes import ModalModel
-from modaltouch.stimulus.quantisation import round_to_codes, unsigned_codes
-from modaltouch.stimulus.reachability import Taper
-from modaltouch.stimulus.synthesis import synthesise
-from modaltouch.stimulus.timing import Timing
-from modaltouch.stimulus.vibration import peak_velocity
+from modaltouch.stimulus import (
+    MID_CODE,
+    Amplifier,
+    Burst,
+    ModalModel,
+    Taper,
+    Timing,
+    peak_velocity,
+    round_amplitude,
+    round_to_codes,
+    synthesise,
+    unsigned_codes,
+)
 
 FloatArray = NDArray[np.float64]
 

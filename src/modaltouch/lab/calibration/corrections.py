@@ -9,13 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.lab.calibration.plant import ModalState, Plant
-from modaltouch.preflight import Preflight
-from modaltouch.preflight.design_inputs import Ground
-from modaltouch.preflight.several_stimuli import at_stimulus
-from modaltouch.protocol import Protocol
-from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.protocol.document import InputError, Problem
-from modaltouch.stimulus.correction import Correction
+from modaltouch.preflight import Ground, Preflight, at_stimulus
+from modaltouch.protocol import Apparatus, InputError, Problem, Protocol
+from modaltouch.stimulus import Correction
 
 FloatArray = NDArray[np.float64]
 

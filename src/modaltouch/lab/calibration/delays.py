@@ -13,8 +13,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.rig.acquisition import Recording
-from modaltouch.stimulus.timing import Timing
+from modaltouch.rig import Recording
+from modaltouch.stimulus import Timing
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -13,9 +13,8 @@ import numpy as np
 
 from modaltouch.lab.calibration.corrections import DIGITS
 from modaltouch.lab.calibration.outcome import Level, Outcome, Turn
-from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.protocol.calibration_file import apparatus_hash
-from modaltouch.protocol.calibration_sections import (
+from modaltouch.protocol import (
+    Apparatus,
     CalibratedAmplifier,
     CalibratedApparatus,
     CalibratedLevel,
@@ -26,9 +25,10 @@ from modaltouch.protocol.calibration_sections import (
     Instruments,
     IterationFigures,
     MeasuringChain,
+    apparatus_hash,
 )
-from modaltouch.record.files import prepare_file, replace_file
-from modaltouch.system.provenance import commit, versions
+from modaltouch.record import prepare_file, replace_file
+from modaltouch.system import commit, versions
 
 INTERVAL = 1.96
 """Half width of a 95 % interval, in standard errors [1]."""

@@ -15,14 +15,10 @@ from modaltouch.lab.calibration.decay import find_poles, fit_residues
 from modaltouch.lab.calibration.delays import DriveLag, fit_drive
 from modaltouch.lab.calibration.outcome import Level, Outcome, Progress, Turn
 from modaltouch.lab.calibration.plant import Plant, identify_plant
-from modaltouch.preflight.design_inputs import Ground
-from modaltouch.preflight.examination import design_to_fit
-from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.rig.interface import RigError
-from modaltouch.stimulus.burst import Burst
-from modaltouch.stimulus.correction import Correction
-from modaltouch.stimulus.design import Stimulus
-from modaltouch.stimulus.modes import ModalModel
+from modaltouch.preflight import Ground, design_to_fit
+from modaltouch.protocol import Apparatus
+from modaltouch.rig import RigError
+from modaltouch.stimulus import Burst, Correction, ModalModel, Stimulus
 
 GAINS = (0.67, 1.5)
 """Measured over commanded drive that is believed [1]: beyond, a probe or a switch is not as the file says."""

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.lab.calibration.plant import ModalState, Plant
-from modaltouch.preflight.design_inputs import Ground
-from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.stimulus.correction import Correction
+from modaltouch.preflight import Ground
+from modaltouch.protocol import Apparatus
+from modaltouch.stimulus import Correction
 
 FloatArray = NDArray[np.float64]
 

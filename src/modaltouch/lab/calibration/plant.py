@@ -9,10 +9,7 @@ from numpy.typing import NDArray
 
 from modaltouch.lab.calibration.decay import Decay
 from modaltouch.lab.calibration.delays import DriveLag, SightLag, fit_sight
-from modaltouch.stimulus.dynamics import Amplifier, modal_system
-from modaltouch.stimulus.modes import ModalModel
-from modaltouch.stimulus.timing import Timing
-from modaltouch.stimulus.vibration import states_by_channel
+from modaltouch.stimulus import Amplifier, ModalModel, Timing, modal_system, states_by_channel
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.lab.validation.measures import contrast, root_mean_square, spot_width
-from modaltouch.rig.simulator.channel import Playback
-from modaltouch.rig.simulator.twin import Twin
-from modaltouch.stimulus.target_field import Wish
+from modaltouch.rig import Playback, Twin
+from modaltouch.stimulus import Wish
 
 FloatArray = NDArray[np.float64]
 Playbacks = Sequence[Playback | None]

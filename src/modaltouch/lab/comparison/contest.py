@@ -18,10 +18,9 @@ from modaltouch.lab.identification.joint_fit import identify
 from modaltouch.lab.identification.responses import FrequencyResponses, responses_of
 from modaltouch.lab.measurement import open_laboratory
 from modaltouch.preflight import Preflight
-from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.rig.interface import RigError
-from modaltouch.rig.simulator.twin import Twin
-from modaltouch.stimulus.modes import ModalModel
+from modaltouch.protocol import Apparatus
+from modaltouch.rig import RigError, Twin
+from modaltouch.stimulus import ModalModel
 
 Progress = Callable[[str, int, int], None]
 

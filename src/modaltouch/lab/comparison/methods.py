@@ -12,10 +12,16 @@ from numpy.typing import NDArray
 from modaltouch.lab.comparison.inverse_filter import inverse_filter, inverse_filter_at_instant
 from modaltouch.lab.comparison.time_reversal import one_bit_reversal, time_reversal
 from modaltouch.lab.comparison.training_data import Knowledge
-from modaltouch.stimulus.burst import MID_CODE, Burst
-from modaltouch.stimulus.design import design_stimulus
-from modaltouch.stimulus.drive import Law, Release
-from modaltouch.stimulus.quantisation import full_scale, round_to_codes, unsigned_codes
+from modaltouch.stimulus import (
+    MID_CODE,
+    Burst,
+    Law,
+    Release,
+    design_stimulus,
+    full_scale,
+    round_to_codes,
+    unsigned_codes,
+)
 
 FloatArray = NDArray[np.float64]
 

@@ -14,10 +14,22 @@ from modaltouch.lab.comparison.assessment import Verdict
 from modaltouch.lab.comparison.contest import Contest
 from modaltouch.lab.comparison.narrative import paragraphs
 from modaltouch.lab.comparison.results import Row, criteria
-from modaltouch.report.output import csv_bytes, json_bytes, refuse_other, write_files
-from modaltouch.report.page import embed_svg, render_page
-from modaltouch.report.style import FAINT, INK, house_style, level_label, new_figure, quiet_grid, render
-from modaltouch.system.provenance import version
+from modaltouch.report import (
+    FAINT,
+    INK,
+    csv_bytes,
+    embed_svg,
+    house_style,
+    json_bytes,
+    level_label,
+    new_figure,
+    quiet_grid,
+    refuse_other,
+    render,
+    render_page,
+    write_files,
+)
+from modaltouch.system import version
 
 DARK, MIDDLE, LIGHT = "#0b3c8c", "#5bb8e8", "#cfdcec"
 MARKERS = ("o", "s", "^", "v", "D", "P")

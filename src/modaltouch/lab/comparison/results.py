@@ -11,7 +11,7 @@ import numpy as np
 from modaltouch.lab.comparison.assessment import Verdict
 from modaltouch.lab.comparison.contest import Contest
 from modaltouch.lab.comparison.methods import Designed
-from modaltouch.preflight.figures import finite
+from modaltouch.preflight import finite
 
 Row = dict[str, Any]
 

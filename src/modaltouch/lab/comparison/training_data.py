@@ -8,10 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from modaltouch.stimulus.dynamics import Amplifier
-from modaltouch.stimulus.modes import ModalModel
-from modaltouch.stimulus.target_field import Wish
-from modaltouch.stimulus.timing import Timing
+from modaltouch.stimulus import Amplifier, ModalModel, Timing, Wish
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

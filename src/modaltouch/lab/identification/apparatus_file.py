@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from modaltouch.lab.identification.estimates import Estimate, Identification, IdentifiedMode
-from modaltouch.protocol.apparatus import examine_apparatus
-from modaltouch.protocol.document import InputError, Source
+from modaltouch.protocol import InputError, Source, examine_apparatus
 
 SUFFIX = "_identified"
 

@@ -19,11 +19,9 @@ from numpy.typing import NDArray
 from modaltouch.lab.identification.responses import Spectra
 from modaltouch.lab.measurement import Laboratory, Scan, ScanPlan, take_scan
 from modaltouch.lab.measurement.scan import DESCRIPTION, read_facts
-from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.protocol.document import Source
-from modaltouch.rig.acquisition import Acquisition
-from modaltouch.rig.interface import RigError
-from modaltouch.stimulus.burst import MID_CODE, Burst
+from modaltouch.protocol import Apparatus, Source
+from modaltouch.rig import Acquisition, RigError
+from modaltouch.stimulus import MID_CODE, Burst
 
 N_SAMPLES = 131_072
 """Samples of the chirp: a whole memory of the generator."""

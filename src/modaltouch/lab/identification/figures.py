@@ -10,8 +10,15 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from modaltouch.lab.identification.estimates import Identification, IdentifiedMode
-from modaltouch.report.style import CONDITION_COLOURS, FAINT, INK, house_style, new_figure, quiet_grid
-from modaltouch.stimulus.shapes import mode_shapes
+from modaltouch.report import (
+    CONDITION_COLOURS,
+    FAINT,
+    INK,
+    house_style,
+    new_figure,
+    quiet_grid,
+)
+from modaltouch.stimulus import mode_shapes
 
 FloatArray = NDArray[np.float64]
 

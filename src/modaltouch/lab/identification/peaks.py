@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.lab.identification.responses import FrequencyResponses
-from modaltouch.stimulus.shapes import mode_shapes
+from modaltouch.stimulus import mode_shapes
 
 FloatArray = NDArray[np.float64]
 

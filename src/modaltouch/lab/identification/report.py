@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.lab.identification.estimates import Estimate, Identification, IdentifiedMode
-from modaltouch.report.output import csv_bytes, json_bytes, refuse_other, write_files
-from modaltouch.stimulus.shapes import characteristic_root
-from modaltouch.system.provenance import version
+from modaltouch.report import csv_bytes, json_bytes, refuse_other, write_files
+from modaltouch.stimulus import characteristic_root
+from modaltouch.system import version
 
 FloatArray = NDArray[np.float64]
 
@@ -267,7 +267,7 @@ def write_identification(
         If the folder holds something else, or cannot be written.
     """
     from modaltouch.lab.identification.figures import draw_coherence, draw_responses, draw_shapes
-    from modaltouch.report.style import render
+    from modaltouch.report import render
 
     refuse_other(folder, COMMAND)
     figures = {"responses": draw_responses(identification)}

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.lab.measurement import Scan
-from modaltouch.record.chain import RecordInputError
-from modaltouch.rig.acquisition import Recording
+from modaltouch.record import RecordInputError
+from modaltouch.rig import Recording
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.stimulus.measured import MeasuredShapes
-from modaltouch.stimulus.shapes import mode_shapes
+from modaltouch.stimulus import MeasuredShapes, mode_shapes
 
 FloatArray = NDArray[np.float64]
 

@@ -9,16 +9,25 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
-from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.rig import is_simulated, open_rig, same_process, start_simulator
-from modaltouch.rig.acquisition import Acquisition, Recording, Scope
-from modaltouch.rig.interface import Firing, Rig, RigError, StimulusLost
-from modaltouch.stimulus.burst import Burst
-from modaltouch.system.clock import SYSTEM_CLOCK, VirtualClock
+from modaltouch.protocol import Apparatus
+from modaltouch.rig import (
+    Acquisition,
+    Firing,
+    Recording,
+    Rig,
+    RigError,
+    Scope,
+    StimulusLost,
+    is_simulated,
+    open_rig,
+    same_process,
+    start_simulator,
+)
+from modaltouch.stimulus import Burst
+from modaltouch.system import SYSTEM_CLOCK, VirtualClock
 
 if TYPE_CHECKING:
-    from modaltouch.rig.player import Repetition
-    from modaltouch.rig.simulator import Simulator
+    from modaltouch.rig import Repetition, Simulator
 
 Mode = Literal["simulated", "real"]
 
@@ -211,7 +220,7 @@ def open_laboratory(
             rig = open_generator(simulator.address, clock=clock, start_guard=same_process(clock))
             yield Laboratory(apparatus, rig, scope, "simulated", simulator=simulator)
             return
-        from modaltouch.rig.picoscope import PicoScope
+        from modaltouch.rig import PicoScope
 
         # The scope first: without it there is nothing to play for.
         scope = stack.enter_context(PicoScope(apparatus, _stay))

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.rig.acquisition import Acquisition
-from modaltouch.stimulus.burst import Burst
+from modaltouch.protocol import Apparatus
+from modaltouch.rig import Acquisition
+from modaltouch.stimulus import Burst
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.record.chain import RecordError, RecordInputError
+from modaltouch.record import RecordError, RecordInputError
 
 FloatArray = NDArray[np.float64]
 

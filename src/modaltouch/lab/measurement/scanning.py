@@ -23,11 +23,10 @@ from modaltouch.lab.measurement.scan import (
     read_facts,
     read_position,
 )
-from modaltouch.protocol.document import Source
-from modaltouch.record.chain import RecordError
-from modaltouch.record.files import replace_file
-from modaltouch.rig.acquisition import Recording
-from modaltouch.system.provenance import commit, versions
+from modaltouch.protocol import Source
+from modaltouch.record import RecordError, replace_file
+from modaltouch.rig import Recording
+from modaltouch.system import commit, versions
 
 Reduction = Callable[[Recording], Mapping[str, NDArray[Any]]]
 """What is kept of a recording: arrays by name."""

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from modaltouch.lab.validation.measures import spot_width, time_above
 from modaltouch.lab.validation.recording import Observation
-from modaltouch.record.chain import RecordInputError
-from modaltouch.stimulus.shapes import mode_shapes
-from modaltouch.stimulus.vibration import velocity_history
+from modaltouch.record import RecordInputError
+from modaltouch.stimulus import mode_shapes, velocity_history
 
 FloatArray = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from modaltouch.lab.validation.evidence import Evidence
 from modaltouch.lab.validation.measures import contrast, root_mean_square, spot_width
-from modaltouch.preflight.figures import finite
+from modaltouch.preflight import finite
 
 FloatArray = NDArray[np.float64]
 

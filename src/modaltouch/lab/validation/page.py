@@ -22,10 +22,17 @@ from modaltouch.lab.validation.time_histories import (
     draw_zones,
     spectrogram_of,
 )
-from modaltouch.report.output import csv_bytes, json_bytes, refuse_other, write_files
-from modaltouch.report.page import embed_svg, render_page
-from modaltouch.report.style import level_label, render
-from modaltouch.system.provenance import version
+from modaltouch.report import (
+    csv_bytes,
+    embed_svg,
+    json_bytes,
+    level_label,
+    refuse_other,
+    render,
+    render_page,
+    write_files,
+)
+from modaltouch.system import version
 
 COMMAND = "validate"
 """The command that owns the folder."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from modaltouch.lab.validation.evidence import Evidence
 from modaltouch.lab.validation.key_figures import coefficients, key_figures
-from modaltouch.report.style import FAINT, INK, house_style, new_figure, quiet_grid
+from modaltouch.report import FAINT, INK, house_style, new_figure, quiet_grid
 
 FloatArray = NDArray[np.float64]
 

@@ -12,12 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.lab.measurement import Laboratory, Scan, ScanPlan, read_scan, take_scan
-from modaltouch.preflight.design_inputs import Ground, design
-from modaltouch.protocol.document import Source
-from modaltouch.record.chain import RecordError, RecordInputError
-from modaltouch.rig.acquisition import Acquisition, Recording
-from modaltouch.stimulus.design import Stimulus
-from modaltouch.stimulus.drive import Law
+from modaltouch.preflight import Ground, design
+from modaltouch.protocol import Source
+from modaltouch.record import RecordError, RecordInputError
+from modaltouch.rig import Acquisition, Recording
+from modaltouch.stimulus import Law, Stimulus
 
 FloatArray = NDArray[np.float64]
 

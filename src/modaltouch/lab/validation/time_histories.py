@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from modaltouch.lab.validation.evidence import Evidence
 from modaltouch.lab.validation.pictures import DARK, LAW_TITLES, MIDDLE
 from modaltouch.lab.validation.recording import AROUND
-from modaltouch.report.style import FAINT, INK, house_style, new_figure, quiet_grid
+from modaltouch.report import FAINT, INK, house_style, new_figure, quiet_grid
 
 FloatArray = NDArray[np.float64]
 

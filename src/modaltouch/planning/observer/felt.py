@@ -8,8 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from modaltouch.planning.observer.front_end import FrontEnd, sense
-from modaltouch.stimulus.design import Stimulus
-from modaltouch.stimulus.vibration import velocity_history
+from modaltouch.stimulus import Stimulus, velocity_history
 
 
 class Felt:

@@ -8,9 +8,7 @@ from pathlib import Path
 
 from modaltouch.planning.observer.participant import Participant
 from modaltouch.planning.observer.population import Observer
-from modaltouch.protocol import Protocol
-from modaltouch.protocol.document import InputError, find, load_source, read
-from modaltouch.protocol.observers import ObserverFile
+from modaltouch.protocol import InputError, ObserverFile, Protocol, find, load_source, read
 
 
 def read_observer(name: Path | str) -> Observer:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from modaltouch.protocol.trial import ANSWERS, Answer
+from modaltouch.protocol import ANSWERS, Answer
 
 SAME_HAND = "one_hand"
 """The finger condition whose two fingers belong to one hand."""

@@ -9,9 +9,10 @@ from importlib.metadata import version
 from itertools import product
 from typing import Any
 
-from modaltouch.protocol import AdaptiveSection, Protocol
+from modaltouch.protocol.adaptive import AdaptiveSection
 from modaltouch.protocol.adaptive_rules.quest import Quest
 from modaltouch.protocol.adaptive_rules.staircase import follow, is_success
+from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.trial import Condition, Trial
 
 Run = tuple[str, str, str, str]

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from modaltouch.protocol import StaircaseSection
+from modaltouch.protocol.adaptive import StaircaseSection
 
 
 def is_success(rule: str, focus: str, zone_left: str, answer: str) -> bool:

@@ -12,7 +12,7 @@ from modaltouch.protocol.document import Problem, Reading
 from modaltouch.protocol.document.section import Label, Number, Section, described
 
 if TYPE_CHECKING:
-    from modaltouch.stimulus.measured import MeasuredShapes
+    from modaltouch.stimulus import MeasuredShapes
 
 Numbers = Annotated[tuple[Number, ...], Field(min_length=2, max_length=10_000)]
 
@@ -47,7 +47,7 @@ class ShapeTable(Section):
         ValueError
             If they span no basis.
         """
-        from modaltouch.stimulus.measured import MeasuredShapes
+        from modaltouch.stimulus import MeasuredShapes
 
         values = {mode.label: mode.values for mode in self.modes}
         shapes = np.array([values[label] for label in labels])

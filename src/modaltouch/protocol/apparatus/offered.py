@@ -24,7 +24,7 @@ def offered_gains(apparatus: Apparatus) -> tuple[tuple[int, str, float], ...]:
     apparatus : Apparatus
         The lab's.
     """
-    from modaltouch.stimulus.patches import patch_gains
+    from modaltouch.stimulus import patch_gains
 
     offered = []
     bending = [mode for mode in apparatus.modes if mode.label > 2]

@@ -28,8 +28,8 @@ from modaltouch.protocol.document.section import (
 )
 
 if TYPE_CHECKING:
-    from modaltouch.stimulus.dynamics import Amplifier as AmplifierValues
-    from modaltouch.stimulus.modes import ModalModel
+    from modaltouch.stimulus import Amplifier as AmplifierValues
+    from modaltouch.stimulus import ModalModel
 
 
 class Beam(Section):
@@ -208,8 +208,7 @@ class Apparatus(Section):
             Modal gains of shape (n_modes, n_channels) [m/s^2 per V at the beam], zero where unknown; natural
             frequencies [Hz], damping ratios [1], length [m].
         """
-        from modaltouch.stimulus.modes import ModalModel
-        from modaltouch.stimulus.timoshenko import TimoshenkoBeam
+        from modaltouch.stimulus import ModalModel, TimoshenkoBeam
 
         beam, length = self.beam, self.beam.length_mm * 1e-3
         label = tuple(mode.label for mode in self.modes)
@@ -236,7 +235,7 @@ class Apparatus(Section):
 
     def amplifier_values(self) -> AmplifierValues:
         """Return the amplifier: gain [V/V], limit [V at the beam], bandwidth [Hz] or None, delay [s]."""
-        from modaltouch.stimulus.dynamics import Amplifier as AmplifierValues
+        from modaltouch.stimulus import Amplifier as AmplifierValues
 
         amplifier = self.amplifier
         return AmplifierValues(

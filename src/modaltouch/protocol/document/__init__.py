@@ -9,7 +9,7 @@
 
 from modaltouch.protocol.document.problems import InputError, Problem, fault, suggest
 from modaltouch.protocol.document.reading import Reading, read
-from modaltouch.protocol.document.shipped import find, shipped
+from modaltouch.protocol.document.shipped_files import find, shipped
 from modaltouch.protocol.document.source import Source, load_source
 from modaltouch.protocol.document.tree import Node, parse_tree
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from modaltouch.protocol import Protocol
 from modaltouch.protocol.schedule.catches import place_catches
 from modaltouch.protocol.schedule.orders import draw_order
 from modaltouch.protocol.schedule.streams import Stream
+from modaltouch.protocol.sections import Protocol
 
 Cell = tuple[tuple[str, str], float, str]
 """A pair of zones, a peak velocity [mm/s], and the name of a stimulus."""

@@ -12,8 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from modaltouch.protocol import Sources
-from modaltouch.protocol.document import InputError
+from modaltouch.protocol import InputError, Sources
 from modaltouch.record.audit.experiment import UNTOLD, restore
 from modaltouch.record.audit.presentation import Given
 from modaltouch.record.audit.sequence import Course
@@ -44,7 +43,7 @@ class Audit:
     to_mend: tuple[str, ...] = ()
 
 
-def audit(session: Session, chain: Chain) -> Audit:
+def audit_session(session: Session, chain: Chain) -> Audit:
     """Return whether a session is what its own start record makes of it.
 
     Parameters
@@ -101,7 +100,7 @@ def require_sound(log: Path) -> Session:
     """
     chain = read_chain(log)
     session = Session(log, chain.events, chain.problems)
-    found = audit(session, chain)
+    found = audit_session(session, chain)
     if faults := [each for each in found.problems if each not in found.to_mend]:
         raise RecordError("\n".join(faults))
     return session

@@ -5,11 +5,8 @@ from __future__ import annotations
 from functools import cached_property, lru_cache
 
 from modaltouch.preflight import examine_findings
-from modaltouch.protocol import Sources, examine_sources
-from modaltouch.protocol.adaptive_rules import Levels
-from modaltouch.protocol.trial import Condition, Trial
-from modaltouch.rig.interface import RigError
-from modaltouch.rig.settings import Limits, amplitudes, record_peaks
+from modaltouch.protocol import Condition, Levels, Sources, Trial, examine_sources
+from modaltouch.rig import Limits, RigError, amplitudes, record_peaks
 
 UNTOLD = (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError, RigError)
 """What a line raises that does not say what is asked of it."""

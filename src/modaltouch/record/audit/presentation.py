@@ -7,10 +7,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from modaltouch.protocol import Protocol
-from modaltouch.protocol.trial import Trial
+from modaltouch.protocol import Protocol, Trial
 from modaltouch.record.audit.experiment import Restored
-from modaltouch.rig.settings import level_setting
+from modaltouch.rig import level_setting
 
 Event = dict[str, Any]
 

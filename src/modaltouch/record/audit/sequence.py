@@ -6,9 +6,7 @@ from collections import Counter
 from collections.abc import Iterator
 from datetime import datetime
 
-from modaltouch.protocol.practice import judge_round
-from modaltouch.protocol.schedule import Schedule
-from modaltouch.protocol.trial import Trial
+from modaltouch.protocol import Schedule, Trial, judge_round
 from modaltouch.record.audit.experiment import UNTOLD
 from modaltouch.record.audit.presentation import (
     Event,

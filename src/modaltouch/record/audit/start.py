@@ -6,13 +6,12 @@ import hashlib
 from collections.abc import Iterator
 from typing import Any
 
-from modaltouch.protocol import Protocol
-from modaltouch.protocol.schedule import Schedule, draw_schedule, recorded_turn
+from modaltouch.protocol import Protocol, Schedule, draw_schedule, recorded_turn
 from modaltouch.record.audit.experiment import Restored
 from modaltouch.record.chain import read_chain
 from modaltouch.record.folders import locate
 from modaltouch.record.session import Session
-from modaltouch.rig.interface import is_simulated
+from modaltouch.rig import is_simulated
 
 Checked = Iterator[tuple[bool, str]]
 """Whether something holds, and which words say so; empty words where there is nothing to say."""

@@ -17,7 +17,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.protocol import Apparatus
 from modaltouch.rig.simulator.afg import Afg
 from modaltouch.rig.simulator.behaviour import Behaviour
 from modaltouch.rig.simulator.channel import Playback
@@ -28,7 +28,7 @@ from modaltouch.rig.simulator.scope import SimulatedScope
 from modaltouch.rig.simulator.timeline import Delays
 from modaltouch.rig.simulator.twin import TrueState, Twin
 from modaltouch.rig.simulator.vxi11 import Vxi11Server
-from modaltouch.system.clock import SYSTEM_CLOCK, Clock
+from modaltouch.system import SYSTEM_CLOCK, Clock
 
 
 class Simulator:

@@ -7,8 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from modaltouch.protocol.apparatus import read_apparatus
-from modaltouch.protocol.document import InputError
+from modaltouch.protocol import InputError, read_apparatus
 from modaltouch.rig.simulator import serve
 
 

@@ -15,7 +15,7 @@ from modaltouch.rig.simulator.behaviour import Behaviour
 from modaltouch.rig.simulator.channel import MID_CODE, Channel, Playback
 from modaltouch.rig.simulator.scpi import ScpiError
 from modaltouch.rig.simulator.timeline import Delays, Situation, Timeline
-from modaltouch.system.clock import SYSTEM_CLOCK, Clock
+from modaltouch.system import SYSTEM_CLOCK, Clock
 
 MAX_CODE = 16382
 """Highest code of a point."""

@@ -8,10 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.stimulus.blocks import SHORT, BlockKernel
-from modaltouch.stimulus.dynamics import DiagonalSystem
-from modaltouch.stimulus.timing import Timing
-from modaltouch.stimulus.vibration import moments, states_by_channel
+from modaltouch.stimulus import SHORT, BlockKernel, DiagonalSystem, Timing, moments, states_by_channel
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

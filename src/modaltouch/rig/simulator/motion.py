@@ -9,9 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.rig.simulator.held_response import Held, blocks_of, refined, start_state
-from modaltouch.stimulus.blocks import BlockKernel
-from modaltouch.stimulus.dynamics import DiagonalSystem
-from modaltouch.stimulus.vibration import moments
+from modaltouch.stimulus import BlockKernel, DiagonalSystem, moments
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

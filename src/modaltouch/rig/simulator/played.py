@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from modaltouch.protocol.document import InputError, Problem
+from modaltouch.protocol import InputError, Problem
 from modaltouch.rig.simulator.channel import Playback
 from modaltouch.rig.simulator.timeline import Played
 from modaltouch.rig.simulator.twin import MOST_SAMPLES, Twin

@@ -10,9 +10,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from modaltouch.protocol.apparatus import Apparatus, Fingers, UnlistedMode
-from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
-from modaltouch.stimulus.modes import ModalModel, mode_shapes
+from modaltouch.protocol import Apparatus, Fingers, UnlistedMode
+from modaltouch.stimulus import Amplifier, DiagonalSystem, ModalModel, mode_shapes
 
 FloatArray = NDArray[np.float64]
 

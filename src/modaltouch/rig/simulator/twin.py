@@ -10,12 +10,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.protocol import Apparatus
 from modaltouch.rig.simulator.channel import MID_CODE, Playback
 from modaltouch.rig.simulator.held_response import LONGEST_SILENCE, Held, peak, refined, state_at
 from modaltouch.rig.simulator.motion import Drive, Motion, low_passed
 from modaltouch.rig.simulator.true_beam import generator_gains, true_amplifier, true_beam
-from modaltouch.stimulus.dynamics import DiagonalSystem
+from modaltouch.stimulus import DiagonalSystem
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

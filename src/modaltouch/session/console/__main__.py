@@ -23,7 +23,7 @@ from rich.live import Live
 from modaltouch.session.console.dialogue import Dialogue
 from modaltouch.session.console.drawing import draw_session
 from modaltouch.session.console.keyboard import Keyboard, open_keyboard
-from modaltouch.system.clock import SYSTEM_CLOCK
+from modaltouch.system import SYSTEM_CLOCK
 
 _GLANCE = 0.1
 """How often the reader of keys looks whether the session has ended [s]."""

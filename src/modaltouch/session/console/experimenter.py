@@ -7,7 +7,7 @@ from typing import Any
 
 from modaltouch.session.console.interface import Console, Silence
 from modaltouch.session.console.status import Status
-from modaltouch.window.interface import SessionStopped, TypedAnswer, Wish
+from modaltouch.window import SessionStopped, TypedAnswer, Wish
 
 
 class Experimenter:

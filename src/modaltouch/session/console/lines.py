@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TextIO
 
-from modaltouch.record.files import open_file
+from modaltouch.record import open_file
 from modaltouch.session.console.drawing import describe_last
 from modaltouch.session.console.interface import Facts, Silence
 

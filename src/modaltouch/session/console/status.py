@@ -8,10 +8,10 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from modaltouch.protocol.trial import Answer
+from modaltouch.protocol import Answer
 from modaltouch.session.console.dialogue import OWN_KEYS
 from modaltouch.session.console.interface import Facts
-from modaltouch.window.events import canonical_key
+from modaltouch.window import canonical_key
 
 HASTY = 0.1
 """Nobody feels, decides and presses within this time: such an answer was ready before its question [s]."""

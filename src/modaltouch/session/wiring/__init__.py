@@ -7,16 +7,20 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from modaltouch.planning.observer import Observer
-from modaltouch.planning.observer.file import read_observer, usual_observer
+from modaltouch.planning import Observer, read_observer, usual_observer
 from modaltouch.preflight import Preflight, examine_findings
-from modaltouch.protocol import Protocol, Sources, examine_sources
-from modaltouch.protocol.schedule import draw_schedule, recorded_turn
-from modaltouch.record.audit import require_sound
-from modaltouch.record.chain import RecordError, RecordInputError
-from modaltouch.record.folders import Mode, SessionFolder, find_log, locate
-from modaltouch.record.session import Session
-from modaltouch.record.shape import SCHEMA
+from modaltouch.protocol import Protocol, Sources, draw_schedule, examine_sources, recorded_turn
+from modaltouch.record import (
+    SCHEMA,
+    Mode,
+    RecordError,
+    RecordInputError,
+    Session,
+    SessionFolder,
+    find_log,
+    locate,
+    require_sound,
+)
 from modaltouch.session.assignment import next_session
 from modaltouch.session.sensation_level import at_own_levels, recorded_levels
 from modaltouch.session.setup import Setup

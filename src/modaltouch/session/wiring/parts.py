@@ -7,24 +7,27 @@ from contextlib import ExitStack, contextmanager
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from modaltouch.planning.observer import Observer
-from modaltouch.planning.observer.felt import Felt
+from modaltouch.planning import Felt, Observer
 from modaltouch.preflight import Preflight
-from modaltouch.protocol.schedule import Schedule, random_generator
-from modaltouch.protocol.trial import ANSWERS, ANSWERS_WITH_NONE, Trial
-from modaltouch.record.folders import SessionFolder
-from modaltouch.rig import open_rig, same_process, start_simulator
-from modaltouch.rig.interface import Rig
+from modaltouch.protocol import ANSWERS, ANSWERS_WITH_NONE, Schedule, Trial, random_generator
+from modaltouch.record import SessionFolder
+from modaltouch.rig import Rig, open_rig, same_process, start_simulator
 from modaltouch.session.setup import Setup
-from modaltouch.system.clock import SYSTEM_CLOCK, Clock, VirtualClock
-from modaltouch.window import AnswersBy, WindowOptions, open_window
-from modaltouch.window.interface import AnswerWindow, Tick
-from modaltouch.window.masking.interface import Masking, NoMasking
-from modaltouch.window.masking.player import open_masking
-from modaltouch.window.simulated import Answerer
+from modaltouch.system import SYSTEM_CLOCK, Clock, VirtualClock
+from modaltouch.window import (
+    Answerer,
+    AnswersBy,
+    AnswerWindow,
+    Masking,
+    NoMasking,
+    Tick,
+    WindowOptions,
+    open_masking,
+    open_window,
+)
 
 if TYPE_CHECKING:
-    from modaltouch.rig.simulator import Simulator
+    from modaltouch.rig import Simulator
 
 SIMULATED = "simulated"
 """What stands in a rig's place for the digital twin."""

@@ -17,15 +17,14 @@ from modaltouch.window.masking.interface import Masking, MaskingError, NoMasking
 from modaltouch.window.masking.noise import SEED, amplitude_at, make_noise
 
 if TYPE_CHECKING:
-    from modaltouch.protocol import MaskingSection
-    from modaltouch.protocol.apparatus import Sound
+    from modaltouch.protocol import MaskingSection, Sound
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from modaltouch.protocol.apparatus import Sound
+    from modaltouch.protocol import Sound
 
 
 class DeviceError(Exception):

@@ -1,0 +1,152 @@
+"""Opens the answer window: for a person, for a robot that types into it, or none for a simulated participant."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, Self
+
+from modaltouch.system import SYSTEM_CLOCK, Clock
+from modaltouch.window.interface import AnswerWindow, Log, Tick
+
+if TYPE_CHECKING:
+    from modaltouch.protocol import Protocol, Texts
+    from modaltouch.window.screen import Screen
+    from modaltouch.window.simulated import Answerer
+
+AnswersBy = Literal["window", "simulated", "robot"]
+"""A person at the window; an observer model without a window; an observer model typing into the real window."""
+
+
+@dataclass(frozen=True)
+class WindowOptions:
+    """How the window is opened.
+
+    Attributes
+    ----------
+    size : (width, height) of int
+        Size of the window [pixels].
+    fullscreen : bool
+        Whether the window covers the monitor.
+    theme : str
+        ``dark`` or ``light``.
+    screen : int
+        Which monitor, from 0.
+    screenshots : Path, optional
+        Folder for one PNG of each kind of screen.
+    """
+
+    size: tuple[int, int] = (1280, 800)
+    fullscreen: bool = False
+    theme: str = "dark"
+    screen: int = 0
+    screenshots: Path | None = None
+
+    @classmethod
+    def recorded(cls, window: Mapping[str, Any]) -> Self:
+        """Return how the window of a record was opened; what older records do not say is as usual.
+
+        Parameters
+        ----------
+        window : mapping
+            What the record's line `start` or `resume` says of the window.
+        """
+        from modaltouch.window.theme import THEMES
+
+        usual, size = cls(), window.get("size_px")
+        fullscreen, theme = bool(window.get("fullscreen", False)), window.get("theme")
+        return cls(
+            # Of a full screen it is the monitor's.
+            size=(int(size[0]), int(size[1])) if size and not fullscreen else usual.size,
+            fullscreen=fullscreen,
+            theme=theme if theme in THEMES else usual.theme,
+            screen=int(window.get("monitor", usual.screen)),
+        )
+
+
+def open_window(
+    answers: AnswersBy,
+    protocol: Protocol,
+    texts: Texts,
+    *,
+    zones: tuple[str, ...],
+    tick: Tick,
+    log: Log,
+    answerer: Answerer | None = None,
+    options: WindowOptions | None = None,
+    clock: Clock = SYSTEM_CLOCK,
+) -> AnswerWindow:
+    """Return an open answer window.
+
+    Parameters
+    ----------
+    answers : str
+        ``window`` (a person), ``robot`` (an observer typing into the real window) or ``simulated`` (an observer
+        without a window).
+    protocol, texts, zones, tick, log, clock
+        As for `participant.ParticipantWindow`.
+    answerer : Answerer, optional
+        The observer, for ``robot`` and ``simulated``.
+    options : WindowOptions, optional
+        How the window is opened, where there is one.
+
+    Raises
+    ------
+    WindowError
+        If the window cannot be opened.
+    ValueError
+        If the theme is unknown, or an observer is missing.
+    """
+    if answers != "window" and answerer is None:
+        raise ValueError(f"given answers by {answers!r} and no observer; give `answerer`, or answers by 'window'")
+    if answers == "simulated" and answerer is not None:
+        from modaltouch.window.simulated import SimulatedParticipant
+
+        return SimulatedParticipant(
+            answerer,
+            tick=tick,
+            log=log,
+            stimulus_until=protocol.answers.stimulus_until,
+            after_longest=protocol.answers.after_longest,
+            clock=clock,
+        )
+    from modaltouch.window.participant import ParticipantWindow
+    from modaltouch.window.robot import Robot
+    from modaltouch.window.theme import THEMES
+
+    options = options or WindowOptions()
+    display = _open_screen(protocol.title, options, clock)
+    try:
+        return ParticipantWindow(
+            display,
+            protocol,
+            texts,
+            zones=zones,
+            theme=THEMES[options.theme],
+            tick=tick,
+            log=log,
+            screenshots=options.screenshots,
+            robot=Robot(answerer, protocol.answers) if answers == "robot" and answerer is not None else None,
+            clock=clock,
+        )
+    except BaseException:
+        display.close()
+        raise
+
+
+def _open_screen(title: str, options: WindowOptions, clock: Clock) -> Screen:
+    """Return an open window, its ground that of the theme."""
+    from modaltouch.window.screen import Screen
+    from modaltouch.window.theme import THEMES
+
+    if options.theme not in THEMES:
+        raise ValueError(f"given the theme {options.theme!r}; allowed: {', '.join(THEMES)}")
+    return Screen(
+        size=options.size,
+        fullscreen=options.fullscreen,
+        monitor=options.screen,
+        ground=THEMES[options.theme].ground,
+        title=title,
+        clock=clock,
+    )
