@@ -29,7 +29,7 @@ from modaltouch.planning.design import Design
 from modaltouch.planning.experiments import Job, Study, divide, run_job, simulate
 from modaltouch.planning.observer.file import read_observer
 from modaltouch.planning.presented import designs_for
-from modaltouch.planning.questions import CONFIRMED, Answers, p_values
+from modaltouch.planning.questions import CONFIRMED, SimulatedAnswers, p_values
 from modaltouch.preflight import examine
 
 ROOT = Path(__file__).parents[2]
@@ -54,7 +54,7 @@ def sweep(study: Study, sizes: list[tuple[int, int]]) -> None:
         run_job(study, job)
 
 
-def to_table(answers: Answers, experiment: int) -> pd.DataFrame:
+def to_table(answers: SimulatedAnswers, experiment: int) -> pd.DataFrame:
     """Return the answers of one experiment as a tidy table."""
     design, rows = answers.design, []
     for (person, f, q, v), left in np.ndenumerate(answers.left[experiment]):
@@ -110,7 +110,7 @@ def analyse_by_libraries(table: pd.DataFrame, rng: np.random.Generator) -> dict[
     return found
 
 
-def largest_difference(design: Design, answers: Answers, by_libraries: list[dict[str, list[float]]]) -> float:
+def largest_difference(design: Design, answers: SimulatedAnswers, by_libraries: list[dict[str, list[float]]]) -> float:
     """Return the largest difference of the sign-flip p between the two ways."""
     return max(
         float(np.abs(p_values(answers, family)[experiment] - found[family]).max())

@@ -20,7 +20,7 @@ import pyvisa
 from modaltouch.protocol.apparatus import read_apparatus
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.simulator import Simulator
-from modaltouch.rig.watchdog_client import Watchdog
+from modaltouch.rig.watchdog_client import WatchdogClient
 from modaltouch.stimulus.burst import Burst
 
 ROOT = Path(__file__).parents[2]
@@ -153,7 +153,7 @@ def measure_end(simulator: Simulator) -> tuple[float, float]:
     """Return how long outputs stay on when the session's process is gone and its pipe ends [ms]."""
 
     def end() -> float:
-        dog = Watchdog(simulator.address)
+        dog = WatchdogClient(simulator.address)
         dog.open()
         dog.arm()
         simulator.front_panel("OUTP1 ON;:OUTP2 ON")

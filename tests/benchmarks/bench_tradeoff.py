@@ -28,7 +28,7 @@ from peers import (
 from threadpoolctl import threadpool_limits
 from tradeoff_figure import draw
 
-from modaltouch.stimulus.design import ModalModel, Stimulus, Timing, Wish
+from modaltouch.stimulus.design import ModalModel, Stimulus, TargetField, Timing
 from modaltouch.stimulus.vibration import modal_history, states_by_channel
 
 SAMPLES = (12_500, 25_000, 62_500, 125_000)
@@ -41,7 +41,7 @@ Point = dict[str, Any]
 def made(model: ModalModel, n_samples: int, n_modes: int, law: str, bits: str) -> Stimulus:
     """Return a stimulus, of which nothing but its design is computed yet."""
     rounding = "settled" if bits == "14 bits, settled" else "plain"
-    timing, wish = Timing(n_samples=n_samples), Wish(selection=n_modes)
+    timing, wish = Timing(n_samples=n_samples), TargetField(selection=n_modes)
     return design(model, timing=timing, wish=wish, law=law, rounding=rounding)
 
 

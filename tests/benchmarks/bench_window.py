@@ -133,9 +133,9 @@ def console_on_a_terminal() -> Iterator[Any]:
 @contextmanager
 def silence() -> Iterator[Any]:
     """Give no console."""
-    from modaltouch.session.console.interface import Silence
+    from modaltouch.session.console.interface import NoConsole
 
-    yield Silence()
+    yield NoConsole()
 
 
 def count_idle_frames() -> int:

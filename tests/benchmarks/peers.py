@@ -9,7 +9,7 @@ import control
 import numpy as np
 from scipy import signal
 
-from modaltouch.stimulus.design import Amplifier, ModalModel, Stimulus, Timing, Wish, design_stimulus
+from modaltouch.stimulus.design import Amplifier, ModalModel, Stimulus, TargetField, Timing, design_stimulus
 
 ZONES = (-0.04, -0.02, 0.0, 0.02, 0.04)
 LEVELS = (0.08, 0.1, 0.15, 0.2)
@@ -37,7 +37,7 @@ def many_modes(n_modes: int) -> ModalModel:
 def design(model: ModalModel, **options: Any) -> Stimulus:
     """Return the shipped stimulus but for the options."""
     timing = options.pop("timing", Timing())
-    return design_stimulus(model, options.pop("wish", Wish()), timing, AMPLIFIER, levels=LEVELS, **options)
+    return design_stimulus(model, options.pop("wish", TargetField()), timing, AMPLIFIER, levels=LEVELS, **options)
 
 
 def race(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from modaltouch.stimulus.design import Amplifier, ModalModel, Stimulus, Timing, Wish, design_stimulus
+from modaltouch.stimulus.design import Amplifier, ModalModel, Stimulus, TargetField, Timing, design_stimulus
 
 FREQUENCY = (229, 2553, 7137, 12701, 22810, 29390, 58303, 68543, 87855)
 RATIO = (0.0437, 0.0165, 0.0265, 0.0168, 0.0112, 0.0166, 0.0101, 0.0176, 0.0147)
@@ -22,10 +22,10 @@ def model() -> ModalModel:
 def shipped(model: ModalModel) -> Stimulus:
     """Return the shipped stimulus by the exact law."""
     levels = (0.08, 0.1, 0.15, 0.2)
-    return design_stimulus(model, Wish(), Timing(), Amplifier(gain=25.0, limit=250.0), levels=levels)
+    return design_stimulus(model, TargetField(), Timing(), Amplifier(gain=25.0, limit=250.0), levels=levels)
 
 
 @pytest.fixture(scope="session")
 def shipped_paper(model: ModalModel) -> Stimulus:
     """Return the shipped stimulus by the paper's law."""
-    return design_stimulus(model, Wish(), Timing(), Amplifier(gain=25.0, limit=250.0), law="paper")
+    return design_stimulus(model, TargetField(), Timing(), Amplifier(gain=25.0, limit=250.0), law="paper")

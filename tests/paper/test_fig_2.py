@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from modaltouch.stimulus.field import Projection
-from modaltouch.stimulus.target_field import Wish
+from modaltouch.stimulus.target_field import TargetField
 
 
 def test_triangle_projects_as_its_closed_form(model):
     """The mean of the triangle in closed form, and a 120-point Gauss rule on its half for the rest."""
-    projection = Projection(model, Wish())
+    projection = Projection(model, TargetField())
     assert projection.coefficient[0] == pytest.approx(0.28, rel=1e-13)
     node, weight = np.polynomial.legendre.leggauss(120)
     half = 0.014
@@ -21,7 +21,7 @@ def test_triangle_projects_as_its_closed_form(model):
 
 def test_six_strongest_modes_are_those_of_the_paper(model):
     """Section II-B: 1, 3, 5, 7, 11, 13; the sixth is six times the seventh (physics.md section 2)."""
-    projection = Projection(model, Wish())
+    projection = Projection(model, TargetField())
     strength = np.sort(np.abs(projection.coefficient))[::-1]
     assert projection.selected == (1, 3, 5, 7, 11, 13)
     assert strength[5] / strength[6] == pytest.approx(6, abs=0.7)
@@ -30,28 +30,28 @@ def test_six_strongest_modes_are_those_of_the_paper(model):
 @pytest.mark.parametrize("base", [0.0505, 0.053, 0.056, 0.061])
 def test_selection_does_not_hang_on_the_base(model, base):
     """physics.md section 2: the set holds for bases of 50.5 to 61 mm."""
-    assert Projection(model, Wish(base=base)).selected == (1, 3, 5, 7, 11, 13)
+    assert Projection(model, TargetField(base=base)).selected == (1, 3, 5, 7, 11, 13)
 
 
 @pytest.mark.parametrize("base", [0.049, 0.063])
 def test_selection_changes_beyond(model, base):
     """physics.md section 2: beyond 50.5 to 61 mm another six are strongest."""
-    assert Projection(model, Wish(base=base)).selected != (1, 3, 5, 7, 11, 13)
+    assert Projection(model, TargetField(base=base)).selected != (1, 3, 5, 7, 11, 13)
 
 
 @pytest.mark.parametrize(("shape", "base"), [("half_cosine", 0.04), ("box", 0.027)])
 def test_other_fields_select_the_same_modes(model, shape, base):
     """physics.md section 2: a half-cosine of 40 mm and a box of 27 mm select the same six."""
-    assert Projection(model, Wish(shape=shape, base=base)).selected == (1, 3, 5, 7, 11, 13)
+    assert Projection(model, TargetField(shape=shape, base=base)).selected == (1, 3, 5, 7, 11, 13)
 
 
 def test_even_modes_carry_nothing_of_a_centred_field(model):
     """The field is decomposed on the first fifty modes; the antisymmetric ones drop out."""
-    decomposition = Projection(model, Wish()).decomposition
+    decomposition = Projection(model, TargetField()).decomposition
     assert decomposition.shape == (50,)
     assert np.abs(decomposition[1::2]).max() < 1e-15
     kept = decomposition[[k - 1 for k in model.label]]
-    assert kept == pytest.approx(Projection(model, Wish()).coefficient, abs=1e-15)
+    assert kept == pytest.approx(Projection(model, TargetField()).coefficient, abs=1e-15)
 
 
 def test_all_selected_modes_add_up_at_the_focus(shipped):

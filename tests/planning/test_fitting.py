@@ -11,7 +11,7 @@ from modaltouch.planning.experiments import Job, simulate
 from modaltouch.planning.fitting import fit_answers
 from modaltouch.planning.observer import Observer, Participant
 from modaltouch.planning.observer.fit import fit_observer
-from modaltouch.planning.observer.likelihood import Recorded, _grid
+from modaltouch.planning.observer.likelihood import RecordedAnswers, _grid
 from modaltouch.planning.presented import designs_for
 from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol.document import InputError
@@ -94,8 +94,8 @@ def test_two_stimuli_give_back_their_observer() -> None:
             speeds = design.speeds.reshape(-1, 2)
             left, right = crowd.shares(speeds, design.cells)
             counts = rng.multinomial(4, np.stack([left, 1 - left - right, right], axis=-1))
-            parts.append(Recorded(counts, speeds, design.cells, np.ones(30)))
-        fit = fit_observer(Recorded.joined(parts), Observer())
+            parts.append(RecordedAnswers(counts, speeds, design.cells, np.ones(30)))
+        fit = fit_observer(RecordedAnswers.joined(parts), Observer())
         assert fit.n_answers == 30 * 4 * 16
         for ratio, noise in zip(fit.identified[::2], fit.identified[1::2], strict=True):
             held += int(ratio.low < np.exp(0.5 / 1.5) < ratio.high) + int(noise.low < 0.4 / 1.5 < noise.high)
@@ -109,10 +109,10 @@ def test_what_does_not_say_its_stimulus_is_refused(tmp_path: Path, preflight: Pr
     (tmp_path / "a.csv").write_text(f"{HEADER}\np1,one_hand,A,C,80,left,1\n", encoding="utf-8")
     with pytest.raises(InputError, match="does not say to which stimulus an answer is; allowed: sessions with sharp"):
         fit_answers(examine(TWO_FIELDS).require(), tmp_path / "a.csv", Observer())
-    one = Recorded(np.ones((1, 1, 3), dtype=int), np.ones((1, 2)), ("one_hand",), np.ones(1))
-    two = Recorded(np.ones((2, 1, 3), dtype=int), np.ones((1, 2)), ("one_hand",), np.ones(2))
+    one = RecordedAnswers(np.ones((1, 1, 3), dtype=int), np.ones((1, 2)), ("one_hand",), np.ones(1))
+    two = RecordedAnswers(np.ones((2, 1, 3), dtype=int), np.ones((1, 2)), ("one_hand",), np.ones(2))
     with pytest.raises(ValueError, match="answers of 1, 2 participants"):
-        Recorded.joined([one, two])
+        RecordedAnswers.joined([one, two])
     with pytest.raises(InputError, match="adaptive sessions, which have no table of counts"):
         fit_answers(examine(TWO_FIELDS.with_name("threshold.yaml")).require(), tmp_path / "a.csv", Observer())
 

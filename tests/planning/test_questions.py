@@ -19,13 +19,13 @@ from modaltouch.analysis.statistics import (
 from modaltouch.planning.design import Design
 from modaltouch.planning.experiments import Job, simulate
 from modaltouch.planning.observer import Observer, Participant
-from modaltouch.planning.questions import FAMILIES, Answers, half_widths, p_values
+from modaltouch.planning.questions import FAMILIES, SimulatedAnswers, half_widths, p_values
 from modaltouch.planning.significance import holm_p
 
 UNSURE = Observer(Participant(noise=0.5, criterion=0.4, lapse_rate=0.1))
 
 
-def analysed(answers: Answers, experiment: int) -> list[Finding]:
+def analysed(answers: SimulatedAnswers, experiment: int) -> list[Finding]:
     """Return what the analysis finds in one simulated experiment."""
     left, right = answers.left[experiment], answers.right[experiment]
     counts = np.stack([left, answers.n_repetitions - left - right, right], axis=-1)

@@ -13,7 +13,7 @@ import pytest
 from modaltouch.protocol.apparatus import Apparatus, read_apparatus
 from modaltouch.rig.connection import Patience
 from modaltouch.rig.generator import Generator
-from modaltouch.rig.local_client import SameProcess
+from modaltouch.rig.local_client import LocalClient
 from modaltouch.rig.simulator import Simulator
 from modaltouch.rig.simulator.behaviour import Behaviour
 from modaltouch.rig.visa import VisaSession
@@ -47,7 +47,7 @@ class Heard:
         self.events.clear()
 
 
-class QuietGuard(SameProcess):
+class QuietGuard(LocalClient):
     """Stands at the process boundary in tests that are not about it: VISA session and pacer, in this process.
 
     It is what starts a watchdog, too: given an address, it is the one for it.

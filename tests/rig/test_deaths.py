@@ -16,7 +16,7 @@ from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.connection import Patience
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.interface import Firing, RigError, StimulusLost
-from modaltouch.rig.local_client import SameProcess
+from modaltouch.rig.local_client import LocalClient
 from modaltouch.rig.player import RELAYS_SETTLE, Repetition
 from modaltouch.rig.simulator import Simulator
 from modaltouch.rig.visa import VisaSession
@@ -117,7 +117,7 @@ def play(seed: int, simulator: Simulator, apparatus: Apparatus, clock: VirtualCl
         apparatus,
         patience=Patience(reply=0.2, copy=0.4, tries=2, pause=0.02),
         repetition=rng.choice(REPETITIONS),
-        start_guard=lambda address: SameProcess(ward, clock),
+        start_guard=lambda address: LocalClient(ward, clock),
         clock=clock,
     )
     with rig:

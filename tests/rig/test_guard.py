@@ -21,7 +21,7 @@ from modaltouch.rig.generator import Generator
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.simulator import Simulator
 from modaltouch.rig.transport import LinkError
-from modaltouch.rig.watchdog_client import Watchdog
+from modaltouch.rig.watchdog_client import WatchdogClient
 from modaltouch.rig.watchdog_process import LIMIT
 from modaltouch.stimulus.burst import Burst
 
@@ -34,17 +34,17 @@ def small_burst() -> Burst:
 
 
 @pytest.fixture
-def dogs() -> list[Watchdog]:
+def dogs() -> list[WatchdogClient]:
     """Return the list that watchdogs are entered in."""
     return []
 
 
 @pytest.fixture
-def rig(apparatus: Apparatus, single_link: Simulator, dogs: list[Watchdog]) -> Iterator[Generator]:
+def rig(apparatus: Apparatus, single_link: Simulator, dogs: list[WatchdogClient]) -> Iterator[Generator]:
     """Return a driver behind a real watchdog, loaded."""
 
-    def begin(address: str) -> Watchdog:
-        dogs.append(Watchdog(address))
+    def begin(address: str) -> WatchdogClient:
+        dogs.append(WatchdogClient(address))
         return dogs[-1]
 
     patience = Patience(reply=0.5)
@@ -80,7 +80,7 @@ def test_exchange_longer_than_the_limit_is_no_stall(rig: Generator, single_link:
 
 
 def test_watchdog_that_is_gone_stops_the_stimulus_and_is_replaced(
-    rig: Generator, single_link: Simulator, dogs: list[Watchdog]
+    rig: Generator, single_link: Simulator, dogs: list[WatchdogClient]
 ) -> None:
     """Nothing plays without one: the heartbeat raises, a new one has switched off, and the next trial can come."""
     rig.fire(0.1)
@@ -95,7 +95,7 @@ def test_watchdog_that_is_gone_stops_the_stimulus_and_is_replaced(
 
 
 def test_watchdog_that_is_stuck_is_ended_and_replaced(
-    rig: Generator, single_link: Simulator, dogs: list[Watchdog], monkeypatch: pytest.MonkeyPatch
+    rig: Generator, single_link: Simulator, dogs: list[WatchdogClient], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One that is stopped does not answer: ended after the times that it was given, and the outputs go off."""
     monkeypatch.setattr("modaltouch.rig.watchdog_client.OVERHEAD", 0.5)
@@ -109,7 +109,7 @@ def test_watchdog_that_is_stuck_is_ended_and_replaced(
 
 
 @pytest.mark.parametrize("stopped", ["session", "watchdog"])
-def test_whoever_is_held_up_it_is_known(rig: Generator, dogs: list[Watchdog], stopped: str) -> None:
+def test_whoever_is_held_up_it_is_known(rig: Generator, dogs: list[WatchdogClient], stopped: str) -> None:
     """None of its threads runs for 0.6 s, as on a machine that swaps: at least 0.5 s is told; then it counts anew."""
     rig.fire(0.1)
     if stopped == "session":
@@ -159,7 +159,7 @@ def test_level_change_through_the_watchdog_takes_at_most_two_milliseconds(rig: G
 
 
 def test_heartbeat_writes_four_times_a_lease_however_often_it_is_called(
-    rig: Generator, dogs: list[Watchdog], monkeypatch: pytest.MonkeyPatch
+    rig: Generator, dogs: list[WatchdogClient], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A letter every 45 ms at most, which a thread writes; the call itself, made every millisecond, writes nothing."""
     rig.fire(0.1)
@@ -176,7 +176,7 @@ def test_heartbeat_writes_four_times_a_lease_however_often_it_is_called(
 @pytest.mark.parametrize("clean", [True, False])
 def test_watchdog_that_is_let_go_ends_and_takes_nothing_more(single_link: Simulator, clean: bool) -> None:
     """No process stays behind; what is asked of it afterwards is told, not swallowed."""
-    dog = Watchdog(single_link.address)
+    dog = WatchdogClient(single_link.address)
     dog.open()
     dog.release(clean=clean)
     assert dog._process.wait(10) == 0
@@ -186,7 +186,7 @@ def test_watchdog_that_is_let_go_ends_and_takes_nothing_more(single_link: Simula
 
 def test_how_a_watchdog_ended_is_said(single_link: Simulator) -> None:
     """Killed in the midst of an exchange, as by a machine that runs out of memory: signal 9."""
-    dog = Watchdog(single_link.address)
+    dog = WatchdogClient(single_link.address)
     try:
         dog.open()
         single_link.faults.inject("slow_command", when="IDN", value=1.0)
@@ -207,12 +207,12 @@ def test_machine_that_starts_no_process_touches_no_generator(
 
     monkeypatch.setattr("modaltouch.rig.watchdog_client.subprocess.Popen", refuse)
     with pytest.raises(RigError, match="cannot be started .Resource temporarily.*was not touched; see whether"):
-        Watchdog(single_link.address)
+        WatchdogClient(single_link.address)
 
 
 def test_watchdog_has_a_session_of_its_own(single_link: Simulator) -> None:
     """A terminal that hangs up, or Ctrl-C in it, reaches the processes of its own session."""
-    dog = Watchdog(single_link.address)
+    dog = WatchdogClient(single_link.address)
     try:
         assert os.getsid(dog._process.pid) == os.getpgid(dog._process.pid) == dog._process.pid
     finally:
@@ -236,6 +236,6 @@ def test_watchdog_has_a_console_of_its_own_on_windows(monkeypatch: pytest.Monkey
 
     monkeypatch.setattr("modaltouch.rig.watchdog_client.subprocess.Popen", refuse)
     with pytest.raises(RigError, match="enough is known"):
-        Watchdog("TCPIP::192.0.2.1::INSTR")
+        WatchdogClient("TCPIP::192.0.2.1::INSTR")
     assert asked[0]["creationflags"] == 0x08000200
     assert "start_new_session" not in asked[0]

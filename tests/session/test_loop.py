@@ -17,9 +17,9 @@ from modaltouch.record.log import SessionLog
 from modaltouch.record.session import Session
 from modaltouch.rig.interface import Bursts, Firing, RigError, StimulusLost
 from modaltouch.session.console.experimenter import Experimenter
-from modaltouch.session.console.interface import Request, Silence
+from modaltouch.session.console.interface import NoConsole, Request
 from modaltouch.session.console.status import Status
-from modaltouch.session.loop import Sitting, conduct
+from modaltouch.session.loop import SessionRun, conduct
 from modaltouch.system.clock import VirtualClock
 from modaltouch.window.interface import Presentation, Progress, SessionStopped, TrialInterrupted
 from modaltouch.window.masking.interface import MaskingError, NoMasking
@@ -113,7 +113,7 @@ class Person:
         self.seen.append("goodbye")
 
 
-class Keys(Silence):
+class Keys(NoConsole):
     """A console whose keys are pressed by the test."""
 
     def __init__(self) -> None:
@@ -142,16 +142,16 @@ def experiment() -> Experiment:
 
 
 @pytest.fixture
-def sit(experiment: Experiment, tmp_path: Path) -> Iterator[Callable[..., Sitting]]:
+def sit(experiment: Experiment, tmp_path: Path) -> Iterator[Callable[..., SessionRun]]:
     """Give sittings whose logs are closed in the end."""
     logs: list[SessionLog] = []
 
-    def make(rule: Callable[[Trial], Answer] = right_answer, **schedule: Any) -> Sitting:
+    def make(rule: Callable[[Trial], Answer] = right_answer, **schedule: Any) -> SessionRun:
         protocol = change(experiment.protocol, **schedule)
         drawn = draw_schedule(protocol, "p01", 1)
         log = SessionLog.create(tmp_path / f"session{len(logs)}.jsonl", "start")
         logs.append(log)
-        return Sitting(
+        return SessionRun(
             protocol=protocol,
             trials=(*drawn.practice, *drawn.trials),
             total=len(drawn.trials),
@@ -174,17 +174,17 @@ def change(protocol: Protocol, **schedule: Any) -> Protocol:
     return protocol.model_copy(update={"schedule": protocol.schedule.model_copy(update=schedule)})
 
 
-def events(sitting: Sitting, name: str) -> list[dict[str, Any]]:
+def events(sitting: SessionRun, name: str) -> list[dict[str, Any]]:
     """Return the events of one kind in the log."""
     return [event for event in sitting.log.events if event["event"] == name]
 
 
-def seen(sitting: Sitting) -> list[str]:
+def seen(sitting: SessionRun) -> list[str]:
     """Return what the person saw."""
     return sitting.window.seen  # type: ignore[attr-defined,no-any-return]
 
 
-def test_every_trial_is_answered_once_in_order(sit: Callable[..., Sitting]) -> None:
+def test_every_trial_is_answered_once_in_order(sit: Callable[..., SessionRun]) -> None:
     """Expected: one practice trial and twelve that count, each fired, stopped and written down."""
     sitting = sit()
     conduct(sitting)
@@ -199,7 +199,7 @@ def test_every_trial_is_answered_once_in_order(sit: Callable[..., Sitting]) -> N
     assert seen(sitting)[-1] == "goodbye"
 
 
-def test_the_last_trial_can_be_repeated_while_the_participant_is_thanked(sit: Callable[..., Sitting]) -> None:
+def test_the_last_trial_can_be_repeated_while_the_participant_is_thanked(sit: Callable[..., SessionRun]) -> None:
     """Expected: placed anew, asked again, the first answer withdrawn, thanked again; nothing is asked for in vain."""
     sitting = sit()
     console = Keys()
@@ -222,7 +222,7 @@ def test_the_last_trial_can_be_repeated_while_the_participant_is_thanked(sit: Ca
     assert Session(sitting.log.path, tuple(sitting.log.events), ()).n_answered == 12
 
 
-def pressing(sitting: Sitting, *moments: int) -> Sitting:
+def pressing(sitting: SessionRun, *moments: int) -> SessionRun:
     """Return the sitting with `repeat` pressed while the answers of these numbers, from 1, are confirmed."""
     console, confirmed = Keys(), list[Response]()
     experimenter = Experimenter(console)
@@ -240,12 +240,12 @@ def pressing(sitting: Sitting, *moments: int) -> Sitting:
     return replace(sitting, experimenter=experimenter)
 
 
-def asked(sitting: Sitting) -> list[str]:
+def asked(sitting: SessionRun) -> list[str]:
     """Return what was asked, in order."""
     return [name for name in seen(sitting) if name.split()[0] in ("practice", "trial") and " " in name]
 
 
-def test_a_practice_trial_is_repeated_with_what_was_to_be_felt(sit: Callable[..., Sitting]) -> None:
+def test_a_practice_trial_is_repeated_with_what_was_to_be_felt(sit: Callable[..., SessionRun]) -> None:
     """Expected: asked again at once, commented again, the first answer withdrawn and kept; the round goes on."""
     sitting = pressing(sit(practice_trials=3, practice_feedback=True), 2)
     conduct(sitting)
@@ -262,7 +262,7 @@ def test_a_practice_trial_is_repeated_with_what_was_to_be_felt(sit: Callable[...
     assert session.n_answered == 12
 
 
-def test_a_round_is_judged_by_the_repeated_answer(sit: Callable[..., Sitting]) -> None:
+def test_a_round_is_judged_by_the_repeated_answer(sit: Callable[..., SessionRun]) -> None:
     """The last trial of a round, answered wrongly and repeated before the round is judged: passed by the second."""
     given: list[Trial] = []
 
@@ -300,7 +300,7 @@ def test_practice_that_is_over_is_not_repeated_and_the_console_says_so() -> None
     assert experimenter.take_repeat() is None, "a judged round stays as it was judged"
 
 
-def test_fingers_are_placed_anew_only_where_they_change(sit: Callable[..., Sitting]) -> None:
+def test_fingers_are_placed_anew_only_where_they_change(sit: Callable[..., SessionRun]) -> None:
     """Expected: a placement before a trial exactly where pair or finger condition differ from the trial before."""
     sitting = sit()
     conduct(sitting)
@@ -312,7 +312,7 @@ def test_fingers_are_placed_anew_only_where_they_change(sit: Callable[..., Sitti
     assert {"finger_left", "finger_right", "zone_left", "zone_right", "placement", "way"} <= set(first)
 
 
-def test_an_answer_is_confirmed_only_once_it_is_written(sit: Callable[..., Sitting]) -> None:
+def test_an_answer_is_confirmed_only_once_it_is_written(sit: Callable[..., SessionRun]) -> None:
     """Expected: when the window confirms, the log's last line is that answer; the stimulus is not over yet."""
     sitting = sit()
     confirm = sitting.window.confirm
@@ -333,7 +333,7 @@ def test_an_answer_is_confirmed_only_once_it_is_written(sit: Callable[..., Sitti
         assert event["bursts"]["whole"] == 8
 
 
-def test_a_cut_trial_is_offered_again(sit: Callable[..., Sitting]) -> None:
+def test_a_cut_trial_is_offered_again(sit: Callable[..., SessionRun]) -> None:
     """Expected: the same trial fired twice, the cut in the log, one answer."""
     sitting = sit()
     sitting.window.cut.append("escape")  # type: ignore[attr-defined]
@@ -343,7 +343,7 @@ def test_a_cut_trial_is_offered_again(sit: Callable[..., Sitting]) -> None:
     assert len(events(sitting, "trial")) == 13
 
 
-def test_a_stimulus_that_does_not_start_is_tried_again(sit: Callable[..., Sitting]) -> None:
+def test_a_stimulus_that_does_not_start_is_tried_again(sit: Callable[..., SessionRun]) -> None:
     """Expected: no question before it has started; three attempts, then RigError."""
     sitting = sit()
     sitting.rig.unstarted = 1  # type: ignore[attr-defined]
@@ -356,7 +356,9 @@ def test_a_stimulus_that_does_not_start_is_tried_again(sit: Callable[..., Sittin
     assert "practice 1" not in seen(sitting)
 
 
-def test_an_answer_to_an_unconfirmed_stimulus_is_kept_and_its_trial_offered_again(sit: Callable[..., Sitting]) -> None:
+def test_an_answer_to_an_unconfirmed_stimulus_is_kept_and_its_trial_offered_again(
+    sit: Callable[..., SessionRun],
+) -> None:
     """Expected: two answers to the first trial, the second in place of the first; three in a row end the session."""
     sitting = sit()
     sitting.rig.unconfirmed = 1  # type: ignore[attr-defined]
@@ -371,7 +373,7 @@ def test_an_answer_to_an_unconfirmed_stimulus_is_kept_and_its_trial_offered_agai
         conduct(sitting)
 
 
-def test_stalls_use_up_no_attempt_and_are_told_to_the_participant(sit: Callable[..., Sitting]) -> None:
+def test_stalls_use_up_no_attempt_and_are_told_to_the_participant(sit: Callable[..., SessionRun]) -> None:
     """Expected: ten stalls in a row, ten words to the participant, and the session goes on."""
     sitting = sit()
     sitting.rig.stalled = 10  # type: ignore[attr-defined]
@@ -380,7 +382,7 @@ def test_stalls_use_up_no_attempt_and_are_told_to_the_participant(sit: Callable[
     assert Session(sitting.log.path, tuple(sitting.log.events), ()).n_answered == 12
 
 
-def test_a_computer_that_is_always_held_up_is_told_of_at_last(sit: Callable[..., Sitting]) -> None:
+def test_a_computer_that_is_always_held_up_is_told_of_at_last(sit: Callable[..., SessionRun]) -> None:
     """Expected: after 30 presentations of a trial the session ends, and nothing is said against the instrument."""
     sitting = sit()
     sitting.rig.stalled = 30  # type: ignore[attr-defined]
@@ -391,7 +393,7 @@ def test_a_computer_that_is_always_held_up_is_told_of_at_last(sit: Callable[...,
     conduct(sitting)
 
 
-def test_a_stimulus_that_ends_by_itself_gets_no_answer(sit: Callable[..., Sitting]) -> None:
+def test_a_stimulus_that_ends_by_itself_gets_no_answer(sit: Callable[..., SessionRun]) -> None:
     """The link is lost while the participant feels: the trial is cut, in the record, and offered again."""
     sitting = sit()
     sitting.window.cut.append(StimulusLost("the bursts ended"))  # type: ignore[attr-defined]
@@ -401,7 +403,7 @@ def test_a_stimulus_that_ends_by_itself_gets_no_answer(sit: Callable[..., Sittin
     assert len(events(sitting, "trial")) == 13
 
 
-def test_an_instrument_that_dies_in_a_stimulus_confirms_nothing(sit: Callable[..., Sitting]) -> None:
+def test_an_instrument_that_dies_in_a_stimulus_confirms_nothing(sit: Callable[..., SessionRun]) -> None:
     """The outputs cannot be switched off at the end: the answer is on the disk, unconfirmed, and the session ends."""
     sitting = sit()
     sitting.rig.breaks = True  # type: ignore[attr-defined]
@@ -412,7 +414,7 @@ def test_an_instrument_that_dies_in_a_stimulus_confirms_nothing(sit: Callable[..
     assert trial["confirmed"]["reason"] == "the link broke"
 
 
-def test_an_emergency_stop_cuts_the_burst_and_is_recorded_as_cut(sit: Callable[..., Sitting]) -> None:
+def test_an_emergency_stop_cuts_the_burst_and_is_recorded_as_cut(sit: Callable[..., SessionRun]) -> None:
     """Expected: outputs off at once, not after the burst, and a line that says what was played until then."""
     sitting = sit()
     sitting.window.cut.append(SessionStopped("emergency stop"))  # type: ignore[attr-defined]
@@ -426,7 +428,7 @@ def test_an_emergency_stop_cuts_the_burst_and_is_recorded_as_cut(sit: Callable[.
 
 @pytest.mark.parametrize(("rule", "passed"), [(right_answer, True), (wrong_answer, False)])
 def test_practice_is_judged_by_its_criterion(
-    sit: Callable[..., Sitting],
+    sit: Callable[..., SessionRun],
     rule: Callable[[Trial], Answer],
     passed: bool,
 ) -> None:
@@ -441,7 +443,7 @@ def test_practice_is_judged_by_its_criterion(
     assert sum(not event["trial"]["practice"] for event in events(sitting, "trial")) == 12
 
 
-def test_failed_practice_ends_the_session_where_the_protocol_says_so(sit: Callable[..., Sitting]) -> None:
+def test_failed_practice_ends_the_session_where_the_protocol_says_so(sit: Callable[..., SessionRun]) -> None:
     """Expected: thanks, then SessionStopped; no trial that counts, and the same again on resumption."""
     sitting = sit(wrong_answer, practice_trials=2, practice_criterion=1.0, after_failed_practice="stop")
     with pytest.raises(SessionStopped, match="practice not passed"):
@@ -453,7 +455,7 @@ def test_failed_practice_ends_the_session_where_the_protocol_says_so(sit: Callab
         conduct(resumed)
 
 
-def test_a_round_answered_before_a_kill_is_judged_after_it(sit: Callable[..., Sitting]) -> None:
+def test_a_round_answered_before_a_kill_is_judged_after_it(sit: Callable[..., SessionRun]) -> None:
     """Expected: killed between the last practice answer and its verdict, the session gives the verdict first."""
     sitting = sit(practice_trials=2, practice_criterion=1.0, practice_rounds=3)
     conduct(sitting)
@@ -466,7 +468,7 @@ def test_a_round_answered_before_a_kill_is_judged_after_it(sit: Callable[..., Si
     assert not any(name.startswith("practice") for name in seen(killed))
 
 
-def test_feedback_follows_practice_trials_alone(sit: Callable[..., Sitting]) -> None:
+def test_feedback_follows_practice_trials_alone(sit: Callable[..., SessionRun]) -> None:
     """Expected: after each of three practice trials what was predicted, and never after a trial that counts."""
     sitting = sit(wrong_answer, practice_trials=3, practice_feedback=True)
     conduct(sitting)
@@ -476,7 +478,7 @@ def test_feedback_follows_practice_trials_alone(sit: Callable[..., Sitting]) -> 
     assert seen(sitting).index("start") > max(seen(sitting).index(name) for name in given)
 
 
-def test_breaks_come_by_count(sit: Callable[..., Sitting]) -> None:
+def test_breaks_come_by_count(sit: Callable[..., SessionRun]) -> None:
     """Expected: after every four of twelve trials, none before the first nor after the last."""
     sitting = sit(break_after_trials=4)
     conduct(sitting)
@@ -484,7 +486,7 @@ def test_breaks_come_by_count(sit: Callable[..., Sitting]) -> None:
     assert [place for place, name in enumerate(names) if name == "rest"] == [4, 9]
 
 
-def test_breaks_come_by_time(sit: Callable[..., Sitting]) -> None:
+def test_breaks_come_by_time(sit: Callable[..., SessionRun]) -> None:
     """Expected: at the first trial after five minutes, where each answer takes 70 s: after every fifth of twelve."""
     clock = VirtualClock()
 
@@ -498,14 +500,14 @@ def test_breaks_come_by_time(sit: Callable[..., Sitting]) -> None:
     assert [place for place, name in enumerate(names) if name == "rest"] == [5, 11]
 
 
-def test_no_breaks_where_none_are_asked_for(sit: Callable[..., Sitting]) -> None:
+def test_no_breaks_where_none_are_asked_for(sit: Callable[..., SessionRun]) -> None:
     """Expected: null for both kinds of break means none."""
     sitting = sit(break_after_trials=None, break_after_min=None)
     conduct(sitting)
     assert "rest" not in seen(sitting)
 
 
-def test_a_catch_trial_is_asked_like_any_other_and_drives_nothing(sit: Callable[..., Sitting]) -> None:
+def test_a_catch_trial_is_asked_like_any_other_and_drives_nothing(sit: Callable[..., SessionRun]) -> None:
     """Expected: fired silently at the lowest level, 80 mm/s; the same screens; marked in the record, speeds 0."""
     sitting = sit(lambda trial: "none" if trial.condition.is_catch else right_answer(trial), catch_trials=2)
     conduct(sitting)
@@ -540,7 +542,7 @@ class FragileNoise(NoMasking):
         return bool(self.n_ensured < 3)  # type: ignore[attr-defined]
 
 
-def test_each_trial_says_whether_it_was_masked(sit: Callable[..., Sitting]) -> None:
+def test_each_trial_says_whether_it_was_masked(sit: Callable[..., SessionRun]) -> None:
     """Expected: two masked trials, then none, where the protocol does not demand the noise; all are answered."""
     sitting = replace(sit(), masking=FragileNoise(required=False))
     conduct(sitting)
@@ -548,7 +550,7 @@ def test_each_trial_says_whether_it_was_masked(sit: Callable[..., Sitting]) -> N
     assert masked == [True, True, *([False] * 11)]
 
 
-def test_a_lost_noise_that_is_demanded_ends_the_session_before_the_next_trial(sit: Callable[..., Sitting]) -> None:
+def test_a_lost_noise_that_is_demanded_ends_the_session_before_the_next_trial(sit: Callable[..., SessionRun]) -> None:
     """Expected: the third answer is kept as not masked, and nothing is fired after it."""
     sitting = replace(sit(), masking=FragileNoise(required=True))
     with pytest.raises(MaskingError, match="no sound device"):
@@ -557,7 +559,7 @@ def test_a_lost_noise_that_is_demanded_ends_the_session_before_the_next_trial(si
     assert sum(told.startswith("fire") for told in sitting.rig.told) == 3  # type: ignore[attr-defined]
 
 
-def test_a_protocol_without_masking_says_nothing_of_it(sit: Callable[..., Sitting]) -> None:
+def test_a_protocol_without_masking_says_nothing_of_it(sit: Callable[..., SessionRun]) -> None:
     """Expected: no such key in any trial."""
     sitting = sit()
     conduct(sitting)

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from modaltouch.stimulus.design import Amplifier, ModalModel, Stimulus, Timing, Wish, design_stimulus
+from modaltouch.stimulus.design import Amplifier, ModalModel, Stimulus, TargetField, Timing, design_stimulus
 
 TABLE_I = (
     # label, Hz, damping ratio, mm/s^2 per V, channel
@@ -63,14 +63,14 @@ def design() -> Callable[..., Stimulus]:
     def design_shipped(
         model: ModalModel | None = None,
         *,
-        wish: Wish | None = None,
+        wish: TargetField | None = None,
         timing: Timing | None = None,
         amplifier: Amplifier | None = None,
         **options: object,
     ) -> Stimulus:
         return design_stimulus(
             shipped_model() if model is None else model,
-            Wish() if wish is None else wish,
+            TargetField() if wish is None else wish,
             Timing() if timing is None else timing,
             Amplifier(gain=25.0, limit=250.0) if amplifier is None else amplifier,
             **{"levels": LEVELS if wish is None else None, **options},

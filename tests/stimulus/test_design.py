@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modaltouch.stimulus.design import Amplifier, ModalModel, Timing, Wish, design_stimulus
+from modaltouch.stimulus.design import Amplifier, ModalModel, TargetField, Timing, design_stimulus
 
 
 def test_shipped_field_selects_the_modes_of_the_paper(shipped):
@@ -160,17 +160,17 @@ def test_impossible_timings_are_refused(change, message):
 def test_impossible_wishes_are_refused(change, message):
     """Issue 3, bad input."""
     with pytest.raises(ValueError, match=message):
-        Wish(**change)
+        TargetField(**change)
 
 
 @pytest.mark.parametrize(
     ("wish", "message"),
     [
-        (Wish(selection=(1, 4)), r"mode 4 is selected but not modelled; modelled are 1, 3, 5"),
-        (Wish(selection=10), r"10 modes are to be selected, but 9 are modelled"),
-        (Wish(centre=0.06), r"centred at 60 mm, off the beam, which spans -50 to 50 mm"),
-        (Wish(n_decomposed=10), r"mode 11 is modelled, but the field is decomposed on 10 modes only"),
-        (Wish(centre=0.02, base=1e-12), r"projects to .* which is nothing"),
+        (TargetField(selection=(1, 4)), r"mode 4 is selected but not modelled; modelled are 1, 3, 5"),
+        (TargetField(selection=10), r"10 modes are to be selected, but 9 are modelled"),
+        (TargetField(centre=0.06), r"centred at 60 mm, off the beam, which spans -50 to 50 mm"),
+        (TargetField(n_decomposed=10), r"mode 11 is modelled, but the field is decomposed on 10 modes only"),
+        (TargetField(centre=0.02, base=1e-12), r"projects to .* which is nothing"),
     ],
 )
 def test_wishes_beyond_the_model_are_refused(model, wish, message):

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from modaltouch.stimulus.design import Amplifier, ModalModel, Timing, Wish, design_stimulus
+from modaltouch.stimulus.design import Amplifier, ModalModel, TargetField, Timing, design_stimulus
 from modaltouch.stimulus.drive import FALL, RISE, exact_drive, steering
 from modaltouch.stimulus.dynamics import modal_system
 from modaltouch.stimulus.vibration import modal_history
@@ -145,12 +145,12 @@ def test_energy_balance_holds(shipped):
 def test_peak_voltage_and_energy_trade_as_derived(design, shipped):
     """physics.md section 4: 184 V for the triangle with the taper."""
     assert shipped.peak_voltage.max() == pytest.approx(184, abs=1)
-    assert design(wish=Wish(shape="half_cosine", base=0.04)).peak_voltage.max() == pytest.approx(167, abs=2)
+    assert design(wish=TargetField(shape="half_cosine", base=0.04)).peak_voltage.max() == pytest.approx(167, abs=2)
 
 
 def test_scaling_the_wish_by_two_scales_every_voltage_exactly(design):
     """Linear in the level; a power of two changes no rounding."""
-    one, two = design(wish=Wish(velocity=0.125)), design(wish=Wish(velocity=0.25))
+    one, two = design(wish=TargetField(velocity=0.125)), design(wish=TargetField(velocity=0.25))
     assert (two.voltage == 2 * one.voltage).all()
 
 
@@ -227,7 +227,7 @@ def test_paper_law_is_equation_7_with_the_errata(shipped_paper):
 def test_amplifier_pole_is_counted_in(design):
     """Integrating pole and modes step by step (matrix exponential) gives the wished states."""
     amplifier = Amplifier(gain=25.0, limit=250.0, bandwidth=20e3)
-    stimulus = design(timing=Timing(n_samples=12_500), amplifier=amplifier, wish=Wish(selection=(1, 3)))
+    stimulus = design(timing=Timing(n_samples=12_500), amplifier=amplifier, wish=TargetField(selection=(1, 3)))
     model, hold = stimulus.model, stimulus.timing.hold
     for k in (0, 1, 5):
         w, a = model.angular_frequency[k], model.damping_ratio[k] * model.angular_frequency[k]
@@ -255,7 +255,7 @@ def test_focus_on_the_last_sample_cannot_be_braked(design):
 
 def test_unknown_law_and_release_are_refused(model):
     """Two of each are on offer."""
-    arguments = (model, Wish(), Timing(), Amplifier(gain=25.0, limit=250.0))
+    arguments = (model, TargetField(), Timing(), Amplifier(gain=25.0, limit=250.0))
     with pytest.raises(ValueError, match=r"drive law 'best' is unknown; allowed: exact, paper"):
         design_stimulus(*arguments, law="best")
     with pytest.raises(ValueError, match=r"release 'slow' is unknown; allowed: braked, free"):

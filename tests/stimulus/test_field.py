@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modaltouch.stimulus.design import Amplifier, ModalModel, Timing, Wish, design_stimulus
+from modaltouch.stimulus.design import Amplifier, ModalModel, TargetField, Timing, design_stimulus
 from modaltouch.stimulus.field import Projection, quadrature
 from modaltouch.stimulus.modes import mode_shapes
 
@@ -24,7 +24,7 @@ def full_model():
 @given(base=st.floats(0.008, 0.09), centre=st.floats(-0.045, 0.045))
 def test_coefficients_match_a_fine_sum(shape, base, centre, full_model):
     """Mean of field times shape by the midpoint rule on 20,001 points, for any width and place."""
-    wish = Wish(shape=shape, base=base, centre=centre, selection=40)
+    wish = TargetField(shape=shape, base=base, centre=centre, selection=40)
     place = (np.arange(20_001) + 0.5) / 20_001 * 0.1 - 0.05
     labels = [1, 2, 3, 6, 17, 40]
     summed = mode_shapes(labels, place, 0.1) @ wish.profile(place) / place.size
@@ -35,7 +35,7 @@ def test_coefficients_match_a_fine_sum(shape, base, centre, full_model):
 @pytest.mark.parametrize("shape", SHAPES)
 def test_many_modes_recover_the_wish(full_model, shape):
     """The modes are complete: with forty of them the field follows the wish, box edges apart."""
-    projection = Projection(full_model, Wish(shape=shape, centre=0.01, selection=40))
+    projection = Projection(full_model, TargetField(shape=shape, centre=0.01, selection=40))
     assert projection.reconstruction_error < (0.2 if shape == "box" else 0.03)
     assert projection.field([0.01])[0] == pytest.approx(0.2, rel=1e-12)
 
@@ -43,13 +43,13 @@ def test_many_modes_recover_the_wish(full_model, shape):
 def test_widths_at_half_height_agree_among_the_shapes():
     """A triangle and a raised cosine are as wide as half their base at half height."""
     for shape in ("triangle", "raised_cosine"):
-        assert Wish(shape=shape, base=0.04).profile([0.01, -0.01]) == pytest.approx(0.5, abs=1e-12)
+        assert TargetField(shape=shape, base=0.04).profile([0.01, -0.01]) == pytest.approx(0.5, abs=1e-12)
 
 
 @pytest.mark.parametrize("level", [0.1, 0.2])
 def test_the_reconstruction_error_is_that_of_a_fine_sum(model, level):
     """Root mean square of wish less field over that of the wish, on 20,001 points; the level cancels."""
-    projection = Projection(model, Wish(velocity=level))
+    projection = Projection(model, TargetField(velocity=level))
     place = (np.arange(20_001) + 0.5) / 20_001 * 0.1 - 0.05
     wished = level * projection.wish.profile(place)
     missed = wished - projection.field(place)
@@ -58,7 +58,7 @@ def test_the_reconstruction_error_is_that_of_a_fine_sum(model, level):
 
 def test_a_width_is_where_the_field_has_fallen_to_the_fraction(model):
     """Between the two places nearest the centre; refused at the centre's own value and at none."""
-    projection = Projection(model, Wish())
+    projection = Projection(model, TargetField())
     place = np.linspace(-0.05, 0.05, 100_001)
     for fraction in (0.3, 0.5, 0.9):
         above = projection.field(place) >= fraction * 0.2
@@ -72,7 +72,7 @@ def test_a_width_is_where_the_field_has_fallen_to_the_fraction(model):
 
 def test_the_shipped_wish_is_the_papers():
     """Section III: a triangle of 56 mm at mid-beam, fifty modes, the six strongest."""
-    wish = Wish()
+    wish = TargetField()
     assert (wish.shape, wish.base, wish.centre, wish.n_decomposed, wish.selection) == ("triangle", 0.056, 0.0, 50, 6)
 
 
@@ -80,12 +80,12 @@ def test_the_shipped_wish_is_the_papers():
 def test_points_that_are_no_lines_are_refused(points):
     """Two points at least, each with its velocity."""
     with pytest.raises(ValueError, match=f"has {len(points)} points; give at least 2, each with a velocity"):
-        Wish("sampled", points=points)
+        TargetField("sampled", points=points)
 
 
 def test_symmetric_wiring_mirrors_the_field_and_says_so(model):
     """With odd labels alone a focus at 20 mm appears at -20 mm too; the even modes it lacks are named."""
-    projection = Projection(model, Wish(centre=0.02))
+    projection = Projection(model, TargetField(centre=0.02))
     left, right = projection.field([-0.02, 0.02])
     assert left == pytest.approx(right, rel=1e-12)
     assert right == pytest.approx(0.2)
@@ -98,7 +98,7 @@ def test_symmetric_wiring_mirrors_the_field_and_says_so(model):
 
 def test_two_zones_at_once_are_reached_by_symmetric_wiring(model):
     """B and D together are a symmetric field: both reach the level, and every state is met."""
-    wish = Wish(base=0.03, centre=-0.02, further_centres=(0.02,), selection=7)
+    wish = TargetField(base=0.03, centre=-0.02, further_centres=(0.02,), selection=7)
     stimulus = design_stimulus(model, wish, Timing(n_samples=25_000), Amplifier(gain=25.0, limit=1e3))
     assert stimulus.velocity_at_focus([-0.02, 0.02], 0.2) == pytest.approx(0.2, rel=1e-4)
     assert stimulus.worst_modal_error(0.2) < 1e-6
@@ -107,14 +107,14 @@ def test_two_zones_at_once_are_reached_by_symmetric_wiring(model):
 
 def test_overlapping_shapes_do_not_add_up():
     """Where two wished shapes overlap the higher counts."""
-    wish = Wish(base=0.06, centre=-0.01, further_centres=(0.01,))
+    wish = TargetField(base=0.06, centre=-0.01, further_centres=(0.01,))
     assert wish.profile([-0.01, 0.0, 0.01]) == pytest.approx([1, 2 / 3, 1])
 
 
 def test_sampled_wish_of_three_points_is_the_triangle(model):
     """A triangle given as three points, in any unit, is the triangle."""
-    sampled = Wish("sampled", points=((-0.028, 0.0), (0.0, 350.0), (0.028, 0.0)))
-    expected = Projection(model, Wish())
+    sampled = TargetField("sampled", points=((-0.028, 0.0), (0.0, 350.0), (0.028, 0.0)))
+    expected = Projection(model, TargetField())
     assert Projection(model, sampled).target == pytest.approx(expected.target, abs=1e-15)
     assert Projection(model, sampled).selected == (1, 3, 5, 7, 11, 13)
 
@@ -131,24 +131,24 @@ def test_sampled_wish_of_three_points_is_the_triangle(model):
 def test_points_that_make_no_field_are_refused(points, message):
     """NaN, a single point, doubles and a centre that stands still."""
     with pytest.raises(ValueError, match=message):
-        Wish("sampled", points=points)
+        TargetField("sampled", points=points)
 
 
 def test_width_is_asked_between_nothing_and_the_peak(model):
     """A width at 0 or 100 % means nothing."""
     with pytest.raises(ValueError, match=r"a width is asked at 1\.0 of the centre"):
-        Projection(model, Wish()).width(1.0)
+        Projection(model, TargetField()).width(1.0)
 
 
 def test_field_wider_than_the_beam_is_as_wide_as_the_beam(model):
     """Rigid translation alone nowhere falls to half: the width ends at the beam's ends."""
-    assert Projection(model, Wish(selection=(1,))).width(0.5) == pytest.approx(0.1)
+    assert Projection(model, TargetField(selection=(1,))).width(0.5) == pytest.approx(0.1)
 
 
 @pytest.mark.parametrize("base", [0.02, 0.056])
 def test_the_base_of_a_gaussian_is_its_full_width_at_half_maximum(base):
     """Closed form exp(-4 ln 2 (x / FWHM)^2), as the protocol's schema describes base_mm."""
-    wish = Wish(shape="gaussian", base=base, centre=0.01)
+    wish = TargetField(shape="gaussian", base=base, centre=0.01)
     position = np.linspace(-0.05, 0.05, 101)
     expected = np.exp(-4 * np.log(2) * ((position - 0.01) / base) ** 2)
     np.testing.assert_allclose(wish.profile(position), expected, rtol=1e-12)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modaltouch.stimulus.design import Amplifier, Timing, Wish, design_stimulus
+from modaltouch.stimulus.design import Amplifier, TargetField, Timing, design_stimulus
 from modaltouch.stimulus.field import Projection
 from modaltouch.stimulus.measured import MeasuredShapes
 from modaltouch.stimulus.modes import mode_shapes
@@ -59,9 +59,9 @@ def test_condition_number_is_reported_and_noise_grows_by_it_at_most():
 def test_model_with_measured_shapes_designs_as_theory_does(model):
     """On a fine scan of theoretical shapes the measured basis gives the theoretical stimulus."""
     measured = replace(model, theory="measured", basis=scan(401))
-    assert Projection(measured, Wish()).selected == (1, 3, 5, 7, 11, 13)
-    stimulus = design_stimulus(measured, Wish(), Timing(n_samples=25_000), Amplifier(gain=25.0, limit=250.0))
-    assert stimulus.target == pytest.approx(Projection(model, Wish()).target, abs=3e-3)
+    assert Projection(measured, TargetField()).selected == (1, 3, 5, 7, 11, 13)
+    stimulus = design_stimulus(measured, TargetField(), Timing(n_samples=25_000), Amplifier(gain=25.0, limit=250.0))
+    assert stimulus.target == pytest.approx(Projection(model, TargetField()).target, abs=3e-3)
     assert stimulus.velocity_at_focus([0.0], 0.2)[0] == pytest.approx(0.2, rel=1e-5)
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modaltouch.stimulus.design import Amplifier, Timing, Wish
+from modaltouch.stimulus.design import Amplifier, TargetField, Timing
 from modaltouch.stimulus.rounding import _changes, _Walk
 from modaltouch.stimulus.vibration import states_by_channel
 
@@ -49,8 +49,8 @@ def test_settled_codes_differ_by_one_at_most(plain, shipped):
         {"timing": Timing(n_samples=16_384)},
         {"timing": Timing(focusing_instant=0.0123456)},
         {"amplifier": Amplifier(gain=25.0, limit=250.0, bandwidth=30e3, delay=7e-6)},
-        {"wish": Wish(centre=0.02)},
-        {"wish": Wish(shape="box", base=0.027)},
+        {"wish": TargetField(centre=0.02)},
+        {"wish": TargetField(shape="box", base=0.027)},
     ],
     ids=str,
 )

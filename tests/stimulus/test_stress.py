@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modaltouch.stimulus.design import Amplifier, ModalModel, Timing, Wish, design_stimulus
+from modaltouch.stimulus.design import Amplifier, ModalModel, TargetField, Timing, design_stimulus
 from modaltouch.stimulus.dynamics import modal_system
 from modaltouch.stimulus.vibration import modal_history, states_by_channel
 
@@ -91,7 +91,11 @@ def test_nearly_repeated_modes_are_met_within_their_condition(apart, ratio):
     gain = np.array([[5.0, 1.0], [1.0, 5.0]])
     model = ModalModel((1, 3), [4000.0, 4000.0 * (1 + apart)], [ratio, ratio], gain, 0.1)
     stimulus = design_stimulus(
-        model, Wish(selection=(1, 3)), Timing(n_samples=12_500), Amplifier(gain=25.0, limit=1e9), rounding="plain"
+        model,
+        TargetField(selection=(1, 3)),
+        Timing(n_samples=12_500),
+        Amplifier(gain=25.0, limit=1e9),
+        rounding="plain",
     )
     assert stimulus.condition_number < 1e6
     assert stimulus.drive.residual <= 10 * np.finfo(float).eps * stimulus.condition_number * 0.2
@@ -134,7 +138,7 @@ def test_no_number_that_is_none_gets_into_the_engine(model, part, name, bad):
     """NaN or infinite, anywhere: a ValueError that shows the value, and nothing is computed."""
     parts = {
         "model": model,
-        "wish": Wish(),
+        "wish": TargetField(),
         "timing": Timing(n_samples=12_500),
         "amplifier": Amplifier(gain=25.0, limit=250.0),
     }
@@ -178,7 +182,7 @@ def test_whatever_is_asked_is_finite_or_a_clear_error(data, law, release):
         timing = Timing(
             data.draw(st.sampled_from([2, 20, 1000])), **{k: data.draw(mostly(v)) for k, v in times.items()}
         )
-        wish = Wish(selection=2, **{k: data.draw(mostly(v)) for k, v in wished.items()})
+        wish = TargetField(selection=2, **{k: data.draw(mostly(v)) for k, v in wished.items()})
         amplifier = Amplifier(**{k: data.draw(mostly(v)) for k, v in behind.items()})
         stimulus = design_stimulus(model, wish, timing, amplifier, law=law, release=release)
         level = wish.velocity
@@ -201,13 +205,13 @@ def test_a_gain_lost_in_rounding_is_named():
         ModalModel((1, 3), [229.0, 2553.0], [0.02, 0.02], [[0.1], [1e-40]], 0.1)
     model = ModalModel((1, 3), [1e-20, 2553.0], [0.02, 0.02], [[0.1], [0.1]], 0.1)
     with pytest.raises(ValueError, match=r"mode 1 has .* on the diagonal of the Gramian, which must be above 0"):
-        _ = design_stimulus(model, Wish(selection=2), Timing(1000), Amplifier(gain=25.0, limit=250.0)).voltage
+        _ = design_stimulus(model, TargetField(selection=2), Timing(1000), Amplifier(gain=25.0, limit=250.0)).voltage
 
 
 @pytest.mark.parametrize("factor", [0.5, 2.0, 1024.0])
 def test_scaling_a_field_by_two_scales_every_state_exactly(design, factor):
     """Powers of two pass through every product and sum without rounding."""
     one = design(timing=Timing(n_samples=12_500))
-    other = design(timing=Timing(n_samples=12_500), wish=Wish(velocity=0.2 * factor))
+    other = design(timing=Timing(n_samples=12_500), wish=TargetField(velocity=0.2 * factor))
     assert (other.voltage == factor * one.voltage).all()
     assert other.condition_number == one.condition_number

@@ -9,7 +9,7 @@ from numpy.polynomial import chebyshev
 from scipy.linalg import eig
 from scipy.optimize import brentq
 
-from modaltouch.stimulus.design import Amplifier, Timing, Wish, design_stimulus
+from modaltouch.stimulus.design import Amplifier, TargetField, Timing, design_stimulus
 from modaltouch.stimulus.field import Projection
 from modaltouch.stimulus.shapes import characteristic_root, mode_shapes
 from modaltouch.stimulus.timoshenko import TimoshenkoBeam
@@ -161,9 +161,9 @@ def test_impossible_beams_are_refused():
 def test_model_takes_timoshenko_shapes(model):
     """On the slender shipped beam the design hardly moves, but it moves; every state is met."""
     bent = replace(model, theory="timoshenko", beam=SHIPPED)
-    stimulus = design_stimulus(bent, Wish(), Timing(n_samples=25_000), Amplifier(gain=25.0, limit=250.0))
+    stimulus = design_stimulus(bent, TargetField(), Timing(n_samples=25_000), Amplifier(gain=25.0, limit=250.0))
     assert stimulus.selected == (1, 3, 5, 7, 11, 13)
-    change = np.abs(stimulus.target - Projection(model, Wish()).target).max()
+    change = np.abs(stimulus.target - Projection(model, TargetField()).target).max()
     assert 1e-5 < change < 5e-3
     assert stimulus.worst_modal_error(0.2) < 1e-6
     assert stimulus.velocity_at_focus([0.0], 0.2)[0] == pytest.approx(0.2, rel=1e-5)

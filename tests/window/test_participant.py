@@ -11,7 +11,7 @@ import pytest
 
 from modaltouch.planning.observer import Participant
 from modaltouch.protocol.trial import Condition, Response, Trial
-from modaltouch.window.display_loop import Nobody, Stage
+from modaltouch.window.display_loop import DisplayLoop, Nobody
 from modaltouch.window.events import Event
 from modaltouch.window.interface import Progress, SessionStopped, TrialInterrupted, TypedAnswer, WindowError, Wish
 from modaltouch.window.robot import Robot
@@ -602,7 +602,7 @@ def test_a_covered_window_is_drawn_again_at_most_four_times_a_second(paper_room:
 
     display.flip = flip
     uncover = lambda: display.events.append(Event(room.clock.now(), "expose"))  # noqa: E731
-    stage = Stage(
+    stage = DisplayLoop(
         display, tick=uncover, log=lambda event, **facts: None, screenshots=None, sitter=Nobody(), clock=room.clock
     )
     began = stage.show(Picture("any", ()))

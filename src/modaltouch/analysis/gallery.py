@@ -22,7 +22,7 @@ INTERVALS = "Error bars: exact 95 % intervals (Clopper-Pearson) over participant
 
 
 @dataclass(frozen=True, eq=False)
-class Picture:
+class ReportFigure:
     """A figure for the report.
 
     Attributes
@@ -46,11 +46,11 @@ class Picture:
     finger_condition: str = ""
 
 
-def draw_all(answers: AnswerCounts, responses: Responses) -> tuple[Picture, ...]:
+def draw_all(answers: AnswerCounts, responses: Responses) -> tuple[ReportFigure, ...]:
     """Return every figure that the answers allow."""
     pictures = list(_bars(answers))
     pictures.append(
-        Picture(
+        ReportFigure(
             "overview",
             "answers",
             draw_overview(answers),
@@ -59,7 +59,7 @@ def draw_all(answers: AnswerCounts, responses: Responses) -> tuple[Picture, ...]
         )
     )
     pictures.append(
-        Picture("participants", "answers", draw_participants(answers), "Every participant's answer in every cell.")
+        ReportFigure("participants", "answers", draw_participants(answers), "Every participant's answer in every cell.")
     )
     frame = responses.frame
     further = (
@@ -81,8 +81,10 @@ def draw_all(answers: AnswerCounts, responses: Responses) -> tuple[Picture, ...]
         from modaltouch.analysis.fields import draw_fields
 
         fields = draw_fields(responses.start, responses.stimulus)
-        pictures += [Picture("fields", "stimulus", fields, FIELDS)] if fields is not None else []
-    pictures += [Picture(name, "further", figure, caption) for name, figure, caption in further if figure is not None]
+        pictures += [ReportFigure("fields", "stimulus", fields, FIELDS)] if fields is not None else []
+    pictures += [
+        ReportFigure(name, "further", figure, caption) for name, figure, caption in further if figure is not None
+    ]
     return tuple(pictures)
 
 
@@ -98,7 +100,7 @@ def _known(frame: pd.DataFrame) -> str:
     return f" They are known to {known * 1e3:.2g} ms (95 % of them)." if known else ""
 
 
-def _bars(answers: AnswerCounts) -> list[Picture]:
+def _bars(answers: AnswerCounts) -> list[ReportFigure]:
     counts = tabulate(answers)
     pictures = []
     for condition, name in figure_names(answers.finger_conditions).items():
@@ -108,5 +110,5 @@ def _bars(answers: AnswerCounts) -> list[Picture]:
         number = {"fig_10": "Fig. 10. ", "fig_11": "Fig. 11. "}.get(name, "")
         several = f", {answers.n_repetitions} answers each" if answers.n_repetitions > 1 else ""
         caption = f"{number}Answers under {condition}, {n} participant{'s' * (n != 1)}{several}. {INTERVALS}"
-        pictures.append(Picture(name, "answers", figure, caption, condition))
+        pictures.append(ReportFigure(name, "answers", figure, caption, condition))
     return pictures

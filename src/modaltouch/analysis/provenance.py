@@ -29,7 +29,7 @@ RIG_TROUBLES = frozenset(
 
 
 @dataclass(frozen=True)
-class Presented:
+class ConfirmedLevel:
     """One level of one finger condition, as planned and as the instrument confirmed it."""
 
     finger_condition: str
@@ -48,7 +48,7 @@ class RecordFacts:
     ----------
     sessions : tuple of dict
         One for each session: participant, session, day, number of answers, number of events that need a look.
-    presented : tuple of Presented
+    presented : tuple of ConfirmedLevel
         Planned against confirmed, level by level.
     faults : tuple of (str, int, str)
         Kind, number, and in which sessions.
@@ -57,7 +57,7 @@ class RecordFacts:
     """
 
     sessions: tuple[dict[str, Any], ...]
-    presented: tuple[Presented, ...]
+    presented: tuple[ConfirmedLevel, ...]
     faults: tuple[tuple[str, int, str], ...]
     settings: dict[str, str]
 
@@ -198,14 +198,14 @@ def _widen(ranges: Ranges, others: Ranges) -> Ranges:
     return [(min(a, c), max(b, d)) for (a, b), (c, d) in zip(ranges, others, strict=True)]
 
 
-def _presented(sessions: Sequence[SessionFacts]) -> Iterator[Presented]:
+def _presented(sessions: Sequence[SessionFacts]) -> Iterator[ConfirmedLevel]:
     together: dict[tuple[str, float], LevelFacts] = {}
     for session in sessions:
         for key, level in session.levels.items():
             together.setdefault(key, LevelFacts()).add(level)
     for (finger_condition, planned), level in sorted(together.items(), key=lambda item: item[0]):
         sent, read = _in_words(level.commanded), _in_words(level.confirmed)
-        yield Presented(finger_condition, f"{planned:g}", level.n_trials, level.n_confirmed, sent, read)
+        yield ConfirmedLevel(finger_condition, f"{planned:g}", level.n_trials, level.n_confirmed, sent, read)
 
 
 def _in_words(ranges: Ranges) -> str:

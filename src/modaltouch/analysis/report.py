@@ -13,7 +13,7 @@ import pandas as pd
 from modaltouch.analysis.catches import catch_rows
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.findings import ALPHA, Finding
-from modaltouch.analysis.gallery import Picture
+from modaltouch.analysis.gallery import ReportFigure
 from modaltouch.analysis.outcome import Analysis
 from modaltouch.analysis.scale import OWN_THRESHOLD
 from modaltouch.analysis.tables import tabulate, zone_table
@@ -240,7 +240,7 @@ def _join(words: Sequence[str]) -> str:
 TEMPLATE = "report.html.j2"
 
 
-def render_report(analysis: Analysis, pictures: Sequence[Picture], vectors: Mapping[str, bytes]) -> str:
+def render_report(analysis: Analysis, pictures: Sequence[ReportFigure], vectors: Mapping[str, bytes]) -> str:
     """Return the report as HTML."""
     from modaltouch.analysis.provenance import describe_record
 
@@ -327,7 +327,7 @@ def _title(analysis: Analysis) -> str:
     return f"Analysis: {name}{chosen}" if name else "Analysis of answers"
 
 
-def _embed(picture: Picture, svg: bytes) -> dict[str, Any]:
+def _embed(picture: ReportFigure, svg: bytes) -> dict[str, Any]:
     return {
         "name": picture.name,
         "section": picture.section,

@@ -36,7 +36,7 @@ def keys_of(columns: Container[str]) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class ExcludedSource:
     """Something that was found but not analysed.
 
     Attributes
@@ -52,7 +52,7 @@ class LeftOut:
 
 
 @dataclass(frozen=True)
-class Source:
+class AnswerSource:
     """Where the answers come from.
 
     Attributes
@@ -83,9 +83,9 @@ class Responses:
         Tidy table; ``response`` is categorical over all answers that could be given, ``n`` counts equal answers.
     sessions : tuple of SessionFacts
         What the log of each recorded session tells beside its answers; empty for a CSV.
-    left_out : tuple of LeftOut
+    left_out : tuple of ExcludedSource
         What was found but not used, and why.
-    source : Source
+    source : AnswerSource
         Where the answers come from.
     focus : str
         Zone at which the vibration was focused, if known.
@@ -101,8 +101,8 @@ class Responses:
 
     frame: pd.DataFrame
     sessions: tuple[SessionFacts, ...]
-    left_out: tuple[LeftOut, ...]
-    source: Source
+    left_out: tuple[ExcludedSource, ...]
+    source: AnswerSource
     focus: str = ""
     start: dict[str, Any] = field(default_factory=dict)
     catches: dict[str, Counter[str]] = field(default_factory=dict)

@@ -21,14 +21,14 @@ import pandas as pd
 from modaltouch.analysis.balance import answers_per_cell, describe_cell
 from modaltouch.analysis.mirroring import unmirror
 from modaltouch.analysis.provenance import SessionFacts, take_facts
-from modaltouch.analysis.responses import LeftOut, Responses, Source
+from modaltouch.analysis.responses import AnswerSource, ExcludedSource, Responses
 from modaltouch.analysis.scale import OWN_THRESHOLD, VELOCITY, scale_of
 from modaltouch.protocol import ANSWERS, ANSWERS_WITH_NONE, TIME_OUT, InputError, Problem
 from modaltouch.record import LOG_NAME, Chain, RecordError, Session, audit_session, read_chain, read_session
 
 
 @dataclass(frozen=True)
-class Found:
+class SessionAnswers:
     """A session of the tree.
 
     Attributes
@@ -161,17 +161,17 @@ def _one(word: object) -> str:
     return sys.intern(str(word))
 
 
-def open_log(path: Path) -> Found:
+def open_log(path: Path) -> SessionAnswers:
     """Read a session and keep only what an analysis needs of it: a thousand logs would not fit in memory."""
     try:
         chain = read_chain(path)
     except RecordError as error:
-        return Found(path, reason=f"unreadable: {error}")
+        return SessionAnswers(path, reason=f"unreadable: {error}")
     session = Session(path, chain.events, chain.problems)
     if not session.start:
         damage = f"damaged: {session.problems[0]}" if session.problems else "cut before it began"
-        return Found(path, reason=damage)
-    found = Found(path, session.mode, session.participant, session.protocol, unfit=_unfit(session, chain))
+        return SessionAnswers(path, reason=damage)
+    found = SessionAnswers(path, session.mode, session.participant, session.protocol, unfit=_unfit(session, chain))
     if found.unfit:
         return found
     design = session.start.get("design", {})
@@ -247,7 +247,7 @@ def read_tree(place: Path, mode: str | None = None, stimulus: str | None = None)
     kind = _kind_of_levels(place, [item for item in found if not item.reason])
     is_adaptive = kind == _ADAPTIVE
     found = found if is_adaptive else _even_out(found)
-    left_out = tuple(LeftOut(str(item.path.parent), item.reason) for item in found if item.reason)
+    left_out = tuple(ExcludedSource(str(item.path.parent), item.reason) for item in found if item.reason)
     taken = [item for item in found if not item.reason]
     if not taken:
         counted = Counter(item.reason for item in left_out)
@@ -269,12 +269,12 @@ def read_tree(place: Path, mode: str | None = None, stimulus: str | None = None)
     digest = hashlib.sha256("".join(item.digest for item in taken).encode()).hexdigest()
     facts = tuple(item.facts for item in taken if item.facts is not None)
     start = read_session(taken[0].path).start
-    source = Source(str(place), "results", digest, chosen)
+    source = AnswerSource(str(place), "results", digest, chosen)
     focus = foci.get(stimulus or "", taken[0].focus)
     return Responses(frame, facts, left_out, source, focus, start, _sum_catches(taken), stimulus or "", foci)
 
 
-def _sum_catches(found: Sequence[Found]) -> dict[str, Counter[str]]:
+def _sum_catches(found: Sequence[SessionAnswers]) -> dict[str, Counter[str]]:
     """Return the answers to catch trials by participant, over sessions."""
     catches: dict[str, Counter[str]] = {}
     for item in found:
@@ -300,11 +300,11 @@ def find_logs(place: Path) -> list[Path]:
     return [place] if place.is_file() else sorted(place.rglob(LOG_NAME))
 
 
-def _mark(item: Found, reason: str) -> Found:
+def _mark(item: SessionAnswers, reason: str) -> SessionAnswers:
     return item if item.reason or not reason else replace(item, reason=reason)
 
 
-def _choose_mode(place: Path, found: Sequence[Found]) -> str:
+def _choose_mode(place: Path, found: Sequence[SessionAnswers]) -> str:
     counted = Counter(item.mode for item in found if item.mode)
     if "real" in counted or not counted:
         return "real"
@@ -315,7 +315,7 @@ def _choose_mode(place: Path, found: Sequence[Found]) -> str:
     return next(iter(counted))
 
 
-def _other_mode(item: Found, chosen: str) -> str:
+def _other_mode(item: SessionAnswers, chosen: str) -> str:
     if not item.mode or item.mode == chosen:
         return ""
     return f"{item.mode}, not {chosen} (choose with --mode {item.mode})"
@@ -343,7 +343,7 @@ def _choose_stimulus(place: Path, frame: pd.DataFrame, stimulus: str | None) -> 
     return frame[frame["stimulus"] == stimulus].reset_index(drop=True)
 
 
-def _kind_of_levels(place: Path, found: Sequence[Found]) -> str:
+def _kind_of_levels(place: Path, found: Sequence[SessionAnswers]) -> str:
     """Return what sets the levels of all sessions; refuse sessions that differ in it."""
     kinds = {_ADAPTIVE if item.is_adaptive else _IN_MULTIPLES if item.in_multiples else _FIXED for item in found}
     if len(kinds) > 1:
@@ -367,7 +367,7 @@ def _refuse_designs(place: Path, frame: pd.DataFrame) -> None:
     _refuse(place, given, "the same conditions, equally often, for every participant", remedy)
 
 
-def _even_out(found: Sequence[Found]) -> list[Found]:
+def _even_out(found: Sequence[SessionAnswers]) -> list[SessionAnswers]:
     """Keep as many sessions of every participant as the one with fewest has."""
     usable = Counter(item.participant for item in found if not item.reason)
     fewest = min(usable.values(), default=0)

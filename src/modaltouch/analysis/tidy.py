@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from modaltouch.analysis.balance import check_balance
 from modaltouch.analysis.csv_table import MOST_LISTED, Column, Table, read_table
 from modaltouch.analysis.mirroring import unmirror
-from modaltouch.analysis.responses import REQUIRED, LeftOut, Responses, Source
+from modaltouch.analysis.responses import REQUIRED, AnswerSource, ExcludedSource, Responses
 from modaltouch.analysis.scale import OWN_THRESHOLD, VELOCITY, scale_of
 from modaltouch.protocol import ANSWERS, ANSWERS_WITH_NONE, InputError, Problem, suggest
 
@@ -76,8 +76,8 @@ def read_csv(path: Path) -> Responses:
     if problems:
         raise InputError(problems)
     apart = ((practice, "practice trials"), (caught, "catch trials, counted apart"))
-    left_out = tuple(LeftOut(f"{table.file}: {rows.sum()} rows", why) for rows, why in apart if rows.any())
-    return Responses(frame, (), left_out, Source(table.file, "csv", table.sha256), catches=catches)
+    left_out = tuple(ExcludedSource(f"{table.file}: {rows.sum()} rows", why) for rows, why in apart if rows.any())
+    return Responses(frame, (), left_out, AnswerSource(table.file, "csv", table.sha256), catches=catches)
 
 
 def _count_catches(frame: pd.DataFrame) -> dict[str, Counter[str]]:

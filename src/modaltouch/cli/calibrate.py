@@ -17,7 +17,7 @@ from modaltouch.cli.options import JSON, MEASURED_RIG, PROTOCOL
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from modaltouch.lab.calibration.outcome import Progress, Turn
+    from modaltouch.lab.calibration.outcome import CalibrationProgress, Iteration
     from modaltouch.protocol import CalibratedStimulus, Calibration
 
 
@@ -38,7 +38,7 @@ def calibrate(
     several stimuli all are calibrated, into one file. Nothing is written before the end.
     """
     from modaltouch.lab.calibration.corrections import grounds_of, levels_between
-    from modaltouch.lab.calibration.file import Circumstances, calibration_of, write_calibration
+    from modaltouch.lab.calibration.file import CalibrationContext, calibration_of, write_calibration
     from modaltouch.lab.calibration.loop import calibrate_each
     from modaltouch.lab.measurement import open_laboratory
     from modaltouch.preflight import examine
@@ -56,7 +56,7 @@ def calibrate(
             open_laboratory(experiment.apparatus, rig, aim=aim) as laboratory,
         ):
             outcomes = calibrate_each(laboratory, experiment.apparatus, grounds, progress, between)
-            circumstances = Circumstances(
+            circumstances = CalibrationContext(
                 protocol=experiment.protocol.protocol,
                 apparatus=experiment.apparatus,
                 generator=laboratory.rig.identity,
@@ -74,13 +74,15 @@ def calibrate(
 
 
 @contextmanager
-def _showing(check: Callable[[], None], *, by_hand: bool) -> Iterator[tuple[Progress, Callable[[float], None]]]:
+def _showing(
+    check: Callable[[], None], *, by_hand: bool
+) -> Iterator[tuple[CalibrationProgress, Callable[[float], None]]]:
     """Show on standard error what is measured, and each turn's errors; yield that, and what aims the vibrometer."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Bars
 
-    from modaltouch.lab.calibration.outcome import Progress
+    from modaltouch.lab.calibration.outcome import CalibrationProgress
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     console = Console(stderr=True)
@@ -97,7 +99,7 @@ def _showing(check: Callable[[], None], *, by_hand: bool) -> Iterator[tuple[Prog
         def step(words: str, n_records: int) -> None:
             bars.reset(task, description=": ".join([*of_several, words]), total=n_records)
 
-        def turn(measured: Turn) -> None:
+        def turn(measured: Iteration) -> None:
             velocity, displacement = (error * 1e3 for error in measured.errors)
             name = "before     " if measured.number == 0 else f"iteration {measured.number}"
             bars.print(
@@ -112,7 +114,12 @@ def _showing(check: Callable[[], None], *, by_hand: bool) -> Iterator[tuple[Prog
                 ask_to_aim(position)
             aimed.append(position)
 
-        yield Progress(check=check, stimulus=stimulus, step=step, advance=lambda: bars.advance(task), turn=turn), aim
+        yield (
+            CalibrationProgress(
+                check=check, stimulus=stimulus, step=step, advance=lambda: bars.advance(task), turn=turn
+            ),
+            aim,
+        )
 
 
 def _show(calibration: Calibration, out: Path, protocol: Path) -> None:

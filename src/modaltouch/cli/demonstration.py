@@ -18,7 +18,7 @@ PARTICIPANT = "demo"
 
 
 @dataclass(frozen=True)
-class Outcome:
+class DemonstrationResult:
     """Where a demonstration left its traces.
 
     Attributes
@@ -43,7 +43,7 @@ def demonstrate(
     window_options: WindowOptions,
     tell: Callable[[str], None],
     on_progress: Callable[[int, int], None],
-) -> Outcome:
+) -> DemonstrationResult:
     """Run the demonstration and return where its traces are.
 
     Parameters
@@ -85,4 +85,4 @@ def demonstrate(
                 break
     tell(f"{session.n_answered} answers recorded; now the analysis.")
     analysis = analyse(session.path.parent, traces / "analysis", mode="simulated")
-    return Outcome(session.path.parent, screenshots, analysis.files["report.html"])
+    return DemonstrationResult(session.path.parent, screenshots, analysis.files["report.html"])

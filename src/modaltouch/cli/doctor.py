@@ -18,7 +18,7 @@ from modaltouch.system import versions
 
 
 @dataclass(frozen=True)
-class Finding:
+class MachineCheck:
     """One thing that was looked at.
 
     Attributes
@@ -43,7 +43,7 @@ class Finding:
         return asdict(self)
 
 
-def examine_machine(results: Path) -> tuple[Finding, ...]:
+def examine_machine(results: Path) -> tuple[MachineCheck, ...]:
     """Look at everything a session needs, and draw a letter in the window; no instrument is opened.
 
     Parameters
@@ -66,14 +66,14 @@ def examine_machine(results: Path) -> tuple[Finding, ...]:
     )
 
 
-def _python() -> Finding:
+def _python() -> MachineCheck:
     found = f"Python {versions()['python']} on {versions()['system']}"
     if (3, 11) <= sys.version_info[:2] <= (3, 12):
-        return Finding("python", "ok", found)
-    return Finding("python", "fault", found, "use Python 3.11 or 3.12: PsychoPy ends below 3.13")
+        return MachineCheck("python", "ok", found)
+    return MachineCheck("python", "fault", found, "use Python 3.11 or 3.12: PsychoPy ends below 3.13")
 
 
-def _packages() -> list[Finding]:
+def _packages() -> list[MachineCheck]:
     required = ("numpy", "scipy", "pandas", "statsmodels", "PyVISA", "PyVISA-py", "psychopy")
     found, missing = [], []
     for package in required:
@@ -82,8 +82,8 @@ def _packages() -> list[Finding]:
         except PackageNotFoundError:
             missing.append(package)
     if missing:
-        return [Finding("packages", "fault", f"missing: {', '.join(missing)}", "install modaltouch anew")]
-    return [Finding("packages", "ok", ", ".join(found))]
+        return [MachineCheck("packages", "fault", f"missing: {', '.join(missing)}", "install modaltouch anew")]
+    return [MachineCheck("packages", "ok", ", ".join(found))]
 
 
 def missing_packages() -> list[str]:
@@ -97,25 +97,25 @@ def missing_packages() -> list[str]:
     return packages + ([] if shutil.which("Xvfb") else ["xvfb"])
 
 
-def _display() -> Finding:
+def _display() -> MachineCheck:
     own, display = sys.platform in ("win32", "darwin"), os.environ.get("DISPLAY", "")
     if own or display:
-        return Finding("display", "ok", "the system's own" if own else f"DISPLAY={display}")
+        return MachineCheck("display", "ok", "the system's own" if own else f"DISPLAY={display}")
     remedy = "log in at the screen; the demo brings a virtual display of its own"
-    return Finding("display", "warning", "DISPLAY is not set", remedy)
+    return MachineCheck("display", "warning", "DISPLAY is not set", remedy)
 
 
-def _libraries() -> Finding:
+def _libraries() -> MachineCheck:
     from modaltouch.window import LIBRARIES, missing_libraries
 
     missing = missing_libraries()
     if missing:
         names = ", ".join(f"{name} ({package})" for name, package in missing.items())
-        return Finding("libraries", "fault", f"missing: {names}", f"apt install {' '.join(missing.values())}")
-    return Finding("libraries", "ok", ", ".join(LIBRARIES) if sys.platform == "linux" else "the system's own")
+        return MachineCheck("libraries", "fault", f"missing: {names}", f"apt install {' '.join(missing.values())}")
+    return MachineCheck("libraries", "ok", ", ".join(LIBRARIES) if sys.platform == "linux" else "the system's own")
 
 
-def _window() -> Finding:
+def _window() -> MachineCheck:
     """Open the window and draw a letter, which needs a display, OpenGL, fonts and PsychoPy together."""
     from modaltouch.window import Box, Picture, Screen, WindowError, Words, some_display
 
@@ -131,10 +131,12 @@ def _window() -> Finding:
             finally:
                 screen.close()
     except WindowError as error:
-        return Finding("window", "fault", *str(error).split("; ", 1))
+        return MachineCheck("window", "fault", *str(error).split("; ", 1))
     if not lit:
-        return Finding("window", "fault", f"no letter can be seen on {where}", "install fonts and a driver for OpenGL")
-    return Finding("window", "ok", f"a letter is drawn on {where} ({renderer})")
+        return MachineCheck(
+            "window", "fault", f"no letter can be seen on {where}", "install fonts and a driver for OpenGL"
+        )
+    return MachineCheck("window", "ok", f"a letter is drawn on {where} ({renderer})")
 
 
 def _share_lit(picture: Path) -> float:
@@ -144,56 +146,58 @@ def _share_lit(picture: Path) -> float:
     return float((imread(picture)[..., :3] > 0.5).any(axis=2).mean())
 
 
-def _virtual_display() -> Finding:
+def _virtual_display() -> MachineCheck:
     if sys.platform != "linux":
-        return Finding("virtual display", "ok", "not needed")
+        return MachineCheck("virtual display", "ok", "not needed")
     path = shutil.which("Xvfb")
     if path:
-        return Finding("virtual display", "ok", path)
-    return Finding("virtual display", "warning", "Xvfb is absent", "install xvfb to run the demo without a screen")
+        return MachineCheck("virtual display", "ok", path)
+    return MachineCheck("virtual display", "warning", "Xvfb is absent", "install xvfb to run the demo without a screen")
 
 
-def _sound() -> Finding:
+def _sound() -> MachineCheck:
     from modaltouch.window import DeviceError, default_device
 
     try:
         device = default_device()
     except DeviceError as error:
         remedy = "connect one, or install libportaudio2, where a protocol wants masking noise"
-        return Finding("sound", "warning", str(error).partition(";")[0], remedy)
+        return MachineCheck("sound", "warning", str(error).partition(";")[0], remedy)
     found = f"{device['name']}, {device['default_samplerate']:g} Hz, {device['max_output_channels']} channels"
-    return Finding("sound", "ok", found)
+    return MachineCheck("sound", "ok", found)
 
 
-def _visa() -> Finding:
+def _visa() -> MachineCheck:
     try:
-        return Finding("VISA", "ok", f"PyVISA {version('PyVISA')} with PyVISA-py {version('PyVISA-py')}: LAN (VXI-11)")
+        return MachineCheck(
+            "VISA", "ok", f"PyVISA {version('PyVISA')} with PyVISA-py {version('PyVISA-py')}: LAN (VXI-11)"
+        )
     except PackageNotFoundError:
-        return Finding("VISA", "fault", "PyVISA or PyVISA-py is absent", "install modaltouch anew")
+        return MachineCheck("VISA", "fault", "PyVISA or PyVISA-py is absent", "install modaltouch anew")
 
 
-def _usb() -> Finding:
+def _usb() -> MachineCheck:
     if importlib.util.find_spec("usb") is not None:
-        return Finding("USB", "ok", f"pyusb {version('pyusb')}")
+        return MachineCheck("USB", "ok", f"pyusb {version('pyusb')}")
     found = "pyusb is absent: a generator on USB is not found"
-    return Finding("USB", "warning", found, "connect it by LAN, or install pyusb")
+    return MachineCheck("USB", "warning", found, "connect it by LAN, or install pyusb")
 
 
-def _precedence() -> Finding:
+def _precedence() -> MachineCheck:
     """Find out whether the process that triggers bursts may go before others (`modaltouch.rig.watchdog_process`)."""
     if sys.platform != "linux":
-        return Finding("real time", "ok", "as the system shares out its processors")
+        return MachineCheck("real time", "ok", "as the system shares out its processors")
     import resource
 
     if os.geteuid() == 0 or resource.getrlimit(resource.RLIMIT_RTPRIO)[0] > 0:
-        return Finding("real time", "ok", "bursts are triggered before all other work")
+        return MachineCheck("real time", "ok", "bursts are triggered before all other work")
     user = os.environ.get("USER", "NAME")
     remedy = f"put `{user} - rtprio 10` into /etc/security/limits.d/modaltouch.conf and log in again"
     found = "not allowed: on a busy machine bursts come late, are left out, and trials are repeated"
-    return Finding("real time", "warning", found, remedy)
+    return MachineCheck("real time", "warning", found, remedy)
 
 
-def _disk(results: Path) -> Finding:
+def _disk(results: Path) -> MachineCheck:
     folder = next(path for path in (results, *results.resolve().parents) if path.is_dir())
     try:
         with tempfile.NamedTemporaryFile(dir=folder) as file:
@@ -204,9 +208,9 @@ def _disk(results: Path) -> Finding:
             elapsed = time.perf_counter() - start
     except OSError as error:
         remedy = "give a folder you may write to with --results"
-        return Finding("disk", "fault", f"{folder}: {error.strerror}", remedy)
+        return MachineCheck("disk", "fault", f"{folder}: {error.strerror}", remedy)
     free = shutil.disk_usage(folder).free / 1e9
     found = f"{folder}: {free:.1f} GB free, a durable write takes {elapsed * 1e3:.1f} ms"
     if free < 0.1:
-        return Finding("disk", "fault", found, "free some space: a session needs a few megabytes")
-    return Finding("disk", "ok", found)
+        return MachineCheck("disk", "fault", found, "free some space: a session needs a few megabytes")
+    return MachineCheck("disk", "ok", found)

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from modaltouch.protocol import Apparatus, Source
 
 
-class Wanted:
+class IdentifyOptions:
     """What is to be identified, checked before anything is opened."""
 
     def __init__(self, path: Path, sets: list[str] | None, modes: str, folder: Path | None) -> None:
@@ -361,10 +361,10 @@ def identify(
                 if responses.positions is None or responses.n_points < FEWEST_SHAPE_POINTS:
                     result = _without_shapes(files, responses, out)
                 else:
-                    wanted = Wanted(apparatus, sets, modes, None)
+                    wanted = IdentifyOptions(apparatus, sets, modes, None)
                     result = wanted.fit(wanted.chosen(responses), _file_facts(files), out)
             else:
-                wanted = Wanted(apparatus, sets, modes, scanned)
+                wanted = IdentifyOptions(apparatus, sets, modes, scanned)
                 scans = (
                     wanted.measure(
                         rig, out, points, averages, drive_V, excitation.value, highest_kHz, margin_mm * 1e-3, seed
@@ -389,9 +389,9 @@ def _read_files(
     averages: int,
     band: tuple[float | None, float | None],
 ) -> FrequencyResponses:
-    from modaltouch.lab.identification.files import Reading, read_responses
+    from modaltouch.lab.identification.files import ResponseFormat, read_responses
 
-    how = Reading(None if quantity is None else quantity.value, conjugated, spacing, averages)
+    how = ResponseFormat(None if quantity is None else quantity.value, conjugated, spacing, averages)
     responses = read_responses(files, how)
     lowest, highest = band
     if lowest is None and highest is None:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
 
-class Showing:
+class MeasurementProgress:
     """Bars on standard error, out of the way while somebody is asked to aim.
 
     Parameters
@@ -42,14 +42,14 @@ class Showing:
 
 
 @contextmanager
-def bars() -> Iterator[Showing]:
+def bars() -> Iterator[MeasurementProgress]:
     """Show on standard error what is being done, how far it is, and how long the rest will take."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True)) as shown:
-        yield Showing(shown)
+        yield MeasurementProgress(shown)
 
 
 @contextmanager

@@ -39,7 +39,7 @@ def progress(what: str, *, counted: bool = True) -> Iterator[Callable[[int, int]
 SHIPPED_APPARATUS = Path("beam_100x6x2")
 
 
-class Theme(StrEnum):
+class ThemeChoice(StrEnum):
     """Colours of the window."""
 
     dark = "dark"
@@ -71,7 +71,7 @@ FULLSCREEN = Annotated[bool, typer.Option("--fullscreen/--windowed", help="Answe
 _SIZE = "Size of the answer window in pixels, where it is not full screen."
 SIZE = Annotated[str, typer.Option(help=_SIZE)]
 _THEME = "Colours of the answer window."
-THEME = Annotated[Theme, typer.Option(help=_THEME)]
+THEME = Annotated[ThemeChoice, typer.Option(help=_THEME)]
 _SCREEN = "Which screen shows the answer window."
 SCREEN = Annotated[int, typer.Option(min=0, help=_SCREEN)]
 _AS_IT_WAS = "as it was"
@@ -80,7 +80,7 @@ FULLSCREEN_AGAIN = Annotated[
     typer.Option("--fullscreen/--windowed", help="Answer window over the whole screen.", show_default=_AS_IT_WAS),
 ]
 SIZE_AGAIN = Annotated[str | None, typer.Option("--size", help=_SIZE, show_default=_AS_IT_WAS)]
-THEME_AGAIN = Annotated[Theme | None, typer.Option("--theme", help=_THEME, show_default=_AS_IT_WAS)]
+THEME_AGAIN = Annotated[ThemeChoice | None, typer.Option("--theme", help=_THEME, show_default=_AS_IT_WAS)]
 SCREEN_AGAIN = Annotated[int | None, typer.Option("--screen", min=0, help=_SCREEN, show_default=_AS_IT_WAS)]
 SCREENSHOTS = Annotated[Path | None, typer.Option(help="Folder for a picture of each kind of screen.")]
 

@@ -31,7 +31,7 @@ from modaltouch.cli.options import (
     THEME,
     THEME_AGAIN,
     USUAL_OBSERVER,
-    Theme,
+    ThemeChoice,
     progress,
 )
 from modaltouch.cli.prompts import ask_participant, ask_rig, ask_session, can_ask, wait_for_start
@@ -94,7 +94,7 @@ def has_terminal() -> bool:
     return sys.platform == "win32" or os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
 
 
-class Answers(StrEnum):
+class AnswersChoice(StrEnum):
     """Who answers, and how."""
 
     window = "window"
@@ -110,7 +110,7 @@ RIG = Annotated[
     ),
 ]
 ANSWERS = Annotated[
-    Answers,
+    AnswersChoice,
     typer.Option(
         help="window: a person at the answer window; robot: a simulated participant at that window; "
         "simulated: a simulated participant without one."
@@ -144,13 +144,13 @@ def run(
     participant: PARTICIPANT = None,
     session: SESSION_NUMBER = None,
     rig: RIG = None,
-    answers: ANSWERS = Answers.window,
+    answers: ANSWERS = AnswersChoice.window,
     pilot: PILOT = False,
     seed: SEED = 1,
     results: RESULTS = Path("results"),
     fullscreen: FULLSCREEN = False,
     size: SIZE = "1280x800",
-    theme: THEME = Theme.dark,
+    theme: THEME = ThemeChoice.dark,
     screen: SCREEN = 0,
     screenshots: SCREENSHOTS = None,
     events: EVENTS = None,
@@ -217,7 +217,9 @@ def _try_masking(setup: Setup) -> None:
 def resume(
     session: SESSION,
     rig: Annotated[str | None, typer.Option(help="Another VISA address than the recorded one.")] = None,
-    answers: Annotated[Answers | None, typer.Option(help="Another way of answering than the recorded one.")] = None,
+    answers: Annotated[
+        AnswersChoice | None, typer.Option(help="Another way of answering than the recorded one.")
+    ] = None,
     restart: Annotated[
         bool, typer.Option("--restart", help="Close it, its answers kept, and begin it anew as the next session.")
     ] = False,
@@ -297,7 +299,7 @@ def simulate(
 def demo(
     results: RESULTS = Path("results"),
     size: SIZE = "1280x800",
-    theme: THEME = Theme.dark,
+    theme: THEME = ThemeChoice.dark,
     seed: SEED = 1,
     json_output: JSON = False,
 ) -> None:
@@ -328,7 +330,7 @@ def demo(
 def _window_options(
     fullscreen: bool,
     size: str,
-    theme: Theme,
+    theme: ThemeChoice,
     screen: int,
     screenshots: Path | None,
 ) -> WindowOptions:

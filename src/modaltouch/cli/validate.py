@@ -12,7 +12,7 @@ from modaltouch.cli.measurement import bars
 from modaltouch.cli.options import CALIBRATION, JSON, MEASURED_RIG, PROTOCOL
 
 if TYPE_CHECKING:
-    from modaltouch.lab.validation.page import Occasion
+    from modaltouch.lab.validation.page import ValidationContext
     from modaltouch.lab.validation.recording import Observation
     from modaltouch.preflight import Preflight
 
@@ -90,10 +90,10 @@ def refuse_few_points(points: int, labels: tuple[int, ...]) -> None:
 
 def _observe(
     preflight: Preflight, protocol: Path, address: str, folder: Path | None, points: int, averages: int
-) -> tuple[list[Observation], Occasion]:
+) -> tuple[list[Observation], ValidationContext]:
     """Return what was recorded, now or before, and the occasion."""
     from modaltouch.lab.measurement import open_laboratory
-    from modaltouch.lab.validation.page import Occasion
+    from modaltouch.lab.validation.page import ValidationContext
     from modaltouch.lab.validation.recording import complete, read_laws, record_laws
     from modaltouch.system import Interruption, commit
 
@@ -118,7 +118,7 @@ def _observe(
                 check=interruption.check,
             )
     settings = observed[0].field.facts["settings"]
-    return observed, Occasion(
+    return observed, ValidationContext(
         title=experiment.protocol.title or experiment.protocol.protocol,
         protocol=str(protocol),
         apparatus=experiment.apparatus.apparatus,

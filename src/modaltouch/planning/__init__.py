@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from modaltouch.planning.experiments import Study
     from modaltouch.planning.files import COMMAND, write_power
     from modaltouch.planning.fitting import NOT_IDENTIFIABLE, fit_answers
-    from modaltouch.planning.observer.felt import Felt
+    from modaltouch.planning.observer.felt import FeltSpeeds
     from modaltouch.planning.observer.file import read_observer, usual_observer, write_observer
     from modaltouch.planning.observer.population import Observer
     from modaltouch.planning.power import Power, plan
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 __all__ = [
     "COMMAND",
     "FAMILIES",
-    "Felt",
+    "FeltSpeeds",
     "NOT_IDENTIFIABLE",
     "Observer",
     "Power",
@@ -51,7 +51,7 @@ __getattr__ = lazily(
         "experiments": "Study",
         "files": "COMMAND write_power",
         "fitting": "NOT_IDENTIFIABLE fit_answers",
-        "observer.felt": "Felt",
+        "observer.felt": "FeltSpeeds",
         "observer.file": "read_observer usual_observer write_observer",
         "observer.population": "Observer",
         "power": "Power plan",

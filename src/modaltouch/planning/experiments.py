@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from modaltouch.analysis import ALPHA
 from modaltouch.planning.design import Design
 from modaltouch.planning.observer import Observer, Participant
-from modaltouch.planning.questions import Answers, half_widths, p_values
+from modaltouch.planning.questions import SimulatedAnswers, half_widths, p_values
 from modaltouch.planning.significance import holm_p
 
 FloatArray = NDArray[np.float64]
@@ -166,7 +166,7 @@ def unbiased(observer: Observer) -> Observer:
     return replace(observer, typical=replace(observer.typical, side_bias=0.0))
 
 
-def simulate(design: Design, observer: Observer, job: Job, rng: np.random.Generator) -> Answers:
+def simulate(design: Design, observer: Observer, job: Job, rng: np.random.Generator) -> SimulatedAnswers:
     """Return the answers of simulated experiments.
 
     Each participant is drawn once from the population and answers every cell by the chances that
@@ -182,15 +182,15 @@ def simulate(design: Design, observer: Observer, job: Job, rng: np.random.Genera
         left += chance < share_left
         right += chance >= 1 - share_right
     shape = (job.n_experiments, job.n_participants, *design.shape)
-    return Answers(left.reshape(shape), right.reshape(shape), job.n_repetitions, design)
+    return SimulatedAnswers(left.reshape(shape), right.reshape(shape), job.n_repetitions, design)
 
 
-def count_significant(answers: Answers, family: str, alpha: float = ALPHA) -> Tally:
+def count_significant(answers: SimulatedAnswers, family: str, alpha: float = ALPHA) -> Tally:
     """Return how many experiments find something in a family of tests.
 
     Parameters
     ----------
-    answers : Answers
+    answers : SimulatedAnswers
         Simulated experiments.
     family : str
         One of `modaltouch.planning.questions.FAMILIES`.

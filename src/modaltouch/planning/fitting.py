@@ -10,9 +10,9 @@ import numpy as np
 
 from modaltouch.analysis import NONE, OWN_THRESHOLD, AnswerCounts, Responses, count_answers, read_responses, scale_of
 from modaltouch.planning.observer import Observer
-from modaltouch.planning.observer.felt import Felt
+from modaltouch.planning.observer.felt import FeltSpeeds
 from modaltouch.planning.observer.fit import Fit, fit_observer
-from modaltouch.planning.observer.likelihood import Recorded
+from modaltouch.planning.observer.likelihood import RecordedAnswers
 from modaltouch.preflight import Preflight
 from modaltouch.protocol import InputError, Problem
 
@@ -84,10 +84,10 @@ def fit_answers(preflight: Preflight, path: Path, prior: Observer, *, mode: str 
     recorded = []
     for name, part in preflight.parts.items():
         zones = {zone: each.centre_mm * 1e-3 for zone, each in part.experiment.apparatus.zones.items()}
-        felt = Felt(part.stimulus, zones, prior.front_end)
+        felt = FeltSpeeds(part.stimulus, zones, prior.front_end)
         recorded.append(_record(_count(part, path, taken[name]), felt))
     # Every session presents all stimuli: their participants are the same.
-    return Fitted(fit_observer(Recorded.joined(recorded), prior), tuple(taken.values()), len(recorded[0].facing))
+    return Fitted(fit_observer(RecordedAnswers.joined(recorded), prior), tuple(taken.values()), len(recorded[0].facing))
 
 
 def _refuse_unnamed(path: Path, stimuli: tuple[str, ...]) -> None:
@@ -119,7 +119,7 @@ def _count(preflight: Preflight, path: Path, responses: Responses) -> AnswerCoun
     return answers
 
 
-def _record(answers: AnswerCounts, felt: Felt) -> Recorded:
+def _record(answers: AnswerCounts, felt: FeltSpeeds) -> RecordedAnswers:
     """Return counts as a fit takes them: answers of none tell nothing of left against right and are left out."""
     speeds = [
         [felt.at(zone, level * 1e-3) for zone in (pair.left, pair.right)]
@@ -128,7 +128,7 @@ def _record(answers: AnswerCounts, felt: Felt) -> Recorded:
         for level in answers.levels
     ]
     n_each = len(answers.pairs) * len(answers.levels)
-    return Recorded(
+    return RecordedAnswers(
         counts=answers.counts[..., :NONE].reshape(answers.n_participants, -1, NONE),
         speeds=np.array(speeds),
         finger_conditions=tuple(name for name in answers.finger_conditions for _ in range(n_each)),

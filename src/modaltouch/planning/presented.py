@@ -7,7 +7,7 @@ import numpy as np
 from modaltouch.analysis import PAPER_CONDITIONS, orient
 from modaltouch.planning.design import Design
 from modaltouch.planning.observer import Observer
-from modaltouch.planning.observer.felt import Felt
+from modaltouch.planning.observer.felt import FeltSpeeds
 from modaltouch.preflight import Preflight
 from modaltouch.protocol import InputError, Protocol, draw_schedule
 
@@ -46,7 +46,7 @@ def _design(name: str, preflight: Preflight, observer: Observer, placements: tup
     """Return the design of a protocol with one of its stimuli alone."""
     protocol, apparatus = preflight.experiment.protocol, preflight.experiment.apparatus
     zones = {zone: each.centre_mm * 1e-3 for zone, each in apparatus.zones.items()}
-    felt = Felt(preflight.stimulus, zones, observer.front_end)
+    felt = FeltSpeeds(preflight.stimulus, zones, observer.front_end)
     conditions = protocol.conditions
     fingers = tuple(sorted(conditions.finger_conditions, key=PAPER_CONDITIONS.index))
     pairs = tuple(orient(left, right, protocol.stimulus.focus) for left, right in sorted(conditions.zone_pairs))

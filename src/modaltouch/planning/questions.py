@@ -132,7 +132,7 @@ CONFIRMED = ("a2", "b", "c", "d")
 
 
 @dataclass(frozen=True, eq=False)
-class Answers:
+class SimulatedAnswers:
     """Answers of simulated experiments.
 
     Attributes
@@ -190,12 +190,12 @@ class Answers:
         return np.stack([each.sum(axis=3) for each in most], axis=-1)
 
 
-def p_values(answers: Answers, family: str) -> FloatArray:
+def p_values(answers: SimulatedAnswers, family: str) -> FloatArray:
     """Return the two-sided p of a family's exact tests, (n_experiments, n_tests) array as in `Design.scopes` [1].
 
     Parameters
     ----------
-    answers : Answers
+    answers : SimulatedAnswers
         Simulated experiments.
     family : str
         One of `FAMILIES`.
@@ -213,7 +213,7 @@ def p_values(answers: Answers, family: str) -> FloatArray:
     return p.reshape(n_experiments, -1)
 
 
-def half_widths(answers: Answers, family: str) -> FloatArray:
+def half_widths(answers: SimulatedAnswers, family: str) -> FloatArray:
     """Return half the widths of the 95 % intervals that the analysis prints beside the tests of a family.
 
     Parameters
@@ -246,7 +246,7 @@ def half_widths(answers: Answers, family: str) -> FloatArray:
     return widths.reshape(n_experiments, -1)
 
 
-def _compared(answers: Answers, family: str) -> tuple[IntArray, IntArray]:
+def _compared(answers: SimulatedAnswers, family: str) -> tuple[IntArray, IntArray]:
     """Return the counts that the tests of a family compare, (n_experiments, n_tests, n_participants, n_levels)."""
     n_fingers, n_pairs, _ = answers.design.shape
     if family == "d":

@@ -14,14 +14,14 @@ from modaltouch.system import lazily
 
 if TYPE_CHECKING:
     from modaltouch.preflight.checked import Preflight
-    from modaltouch.preflight.design_inputs import Ground, design
+    from modaltouch.preflight.design_inputs import DesignInputs, design
     from modaltouch.preflight.examination import design_to_fit, examine, examine_findings
     from modaltouch.preflight.exploration import design_figures, sample_figures, sensitivity_figures
     from modaltouch.preflight.figures import estimated_duration, finite
     from modaltouch.preflight.several_stimuli import at_stimulus
 
 __all__ = [
-    "Ground",
+    "DesignInputs",
     "Preflight",
     "at_stimulus",
     "design",
@@ -39,7 +39,7 @@ __getattr__ = lazily(
     __name__,
     {
         "checked": "Preflight",
-        "design_inputs": "Ground design",
+        "design_inputs": "DesignInputs design",
         "examination": "design_to_fit examine examine_findings",
         "exploration": "design_figures sample_figures sensitivity_figures",
         "figures": "estimated_duration finite",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from modaltouch.preflight.design_inputs import Ground
+from modaltouch.preflight.design_inputs import DesignInputs
 from modaltouch.protocol import Apparatus, Node, Protocol, Reading, Section, StimulusSection
 from modaltouch.stimulus import Stimulus
 
@@ -19,12 +19,12 @@ _PRESENTED = ("stimulus.", "conditions.", "schedule.order")
 """Keys whose defaults are told in `check`."""
 
 
-def field_warnings(ground: Ground, stimulus: Stimulus, figures: list[dict[str, Any]]) -> list[str]:
+def field_warnings(ground: DesignInputs, stimulus: Stimulus, figures: list[dict[str, Any]]) -> list[str]:
     """Return where the field does not do what its focus says.
 
     Parameters
     ----------
-    ground : Ground
+    ground : DesignInputs
         What the stimulus was designed from.
     stimulus : Stimulus
         The stimulus of all levels.

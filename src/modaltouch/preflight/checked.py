@@ -15,7 +15,7 @@ from modaltouch.preflight.advice import (
     repetition_warnings,
     taken_defaults,
 )
-from modaltouch.preflight.design_inputs import Ground
+from modaltouch.preflight.design_inputs import DesignInputs
 from modaltouch.preflight.figures import (
     contrasts,
     estimated_duration,
@@ -82,7 +82,7 @@ class Preflight:
         The files and what they hold.
     problems : tuple of Problem
         Every fault, of the files and of the physics; empty when the session may run.
-    ground : Ground or None
+    ground : DesignInputs or None
         What the stimulus was designed from; None where the files do not say it.
     designed : Stimulus or None
         The stimulus of all levels; None where there is none. Of several, the first.
@@ -92,7 +92,7 @@ class Preflight:
 
     findings: Findings
     problems: tuple[Problem, ...]
-    ground: Ground | None
+    ground: DesignInputs | None
     designed: Stimulus | None
     variants: dict[str, Preflight] = field(default_factory=dict)
 
@@ -184,7 +184,7 @@ class Preflight:
         return {name: part.stimulus.burst.content_hash for name, part in self.parts.items()}
 
     @property
-    def sound(self) -> tuple[Ground, Stimulus]:
+    def sound(self) -> tuple[DesignInputs, Stimulus]:
         """What the stimulus was designed from, and the stimulus; of several stimuli, of the first.
 
         Raises

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from modaltouch.protocol import Apparatus, Findings, Problem, StimulusSection, Zone, calibrated_apparatus
-from modaltouch.stimulus import Correction, Law, Release, Stimulus, Timing, Wish, design_stimulus
+from modaltouch.stimulus import Correction, Law, Release, Stimulus, TargetField, Timing, design_stimulus
 
 if TYPE_CHECKING:
     from modaltouch.protocol import CalibrationFile
@@ -21,7 +21,7 @@ _FALLBACK_LEVEL = 100.0
 
 
 @dataclass(frozen=True)
-class Ground:
+class DesignInputs:
     """What a stimulus is designed from.
 
     Attributes
@@ -62,7 +62,7 @@ class Ground:
         return {name: self.apparatus.zones[name] for name in self.apparatus.zone_order()}
 
 
-def find_ground(findings: Findings) -> Ground | None:
+def find_ground(findings: Findings) -> DesignInputs | None:
     """Return what a stimulus is designed from, or None where the files do not say it."""
     protocol, apparatus = findings.protocol, findings.apparatus
     if protocol is None or apparatus is None:
@@ -89,7 +89,7 @@ def find_ground(findings: Findings) -> Ground | None:
     of_others = calibration is None and findings.calibration is not None and findings.calibration.value is not None
     if of_others or (calibration is not None and (apparatus.value is None or not _fits(findings))):
         return None
-    return Ground(
+    return DesignInputs(
         section=section,
         apparatus=used if calibration is None else calibrated_apparatus(used, calibration),
         centre_mm=zones[section.focus].centre_mm,
@@ -123,12 +123,14 @@ def _fits(findings: Findings) -> bool:
     return not any(problem.file == named for problem in findings.problems)
 
 
-def design(ground: Ground, *, law: Law | None = None, release: Release | None = None, on_grid: bool = True) -> Stimulus:
+def design(
+    ground: DesignInputs, *, law: Law | None = None, release: Release | None = None, on_grid: bool = True
+) -> Stimulus:
     """Return the stimulus of a protocol.
 
     Parameters
     ----------
-    ground : Ground
+    ground : DesignInputs
         What it is designed from.
     law : str, optional
         Drive law; the protocol's own if not given.
@@ -145,7 +147,7 @@ def design(ground: Ground, *, law: Law | None = None, release: Release | None = 
     """
     section, reference = ground.section, ground.reference
     levels = tuple(sorted({level for level in ground.levels.values() if level <= reference})) or (reference,)
-    wish = Wish(
+    wish = TargetField(
         shape=section.field.shape,
         base=section.field.base_mm * 1e-3,
         centre=ground.centre_mm * 1e-3,

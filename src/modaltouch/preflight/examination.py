@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.preflight.checked import Preflight
-from modaltouch.preflight.design_inputs import Ground, design, find_ground
+from modaltouch.preflight.design_inputs import DesignInputs, design, find_ground
 from modaltouch.preflight.several_stimuli import at_stimulus, check_memories, each_stimulus
 from modaltouch.preflight.sound import check_masking_level
 from modaltouch.protocol import Findings, Problem, Protocol, Reading, draw_schedule, examine_files, zone_edges
@@ -25,7 +25,7 @@ _POINTS_PER_ZONE = 5
 _LEVELS = ("conditions", "peak_velocities_mm_s")
 
 
-def check_levels(ground: Ground, stimulus: Stimulus, protocol: Reading[Protocol]) -> list[Problem]:
+def check_levels(ground: DesignInputs, stimulus: Stimulus, protocol: Reading[Protocol]) -> list[Problem]:
     """Return the levels that amplifier, generator or safety do not allow."""
     problems = _check_range(ground, stimulus, protocol)
     if problems:
@@ -38,18 +38,18 @@ def check_levels(ground: Ground, stimulus: Stimulus, protocol: Reading[Protocol]
     return problems
 
 
-def fits_generator(ground: Ground, stimulus: Stimulus) -> bool:
+def fits_generator(ground: DesignInputs, stimulus: Stimulus) -> bool:
     """Return whether the full scales at the reference level can be set."""
     return max(stimulus.amplitude_for(stimulus.wish.velocity)) <= _highest_amplitude(ground)
 
 
-def _highest_amplitude(ground: Ground) -> float:
+def _highest_amplitude(ground: DesignInputs) -> float:
     """Return what the generator may be set to without its full scale passing the amplifier's limit [Vpp]."""
     return 2 * highest_level(ground.apparatus)
 
 
 def _check_amplifier(
-    ground: Ground, stimulus: Stimulus, protocol: Reading[Protocol], index: int, level: float
+    ground: DesignInputs, stimulus: Stimulus, protocol: Reading[Protocol], index: int, level: float
 ) -> Iterator[Problem]:
     limit = ground.apparatus.amplifier.limit_V
     needed = float(stimulus.peak_voltage.max()) * level * 1e-3 / stimulus.wish.velocity
@@ -62,7 +62,7 @@ def _check_amplifier(
 
 
 def _check_generator(
-    ground: Ground, stimulus: Stimulus, protocol: Reading[Protocol], index: int, level: float
+    ground: DesignInputs, stimulus: Stimulus, protocol: Reading[Protocol], index: int, level: float
 ) -> Iterator[Problem]:
     smallest, largest = LOWEST_AMPLITUDE, _highest_amplitude(ground)
     path, sounding = (*_LEVELS, index), _sounding(stimulus, level)
@@ -91,7 +91,7 @@ def _sounding(stimulus: Stimulus, level: float) -> dict[int, float]:
     return {number: float(each) for number, each in enumerate(amplitudes, 1) if not silent[number - 1]}
 
 
-def _check_range(ground: Ground, stimulus: Stimulus, protocol: Reading[Protocol]) -> list[Problem]:
+def _check_range(ground: DesignInputs, stimulus: Stimulus, protocol: Reading[Protocol]) -> list[Problem]:
     """Return why no level can be played: one output falls below the generator's range before the beam is in its own."""
     level, limit = stimulus.wish.velocity * 1e3, ground.apparatus.amplifier.limit_V
     sounding = _sounding(stimulus, level)
@@ -118,14 +118,14 @@ def _check_range(ground: Ground, stimulus: Stimulus, protocol: Reading[Protocol]
     return [protocol.problem(path, given, allowed, "choose another field, focus or modes; no other level will do")]
 
 
-def _moves_fast(ground: Ground, stimulus: Stimulus) -> bool:
+def _moves_fast(ground: DesignInputs, stimulus: Stimulus) -> bool:
     """Return whether any level may pass the safety limit; the speeds of all rise with the level."""
     limit = ground.velocity_limit
     highest = max((level for level in ground.levels.values() if level <= limit), default=0.0)
     return highest > 0 and stimulus.passes(_zone_points(ground).ravel(), highest * 1e-3, limit * 1e-3)
 
 
-def _zone_points(ground: Ground) -> NDArray[np.float64]:
+def _zone_points(ground: DesignInputs) -> NDArray[np.float64]:
     """Return the points at which each zone's speed is looked at, (n_zones, n_points) array [m]."""
     edges = [zone_edges(zone) for zone in ground.zones.values()]
     half = ground.apparatus.beam.length_mm / 2
@@ -133,7 +133,7 @@ def _zone_points(ground: Ground) -> NDArray[np.float64]:
 
 
 def _check_safety(
-    ground: Ground, stimulus: Stimulus, protocol: Reading[Protocol], index: int, level: float
+    ground: DesignInputs, stimulus: Stimulus, protocol: Reading[Protocol], index: int, level: float
 ) -> Iterator[Problem]:
     limit, zones, points = ground.velocity_limit, ground.zones, _zone_points(ground)
     if level > limit:
@@ -291,12 +291,12 @@ def _examine_several(findings: Findings) -> Preflight:
     return replace(together, problems=tuple(sorted(problems)))
 
 
-def design_to_fit(ground: Ground, *, release: Release | None = None) -> Stimulus:
+def design_to_fit(ground: DesignInputs, *, release: Release | None = None) -> Stimulus:
     """Return the stimulus, without the 5 % of full scale for the amplitude grid where they do not fit.
 
     Parameters
     ----------
-    ground : Ground
+    ground : DesignInputs
         What it is designed from.
     release : str, optional
         What follows the focusing instant; the protocol's own if not given.

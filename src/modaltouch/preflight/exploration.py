@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from modaltouch.preflight.design_inputs import Ground
+from modaltouch.preflight.design_inputs import DesignInputs
 from modaltouch.preflight.figures import zone_centres
 from modaltouch.stimulus import ModalModel, Stimulus
 
@@ -17,12 +17,12 @@ SPREAD: dict[str, Any] = {"natural_frequency": 0.001, "damping_ratio": 0.02, "mo
 """Relative standard deviations of the beams that are drawn [1]."""
 
 
-def sensitivity_figures(ground: Ground, stimulus: Stimulus) -> dict[str, Any]:
+def sensitivity_figures(ground: DesignInputs, stimulus: Stimulus) -> dict[str, Any]:
     """Return how well the beam must be identified: what errors of its parameters do to the field at the focus.
 
     Parameters
     ----------
-    ground : Ground
+    ground : DesignInputs
         What the stimulus was designed from.
     stimulus : Stimulus
         The stimulus, at its highest level.
@@ -83,12 +83,12 @@ def design_figures(stimulus: Stimulus) -> list[dict[str, Any]]:
     ]
 
 
-def sample_figures(ground: Ground, stimulus: Stimulus, tolerance: float) -> dict[str, Any]:
+def sample_figures(ground: DesignInputs, stimulus: Stimulus, tolerance: float) -> dict[str, Any]:
     """Return the fewest samples that keep the field around the focus within a tolerance.
 
     Parameters
     ----------
-    ground : Ground
+    ground : DesignInputs
         What the stimulus was designed from.
     stimulus : Stimulus
         The stimulus on the count of samples that the protocol asks for.

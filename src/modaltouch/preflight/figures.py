@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from modaltouch.preflight.design_inputs import Ground
+from modaltouch.preflight.design_inputs import DesignInputs
 from modaltouch.protocol import Protocol, offered_gains
 from modaltouch.stimulus import Stimulus
 
@@ -16,12 +16,12 @@ ANSWER_S, PLACEMENT_S, BREAK_S, INSTRUCTIONS_S = 1.5, 5.0, 30.0, 90.0
 """Guesses that go into the estimated duration: answering, moving the fingers, a break, the instructions [s]."""
 
 
-def stimulus_figures(ground: Ground, stimulus: Stimulus, level: float) -> dict[str, Any]:
+def stimulus_figures(ground: DesignInputs, stimulus: Stimulus, level: float) -> dict[str, Any]:
     """Return what a level does to the beam, of the rounded codes as the generator plays them.
 
     Parameters
     ----------
-    ground : Ground
+    ground : DesignInputs
         What the stimulus was designed from.
     stimulus : Stimulus
         The stimulus of all levels.
@@ -84,7 +84,7 @@ def contrasts(protocol: Protocol, zone_peak: dict[str, float]) -> list[dict[str,
     return rows
 
 
-def zone_centres(ground: Ground) -> np.ndarray[Any, np.dtype[np.float64]]:
+def zone_centres(ground: DesignInputs) -> np.ndarray[Any, np.dtype[np.float64]]:
     """Return the centres of the zones from left to right, (n_zones,) array [m]."""
     return np.array([zone.centre_mm for zone in ground.zones.values()]) * 1e-3
 
@@ -117,7 +117,7 @@ def estimated_duration(protocol: Protocol) -> float:
     return round(seconds / 60, 1)
 
 
-def warnings(ground: Ground, stimulus: Stimulus, figures: list[dict[str, Any]]) -> list[str]:
+def warnings(ground: DesignInputs, stimulus: Stimulus, figures: list[dict[str, Any]]) -> list[str]:
     """Return what a lab should know and the rig does not refuse.
 
     Parameters

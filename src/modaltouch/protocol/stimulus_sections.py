@@ -12,7 +12,7 @@ ZoneName = Annotated[Word, Field(json_schema_extra={"x-allowed": "the name of a 
 SampleCount = Annotated[int, Field(strict=True, ge=2, le=131_072, multiple_of=2)]
 
 
-class WishedField(Section):
+class FieldSection(Section):
     """The velocity map wished at the focusing instant."""
 
     shape: Literal["triangle", "box", "half_cosine", "raised_cosine", "gaussian", "sampled"] = described(
@@ -58,7 +58,7 @@ class StimulusSection(Section):
     further_foci: Annotated[tuple[ZoneName, ...], Field(max_length=20)] = described(
         "Zones at whose centres the same shape is wished at the same time.", default=()
     )
-    field: WishedField = described("The velocity map wished at the focusing instant.", default=WishedField())
+    field: FieldSection = described("The velocity map wished at the focusing instant.", default=FieldSection())
     decomposed_modes: Annotated[Count, Field(le=1000)] = described(
         "Number of modes on which the wished field is projected.", default=50
     )
@@ -88,7 +88,7 @@ class StimulusVariant(Section):
     further_foci: Annotated[tuple[ZoneName, ...], Field(max_length=20)] | None = described(
         "As in the section stimulus.", default=None
     )
-    field: WishedField | None = described("As in the section stimulus.", default=None)
+    field: FieldSection | None = described("As in the section stimulus.", default=None)
     decomposed_modes: Annotated[Count, Field(le=1000)] | None = described("As in the section stimulus.", default=None)
     selected_modes: Selection | None = described("As in the section stimulus.", default=None)
     focusing_instant_ms: Positive | None = described("As in the section stimulus.", default=None)

@@ -30,7 +30,7 @@ from modaltouch.record.view import describe_dataset, list_participants, write_vi
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class UnrecoveredLine:
     """A line that is not recovered.
 
     Attributes
@@ -62,7 +62,7 @@ class Recovery:
         Proved lines, in the order in which they were written.
     numbers : tuple of int
         Where each stands in the file, from 1.
-    left_out : tuple of LeftOut
+    left_out : tuple of UnrecoveredLine
         The other lines.
     missing : tuple of int
         Numbers of lines that were written and are gone.
@@ -72,7 +72,7 @@ class Recovery:
     sha256: str
     events: tuple[dict[str, Any], ...]
     numbers: tuple[int, ...]
-    left_out: tuple[LeftOut, ...]
+    left_out: tuple[UnrecoveredLine, ...]
     missing: tuple[int, ...]
 
     @property
@@ -124,14 +124,14 @@ def survey(path: Path) -> Recovery:
         lines.pop()
     claimed = {number: tail.group(1).decode() for number, line in enumerate(lines, 1) if (tail := TAIL.search(line))}
     proved: dict[int, dict[str, Any]] = {}
-    left_out: list[LeftOut] = []
+    left_out: list[UnrecoveredLine] = []
     first_copy: dict[bytes, int] = {}
     for number, line in enumerate(lines, 1):
         event = _prove(lines, claimed, number)
         if event is None:
-            left_out.append(LeftOut(number, _why(line, claimed, number), line))
+            left_out.append(UnrecoveredLine(number, _why(line, claimed, number), line))
         elif line in first_copy:
-            left_out.append(LeftOut(number, f"a copy of line {first_copy[line]}", line))
+            left_out.append(UnrecoveredLine(number, f"a copy of line {first_copy[line]}", line))
         else:
             first_copy[line] = number
             proved[number] = event

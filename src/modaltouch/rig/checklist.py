@@ -13,9 +13,9 @@ from modaltouch.protocol import Apparatus
 from modaltouch.rig.connection import Connection, Patience
 from modaltouch.rig.controls import Unconfirmed
 from modaltouch.rig.link import Log
-from modaltouch.rig.open_questions import QUESTIONS, Bench, Finding, State
+from modaltouch.rig.open_questions import QUESTIONS, Finding, QuestionedInstrument, State
 from modaltouch.rig.transport import LinkError
-from modaltouch.rig.watchdog_client import Watchdog
+from modaltouch.rig.watchdog_client import WatchdogClient
 
 
 @dataclass(frozen=True)
@@ -84,13 +84,13 @@ def check_rig(
     connection = Connection(
         address,
         apparatus,
-        guard=Watchdog(address),
+        guard=WatchdogClient(address),
         log=log,
         patience=patience,
     )
     try:
         connection.open()
-        bench = Bench(connection, patience)
+        bench = QuestionedInstrument(connection, patience)
         rows = [_ask(bench, *entry) for entry in QUESTIONS]
         connection.switch_off("the check", (), lambda: None)
     except BaseException:
@@ -100,7 +100,9 @@ def check_rig(
     return rows
 
 
-def _ask(bench: Bench, number: int, question: str, find: Callable[[Bench], Finding]) -> Row:
+def _ask(
+    bench: QuestionedInstrument, number: int, question: str, find: Callable[[QuestionedInstrument], Finding]
+) -> Row:
     """Answer one question; whatever it breaks is mended before the next."""
     try:
         return Row(number, question, *find(bench))

@@ -12,7 +12,7 @@ from modaltouch.rig.interface import RigError
 from modaltouch.rig.link import Link, Log
 from modaltouch.rig.settings import KNOWN_MODELS, STOPPED, Limits, Setting, quiet_settings
 from modaltouch.rig.transport import InUse, LinkError
-from modaltouch.rig.watchdog_client import Guard
+from modaltouch.rig.watchdog_client import BurstPlayer
 from modaltouch.system import SYSTEM_CLOCK, Clock
 
 
@@ -45,7 +45,7 @@ class Patience:
 
 
 @dataclass(frozen=True)
-class Found:
+class OutputState:
     """How the outputs and settings were found when the outputs were switched off.
 
     Attributes
@@ -82,7 +82,7 @@ class Connection:
         VISA address.
     apparatus : Apparatus
         Expected model, and limits.
-    guard : Guard
+    guard : BurstPlayer
         The watchdog, which holds the VISA session.
     log : callable
         Takes every exchange and event.
@@ -97,7 +97,7 @@ class Connection:
         address: str,
         apparatus: Apparatus,
         *,
-        guard: Guard,
+        guard: BurstPlayer,
         log: Log,
         patience: Patience,
         clock: Clock = SYSTEM_CLOCK,
@@ -148,7 +148,7 @@ class Connection:
         """End the session; unless the outputs are off, the watchdog stays and switches them off."""
         self.guard.release(clean=clean)
 
-    def switch_off(self, doing: str, expected: Sequence[Setting], replay: Callable[[], None]) -> Found:
+    def switch_off(self, doing: str, expected: Sequence[Setting], replay: Callable[[], None]) -> OutputState:
         """Switch the outputs off, over a new connection if need be.
 
         Parameters
@@ -168,12 +168,12 @@ class Connection:
         try:
             outputs, errors = self.controls.outputs_off()
             self.guard.disarm()
-            return Found(outputs, tuple(self.controls.differences(expected)), errors)
+            return OutputState(outputs, tuple(self.controls.differences(expected)), errors)
         except (LinkError, Unconfirmed) as error:
             self._log("connection_lost", doing=doing, reason=str(error))
         return self.restore(doing, expected, replay)
 
-    def restore(self, doing: str, expected: Sequence[Setting], replay: Callable[[], None]) -> Found:
+    def restore(self, doing: str, expected: Sequence[Setting], replay: Callable[[], None]) -> OutputState:
         """Open the connection anew, outputs off, and make every setting again; outputs stay off.
 
         Parameters and errors are those of `switch_off`.
@@ -184,7 +184,7 @@ class Connection:
                 self._clock.sleep(self._patience.pause * 2 ** (attempt - 1))
             try:
                 outputs, errors = self._revive()
-                found = Found(outputs, tuple(self.controls.differences(expected)), errors, renewed=True)
+                found = OutputState(outputs, tuple(self.controls.differences(expected)), errors, renewed=True)
                 reported = self.controls.pending_errors()
                 self.controls.clear_errors()
                 self._prepare()

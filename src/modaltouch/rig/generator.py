@@ -15,14 +15,14 @@ from dataclasses import replace
 from typing import Any, Self
 
 from modaltouch.protocol import Apparatus
-from modaltouch.rig.connection import Connection, Found, Patience
+from modaltouch.rig.connection import Connection, OutputState, Patience
 from modaltouch.rig.controls import CHANNELS, Unconfirmed
 from modaltouch.rig.interface import MANY, Bursts, Firing, RigError, StimulusLost
 from modaltouch.rig.link import Log
 from modaltouch.rig.pacing import Report
 from modaltouch.rig.player import RELAYS_SETTLE, Player, Repetition, numbers
 from modaltouch.rig.transport import LinkError
-from modaltouch.rig.watchdog_client import HELD_UP, Guard, Watchdog
+from modaltouch.rig.watchdog_client import HELD_UP, BurstPlayer, WatchdogClient
 from modaltouch.rig.watchdog_process import LIMIT
 from modaltouch.stimulus import Burst
 from modaltouch.system import SYSTEM_CLOCK, Clock
@@ -76,7 +76,7 @@ class Generator:
         log: Log = _ignore,
         patience: Patience | None = None,
         repetition: Repetition | None = None,
-        start_guard: Callable[[str], Guard] = Watchdog,
+        start_guard: Callable[[str], BurstPlayer] = WatchdogClient,
         clock: Clock = SYSTEM_CLOCK,
     ) -> None:
         self._log = log
@@ -417,7 +417,7 @@ class Generator:
     def __exit__(self, *exc: object) -> None:
         self.close()
 
-    def _switch_off(self, doing: str) -> Found:
+    def _switch_off(self, doing: str) -> OutputState:
         """Switch the outputs off and stop the trigger; return how they were found."""
         was_on, self._on = self._on, False
         expected = self._player.expected if was_on else ()

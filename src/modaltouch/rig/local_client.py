@@ -10,7 +10,7 @@ ROUNDING = 1e-9
 """What a sum of virtual times may lack [s]."""
 
 
-class SameProcess:
+class LocalClient:
     """The same for a session in virtual time: no process of its own, and bursts whose instants are virtual.
 
     Nothing of it survives its process, so that it is for a twin in that process alone.

@@ -27,7 +27,7 @@ State = Literal["found", "person", "unanswered"]
 
 
 @dataclass(frozen=True)
-class Bench:
+class QuestionedInstrument:
     """What a question may use."""
 
     connection: Connection
@@ -51,7 +51,7 @@ Finding = tuple[State, str, str]
 """State, answer and advice."""
 
 
-def _settings(bench: Bench) -> Finding:
+def _settings(bench: QuestionedInstrument) -> Finding:
     identity = bench.connection.identity
     return (
         "found",
@@ -60,7 +60,7 @@ def _settings(bench: Bench) -> Finding:
     )
 
 
-def _idle_level(bench: Bench) -> Finding:
+def _idle_level(bench: QuestionedInstrument) -> Finding:
     return (
         "person",
         "cannot be seen from the bus",
@@ -69,7 +69,7 @@ def _idle_level(bench: Bench) -> Finding:
     )
 
 
-def _timer(bench: Bench) -> Finding:
+def _timer(bench: QuestionedInstrument) -> Finding:
     bench.ask(f":TRIG:TIM {REPETITION_PERIOD:.12g}S;:TRIG:TIM?")
     period = float(bench.ask("TRIG:TIM?"))
     off = period / REPETITION_PERIOD - 1
@@ -80,7 +80,7 @@ def _timer(bench: Bench) -> Finding:
     )
 
 
-def _copy_time(bench: Bench) -> Finding:
+def _copy_time(bench: QuestionedInstrument) -> Finding:
     filled = bench.ask("DATA:CAT?")
     kept = "USER4" in filled
     if kept:
@@ -104,7 +104,7 @@ def _copy_time(bench: Bench) -> Finding:
     )
 
 
-def _second_edit_memory(bench: Bench) -> Finding:
+def _second_edit_memory(bench: QuestionedInstrument) -> Finding:
     bench.ask("*CLS;*OPC?")
     try:
         reply = bench.link.ask("DATA:POIN? EMEM2")
@@ -116,7 +116,7 @@ def _second_edit_memory(bench: Bench) -> Finding:
     return "found", answer, "the driver uses one edit memory in any case"
 
 
-def _raw_socket(bench: Bench) -> Finding:
+def _raw_socket(bench: QuestionedInstrument) -> Finding:
     host = (bench.connection.address.split("::") + [""])[1]
     if not bench.connection.address.upper().startswith("TCPIP") or "," in host:
         return "unanswered", "not reached over its network address", "ask again over TCPIP::<address>::INSTR"
@@ -134,7 +134,7 @@ def _answers(host: str, port: int) -> bool:
         return False
 
 
-def _ranges(bench: Bench) -> Finding:
+def _ranges(bench: QuestionedInstrument) -> Finding:
     took = {}
     for amplitude in STEPS:
         if amplitude / 2 > bench.connection.limits.level:
@@ -153,7 +153,7 @@ def _ranges(bench: Bench) -> Finding:
     )
 
 
-def _time_of_change(bench: Bench, amplitude: float) -> float:
+def _time_of_change(bench: QuestionedInstrument, amplitude: float) -> float:
     """Return how long going from the lowest level to another takes [s]."""
     bench.connection.controls.apply([level_setting(1, STEPS[0])])
     started = time.perf_counter()
@@ -161,7 +161,7 @@ def _time_of_change(bench: Bench, amplitude: float) -> float:
     return time.perf_counter() - started
 
 
-def _limits(bench: Bench) -> Finding:
+def _limits(bench: QuestionedInstrument) -> Finding:
     controls, level = bench.connection.controls, bench.connection.limits.level
     source = "SOUR1:VOLT"
     controls.apply([Setting(f"{source}:LIM:HIGH", 1.0, "V"), Setting(f"{source}:LIM:LOW", -1.0, "V")])
@@ -176,7 +176,7 @@ def _limits(bench: Bench) -> Finding:
     return "found", f"4 Vpp beyond a limit of 1 V is {how}; the level reads {reply:g} Vpp", "the limit holds"
 
 
-def _error_queue(bench: Bench) -> Finding:
+def _error_queue(bench: QuestionedInstrument) -> Finding:
     bench.ask("*CLS;*OPC?")
     for _ in range(N_ERRORS):
         bench.link.ask("*OPC?;:NONSENSE:HEADER")
@@ -187,7 +187,7 @@ def _error_queue(bench: Bench) -> Finding:
     return "found", f"first {errors[0]}, last {errors[-1]}; {depth}", "the driver empties it after every setting"
 
 
-def _block_end(bench: Bench) -> Finding:
+def _block_end(bench: QuestionedInstrument) -> Finding:
     bench.ask("DATA:DEF EMEM,1000;*OPC?")
     reply = bench.link.ask_raw("DATA:DATA? EMEM", timeout=bench.patience.copy)
     n_digits = int(reply[1:2])
@@ -199,7 +199,7 @@ def _block_end(bench: Bench) -> Finding:
     )
 
 
-def _skew(bench: Bench) -> Finding:
+def _skew(bench: QuestionedInstrument) -> Finding:
     return (
         "person",
         "cannot be seen from the bus",
@@ -208,7 +208,7 @@ def _skew(bench: Bench) -> Finding:
     )
 
 
-def _sessions(bench: Bench) -> Finding:
+def _sessions(bench: QuestionedInstrument) -> Finding:
     second = VisaSession(bench.connection.address, shares=True)
     try:
         second.open()
@@ -231,7 +231,7 @@ def _sessions(bench: Bench) -> Finding:
     )
 
 
-def _trigger(bench: Bench) -> Finding:
+def _trigger(bench: QuestionedInstrument) -> Finding:
     controls = bench.connection.controls
     controls.apply([STOPPED])
     for channel in CHANNELS:
@@ -255,7 +255,7 @@ def _trigger(bench: Bench) -> Finding:
     )
 
 
-def _after_link_loss(bench: Bench) -> Finding:
+def _after_link_loss(bench: QuestionedInstrument) -> Finding:
     controls = bench.connection.controls
     controls.apply([STOPPED])
     for channel in CHANNELS:
@@ -275,7 +275,7 @@ def _after_link_loss(bench: Bench) -> Finding:
     )
 
 
-QUESTIONS: tuple[tuple[int, str, Callable[[Bench], Finding]], ...] = (
+QUESTIONS: tuple[tuple[int, str, Callable[[QuestionedInstrument], Finding]], ...] = (
     (0, "Does it take the driver's settings?", _settings),
     (1, "Where does the output rest between bursts?", _idle_level),
     (2, "What does the trigger timer make of 1/7 s?", _timer),

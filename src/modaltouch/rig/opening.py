@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from modaltouch.rig.interface import Rig
     from modaltouch.rig.link import Log
     from modaltouch.rig.simulator import Simulator
-    from modaltouch.rig.watchdog_client import Guard
+    from modaltouch.rig.watchdog_client import BurstPlayer
 
 
 def open_rig(address: str, apparatus: Apparatus, *, log: Log, **options: Any) -> Rig:
@@ -39,12 +39,12 @@ def open_rig(address: str, apparatus: Apparatus, *, log: Log, **options: Any) ->
     return Generator(address, apparatus, log=log, **options)
 
 
-def same_process(clock: VirtualClock) -> Callable[[str], Guard]:
+def same_process(clock: VirtualClock) -> Callable[[str], BurstPlayer]:
     """Return what stands in a watchdog's place for a session in virtual time, as `open_rig`'s ``start_guard``."""
-    from modaltouch.rig.local_client import SameProcess
+    from modaltouch.rig.local_client import LocalClient
     from modaltouch.rig.visa import VisaSession
 
-    return lambda address: SameProcess(VisaSession(address), clock)
+    return lambda address: LocalClient(VisaSession(address), clock)
 
 
 def start_simulator(apparatus: Apparatus, seed: int | None = None, *, clock: Clock = SYSTEM_CLOCK) -> Simulator:

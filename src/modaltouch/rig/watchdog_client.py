@@ -58,7 +58,7 @@ PIPE_SIZE = 1 << 20
 """What Linux grants to everybody [bytes]."""
 
 
-class Guard(Transport, typing.Protocol):
+class BurstPlayer(Transport, typing.Protocol):
     """What the driver asks of a watchdog: the way to the instrument, bursts, and outputs off without the driver."""
 
     def arm(self, *, plays_by_itself: bool) -> None:
@@ -89,7 +89,7 @@ class Guard(Transport, typing.Protocol):
         """End it; unless clean, it switches the outputs off first."""
 
 
-class Watchdog:
+class WatchdogClient:
     """A process that holds the VISA session, and switches the outputs off when this one dies or stalls.
 
     One that dies or gets stuck itself is replaced by the next `open`.

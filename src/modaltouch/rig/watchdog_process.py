@@ -63,7 +63,7 @@ REPLY_TIMEOUT = 1.0
 OFF = b":OUTP1 OFF;:OUTP2 OFF;:OUTP1?;:OUTP2?\n"
 
 
-class Watch:
+class WatchdogProcess:
     """Carries out the requests of one master over one transport, and watches over it.
 
     Parameters
@@ -337,7 +337,7 @@ def main(address: str) -> int:
     _import_visa()
     _take_precedence()
     with open(0, "rb", buffering=1 << 18, closefd=False) as requests:
-        Watch(VisaSession(address), say=_say).serve(requests, _answer)
+        WatchdogProcess(VisaSession(address), say=_say).serve(requests, _answer)
     return 0
 
 

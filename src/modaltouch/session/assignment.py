@@ -34,7 +34,7 @@ _TAIL = 4096
 
 
 @dataclass(frozen=True)
-class Allotment:
+class Assignment:
     """A participant's turn and why it is theirs.
 
     Attributes
@@ -64,7 +64,7 @@ class Allotment:
         }
 
 
-def allot(place: SessionFolder, protocol: Protocol, drawn_as: int) -> Allotment:
+def allot(place: SessionFolder, protocol: Protocol, drawn_as: int) -> Assignment:
     """Return the turn of a participant whose session begins; to be called while the dataset is held.
 
     Parameters
@@ -97,7 +97,7 @@ def allot(place: SessionFolder, protocol: Protocol, drawn_as: int) -> Allotment:
     else:
         own = min(range(n_turns), key=lambda turn: (filled[turn], left[turn], turn))
         reason = "least filled in the records"
-    return Allotment(Turn(own + drawn_as - 1, reason), n_turns, dict(filled), dict(left))
+    return Assignment(Turn(own + drawn_as - 1, reason), n_turns, dict(filled), dict(left))
 
 
 def next_session(place: SessionFolder, n_sessions: int) -> tuple[SessionFolder, int]:

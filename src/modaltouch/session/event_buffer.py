@@ -8,7 +8,7 @@ from typing import Any
 from modaltouch.record import SessionLog
 
 
-class Journal:
+class EventBuffer:
     """Carries the events of instrument and window into the session log.
 
     Events that come before the log exists are kept until it does. What is said to the instrument is gathered

@@ -35,7 +35,7 @@ NOT_OVER = "the stimulus is not over yet"
 
 
 @dataclass(frozen=True)
-class Sitting:
+class SessionRun:
     """Everything one sitting of one participant needs.
 
     Attributes
@@ -79,7 +79,7 @@ class Sitting:
     clock: Clock = SYSTEM_CLOCK
 
 
-def conduct(sitting: Sitting) -> None:
+def conduct(sitting: SessionRun) -> None:
     """Run every remaining trial of a session.
 
     Each answer is on the disk before the next trial begins, and the outputs are off whenever no stimulus is
@@ -115,7 +115,7 @@ def conduct(sitting: Sitting) -> None:
         sitting.window.goodbye()
 
 
-def repeat(sitting: Sitting, previous: Trial | None) -> Trial | None:
+def repeat(sitting: SessionRun, previous: Trial | None) -> Trial | None:
     """Ask again what the experimenter wants repeated, and return the last trial that was run.
 
     The first answer stays in the record, withdrawn: if nothing comes after it, `resume` asks the trial again. In an
@@ -137,12 +137,12 @@ def repeat(sitting: Sitting, previous: Trial | None) -> Trial | None:
     return previous
 
 
-def _counted(sitting: Sitting) -> tuple[dict[str, Any], ...]:
+def _counted(sitting: SessionRun) -> tuple[dict[str, Any], ...]:
     """Return the trial events that count so far."""
     return Session(sitting.log.path, tuple(sitting.log.events), ()).trials
 
 
-def practise(sitting: Sitting) -> Trial | None:
+def practise(sitting: SessionRun) -> Trial | None:
     """Run rounds of practice until one is passed, and return the last practice trial.
 
     Raises
@@ -169,7 +169,7 @@ def practise(sitting: Sitting) -> Trial | None:
     return previous
 
 
-def _comment(sitting: Sitting, trial: Trial, response: Response) -> None:
+def _comment(sitting: SessionRun, trial: Trial, response: Response) -> None:
     """Tell a participant who practises what was to be felt, where the protocol wants it and there is no doubt."""
     if not (trial.practice and sitting.protocol.schedule.practice_feedback):
         return
@@ -178,11 +178,11 @@ def _comment(sitting: Sitting, trial: Trial, response: Response) -> None:
         sitting.window.give_feedback(response, expected)
 
 
-def _has_passed_practice(sitting: Sitting) -> bool:
+def _has_passed_practice(sitting: SessionRun) -> bool:
     return any(event.get("event") == "practice_round" and event["passed"] for event in sitting.log.events)
 
 
-def _close_rounds(sitting: Sitting) -> None:
+def _close_rounds(sitting: SessionRun) -> None:
     """Write down how each round of practice went that is over and not yet judged, before a kill or after it."""
     schedule, events = sitting.protocol.schedule, sitting.log.events
     counted = [event for event in _counted(sitting) if event["trial"]["practice"]]
@@ -204,7 +204,7 @@ def _close_rounds(sitting: Sitting) -> None:
             )
 
 
-def run(sitting: Sitting, trial: Trial, previous: Trial | None) -> Response:
+def run(sitting: SessionRun, trial: Trial, previous: Trial | None) -> Response:
     """Present one trial until what was played is confirmed, write every answer down; return the last.
 
     Raises
@@ -243,7 +243,7 @@ def run(sitting: Sitting, trial: Trial, previous: Trial | None) -> Response:
     )
 
 
-def present(sitting: Sitting, trial: Trial) -> tuple[Response | None, Firing]:
+def present(sitting: SessionRun, trial: Trial) -> tuple[Response | None, Firing]:
     """Present a trial once, or again where it is cut; the answer is on the disk before anything else can go wrong.
 
     Returns
@@ -305,7 +305,7 @@ def present(sitting: Sitting, trial: Trial) -> tuple[Response | None, Firing]:
         return response, firing
 
 
-def fire(sitting: Sitting, trial: Trial) -> Firing:
+def fire(sitting: SessionRun, trial: Trial) -> Firing:
     """Start the stimulus of a trial, a catch trial's silence included."""
     # A catch trial does all that one at the lowest level does, but lets no burst go.
     silent = trial.condition.is_catch
@@ -317,14 +317,16 @@ def fire(sitting: Sitting, trial: Trial) -> Firing:
     return sitting.rig.fire(level * 1e-3, n_bursts=n_bursts, exactly=exactly, silent=silent, which=which)
 
 
-def _ends(sitting: Sitting, trial: Trial, firing: Firing) -> float:
+def _ends(sitting: SessionRun, trial: Trial, firing: Firing) -> float:
     """Return when the last burst of a stimulus is over [s]."""
     stimulus = sitting.protocol.stimulus_of(trial.condition.stimulus)
     n_bursts = sitting.protocol.answers.n_bursts(stimulus.repetition_rate_Hz)
     return firing.onset + (n_bursts - 1) / stimulus.repetition_rate_Hz + stimulus.duration_ms * 1e-3
 
 
-def _write_down(sitting: Sitting, event: str, trial: Trial, response: Response, firing: Firing, **further: Any) -> int:
+def _write_down(
+    sitting: SessionRun, event: str, trial: Trial, response: Response, firing: Firing, **further: Any
+) -> int:
     """Put an answer on the disk, and return its line."""
     facts = describe_answer(
         sitting.protocol,
@@ -338,7 +340,7 @@ def _write_down(sitting: Sitting, event: str, trial: Trial, response: Response, 
     return int(sitting.log.append(event, **facts, **further)["n"])
 
 
-def _write_cut(sitting: Sitting, trial: Trial, reason: str, firing: Firing) -> None:
+def _write_cut(sitting: SessionRun, trial: Trial, reason: str, firing: Firing) -> None:
     """Put on the disk what was played of a stimulus that nobody answered."""
     sitting.log.append(
         "trial_cut",
@@ -349,7 +351,7 @@ def _write_cut(sitting: Sitting, trial: Trial, reason: str, firing: Firing) -> N
     )
 
 
-def _rest_is_due(sitting: Sitting, trial: Trial, rested: float) -> bool:
+def _rest_is_due(sitting: SessionRun, trial: Trial, rested: float) -> bool:
     """Return whether a break comes before a trial, by count or by the time since `rested` [s]."""
     schedule = sitting.protocol.schedule
     by_count = schedule.break_after_trials is not None and (trial.index - 1) % schedule.break_after_trials == 0

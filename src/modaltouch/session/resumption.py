@@ -23,7 +23,7 @@ CLOCK_TOLERANCE = 60.0
 
 
 @dataclass(frozen=True)
-class Interruption:
+class SessionInterruption:
     """How a session ended before its end.
 
     Attributes
@@ -54,7 +54,7 @@ class Interruption:
         return asdict(self)
 
 
-def examine_interruption(session: Session, *, now: datetime, clock: float, boot: str) -> Interruption:
+def examine_interruption(session: Session, *, now: datetime, clock: float, boot: str) -> SessionInterruption:
     """Return how a session was interrupted.
 
     Parameters
@@ -75,7 +75,7 @@ def examine_interruption(session: Session, *, now: datetime, clock: float, boot:
     boots = [event["boot"] for event in events if event.get("boot")]
     counted = clock - last["clock"] if boot and boots and boots[-1] == boot else 0.0
     behind = max(counted, 0.0) - passed
-    return Interruption(
+    return SessionInterruption(
         reason=str(last["reason"]) if last["event"] == "stop" else "killed",
         last_line=int(last["n"]),
         last_time=latest.isoformat(timespec="milliseconds"),
@@ -104,7 +104,7 @@ def way_on(reason: str, folder: Path) -> str:
     return f"go on with `modaltouch resume {folder}`"
 
 
-def refuse_failed(session: Session, interruption: Interruption) -> None:
+def refuse_failed(session: Session, interruption: SessionInterruption) -> None:
     """Raise if a session ended because its practice was not passed: it would only end again.
 
     Raises
@@ -119,7 +119,7 @@ def refuse_failed(session: Session, interruption: Interruption) -> None:
         )
 
 
-def refuse_old(session: Session, interruption: Interruption, policy: ResumeSection) -> None:
+def refuse_old(session: Session, interruption: SessionInterruption, policy: ResumeSection) -> None:
     """Raise if the protocol does not let a session go on after so long a time.
 
     Raises
@@ -170,7 +170,7 @@ def go_on(
     place: SessionFolder,
     schedule: Schedule,
     policy: ResumeSection,
-    cut: Interruption,
+    cut: SessionInterruption,
     facts: dict[str, Any],
     clock: Clock = SYSTEM_CLOCK,
 ) -> SessionLog:
@@ -184,7 +184,7 @@ def go_on(
         Its trials.
     policy : ResumeSection
         How it goes on.
-    cut : Interruption
+    cut : SessionInterruption
         How it was interrupted.
     facts : dict
         What else the resume record says.
@@ -209,7 +209,7 @@ def go_on(
 def begin_anew(
     old: SessionFolder,
     place: SessionFolder,
-    cut: Interruption,
+    cut: SessionInterruption,
     facts: dict[str, Any],
     clock: Clock = SYSTEM_CLOCK,
 ) -> SessionLog:
@@ -219,7 +219,7 @@ def begin_anew(
     ----------
     old, place : SessionFolder
         Where the interrupted session is recorded, and where the new one will be.
-    cut : Interruption
+    cut : SessionInterruption
         How the old one was interrupted.
     facts : dict
         What else the start record of the new one says.

@@ -27,11 +27,11 @@ from modaltouch.record import (
 from modaltouch.rig import Rig, is_simulated
 from modaltouch.session.assignment import allot
 from modaltouch.session.console.experimenter import Experimenter
-from modaltouch.session.console.interface import Console, Silence
+from modaltouch.session.console.interface import Console, NoConsole
 from modaltouch.session.console.status import Status
-from modaltouch.session.event_buffer import Journal
+from modaltouch.session.event_buffer import EventBuffer
 from modaltouch.session.events import describe_ending, describe_start
-from modaltouch.session.loop import Sitting, conduct
+from modaltouch.session.loop import SessionRun, conduct
 from modaltouch.session.resumption import begin_anew, examine_interruption, go_on, refuse_failed, refuse_old, way_on
 from modaltouch.system import SYSTEM_CLOCK, Clock, Interruption, boot, commit, versions
 from modaltouch.window import AnswerWindow, Masking, NoMasking, Tick, Wish
@@ -89,7 +89,7 @@ class Setup:
     replaces: SessionFolder | None = None
     drawn_as: int | None = None
     on_progress: Callable[[int, int], None] = lambda answered, total: None
-    console: Console = field(default_factory=Silence)
+    console: Console = field(default_factory=NoConsole)
     clock: Clock = SYSTEM_CLOCK
 
 
@@ -159,7 +159,7 @@ def _mend(setup: Setup, place: SessionFolder) -> Session:
 
 
 def _sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], SessionLog], first: str) -> Session:
-    journal = Journal()
+    journal = EventBuffer()
     levels = Levels(setup.preflight.experiment.protocol)
     seconds = estimated_duration(setup.preflight.experiment.protocol) * 60 / max(len(setup.schedule.trials), 1)
     experimenter = Experimenter(setup.console, journal.event, Status(seconds))
@@ -239,10 +239,10 @@ def _sitting(
     rig: Rig,
     window: AnswerWindow,
     log: SessionLog,
-    journal: Journal,
+    journal: EventBuffer,
     tick: Tick,
     levels: Levels,
-) -> Sitting:
+) -> SessionRun:
     done = Session(log.path, tuple(log.events), ()).answered
     schedule = setup.schedule
     remaining = [trial for trial in (*schedule.practice, *schedule.trials) if (trial.practice, trial.index) not in done]
@@ -255,7 +255,7 @@ def _sitting(
         setup.on_progress(session.n_answered, total)
 
     save_view()
-    return Sitting(
+    return SessionRun(
         protocol=setup.preflight.experiment.protocol,
         trials=tuple(remaining),
         total=total,
@@ -284,7 +284,7 @@ def _describe(setup: Setup, rig: Rig, window: AnswerWindow, masking: Masking, fi
     return about if first == "resume" else {**describe_start(setup.preflight, setup.schedule, setup.place), **about}
 
 
-def _conclude(setup: Setup, log: SessionLog, journal: Journal, ending: dict[str, str]) -> None:
+def _conclude(setup: Setup, log: SessionLog, journal: EventBuffer, ending: dict[str, str]) -> None:
     if ending["reason"] == "record fault":
         return  # the log takes nothing more
     journal.flush()

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from modaltouch.stimulus.sensitivity import focus_sensitivity, scatter
     from modaltouch.stimulus.shapes import characteristic_root, mode_shapes
     from modaltouch.stimulus.synthesis import synthesise
-    from modaltouch.stimulus.target_field import Wish
+    from modaltouch.stimulus.target_field import TargetField
     from modaltouch.stimulus.timing import Timing
     from modaltouch.stimulus.timoshenko import TimoshenkoBeam
     from modaltouch.stimulus.vibration import moments, peak_velocity, states_by_channel, velocity_history
@@ -46,7 +46,7 @@ __all__ = [
     "Taper",
     "Timing",
     "TimoshenkoBeam",
-    "Wish",
+    "TargetField",
     "characteristic_root",
     "cheapest_samples",
     "design_stimulus",
@@ -91,7 +91,7 @@ __getattr__ = lazily(
         "sensitivity": "focus_sensitivity scatter",
         "shapes": "characteristic_root mode_shapes",
         "synthesis": "synthesise",
-        "target_field": "Wish",
+        "target_field": "TargetField",
         "timing": "Timing",
         "timoshenko": "TimoshenkoBeam",
         "vibration": "moments peak_velocity states_by_channel velocity_history",

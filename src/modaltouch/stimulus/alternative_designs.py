@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from modaltouch.stimulus.drive import Drive, brake, exact_drive, steering
 from modaltouch.stimulus.dynamics import modal_system
 from modaltouch.stimulus.modes import ModalModel
-from modaltouch.stimulus.reachability import GramianSolver, Reach
+from modaltouch.stimulus.reachability import GramianSolver, ReachabilityGramian
 from modaltouch.stimulus.synthesis import decay
 from modaltouch.stimulus.vibration import states_by_channel
 from modaltouch.stimulus.voltages import Voltages
@@ -220,13 +220,13 @@ def _least_energy(stimulus: Voltages) -> Drive:
     return exact_drive(stimulus.model, stimulus.system, stimulus.timing, velocity, stimulus.release, displacement)
 
 
-def _problem(stimulus: Voltages) -> tuple[Reach, FloatArray]:
+def _problem(stimulus: Voltages) -> tuple[ReachabilityGramian, FloatArray]:
     """Return how the samples before the focus reach the states of the driven modes, and the states wished."""
     reach, _, wished, _ = steering(stimulus.model, stimulus.system, stimulus.timing, *stimulus.aim)
     return reach, wished
 
 
-def _rows(reach: Reach) -> FloatArray:
+def _rows(reach: ReachabilityGramian) -> FloatArray:
     """Return R, unweighted, (n_conditions, n_channels, n_samples) array."""
     ago = np.arange(reach.taper.n_samples - 1, -1, -1)
     powers = decay(reach.exponent, reach.hold, ago)
@@ -234,7 +234,9 @@ def _rows(reach: Reach) -> FloatArray:
     return np.asarray(rows.reshape(*reach.row.shape[:2], -1))
 
 
-def _polished(stimulus: Voltages, reach: Reach, voltage: FloatArray, wished: FloatArray, name: str) -> Alternative:
+def _polished(
+    stimulus: Voltages, reach: ReachabilityGramian, voltage: FloatArray, wished: FloatArray, name: str
+) -> Alternative:
     """Return the voltages with the least energy added that takes their residual out."""
     timing, system = stimulus.timing, stimulus.system
     read = steering(stimulus.model, system, timing, *stimulus.aim)[1]

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from modaltouch.stimulus.blocks import SHORT, BlockKernel
 from modaltouch.stimulus.clock_quantisation import clock_inputs, clock_pushes
 from modaltouch.stimulus.dynamics import DiagonalSystem
-from modaltouch.stimulus.peak_bound import Effort, bound_weights
-from modaltouch.stimulus.recursion import Scan
+from modaltouch.stimulus.peak_bound import PeakBound, bound_weights
+from modaltouch.stimulus.recursion import BlockRecursion
 from modaltouch.stimulus.synthesis import BLOCK, decay, ladders
 from modaltouch.stimulus.timing import Timing
 
@@ -25,7 +25,7 @@ _OUTPUTS = 256
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class BlockStates:
     """A burst from rest, in long blocks; the short ones within are looked into only where a peak may lie.
 
     Attributes
@@ -46,7 +46,7 @@ class Course:
     begin: ComplexArray
 
     @classmethod
-    def of(cls, system: DiagonalSystem, voltage: FloatArray, timing: Timing) -> Course:
+    def of(cls, system: DiagonalSystem, voltage: FloatArray, timing: Timing) -> BlockStates:
         """Return the course of voltages.
 
         Parameters
@@ -69,16 +69,16 @@ class Course:
                 parts = blocks @ np.concatenate([table.real, table.imag]).T
                 pushed[driven, place] += (parts[:, : driven.size] + 1j * parts[:, driven.size :]).T
         rest = np.zeros(system.exponent.size, dtype=complex)
-        begin, left = Scan.of(system.exponent, timing.hold, BLOCK).follow(pushed, rest)
+        begin, left = BlockRecursion.of(system.exponent, timing.hold, BLOCK).follow(pushed, rest)
         return cls(system, timing, inputs, np.concatenate([begin, left[:, None]], axis=1))
 
     @cached_property
-    def effort(self) -> Effort:
+    def effort(self) -> PeakBound:
         """What bounds the outputs within the blocks."""
         parts = []
         for place, blocks in _whole_and_rest(self.inputs):
-            parts.append(Effort.of(blocks, self.begin[:, :-1][:, place]))
-        return Effort(*(np.concatenate(each, axis=1) for each in zip(*map(astuple, parts), strict=True)))
+            parts.append(PeakBound.of(blocks, self.begin[:, :-1][:, place]))
+        return PeakBound(*(np.concatenate(each, axis=1) for each in zip(*map(astuple, parts), strict=True)))
 
     def peak(self, output: ComplexArray, floor: float = 0.0) -> FloatArray:
         """Return the largest magnitude of each output until the next burst would begin, (n_outputs,) array.

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.stimulus.dynamics import DiagonalSystem
-from modaltouch.stimulus.peak_bound import Effort, bound_weights
-from modaltouch.stimulus.recursion import SHORT, Scan
+from modaltouch.stimulus.peak_bound import PeakBound, bound_weights
+from modaltouch.stimulus.recursion import SHORT, BlockRecursion
 from modaltouch.stimulus.synthesis import decay
 
 FloatArray = NDArray[np.float64]
@@ -87,9 +87,9 @@ class BlockKernel:
         return decay(self.exponent, self.hold, np.arange(SHORT))
 
     @cached_property
-    def scan(self) -> Scan:
+    def scan(self) -> BlockRecursion:
         """How the states go on from block to block."""
-        return Scan.of(self.exponent, self.hold)
+        return BlockRecursion.of(self.exponent, self.hold)
 
     @cached_property
     def _into_state(self) -> list[tuple[NDArray[np.intp], ComplexArray]]:
@@ -224,7 +224,7 @@ class BlockKernel:
             As for `respond`.
         """
         steady, worst = self._bound_weights
-        effort = Effort.of(blocks, begin)
+        effort = PeakBound.of(blocks, begin)
         return np.asarray(np.abs(self.output) @ effort.size + steady @ effort.mean + worst @ effort.swing)
 
     @cached_property

@@ -11,15 +11,15 @@ from modaltouch.stimulus.designed import Design, Rounding, Stimulus
 from modaltouch.stimulus.drive import Law, Release, check_drivable
 from modaltouch.stimulus.dynamics import Amplifier
 from modaltouch.stimulus.modes import ModalModel
-from modaltouch.stimulus.target_field import Wish
+from modaltouch.stimulus.target_field import TargetField
 from modaltouch.stimulus.timing import Timing
 
-__all__ = ["Amplifier", "Burst", "Correction", "ModalModel", "Stimulus", "Timing", "Wish", "design_stimulus"]
+__all__ = ["Amplifier", "Burst", "Correction", "ModalModel", "Stimulus", "Timing", "TargetField", "design_stimulus"]
 
 
 def design_stimulus(
     model: ModalModel,
-    wish: Wish,
+    wish: TargetField,
     timing: Timing,
     amplifier: Amplifier,
     *,
@@ -37,7 +37,7 @@ def design_stimulus(
     ----------
     model : ModalModel
         The identified beam.
-    wish : Wish
+    wish : TargetField
         The wished field; its velocity is the reference level, the highest.
     timing : Timing
         Samples, clock and focusing instant.

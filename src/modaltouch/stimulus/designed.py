@@ -13,7 +13,7 @@ from modaltouch.stimulus.bounds import require_positive
 from modaltouch.stimulus.burst import MID_CODE, Burst, amplitudes_at
 from modaltouch.stimulus.correction import Correction, Trims, trimmed
 from modaltouch.stimulus.drive import Drive, Law
-from modaltouch.stimulus.played import Played
+from modaltouch.stimulus.played import QuantisedStimulus
 from modaltouch.stimulus.quantisation import full_scale, round_to_codes, unsigned_codes
 from modaltouch.stimulus.rounding import settle
 from modaltouch.stimulus.vibration import states_by_channel
@@ -106,7 +106,7 @@ class Stimulus(Voltages):
         return tuple(full_scale(2 * float(v) / self._to_beam, shares) for v in self.peak_voltage)
 
     @cached_property
-    def _played(self) -> Played:
+    def _played(self) -> QuantisedStimulus:
         """The codes, and what they do to the beam."""
         volts_per_code = np.asarray(self._amplitude) * (self._to_beam / 2 / MID_CODE)
         codes = round_to_codes(self.voltage, volts_per_code)
@@ -115,7 +115,7 @@ class Stimulus(Voltages):
             reached, displacement = self._read(states)
             error = np.concatenate([self.aim[0] - reached, self.aim[1] - displacement])
             codes = settle(codes, volts_per_code, self.system, self.timing, error, float(np.abs(self.target).max()))
-        return Played(self.system, self.timing, codes)
+        return QuantisedStimulus(self.system, self.timing, codes)
 
     def peak_drive(self, velocity: float) -> FloatArray:
         """Return the highest magnitude of each channel's voltage as played at a level, (n_channels,) array [V].

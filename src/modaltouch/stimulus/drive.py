@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from modaltouch.stimulus.dynamics import DiagonalSystem
 from modaltouch.stimulus.modes import ModalModel
-from modaltouch.stimulus.reachability import GramianSolver, Reach, Taper
+from modaltouch.stimulus.reachability import GramianSolver, ReachabilityGramian, Taper
 from modaltouch.stimulus.timing import Timing
 from modaltouch.stimulus.vibration import states_by_channel
 
@@ -135,7 +135,7 @@ def steering(
     timing: Timing,
     target: FloatArray,
     displacement: FloatArray | None = None,
-) -> tuple[Reach, ComplexArray, FloatArray, int]:
+) -> tuple[ReachabilityGramian, ComplexArray, FloatArray, int]:
     """Return how the samples before the focusing instant reach the states there, and which states are wished.
 
     Parameters
@@ -149,7 +149,7 @@ def steering(
 
     Returns
     -------
-    reach : Reach
+    reach : ReachabilityGramian
         From the samples to the conditions.
     read : (n_conditions, n_states) complex array
         The conditions are the real part of ``read @ state``: velocities, then displacements times angular
@@ -170,7 +170,7 @@ def steering(
     _check_enough(model.modal_gain[driven], n_before, timing, "before the focusing instant")
     read = np.concatenate([system.velocity[driven], system.displacement[driven]])
     held = system.held_gain(timing.hold) * np.exp(system.exponent * remainder)[:, None]
-    reach = Reach(
+    reach = ReachabilityGramian(
         row=read[:, None, :] * held.T,
         exponent=system.exponent,
         hold=timing.hold,
@@ -184,7 +184,7 @@ def steering(
 def _steer(
     system: DiagonalSystem,
     timing: Timing,
-    reach: Reach,
+    reach: ReachabilityGramian,
     goal: tuple[ComplexArray, FloatArray],
     voltage: FloatArray,
     label: list[int],
@@ -251,7 +251,7 @@ def brake(
     read[np.arange(driven.size), driven] = 1.0
     read[np.arange(driven.size) + driven.size, driven] = -1j
     held = system.held_gain(timing.hold)
-    reach = Reach(
+    reach = ReachabilityGramian(
         row=read[:, None, :] * held.T,
         exponent=system.exponent,
         hold=timing.hold,

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.shapes import mode_shapes
-from modaltouch.stimulus.target_field import Wish
+from modaltouch.stimulus.target_field import TargetField
 
 FloatArray = NDArray[np.float64]
 _NODES = 16
@@ -69,12 +69,12 @@ class Projection:
     ----------
     model : ModalModel
         The modelled modes.
-    wish : Wish
+    wish : TargetField
         The wished field.
     """
 
     model: ModalModel
-    wish: Wish
+    wish: TargetField
 
     def __post_init__(self) -> None:
         """Refuse a wish that the modelled modes cannot follow."""

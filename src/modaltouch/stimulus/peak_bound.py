@@ -12,7 +12,7 @@ ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, eq=False)
-class Effort:
+class PeakBound:
     """What bounds a response within each block.
 
     Attributes
@@ -30,7 +30,7 @@ class Effort:
     swing: FloatArray
 
     @classmethod
-    def of(cls, blocks: FloatArray, begin: ComplexArray) -> Effort:
+    def of(cls, blocks: FloatArray, begin: ComplexArray) -> PeakBound:
         """Return the effort of inputs.
 
         Parameters

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from modaltouch.stimulus.block_states import Course
+from modaltouch.stimulus.block_states import BlockStates
 from modaltouch.stimulus.dynamics import DiagonalSystem
 from modaltouch.stimulus.timing import Timing
 from modaltouch.stimulus.vibration import states_by_channel
@@ -18,7 +18,7 @@ ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, eq=False)
-class Played:
+class QuantisedStimulus:
     """A record in the generator before a beam. What is linear in the level is computed once.
 
     Attributes
@@ -77,11 +77,11 @@ class Played:
         return np.asarray(self.states_at_focus(unit) + left * carried)
 
     @cached_property
-    def _courses(self) -> dict[tuple[float, ...], tuple[Course, dict[float, float]]]:
+    def _courses(self) -> dict[tuple[float, ...], tuple[BlockStates, dict[float, float]]]:
         """Courses already computed, and peaks by position, by the ratio of the channels."""
         return {}
 
-    def _course(self, unit: FloatArray) -> tuple[Course, dict[float, float], float]:
+    def _course(self, unit: FloatArray) -> tuple[BlockStates, dict[float, float], float]:
         """Return the course of the codes, known peaks by position, and what both are to be scaled by.
 
         Levels that keep the channels' ratio only scale: one course serves them all.
@@ -91,7 +91,7 @@ class Played:
         if ratio not in self._courses:
             # Codes for volts: what a code is worth goes into the gains, and no voltages are written out.
             gain = self.system.input_gain * (unit / largest)
-            self._courses[ratio] = Course.of(replace(self.system, input_gain=gain), self.codes, self.timing), {}
+            self._courses[ratio] = BlockStates.of(replace(self.system, input_gain=gain), self.codes, self.timing), {}
         return *self._courses[ratio], largest
 
     def passes(self, unit: FloatArray, shapes: FloatArray, limit: float) -> bool:

@@ -116,7 +116,7 @@ def _turned(rate: ComplexArray, over_all: ComplexArray, n: int, shift: int) -> C
 
 
 @dataclass(frozen=True, eq=False)
-class Reach:
+class ReachabilityGramian:
     """How a stretch of tapered samples reaches a state: rows in, voltages out.
 
     Attributes
@@ -194,7 +194,7 @@ class GramianSolver:
         Parameters
         ----------
         gramian : (n, n) array
-            Symmetric, from `Reach.gramian`.
+            Symmetric, from `ReachabilityGramian.gramian`.
         label : sequence of int, optional
             Modes of the conditions, over and over, for the message.
 

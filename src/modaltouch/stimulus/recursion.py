@@ -19,7 +19,7 @@ LEVELS = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Scan:
+class BlockRecursion:
     """Follows states from block to block, x[j + 1] = ratio x[j] + pushed[j], by groups of SHORT blocks.
 
     Attributes
@@ -34,7 +34,7 @@ class Scan:
     triangle: ComplexArray
 
     @classmethod
-    def of(cls, exponent: ComplexArray, hold: float, length: int = SHORT) -> Scan:
+    def of(cls, exponent: ComplexArray, hold: float, length: int = SHORT) -> BlockRecursion:
         """Return the scan of blocks of equal length.
 
         Parameters

@@ -27,7 +27,7 @@ _AROUND = 1e-3
 
 
 @dataclass(frozen=True)
-class Economy:
+class SampleCount:
     """The cheapest count of samples, and what every count that was tried would cost in accuracy.
 
     Attributes
@@ -58,7 +58,7 @@ class Economy:
         )
 
 
-def cheapest_samples(finest: Stimulus, tolerance: float, positions: ArrayLike) -> Economy:
+def cheapest_samples(finest: Stimulus, tolerance: float, positions: ArrayLike) -> SampleCount:
     """Return the fewest samples, each held for whole clocks, that keep the field around the focus.
 
     Parameters
@@ -72,7 +72,7 @@ def cheapest_samples(finest: Stimulus, tolerance: float, positions: ArrayLike) -
 
     Returns
     -------
-    Economy
+    SampleCount
         Never fewer than 2.5 samples per cycle of the highest mode; the finest count where no other will do.
 
     Raises
@@ -91,8 +91,8 @@ def cheapest_samples(finest: Stimulus, tolerance: float, positions: ArrayLike) -
         error = float(np.abs(shapes.T @ change).max()) / finest.wish.velocity
         tried.append((count, error))
         if error <= tolerance:
-            return Economy(stimulus, error, (*tried, (finest.timing.n_samples, 0.0)))
-    return Economy(finest, 0.0, (*tried, (finest.timing.n_samples, 0.0)))
+            return SampleCount(stimulus, error, (*tried, (finest.timing.n_samples, 0.0)))
+    return SampleCount(finest, 0.0, (*tried, (finest.timing.n_samples, 0.0)))
 
 
 def _counts(finest: Stimulus) -> Iterator[int]:

@@ -25,7 +25,7 @@ _PROFILES: dict[Shape, Callable[[FloatArray], FloatArray]] = {
 
 
 @dataclass(frozen=True)
-class Wish:
+class TargetField:
     """The velocity field wished at the focusing instant.
 
     Attributes

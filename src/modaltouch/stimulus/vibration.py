@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from modaltouch.stimulus.block_states import Course
+from modaltouch.stimulus.block_states import BlockStates
 from modaltouch.stimulus.blocks import BlockKernel
 from modaltouch.stimulus.clock_quantisation import clock_inputs, clock_pushes, late_gains, late_steps
 from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem, modal_system
@@ -185,7 +185,7 @@ def peak_velocity(
         Largest magnitude of the velocity at the starts of the samples, and of the decay after them [m/s].
     """
     system = modal_system(model, amplifier)
-    return Course.of(system, _checked(voltage, model), timing).peak(model.shapes(positions).T @ system.velocity)
+    return BlockStates.of(system, _checked(voltage, model), timing).peak(model.shapes(positions).T @ system.velocity)
 
 
 def _checked(voltage: FloatArray, model: ModalModel) -> FloatArray:

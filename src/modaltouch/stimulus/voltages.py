@@ -13,7 +13,7 @@ from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem, modal_system
 from modaltouch.stimulus.field import Projection
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.paper_law import paper_drive
-from modaltouch.stimulus.target_field import Wish
+from modaltouch.stimulus.target_field import TargetField
 from modaltouch.stimulus.timing import Timing
 
 FloatArray = NDArray[np.float64]
@@ -30,7 +30,7 @@ class Voltages:
     ----------
     model : ModalModel
         The identified beam.
-    wish : Wish
+    wish : TargetField
         The wished field; its velocity is the reference level.
     timing : Timing
         Samples, clock and focusing instant.
@@ -43,7 +43,7 @@ class Voltages:
     """
 
     model: ModalModel
-    wish: Wish
+    wish: TargetField
     timing: Timing
     amplifier: Amplifier
     law: Law

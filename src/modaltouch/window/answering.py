@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import NoReturn
 
 from modaltouch.protocol import Answer, Trial
-from modaltouch.window.display_loop import Moment, Stage
+from modaltouch.window.display_loop import DisplayLoop, Moment
 from modaltouch.window.events import Event
 from modaltouch.window.interface import Progress, SessionStopped
 from modaltouch.window.meanings import Reader, describe_press, is_press
@@ -25,7 +25,7 @@ class Pauser:
         Where it is shown, what is shown, and what the answers mean.
     """
 
-    def __init__(self, stage: Stage, pictures: Illustrator, reader: Reader) -> None:
+    def __init__(self, stage: DisplayLoop, pictures: Illustrator, reader: Reader) -> None:
         self._stage = stage
         self._pictures = pictures
         self._reader = reader
@@ -80,7 +80,7 @@ class AnswerTaker:
         Where it is shown, what is shown, and what the events mean.
     """
 
-    def __init__(self, stage: Stage, pictures: Illustrator, reader: Reader) -> None:
+    def __init__(self, stage: DisplayLoop, pictures: Illustrator, reader: Reader) -> None:
         self._stage = stage
         self._pictures = pictures
         self._reader = reader

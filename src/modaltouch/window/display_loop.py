@@ -89,7 +89,7 @@ class Nobody:
         """Do nothing."""
 
 
-class Stage:
+class DisplayLoop:
     """One display, the picture on it, and the events to be read.
 
     Parameters

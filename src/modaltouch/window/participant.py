@@ -11,7 +11,7 @@ from typing import Any, NoReturn, Self
 from modaltouch.protocol import TIME_OUT, Answer, Protocol, Response, Texts, Trial
 from modaltouch.system import SYSTEM_CLOCK, Clock
 from modaltouch.window.answering import SETTLE, AnswerTaker, Pauser
-from modaltouch.window.display_loop import POLL_INTERVAL, Display, Moment, Nobody, Sitter, Stage
+from modaltouch.window.display_loop import POLL_INTERVAL, Display, DisplayLoop, Moment, Nobody, Sitter
 from modaltouch.window.events import Event, canonical_key
 from modaltouch.window.interface import Log, Presentation, Progress, Tick, TrialInterrupted
 from modaltouch.window.layout import lay_out
@@ -83,7 +83,7 @@ class ParticipantWindow:
         self._theme = next((name for name, known in THEMES.items() if known == theme), "")
         layout = lay_out(*display.size, zones, offers_none=protocol.answers.offers_none)
         self._pictures = Illustrator(layout, theme, texts, protocol.answers, protocol.conditions.hand)
-        self._stage = Stage(
+        self._stage = DisplayLoop(
             display,
             tick=tick,
             log=log,

@@ -78,7 +78,7 @@ _HANDLERS: list[Any] = []
 """What Xlib may call for as long as the process lives; it keeps their addresses alone."""
 
 
-class Loss:
+class DisplayLoss:
     """Whether the X server behind a window has gone; elsewhere than on X this never happens.
 
     Xlib calls ``exit(1)`` once its connection is broken. Since libX11 1.7 a program may decline that
@@ -208,7 +208,7 @@ class Screen:
         )
         self._window.mouseVisible = True
         self._tap = EventTap(self._window.winHandle, clock)
-        self._loss = Loss(self._tap.poll)
+        self._loss = DisplayLoss(self._tap.poll)
 
     @property
     def size(self) -> tuple[int, int]:

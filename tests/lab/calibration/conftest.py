@@ -10,7 +10,7 @@ import pytest
 
 from modaltouch.lab.calibration.corrections import aimed_ground
 from modaltouch.lab.calibration.loop import calibrate
-from modaltouch.lab.calibration.outcome import Outcome
+from modaltouch.lab.calibration.outcome import CalibrationResult
 from modaltouch.preflight import Preflight, examine
 from modaltouch.preflight.examination import design_to_fit
 from modaltouch.protocol.apparatus import Apparatus, TrueAmplifier
@@ -105,14 +105,14 @@ def mismatched(shipped_apparatus: Apparatus) -> Apparatus:
 
 
 @pytest.fixture(scope="session")
-def judge(preflight: Preflight) -> Callable[[TwinBench, Outcome], tuple[float, float, float]]:
+def judge(preflight: Preflight) -> Callable[[TwinBench, CalibrationResult], tuple[float, float, float]]:
     """Return what judges a calibration by the twin's true state, playing the burst that a session plays.
 
     Largest true errors of velocity and w eta over the modes at the reference level [m/s], and the largest relative
     error of the true velocity at the focus over the levels [1].
     """
 
-    def judged(bench: TwinBench, outcome: Outcome) -> tuple[float, float, float]:
+    def judged(bench: TwinBench, outcome: CalibrationResult) -> tuple[float, float, float]:
         assert preflight.ground is not None
         stimulus = design_to_fit(aimed_ground(preflight.ground, outcome.refined, outcome.correction))
         assert stimulus.release == "braked"

@@ -8,9 +8,9 @@ from itertools import product
 import numpy as np
 import pytest
 
-from modaltouch.lab.calibration.acquisition import Taking
+from modaltouch.lab.calibration.acquisition import DecayRecorder
 from modaltouch.lab.calibration.bursts import commanded_voltage, identifying_burst, timing_voltage
-from modaltouch.lab.calibration.delays import SightLag, fit_drive, fit_sight
+from modaltouch.lab.calibration.delays import VibrometerDelay, fit_drive, fit_sight
 from modaltouch.preflight import Preflight
 from modaltouch.protocol.apparatus import Apparatus, TrueAmplifier
 
@@ -34,7 +34,7 @@ def test_drive_tells_amplifier_and_clock(
         velocity_limit=0.5,
     )
     commanded = commanded_voltage(burst, listed.amplifier.gain)
-    taking = Taking(bench, listed.model, listed.timing, 0.5, 0.0, lambda: None, lambda: None)
+    taking = DecayRecorder(bench, listed.model, listed.timing, 0.5, 0.0, lambda: None, lambda: None)
     found = fit_drive(taking.drive(burst, float(np.abs(commanded).max())), commanded, listed.timing)
     assert found.delay == pytest.approx(delay * 1e-6 - 50e-9, abs=10e-9)
     assert found.bandwidth == pytest.approx(kilohertz * 1e3, rel=0.02)
@@ -46,7 +46,7 @@ def test_drive_tells_amplifier_and_clock(
 def test_sight_is_told_by_phases_alone(preflight: Preflight, delay: float, lag: float) -> None:
     """Real gains of any size, half of them of unknown sign, behind a delay and a low-pass: both come out."""
     pole = preflight.stimulus.model.exponent
-    true = SightLag(delay * 1e-6, lag * 1e-6, 0.0)
+    true = VibrometerDelay(delay * 1e-6, lag * 1e-6, 0.0)
     rng = np.random.default_rng(3)
     gain = rng.uniform(0.5, 2, (pole.size, 2)) * rng.choice([-1, 1], (pole.size, 2))
     sign = np.sign(gain) * np.array([1, 0])

@@ -11,7 +11,7 @@ import pytest
 from modaltouch.lab.calibration.acquisition import measuring_points
 from modaltouch.lab.calibration.corrections import aimed_ground, grounds_of, significant
 from modaltouch.lab.calibration.loop import calibrate
-from modaltouch.lab.calibration.outcome import Progress, Turn
+from modaltouch.lab.calibration.outcome import CalibrationProgress, Iteration
 from modaltouch.lab.calibration.plant import ModalState
 from modaltouch.preflight import Preflight, examine
 from modaltouch.preflight.design_inputs import design
@@ -145,7 +145,7 @@ def test_a_signal_ends_it_before_the_next_record(
             raise Interrupted("SIGINT")
 
     with pytest.raises(Interrupted):
-        calibrate(bench, shipped_apparatus, preflight.ground, Progress(check=check))
+        calibrate(bench, shipped_apparatus, preflight.ground, CalibrationProgress(check=check))
     assert bench.n_records == 5
 
 
@@ -153,8 +153,8 @@ def test_turns_are_told_as_they_are_measured(
     make_bench: Callable, preflight: Preflight, shipped_apparatus: Apparatus
 ) -> None:
     """Every turn, in order, with the number of records announced beforehand."""
-    bench, turns, announced = make_bench(shipped_apparatus, 2), list[Turn](), []
-    progress = Progress(turn=turns.append, step=lambda words, n: announced.append(n))
+    bench, turns, announced = make_bench(shipped_apparatus, 2), list[Iteration](), []
+    progress = CalibrationProgress(turn=turns.append, step=lambda words, n: announced.append(n))
     outcome = calibrate(bench, shipped_apparatus, preflight.ground, progress)
     assert tuple(turns) == outcome.turns
     assert sum(announced) == bench.n_records

@@ -12,7 +12,7 @@ import pytest
 from modaltouch.__main__ import main
 from modaltouch.lab.calibration.corrections import grounds_of
 from modaltouch.lab.calibration.loop import calibrate_each
-from modaltouch.lab.calibration.outcome import Progress
+from modaltouch.lab.calibration.outcome import CalibrationProgress
 from modaltouch.lab.measurement import open_laboratory
 from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol.apparatus import Apparatus
@@ -53,7 +53,7 @@ def test_the_rig_is_identified_once_for_all(make_bench: Callable, mismatched: Ap
     """Records of amplifier, clock and modes are taken before the first stimulus alone; both end within 0.3 mm/s."""
     preflight = examine(TWO_FIELDS).require()
     bench, steps = make_bench(mismatched, 3), []
-    told = Progress(stimulus=lambda name: steps.append(name), step=lambda words, n: steps.append(words))
+    told = CalibrationProgress(stimulus=lambda name: steps.append(name), step=lambda words, n: steps.append(words))
     outcomes = calibrate_each(bench, mismatched, grounds_of(preflight), told)
     assert list(outcomes) == ["sharp", "blunt"]
     assert steps[:5] == ["sharp", "amplifier and clock", "modes, by output 1", "modes, by output 2", "before"]

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from modaltouch.lab.calibration.corrections import aimed_ground
-from modaltouch.lab.calibration.file import Circumstances, calibration_of, calibration_text, write_calibration
+from modaltouch.lab.calibration.file import CalibrationContext, calibration_of, calibration_text, write_calibration
 from modaltouch.lab.calibration.loop import calibrate
-from modaltouch.lab.calibration.outcome import Outcome
+from modaltouch.lab.calibration.outcome import CalibrationResult
 from modaltouch.preflight import Preflight, examine
 from modaltouch.preflight.examination import design_to_fit
 from modaltouch.protocol.calibration_file import examine_calibration
@@ -21,7 +21,7 @@ from modaltouch.record.chain import RecordError
 
 
 @pytest.fixture(scope="module")
-def outcome(preflight: Preflight, make_bench: Callable) -> Outcome:
+def outcome(preflight: Preflight, make_bench: Callable) -> CalibrationResult:
     """A calibration of the twin as shipped, one level trimmed."""
     apparatus = preflight.experiment.apparatus
     bench = make_bench(apparatus, 1, lambda amplitude: 1.02 if amplitude < 7 else 1.0)
@@ -29,11 +29,11 @@ def outcome(preflight: Preflight, make_bench: Callable) -> Outcome:
 
 
 @pytest.fixture(scope="module")
-def calibration(preflight: Preflight, outcome: Outcome) -> Calibration:
+def calibration(preflight: Preflight, outcome: CalibrationResult) -> Calibration:
     """Its file's content."""
     return calibration_of(
         {"": outcome},
-        Circumstances(
+        CalibrationContext(
             protocol="differentiated_stimulation",
             apparatus=preflight.experiment.apparatus,
             generator="TEKTRONIX,AFG3022B,C012345,SCPI:99.0 FV:3.2.2\n",
@@ -55,7 +55,7 @@ def test_read_back_it_is_what_was_written(calibration: Calibration) -> None:
 
 
 def test_the_session_plays_what_the_loop_verified(
-    preflight: Preflight, outcome: Outcome, calibration: Calibration, tmp_path: Path
+    preflight: Preflight, outcome: CalibrationResult, calibration: Calibration, tmp_path: Path
 ) -> None:
     """Designed from the file, codes and amplitudes are those of the stimulus that was measured."""
     path = tmp_path / "calibration.yaml"

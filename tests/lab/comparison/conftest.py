@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modaltouch.lab.comparison.training_data import Knowledge, Responses, band
+from modaltouch.lab.comparison.training_data import TrainingData, TransferFunctions, band
 from modaltouch.preflight import Preflight, examine
 from modaltouch.stimulus.modes import ModalModel
 
 PROTOCOL = Path(__file__).parents[3] / "protocols" / "differentiated_stimulation.yaml"
 
 
-def responses_of(model: ModalModel, positions: np.ndarray, highest: float = 120e3) -> Responses:
+def responses_of(model: ModalModel, positions: np.ndarray, highest: float = 120e3) -> TransferFunctions:
     r"""Return the velocity responses of modes in closed form, :math:`\sum_k \varphi_k G_k i\omega / (...)`."""
     frequency = np.arange(1, int(highest * 0.262144)) / 0.262144
     omega = 2 * np.pi * frequency
@@ -29,7 +29,9 @@ def responses_of(model: ModalModel, positions: np.ndarray, highest: float = 120e
     )
     response = np.einsum("kc,kp,kf->cpf", model.modal_gain, model.shapes(positions), own, optimize=True)
     window = band(frequency, 0.5 * model.natural_frequency.min(), 1.1 * model.natural_frequency.max())
-    return Responses(frequency, response * window, positions, np.full((model.n_channels, frequency.size), 1e-10))
+    return TransferFunctions(
+        frequency, response * window, positions, np.full((model.n_channels, frequency.size), 1e-10)
+    )
 
 
 @pytest.fixture(scope="session")
@@ -39,9 +41,9 @@ def preflight() -> Preflight:
 
 
 @pytest.fixture(scope="session")
-def known(preflight: Preflight) -> Knowledge:
+def known(preflight: Preflight) -> TrainingData:
     """Return what every method is given: the table, and the responses that go with it."""
     stimulus = preflight.stimulus
     positions = np.round(np.linspace(-0.05, 0.05, 41), 9)
     responses = responses_of(stimulus.model, positions)
-    return Knowledge(stimulus.model, responses, stimulus.wish, stimulus.timing, stimulus.amplifier)
+    return TrainingData(stimulus.model, responses, stimulus.wish, stimulus.timing, stimulus.amplifier)

@@ -7,7 +7,7 @@ import pytest
 
 from modaltouch.lab.comparison.contest import Settings, for_rivals, identified_model, learn, without_mismatch
 from modaltouch.lab.comparison.methods import design_all
-from modaltouch.lab.comparison.training_data import Knowledge
+from modaltouch.lab.comparison.training_data import TrainingData
 from modaltouch.lab.identification.joint_fit import identify
 from modaltouch.lab.identification.responses import FrequencyResponses
 from modaltouch.rig.simulator.twin import Twin
@@ -87,7 +87,7 @@ def test_a_mode_that_was_not_found_keeps_the_values_of_the_table(preflight, reco
 def test_steps_end_at_the_focusing_instant(known):
     """Rivals hold voltages for several samples; the last ends with the focusing instant, whatever the count."""
     odd = replace(known, timing=replace(known.timing, focusing_instant=0.0249996))
-    assert isinstance(odd, Knowledge)
+    assert isinstance(odd, TrainingData)
     before = odd.timing.samples_until(odd.timing.focusing_instant)[0]
     steps = np.zeros((2, odd.n_before))
     steps[:, -1] = 1.0

@@ -14,16 +14,16 @@ from modaltouch.lab.comparison.inverse_filter import (
     regularised_inverse,
 )
 from modaltouch.lab.comparison.time_reversal import one_bit_reversal, time_reversal
-from modaltouch.lab.comparison.training_data import Knowledge, Responses
+from modaltouch.lab.comparison.training_data import TrainingData, TransferFunctions
 from modaltouch.stimulus.dynamics import Amplifier
 from modaltouch.stimulus.modes import ModalModel
-from modaltouch.stimulus.target_field import Wish
+from modaltouch.stimulus.target_field import TargetField
 from modaltouch.stimulus.timing import Timing
 from modaltouch.stimulus.vibration import velocity_history
 
 
 @dataclass(frozen=True, eq=False)
-class InTime(Responses):
+class InTime(TransferFunctions):
     """Responses that are known in time: those of modes without damping have no spectrum on a grid."""
 
     given: np.ndarray
@@ -32,7 +32,7 @@ class InTime(Responses):
         return self.given
 
 
-def lossless(source: float = 0.031) -> tuple[ModalModel, Knowledge]:
+def lossless(source: float = 0.031) -> tuple[ModalModel, TrainingData]:
     """Return twelve almost undamped modes driven by a force at one point, so that reciprocity holds."""
     label = tuple(range(1, 13))
     frequency = 180.0 * (np.arange(12) + 1.7) ** 1.6
@@ -45,7 +45,7 @@ def lossless(source: float = 0.031) -> tuple[ModalModel, Knowledge]:
     courses = model.modal_gain[:, 0, None] * np.cos(model.angular_frequency[:, None] * ago)
     given = (model.shapes(places).T @ courses)[None] * timing.hold
     responses = InTime(np.array([1.0, 2.0]), np.zeros((1, 41, 2), complex), places, np.zeros((1, 2)), given)
-    return model, Knowledge(model, responses, Wish(centre=-0.02), timing, Amplifier(1.0, 1e9))
+    return model, TrainingData(model, responses, TargetField(centre=-0.02), timing, Amplifier(1.0, 1e9))
 
 
 def test_reversal_focuses_in_time_and_space_on_a_lossless_reciprocal_beam():

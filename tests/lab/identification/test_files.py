@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modaltouch.lab.identification.files import Reading, read_responses
+from modaltouch.lab.identification.files import ResponseFormat, read_responses
 from modaltouch.lab.identification.joint_fit import identify_each
 from modaltouch.lab.identification.peaks import half_power
 from modaltouch.lab.identification.report import recognise, roots
@@ -125,10 +125,10 @@ def write_lvm(path: Path, *, unit: str = "g", clipped: bool = False) -> Path:
     return path
 
 
-WRITERS: dict[str, tuple[Callable[..., Path], Reading]] = {
-    "modes.uff": (write_uff, Reading()),
-    "modes.csv": (write_csv, Reading("acceleration")),
-    "modes.npz": (write_npz, Reading()),
+WRITERS: dict[str, tuple[Callable[..., Path], ResponseFormat]] = {
+    "modes.uff": (write_uff, ResponseFormat()),
+    "modes.csv": (write_csv, ResponseFormat("acceleration")),
+    "modes.npz": (write_npz, ResponseFormat()),
 }
 
 
@@ -163,8 +163,8 @@ def test_plain_numbers_need_their_spacing(tmp_path: Path, frequency: np.ndarray)
     path = tmp_path / "point.txt"
     path.write_text("\n".join(str(value) for value in noisy(accelerance(frequency, RESIDUES[0]))))
     with pytest.raises(ValueError, match=r"point.txt: holds bare numbers.*--spacing-Hz"):
-        read_responses([path], Reading("acceleration"))
-    found = identify_each(read_responses([path], Reading("acceleration", spacing=0.5)))
+        read_responses([path], ResponseFormat("acceleration"))
+    found = identify_each(read_responses([path], ResponseFormat("acceleration", spacing=0.5)))
     assert found.modes[0].natural_frequency.value == pytest.approx(120, rel=1e-3)
 
 
@@ -172,8 +172,8 @@ def test_conjugated_file_is_refused_until_it_is_said(tmp_path: Path, frequency: 
     """By exp(-i w t): refused with the option, and read right with it."""
     path = write_csv(tmp_path / "modes.csv", frequency, conjugated=True)
     with pytest.raises(ValueError, match="conjugated.*--conjugated"):
-        identify_each(read_responses([path], Reading("acceleration")))
-    found = identify_each(read_responses([path], Reading("acceleration", conjugated=True)))
+        identify_each(read_responses([path], ResponseFormat("acceleration")))
+    found = identify_each(read_responses([path], ResponseFormat("acceleration", conjugated=True)))
     assert found.modes[1].natural_frequency.value == pytest.approx(330, rel=2e-4)
 
 
@@ -181,12 +181,12 @@ def test_wrong_quantity_is_refused(tmp_path: Path, frequency: np.ndarray) -> Non
     """An acceleration taken for a velocity is imaginary at its resonances."""
     path = write_csv(tmp_path / "modes.csv", frequency)
     with pytest.raises(ValueError, match="imaginary at their resonances.*--quantity"):
-        identify_each(read_responses([path], Reading("velocity")))
+        identify_each(read_responses([path], ResponseFormat("velocity")))
     with pytest.raises(ValueError, match="does not say whether it holds a velocity.*--quantity"):
         read_responses([path])
     named = write_uff(tmp_path / "modes.uff", frequency)
     with pytest.raises(ValueError, match="holds a acceleration by its own word, --quantity says velocity"):
-        read_responses([named], Reading("velocity"))
+        read_responses([named], ResponseFormat("velocity"))
 
 
 @pytest.mark.parametrize(
@@ -208,7 +208,7 @@ def test_damaged_files_are_named(tmp_path: Path, name: str, content: str, words:
     path = tmp_path / name
     path.write_text(content)
     with pytest.raises(ValueError, match=words):
-        read_responses([path], Reading("velocity", spacing=1.0))
+        read_responses([path], ResponseFormat("velocity", spacing=1.0))
 
 
 def test_missing_file_and_uneven_axis_are_refused(tmp_path: Path) -> None:
@@ -235,7 +235,7 @@ def test_set_missing_at_a_position_is_named(tmp_path: Path, frequency: np.ndarra
     other = [line.replace("hammer", "shaker") for line in path.read_text().splitlines() if ",-20," in line]
     path.write_text(path.read_text() + "\n" + "\n".join(other))
     with pytest.raises(ValueError, match="shaker has no response at 20 mm, where another has"):
-        read_responses([path], Reading("acceleration"))
+        read_responses([path], ResponseFormat("acceleration"))
 
 
 def test_half_power_of_one_mode_is_its_damping() -> None:

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modaltouch.lab.identification.files import Reading, read_responses
+from modaltouch.lab.identification.files import ResponseFormat, read_responses
 from modaltouch.lab.identification.joint_fit import identify_each
 from modaltouch.lab.identification.report import recognise
 from modaltouch.lab.identification.responses import FrequencyResponses, as_velocity
@@ -42,7 +42,7 @@ def test_slender_beam_of_pyuff(data: Path) -> None:
     """
     files = sorted((data / "pyuff").glob("meas_point_*.txt"))
     assert len(files) == 3
-    responses = read_responses(files, Reading("acceleration", spacing=1.0)).between(30, 1000)
+    responses = read_responses(files, ResponseFormat("acceleration", spacing=1.0)).between(30, 1000)
     found = identify_each(responses)
     stated = [51.52, 142.18, 278.67, 460.40, 687.17, 958.54]
     assert len(found.modes) == len(stated)

@@ -10,11 +10,11 @@ from typer.testing import CliRunner
 from modaltouch.cli.app import app
 from modaltouch.lab.validation.key_figures import key_figures
 from modaltouch.lab.validation.narrative import findings
-from modaltouch.lab.validation.page import Occasion, write_evidence
+from modaltouch.lab.validation.page import ValidationContext, write_evidence
 from modaltouch.record.chain import RecordError
 from modaltouch.report.output import write_files
 
-OCCASION = Occasion("A <title>", "p.yaml", "beam", "simulated", "generator", "scope", 250.0, "", "abc")
+OCCASION = ValidationContext("A <title>", "p.yaml", "beam", "simulated", "generator", "scope", 250.0, "", "abc")
 SHIPPED = Path(__file__).parents[3] / "protocols"
 PAIRS = [("A", "C"), ("B", "D"), ("C", "E")]
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modaltouch.planning.observer.felt import Felt
+from modaltouch.planning.observer.felt import FeltSpeeds
 from modaltouch.planning.observer.front_end import sense
 from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol.trial import Condition, Trial
@@ -25,7 +25,7 @@ def preflight() -> Preflight:
 
 def test_the_peak_is_what_the_preflight_predicts(preflight: Preflight) -> None:
     """Expected: the preflight's own speeds; the generator's amplitude grid (four digits) is left out."""
-    felt = Felt(preflight.stimulus, ZONES, "peak")
+    felt = FeltSpeeds(preflight.stimulus, ZONES, "peak")
     for level in (80.0, 200.0):
         left, right = preflight.speeds(Trial(1, 1, Condition("one_hand", "A", "C", level)))
         assert felt.at("A", level * 1e-3) == pytest.approx(left, rel=1e-3)
@@ -34,7 +34,7 @@ def test_the_peak_is_what_the_preflight_predicts(preflight: Preflight) -> None:
 
 def test_the_focus_alone_moves_at_the_focusing_instant(preflight: Preflight) -> None:
     """Expected: the level at C, and next to nothing at A and E, which lie outside the triangle of 56 mm."""
-    felt = Felt(preflight.stimulus, ZONES, "peak_at_focus")
+    felt = FeltSpeeds(preflight.stimulus, ZONES, "peak_at_focus")
     assert felt.at("C", 0.15) == pytest.approx(0.15, rel=1e-3)
     assert felt.at("A", 0.15) < 0.01 * felt.at("C", 0.15)
 
@@ -47,10 +47,10 @@ def test_other_front_ends_read_a_whole_repetition(preflight: Preflight) -> None:
     voltage[:, : timing.n_samples] = stimulus.voltage_played(level)
     history = velocity_history(stimulus.model, voltage, timing, [0.0], stimulus.amplifier)
     expected = sense("rms", history, timing.sampling_rate, timing.focusing_instant)[0]
-    assert Felt(stimulus, {"C": 0.0}, "rms").at("C", level) == pytest.approx(expected, rel=1e-3)
+    assert FeltSpeeds(stimulus, {"C": 0.0}, "rms").at("C", level) == pytest.approx(expected, rel=1e-3)
 
 
 def test_a_place_that_is_no_zone_is_refused(preflight: Preflight) -> None:
     """Expected: the message lists the zones."""
     with pytest.raises(ValueError, match="given the zone 'F'; allowed: A, B, C, D, E"):
-        Felt(preflight.stimulus, ZONES, "peak").at("F", 0.1)
+        FeltSpeeds(preflight.stimulus, ZONES, "peak").at("F", 0.1)

@@ -10,7 +10,7 @@ import pytest
 
 from modaltouch.planning.observer import Observer, Participant
 from modaltouch.planning.observer.fit import Fit, fit_observer
-from modaltouch.planning.observer.likelihood import Recorded, log_likelihood
+from modaltouch.planning.observer.likelihood import RecordedAnswers, log_likelihood
 
 TRUTH = Observer(
     Participant(
@@ -24,13 +24,13 @@ SPEEDS = np.concatenate([PEAKS, PEAKS])
 CONDITIONS = ("one_hand",) * 3 + ("two_hands",) * 3
 
 
-def recorded(observer: Observer, n_participants: int, n_repetitions: int, seed: int) -> Recorded:
+def recorded(observer: Observer, n_participants: int, n_repetitions: int, seed: int) -> RecordedAnswers:
     """Return the answers of simulated participants, every second one at the turned beam."""
     rng = np.random.default_rng(seed)
     facing = np.where(np.arange(n_participants) % 2, -1.0, 1.0)
     left, right = observer.draw_crowd(rng, (n_participants,)).shares(SPEEDS, CONDITIONS, facing)
     shares = np.stack([left, 1 - left - right, right], axis=-1)
-    return Recorded(rng.multinomial(n_repetitions, shares), SPEEDS, CONDITIONS, facing)
+    return RecordedAnswers(rng.multinomial(n_repetitions, shares), SPEEDS, CONDITIONS, facing)
 
 
 @pytest.fixture(scope="module")
@@ -95,7 +95,7 @@ def test_the_scale_cannot_be_identified() -> None:
 def test_what_was_not_asked_stays_the_priors() -> None:
     """Expected: with one finger condition alone nothing is learned of the other's suppression."""
     whole = recorded(TRUTH, 8, 2, seed=2)
-    half = Recorded(whole.counts[:, :3], SPEEDS[:3], CONDITIONS[:3], whole.facing)
+    half = RecordedAnswers(whole.counts[:, :3], SPEEDS[:3], CONDITIONS[:3], whole.facing)
     fit = fit_observer(half, Observer())
     unasked = next(estimate for estimate in fit.parameters if estimate.name == "suppression_across_hands")
     assert unasked.learned < 0.02
@@ -124,6 +124,6 @@ def test_the_likelihood_of_a_population_without_spread_is_multinomial() -> None:
 def test_answers_that_do_not_fit_their_cells_are_refused() -> None:
     """Expected: the message gives the shapes, and what they should be."""
     with pytest.raises(ValueError, match=r"counts of shape \(2, 3, 3\), 6 speeds"):
-        Recorded(np.ones((2, 3, 3), dtype=np.int64), SPEEDS, CONDITIONS, np.ones(2))
+        RecordedAnswers(np.ones((2, 3, 3), dtype=np.int64), SPEEDS, CONDITIONS, np.ones(2))
     with pytest.raises(ValueError, match="no answer to fit"):
-        Recorded(np.zeros((2, 6, 3), dtype=np.int64), SPEEDS, CONDITIONS, np.ones(2))
+        RecordedAnswers(np.zeros((2, 6, 3), dtype=np.int64), SPEEDS, CONDITIONS, np.ones(2))

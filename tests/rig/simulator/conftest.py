@@ -12,7 +12,7 @@ from modaltouch.protocol.apparatus import Apparatus, TrueAmplifier
 from modaltouch.rig.simulator.channel import Playback
 from modaltouch.rig.simulator.twin import Twin
 from modaltouch.stimulus.design import design_stimulus
-from modaltouch.stimulus.target_field import Wish
+from modaltouch.stimulus.target_field import TargetField
 from modaltouch.stimulus.timing import Timing
 
 
@@ -52,7 +52,7 @@ def twin(apparatus: Apparatus) -> Twin:
 @pytest.fixture(scope="session")
 def shipped_burst(apparatus: Apparatus) -> list[Playback]:
     """Return what both channels send for the shipped stimulus at 200 mm/s."""
-    design = design_stimulus(apparatus.modal_model(), Wish(), Timing(), apparatus.amplifier_values())
+    design = design_stimulus(apparatus.modal_model(), TargetField(), Timing(), apparatus.amplifier_values())
     burst = design.burst
     return [
         Playback(codes.astype(">u2").tobytes(), amplitude, 0.0, burst.duration, 1 / 7, 8191)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modaltouch.protocol.apparatus import Apparatus, Fingers, Scope, TrueAmplifier, Vibrometer
+from modaltouch.protocol.apparatus import Apparatus, Fingers, ScopeSection, TrueAmplifier, Vibrometer
 from modaltouch.rig.acquisition import Acquisition, Recording
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.interface import RigError
@@ -17,7 +17,9 @@ from modaltouch.rig.simulator.channel import Playback
 from modaltouch.rig.simulator.scope import _moved
 from modaltouch.stimulus.burst import Burst
 
-QUIET_SCOPE = Scope(bits=24, noise_steps=0.0, clock_offset_ppm=0.0, trigger_latency_us=0.0, trigger_jitter_ns=0.0)
+QUIET_SCOPE = ScopeSection(
+    bits=24, noise_steps=0.0, clock_offset_ppm=0.0, trigger_latency_us=0.0, trigger_jitter_ns=0.0
+)
 QUIET_VIBROMETER = Vibrometer(bandwidth_kHz=None, delay_us=0.0, noise_um_s_per_sqrt_Hz=0.0, offset_mm=0.0)
 
 

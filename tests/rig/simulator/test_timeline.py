@@ -12,7 +12,7 @@ from modaltouch.rig.simulator.afg import Afg
 from modaltouch.rig.simulator.behaviour import Behaviour
 from modaltouch.rig.simulator.faults import Faults
 from modaltouch.rig.simulator.instrument import Instrument
-from modaltouch.rig.simulator.timeline import FINEST, Delays, Played
+from modaltouch.rig.simulator.timeline import FINEST, Delays, PlayedBurst
 from modaltouch.system.clock import VirtualClock
 
 RELAY = 4e-3
@@ -27,7 +27,7 @@ class Stage:
     def __init__(self, delays: Delays = AT_ONCE, behaviour: Behaviour | None = None, seed: int = 0) -> None:
         self.clock = VirtualClock(1000.0)
         self.afg = Afg(behaviour or Behaviour(), delays=delays, seed=seed, clock=self.clock)
-        self.played: list[Played] = []
+        self.played: list[PlayedBurst] = []
         self.afg.timeline.told = self.played.append
         self.instrument = Instrument(self.afg, Faults())
         self.tell("DATA:DEF EMEM,1000;:DATA:DATA:LINE EMEM,1,0,1000,9990;:DATA:COPY USER1", "TRIG:SOUR EXT")

@@ -11,10 +11,10 @@ import pytest
 from modaltouch.protocol.apparatus import Apparatus, TrueAmplifier
 from modaltouch.rig.simulator.channel import Playback
 from modaltouch.rig.simulator.held_response import state_at
-from modaltouch.rig.simulator.motion import Drive, Motion
+from modaltouch.rig.simulator.motion import DriveVoltage, Motion
 from modaltouch.rig.simulator.twin import Twin
 from modaltouch.stimulus.design import design_stimulus
-from modaltouch.stimulus.target_field import Wish
+from modaltouch.stimulus.target_field import TargetField
 from modaltouch.stimulus.timing import Timing
 
 
@@ -22,7 +22,7 @@ def test_twin_without_differences_does_what_the_design_predicts(
     with_twin: Callable[..., Apparatus], apparatus: Apparatus, shipped_burst: list[Playback]
 ) -> None:
     """True state at the focusing instant: the targets and w eta = 0, to the 1e-3 mm/s that 14 bits leave."""
-    design = design_stimulus(apparatus.modal_model(), Wish(), Timing(), apparatus.amplifier_values())
+    design = design_stimulus(apparatus.modal_model(), TargetField(), Timing(), apparatus.amplifier_values())
     state = Twin(with_twin(apparatus), 1).true_state(shipped_burst, 0.025, first=True)
     np.testing.assert_allclose(state.velocity, design.target, atol=1e-6)
     np.testing.assert_allclose(state.displacement, 0.0, atol=1e-6)
@@ -30,7 +30,7 @@ def test_twin_without_differences_does_what_the_design_predicts(
 
 def test_shipped_twin_misses_like_the_paper(apparatus: Apparatus, shipped_burst: list[Playback]) -> None:
     """Section IV of the paper: worst modal coefficient off by 6 mm/s; here 1 to 12 mm/s of 200 over five seeds."""
-    design = design_stimulus(apparatus.modal_model(), Wish(), Timing(), apparatus.amplifier_values())
+    design = design_stimulus(apparatus.modal_model(), TargetField(), Timing(), apparatus.amplifier_values())
     for seed in range(5):
         twin = Twin(apparatus, seed)
         state = twin.true_state(shipped_burst, 0.025 + twin.amplifier.delay)
@@ -126,7 +126,7 @@ def test_drive_is_held_or_follows_with_the_pole(
     time = np.array([0.0, 1e-6, 5e-6, 0.02, 0.051, 0.1])
     volts = 2.0 * 25
     held = Twin(with_twin(apparatus), 1).drive([step, None], 0)
-    assert isinstance(held, Drive)
+    assert isinstance(held, DriveVoltage)
     np.testing.assert_allclose(held.at(time), volts * np.array([1, 1, 1, 1, 0, 0]), rtol=1e-12)
     slow = Twin(with_twin(apparatus, amplifier=TrueAmplifier(bandwidth_kHz=50.0)), 1).drive([step, None], 0)
     assert slow is not None

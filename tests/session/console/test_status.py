@@ -16,7 +16,7 @@ from rich.console import Console
 from modaltouch.session.console.dialogue import LONGEST_NOTE, Dialogue
 from modaltouch.session.console.drawing import describe_trial, draw_session
 from modaltouch.session.console.experimenter import Experimenter
-from modaltouch.session.console.interface import Request, Silence
+from modaltouch.session.console.interface import NoConsole, Request
 from modaltouch.session.console.keyboard import split_keys
 from modaltouch.session.console.lines import LONGEST_LINE, EventLines, PlainLines
 from modaltouch.session.console.status import Status, read_signs
@@ -112,7 +112,7 @@ def test_hasty_answers_doubles_and_missed_catch_trials_are_told() -> None:
     assert not any("catch" in sign for sign in read_signs(trials))
 
 
-class Asked(Silence):
+class Asked(NoConsole):
     """A console at which somebody asks."""
 
     def __init__(self, *commands: str) -> None:

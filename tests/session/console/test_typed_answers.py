@@ -15,7 +15,7 @@ from rich.console import Console
 from modaltouch.session.console.dialogue import OWN_KEYS, Dialogue
 from modaltouch.session.console.drawing import draw_session
 from modaltouch.session.console.experimenter import Experimenter
-from modaltouch.session.console.interface import Request, Silence
+from modaltouch.session.console.interface import NoConsole, Request
 from modaltouch.session.console.lines import EventLines, PlainLines
 from modaltouch.session.console.status import Status, typed_keys
 from modaltouch.window.interface import TypedAnswer
@@ -45,7 +45,7 @@ def trial(index: int, *, clock: float = 0.0) -> dict[str, Any]:
     }
 
 
-class Asked(Silence):
+class Asked(NoConsole):
     """A console at which somebody asks."""
 
     def __init__(self, *asked: Request) -> None:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.signal import welch
 
 from modaltouch.window.masking.noise import HIGHEST, LOWEST, amplitude_at, highest_level, make_noise
-from modaltouch.window.masking.player import Playback
+from modaltouch.window.masking.player import LoopedNoise
 
 RATE = 48_000.0
 
@@ -86,7 +86,7 @@ def test_a_level_is_the_rms_against_a_sine_of_full_scale() -> None:
 def test_blocks_of_any_size_join_without_a_gap(sizes: list[int], n_fade: int) -> None:
     """Once faded in, what is played is the period, again and again, however the device asks for it."""
     period = np.random.default_rng(1).standard_normal(257).astype(np.float32)
-    playback = Playback(period, n_fade)
+    playback = LoopedNoise(period, n_fade)
     playback.fade_in()
     blocks = []
     for size in sizes:
@@ -102,7 +102,7 @@ def test_blocks_of_any_size_join_without_a_gap(sizes: list[int], n_fade: int) ->
 
 def test_fades_rise_and_fall_without_a_jump() -> None:
     """On a constant: from 0 to 1 along half a sine in the time asked for, never faster than its steepest slope."""
-    playback = Playback(np.ones(100, dtype=np.float32), 1000)
+    playback = LoopedNoise(np.ones(100, dtype=np.float32), 1000)
     out = np.empty((1, 1), dtype=np.float32)
     heard = [0.0]
     playback.fade_in()

@@ -10,7 +10,7 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-from modaltouch.analysis.thresholds.psychometric import Estimate
+from modaltouch.analysis.thresholds.psychometric import ThresholdEstimate
 from modaltouch.analysis.thresholds.runs import Run
 from modaltouch.protocol import to_dB
 from modaltouch.report import (
@@ -94,13 +94,13 @@ def _mark_levels(axis: Axis) -> None:
     axis.set_minor_locator(NullLocator())
 
 
-def _title(threshold: Estimate) -> str:
+def _title(threshold: ThresholdEstimate) -> str:
     value, low, high = (None if v is None else 10 ** (v / 20) for v in (threshold.value, threshold.low, threshold.high))
     words = [f"{bound:.3g}" if bound is not None else "no bound" for bound in (low, high)]
     return f"threshold {value:.3g} mm/s ({words[0]} to {words[1]})"
 
 
-def _band(span: object, line: object, threshold: Estimate | None, bounds: tuple[float, float]) -> None:
+def _band(span: object, line: object, threshold: ThresholdEstimate | None, bounds: tuple[float, float]) -> None:
     """Draw a threshold and its interval across a picture."""
     if threshold is None or not (callable(span) and callable(line)):
         return

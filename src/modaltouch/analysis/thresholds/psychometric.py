@@ -103,7 +103,7 @@ DROP = 1.920729
 
 
 @dataclass(frozen=True)
-class Estimate:
+class ThresholdEstimate:
     """A number with its interval; a bound is None where the answers set none.
 
     Attributes
@@ -129,7 +129,7 @@ class Psychometric:
         Trials with a stimulus, and successes among them.
     n_catch, n_false : int
         Catch trials, and successes among them.
-    threshold, spread : Estimate or None
+    threshold, spread : ThresholdEstimate or None
         Threshold and spread [dB re 1 mm/s, dB]; None where these answers tell none.
     guess_rate, lapse_rate : float
         The likeliest asymptotes [1].
@@ -141,8 +141,8 @@ class Psychometric:
     n_successes: int
     n_catch: int
     n_false: int
-    threshold: Estimate | None
-    spread: Estimate | None
+    threshold: ThresholdEstimate | None
+    spread: ThresholdEstimate | None
     guess_rate: float
     lapse_rate: float
     why_not: str = ""
@@ -234,7 +234,7 @@ def _why_not(x: FloatArray, hits: FloatArray, tries: FloatArray, gain: float, th
     return ""
 
 
-def _estimate(values: FloatArray, profile: FloatArray) -> Estimate:
+def _estimate(values: FloatArray, profile: FloatArray) -> ThresholdEstimate:
     """Return where a profile is highest, between the points of the grid, and where it has fallen by `DROP`."""
     place, bound = int(profile.argmax()), float(profile.max()) - DROP
     value = float(values[place])
@@ -246,7 +246,7 @@ def _estimate(values: FloatArray, profile: FloatArray) -> Estimate:
     within = np.flatnonzero(profile >= bound)
     low = _crossing(values, profile, int(within[0]), -1, bound)
     high = _crossing(values, profile, int(within[-1]), 1, bound)
-    return Estimate(value, low, high)
+    return ThresholdEstimate(value, low, high)
 
 
 def _crossing(values: FloatArray, profile: FloatArray, inside: int, step: int, bound: float) -> float | None:

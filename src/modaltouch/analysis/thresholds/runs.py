@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from modaltouch.analysis.covariates import student_interval
 from modaltouch.analysis.responses import Responses
-from modaltouch.analysis.thresholds.psychometric import Estimate, Psychometric, fit_psychometric
+from modaltouch.analysis.thresholds.psychometric import Psychometric, ThresholdEstimate, fit_psychometric
 from modaltouch.protocol import is_success, to_dB
 
 KEYS = ("participant", "session", "finger_condition", "zone_left", "zone_right")
@@ -164,7 +164,7 @@ def over_participants(runs: Sequence[Run]) -> list[dict[str, Any]]:
     return rows
 
 
-def in_words(estimate: Estimate) -> str:
+def in_words(estimate: ThresholdEstimate) -> str:
     """Return a threshold with its interval [mm/s], such as ``12.3 (9.1 to 17)``."""
     low, high = (_velocity(bound) for bound in (estimate.low, estimate.high))
     bounds = f"{'no bound' if low is None else f'{low:.3g}'} to {'no bound' if high is None else f'{high:.3g}'}"

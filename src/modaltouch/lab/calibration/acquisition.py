@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.lab.calibration.bursts import SWEEP
-from modaltouch.lab.calibration.delays import DriveLag
+from modaltouch.lab.calibration.delays import DriveDelay
 from modaltouch.rig import Acquisition, Recording, RigError
 from modaltouch.stimulus import Burst, ModalModel, Timing
 
@@ -66,7 +66,7 @@ def measuring_points(model: ModalModel) -> FloatArray:
 
 
 @dataclass
-class Taking:
+class DecayRecorder:
     """Takes records with ranges that fit, and says how far it is.
 
     Attributes
@@ -104,7 +104,7 @@ class Taking:
         """Samples per second [Hz]."""
         return PER_CYCLE * float(self.model.natural_frequency.max())
 
-    def wait_for(self, drive: DriveLag) -> None:
+    def wait_for(self, drive: DriveDelay) -> None:
         """Begin the records of decays late enough for the drive to have ended at the beam."""
         self.margin = max(MARGIN, drive.delay + 10 * drive.lag + MARGIN / 2)
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.lab.calibration.plant import ModalState, Plant
-from modaltouch.preflight import Ground, Preflight, at_stimulus
+from modaltouch.preflight import DesignInputs, Preflight, at_stimulus
 from modaltouch.protocol import Apparatus, InputError, Problem, Protocol
 from modaltouch.stimulus import Correction
 
@@ -25,7 +25,7 @@ DIGITS = 6
 """Decimals of a target in mm/s that the file keeps: a thousandth of what noise leaves."""
 
 
-def grounds_of(preflight: Preflight) -> dict[str, Ground]:
+def grounds_of(preflight: Preflight) -> dict[str, DesignInputs]:
     """Return what each stimulus of a checked protocol is designed from, by name; one alone has none.
 
     Raises
@@ -93,7 +93,7 @@ def significant(state: ModalState, target: FloatArray) -> FloatArray:
     return np.asarray(error * np.maximum(1 - doubt**2, 0.0))
 
 
-def aimed_ground(ground: Ground, refined: Apparatus, correction: Correction) -> Ground:
+def aimed_ground(ground: DesignInputs, refined: Apparatus, correction: Correction) -> DesignInputs:
     """Return what a stimulus is designed from on an identified rig."""
     used = ground.apparatus.model_copy(update={"modes": refined.modes, "amplifier": refined.amplifier})
     return replace(ground, apparatus=used, correction=correction)

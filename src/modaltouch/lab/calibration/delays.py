@@ -30,7 +30,7 @@ SHORTEST_LAG = 20e-9
 
 
 @dataclass(frozen=True)
-class DriveLag:
+class DriveDelay:
     """How the measured drive follows the commanded one.
 
     Attributes
@@ -59,7 +59,7 @@ class DriveLag:
         return None if self.lag <= SHORTEST_LAG else 1 / (2 * np.pi * self.lag)
 
 
-def fit_drive(recordings: list[Recording], commanded: FloatArray, timing: Timing) -> DriveLag:
+def fit_drive(recordings: list[Recording], commanded: FloatArray, timing: Timing) -> DriveDelay:
     """Return gain, delay, lag and clock from drives measured in different parts of a burst.
 
     Parameters
@@ -77,7 +77,7 @@ def fit_drive(recordings: list[Recording], commanded: FloatArray, timing: Timing
     size = np.concatenate([each.ravel() for each in measured])
     scale = float(np.sqrt(np.mean(size**2)))
     if scale == 0:
-        return DriveLag((0.0,) * commanded.shape[0], 0.0, 0.0, 0.0, 1.0)
+        return DriveDelay((0.0,) * commanded.shape[0], 0.0, 0.0, 0.0, 1.0)
 
     @lru_cache(maxsize=1)
     def lagged(lag: float) -> _Lagged:
@@ -103,7 +103,7 @@ def fit_drive(recordings: list[Recording], commanded: FloatArray, timing: Timing
     begin = np.array([min(tried)[1], 0.5, 0.0])
     found = least_squares(rest, begin, diff_step=1e-3, x_scale=[1.0, 1.0, 5.0], xtol=1e-9, ftol=1e-12)
     delay, lag, clock = found.x[0] * 1e-6, abs(found.x[1]) * 1e-6, found.x[2] * 1e-6
-    return DriveLag(
+    return DriveDelay(
         gain=tuple(float(g) for g in gains(predicted(delay, lag, clock))),
         delay=float(max(delay, 0.0)),
         lag=float(lag if lag > SHORTEST_LAG else 0.0),
@@ -135,7 +135,7 @@ class _Lagged:
 
 
 @dataclass(frozen=True)
-class SightLag:
+class VibrometerDelay:
     """How the vibrometer follows the motion.
 
     Attributes
@@ -157,7 +157,7 @@ class SightLag:
         return np.asarray(np.exp(-pole * self.delay) / (1 + pole * self.lag))
 
 
-def fit_sight(pole: ComplexArray, ratio: ComplexArray, spread: FloatArray, sign: FloatArray) -> SightLag:
+def fit_sight(pole: ComplexArray, ratio: ComplexArray, spread: FloatArray, sign: FloatArray) -> VibrometerDelay:
     """Return the vibrometer's delay and lag from responses that without it would be real.
 
     Parameters
@@ -178,7 +178,7 @@ def fit_sight(pole: ComplexArray, ratio: ComplexArray, spread: FloatArray, sign:
     weight = 1 / np.hypot(spread, 1e-3 * size + 1e-30)
 
     def turned(values: FloatArray) -> ComplexArray:
-        lag = SightLag(values[0] * 1e-6, abs(values[1]) * 1e-6, 0.0)
+        lag = VibrometerDelay(values[0] * 1e-6, abs(values[1]) * 1e-6, 0.0)
         return np.asarray(ratio / lag.response(pole)[:, None])
 
     def rest(values: FloatArray) -> FloatArray:
@@ -197,7 +197,7 @@ def fit_sight(pole: ComplexArray, ratio: ComplexArray, spread: FloatArray, sign:
     starts = [(max(together - lag, 0.0), lag) for lag in np.arange(0.05, min(together, 5.0) + 0.1, 0.25)]
     each = [least_squares(rest, start, x_scale=[0.1, 0.1], xtol=1e-12, ftol=1e-12) for start in starts]
     found = min(each, key=lambda one: float(one.cost))
-    lag = SightLag(float(found.x[0]) * 1e-6, abs(float(found.x[1])) * 1e-6, 0.0)
+    lag = VibrometerDelay(float(found.x[0]) * 1e-6, abs(float(found.x[1])) * 1e-6, 0.0)
     phase = (turned(found.x).imag / size)[np.isfinite(spread)]
     certainty = (weight * size)[np.isfinite(spread)] ** 2
-    return SightLag(lag.delay, lag.lag, float(np.sqrt(np.sum(certainty * phase**2) / np.sum(certainty))))
+    return VibrometerDelay(lag.delay, lag.lag, float(np.sqrt(np.sum(certainty * phase**2) / np.sum(certainty))))

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from modaltouch.lab.calibration.corrections import DIGITS
-from modaltouch.lab.calibration.outcome import Level, Outcome, Turn
+from modaltouch.lab.calibration.outcome import CalibrationResult, Iteration, Level
 from modaltouch.protocol import (
     Apparatus,
     CalibratedAmplifier,
@@ -40,7 +40,7 @@ HEAD = """\
 
 
 @dataclass(frozen=True)
-class Circumstances:
+class CalibrationContext:
     """What a calibration was made of and with.
 
     Attributes
@@ -68,14 +68,14 @@ class Circumstances:
     made: datetime
 
 
-def calibration_of(outcomes: Mapping[str, Outcome], circumstances: Circumstances) -> Calibration:
+def calibration_of(outcomes: Mapping[str, CalibrationResult], circumstances: CalibrationContext) -> Calibration:
     """Return a finished calibration in the form and the units of its file.
 
     Parameters
     ----------
-    outcomes : mapping of str to Outcome
+    outcomes : mapping of str to CalibrationResult
         What came of each stimulus, by name, on one rig; of one alone, under an empty name.
-    circumstances : Circumstances
+    circumstances : CalibrationContext
         What it was made with.
     """
     shared = _shared(next(iter(outcomes.values())), circumstances)
@@ -86,7 +86,7 @@ def calibration_of(outcomes: Mapping[str, Outcome], circumstances: Circumstances
     )
 
 
-def _shared(outcome: Outcome, at: Circumstances) -> dict[str, Any]:
+def _shared(outcome: CalibrationResult, at: CalibrationContext) -> dict[str, Any]:
     """Return what holds for the rig, whichever stimulus."""
     plant, refined = outcome.plant, outcome.refined
     change = commit()
@@ -115,7 +115,7 @@ def _shared(outcome: Outcome, at: Circumstances) -> dict[str, Any]:
     }
 
 
-def _own(outcome: Outcome) -> dict[str, Any]:
+def _own(outcome: CalibrationResult) -> dict[str, Any]:
     """Return what holds for one stimulus."""
     return {
         "stimulus": outcome.ground.section,
@@ -127,7 +127,7 @@ def _own(outcome: Outcome) -> dict[str, Any]:
     }
 
 
-def _iteration(turn: Turn) -> IterationFigures:
+def _iteration(turn: Iteration) -> IterationFigures:
     return IterationFigures(
         iteration=turn.number,
         worst_velocity_error_mm_s=round(turn.errors[0] * 1e3, 4),
@@ -136,7 +136,7 @@ def _iteration(turn: Turn) -> IterationFigures:
     )
 
 
-def _modes(outcome: Outcome) -> list[CalibratedMode]:
+def _modes(outcome: CalibrationResult) -> list[CalibratedMode]:
     aim, before, after = outcome.correction, outcome.turns[0].state, outcome.best.state
     rows = []
     for row, mode in enumerate(outcome.refined.modes):

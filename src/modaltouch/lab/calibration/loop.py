@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.lab.calibration.acquisition import Bench, Taking, measuring_points
+from modaltouch.lab.calibration.acquisition import Bench, DecayRecorder, measuring_points
 from modaltouch.lab.calibration.bursts import commanded_voltage, identifying_burst, probe_voltage, timing_voltage
 from modaltouch.lab.calibration.corrections import DIGITS, aimed_ground, refined_apparatus, significant
 from modaltouch.lab.calibration.decay import find_poles, fit_residues
-from modaltouch.lab.calibration.delays import DriveLag, fit_drive
-from modaltouch.lab.calibration.outcome import Level, Outcome, Progress, Turn
+from modaltouch.lab.calibration.delays import DriveDelay, fit_drive
+from modaltouch.lab.calibration.outcome import CalibrationProgress, CalibrationResult, Iteration, Level
 from modaltouch.lab.calibration.plant import Plant, identify_plant
-from modaltouch.preflight import Ground, design_to_fit
+from modaltouch.preflight import DesignInputs, design_to_fit
 from modaltouch.protocol import Apparatus
 from modaltouch.rig import RigError
 from modaltouch.stimulus import Burst, Correction, ModalModel, Stimulus
@@ -39,7 +39,7 @@ LARGEST_PHASE = 0.2
 """Phase that the vibrometer's delay and lag may leave unexplained [rad]."""
 
 
-def refuse_doubtful_drive(drive: DriveLag) -> None:
+def refuse_doubtful_drive(drive: DriveDelay) -> None:
     """Refuse a measured drive that is not the commanded one behind an amplifier.
 
     Raises
@@ -142,10 +142,10 @@ LEAST_TRIM = 5e-3
 def calibrate_each(
     bench: Bench,
     apparatus: Apparatus,
-    grounds: Mapping[str, Ground],
-    progress: Progress | None = None,
+    grounds: Mapping[str, DesignInputs],
+    progress: CalibrationProgress | None = None,
     between: Sequence[float] = (),
-) -> dict[str, Outcome]:
+) -> dict[str, CalibrationResult]:
     """Return the targets and amplitudes that make each of several stimuli true on the rig at a bench, by name.
 
     The rig is identified once, with the clock of the first: amplifier, modes and vibrometer are those of all.
@@ -156,9 +156,9 @@ def calibrate_each(
         Generator and scope.
     apparatus : Apparatus
         As its file gives it.
-    grounds : mapping of str to Ground
+    grounds : mapping of str to DesignInputs
         The stimuli, without any calibration; one, without a name, of a protocol that has one alone.
-    progress : Progress, optional
+    progress : CalibrationProgress, optional
         Whom to tell.
     between : sequence of float
         Levels to verify besides the protocol's own [mm/s].
@@ -168,8 +168,8 @@ def calibrate_each(
     RigError, ValueError
         As `calibrate` does.
     """
-    told = progress or Progress()
-    found: dict[str, Outcome] = {}
+    told = progress or CalibrationProgress()
+    found: dict[str, CalibrationResult] = {}
     plant: Plant | None = None
     for name, ground in grounds.items():
         if name:
@@ -182,20 +182,20 @@ def calibrate_each(
 def calibrate(
     bench: Bench,
     apparatus: Apparatus,
-    ground: Ground,
-    progress: Progress | None = None,
+    ground: DesignInputs,
+    progress: CalibrationProgress | None = None,
     plant: Plant | None = None,
     between: Sequence[float] = (),
-) -> Outcome:
+) -> CalibrationResult:
     """Return the targets and amplitudes that make a stimulus true on the rig at a bench.
 
     Parameters
     ----------
     bench, apparatus
         As for `calibrate_each`.
-    ground : Ground
+    ground : DesignInputs
         The stimulus, without any calibration.
-    progress : Progress, optional
+    progress : CalibrationProgress, optional
         Whom to tell.
     plant : Plant, optional
         The rig, where it has been identified already.
@@ -209,14 +209,19 @@ def calibrate(
     ValueError
         If the stimulus cannot be designed for the identified rig.
     """
-    return _Loop(bench, apparatus, ground, progress or Progress(), between).run(plant)
+    return _Loop(bench, apparatus, ground, progress or CalibrationProgress(), between).run(plant)
 
 
 class _Loop:
     """One calibration, from the listed apparatus to verified levels."""
 
     def __init__(
-        self, bench: Bench, apparatus: Apparatus, ground: Ground, progress: Progress, between: Sequence[float]
+        self,
+        bench: Bench,
+        apparatus: Apparatus,
+        ground: DesignInputs,
+        progress: CalibrationProgress,
+        between: Sequence[float],
     ) -> None:
         self._asked = sorted({level * 1e-3 for level in (*ground.levels.values(), *between)})
         self._bench, self._apparatus, self._ground, self._progress = bench, apparatus, ground, progress
@@ -226,7 +231,7 @@ class _Loop:
         model = self._listed.model
         self._points = measuring_points(model)
         self._shapes = model.shapes(self._points)
-        self._taking = Taking(
+        self._taking = DecayRecorder(
             bench=bench,
             model=model,
             timing=self._timing,
@@ -236,7 +241,7 @@ class _Loop:
             advance=progress.advance,
         )
 
-    def run(self, known: Plant | None) -> Outcome:
+    def run(self, known: Plant | None) -> CalibrationResult:
         """Identify what is not known, correct, verify."""
         plant = known or self._identify()
         self._taking.wait_for(plant.drive)
@@ -264,7 +269,7 @@ class _Loop:
         correction = self._correction(kept)
         levels = self._levels(plant, refined, correction)
         trims = tuple((level.velocity, level.factor) for level in levels)
-        return Outcome(
+        return CalibrationResult(
             ground=self._ground,
             plant=plant,
             refined=refined,
@@ -330,13 +335,13 @@ class _Loop:
         velocity, displacement = (np.round(each * 1e3, DIGITS) * 1e-3 for each in aim)
         return Correction(velocity, displacement, self._reference)
 
-    def _measure(self, number: int, stimulus: Stimulus, plant: Plant) -> Turn:
+    def _measure(self, number: int, stimulus: Stimulus, plant: Plant) -> Iteration:
         """Play a stimulus at the reference level and return what the modes do at the focusing instant."""
         self._progress.step("before" if number == 0 else f"iteration {number}", self._points.size)
         time, decay = self._taking.decays(stimulus.burst, self._reference, self._points)
         fitted = fit_residues(plant.decay_time(time, self._timing), decay, plant.pole)
         state = plant.state(fitted, self._shapes)
-        turn = Turn(number, state, state.error(self._target), float(stimulus.peak_voltage.max()))
+        turn = Iteration(number, state, state.error(self._target), float(stimulus.peak_voltage.max()))
         self._progress.turn(turn)
         return turn
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.lab.calibration.plant import ModalState, Plant
-from modaltouch.preflight import Ground
+from modaltouch.preflight import DesignInputs
 from modaltouch.protocol import Apparatus
 from modaltouch.stimulus import Correction
 
@@ -17,7 +17,7 @@ FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Turn:
+class Iteration:
     """What one turn of the loop measured at the reference level.
 
     Attributes
@@ -72,12 +72,12 @@ class Level:
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class CalibrationResult:
     """A finished calibration.
 
     Attributes
     ----------
-    ground : Ground
+    ground : DesignInputs
         The stimulus, as designed without a calibration.
     plant : Plant
         The identified rig.
@@ -89,22 +89,22 @@ class Outcome:
         Targets to aim at, and factors of the levels.
     points : (n_points,) array
         Where the beam was measured [m].
-    turns : tuple of Turn
+    turns : tuple of Iteration
         All turns, the first before any correction.
-    best : Turn
+    best : Iteration
         The one whose targets are kept.
     levels : tuple of Level
         As verified.
     """
 
-    ground: Ground
+    ground: DesignInputs
     plant: Plant
     refined: Apparatus
     target: FloatArray
     correction: Correction
     points: FloatArray
-    turns: tuple[Turn, ...]
-    best: Turn
+    turns: tuple[Iteration, ...]
+    best: Iteration
     levels: tuple[Level, ...]
 
 
@@ -113,7 +113,7 @@ def _quiet(*_: object) -> None:
 
 
 @dataclass(frozen=True)
-class Progress:
+class CalibrationProgress:
     """Whom to tell what the loop does.
 
     Attributes
@@ -127,11 +127,11 @@ class Progress:
     advance : callable
         Called after each record.
     turn : callable
-        Called with each `Turn` as soon as it is measured.
+        Called with each `Iteration` as soon as it is measured.
     """
 
     check: Callable[[], None] = _quiet
     stimulus: Callable[[str], None] = _quiet
     step: Callable[[str, int], None] = _quiet
     advance: Callable[[], None] = _quiet
-    turn: Callable[[Turn], None] = _quiet
+    turn: Callable[[Iteration], None] = _quiet

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.lab.calibration.decay import Decay
-from modaltouch.lab.calibration.delays import DriveLag, SightLag, fit_sight
+from modaltouch.lab.calibration.delays import DriveDelay, VibrometerDelay, fit_sight
 from modaltouch.stimulus import Amplifier, ModalModel, Timing, modal_system, states_by_channel
 
 FloatArray = NDArray[np.float64]
@@ -48,9 +48,9 @@ class Plant:
         Modes, with gains per volt at the beam of the strongest channel's amplifier.
     amplifier : Amplifier
         As identified; its limit holds for the voltage that really reaches the beam.
-    drive : DriveLag
+    drive : DriveDelay
         How the drive follows what is commanded.
-    sight : SightLag
+    sight : VibrometerDelay
         How the vibrometer follows the motion.
     unlisted : (n_unlisted,) complex array
         Poles of modes that the table lacks [1/s].
@@ -60,8 +60,8 @@ class Plant:
 
     model: ModalModel
     amplifier: Amplifier
-    drive: DriveLag
-    sight: SightLag
+    drive: DriveDelay
+    sight: VibrometerDelay
     unlisted: ComplexArray
     certainty: FloatArray
 
@@ -97,14 +97,14 @@ def modal_swings(decay: Decay, shapes: FloatArray) -> ComplexArray:
     return np.asarray((decay.residue[:n] * shapes).sum(axis=1) / (shapes**2).sum(axis=1))
 
 
-def unit_responses(model: ModalModel, drive: DriveLag, voltage: FloatArray, timing: Timing) -> ComplexArray:
+def unit_responses(model: ModalModel, drive: DriveDelay, voltage: FloatArray, timing: Timing) -> ComplexArray:
     """Return what a mode of unit gain would swing with after a burst, extrapolated back to the focusing instant.
 
     Parameters
     ----------
     model : ModalModel
         Natural frequencies and damping ratios.
-    drive : DriveLag
+    drive : DriveDelay
         How the drive follows.
     voltage : (n_channels, n_samples) array
         Commanded at the beam, nothing after the focusing instant [V].
@@ -130,7 +130,7 @@ def unit_responses(model: ModalModel, drive: DriveLag, voltage: FloatArray, timi
 def identify_plant(
     model: ModalModel,
     amplifier: Amplifier,
-    drive: DriveLag,
+    drive: DriveDelay,
     decay: Decay,
     shapes: FloatArray,
     voltages: list[FloatArray],
@@ -144,7 +144,7 @@ def identify_plant(
         As listed; its shapes are kept.
     amplifier : Amplifier
         As listed.
-    drive : DriveLag
+    drive : DriveDelay
         From the measured drive.
     decay : Decay
         Of all probes together, probe after probe.

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from modaltouch.lab.validation.measures import contrast, root_mean_square, spot_width
 from modaltouch.rig import Playback, Twin
-from modaltouch.stimulus import Wish
+from modaltouch.stimulus import TargetField
 
 FloatArray = NDArray[np.float64]
 Playbacks = Sequence[Playback | None]
@@ -38,7 +38,7 @@ class Task:
 
     Attributes
     ----------
-    wish : Wish
+    wish : TargetField
         The wished field, at its level.
     instant : float
         The focusing instant asked for, from the start of the burst [s].
@@ -50,7 +50,7 @@ class Task:
         Returns the field that the selected modes would make of the wish at positions [m], in m/s.
     """
 
-    wish: Wish
+    wish: TargetField
     instant: float
     zones: dict[str, float]
     pairs: tuple[tuple[str, str], ...]
@@ -58,7 +58,7 @@ class Task:
 
 
 @dataclass(frozen=True, eq=False)
-class Verdict:
+class DriveAssessment:
     """What a drive did.
 
     Attributes
@@ -100,7 +100,7 @@ class Verdict:
     highest: float | None
 
 
-def judge(twin: Twin, playbacks: Playbacks, task: Task, *, everywhere: bool = True) -> Verdict:
+def judge(twin: Twin, playbacks: Playbacks, task: Task, *, everywhere: bool = True) -> DriveAssessment:
     """Return what a beam does under what a generator sends, repeated for long.
 
     The focusing instant is that at which what was sent by then has passed the amplifier: its true lag, which no
@@ -125,7 +125,7 @@ def judge(twin: Twin, playbacks: Playbacks, task: Task, *, everywhere: bool = Tr
     miss = field - task.wish.velocity * task.wish.profile(position)
     zone_peak = dict(zip(task.zones, twin.felt(playbacks, list(task.zones.values())).tolist(), strict=True))
     places = np.linspace(-half, half, PLACES).tolist()
-    return Verdict(
+    return DriveAssessment(
         position=position,
         field=field,
         at_focus=float(velocity @ twin.beam.shapes(task.wish.centre)[:, 0]),

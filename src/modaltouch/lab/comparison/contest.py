@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from modaltouch.lab.comparison.assessment import Playbacks, Task, Verdict, judge
-from modaltouch.lab.comparison.methods import Designed, design_all
-from modaltouch.lab.comparison.training_data import Knowledge, Responses, band
+from modaltouch.lab.comparison.assessment import DriveAssessment, Playbacks, Task, judge
+from modaltouch.lab.comparison.methods import MethodDrive, design_all
+from modaltouch.lab.comparison.training_data import TrainingData, TransferFunctions, band
 from modaltouch.lab.identification.estimates import Identification
 from modaltouch.lab.identification.excitation import LOWEST, Campaign, evenly, highest_needed
 from modaltouch.lab.identification.joint_fit import identify
@@ -36,24 +36,24 @@ class Contest:
     ----------
     task : Task
         What was asked of all.
-    known : Knowledge
+    known : TrainingData
         What each was given.
     delay : float
         Of the recordings, identified and taken out of what rivals are given [s].
-    designed : tuple of Designed
+    designed : tuple of MethodDrive
         Their drives.
-    verdicts : tuple of Verdict
+    verdicts : tuple of DriveAssessment
         What each did on the beam that was learned.
-    changed : tuple of tuple of Verdict
+    changed : tuple of tuple of DriveAssessment
         What each drive did on every other beam, drawn around the one that was learned.
     """
 
     task: Task
-    known: Knowledge
+    known: TrainingData
     delay: float
-    designed: tuple[Designed, ...]
-    verdicts: tuple[Verdict, ...]
-    changed: tuple[tuple[Verdict, ...], ...]
+    designed: tuple[MethodDrive, ...]
+    verdicts: tuple[DriveAssessment, ...]
+    changed: tuple[tuple[DriveAssessment, ...], ...]
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ def contest(
     excited = responses.between(LOWEST, float(responses.frequency[-1]))
     identification = identify(excited, apparatus.beam.length_mm * 1e-3)
     on_progress("modes identified", 1, 1)
-    known = Knowledge(
+    known = TrainingData(
         model=identified_model(identification, apparatus),
         responses=for_rivals(responses, identification.delay.value, apparatus),
         wish=stimulus.wish,
@@ -125,7 +125,7 @@ def contest(
 
 def contend(
     preflight: Preflight,
-    known: Knowledge,
+    known: TrainingData,
     settings: Settings,
     delay: float = 0.0,
     *,
@@ -138,7 +138,7 @@ def contend(
     ----------
     preflight : Preflight
         The protocol, examined.
-    known : Knowledge
+    known : TrainingData
         What each method is given.
     settings : Settings
         Which other beams the drives are played on.
@@ -160,7 +160,7 @@ def contend(
     task = Task(stimulus.wish, stimulus.timing.focusing_instant, zones, pairs, stimulus.projection.field)
     sent = _play(centre, designed, stimulus.wish.velocity, on_progress, check)
     verdicts = [judge(Twin(centre, settings.seed), each, task) for each in sent]
-    changed: list[list[Verdict]] = [[] for _ in designed]
+    changed: list[list[DriveAssessment]] = [[] for _ in designed]
     for number in range(settings.n_beams):
         check()
         twin = Twin(apparatus, settings.seed + number)
@@ -233,7 +233,7 @@ def identified_model(found: Identification, apparatus: Apparatus) -> ModalModel:
     return replace(table, natural_frequency=frequency, damping_ratio=ratio, modal_gain=gain)
 
 
-def for_rivals(responses: FrequencyResponses, delay: float, apparatus: Apparatus) -> Responses:
+def for_rivals(responses: FrequencyResponses, delay: float, apparatus: Apparatus) -> TransferFunctions:
     """Return the responses by generator output, within the band that the chirp excited, their delay taken out.
 
     Parameters
@@ -257,11 +257,11 @@ def for_rivals(responses: FrequencyResponses, delay: float, apparatus: Apparatus
     places = responses.positions
     if places is None:
         raise ValueError("the responses do not say where they were measured: scan the beam")
-    return Responses(responses.frequency, response, places, variance)
+    return TransferFunctions(responses.frequency, response, places, variance)
 
 
 def _play(
-    apparatus: Apparatus, designed: list[Designed], velocity: float, on_progress: Progress, check: Callable[[], None]
+    apparatus: Apparatus, designed: list[MethodDrive], velocity: float, on_progress: Progress, check: Callable[[], None]
 ) -> list[Playbacks]:
     """Return what the generator sends of every drive, played through its driver at the level."""
     sent: list[Playbacks] = []

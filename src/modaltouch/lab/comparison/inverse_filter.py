@@ -32,7 +32,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.lab.comparison.training_data import Knowledge
+from modaltouch.lab.comparison.training_data import TrainingData
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -53,7 +53,7 @@ ENDS = 1e-3
 """Length of the taper at either end of a burst [s]."""
 
 
-def inverse_filter(known: Knowledge) -> FloatArray:
+def inverse_filter(known: TrainingData) -> FloatArray:
     """Return the drives of the inverse filter at the level or the limit, (n_channels, n_samples) array at the beam [V].
 
     Of the pulses in `PULSES` and the regularisations in `STRENGTHS` those which come closest to the wished field at
@@ -115,7 +115,7 @@ def regularised_inverse(response: ComplexArray, wished: ComplexArray, strength: 
     return np.asarray(np.linalg.solve(gram + beta * np.eye(gram.shape[1]), right[:, :, None])[:, :, 0].T)
 
 
-def inverse_filter_at_instant(known: Knowledge) -> FloatArray:
+def inverse_filter_at_instant(known: TrainingData) -> FloatArray:
     r"""Return the drives of least energy that make the wished field at the focusing instant, at the level or the limit.
 
     Noise adds to :math:`R R^T` what is known of it from record to record, on the average on its diagonal alone: that

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from modaltouch.lab.comparison.inverse_filter import inverse_filter, inverse_filter_at_instant
 from modaltouch.lab.comparison.time_reversal import one_bit_reversal, time_reversal
-from modaltouch.lab.comparison.training_data import Knowledge
+from modaltouch.lab.comparison.training_data import TrainingData
 from modaltouch.stimulus import (
     MID_CODE,
     Burst,
@@ -52,7 +52,7 @@ class Method:
     name: str
     idea: str
     needs: str
-    design: Callable[[Knowledge, Release], FloatArray]
+    design: Callable[[TrainingData, Release], FloatArray]
 
     def recordings(self, n_points: int, n_channels: int) -> int:
         """Return how many recordings must have been made before the first focus."""
@@ -63,8 +63,8 @@ class Method:
         return n_channels if self.needs == "focus" else 0
 
 
-def _by_law(law: Law) -> Callable[[Knowledge, Release], FloatArray]:
-    def design(known: Knowledge, release: Release) -> FloatArray:
+def _by_law(law: Law) -> Callable[[TrainingData, Release], FloatArray]:
+    def design(known: TrainingData, release: Release) -> FloatArray:
         stimulus = design_stimulus(
             known.model, known.wish, known.timing, known.amplifier, law=law, release=release, rounding="plain"
         )
@@ -74,8 +74,8 @@ def _by_law(law: Law) -> Callable[[Knowledge, Release], FloatArray]:
     return design
 
 
-def _rival(way: Callable[[Knowledge], FloatArray]) -> Callable[[Knowledge, Release], FloatArray]:
-    def design(known: Knowledge, release: Release) -> FloatArray:
+def _rival(way: Callable[[TrainingData], FloatArray]) -> Callable[[TrainingData, Release], FloatArray]:
+    def design(known: TrainingData, release: Release) -> FloatArray:
         return way(known)
 
     return design
@@ -131,7 +131,7 @@ METHODS = (
 
 
 @dataclass(frozen=True, eq=False)
-class Designed:
+class MethodDrive:
     """A method's drive.
 
     Attributes
@@ -163,12 +163,12 @@ class Designed:
         return float((self.voltage**2).sum()) * hold
 
 
-def design_all(known: Knowledge, release: Release, load_factor: float) -> list[Designed]:
+def design_all(known: TrainingData, release: Release, load_factor: float) -> list[MethodDrive]:
     """Return the drive of every method.
 
     Parameters
     ----------
-    known : Knowledge
+    known : TrainingData
         What each of them is given.
     release : str
         What the laws do after the focus; the rivals have ways of their own.
@@ -180,21 +180,21 @@ def design_all(known: Knowledge, release: Release, load_factor: float) -> list[D
     return [_designed(method, known, release, load_factor) for method in METHODS]
 
 
-def _designed(method: Method, known: Knowledge, release: Release, load_factor: float) -> Designed:
+def _designed(method: Method, known: TrainingData, release: Release, load_factor: float) -> MethodDrive:
     started = time.perf_counter()
     voltage = method.design(known, release)
     took = time.perf_counter() - started
-    return Designed(method, voltage, as_burst(voltage, known, load_factor), took)
+    return MethodDrive(method, voltage, as_burst(voltage, known, load_factor), took)
 
 
-def as_burst(voltage: FloatArray, known: Knowledge, load_factor: float) -> Burst:
+def as_burst(voltage: FloatArray, known: TrainingData, load_factor: float) -> Burst:
     """Return voltages as the generator plays them.
 
     Parameters
     ----------
     voltage : (n_channels, n_samples) array
         At the beam [V].
-    known : Knowledge
+    known : TrainingData
         Clock, level and amplifier.
     load_factor : float
         Share of the generator's open-circuit voltage that reaches the amplifier's input [1].

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from modaltouch.lab.comparison.assessment import Verdict
+from modaltouch.lab.comparison.assessment import DriveAssessment
 from modaltouch.lab.comparison.contest import Contest
 from modaltouch.lab.comparison.narrative import paragraphs
 from modaltouch.lab.comparison.results import Row, criteria
@@ -119,7 +119,7 @@ def draw_robustness(contest: Contest) -> Figure:
         figure = new_figure(7.6, 0.42 * len(names) + 1.1)
         panels = figure.subplots(1, 3, sharey=True)
         pair = contest.task.pairs[0]
-        columns: tuple[tuple[str, Callable[[Verdict], float]], ...] = (
+        columns: tuple[tuple[str, Callable[[DriveAssessment], float]], ...] = (
             ("velocity at the focus [mm/s]", lambda verdict: verdict.at_focus * 1e3),
             ("distance from the wish, rms [mm/s]", lambda verdict: verdict.rms_error * 1e3),
             (f"contrast of ({pair[0]}, {pair[1]})", lambda verdict: verdict.contrasts[pair]),

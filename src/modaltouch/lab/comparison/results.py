@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from modaltouch.lab.comparison.assessment import Verdict
+from modaltouch.lab.comparison.assessment import DriveAssessment
 from modaltouch.lab.comparison.contest import Contest
-from modaltouch.lab.comparison.methods import Designed
+from modaltouch.lab.comparison.methods import MethodDrive
 from modaltouch.preflight import finite
 
 Row = dict[str, Any]
@@ -97,7 +97,9 @@ def _wanted(rows: Sequence[Row], key: str) -> str:
     return "high" if rows[0]["focus"] in key.split("_")[-2:] else "none"
 
 
-def method_row(designed: Designed, verdict: Verdict, changed: Sequence[Verdict], contest: Contest, focus: str) -> Row:
+def method_row(
+    designed: MethodDrive, verdict: DriveAssessment, changed: Sequence[DriveAssessment], contest: Contest, focus: str
+) -> Row:
     """Return all of a method's figures."""
     limit = contest.known.amplifier.limit
     n_channels, n_points = contest.known.responses.response.shape[:2]
@@ -131,7 +133,7 @@ def method_row(designed: Designed, verdict: Verdict, changed: Sequence[Verdict],
     return row | _changed(verdict, changed)
 
 
-def _changed(verdict: Verdict, changed: Sequence[Verdict]) -> Row:
+def _changed(verdict: DriveAssessment, changed: Sequence[DriveAssessment]) -> Row:
     if not changed:
         keys = ("at_focus_low_mm_s", "at_focus_high_mm_s", "at_focus_spread_mm_s", "rms_error_mm_s", "drift_mm_s")
         return {f"changed_{key}": None for key in keys}

@@ -23,16 +23,16 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.lab.comparison.training_data import Knowledge
+from modaltouch.lab.comparison.training_data import TrainingData
 
 FloatArray = NDArray[np.float64]
 
 
-def time_reversal(known: Knowledge) -> FloatArray:
+def time_reversal(known: TrainingData) -> FloatArray:
     """Return the recorded impulse responses at the focus alone, reversed, as voltages at the level or limit [V]."""
     return known.to_level(known.towards[:, known.focus, ::-1])
 
 
-def one_bit_reversal(known: Knowledge) -> FloatArray:
+def one_bit_reversal(known: TrainingData) -> FloatArray:
     """Return the signs of the reversed impulse responses, as `time_reversal`."""
     return known.to_level(np.sign(known.towards[:, known.focus, ::-1]))

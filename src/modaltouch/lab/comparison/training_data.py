@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from modaltouch.stimulus import Amplifier, ModalModel, Timing, Wish
+from modaltouch.stimulus import Amplifier, ModalModel, TargetField, Timing
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -18,7 +18,7 @@ STEP = 0.8e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Responses:
+class TransferFunctions:
     """Frequency responses of points of the beam to each generator output.
 
     Attributes
@@ -92,16 +92,16 @@ class Responses:
 
 
 @dataclass(frozen=True, eq=False)
-class Knowledge:
+class TrainingData:
     """All that a method is given.
 
     Attributes
     ----------
     model : ModalModel
         The modes, identified from the same recordings as `responses`.
-    responses : Responses
+    responses : TransferFunctions
         The recordings.
-    wish : Wish
+    wish : TargetField
         The wished field; its velocity is the level.
     timing : Timing
         Clock of the burst.
@@ -110,8 +110,8 @@ class Knowledge:
     """
 
     model: ModalModel
-    responses: Responses
-    wish: Wish
+    responses: TransferFunctions
+    wish: TargetField
     timing: Timing
     amplifier: Amplifier
 

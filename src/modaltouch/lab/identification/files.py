@@ -103,7 +103,7 @@ CSV_COLUMNS = ("frequency_Hz", "set", "position_mm", "real", "imag")
 
 
 @dataclass(frozen=True)
-class Reading:
+class ResponseFormat:
     """How a file is to be read where it does not say so itself.
 
     Attributes
@@ -146,14 +146,14 @@ class Part:
     quantity: Quantity | None
 
 
-def read_responses(paths: Sequence[Path], how: Reading | None = None) -> FrequencyResponses:
+def read_responses(paths: Sequence[Path], how: ResponseFormat | None = None) -> FrequencyResponses:
     """Return the velocity responses of files, all of one frequency axis.
 
     Parameters
     ----------
     paths : sequence of Path
         By their ending: ``.uff`` or ``.unv``, ``.csv``, ``.npz``, ``.lvm``, or ``.txt`` with a complex number a line.
-    how : Reading, optional
+    how : ResponseFormat, optional
         What the files do not say.
 
     Raises
@@ -162,7 +162,7 @@ def read_responses(paths: Sequence[Path], how: Reading | None = None) -> Frequen
         If a file cannot be read, does not say what it holds, or does not fit the others; the message begins with its
         path.
     """
-    how = how or Reading()
+    how = how or ResponseFormat()
     if not paths:
         raise ValueError("no file is given: name at least one")
     parts = [(path, _read(path, how)) for path in paths]
@@ -183,7 +183,7 @@ def read_responses(paths: Sequence[Path], how: Reading | None = None) -> Frequen
     return _assemble(first_path, first.frequency, response, coherence, how.n_averages)
 
 
-def _quantity(path: Path, part: Part, how: Reading) -> Quantity:
+def _quantity(path: Path, part: Part, how: ResponseFormat) -> Quantity:
     said, found = how.quantity, part.quantity
     if said is None and found is None:
         raise ValueError(f"{path}: does not say whether it holds a velocity, a displacement or an acceleration; say so "
@@ -236,10 +236,10 @@ def _check_axis(path: Path, frequency: FloatArray) -> None:
         raise ValueError(f"{path}: its frequencies are not evenly spaced and increasing; export them so")
 
 
-def _read(path: Path, how: Reading) -> Part:
+def _read(path: Path, how: ResponseFormat) -> Part:
     if not path.is_file():
         raise ValueError(f"{path}: there is no such file")
-    readers: dict[str, Callable[[Path, Reading], Part]] = {
+    readers: dict[str, Callable[[Path, ResponseFormat], Part]] = {
         ".uff": _read_universal,
         ".unv": _read_universal,
         ".csv": _read_csv,
@@ -258,12 +258,12 @@ def _read(path: Path, how: Reading) -> Part:
         raise ValueError(f"{path}: is no text in UTF-8 (byte {error.start}); export it again") from None
 
 
-def _read_universal(path: Path, how: Reading) -> Part:
+def _read_universal(path: Path, how: ResponseFormat) -> Part:
     frequency, response, quantity = read_universal(path)
     return Part(frequency, response, {}, quantity)
 
 
-def _read_csv(path: Path, how: Reading) -> Part:
+def _read_csv(path: Path, how: ResponseFormat) -> Part:
     with path.open(encoding="utf-8-sig", newline="") as file:
         rows = list(csv.reader(file))
     header = [cell.strip() for cell in rows[0]] if rows else []
@@ -301,12 +301,12 @@ def _read_csv(path: Path, how: Reading) -> Part:
     )
 
 
-def _read_lvm(path: Path, how: Reading) -> Part:
+def _read_lvm(path: Path, how: ResponseFormat) -> Part:
     frequency, name, response, quantity = read_lvm(path)
     return Part(frequency, {(name, None): response}, {}, quantity)
 
 
-def _read_npz(path: Path, how: Reading) -> Part:
+def _read_npz(path: Path, how: ResponseFormat) -> Part:
     try:
         with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             arrays = dict(file)
@@ -341,7 +341,7 @@ def _read_npz(path: Path, how: Reading) -> Part:
     )
 
 
-def _read_text(path: Path, how: Reading) -> Part:
+def _read_text(path: Path, how: ResponseFormat) -> Part:
     """Read one complex number a line, as Python prints it, from 0 Hz on."""
     if how.spacing is None:
         raise ValueError(f"{path}: holds bare numbers; say how far its bins are apart with --spacing-Hz")

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.lab.identification.estimates import NORMAL_95, Estimate, Identification, IdentifiedMode
-from modaltouch.lab.identification.kernel import N_REST, Bins, Evaluation, Problem, evaluate
+from modaltouch.lab.identification.kernel import N_REST, Bins, Evaluation, LeastSquaresProblem, evaluate
 from modaltouch.lab.identification.peaks import (
     DAMPING_BOUNDS,
     MOST_POLES,
@@ -27,7 +27,7 @@ FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 
-def make_problem(responses: FrequencyResponses, poles: Poles, phase_at: float | None = None) -> Problem:
+def make_problem(responses: FrequencyResponses, poles: Poles, phase_at: float | None = None) -> LeastSquaresProblem:
     """Return the least-squares problem of responses, binned for poles that are roughly known."""
     bins = Bins.near(responses.frequency, poles.natural_frequency, poles.damping_ratio)
     noise = responses.noise
@@ -38,15 +38,17 @@ def make_problem(responses: FrequencyResponses, poles: Poles, phase_at: float | 
     scaled = responses.response / np.sqrt(level)[:, None, None]
     flat = scaled.reshape(-1, scaled.shape[-1])
     grouped = bins.mean(flat) * weight
-    return Problem(bins, np.asarray(grouped.T), weight, responses.bandwidth, phase_at)
+    return LeastSquaresProblem(bins, np.asarray(grouped.T), weight, responses.bandwidth, phase_at)
 
 
-def refine(problem: Problem, poles: Poles, *, tolerance: float = 1e-5, most: int = 60) -> tuple[Poles, Evaluation]:
+def refine(
+    problem: LeastSquaresProblem, poles: Poles, *, tolerance: float = 1e-5, most: int = 60
+) -> tuple[Poles, Evaluation]:
     """Return the poles and the delay of least squares, and the fit there.
 
     Parameters
     ----------
-    problem : Problem
+    problem : LeastSquaresProblem
         The responses.
     poles : Poles
         Where to begin.
@@ -108,8 +110,8 @@ def _unit(evaluation: Evaluation, start: Poles) -> FloatArray:
 
 
 def find_more(
-    responses: FrequencyResponses, poles: Poles, problem: Problem, fit: Evaluation, most: int
-) -> tuple[Poles, Problem, Evaluation]:
+    responses: FrequencyResponses, poles: Poles, problem: LeastSquaresProblem, fit: Evaluation, most: int
+) -> tuple[Poles, LeastSquaresProblem, Evaluation]:
     """Return the poles with further ones where the fit leaves a peak that noise does not explain."""
     for _ in range(most):
         peak = _left_over(problem, fit)
@@ -133,7 +135,7 @@ def _sound(poles: Poles) -> bool:
     return bool(apart.all() and (poles.damping_ratio > 2 * low).all() and (poles.damping_ratio < 0.9 * high).all())
 
 
-def _left_over(problem: Problem, fit: Evaluation) -> tuple[float, float] | None:
+def _left_over(problem: LeastSquaresProblem, fit: Evaluation) -> tuple[float, float] | None:
     """Return frequency and rough damping of the highest peak of what a fit leaves, or None."""
     n = problem.bins.start.size
     left = (fit.rest[:n] + 1j * fit.rest[n:]).T
@@ -152,7 +154,7 @@ def _left_over(problem: Problem, fit: Evaluation) -> tuple[float, float] | None:
     return where
 
 
-def _course(problem: Problem, natural_frequency: FloatArray, ratio: float, delay: float) -> ComplexArray:
+def _course(problem: LeastSquaresProblem, natural_frequency: FloatArray, ratio: float, delay: float) -> ComplexArray:
     """Return the responses of modes at the centres of the bins, (n_modes, n_groups) array."""
     omega = 2 * np.pi * problem.bins.centre
     own = 2 * np.pi * natural_frequency[:, None]
@@ -263,7 +265,7 @@ class _Reading:
 
     responses: FrequencyResponses
     length: float | None
-    problem: Problem
+    problem: LeastSquaresProblem
     fit: Evaluation
     clock_tolerance: float
 

@@ -69,7 +69,7 @@ class Bins:
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class LeastSquaresProblem:
     """Responses to be fitted.
 
     Attributes
@@ -211,13 +211,13 @@ class Evaluation:
 
 
 def evaluate(
-    problem: Problem, natural_frequency: FloatArray, damping_ratio: FloatArray, delay: float, scale: float
+    problem: LeastSquaresProblem, natural_frequency: FloatArray, damping_ratio: FloatArray, delay: float, scale: float
 ) -> Evaluation:
     """Return the best fit of the responses for given poles and delay.
 
     Parameters
     ----------
-    problem : Problem
+    problem : LeastSquaresProblem
         The responses.
     natural_frequency, damping_ratio : (n_modes,) array
         The poles [Hz, 1].

@@ -42,7 +42,7 @@ MAP_CSV_STEP = 10e-6
 
 
 @dataclass(frozen=True)
-class Occasion:
+class ValidationContext:
     """What was validated, and where.
 
     Attributes
@@ -77,7 +77,7 @@ class Occasion:
 
 
 def write_evidence(
-    folder: Path, evidences: Sequence[Evidence], figures: Sequence[dict[str, Any]], occasion: Occasion
+    folder: Path, evidences: Sequence[Evidence], figures: Sequence[dict[str, Any]], occasion: ValidationContext
 ) -> dict[str, Path]:
     """Write page, figures and tables into a folder, and return where each file lies.
 
@@ -89,7 +89,7 @@ def write_evidence(
         Of each law.
     figures : sequence of dict
         As `key_figures` returns them, one to each law.
-    occasion : Occasion
+    occasion : ValidationContext
         What was validated.
 
     Raises
@@ -128,7 +128,9 @@ def write_evidence(
     return write_files(folder, {"validation.html": page.encode(), **files}, {"version": version()}, COMMAND)
 
 
-def as_dict(evidences: Sequence[Evidence], figures: Sequence[dict[str, Any]], occasion: Occasion) -> dict[str, Any]:
+def as_dict(
+    evidences: Sequence[Evidence], figures: Sequence[dict[str, Any]], occasion: ValidationContext
+) -> dict[str, Any]:
     """Return everything as plain values, as ``modaltouch validate --json`` prints it."""
     values = {
         "protocol": occasion.protocol,
@@ -152,7 +154,7 @@ def _plain(value: Any) -> Any:
     return round(value, 6) if isinstance(value, float) else value
 
 
-def _draw(evidences: Sequence[Evidence], occasion: Occasion) -> dict[str, tuple[Figure, str]]:
+def _draw(evidences: Sequence[Evidence], occasion: ValidationContext) -> dict[str, tuple[Figure, str]]:
     """Return each figure with its caption, by its file's name."""
     drawn = {
         "fig_2": (

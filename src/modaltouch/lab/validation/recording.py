@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.lab.measurement import Laboratory, Scan, ScanPlan, read_scan, take_scan
-from modaltouch.preflight import Ground, design
+from modaltouch.preflight import DesignInputs, design
 from modaltouch.protocol import Source
 from modaltouch.record import RecordError, RecordInputError
 from modaltouch.rig import Acquisition, Recording
@@ -67,13 +67,13 @@ class Observation:
 
 
 def plans(
-    ground: Ground, stimulus: Stimulus, velocity: float, n_points: int, n_records: int
+    ground: DesignInputs, stimulus: Stimulus, velocity: float, n_points: int, n_records: int
 ) -> tuple[ScanPlan, ScanPlan]:
     """Return what is scanned of a stimulus: the field around the focus, and the zones throughout.
 
     Parameters
     ----------
-    ground : Ground
+    ground : DesignInputs
         What the stimulus was designed from.
     stimulus : Stimulus
         What is played.
@@ -126,7 +126,7 @@ def keep_velocities(recording: Recording) -> dict[str, NDArray[Any]]:
 
 
 def record_laws(
-    ground: Ground,
+    ground: DesignInputs,
     laboratory: Laboratory,
     velocity: float,
     *,
@@ -141,7 +141,7 @@ def record_laws(
 
     Parameters
     ----------
-    ground : Ground
+    ground : DesignInputs
         What the stimuli are designed from.
     laboratory : Laboratory
         Generator and scope, open.
@@ -178,12 +178,12 @@ def record_laws(
     return observed
 
 
-def read_laws(ground: Ground, folder: Path) -> list[Observation]:
+def read_laws(ground: DesignInputs, folder: Path) -> list[Observation]:
     """Return what each law did, from the scans in a folder; no rig is touched.
 
     Parameters
     ----------
-    ground : Ground
+    ground : DesignInputs
         What the stimuli were designed from.
     folder : Path
         Where `record_laws` kept the scans.
@@ -237,6 +237,6 @@ def scan_name(law: str, what: str) -> str:
     return f"{law}_{what}"
 
 
-def _observation(ground: Ground, stimulus: Stimulus, velocity: float, field: Scan, course: Scan) -> Observation:
+def _observation(ground: DesignInputs, stimulus: Stimulus, velocity: float, field: Scan, course: Scan) -> Observation:
     zones = {name: zone.centre_mm * 1e-3 for name, zone in ground.zones.items()}
     return Observation(stimulus, velocity, zones, ground.section.focus, field, course)

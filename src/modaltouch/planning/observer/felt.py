@@ -11,7 +11,7 @@ from modaltouch.planning.observer.front_end import FrontEnd, sense
 from modaltouch.stimulus import Stimulus, velocity_history
 
 
-class Felt:
+class FeltSpeeds:
     """What fingers feel at the zones.
 
     Everything is computed when first asked for, at the reference level, and scaled to the others: the beam and

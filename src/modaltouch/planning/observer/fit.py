@@ -31,7 +31,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from modaltouch.planning.observer.likelihood import Recorded, log_likelihood
+from modaltouch.planning.observer.likelihood import RecordedAnswers, log_likelihood
 from modaltouch.planning.observer.population import Observer
 
 FloatArray = NDArray[np.float64]
@@ -83,7 +83,7 @@ QUANTITIES = (
 
 
 @dataclass(frozen=True)
-class Estimate:
+class FittedParameter:
     """A number with its 95 % interval.
 
     Attributes
@@ -115,9 +115,9 @@ class Fit:
     ----------
     observer : Observer
         The likeliest one.
-    parameters : tuple of Estimate
+    parameters : tuple of FittedParameter
         What was fitted; mind `learned`.
-    identified : tuple of Estimate
+    identified : tuple of FittedParameter
         Combinations that the answers do determine, whatever the scale.
     log_likelihood : float
         Of the answers, without the priors.
@@ -128,19 +128,19 @@ class Fit:
     """
 
     observer: Observer
-    parameters: tuple[Estimate, ...]
-    identified: tuple[Estimate, ...]
+    parameters: tuple[FittedParameter, ...]
+    identified: tuple[FittedParameter, ...]
     log_likelihood: float
     n_answers: int
     converged: bool
 
 
-def fit_observer(recorded: Recorded, prior: Observer) -> Fit:
+def fit_observer(recorded: RecordedAnswers, prior: Observer) -> Fit:
     """Return the likeliest observer for recorded answers.
 
     Parameters
     ----------
-    recorded : Recorded
+    recorded : RecordedAnswers
         The answers.
     prior : Observer
         Centre of the priors, and source of everything that is not fitted.
@@ -217,14 +217,14 @@ def _covariance(cost: Callable[[FloatArray], float], point: FloatArray, deviatio
 
 def _estimate(
     name: str, natural: Callable[[float], float], middle: float, variance: float, prior_variance: float
-) -> Estimate:
+) -> FittedParameter:
     reach = Z95 * math.sqrt(max(variance, 0.0))
     learned = min(max(1 - float(variance) / float(prior_variance), 0.0), 1.0)
     ends = (natural(middle - reach), natural(middle + reach))
     if natural is math.expm1:
         ends = (max(ends[0], 0.0), ends[1])
     tied = any(quantity.tied and quantity.name == name for quantity in QUANTITIES)
-    return Estimate(name, natural(middle), *ends, learned, tied)
+    return FittedParameter(name, natural(middle), *ends, learned, tied)
 
 
 def _identified(
@@ -233,7 +233,7 @@ def _identified(
     covariance: FloatArray,
     deviation: FloatArray,
     finger_conditions: Sequence[str],
-) -> list[Estimate]:
+) -> list[FittedParameter]:
     """Return the combinations that keep their value under a change of scale."""
     found = []
     suppressions = {"one_hand": "suppression", "two_hands": "suppression_across_hands"}

@@ -21,7 +21,7 @@ _LEAST_SHARE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Recorded:
+class RecordedAnswers:
     """Answers to fit.
 
     Attributes
@@ -66,7 +66,7 @@ class Recorded:
 
         Parameters
         ----------
-        parts : sequence of Recorded
+        parts : sequence of RecordedAnswers
             The answers to each stimulus; participants in one order.
 
         Raises
@@ -87,7 +87,7 @@ class Recorded:
         )
 
 
-def log_likelihood(observer: Observer, recorded: Recorded) -> float:
+def log_likelihood(observer: Observer, recorded: RecordedAnswers) -> float:
     """Return the logarithm of the chance of recorded answers, the population integrated out."""
     crowd = observer.crowd_at(_grid())
     total = 0.0

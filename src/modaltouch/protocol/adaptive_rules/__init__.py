@@ -5,6 +5,6 @@
 ``levels``     Levels: the level of a trial, replayed from the record
 """
 
-from modaltouch.protocol.adaptive_rules.levels import Levels, Presented, describe_rule
+from modaltouch.protocol.adaptive_rules.levels import AnsweredLevel, Levels, describe_rule
 
-__all__ = ["Levels", "Presented", "describe_rule"]
+__all__ = ["Levels", "AnsweredLevel", "describe_rule"]

@@ -20,7 +20,7 @@ Run = tuple[str, str, str, str]
 
 
 @dataclass(frozen=True)
-class Presented:
+class AnsweredLevel:
     """One answered trial of a run.
 
     Attributes
@@ -77,7 +77,7 @@ class Levels:
         velocity = from_dB(level, self._range)
         return replace(trial, condition=replace(trial.condition, velocity_mm_s=velocity))
 
-    def history(self, run: Run, answered: Iterable[Mapping[str, Any]]) -> list[Presented]:
+    def history(self, run: Run, answered: Iterable[Mapping[str, Any]]) -> list[AnsweredLevel]:
         """Return the trials of a run that the instrument confirmed, in the order of the session.
 
         Parameters
@@ -94,7 +94,7 @@ class Levels:
             if counts and run_of(condition) == run:
                 focus, answer = self._protocol.stimulus_of(condition.stimulus).focus, event["response"]["answer"]
                 success = is_success(self._rule, focus, condition.zone_left, answer)
-                found.append(Presented(event["trial"]["index"], condition.velocity_mm_s, success))
+                found.append(AnsweredLevel(event["trial"]["index"], condition.velocity_mm_s, success))
         return sorted(found, key=lambda each: each.index)
 
     @property
@@ -111,7 +111,7 @@ class Levels:
         low, high = self._range
         return to_dB(low), to_dB(high)
 
-    def _next_dB(self, adaptive: AdaptiveSection, run: Run, before: Sequence[Presented]) -> float:  # noqa: N802
+    def _next_dB(self, adaptive: AdaptiveSection, run: Run, before: Sequence[AnsweredLevel]) -> float:  # noqa: N802
         if adaptive.method == "staircase":
             start = to_dB(adaptive.start_mm_s)
             return follow(adaptive.staircase, start, self._bounds_dB, [each.success for each in before]).next_dB

@@ -38,7 +38,7 @@ def is_success(rule: str, focus: str, zone_left: str, answer: str) -> bool:
 
 
 @dataclass(frozen=True)
-class Course:
+class StaircaseState:
     """A staircase after some answers.
 
     Attributes
@@ -53,7 +53,9 @@ class Course:
     reversals: tuple[int, ...]
 
 
-def follow(rule: StaircaseSection, start: float, bounds: tuple[float, float], successes: Sequence[bool]) -> Course:
+def follow(
+    rule: StaircaseSection, start: float, bounds: tuple[float, float], successes: Sequence[bool]
+) -> StaircaseState:
     """Return where a staircase stands after some answers.
 
     Parameters
@@ -69,7 +71,7 @@ def follow(rule: StaircaseSection, start: float, bounds: tuple[float, float], su
 
     Returns
     -------
-    Course
+    StaircaseState
         The step shrinks at each reversal, before it is taken.
     """
     level, in_a_row, heading = start, 0, 0
@@ -87,4 +89,4 @@ def follow(rule: StaircaseSection, start: float, bounds: tuple[float, float], su
         step = rule.steps_dB[min(len(reversals), len(rule.steps_dB) - 1)]
         level += direction * step * (rule.up_over_down if direction > 0 else 1.0)
         level = min(max(level, bounds[0]), bounds[1])
-    return Course(level, tuple(reversals))
+    return StaircaseState(level, tuple(reversals))

@@ -8,29 +8,36 @@ from modaltouch.protocol.apparatus.checks import check_apparatus, zone_edges
 from modaltouch.protocol.apparatus.intervals import Identified, Intervals, Provenance
 from modaltouch.protocol.apparatus.offered import offered_gains
 from modaltouch.protocol.apparatus.sections import (
-    Acquisition,
+    AcquisitionSection,
     ActuatorSet,
-    Amplifier,
+    AmplifierSection,
     Apparatus,
     Beam,
-    Generator,
+    GeneratorSection,
     Mode,
     Safety,
     Sound,
     Zone,
 )
-from modaltouch.protocol.apparatus.twin import Fingers, Scope, TrueAmplifier, Twin, UnlistedMode, Vibrometer
+from modaltouch.protocol.apparatus.twin import (
+    Fingers,
+    ScopeSection,
+    TrueAmplifier,
+    TwinSection,
+    UnlistedMode,
+    Vibrometer,
+)
 from modaltouch.protocol.document import InputError, Problem, Reading, Source, find, load_source, read
 from modaltouch.protocol.document.section import Number, Positive, Section
 
 __all__ = [
-    "Acquisition",
+    "AcquisitionSection",
     "ActuatorSet",
-    "Amplifier",
+    "AmplifierSection",
     "Apparatus",
     "Beam",
     "Fingers",
-    "Generator",
+    "GeneratorSection",
     "Identified",
     "Intervals",
     "Mode",
@@ -38,11 +45,11 @@ __all__ = [
     "Positive",
     "Provenance",
     "Safety",
-    "Scope",
+    "ScopeSection",
     "Section",
     "Sound",
     "TrueAmplifier",
-    "Twin",
+    "TwinSection",
     "UnlistedMode",
     "Vibrometer",
     "Zone",

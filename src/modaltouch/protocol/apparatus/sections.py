@@ -13,7 +13,7 @@ from pydantic import Field
 
 from modaltouch.protocol.apparatus.intervals import Identified, Intervals, Provenance
 from modaltouch.protocol.apparatus.measured_shapes import ShapeTable
-from modaltouch.protocol.apparatus.twin import Twin
+from modaltouch.protocol.apparatus.twin import TwinSection
 from modaltouch.protocol.document.section import (
     DampingRatio,
     FileName,
@@ -28,7 +28,7 @@ from modaltouch.protocol.document.section import (
 )
 
 if TYPE_CHECKING:
-    from modaltouch.stimulus import Amplifier as AmplifierValues
+    from modaltouch.stimulus import AmplifierSection as AmplifierValues
     from modaltouch.stimulus import ModalModel
 
 
@@ -83,7 +83,7 @@ class Mode(Section):
     provenance: Provenance | None = described("Where each number comes from.", default=None)
 
 
-class Amplifier(Section):
+class AmplifierSection(Section):
     """What stands between generator and beam."""
 
     gain_V_per_V: Positive = described("Voltage gain [V at the beam per V of the generator].")  # noqa: N815
@@ -107,7 +107,7 @@ class LatencyBounds(Section):
     high: NotNegative = described("Longest delay [ms].")
 
 
-class Generator(Section):
+class GeneratorSection(Section):
     """The arbitrary function generator."""
 
     model: Text = described("Model as its identity names it.", default="AFG3022B")
@@ -144,7 +144,7 @@ class Generator(Section):
         return 1.0 if self.load == "high_impedance" else 0.5
 
 
-class Acquisition(Section):
+class AcquisitionSection(Section):
     """What velocity and drive are measured with, as its knobs are set."""
 
     sensitivity_mm_s_per_V: Positive = described(  # noqa: N815
@@ -191,13 +191,15 @@ class Apparatus(Section):
         "Actuator sets, by name, each on an output of its own.", min_length=1
     )
     modes: tuple[Mode, ...] = described("Modelled modes, as identified.", min_length=1, max_length=200)
-    amplifier: Amplifier = described("What stands between generator and beam.")
+    amplifier: AmplifierSection = described("What stands between generator and beam.")
     safety: Safety = described("Limits that no protocol can raise.")
-    generator: Generator = described("The arbitrary function generator.", default=Generator())
-    acquisition: Acquisition = described("What velocity and drive are measured with.", default=Acquisition())
+    generator: GeneratorSection = described("The arbitrary function generator.", default=GeneratorSection())
+    acquisition: AcquisitionSection = described(
+        "What velocity and drive are measured with.", default=AcquisitionSection()
+    )
     identified: Identified | None = described("The identification that the table of modes comes from.", default=None)
     sound: Sound = described("What plays sound to the participant.", default=Sound())
-    twin: Twin = described("What the simulated rig has and the tables have not.", default=Twin())
+    twin: TwinSection = described("What the simulated rig has and the tables have not.", default=TwinSection())
 
     def modal_model(self) -> ModalModel:
         """Return the identified plant in SI units.
@@ -235,7 +237,7 @@ class Apparatus(Section):
 
     def amplifier_values(self) -> AmplifierValues:
         """Return the amplifier: gain [V/V], limit [V at the beam], bandwidth [Hz] or None, delay [s]."""
-        from modaltouch.stimulus import Amplifier as AmplifierValues
+        from modaltouch.stimulus import AmplifierSection as AmplifierValues
 
         amplifier = self.amplifier
         return AmplifierValues(

@@ -68,7 +68,7 @@ class Vibrometer(Section):
     )
 
 
-class Scope(Section):
+class ScopeSection(Section):
     """The oscilloscope as it is."""
 
     bits: Annotated[int, Field(strict=True, ge=4, le=24)] = described("Resolution of its converters [bits].", default=8)
@@ -116,7 +116,7 @@ class TrueGenerator(Section):
     )
 
 
-class Twin(Section):
+class TwinSection(Section):
     """What the simulated rig has and the identified tables have not."""
 
     seed: Annotated[int, Field(strict=True, ge=0)] = described("Seed of the differences and of all noise.", default=1)
@@ -145,4 +145,4 @@ class Twin(Section):
     amplifier: TrueAmplifier = described("The amplifier as it is.", default=TrueAmplifier())
     generator: TrueGenerator = described("The generator as it is.", default=TrueGenerator())
     vibrometer: Vibrometer = described("The vibrometer as it is.", default=Vibrometer())
-    scope: Scope = described("The oscilloscope as it is.", default=Scope())
+    scope: ScopeSection = described("The oscilloscope as it is.", default=ScopeSection())

@@ -14,8 +14,8 @@ from pathlib import Path
 
 from modaltouch.protocol import InputError, Sources
 from modaltouch.record.audit.experiment import UNTOLD, restore
-from modaltouch.record.audit.presentation import Given
-from modaltouch.record.audit.sequence import Course
+from modaltouch.record.audit.presentation import TrialExpectation
+from modaltouch.record.audit.sequence import EventSequence
 from modaltouch.record.audit.start import check_beginning, draw_again, levels_of
 from modaltouch.record.audit.view import check_view
 from modaltouch.record.chain import Chain, RecordError, read_chain
@@ -66,7 +66,7 @@ def audit_session(session: Session, chain: Chain) -> Audit:
         checked = [each for each in check_beginning(session, restored, protocol, schedule) if each[1]]
         lines += [said for holds, said in checked if holds]
         problems += [said for holds, said in checked if not holds]
-        course = Course(session, Given(restored, protocol, session.start.get("schema", 1)), schedule)
+        course = EventSequence(session, TrialExpectation(restored, protocol, session.start.get("schema", 1)), schedule)
         course.walk()
         problems += course.problems
         lines += course.lines

@@ -12,7 +12,7 @@ UNTOLD = (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, R
 """What a line raises that does not say what is asked of it."""
 
 
-class Restored:
+class RestoredExperiment:
     """What depends on the texts of a record alone: all sessions of a study share it.
 
     Parameters
@@ -77,7 +77,7 @@ class Restored:
 
 
 @lru_cache(maxsize=4)
-def restore(sources: Sources) -> Restored:
+def restore(sources: Sources) -> RestoredExperiment:
     """Return the experiment of a record; that of the latest few is kept.
 
     Raises
@@ -85,4 +85,4 @@ def restore(sources: Sources) -> Restored:
     InputError
         With every fault of the texts.
     """
-    return Restored(sources)
+    return RestoredExperiment(sources)

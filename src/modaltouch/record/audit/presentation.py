@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from modaltouch.protocol import Protocol, Trial
-from modaltouch.record.audit.experiment import Restored
+from modaltouch.record.audit.experiment import RestoredExperiment
 from modaltouch.rig import level_setting
 
 Event = dict[str, Any]
@@ -24,12 +24,12 @@ _COUNTS = ("asked", "played", "whole", "dropped")
 
 
 @dataclass(frozen=True)
-class Given:
+class TrialExpectation:
     """What a trial is checked against.
 
     Attributes
     ----------
-    restored : Restored
+    restored : RestoredExperiment
         What the record's texts give.
     protocol : Protocol
         The protocol at the participant's own levels, where there are such.
@@ -37,12 +37,12 @@ class Given:
         Format of the log.
     """
 
-    restored: Restored
+    restored: RestoredExperiment
     protocol: Protocol
     schema: int
 
 
-def check_amplitudes(event: Event, trial: Trial, given: Given) -> Iterator[str]:
+def check_amplitudes(event: Event, trial: Trial, given: TrialExpectation) -> Iterator[str]:
     """Yield where the amplitudes of a line are not those of the trial's level."""
     silent, confirmed = trial.condition.is_catch, event["confirmed"]
     # A catch trial does all that one at the lowest level does.
@@ -65,7 +65,7 @@ def check_amplitudes(event: Event, trial: Trial, given: Given) -> Iterator[str]:
         given.restored.agreed.add(found)
 
 
-def check_answered(event: Event, trial: Trial, given: Given) -> Iterator[str]:
+def check_answered(event: Event, trial: Trial, given: TrialExpectation) -> Iterator[str]:
     """Yield where an answer's line contradicts its trial: level, predicted speeds, fingers, what the answer can be."""
     planned, condition, response = event["planned"], trial.condition, event["response"]
     if planned["velocity_mm_s"] != condition.velocity_mm_s:
@@ -117,7 +117,7 @@ def check_instants(event: Event, trial: Trial) -> Iterator[str]:
         yield f"has a reaction time of {time:.6g} s, its instants one of {least:.6g} to {most:.6g} s"
 
 
-def check_bursts(event: Event, trial: Trial, given: Given) -> Iterator[str]:
+def check_bursts(event: Event, trial: Trial, given: TrialExpectation) -> Iterator[str]:
     """Yield where the counts of a finished stimulus contradict each other, the protocol, or its instants."""
     bursts, confirmed = event["bursts"], event["confirmed"]
     asked, played, whole, dropped = counts = [bursts[name] for name in _COUNTS]
@@ -148,7 +148,7 @@ def check_bursts(event: Event, trial: Trial, given: Given) -> Iterator[str]:
         yield f"its first burst came at {first} s, its onset is {confirmed['onset']} s"
 
 
-def _check_number(event: Event, trial: Trial, given: Given) -> Iterator[str]:
+def _check_number(event: Event, trial: Trial, given: TrialExpectation) -> Iterator[str]:
     """Yield where a confirmed stimulus of single bursts has not as many as its protocol and its time give."""
     asked, rate = event["bursts"]["asked"], given.protocol.stimulus_of(trial.condition.stimulus).repetition_rate_Hz
     if trial.condition.is_catch:

@@ -10,7 +10,7 @@ from modaltouch.protocol import Schedule, Trial, judge_round
 from modaltouch.record.audit.experiment import UNTOLD
 from modaltouch.record.audit.presentation import (
     Event,
-    Given,
+    TrialExpectation,
     check_amplitudes,
     check_answered,
     check_bursts,
@@ -28,20 +28,20 @@ _SAME = ("trial", "presentation", "fingers", "planned", "commanded", "response",
 """What the line of an answer and that of its finished trial have alike."""
 
 
-class Course:
+class EventSequence:
     """Goes through the lines of a session and keeps what does not hold.
 
     Parameters
     ----------
     session : Session
         As its log tells it.
-    given : Given
+    given : TrialExpectation
         What its trials are checked against.
     schedule : Schedule
         The order drawn again.
     """
 
-    def __init__(self, session: Session, given: Given, schedule: Schedule) -> None:
+    def __init__(self, session: Session, given: TrialExpectation, schedule: Schedule) -> None:
         self.problems: list[str] = []
         self._n_finished = self._n_settled = 0
         self._session, self._given = session, given

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from modaltouch.protocol import Protocol, Schedule, draw_schedule, recorded_turn
-from modaltouch.record.audit.experiment import Restored
+from modaltouch.record.audit.experiment import RestoredExperiment
 from modaltouch.record.chain import read_chain
 from modaltouch.record.folders import locate
 from modaltouch.record.session import Session
@@ -23,14 +23,14 @@ def levels_of(protocol: Protocol, start: dict[str, Any]) -> Protocol:
     return protocol.with_levels(tuple(own["levels_mm_s"])) if own else protocol
 
 
-def check_beginning(session: Session, restored: Restored, protocol: Protocol, schedule: Schedule) -> Checked:
+def check_beginning(session: Session, restored: RestoredExperiment, protocol: Protocol, schedule: Schedule) -> Checked:
     """Yield for each part of the start record whether it holds, and in which words.
 
     Parameters
     ----------
     session : Session
         As its log tells it.
-    restored : Restored
+    restored : RestoredExperiment
         What its texts give.
     protocol : Protocol
         The protocol at the participant's own levels, where there are such.
@@ -100,7 +100,7 @@ def _check_mode(start: dict[str, Any], place: str) -> tuple[bool, str]:
     return False, f"{place} is called a {start['mode']} session, and its rig or its answers were simulated"
 
 
-def _check_drive(start: dict[str, Any], restored: Restored, place: str) -> tuple[bool, str]:
+def _check_drive(start: dict[str, Any], restored: RestoredExperiment, place: str) -> tuple[bool, str]:
     burst, recorded = restored.preflight.stimulus.burst, start["stimulus"]
     found, said, hashes = burst.content_hash, recorded["content_hash"], recorded.get("content_hashes")
     if found != said or (hashes is not None and hashes != restored.hashes):
@@ -113,7 +113,7 @@ def _check_drive(start: dict[str, Any], restored: Restored, place: str) -> tuple
     )
 
 
-def _check_own_levels(session: Session, restored: Restored, place: str) -> tuple[bool, str]:
+def _check_own_levels(session: Session, restored: RestoredExperiment, place: str) -> tuple[bool, str]:
     """Return whether the levels follow from the participant's threshold, and that from the session that found it."""
     own, section = session.start["sensation_levels"], restored.protocol.conditions.sensation_levels
     threshold = f"threshold of {own['threshold_mm_s']:g} mm/s"

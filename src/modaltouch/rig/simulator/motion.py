@@ -117,7 +117,7 @@ class Motion:
 
 
 @dataclass(frozen=True, eq=False)
-class Drive:
+class DriveVoltage:
     """The voltage that an amplifier gives to one channel while bursts repeat, exact at every instant.
 
     Attributes

@@ -17,7 +17,7 @@ import numpy as np
 
 from modaltouch.protocol import InputError, Problem
 from modaltouch.rig.simulator.channel import Playback
-from modaltouch.rig.simulator.timeline import Played
+from modaltouch.rig.simulator.timeline import PlayedBurst
 from modaltouch.rig.simulator.twin import MOST_SAMPLES, Twin
 
 TICK = 2e-3
@@ -57,12 +57,12 @@ class PlayedLog:
         self._twin = twin
         self._settle = settle
         self._touched = touched
-        self._ended: queue.SimpleQueue[tuple[Played, bool]] = queue.SimpleQueue()
+        self._ended: queue.SimpleQueue[tuple[PlayedBurst, bool]] = queue.SimpleQueue()
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._keep_writing, daemon=True, name="twin-played")
         self._thread.start()
 
-    def take(self, played: Played) -> None:
+    def take(self, played: PlayedBurst) -> None:
         """Have a burst written."""
         self._ended.put((played, self._twin.tripped))
 
@@ -90,7 +90,7 @@ class PlayedLog:
             self._file.write(json.dumps(self._line(played, tripped=tripped)) + "\n")
             self._file.flush()
 
-    def _line(self, played: Played, *, tripped: bool) -> dict[str, Any]:
+    def _line(self, played: PlayedBurst, *, tripped: bool) -> dict[str, Any]:
         zones = {name: zone.centre_mm * 1e-3 for name, zone in self._twin.apparatus.zones.items()}
         sent = played.sent if played.whole else tuple(map(_passed, played.sent, played.passed))
         alone = [None if playback is None or tripped else replace(playback, period=math.inf) for playback in sent]

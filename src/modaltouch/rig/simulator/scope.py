@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from modaltouch.rig.acquisition import Acquisition, Inputs, Recording
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.simulator.channel import Playback
-from modaltouch.rig.simulator.motion import Drive, Motion
+from modaltouch.rig.simulator.motion import DriveVoltage, Motion
 from modaltouch.rig.simulator.twin import Twin
 
 FloatArray = NDArray[np.float64]
@@ -159,7 +159,7 @@ class SimulatedScope:
         volts, over = self._convert(np.clip(seen, -limit, limit) / self._inputs.sensitivity, self._ranges[0])
         return volts * self._inputs.sensitivity, over or bool(np.abs(seen).max() > limit)
 
-    def _voltage(self, drive: Drive | None, time: FloatArray) -> tuple[FloatArray, bool]:
+    def _voltage(self, drive: DriveVoltage | None, time: FloatArray) -> tuple[FloatArray, bool]:
         """Return the voltage at the beam as the scope has it [V], and whether its range was passed."""
         exact = np.zeros(time.size) if drive is None else drive.at(time)
         volts, over = self._convert(exact / self._inputs.attenuation, self._ranges[1])

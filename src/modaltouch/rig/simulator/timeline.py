@@ -65,7 +65,7 @@ class Situation:
 
 
 @dataclass(frozen=True)
-class Played:
+class PlayedBurst:
     """A burst, or what of it passed the relays.
 
     Attributes
@@ -129,7 +129,7 @@ class Timeline:
         self._retrigger = retrigger
         self._random = random.Random(seed)
         self._phase = self._random.random()
-        self.told: Callable[[Played], None] | None = None
+        self.told: Callable[[PlayedBurst], None] | None = None
         self.triggers: tuple[float, ...] = ()
         self._now = -math.inf
         self._situation = Situation()
@@ -300,7 +300,7 @@ class Timeline:
         due = [channel for channel in run.spans if channel in passed or outputs[channel]]
         n_channels = range(len(run.sent))
         self.told(
-            Played(
+            PlayedBurst(
                 start=min(first for first, _ in passed.values()),
                 end=max(last for _, last in passed.values()),
                 whole=all(passed.get(channel) == run.spans[channel] for channel in due),

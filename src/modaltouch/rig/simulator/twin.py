@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from modaltouch.protocol import Apparatus
 from modaltouch.rig.simulator.channel import MID_CODE, Playback
 from modaltouch.rig.simulator.held_response import LONGEST_SILENCE, Held, peak, refined, state_at
-from modaltouch.rig.simulator.motion import Drive, Motion, low_passed
+from modaltouch.rig.simulator.motion import DriveVoltage, Motion, low_passed
 from modaltouch.rig.simulator.true_beam import generator_gains, true_amplifier, true_beam
 from modaltouch.stimulus import DiagonalSystem
 
@@ -174,11 +174,11 @@ class Twin:
         system, output = low_passed(system, output, bandwidth)
         return [Motion.of(system, output, held, span) for held in self.held_of(playbacks)]
 
-    def drive(self, playbacks: Sequence[Playback | None], channel: int) -> Drive | None:
+    def drive(self, playbacks: Sequence[Playback | None], channel: int) -> DriveVoltage | None:
         """Return the voltage at the beam of a channel, counted from 0; None where nothing plays."""
         alone = [playback if row == channel else None for row, playback in enumerate(playbacks)]
         held = self.held_of(alone)
-        return None if self.tripped or not held else Drive.of(held[0], channel, self.amplifier.bandwidth)
+        return None if self.tripped or not held else DriveVoltage.of(held[0], channel, self.amplifier.bandwidth)
 
     def true_state(
         self,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from modaltouch.session.console.interface import Console, Silence
+from modaltouch.session.console.interface import Console, NoConsole
 from modaltouch.session.console.status import Status
 from modaltouch.window import SessionStopped, TypedAnswer, Wish
 
@@ -29,7 +29,7 @@ class Experimenter:
         record: Callable[..., Any] = lambda event, **facts: None,
         status: Status | None = None,
     ) -> None:
-        self._console = console or Silence()
+        self._console = console or NoConsole()
         self._record = record
         self._status = status or Status()
         self._last: dict[str, Any] | None = None

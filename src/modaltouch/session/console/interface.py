@@ -51,7 +51,7 @@ class Console(typing.Protocol):
     def __exit__(self, *exc: object) -> None: ...
 
 
-class Silence:
+class NoConsole:
     """No console: nothing is shown, nothing is asked."""
 
     def show(self, facts: Facts) -> None:
@@ -71,7 +71,7 @@ class Silence:
         self.close()
 
 
-class Consoles(Silence):
+class Consoles(NoConsole):
     """Several consoles as one."""
 
     def __init__(self, consoles: list[Console]) -> None:

@@ -13,7 +13,7 @@ from typing import TextIO
 
 from modaltouch.record import open_file
 from modaltouch.session.console.drawing import describe_last
-from modaltouch.session.console.interface import Facts, Silence
+from modaltouch.session.console.interface import Facts, NoConsole
 
 _OPENING = b'{"time": "'
 """How every line begins."""
@@ -21,7 +21,7 @@ LONGEST_LINE = 4096
 """A pipe takes a line of this length whole or not at all (POSIX's PIPE_BUF on Linux) [bytes]."""
 
 
-class PlainLines(Silence):
+class PlainLines(NoConsole):
     """One line for each answer, pause, break, warning and trouble.
 
     Parameters
@@ -62,7 +62,7 @@ class PlainLines(Silence):
             self._file.flush()
 
 
-class EventLines(Silence):
+class EventLines(NoConsole):
     """The facts as JSON lines in a file or a named pipe, never waiting for whoever reads it.
 
     A line says everything, so one that a full pipe does not take is dropped; the next one that is taken says how

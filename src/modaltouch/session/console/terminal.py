@@ -12,7 +12,7 @@ import threading
 from collections import deque
 from collections.abc import Sequence
 
-from modaltouch.session.console.interface import COMMANDS, Console, Facts, Request, Silence
+from modaltouch.session.console.interface import COMMANDS, Console, Facts, NoConsole, Request
 from modaltouch.session.console.keyboard import restore_terminal, save_terminal
 
 _KEPT = 64
@@ -23,7 +23,7 @@ _LEAVE_SCREEN = b"\x1b[?1049l\x1b[?25h"
 """Back to the terminal's own page, with its cursor."""
 
 
-class TerminalConsole(Silence):
+class TerminalConsole(NoConsole):
     """A live picture in the terminal, and its keys.
 
     Parameters
@@ -48,7 +48,7 @@ class TerminalConsole(Silence):
         emergency: Sequence[str] = ("f12",),
         instead: Console | None = None,
     ) -> None:
-        self._instead = instead or Silence()
+        self._instead = instead or NoConsole()
         self._is_given_back = False
         self._terminal = keys
         self._screen = screen

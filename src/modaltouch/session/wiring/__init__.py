@@ -24,7 +24,7 @@ from modaltouch.record import (
 from modaltouch.session.assignment import next_session
 from modaltouch.session.sensation_level import at_own_levels, recorded_levels
 from modaltouch.session.setup import Setup
-from modaltouch.session.wiring.parts import SIMULATED, Wires
+from modaltouch.session.wiring.parts import SIMULATED, SessionParts
 from modaltouch.window import AnswersBy, WindowOptions
 
 
@@ -53,7 +53,7 @@ def wire_run(
     session : int or None
         Number of the session; None for the participant's next.
     rig, answers, pilot, seed, results, window_options, observer
-        As `Wires` and the command line have them.
+        As `SessionParts` and the command line have them.
     threshold_mm_s : float, optional
         The participant's own threshold, where levels are calibrated by participant and it was measured otherwise than
         by a session of this program.
@@ -72,7 +72,7 @@ def wire_run(
         place, drawn_as = next_session(place, protocol.schedule.sessions)
     preflight, calibrated = at_own_levels(preflight, place, threshold_mm_s)
     schedule = draw_schedule(preflight.experiment.protocol, participant, seed, drawn_as)
-    wires = Wires(
+    wires = SessionParts(
         preflight,
         place,
         seed=seed,
@@ -129,7 +129,7 @@ def wire_resume(
     anew = _place_anew(place, session) if (restart or at == "restart") and not session.complete else None
     if anew is None and session.begun_anew_as is not None:
         anew = _place_anew(place, session)
-    wires = Wires(
+    wires = SessionParts(
         preflight,
         anew or place,
         seed=start["seed"],

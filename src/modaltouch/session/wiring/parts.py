@@ -7,7 +7,7 @@ from contextlib import ExitStack, contextmanager
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from modaltouch.planning import Felt, Observer
+from modaltouch.planning import FeltSpeeds, Observer
 from modaltouch.preflight import Preflight
 from modaltouch.protocol import ANSWERS, ANSWERS_WITH_NONE, Schedule, Trial, random_generator
 from modaltouch.record import SessionFolder
@@ -33,7 +33,7 @@ SIMULATED = "simulated"
 """What stands in a rig's place for the digital twin."""
 
 
-class Wires:
+class SessionParts:
     """The parts of one sitting, opened when the sitting asks for them.
 
     Parameters
@@ -150,9 +150,9 @@ class Wires:
         return left, right
 
     @cached_property
-    def _senses(self) -> dict[str, Felt]:
+    def _senses(self) -> dict[str, FeltSpeeds]:
         """What the observer's front end makes of the predicted velocities of each stimulus."""
         zones = self._preflight.experiment.apparatus.zones
         centres = {name: zone.centre_mm * 1e-3 for name, zone in zones.items()}
         parts = self._preflight.parts.items()
-        return {name: Felt(part.stimulus, centres, self._observer.front_end) for name, part in parts}
+        return {name: FeltSpeeds(part.stimulus, centres, self._observer.front_end) for name, part in parts}

@@ -96,7 +96,7 @@ def open_stream(sound: Sound, fill: Callable[..., None]) -> tuple[dict[str, Any]
     return device, stream
 
 
-class Playback:
+class LoopedNoise:
     """Goes round a period of noise for ever.
 
     Parameters
@@ -214,7 +214,7 @@ class NoiseMasking:
             raise MaskingError("the masking noise has no level; give masking.level_dB_FS")
         self._section, self._sound, self._log, self._level = section, sound, log, level
         period = make_noise(section.noise, sound.sampling_rate_Hz) * amplitude_at(level)
-        self._playback = Playback(period, round(section.fade_s * sound.sampling_rate_Hz))
+        self._playback = LoopedNoise(period, round(section.fade_s * sound.sampling_rate_Hz))
         self._device: dict[str, Any] = {}
         self._stream: Any = None
         self._asked = 0.0
