@@ -28,6 +28,22 @@ if TYPE_CHECKING:
     from modaltouch.analysis.scale import OWN_THRESHOLD, scale_of
     from modaltouch.analysis.thresholds.analysis import analyse_runs
     from modaltouch.analysis.trend import draws_without_replacement, level_scores
+else:
+    __getattr__ = lazily(
+        __name__,
+        {
+            "counts": "AnswerCounts LEFT NONE PAPER_CONDITIONS Pair count_answers orient",
+            "exact": "multinomial_test multinomial_tests",
+            "findings": "ALPHA",
+            "intervals": "CONFIDENCE wilson",
+            "pipeline": "analyse",
+            "reading": "read_responses",
+            "responses": "Responses",
+            "scale": "OWN_THRESHOLD scale_of",
+            "thresholds.analysis": "analyse_runs",
+            "trend": "draws_without_replacement level_scores",
+        },
+    )
 
 __all__ = [
     "ALPHA",
@@ -51,19 +67,3 @@ __all__ = [
     "scale_of",
     "wilson",
 ]
-
-__getattr__ = lazily(
-    __name__,
-    {
-        "counts": "AnswerCounts LEFT NONE PAPER_CONDITIONS Pair count_answers orient",
-        "exact": "multinomial_test multinomial_tests",
-        "findings": "ALPHA",
-        "intervals": "CONFIDENCE wilson",
-        "pipeline": "analyse",
-        "reading": "read_responses",
-        "responses": "Responses",
-        "scale": "OWN_THRESHOLD scale_of",
-        "thresholds.analysis": "analyse_runs",
-        "trend": "draws_without_replacement level_scores",
-    },
-)

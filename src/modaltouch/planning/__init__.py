@@ -27,6 +27,21 @@ if TYPE_CHECKING:
     from modaltouch.planning.power import Power, plan
     from modaltouch.planning.presented import designs_for
     from modaltouch.planning.questions import FAMILIES
+else:
+    __getattr__ = lazily(
+        __name__,
+        {
+            "experiments": "Study",
+            "files": "COMMAND write_power",
+            "fitting": "NOT_IDENTIFIABLE fit_answers",
+            "observer.felt": "FeltSpeeds",
+            "observer.file": "read_observer usual_observer write_observer",
+            "observer.population": "Observer",
+            "power": "Power plan",
+            "presented": "designs_for",
+            "questions": "FAMILIES",
+        },
+    )
 
 __all__ = [
     "COMMAND",
@@ -44,18 +59,3 @@ __all__ = [
     "write_observer",
     "write_power",
 ]
-
-__getattr__ = lazily(
-    __name__,
-    {
-        "experiments": "Study",
-        "files": "COMMAND write_power",
-        "fitting": "NOT_IDENTIFIABLE fit_answers",
-        "observer.felt": "FeltSpeeds",
-        "observer.file": "read_observer usual_observer write_observer",
-        "observer.population": "Observer",
-        "power": "Power plan",
-        "presented": "designs_for",
-        "questions": "FAMILIES",
-    },
-)

@@ -19,6 +19,18 @@ if TYPE_CHECKING:
     from modaltouch.preflight.exploration import design_figures, sample_figures, sensitivity_figures
     from modaltouch.preflight.figures import estimated_duration, finite
     from modaltouch.preflight.several_stimuli import at_stimulus
+else:
+    __getattr__ = lazily(
+        __name__,
+        {
+            "checked": "Preflight",
+            "design_inputs": "DesignInputs design",
+            "examination": "design_to_fit examine examine_findings",
+            "exploration": "design_figures sample_figures sensitivity_figures",
+            "figures": "estimated_duration finite",
+            "several_stimuli": "at_stimulus",
+        },
+    )
 
 __all__ = [
     "DesignInputs",
@@ -34,15 +46,3 @@ __all__ = [
     "sample_figures",
     "sensitivity_figures",
 ]
-
-__getattr__ = lazily(
-    __name__,
-    {
-        "checked": "Preflight",
-        "design_inputs": "DesignInputs design",
-        "examination": "design_to_fit examine examine_findings",
-        "exploration": "design_figures sample_figures sensitivity_figures",
-        "figures": "estimated_duration finite",
-        "several_stimuli": "at_stimulus",
-    },
-)

@@ -79,6 +79,49 @@ if TYPE_CHECKING:
     from modaltouch.protocol.stimulus_sections import StimulusSection
     from modaltouch.protocol.texts import Texts
     from modaltouch.protocol.trial import ANSWERS, ANSWERS_WITH_NONE, TIME_OUT, Answer, Condition, Response, Trial
+else:
+    __getattr__ = lazily(
+        __name__,
+        {
+            "adaptive_rules.levels": "Levels describe_rule to_dB",
+            "adaptive_rules.staircase": "is_success",
+            "apparatus": "examine_apparatus read_apparatus",
+            "apparatus.checks": "zone_edges",
+            "apparatus.offered": "offered_gains",
+            "apparatus.sections": "Apparatus Sound Zone",
+            "apparatus.twin": "Fingers UnlistedMode",
+            "calibration_file": (
+                "apparatus_hash calibrated_apparatus calibration_alone "
+                "check_calibration generator_problem in_calibration"
+            ),
+            "calibration_sections": (
+                "CalibratedAmplifier CalibratedApparatus CalibratedLevel CalibratedMode "
+                "CalibratedStimulus Calibration CalibrationFile CalibrationOfSeveral Instruments "
+                "IterationFigures MeasuringChain"
+            ),
+            "checks": "check_protocol",
+            "document.problems": "InputError Problem suggest",
+            "document.reading": "Reading read",
+            "document.section": "Section",
+            "document.shipped_files": "find shipped",
+            "document.source": "Source load_source",
+            "document.tree": "Node",
+            "experiment": "Experiment Findings Sources examine_files examine_sources read_protocol",
+            "field_points": "Points read_points",
+            "fit": "check_fit",
+            "keys": "END_KEY KEY_ALIASES PAUSE_KEY",
+            "masking": "MaskingSection",
+            "observers": "ObserverFile",
+            "practice": "expected_answer judge_round",
+            "schedule.draw": "Schedule Turn draw_schedule period_of_turns recorded_turn turn_of",
+            "schedule.streams": "random_generator",
+            "sections": "AnswersSection Protocol ResumeSection",
+            "sensation": "SensationLevelsSection",
+            "stimulus_sections": "StimulusSection",
+            "texts": "Texts",
+            "trial": "ANSWERS ANSWERS_WITH_NONE Answer Condition Response TIME_OUT Trial",
+        },
+    )
 
 __all__ = [
     "ANSWERS",
@@ -160,45 +203,3 @@ __all__ = [
     "shipped",
     "zone_edges",
 ]
-
-__getattr__ = lazily(
-    __name__,
-    {
-        "adaptive_rules.levels": "Levels describe_rule to_dB",
-        "adaptive_rules.staircase": "is_success",
-        "apparatus": "examine_apparatus read_apparatus",
-        "apparatus.checks": "zone_edges",
-        "apparatus.offered": "offered_gains",
-        "apparatus.sections": "Apparatus Sound Zone",
-        "apparatus.twin": "Fingers UnlistedMode",
-        "calibration_file": (
-            "apparatus_hash calibrated_apparatus calibration_alone check_calibration generator_problem in_calibration"
-        ),
-        "calibration_sections": (
-            "CalibratedAmplifier CalibratedApparatus CalibratedLevel CalibratedMode "
-            "CalibratedStimulus Calibration CalibrationFile CalibrationOfSeveral Instruments "
-            "IterationFigures MeasuringChain"
-        ),
-        "checks": "check_protocol",
-        "document.problems": "InputError Problem suggest",
-        "document.reading": "Reading read",
-        "document.section": "Section",
-        "document.shipped_files": "find shipped",
-        "document.source": "Source load_source",
-        "document.tree": "Node",
-        "experiment": "Experiment Findings Sources examine_files examine_sources read_protocol",
-        "field_points": "Points read_points",
-        "fit": "check_fit",
-        "keys": "END_KEY KEY_ALIASES PAUSE_KEY",
-        "masking": "MaskingSection",
-        "observers": "ObserverFile",
-        "practice": "expected_answer judge_round",
-        "schedule.draw": "Schedule Turn draw_schedule period_of_turns recorded_turn turn_of",
-        "schedule.streams": "random_generator",
-        "sections": "AnswersSection Protocol ResumeSection",
-        "sensation": "SensationLevelsSection",
-        "stimulus_sections": "StimulusSection",
-        "texts": "Texts",
-        "trial": "ANSWERS ANSWERS_WITH_NONE Answer Condition Response TIME_OUT Trial",
-    },
-)

@@ -24,6 +24,22 @@ if TYPE_CHECKING:
     from modaltouch.record.session import Session, read_session
     from modaltouch.record.shape import SCHEMA, check_shape
     from modaltouch.record.view import describe_dataset, hold_dataset, list_participants, write_view
+else:
+    __getattr__ = lazily(
+        __name__,
+        {
+            "audit": "audit_session require_sound",
+            "audit.view": "check_view",
+            "chain": "Chain RecordError RecordInputError UnreadableLineError read_chain read_object",
+            "files": "move open_file prepare_file replace_file sync_file",
+            "folders": "LOG_NAME Mode SessionFolder check_participant dataset_of find_log locate",
+            "log": "RecordExistsError SessionLog refuse_existing",
+            "recovery": "recover survey",
+            "session": "Session read_session",
+            "shape": "SCHEMA check_shape",
+            "view": "describe_dataset hold_dataset list_participants write_view",
+        },
+    )
 
 __all__ = [
     "Chain",
@@ -61,19 +77,3 @@ __all__ = [
     "sync_file",
     "write_view",
 ]
-
-__getattr__ = lazily(
-    __name__,
-    {
-        "audit": "audit_session require_sound",
-        "audit.view": "check_view",
-        "chain": "Chain RecordError RecordInputError UnreadableLineError read_chain read_object",
-        "files": "move open_file prepare_file replace_file sync_file",
-        "folders": "LOG_NAME Mode SessionFolder check_participant dataset_of find_log locate",
-        "log": "RecordExistsError SessionLog refuse_existing",
-        "recovery": "recover survey",
-        "session": "Session read_session",
-        "shape": "SCHEMA check_shape",
-        "view": "describe_dataset hold_dataset list_participants write_view",
-    },
-)

@@ -22,6 +22,18 @@ if TYPE_CHECKING:
         quiet_grid,
         render,
     )
+else:
+    __getattr__ = lazily(
+        __name__,
+        {
+            "output": "csv_bytes json_bytes refuse_other write_files",
+            "page": "embed_svg render_page",
+            "style": (
+                "ANSWER_COLOURS CONDITION_COLOURS FAINT INK PAIR_COLOURS house_style level_label "
+                "new_figure pair_colours quiet_grid render"
+            ),
+        },
+    )
 
 __all__ = [
     "ANSWER_COLOURS",
@@ -42,15 +54,3 @@ __all__ = [
     "render_page",
     "write_files",
 ]
-
-__getattr__ = lazily(
-    __name__,
-    {
-        "output": "csv_bytes json_bytes refuse_other write_files",
-        "page": "embed_svg render_page",
-        "style": (
-            "ANSWER_COLOURS CONDITION_COLOURS FAINT INK PAIR_COLOURS house_style level_label "
-            "new_figure pair_colours quiet_grid render"
-        ),
-    },
-)

@@ -38,6 +38,27 @@ if TYPE_CHECKING:
     from modaltouch.rig.simulator.channel import Playback
     from modaltouch.rig.simulator.twin import Twin
     from modaltouch.rig.visa import find_instruments
+else:
+    __getattr__ = lazily(
+        __name__,
+        {
+            "opening": "open_rig same_process start_simulator",
+            "acquisition": "Acquisition Recording Scope",
+            "checklist": "check_rig",
+            "interface": "Bursts Firing Rig RigError StimulusLost is_simulated",
+            "latency": "CommandLatency measure_latency",
+            "picoscope": "PicoScope",
+            "player": "Repetition",
+            "settings": (
+                "LOWEST_AMPLITUDE Limits MAX_POINTS amplitudes "
+                "continuous_codes highest_level level_setting record_peaks"
+            ),
+            "simulator": "Simulator serve",
+            "simulator.channel": "Playback",
+            "simulator.twin": "Twin",
+            "visa": "find_instruments",
+        },
+    )
 
 __all__ = [
     "Acquisition",
@@ -71,23 +92,3 @@ __all__ = [
     "serve",
     "start_simulator",
 ]
-
-__getattr__ = lazily(
-    __name__,
-    {
-        "opening": "open_rig same_process start_simulator",
-        "acquisition": "Acquisition Recording Scope",
-        "checklist": "check_rig",
-        "interface": "Bursts Firing Rig RigError StimulusLost is_simulated",
-        "latency": "CommandLatency measure_latency",
-        "picoscope": "PicoScope",
-        "player": "Repetition",
-        "settings": (
-            "LOWEST_AMPLITUDE Limits MAX_POINTS amplitudes continuous_codes highest_level level_setting record_peaks"
-        ),
-        "simulator": "Simulator serve",
-        "simulator.channel": "Playback",
-        "simulator.twin": "Twin",
-        "visa": "find_instruments",
-    },
-)

@@ -19,6 +19,20 @@ if TYPE_CHECKING:
     from modaltouch.session.verification import verify_session
     from modaltouch.session.wiring import mode_of, wire_resume, wire_run
     from modaltouch.session.wiring.parts import SIMULATED
+else:
+    __getattr__ = lazily(
+        __name__,
+        {
+            "console.interface": "Console Consoles",
+            "console.lines": "EventLines PlainLines",
+            "console.terminal": "TerminalConsole",
+            "setup": "Setup begin resume",
+            "simulation": "simulate_session",
+            "verification": "verify_session",
+            "wiring": "mode_of wire_resume wire_run",
+            "wiring.parts": "SIMULATED",
+        },
+    )
 
 __all__ = [
     "Console",
@@ -36,17 +50,3 @@ __all__ = [
     "wire_resume",
     "wire_run",
 ]
-
-__getattr__ = lazily(
-    __name__,
-    {
-        "console.interface": "Console Consoles",
-        "console.lines": "EventLines PlainLines",
-        "console.terminal": "TerminalConsole",
-        "setup": "Setup begin resume",
-        "simulation": "simulate_session",
-        "verification": "verify_session",
-        "wiring": "mode_of wire_resume wire_run",
-        "wiring.parts": "SIMULATED",
-    },
-)

@@ -29,6 +29,34 @@ if TYPE_CHECKING:
     from modaltouch.stimulus.timing import Timing
     from modaltouch.stimulus.timoshenko import TimoshenkoBeam
     from modaltouch.stimulus.vibration import moments, peak_velocity, states_by_channel, velocity_history
+else:
+    __getattr__ = lazily(
+        __name__,
+        {
+            "alternative_designs": "least_norm least_peak trade",
+            "blocks": "BlockKernel",
+            "burst": "Burst MID_CODE round_amplitude",
+            "correction": "Correction",
+            "design": "design_stimulus",
+            "designed": "Stimulus",
+            "drive": "Law Release",
+            "dynamics": "Amplifier DiagonalSystem modal_system",
+            "measured": "MeasuredShapes",
+            "modes": "ModalModel",
+            "patches": "patch_gains",
+            "quantisation": "full_scale round_to_codes signed_codes unsigned_codes",
+            "reachability": "Taper",
+            "recursion": "SHORT",
+            "sample_count": "cheapest_samples",
+            "sensitivity": "focus_sensitivity scatter",
+            "shapes": "characteristic_root mode_shapes",
+            "synthesis": "synthesise",
+            "target_field": "TargetField",
+            "timing": "Timing",
+            "timoshenko": "TimoshenkoBeam",
+            "vibration": "moments peak_velocity states_by_channel velocity_history",
+        },
+    )
 
 __all__ = [
     "Amplifier",
@@ -69,31 +97,3 @@ __all__ = [
     "unsigned_codes",
     "velocity_history",
 ]
-
-__getattr__ = lazily(
-    __name__,
-    {
-        "alternative_designs": "least_norm least_peak trade",
-        "blocks": "BlockKernel",
-        "burst": "Burst MID_CODE round_amplitude",
-        "correction": "Correction",
-        "design": "design_stimulus",
-        "designed": "Stimulus",
-        "drive": "Law Release",
-        "dynamics": "Amplifier DiagonalSystem modal_system",
-        "measured": "MeasuredShapes",
-        "modes": "ModalModel",
-        "patches": "patch_gains",
-        "quantisation": "full_scale round_to_codes signed_codes unsigned_codes",
-        "reachability": "Taper",
-        "recursion": "SHORT",
-        "sample_count": "cheapest_samples",
-        "sensitivity": "focus_sensitivity scatter",
-        "shapes": "characteristic_root mode_shapes",
-        "synthesis": "synthesise",
-        "target_field": "TargetField",
-        "timing": "Timing",
-        "timoshenko": "TimoshenkoBeam",
-        "vibration": "moments peak_velocity states_by_channel velocity_history",
-    },
-)

@@ -11,6 +11,16 @@ if TYPE_CHECKING:
     from modaltouch.system.interruption import Interrupted, Interruption
     from modaltouch.system.locking import LOCK_NAME, hold, is_locked, lock
     from modaltouch.system.provenance import boot, commit, version, versions
+else:
+    __getattr__ = lazily(
+        __name__,
+        {
+            "clock": "Clock SYSTEM_CLOCK VirtualClock measure_clock",
+            "interruption": "Interrupted Interruption",
+            "locking": "LOCK_NAME hold is_locked lock",
+            "provenance": "boot commit version versions",
+        },
+    )
 
 __all__ = [
     "lazily",
@@ -29,13 +39,3 @@ __all__ = [
     "version",
     "versions",
 ]
-
-__getattr__ = lazily(
-    __name__,
-    {
-        "clock": "Clock SYSTEM_CLOCK VirtualClock measure_clock",
-        "interruption": "Interrupted Interruption",
-        "locking": "LOCK_NAME hold is_locked lock",
-        "provenance": "boot commit version versions",
-    },
-)

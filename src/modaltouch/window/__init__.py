@@ -29,6 +29,26 @@ if TYPE_CHECKING:
     from modaltouch.window.simulated import Answerer
     from modaltouch.window.timing import WindowTiming, measure_timing
     from modaltouch.window.virtual_display import some_display
+else:
+    __getattr__ = lazily(
+        __name__,
+        {
+            "opening": "AnswersBy WindowOptions open_window",
+            "environment": "LIBRARIES is_loadable missing_libraries",
+            "events": "canonical_key",
+            "interface": (
+                "AnswerWindow Presentation Progress SessionStopped Tick TrialInterrupted TypedAnswer WindowError Wish"
+            ),
+            "masking.interface": "Masking MaskingError NoMasking",
+            "masking.noise": "highest_level",
+            "masking.player": "DeviceError default_device open_masking",
+            "screen": "Screen",
+            "shapes": "Box Picture Words",
+            "simulated": "Answerer",
+            "timing": "WindowTiming measure_timing",
+            "virtual_display": "some_display",
+        },
+    )
 
 __all__ = [
     "AnswerWindow",
@@ -63,23 +83,3 @@ __all__ = [
     "open_window",
     "some_display",
 ]
-
-__getattr__ = lazily(
-    __name__,
-    {
-        "opening": "AnswersBy WindowOptions open_window",
-        "environment": "LIBRARIES is_loadable missing_libraries",
-        "events": "canonical_key",
-        "interface": (
-            "AnswerWindow Presentation Progress SessionStopped Tick TrialInterrupted TypedAnswer WindowError Wish"
-        ),
-        "masking.interface": "Masking MaskingError NoMasking",
-        "masking.noise": "highest_level",
-        "masking.player": "DeviceError default_device open_masking",
-        "screen": "Screen",
-        "shapes": "Box Picture Words",
-        "simulated": "Answerer",
-        "timing": "WindowTiming measure_timing",
-        "virtual_display": "some_display",
-    },
-)

@@ -28,7 +28,7 @@ from modaltouch.protocol.document.section import (
 )
 
 if TYPE_CHECKING:
-    from modaltouch.stimulus import AmplifierSection as AmplifierValues
+    from modaltouch.stimulus import Amplifier as AmplifierValues
     from modaltouch.stimulus import ModalModel
 
 
@@ -237,7 +237,7 @@ class Apparatus(Section):
 
     def amplifier_values(self) -> AmplifierValues:
         """Return the amplifier: gain [V/V], limit [V at the beam], bandwidth [Hz] or None, delay [s]."""
-        from modaltouch.stimulus import AmplifierSection as AmplifierValues
+        from modaltouch.stimulus import Amplifier as AmplifierValues
 
         amplifier = self.amplifier
         return AmplifierValues(
