@@ -58,13 +58,14 @@ demo: install
 test: install
 	$(PYTHON) -m pytest -n 3 --dist loadfile --no-loadscope-reorder
 
-## check: formatting, lint, types and the import contracts
+## check: formatting, lint, types, the import contracts, and no class name with two meanings
 .PHONY: check
 check: install
 	$(PYTHON) -m ruff format --check src tests
 	$(PYTHON) -m ruff check src tests
 	$(PYTHON) -m mypy
 	.venv/bin/lint-imports
+	$(PYTHON) tests/names.py
 	$(UV) pip check --python $(PYTHON)
 
 ## format: let ruff format and mend the code
