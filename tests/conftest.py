@@ -25,6 +25,7 @@ LONGEST = (
     "tests/session/console/test_terminal.py",
     "tests/rig/test_watchdog.py",
     "tests/lab/identification/test_identify.py",
+    "tests/golden/test_golden.py",
 )
 """Files that take longest, begun first, so that no process is left with one of them when the others are done."""
 
