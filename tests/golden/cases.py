@@ -123,8 +123,8 @@ def output(case: Output, folder: Path) -> dict[str, Any]:
     with workplace(folder):
         case.prepare()
         done = call(case.line, interrupt_at=case.interrupt_at)
-    said = without_places(done.stdout, folder)
-    return {"line": case.line, "status": done.status, "json": masked(json.loads(said), case.volatile, case.unordered)}
+    found = {"status": done.status, "json": json.loads(without_places(done.stdout, folder))}
+    return {"line": case.line, **masked(found, case.volatile, case.unordered)}
 
 
 def refusals(folder: Path) -> dict[str, Any]:
