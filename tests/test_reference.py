@@ -6,25 +6,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from modaltouch.analysis.pipeline import analyse
-from modaltouch.planning.observer.file import read_observer
 from modaltouch.preflight import examine
 from modaltouch.protocol.apparatus import read_apparatus
-from modaltouch.session.simulation import simulate_session
 
 ROOT = Path(__file__).parents[1]
 REFERENCE = ROOT / "results" / "reference"
 PROTOCOL = ROOT / "protocols" / "differentiated_stimulation.yaml"
-
-
-def test_fig_10_and_11_are_those_of_the_simulated_cohort(tmp_path):
-    """Ten participants of the shipped observer, through the whole session and analysis, byte by byte."""
-    preflight, observer = examine(PROTOCOL), read_observer("paper")
-    for number in range(1, 11):
-        simulate_session(preflight, f"sim{number:02d}", tmp_path / "results", observer=observer)
-    analysis = analyse(tmp_path / "results", tmp_path / "analysis")
-    for name in ("fig_10.csv", "fig_11.csv"):
-        assert analysis.files[name].read_bytes() == (REFERENCE / name).read_bytes()
 
 
 def test_fig_2_is_the_wish_of_the_shipped_protocol():

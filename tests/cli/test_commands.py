@@ -139,14 +139,6 @@ def test_the_version_is_told_without_a_command():
     assert not loaded_modules("--version") & {"psychopy", "numpy", "pandas", "pyvisa", "pydantic", "matplotlib"}
 
 
-@pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_teaches_itself(command):
-    """A sentence on what it does, and every option with its own."""
-    done = run(command, "--help")
-    assert done.returncode == 0
-    assert "Usage: modaltouch" in done.stdout.replace("python -m ", "")
-
-
 def test_check_loads_neither_window_nor_instrument():
     """Issue: ``check`` never imports psychopy (3.7 s), nor pandas, PyVISA or matplotlib."""
     loaded = loaded_modules("check", PROTOCOL, "--json")
@@ -216,65 +208,6 @@ def test_all_faults_are_reported_at_once_with_their_place(tmp_path):
     assert {"file", "line", "column", "path", "given", "allowed", "message"} <= set(problems[0])
 
 
-@pytest.mark.parametrize(
-    ("words", "status", "message"),
-    [
-        (("check", "nowhere.yaml"), 2, "nowhere.yaml"),
-        (
-            ("run", "protocols/demo.yaml", "-p", "../x", "--rig", "simulated", "--answers", "simulated"),
-            2,
-            "letters and digits",
-        ),
-        (("run", "protocols/demo.yaml", "--rig", "simulated", "--answers", "simulated"), 2, "participant id"),
-        (("run", "protocols/demo.yaml", "-p", "p01"), 2, "or --rig simulated, where nothing vibrates"),
-        (("run", "protocols/demo.yaml", "-p", "p01", "--yes"), 2, "a session needs a rig: give --rig"),
-        (("run", "protocols/demo.yaml", "-p", "p01", "--size", "big"), 2, "WIDTHxHEIGHT"),
-        (
-            (
-                "run",
-                "protocols/demo.yaml",
-                "-p",
-                "p01",
-                "--answers",
-                "simulated",
-                "--rig",
-                "TCPIP::127.0.0.1,9::inst0::INSTR",
-            ),
-            3,
-            "127.0.0.1",
-        ),
-        (("resume", "nowhere"), 2, "no such file"),
-        (("resume", "protocols/demo.yaml"), 2, "not a session log"),
-        (("verify", "nowhere"), 2, "no such file"),
-        (("analyse", "nowhere"), 2, "nowhere"),
-    ],
-)
-def test_a_mistake_gets_a_message_and_its_exit_status(tmp_path, words, status, message):
-    """Exit statuses of architecture.md: 2 bad input, 3 rig failed, 4 record at risk; never a traceback."""
-    done = run(*words, *(("--results", tmp_path) if words[0] == "run" else ()))
-    assert done.returncode == status, done.stderr
-    assert message in done.stderr
-    assert "Traceback" not in done.stderr
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        ("run", "protocols/demo.yaml", "--json"),
-        ("run", "protocols/demo.yaml", "-p", "p01", "--size", "10x10", "--json"),
-        ("run", "protocols/demo.yaml", "-p", "p01", "--answers", "bogus", "--json"),
-        ("simulate", "protocols/demo.yaml", "-n", "0", "--json"),
-        ("check", "--json"),
-        ("verify", "nowhere", "--json"),
-    ],
-)
-def test_json_is_one_object_on_failure_too(words):
-    """Architecture: with ``--json``, one object on standard output and nothing else there."""
-    done = run(*words)
-    assert done.returncode == 2
-    assert json.loads(done.stdout)["error"]
-
-
 def test_a_window_without_a_display_says_what_to_do(tmp_path, monkeypatch):
     """Exit status 3 before anything is recorded: the session can be begun again."""
     monkeypatch.delenv("DISPLAY", raising=False)
@@ -282,24 +215,6 @@ def test_a_window_without_a_display_says_what_to_do(tmp_path, monkeypatch):
     assert done.returncode == 3
     assert "display" in done.stderr
     assert list(tmp_path.rglob("session.jsonl")) == []
-
-
-def test_doctor_reports_as_json():
-    """One object; every finding has a subject, a state and what was found."""
-    done = run("doctor", "--json")
-    findings = json.loads(done.stdout)["findings"]
-    assert {"python", "packages", "libraries", "window", "disk"} <= {finding["subject"] for finding in findings}
-    assert all(finding["state"] in ("ok", "warning", "fault") for finding in findings)
-
-
-def test_a_results_folder_that_cannot_be_written_is_said(tmp_path):
-    """A file stands where the results folder should be."""
-    (tmp_path / "results").write_text("")
-    done = run(
-        "run", PROTOCOL, "-p", "p01", "--rig", "simulated", "--answers", "simulated", "--results", tmp_path / "results"
-    )
-    assert done.returncode == 4
-    assert "cannot be created" in done.stderr
 
 
 @pytest.mark.parametrize(("given", "threads"), [({}, 1), ({"OPENBLAS_NUM_THREADS": "2"}, 2)])
