@@ -35,7 +35,8 @@ class Output:
     prepare : callable
         What is done in the workplace before.
     rel, absolute : float
-        Bounds within which a number may differ from the frozen one: by other processors' rounding.
+        Bounds within which a number may differ from the frozen one by other processors' rounding; wider where a search
+        ends or noise is fitted.
     interrupt_at : str
         Words on standard error at which Ctrl-C is pressed.
     """
@@ -208,15 +209,17 @@ OUTPUTS: dict[str, Output] = {
         f"check_{name}": Output(f"check protocols/{name}.yaml --json")
         for name in ("differentiated_stimulation", "sensation_levels", "threshold", "two_fields", "with_catch_trials")
     },
+    # Gains of modes that are not driven change nothing: the last rows of the table are zeros, ordered by rounding.
     "check_explored": Output(
         "check protocols/demo.yaml --json --compare --sensitivity --tolerance 0.01",
-        unordered=(
-            r"json\.sensitivity\.table",
-        ),  # gains of modes that are not driven change nothing: the last rows are zeros
+        unordered=(r"json\.sensitivity\.table",),
     ),
+    # The search for the least 8-norm ends a little elsewhere with every processor's rounding.
     "check_designs": Output(
-        "check protocols/demo.yaml --json --designs", volatile=(r"json\.designs\[\]\.unmodelled_speed_mm_s",), rel=1e-4
-    ),  # the search for the least 8-norm ends a little elsewhere with every processor's rounding
+        "check protocols/demo.yaml --json --designs",
+        volatile=(r"json\.designs\[\]\.unmodelled_speed_mm_s",),
+        rel=1e-4,
+    ),
     "check_problems": Output("check protocols/demo.yaml --json", prepare=spoil_protocol),
     "new": Output("new study --from threshold --json"),
     "simulate": Output("simulate protocols/demo.yaml -n 1 --seed 3 --observer near_miss --results results --json"),
