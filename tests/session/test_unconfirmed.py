@@ -1,7 +1,6 @@
 """No wrong stimulus is ever recorded as right (issue: fault x phase)."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,13 +16,20 @@ from modaltouch.session.setup import begin, resume
 from modaltouch.session.wiring import wire_run
 from modaltouch.window.simulated import Answerer, SimulatedParticipant
 
-PROTOCOL = Path(__file__).parents[2] / "protocols" / "demo.yaml"
+
+class Hurried(Answerer):
+    """Answers twenty times sooner than the model has it."""
+
+    def answer(self, trial):
+        given, reaction_time = super().answer(trial)
+        return given, reaction_time / 20
 
 
 @pytest.fixture
-def setup(tmp_path):
+def setup(tmp_path, edit):
     """A session on a simulator at which somebody turns knobs while trials run: ``setup(times)``."""
-    preflight = examine(PROTOCOL).require()
+    at_once = ("\nanswers:\n", "\nanswers:\n  pause_s: 0.0\n  settling_s: 0.0\n")
+    preflight = examine(edit("demo.yaml", at_once)).require()
     simulator = Simulator(preflight.experiment.apparatus)
 
     def make(times, trial_index=3):
@@ -35,7 +41,7 @@ def setup(tmp_path):
                 simulator.front_panel("SOUR1:VOLT 1.0VPP")
             return 0.2, 0.1
 
-        answerer = Answerer(Observer().draw(np.random.default_rng(1)), felt, np.random.default_rng(2))
+        answerer = Hurried(Observer().draw(np.random.default_rng(1)), felt, np.random.default_rng(2))
         return replace(
             wire_run(preflight, "p01", answers="simulated", results=tmp_path),
             open_rig=lambda log: open_rig(simulator.address, preflight.experiment.apparatus, log=log),
