@@ -114,7 +114,7 @@ def test_quantity_decides_the_phase(make, beam: TrueBeam, recorded: Quantity, sa
     Displacement and acceleration differ by a sign and a slope alone, so one for the other gives gains of the wrong sign
     and size: of these two only the file can say which it is.
     """
-    plain = make(3)
+    plain = small(make(3))
     turn = 2j * np.pi * plain.frequency
     factor = {"velocity": 1.0, "displacement": 1 / turn, "acceleration": turn}[recorded]
     taken = replace(plain, response=as_velocity(plain.frequency, plain.response * factor, said))
