@@ -1,24 +1,42 @@
 """The command line as a user meets it: words, exit statuses, one JSON object, never a traceback."""
 
+import io
 import json
 import os
 import re
 import shutil
 import subprocess
 import sys
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 import pytest
+
+from modaltouch.__main__ import main
 
 REPOSITORY = Path(__file__).parents[2]
 PROTOCOL = REPOSITORY / "protocols" / "differentiated_stimulation.yaml"
 COMMANDS = ("demo", "new", "check", "run", "resume", "simulate", "analyse", "power", "fit", "verify", "doctor")
 
 
-def run(*words, cwd=REPOSITORY):
+@pytest.fixture(autouse=True)
+def _here(monkeypatch):
+    monkeypatch.chdir(REPOSITORY)
+    monkeypatch.setattr(sys, "argv", ["modaltouch"])
+
+
+def run_in_a_process(*words):
     """Run ``python -m modaltouch`` in a process of its own."""
     command = [sys.executable, "-m", "modaltouch", *map(str, words)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120, cwd=cwd)
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, cwd=REPOSITORY)
+
+
+def run(*words):
+    """Run the same in this process; whatever is raised but an exit is a traceback to the user, and raised here."""
+    said, complained = io.StringIO(), io.StringIO()
+    with redirect_stdout(said), redirect_stderr(complained), pytest.raises(SystemExit) as left:
+        main([str(word) for word in words])
+    return subprocess.CompletedProcess(words, left.value.code or 0, said.getvalue(), complained.getvalue())
 
 
 def loaded_modules(*words):
@@ -38,14 +56,14 @@ def loaded_modules(*words):
 @pytest.fixture(scope="module")
 def checked():
     """What ``check --json`` says of the paper's protocol."""
-    done = run("check", PROTOCOL, "--json")
+    done = run_in_a_process("check", PROTOCOL, "--json")
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
 
 
 def test_help_names_every_command_and_loads_nothing_heavy():
     """Issue: ``--help`` never imports psychopy; it needs neither numpy nor pandas either."""
-    done = run("--help")
+    done = run_in_a_process("--help")
     assert done.returncode == 0
     for command in (*COMMANDS, "rig"):
         assert command in done.stdout
@@ -211,7 +229,7 @@ def test_all_faults_are_reported_at_once_with_their_place(tmp_path):
 def test_a_window_without_a_display_says_what_to_do(tmp_path, monkeypatch):
     """Exit status 3 before anything is recorded: the session can be begun again."""
     monkeypatch.delenv("DISPLAY", raising=False)
-    done = run("run", "protocols/demo.yaml", "-p", "p01", "--rig", "simulated", "--results", tmp_path)
+    done = run_in_a_process("run", "protocols/demo.yaml", "-p", "p01", "--rig", "simulated", "--results", tmp_path)
     assert done.returncode == 3
     assert "display" in done.stderr
     assert list(tmp_path.rglob("session.jsonl")) == []
