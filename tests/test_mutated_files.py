@@ -28,7 +28,7 @@ from modaltouch.session.simulation import simulate_session
 from modaltouch.session.verification import verify_session
 
 ROOT = Path(__file__).parents[1]
-N_MUTATIONS = int(os.environ.get("MODALTOUCH_MUTATIONS", "480"))
+N_MUTATIONS = int(os.environ.get("MODALTOUCH_MUTATIONS", "240"))
 GROWTH = 200e6
 """Most by which the process may grow over all of them, caches of the first included [bytes]."""
 

@@ -72,7 +72,7 @@ def spoil(folder: Path, name: str, text: str) -> Path:
 def test_readers_end_in_problems_or_an_experiment(folder: Path, name: str) -> None:
     """Each problem has a place and a message of moderate length; none hangs."""
 
-    @settings(max_examples=100, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
+    @settings(max_examples=50, deadline=None, suppress_health_check=list(HealthCheck))
     @given(spoilt(name))
     def check(text: str) -> None:
         file = spoil(folder, name, text)
@@ -91,7 +91,7 @@ def test_readers_end_in_problems_or_an_experiment(folder: Path, name: str) -> No
 def test_the_whole_check_ends_in_problems_or_predictions(folder: Path, name: str) -> None:
     """Whatever the numbers, what is printed is JSON."""
 
-    @settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
+    @settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
     @given(spoilt(name))
     def check(text: str) -> None:
         values = examine(spoil(folder, name, text)).as_dict()
@@ -101,7 +101,7 @@ def test_the_whole_check_ends_in_problems_or_predictions(folder: Path, name: str
     check()
 
 
-@settings(max_examples=200, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
+@settings(max_examples=200, deadline=None, suppress_health_check=list(HealthCheck))
 @given(content=st.binary(max_size=300))
 def test_no_bytes_raise(folder: Path, content: bytes) -> None:
     """A file that was never YAML."""
