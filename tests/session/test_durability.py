@@ -169,6 +169,7 @@ def subject(context, simulator, protocol_path, tmp_path, tmp_path_factory):
         # Nobody's fingers have to come back to the beam, and one burst is as good as many.
         text = re.sub(r"\n  pause_s: .*", "", file.read_text(encoding="utf-8"))
         text = re.sub(r"\n  presentation_s: .*", "\n  presentation_bursts: 1", text)
+        text = re.sub(r"\n  question_delay_s: .*", "\n  question_delay_s: 0.15", text)
         # Half of the levels: as many ways to be cut in half of the time.
         text = text.replace("[80, 100, 150, 200]", "[80, 200]").replace("repetitions: 2", "repetitions: 1")
         file.write_text(
