@@ -18,8 +18,7 @@ from Xlib.ext import xtest
 from modaltouch.record.session import read_session
 from modaltouch.window.virtual_display import virtual_display
 
-PROTOCOL = Path(__file__).parents[2] / "protocols" / "demo.yaml"
-APPARATUS = PROTOCOL.parent / "apparatus" / "beam_100x6x2.yaml"
+APPARATUS = Path(__file__).parents[2] / "protocols" / "apparatus" / "beam_100x6x2.yaml"
 
 
 class Hands:
@@ -61,6 +60,12 @@ class Hands:
     def __exit__(self, *exc):
         with suppress(ConnectionClosedError):
             self._display.close()
+
+
+@pytest.fixture
+def protocol(edit):
+    """The demonstration, without the time that a person needs between two trials."""
+    return edit("demo.yaml", ("\nanswers:\n", "\nanswers:\n  pause_s: 0.2\n  settling_s: 0.05\n"))
 
 
 @pytest.fixture
@@ -109,12 +114,12 @@ def n_answers(log):
 
 
 @pytest.mark.window
-def test_a_session_whose_display_dies_loses_nothing_and_is_finished_on_another(tmp_path, rig, outputs):
+def test_a_session_whose_display_dies_loses_nothing_and_is_finished_on_another(tmp_path, protocol, rig, outputs):
     """Xlib would end the process past every ``finally``: it is told to stay, and the session ends in order."""
     log = tmp_path / "simulated" / "demo" / "sub-p01" / "ses-1" / "beh" / "session.jsonl"
     with (
         virtual_display((1280, 800)) as name,
-        session(name, "run", PROTOCOL, "-p", "p01", "--rig", rig, "--results", tmp_path) as run,
+        session(name, "run", protocol, "-p", "p01", "--rig", rig, "--results", tmp_path) as run,
         Hands(name) as hands,
     ):
         with hands.hurrying():
@@ -153,12 +158,12 @@ def test_a_session_whose_display_dies_loses_nothing_and_is_finished_on_another(t
 
 @pytest.mark.window
 @pytest.mark.parametrize("ending", ["escape", "SIGTERM"])
-def test_a_session_ended_on_purpose_is_off_and_kept(tmp_path, rig, outputs, ending):
+def test_a_session_ended_on_purpose_is_off_and_kept(tmp_path, protocol, rig, outputs, ending):
     """Escape asks first, then Q ends; SIGTERM ends at once. Exit status 130 and the reason in the record."""
     log = tmp_path / "simulated" / "demo" / "sub-p01" / "ses-1" / "beh" / "session.jsonl"
     with (
         virtual_display((1280, 800)) as name,
-        session(name, "run", PROTOCOL, "-p", "p01", "--rig", rig, "--results", tmp_path) as run,
+        session(name, "run", protocol, "-p", "p01", "--rig", rig, "--results", tmp_path) as run,
         Hands(name) as hands,
     ):
         with hands.hurrying():
@@ -168,8 +173,7 @@ def test_a_session_ended_on_purpose_is_off_and_kept(tmp_path, rig, outputs, endi
             hands.press("Escape")
             wait_until(lambda: outputs() == ("0", "0"), "both outputs off while it asks", timeout=5)
             assert run.poll() is None
-            time.sleep(0.4)
-            hands.press("q")
+            wait_until(lambda: (hands.press("q"), run.poll())[1] is not None, "the end", timeout=20)
         else:
             run.send_signal(signal.SIGTERM)
         assert run.wait(20) == 130
