@@ -17,17 +17,24 @@ Edit = Callable[..., Path]
 LONGEST = (
     "tests/test_readme.py",
     "tests/session/test_durability.py",
+    "tests/session/test_demo.py",
     "tests/session/test_in_the_window.py",
+    "tests/session/test_stalls.py",
+    "tests/lab/identification/test_identify.py",
     "tests/window/test_session_from_outside.py",
     "tests/session/test_kill_and_resume.py",
     "tests/session/test_resumption.py",
     "tests/session/test_sensation_level.py",
     "tests/session/console/test_terminal.py",
     "tests/rig/test_watchdog.py",
-    "tests/lab/identification/test_identify.py",
     "tests/golden/test_golden.py",
+    "tests/cli/test_new.py",
+    "tests/session/console/test_beside_the_window.py",
 )
 """Files that take longest, begun first, so that no process is left with one of them when the others are done."""
+
+TOGETHER = ("tests/lab/identification/", "tests/lab/validation/")
+"""Folders whose files share what takes seconds to make: one process makes it for all of them."""
 
 SPLIT = (
     "tests/session/test_durability.py",
@@ -61,7 +68,10 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 
     class Scheduling(LoadFileScheduling):
         def _split_scope(self, nodeid: str) -> str:
-            return nodeid if nodeid.startswith(SPLIT) else str(super()._split_scope(nodeid))
+            if nodeid.startswith(SPLIT):
+                return nodeid
+            together = (folder for folder in TOGETHER if nodeid.startswith(folder))
+            return next(together, str(super()._split_scope(nodeid)))
 
     return Scheduling(config, log)
 
