@@ -68,6 +68,7 @@ def spoil(folder: Path, name: str, text: str) -> Path:
     return folder / PROTOCOL
 
 
+@pytest.mark.hypothesis
 @pytest.mark.parametrize("name", [PROTOCOL, BEAM, TEXTS])
 def test_readers_end_in_problems_or_an_experiment(folder: Path, name: str) -> None:
     """Each problem has a place and a message of moderate length; none hangs."""
@@ -87,6 +88,7 @@ def test_readers_end_in_problems_or_an_experiment(folder: Path, name: str) -> No
     check()
 
 
+@pytest.mark.hypothesis
 @pytest.mark.parametrize("name", [PROTOCOL, BEAM])
 def test_the_whole_check_ends_in_problems_or_predictions(folder: Path, name: str) -> None:
     """Whatever the numbers, what is printed is JSON."""
