@@ -2,6 +2,8 @@
 
 import multiprocessing
 import os
+import random
+import signal
 import time
 from pathlib import Path
 
@@ -108,6 +110,27 @@ def kill():
         return process.exitcode
 
     return send
+
+
+@pytest.fixture
+def kill_after(start, tmp_path):
+    """Start a session, kill it some time after a number of answers, and return its log."""
+
+    def begin(words, log_in, n_trials, seed):
+        chance = random.Random(seed)
+        # Where the machine has other things to do, a simulated session may be over before this process sees it run.
+        for attempt in range(10):
+            results = tmp_path / f"attempt_{attempt}"
+            session, log = start(*words, "--results", results), log_in(results)
+            _wait_for_trials(log, n_trials)
+            session.join(chance.uniform(0, 0.04))
+            session.kill()
+            session.join(30)
+            if session.exitcode == -signal.SIGKILL:
+                return log
+        pytest.fail(f"ten sessions were over before they could be killed after {n_trials} answers")
+
+    return begin
 
 
 @pytest.fixture(scope="session")

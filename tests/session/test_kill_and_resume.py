@@ -1,7 +1,6 @@
-"""A session that is cut at any moment loses no answer and goes on in the same order (issue: item 6 and tests)."""
+"""A session that is cut at any moment loses no answer and goes on in the same order."""
 
 import json
-import random
 import signal
 
 import pytest
@@ -30,14 +29,11 @@ def whole(tmp_path_factory, context, protocol_path):
 
 @pytest.mark.parametrize(("n_trials", "seed"), KILL_POINTS)
 def test_a_killed_session_goes_on_where_it_stopped(
-    tmp_path, whole, start, finish, kill, protocol_path, log_of, wait_for_trials, answers_of, n_trials, seed
+    whole, kill_after, finish, protocol_path, log_of, answers_of, n_trials, seed
 ):
     """SIGKILL between or inside trials: no answer lost, the rest in the order of the uninterrupted session."""
-    log = log_of(tmp_path, "p07")
-    session = start("run", protocol_path, "-p", "p07", *RUN, "--results", tmp_path)
-    wait_for_trials(log, n_trials)
-    session.join(random.Random(seed).uniform(0, 0.04))
-    kill(session, signal.SIGKILL)
+    words = ("run", protocol_path, "-p", "p07", *RUN)
+    log = kill_after(words, lambda results: log_of(results, "p07"), n_trials, seed)
     before = answers_of(log)
     assert len(before) >= n_trials
     assert finish("resume", log.parent) == 0
@@ -48,23 +44,24 @@ def test_a_killed_session_goes_on_where_it_stopped(
 
 @pytest.mark.parametrize(("n_trials", "seed"), [(5, 1), (24, 3)])
 def test_a_killed_session_keeps_its_catch_trials(
-    tmp_path, start, finish, kill, protocol_path, wait_for_trials, answers_of, n_trials, seed
+    tmp_path, kill_after, finish, protocol_path, answers_of, n_trials, seed
 ):
     """SIGKILL and resume: the same trials, catch trials with them, and the same answers as without."""
     protocol = protocol_path.with_name("with_catch_trials.yaml")
-    logs = [tmp_path / name / "simulated" / protocol.stem / "sub-p07/ses-1/beh/session.jsonl" for name in ("a", "b")]
-    assert finish("run", protocol, "-p", "p07", *RUN, "--results", tmp_path / "a") == 0
-    session = start("run", protocol, "-p", "p07", *RUN, "--results", tmp_path / "b")
-    wait_for_trials(logs[1], n_trials)
-    session.join(random.Random(seed).uniform(0, 0.04))
-    kill(session, signal.SIGKILL)
-    assert finish("resume", logs[1].parent) == 0
-    assert answers_of(logs[1]) == answers_of(logs[0])
-    caught = [answer for _, _, condition, answer in answers_of(logs[1]) if condition["velocity_mm_s"] == 0]
+
+    def log_in(results):
+        return results / "simulated" / protocol.stem / "sub-p07/ses-1/beh/session.jsonl"
+
+    words = ("run", protocol, "-p", "p07", *RUN)
+    assert finish(*words, "--results", tmp_path / "whole") == 0
+    log = kill_after(words, log_in, n_trials, seed)
+    assert finish("resume", log.parent) == 0
+    assert answers_of(log) == answers_of(log_in(tmp_path / "whole"))
+    caught = [answer for _, _, condition, answer in answers_of(log) if condition["velocity_mm_s"] == 0]
     assert caught == ["none"] * 6
-    assert finish("verify", logs[1].parent) == 0
+    assert finish("verify", log.parent) == 0
     if n_trials == 24:
-        assert finish("analyse", tmp_path / "b", "--out", tmp_path / "analysis") == 0
+        assert finish("analyse", log.parents[5], "--out", tmp_path / "analysis") == 0
         rates = [
             row for row in json.loads((tmp_path / "analysis" / "tests.json").read_text()) if row["question"] == "catch"
         ]
