@@ -17,7 +17,7 @@ from modaltouch.cli.options import JSON, MEASURED_RIG, PROTOCOL
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from modaltouch.lab.calibration.outcome import CalibrationProgress, Iteration
+    from modaltouch.lab.calibration.file import CalibrationProgress, Iteration
     from modaltouch.protocol import CalibratedStimulus, Calibration
 
 
@@ -37,10 +37,15 @@ def calibrate(
     63.25 and 200 of 2 to 200 mm/s). Of a protocol with
     several stimuli all are calibrated, into one file. Nothing is written before the end.
     """
-    from modaltouch.lab.calibration.corrections import grounds_of, levels_between
-    from modaltouch.lab.calibration.file import CalibrationContext, calibration_of, write_calibration
+    from modaltouch.lab.calibration.file import (
+        CalibrationContext,
+        calibration_of,
+        grounds_of,
+        levels_between,
+        write_calibration,
+    )
     from modaltouch.lab.calibration.loop import calibrate_each
-    from modaltouch.lab.measurement import open_laboratory
+    from modaltouch.lab.laboratory import open_laboratory
     from modaltouch.preflight import examine
     from modaltouch.record import prepare_file
     from modaltouch.system import Interruption
@@ -82,7 +87,7 @@ def _showing(
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Bars
 
-    from modaltouch.lab.calibration.outcome import CalibrationProgress
+    from modaltouch.lab.calibration.file import CalibrationProgress
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     console = Console(stderr=True)

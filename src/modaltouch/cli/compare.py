@@ -98,8 +98,7 @@ def tell(rows: list[dict[str, Any]], level: float, n_beams: int) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from modaltouch.lab.comparison.narrative import paragraphs
-    from modaltouch.lab.comparison.results import criteria
+    from modaltouch.lab.comparison.results import criteria, paragraphs
 
     console = Console()
     shown = {key: heading for key, heading in COLUMNS.items() if rows[0].get(key) is not None}

@@ -20,7 +20,7 @@ from modaltouch.cli.measurement import bars
 
 if TYPE_CHECKING:
     from modaltouch.lab.identification.responses import FrequencyResponses
-    from modaltouch.lab.measurement import Scan
+    from modaltouch.lab.scan import Scan
     from modaltouch.protocol import Apparatus, Source
 
 
@@ -72,7 +72,7 @@ class IdentifyOptions:
         from modaltouch.lab.identification.excitation import Campaign, evenly, excite, highest_needed
         from modaltouch.lab.identification.report import COMMAND
         from modaltouch.lab.identification.shapes import check_points
-        from modaltouch.lab.measurement import open_laboratory
+        from modaltouch.lab.laboratory import open_laboratory
         from modaltouch.report import refuse_other
         from modaltouch.system import Interrupted, Interruption
 
@@ -102,7 +102,7 @@ class IdentifyOptions:
 
     def read(self) -> dict[str, Scan]:
         """Return the scans of a folder."""
-        from modaltouch.lab.measurement import read_scan
+        from modaltouch.lab.scan import read_scan
 
         folder = self.folder or Path()
         scans = {}
@@ -161,10 +161,15 @@ class IdentifyOptions:
 
     def fit(self, responses: FrequencyResponses, facts: dict[str, Any], out: Path) -> dict[str, Any]:
         """Return the identification as plain values, its files written."""
-        from modaltouch.lab.identification.apparatus_file import identified_apparatus
         from modaltouch.lab.identification.excitation import CLOCK_TOLERANCE
         from modaltouch.lab.identification.joint_fit import identify as identify_responses
-        from modaltouch.lab.identification.report import COMMAND, as_dict, check_modes, write_identification
+        from modaltouch.lab.identification.report import (
+            COMMAND,
+            as_dict,
+            check_modes,
+            identified_apparatus,
+            write_identification,
+        )
         from modaltouch.lab.identification.shapes import check_points
         from modaltouch.report import refuse_other
 

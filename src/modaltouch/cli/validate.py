@@ -92,7 +92,7 @@ def _observe(
     preflight: Preflight, protocol: Path, address: str, folder: Path | None, points: int, averages: int
 ) -> tuple[list[Observation], ValidationContext]:
     """Return what was recorded, now or before, and the occasion."""
-    from modaltouch.lab.measurement import open_laboratory
+    from modaltouch.lab.laboratory import open_laboratory
     from modaltouch.lab.validation.page import ValidationContext
     from modaltouch.lab.validation.recording import complete, read_laws, record_laws
     from modaltouch.system import Interruption, commit
@@ -148,7 +148,7 @@ def tell(figures: list[dict[str, Any]]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from modaltouch.lab.validation.narrative import summary
+    from modaltouch.lab.validation.key_figures import summary
 
     table = Table(title=f"Measured at {figures[0]['velocity_mm_s']:g} mm/s", title_justify="left")
     table.add_column("quantity [unit]")

@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modaltouch.lab.calibration.corrections import aimed_ground
+from modaltouch.lab.calibration.file import CalibrationResult, aimed_ground
 from modaltouch.lab.calibration.loop import calibrate
-from modaltouch.lab.calibration.outcome import CalibrationResult
 from modaltouch.preflight import Preflight, examine
 from modaltouch.preflight.examination import design_to_fit
 from modaltouch.protocol.apparatus import Apparatus, TrueAmplifier

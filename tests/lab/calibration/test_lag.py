@@ -8,8 +8,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from modaltouch.lab.calibration.acquisition import DecayRecorder
-from modaltouch.lab.calibration.bursts import commanded_voltage, identifying_burst, timing_voltage
+from modaltouch.lab.calibration.acquisition import DecayRecorder, commanded_voltage, identifying_burst, timing_voltage
 from modaltouch.lab.calibration.delays import VibrometerDelay, fit_drive, fit_sight
 from modaltouch.preflight import Preflight
 from modaltouch.protocol.apparatus import Apparatus, TrueAmplifier

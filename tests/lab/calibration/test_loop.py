@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from modaltouch.lab.calibration.acquisition import measuring_points
-from modaltouch.lab.calibration.corrections import aimed_ground, grounds_of, significant
+from modaltouch.lab.calibration.file import CalibrationProgress, Iteration, aimed_ground, grounds_of, significant
 from modaltouch.lab.calibration.loop import calibrate
-from modaltouch.lab.calibration.outcome import CalibrationProgress, Iteration
 from modaltouch.lab.calibration.plant import ModalState
 from modaltouch.preflight import Preflight, examine
 from modaltouch.preflight.design_inputs import design

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 
 from modaltouch.__main__ import main
-from modaltouch.lab.calibration.corrections import grounds_of
+from modaltouch.lab.calibration.file import CalibrationProgress, grounds_of
 from modaltouch.lab.calibration.loop import calibrate_each
-from modaltouch.lab.calibration.outcome import CalibrationProgress
-from modaltouch.lab.measurement import open_laboratory
+from modaltouch.lab.laboratory import open_laboratory
 from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.calibration_file import examine_calibration

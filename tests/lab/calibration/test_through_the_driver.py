@@ -17,7 +17,7 @@ import pytest
 
 from modaltouch.__main__ import main
 from modaltouch.cli import calibrate as calibrating
-from modaltouch.lab.measurement import Laboratory, open_laboratory
+from modaltouch.lab.laboratory import Laboratory, open_laboratory
 from modaltouch.preflight import examine
 from modaltouch.record.chain import read_chain
 from modaltouch.rig.acquisition import Recording

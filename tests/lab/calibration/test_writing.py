@@ -8,10 +8,15 @@ from pathlib import Path
 
 import pytest
 
-from modaltouch.lab.calibration.corrections import aimed_ground
-from modaltouch.lab.calibration.file import CalibrationContext, calibration_of, calibration_text, write_calibration
+from modaltouch.lab.calibration.file import (
+    CalibrationContext,
+    CalibrationResult,
+    aimed_ground,
+    calibration_of,
+    calibration_text,
+    write_calibration,
+)
 from modaltouch.lab.calibration.loop import calibrate
-from modaltouch.lab.calibration.outcome import CalibrationResult
 from modaltouch.preflight import Preflight, examine
 from modaltouch.preflight.examination import design_to_fit
 from modaltouch.protocol.calibration_file import examine_calibration

@@ -11,11 +11,9 @@ import pytest
 from typer.testing import CliRunner
 
 from modaltouch.cli.app import app
-from modaltouch.lab.comparison.assessment import true_lag
-from modaltouch.lab.comparison.contest import Settings, contend, without_mismatch
-from modaltouch.lab.comparison.narrative import paragraphs
+from modaltouch.lab.comparison.contest import Settings, contend, true_lag, without_mismatch
 from modaltouch.lab.comparison.page import write_comparison
-from modaltouch.lab.comparison.results import Criterion, criteria, rows_of
+from modaltouch.lab.comparison.results import Criterion, criteria, paragraphs, rows_of
 from modaltouch.rig.simulator.twin import Twin
 
 SHIPPED = Path(__file__).parents[3] / "protocols" / "differentiated_stimulation.yaml"

@@ -7,13 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modaltouch.lab.comparison.inverse_filter import (
+from modaltouch.lab.comparison.methods import (
     inverse_filter,
     inverse_filter_at_instant,
     least_energy,
+    one_bit_reversal,
     regularised_inverse,
+    time_reversal,
 )
-from modaltouch.lab.comparison.time_reversal import one_bit_reversal, time_reversal
 from modaltouch.lab.comparison.training_data import TrainingData, TransferFunctions
 from modaltouch.stimulus.dynamics import Amplifier
 from modaltouch.stimulus.modes import ModalModel

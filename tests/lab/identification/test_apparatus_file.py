@@ -13,9 +13,8 @@ import pytest
 from typer.testing import CliRunner
 
 from modaltouch.cli.app import app
-from modaltouch.lab.identification.apparatus_file import identified_apparatus
 from modaltouch.lab.identification.estimates import Estimate, Identification
-from modaltouch.lab.identification.report import check_modes, write_identification
+from modaltouch.lab.identification.report import check_modes, identified_apparatus, write_identification
 from modaltouch.protocol.apparatus import read_apparatus
 from modaltouch.protocol.document import InputError, load_source
 from modaltouch.rig.simulator.true_beam import TrueBeam

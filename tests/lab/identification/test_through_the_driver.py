@@ -18,7 +18,8 @@ from modaltouch.lab.identification.excitation import LOWEST, Campaign, Excitatio
 from modaltouch.lab.identification.joint_fit import identify
 from modaltouch.lab.identification.responses import Spectra, responses_of
 from modaltouch.lab.identification.shapes import mac
-from modaltouch.lab.measurement import Laboratory, ScanPlan, open_laboratory, read_scan, take_scan
+from modaltouch.lab.laboratory import Laboratory, open_laboratory
+from modaltouch.lab.scan import ScanPlan, read_scan, take_scan
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.document import load_source
 from modaltouch.record.chain import RecordInputError

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modaltouch.lab.measurement import Laboratory
-from modaltouch.lab.measurement.laboratory import ATTEMPTS
+from modaltouch.lab.laboratory import ATTEMPTS, Laboratory
 from modaltouch.protocol.apparatus import read_apparatus
 from modaltouch.rig.acquisition import Acquisition, Recording
 from modaltouch.rig.interface import Firing, RigError, StimulusLost

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modaltouch.lab.measurement import Laboratory, ScanPlan, open_laboratory, read_scan, take_scan
-from modaltouch.lab.measurement.scan import position_file
+from modaltouch.lab.laboratory import Laboratory, open_laboratory
+from modaltouch.lab.scan import ScanPlan, position_file, read_scan, take_scan
 from modaltouch.protocol.apparatus import Apparatus, read_apparatus
 from modaltouch.protocol.document import load_source
 from modaltouch.record.chain import RecordError, RecordInputError

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from modaltouch.lab.measurement import open_laboratory
+from modaltouch.lab.laboratory import open_laboratory
 from modaltouch.lab.validation.evidence import Evidence, evaluate
 from modaltouch.lab.validation.recording import Observation, record_laws
 from modaltouch.preflight import Preflight, examine

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from modaltouch.lab.validation.measures import contrast, spot_width, time_above
-from modaltouch.lab.validation.time_histories import Spectrogram
+from modaltouch.lab.validation.evidence import contrast, spot_width, time_above
+from modaltouch.lab.validation.figures import Spectrogram
 
 
 @pytest.mark.parametrize("fraction", [0.2, 0.5, 0.8])

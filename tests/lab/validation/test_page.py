@@ -8,8 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from modaltouch.cli.app import app
-from modaltouch.lab.validation.key_figures import key_figures
-from modaltouch.lab.validation.narrative import findings
+from modaltouch.lab.validation.key_figures import findings, key_figures
 from modaltouch.lab.validation.page import ValidationContext, write_evidence
 from modaltouch.record.chain import RecordError
 from modaltouch.report.output import write_files

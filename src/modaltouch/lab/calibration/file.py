@@ -1,18 +1,19 @@
-"""A finished calibration as a file that people and the session read."""
+"""What a calibration finds, and the file that people and the session read."""
 
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from modaltouch.lab.calibration.corrections import DIGITS
-from modaltouch.lab.calibration.outcome import CalibrationResult, Iteration, Level
+from modaltouch.lab.calibration.plant import ModalState, Plant
+from modaltouch.preflight import DesignInputs, Preflight, at_stimulus
 from modaltouch.protocol import (
     Apparatus,
     CalibratedAmplifier,
@@ -22,13 +23,253 @@ from modaltouch.protocol import (
     Calibration,
     CalibrationFile,
     CalibrationOfSeveral,
+    InputError,
     Instruments,
     IterationFigures,
     MeasuringChain,
+    Problem,
+    Protocol,
     apparatus_hash,
 )
 from modaltouch.record import prepare_file, replace_file
+from modaltouch.stimulus import Correction
 from modaltouch.system import commit, versions
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Iteration:
+    """What one turn of the loop measured at the reference level.
+
+    Attributes
+    ----------
+    number : int
+        0 is the stimulus as the apparatus file gives it.
+    state : ModalState
+        Of the modes at the focusing instant.
+    errors : (float, float)
+        Largest of velocity, and of w eta [m/s].
+    peak_voltage : float
+        Highest voltage at the beam [V].
+    """
+
+    number: int
+    state: ModalState
+    errors: tuple[float, float]
+    peak_voltage: float
+
+    @property
+    def worst(self) -> float:
+        """The larger of both errors [m/s]."""
+        return max(self.errors)
+
+
+@dataclass(frozen=True)
+class Level:
+    """A level as measured at the centre of the focus zone.
+
+    Attributes
+    ----------
+    velocity : float
+        The level [m/s].
+    factor : float
+        Of its amplitude [1].
+    amplitude : tuple of float
+        Of each output [V peak to peak, open circuit].
+    at_focus : float
+        Velocity at the focusing instant [m/s].
+    spread : float
+        Its standard error [m/s].
+    highest : float
+        Highest speed over the burst [m/s].
+    """
+
+    velocity: float
+    factor: float
+    amplitude: tuple[float, ...]
+    at_focus: float
+    spread: float
+    highest: float
+
+
+@dataclass(frozen=True, eq=False)
+class CalibrationResult:
+    """A finished calibration.
+
+    Attributes
+    ----------
+    ground : DesignInputs
+        The stimulus, as designed without a calibration.
+    plant : Plant
+        The identified rig.
+    refined : Apparatus
+        The apparatus with modes and amplifier as identified, in the units and digits of its file.
+    target : (n_modes,) array
+        Modal velocities wished at the reference level [m/s].
+    correction : Correction
+        Targets to aim at, and factors of the levels.
+    points : (n_points,) array
+        Where the beam was measured [m].
+    turns : tuple of Iteration
+        All turns, the first before any correction.
+    best : Iteration
+        The one whose targets are kept.
+    levels : tuple of Level
+        As verified.
+    """
+
+    ground: DesignInputs
+    plant: Plant
+    refined: Apparatus
+    target: FloatArray
+    correction: Correction
+    points: FloatArray
+    turns: tuple[Iteration, ...]
+    best: Iteration
+    levels: tuple[Level, ...]
+
+
+def _quiet(*_: object) -> None:
+    """Say nothing, stop at no moment."""
+
+
+@dataclass(frozen=True)
+class CalibrationProgress:
+    """Whom to tell what the loop does.
+
+    Attributes
+    ----------
+    check : callable
+        Called before each record; raises where a signal has come.
+    stimulus : callable
+        Called with the name of each of several stimuli, before its targets are corrected.
+    step : callable
+        Called with what begins, in words, and how many records it takes.
+    advance : callable
+        Called after each record.
+    turn : callable
+        Called with each `Iteration` as soon as it is measured.
+    """
+
+    check: Callable[[], None] = _quiet
+    stimulus: Callable[[str], None] = _quiet
+    step: Callable[[str, int], None] = _quiet
+    advance: Callable[[], None] = _quiet
+    turn: Callable[[Iteration], None] = _quiet
+
+
+N_BETWEEN = 3
+"""Levels verified between bounds within which any level may be played."""
+
+CERTAIN = 3.0
+"""Standard errors below which a deviation may be noise, and is not corrected [1]."""
+
+DIGITS = 6
+"""Decimals of a target in mm/s that the file keeps: a thousandth of what noise leaves."""
+
+
+def grounds_of(preflight: Preflight) -> dict[str, DesignInputs]:
+    """Return what each stimulus of a checked protocol is designed from, by name; one alone has none.
+
+    Raises
+    ------
+    InputError
+        If anything is wrong with the files, or a stimulus has no targets that could be corrected.
+    """
+    preflight.require()
+    faults = {name: list(_uncorrectable(part)) for name, part in preflight.parts.items()}
+    problems = [each for name, own in faults.items() for each in at_stimulus(preflight.findings, name, own)]
+    if problems:
+        raise InputError(problems)
+    return {name: part.sound[0] for name, part in preflight.parts.items()}
+
+
+def levels_between(protocol: Protocol) -> tuple[float, ...]:
+    """Return the levels between a protocol's bounds that are verified too, at equal ratios [mm/s].
+
+    An adaptive run, or a participant whose levels are calibrated, may get any level there. Other protocols have none:
+    every level that is played is measured.
+
+    Parameters
+    ----------
+    protocol : Protocol
+        The protocol.
+    """
+    if protocol.adaptive is None and protocol.conditions.sensation_levels is None:
+        return ()
+    low, *_, high = sorted(protocol.conditions.peak_velocities_mm_s)
+    ratio = (high / low) ** (1 / (N_BETWEEN + 1))
+    return tuple(float(f"{low * ratio**step:.4g}") for step in range(1, N_BETWEEN + 1))
+
+
+def _uncorrectable(preflight: Preflight) -> Iterator[Problem]:
+    """Yield why the targets of a protocol's one stimulus cannot be corrected."""
+    (ground, _), reading = preflight.sound, preflight.findings.protocol
+    if reading is None:
+        return
+    if ground.section.law != "exact":
+        given = f"{ground.section.law}, a law without targets that could be corrected"
+        yield reading.problem(("stimulus", "law"), given, "exact", "calibrate the exact law")
+    if ground.section.field.file is not None:
+        given, remedy = (
+            "a file, which a calibration does not hold",
+            "write the points into the protocol, under `points`",
+        )
+        yield reading.problem(("stimulus", "field", "file"), given, "points", remedy)
+
+
+def significant(state: ModalState, target: FloatArray) -> FloatArray:
+    """Return how far the states are from their targets, less what may be noise, (2, n_modes) array [m/s].
+
+    A deviation of a few standard errors is corrected in part, a smaller one not at all, so that the loop does not
+    chase the noise of its own measurements.
+
+    Parameters
+    ----------
+    state : ModalState
+        As measured.
+    target : (n_modes,) array
+        Modal velocities wished [m/s].
+    """
+    error = np.stack([state.velocity - target, state.displacement])
+    doubt = CERTAIN * state.spread / np.maximum(np.abs(error), 1e-30)
+    return np.asarray(error * np.maximum(1 - doubt**2, 0.0))
+
+
+def aimed_ground(ground: DesignInputs, refined: Apparatus, correction: Correction) -> DesignInputs:
+    """Return what a stimulus is designed from on an identified rig."""
+    used = ground.apparatus.model_copy(update={"modes": refined.modes, "amplifier": refined.amplifier})
+    return replace(ground, apparatus=used, correction=correction)
+
+
+def refined_apparatus(apparatus: Apparatus, plant: Plant) -> Apparatus:
+    """Return an apparatus with modes and amplifier as identified, with the digits that the calibration file keeps."""
+    channel = {name: actuators.channel - 1 for name, actuators in apparatus.actuator_sets.items()}
+    modes = []
+    for row, mode in enumerate(apparatus.modes):
+        gains = {name: _digits(plant.model.modal_gain[row, place] * 1e3) for name, place in channel.items()}
+        update = {
+            "natural_frequency_Hz": _digits(plant.model.natural_frequency[row]),
+            "damping_ratio": _digits(plant.model.damping_ratio[row]),
+            "gain_mm_s2_per_V": gains,
+            "assumed": (),
+        }
+        modes.append(mode.model_copy(update=update))
+    bandwidth = plant.amplifier.bandwidth
+    amplifier = apparatus.amplifier.model_copy(
+        update={
+            "gain_V_per_V": _digits(plant.amplifier.gain),
+            "bandwidth_kHz": None if bandwidth is None else _digits(bandwidth * 1e-3),
+            "delay_us": _digits(plant.amplifier.delay * 1e6),
+        }
+    )
+    return apparatus.model_copy(update={"modes": tuple(modes), "amplifier": amplifier})
+
+
+def _digits(value: float) -> float:
+    return float(f"{value:.9g}")
+
 
 INTERVAL = 1.96
 """Half width of a 95 % interval, in standard errors [1]."""

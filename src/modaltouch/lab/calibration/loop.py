@@ -8,12 +8,27 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.lab.calibration.acquisition import Bench, DecayRecorder, measuring_points
-from modaltouch.lab.calibration.bursts import commanded_voltage, identifying_burst, probe_voltage, timing_voltage
-from modaltouch.lab.calibration.corrections import DIGITS, aimed_ground, refined_apparatus, significant
+from modaltouch.lab.calibration.acquisition import (
+    Bench,
+    DecayRecorder,
+    commanded_voltage,
+    identifying_burst,
+    measuring_points,
+    probe_voltage,
+    timing_voltage,
+)
 from modaltouch.lab.calibration.decay import find_poles, fit_residues
 from modaltouch.lab.calibration.delays import DriveDelay, fit_drive
-from modaltouch.lab.calibration.outcome import CalibrationProgress, CalibrationResult, Iteration, Level
+from modaltouch.lab.calibration.file import (
+    DIGITS,
+    CalibrationProgress,
+    CalibrationResult,
+    Iteration,
+    Level,
+    aimed_ground,
+    refined_apparatus,
+    significant,
+)
 from modaltouch.lab.calibration.plant import Plant, identify_plant
 from modaltouch.preflight import DesignInputs, design_to_fit
 from modaltouch.protocol import Apparatus

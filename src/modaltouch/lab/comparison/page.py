@@ -10,10 +10,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from modaltouch.lab.comparison.assessment import DriveAssessment
-from modaltouch.lab.comparison.contest import Contest
-from modaltouch.lab.comparison.narrative import paragraphs
-from modaltouch.lab.comparison.results import Row, criteria
+from modaltouch.lab.comparison.contest import Contest, DriveAssessment
+from modaltouch.lab.comparison.results import Row, criteria, paragraphs
 from modaltouch.report import (
     FAINT,
     INK,

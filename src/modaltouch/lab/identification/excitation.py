@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.lab.identification.responses import Spectra
-from modaltouch.lab.measurement import Laboratory, Scan, ScanPlan, take_scan
-from modaltouch.lab.measurement.scan import DESCRIPTION, read_facts
+from modaltouch.lab.laboratory import Laboratory
+from modaltouch.lab.scan import DESCRIPTION, Scan, ScanPlan, read_facts, take_scan
 from modaltouch.protocol import Apparatus, Source
 from modaltouch.rig import Acquisition, RigError
 from modaltouch.stimulus import MID_CODE, Burst

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.lab.measurement import Scan
+from modaltouch.lab.scan import Scan
 from modaltouch.record import RecordInputError
 from modaltouch.rig import Recording
 

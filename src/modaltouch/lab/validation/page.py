@@ -11,17 +11,19 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from modaltouch.lab.validation.evidence import Evidence
-from modaltouch.lab.validation.key_figures import coefficients
-from modaltouch.lab.validation.narrative import findings, summary
-from modaltouch.lab.validation.pictures import PAPER_WORST, draw_coefficients, draw_decomposition, draw_fields
-from modaltouch.lab.validation.time_histories import (
+from modaltouch.lab.validation.figures import (
+    PAPER_WORST,
     around_focus,
+    draw_coefficients,
+    draw_decomposition,
     draw_drives,
+    draw_fields,
     draw_maps,
     draw_spectrograms,
     draw_zones,
     spectrogram_of,
 )
+from modaltouch.lab.validation.key_figures import coefficients, findings, summary
 from modaltouch.report import (
     csv_bytes,
     embed_svg,

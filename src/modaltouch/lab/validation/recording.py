@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.lab.measurement import Laboratory, Scan, ScanPlan, read_scan, take_scan
+from modaltouch.lab.laboratory import Laboratory
+from modaltouch.lab.scan import Scan, ScanPlan, read_scan, take_scan
 from modaltouch.preflight import DesignInputs, design
 from modaltouch.protocol import Source
 from modaltouch.record import RecordError, RecordInputError

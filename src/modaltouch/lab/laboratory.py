@@ -29,6 +29,7 @@ from modaltouch.system import SYSTEM_CLOCK, VirtualClock
 if TYPE_CHECKING:
     from modaltouch.rig import Repetition, Simulator
 
+
 Mode = Literal["simulated", "real"]
 
 SIMULATED = "simulated"

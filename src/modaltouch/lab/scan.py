@@ -1,0 +1,451 @@
+"""A scan: what is to be played and where, taken position by position, each on the disk before the next.
+
+``scan.json`` says what was played, one ``position_<n>.npz`` holds each position; a scan that was stopped goes on.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import time
+import zipfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modaltouch.lab.laboratory import Laboratory
+from modaltouch.protocol import Apparatus, Source
+from modaltouch.record import RecordError, RecordInputError, replace_file
+from modaltouch.rig import Acquisition, Recording
+from modaltouch.stimulus import Burst
+from modaltouch.system import commit, versions
+
+
+@dataclass(frozen=True, eq=False)
+class ScanPlan:
+    """What is played, where it is recorded, and how.
+
+    Attributes
+    ----------
+    burst : Burst
+        What the generator repeats.
+    velocity : float
+        Level at which it is played [m/s].
+    positions : sequence of float
+        Where velocity is recorded, in this order, origin at mid-beam [m].
+    acquisition : Acquisition
+        What is asked of the scope at each of them.
+    about : mapping
+        What else is to be known of the scan, plain values: the name of the stimulus, the actuator set, ...
+    """
+
+    burst: Burst
+    velocity: float
+    positions: Sequence[float]
+    acquisition: Acquisition
+    about: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Refuse positions that are none, or one twice."""
+        places = tuple(float(position) for position in self.positions)
+        object.__setattr__(self, "positions", places)
+        if not places:
+            raise ValueError("no position is given; give at least one")
+        if not all(math.isfinite(place) for place in places):
+            raise ValueError(f"the positions {places} are not all finite numbers: give metres from mid-beam")
+        if len(set(places)) < len(places):
+            double = next(place for place in places if places.count(place) > 1)
+            raise ValueError(f"the position {double * 1e3:g} mm is given twice; give each once")
+
+    def check_on(self, apparatus: Apparatus) -> None:
+        """Refuse positions beyond the ends of the beam.
+
+        Raises
+        ------
+        ValueError
+            If one is.
+        """
+        half = apparatus.beam.length_mm / 2
+        for place in self.positions:
+            if abs(place) * 1e3 > half * (1 + 1e-9):
+                raise ValueError(
+                    f"the position {place * 1e3:g} mm is not on the beam: it reaches from {-half:g} to {half:g} mm"
+                )
+
+    def settings(self) -> dict[str, Any]:
+        """Return everything that must be the same when a scan goes on, as plain values."""
+        return {
+            "about": dict(self.about),
+            "burst": {
+                "sha256": self.burst.content_hash,
+                "n_samples": int(self.burst.codes.shape[1]),
+                "duration_s": self.burst.duration,
+                "repetition_rate_Hz": self.burst.repetition_rate,
+                "velocity_mm_s": self.burst.velocity * 1e3,
+                "amplitude_V": list(self.burst.amplitude),
+            },
+            "velocity_mm_s": self.velocity * 1e3,
+            "positions_mm": [place * 1e3 for place in self.positions],
+            "acquisition": {**asdict(self.acquisition), "drives": list(self.acquisition.drives)},
+        }
+
+
+FloatArray = NDArray[np.float64]
+
+SCHEMA = "modaltouch scan 1"
+DESCRIPTION = "scan.json"
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """Velocity and drive at the positions of a scan, in SI units.
+
+    Attributes
+    ----------
+    facts : dict
+        What ``scan.json`` says: what was played, apparatus, instruments, acquisition, mode.
+    positions : (n_positions,) array
+        Where it was recorded, origin at mid-beam [m]; a scan that was stopped has fewer than were planned.
+    arrays : tuple of dict
+        What was kept at each position; with whole records ``time``, ``velocity`` and ``drive``.
+    overloaded : tuple of tuple of str
+        What reached the end of its range, at each position.
+    sampling_rate : float
+        By the scope's clock [Hz].
+    """
+
+    facts: Mapping[str, Any]
+    positions: FloatArray
+    arrays: tuple[Mapping[str, NDArray[Any]], ...]
+    overloaded: tuple[tuple[str, ...], ...]
+    sampling_rate: float
+
+    @property
+    def complete(self) -> bool:
+        """Whether every planned position was recorded."""
+        return len(self.arrays) == len(self.facts["settings"]["positions_mm"])
+
+    @property
+    def mode(self) -> str:
+        """``simulated`` or ``real``."""
+        return str(self.facts["mode"])
+
+    @property
+    def time(self) -> FloatArray:
+        """From the trigger, by the scope's clock, (n_samples,) array [s]."""
+        return np.asarray(self._one("time"), dtype=float)
+
+    @cached_property
+    def velocity(self) -> FloatArray:
+        """Of each position, (n_positions, n_records, n_samples) array [m/s]."""
+        return self.stacked("velocity")
+
+    @cached_property
+    def drive(self) -> FloatArray:
+        """Voltage at the beam, (n_positions, n_records, n_drives, n_samples) array [V]."""
+        return self.stacked("drive")
+
+    def stacked(self, name: str) -> FloatArray:
+        """Return what was kept under a name, position after position.
+
+        Raises
+        ------
+        KeyError
+            If this scan keeps nothing under that name.
+        """
+        self._one(name)
+        return np.stack([np.asarray(each[name], dtype=float) for each in self.arrays])
+
+    def require_complete(self) -> Scan:
+        """Return the scan itself if every position was recorded.
+
+        Raises
+        ------
+        RecordInputError
+            If it was stopped half way.
+        """
+        planned = len(self.facts["settings"]["positions_mm"])
+        if not self.complete:
+            raise RecordInputError(
+                f"the scan was stopped half way, with {len(self.arrays)} of {planned} positions recorded: give the "
+                "command that began it again, with the same folder, to go on with it"
+            )
+        return self
+
+    def refuse_overloaded(self) -> Scan:
+        """Return the scan itself if nothing reached the end of its range.
+
+        Raises
+        ------
+        RecordInputError
+            If something did, with where.
+        """
+        for position, names in zip(self.positions, self.overloaded, strict=True):
+            if names:
+                raise RecordInputError(
+                    f"{' and '.join(names)} reached the end of the range at {position * 1e3:g} mm, so the record is "
+                    "cut: scan again into another folder, with a wider range or a lower drive"
+                )
+        return self
+
+    def _one(self, name: str) -> NDArray[Any]:
+        first = self.arrays[0] if self.arrays else {}
+        if name not in first:
+            raise KeyError(f"this scan keeps {', '.join(first) or 'nothing'} at each position, no {name}")
+        return first[name]
+
+
+def position_file(folder: Path, index: int) -> Path:
+    """Return where a position's arrays lie."""
+    return folder / f"position_{index:03}.npz"
+
+
+def read_facts(folder: Path) -> dict[str, Any]:
+    """Return what ``scan.json`` says.
+
+    Raises
+    ------
+    RecordError
+        If the folder holds no scan, or its description is damaged.
+    """
+    path = folder / DESCRIPTION
+    try:
+        facts = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise RecordInputError(f"{folder}: holds no scan ({DESCRIPTION} is missing); name a scan's folder") from None
+    except (OSError, ValueError) as error:
+        raise RecordError(f"{path}: cannot be read ({error}); restore it, or scan again into another folder") from None
+    if not isinstance(facts, dict) or facts.get("schema") != SCHEMA:
+        raise RecordError(f"{path}: is no description of a scan ('{SCHEMA}'); name a scan's folder")
+    return facts
+
+
+def read_position(path: Path, position: float) -> dict[str, NDArray[Any]]:
+    """Return the arrays of a position's file.
+
+    Raises
+    ------
+    RecordError
+        If the file is damaged or another position's.
+    """
+    try:
+        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
+            arrays = dict(file)
+        where = float(arrays["position"])
+    except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
+        raise RecordError(
+            f"{path}: is damaged ({error}); delete it, and give the command that began the scan again to take that "
+            "position anew"
+        ) from None
+    if abs(where - position) > 1e-9:
+        raise RecordError(f"{path}: was recorded at {where * 1e3:g} mm, not at {position * 1e3:g} mm; put it back")
+    return arrays
+
+
+def read_scan(folder: Path) -> Scan:
+    """Return a scan, complete or not, as far as its first positions are recorded.
+
+    Parameters
+    ----------
+    folder : Path
+        Where it lies.
+
+    Raises
+    ------
+    RecordError
+        If it is no scan, or damaged.
+    """
+    facts = read_facts(folder)
+    places = np.array(facts["settings"]["positions_mm"], dtype=float) * 1e-3
+    kept: list[dict[str, NDArray[Any]]] = []
+    for index, place in enumerate(places):
+        path = position_file(folder, index)
+        if not path.exists():
+            break
+        kept.append(read_position(path, float(place)))
+    return assemble(facts, places, kept)
+
+
+def assemble(facts: Mapping[str, Any], places: FloatArray, kept: list[dict[str, NDArray[Any]]]) -> Scan:
+    """Return the scan of what was kept at the first positions."""
+    return Scan(
+        facts=facts,
+        positions=places[: len(kept)],
+        arrays=tuple(kept),
+        overloaded=tuple(tuple(str(name) for name in each["overloaded"]) for each in kept),
+        sampling_rate=float(kept[0]["sampling_rate"]) if kept else float("nan"),
+    )
+
+
+Reduction = Callable[[Recording], Mapping[str, NDArray[Any]]]
+"""What is kept of a recording: arrays by name."""
+
+_REMEDY = "free the place, or give another"
+
+
+def keep_records(recording: Recording) -> dict[str, NDArray[Any]]:
+    """Keep whole records: ``time`` [s], ``velocity`` [m/s] and ``drive`` [V], in single precision but for the time."""
+    return {
+        "time": recording.time,
+        "velocity": recording.velocity.astype(np.float32),
+        "drive": recording.drive.astype(np.float32),
+    }
+
+
+def _nothing(done: int, total: int) -> None:
+    """Show no progress."""
+
+
+def _never() -> None:
+    """Stop at no moment."""
+
+
+def take_scan(
+    laboratory: Laboratory,
+    plan: ScanPlan,
+    folder: Path | None = None,
+    *,
+    source: Source | None = None,
+    reduction: Reduction = keep_records,
+    on_progress: Callable[[int, int], None] = _nothing,
+    check: Callable[[], None] = _never,
+) -> Scan:
+    """Return a scan, taken anew or from where it was stopped.
+
+    Parameters
+    ----------
+    laboratory : Laboratory
+        Generator and scope, open.
+    plan : ScanPlan
+        What is played, where and how it is recorded.
+    folder : Path, optional
+        Where each position is saved as soon as it is recorded, and where a scan that was stopped is found; without
+        one nothing is written.
+    source : Source, optional
+        The apparatus file, kept in the description.
+    reduction : callable
+        What is kept of each recording; whole records if not given.
+    on_progress : callable
+        Called with (recorded, planned) positions, first before anything is recorded.
+    check : callable
+        Called between positions; may raise to stop the scan, of which everything recorded is kept.
+
+    Raises
+    ------
+    RigError
+        If the rig fails; the outputs are off and what was recorded is kept.
+    RecordError
+        If the folder holds a scan of other settings, something else, or cannot be written.
+    ValueError
+        If a position is not on the beam.
+    """
+    plan.check_on(laboratory.apparatus)
+    facts = _describe(laboratory, plan, source, reduction)
+    places = np.array(facts["settings"]["positions_mm"]) * 1e-3
+    kept = [] if folder is None else _begin(folder, facts, plan)
+    on_progress(len(kept), len(places))
+    if len(kept) < len(places):
+        laboratory.load(plan.burst)
+    for index in range(len(kept), len(places)):
+        check()
+        recording = laboratory.record(float(places[index]), plan.velocity, plan.acquisition)
+        arrays: dict[str, NDArray[Any]] = {
+            "position": np.array(places[index]),
+            "sampling_rate": np.array(recording.sampling_rate),
+            "overloaded": np.array(recording.overloaded, dtype="U16"),
+            **reduction(recording),
+        }
+        if folder is not None:
+            save_arrays(position_file(folder, index), arrays)
+        kept.append(arrays)
+        on_progress(len(kept), len(places))
+    return assemble(facts, places, kept)
+
+
+def _describe(laboratory: Laboratory, plan: ScanPlan, source: Source | None, reduction: Reduction) -> dict[str, Any]:
+    settings = plan.settings() | {
+        "kept": getattr(reduction, "__name__", type(reduction).__name__),
+        "apparatus_sha256": "" if source is None else source.sha256,
+        "generator": laboratory.rig.identity,
+        "scope": laboratory.scope.identity,
+        "mode": laboratory.mode,
+    }
+    return {
+        "schema": SCHEMA,
+        "mode": laboratory.mode,
+        # As it is read back from JSON, so that both can be compared.
+        "settings": json.loads(json.dumps(settings)),
+        "apparatus": None if source is None else source.as_dict(),
+        "begun": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+        "versions": versions(),
+        "commit": commit(),
+    }
+
+
+def _begin(folder: Path, facts: dict[str, Any], plan: ScanPlan) -> list[dict[str, NDArray[Any]]]:
+    """Return what is recorded already, or describe a new scan in its folder."""
+    if (folder / DESCRIPTION).exists():
+        found = read_facts(folder)
+        _refuse_other(folder, found["settings"], facts["settings"])
+        facts |= {key: found[key] for key in ("begun", "apparatus", "versions", "commit") if key in found}
+        return _recorded(folder, facts)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        strange = next((each.name for each in sorted(folder.iterdir()) if not each.name.startswith(".")), None)
+    except OSError as error:
+        raise RecordError(f"{folder}: cannot be used ({error.strerror}); give another folder") from error
+    if strange is not None:
+        raise RecordError(f"{folder}: holds {strange}, which is no scan's; give an empty folder, or a new one")
+    save_arrays(folder / "burst.npz", {"codes": plan.burst.codes})
+    replace_file(folder / DESCRIPTION, (json.dumps(facts, indent=1, ensure_ascii=False) + "\n").encode(), _REMEDY)
+    return []
+
+
+def _recorded(folder: Path, facts: dict[str, Any]) -> list[dict[str, NDArray[Any]]]:
+    kept = []
+    for index, place in enumerate(facts["settings"]["positions_mm"]):
+        path = position_file(folder, index)
+        if not path.exists():
+            break
+        kept.append(read_position(path, place * 1e-3))
+    return kept
+
+
+def _refuse_other(folder: Path, found: dict[str, Any], asked: dict[str, Any]) -> None:
+    """Refuse to go on with a scan under other settings, naming what differs."""
+    before, now = _flat(found), _flat(asked)
+    different = [name for name in sorted({*before, *now}) if before.get(name) != now.get(name)]
+    if different:
+        shown = "; ".join(f"{name} was {before.get(name)}, now {now.get(name)}" for name in different[:3])
+        more = f" and {len(different) - 3} more" if len(different) > 3 else ""
+        raise RecordError(
+            f"{folder}: holds a scan of other settings ({shown}{more}); go on with the settings it was begun with, "
+            "or give another folder"
+        )
+
+
+def _flat(values: Mapping[str, Any], before: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key, value in values.items():
+        name = f"{before}{key}"
+        flat |= _flat(value, f"{name}.") if isinstance(value, dict) else {name: value}
+    return flat
+
+
+def save_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Write arrays as an npz file in one step: whole or not at all.
+
+    Raises
+    ------
+    RecordError
+        If the file cannot be written.
+    """
+    buffer = io.BytesIO()
+    np.savez(buffer, **dict(arrays))  # type: ignore[arg-type]
+    replace_file(path, buffer.getvalue(), _REMEDY)
