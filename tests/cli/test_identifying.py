@@ -90,7 +90,7 @@ def test_nobody_to_aim_ends_the_scan(tmp_path: Path, monkeypatch: pytest.MonkeyP
         aim(0.0125)
         yield
 
-    monkeypatch.setattr("modaltouch.lab.laboratory.open_laboratory", open_laboratory)
+    monkeypatch.setattr("modaltouch.lab.identification.command.open_laboratory", open_laboratory)
     said = RUN.invoke(app, ["identify", "--apparatus", APPARATUS, "--out", str(tmp_path / "out")])
     assert said.exit_code == 2
     assert "+12.50 mm from mid-beam" in said.stderr

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 
 import pytest
@@ -14,9 +15,9 @@ def test_person_is_asked_for_each_position(monkeypatch, capsys):
     """Expected: millimetres from mid-beam with their sign, on standard error; the bars go on afterwards."""
     monkeypatch.setattr("builtins.input", lambda: "")
     with bars() as showing:
-        showing("field", 1, 2)
+        showing.show("field", 1, 2)
         showing.aim(-0.0125)
-        showing("field", 2, 2)
+        showing.show("field", 2, 2)
     out, err = capsys.readouterr()
     assert out == ""
     assert "-12.50 mm from mid-beam" in err
@@ -44,3 +45,12 @@ def test_nobody_there_is_said(monkeypatch):
     monkeypatch.setattr("builtins.input", closed)
     with bars() as showing, pytest.raises(typer.BadParameter, match="nobody is there to aim"):
         showing.aim(0.0)
+
+
+def test_a_spot_moved_by_hand_is_asked_for_once_a_place(monkeypatch, capsys):
+    """The same place twice in a row: one question."""
+    monkeypatch.setattr("builtins.input", lambda: "")
+    with bars() as showing:
+        for position in (0.01, 0.01, -0.01, 0.01):
+            showing.aim(position)
+    assert re.findall(r"at ([+-][\d.]+) mm", capsys.readouterr().err) == ["+10.00", "-10.00", "+10.00"]

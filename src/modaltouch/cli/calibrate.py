@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from modaltouch.cli.exit_status import print_json, reporting
-from modaltouch.cli.measurement import aside, ask_to_aim
+from modaltouch.cli.exit_status import reporting
+from modaltouch.cli.measurement import bars, give
 from modaltouch.cli.options import JSON, MEASURED_RIG, PROTOCOL
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from modaltouch.lab.calibration.file import CalibrationProgress, Iteration
     from modaltouch.protocol import CalibratedStimulus, Calibration
 
 
@@ -37,94 +33,13 @@ def calibrate(
     63.25 and 200 of 2 to 200 mm/s). Of a protocol with
     several stimuli all are calibrated, into one file. Nothing is written before the end.
     """
-    from modaltouch.lab.calibration.file import (
-        CalibrationContext,
-        calibration_of,
-        grounds_of,
-        levels_between,
-        write_calibration,
-    )
-    from modaltouch.lab.calibration.loop import calibrate_each
-    from modaltouch.lab.laboratory import open_laboratory
-    from modaltouch.preflight import examine
-    from modaltouch.record import prepare_file
-    from modaltouch.system import Interruption
+    from modaltouch.lab import CalibrateOptions
+    from modaltouch.lab import calibrate as measure
 
     with reporting(json_output=json_output):
-        preflight = examine(protocol, uncalibrated=True).require()
-        experiment, grounds = preflight.experiment, grounds_of(preflight)
-        between = levels_between(experiment.protocol)
-        prepare_file(out)
-        with (
-            Interruption() as interruption,
-            _showing(interruption.check, by_hand=rig != "simulated") as (progress, aim),
-            open_laboratory(experiment.apparatus, rig, aim=aim) as laboratory,
-        ):
-            outcomes = calibrate_each(laboratory, experiment.apparatus, grounds, progress, between)
-            circumstances = CalibrationContext(
-                protocol=experiment.protocol.protocol,
-                apparatus=experiment.apparatus,
-                generator=laboratory.rig.identity,
-                scope=laboratory.scope.identity,
-                mode=laboratory.mode,
-                person=person,
-                made=datetime.now().astimezone(),
-            )
-        calibration = calibration_of(outcomes, circumstances)
-        write_calibration(out, calibration)
-        if json_output:
-            print_json({**calibration.model_dump(mode="json"), "file": str(out)})
-        else:
-            _show(calibration, out, protocol)
-
-
-@contextmanager
-def _showing(
-    check: Callable[[], None], *, by_hand: bool
-) -> Iterator[tuple[CalibrationProgress, Callable[[float], None]]]:
-    """Show on standard error what is measured, and each turn's errors; yield that, and what aims the vibrometer."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
-    from rich.progress import Progress as Bars
-
-    from modaltouch.lab.calibration.file import CalibrationProgress
-
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    console = Console(stderr=True)
-    aimed: list[float] = []
-    with Bars(*columns, console=console) as bars:
-        task = bars.add_task("records", total=None)
-
-        of_several: list[str] = []
-
-        def stimulus(name: str) -> None:
-            of_several[:] = [name]
-            bars.print(f"stimulus {name}")
-
-        def step(words: str, n_records: int) -> None:
-            bars.reset(task, description=": ".join([*of_several, words]), total=n_records)
-
-        def turn(measured: Iteration) -> None:
-            velocity, displacement = (error * 1e3 for error in measured.errors)
-            name = "before     " if measured.number == 0 else f"iteration {measured.number}"
-            bars.print(
-                f"{name}  worst velocity error {velocity:7.3f} mm/s, worst w eta error {displacement:7.3f} mm/s, "
-                f"peak {measured.peak_voltage:.0f} V"
-            )
-
-        def aim(position: float) -> None:
-            if not by_hand or aimed[-1:] == [position]:
-                return
-            with aside(bars):
-                ask_to_aim(position)
-            aimed.append(position)
-
-        yield (
-            CalibrationProgress(
-                check=check, stimulus=stimulus, step=step, advance=lambda: bars.advance(task), turn=turn
-            ),
-            aim,
-        )
+        with bars() as progress:
+            report = measure(CalibrateOptions(protocol, out, rig, person), progress)
+        give(report, lambda _: _show(report.calibration, out, protocol), json_output=json_output)
 
 
 def _show(calibration: Calibration, out: Path, protocol: Path) -> None:

@@ -7,10 +7,9 @@ from typing import Annotated, Any
 
 import typer
 
-from modaltouch.cli.exit_status import print_json, reporting
-from modaltouch.cli.measurement import bars
+from modaltouch.cli.exit_status import reporting
+from modaltouch.cli.measurement import bars, give
 from modaltouch.cli.options import JSON, PROTOCOL
-from modaltouch.cli.validate import refuse_few_points
 
 COLUMNS = {
     "at_focus_mm_s": "at focus mm/s",
@@ -48,68 +47,34 @@ def compare(
 
     Everything happens on the twin, whose true beam judges. All methods learn from the same recordings.
     """
-    from modaltouch.lab.comparison.contest import Settings, contest, learn
-    from modaltouch.lab.comparison.page import COMMAND, as_dict, write_comparison
-    from modaltouch.lab.comparison.results import rows_of
-    from modaltouch.preflight import examine
-    from modaltouch.report import refuse_other
-    from modaltouch.system import Interruption, commit
+    from modaltouch.lab import CompareOptions, TooFewPointsError
+    from modaltouch.lab import compare as measure
 
     with reporting(json_output=json_output):
-        preflight = examine(protocol).require()
-        experiment = preflight.experiment
-        folder = out or Path("comparison") / experiment.protocol.protocol
-        refuse_other(folder, COMMAND)
-        refuse_few_points(points, preflight.stimulus.model.label)
-        settings = Settings(points, averages, beams, seed)
-        with Interruption() as interruption, bars() as on_progress:
-            tools: dict[str, Any] = {"on_progress": on_progress, "check": interruption.check}
-            responses = learn(preflight, settings, scan, **tools)
-            found = contest(preflight, responses, settings, **tools)
-        rows = rows_of(found, experiment.protocol.stimulus.focus)
-        about = {
-            "title": experiment.protocol.title or experiment.protocol.protocol,
-            "protocol": str(protocol),
-            "apparatus": experiment.apparatus.apparatus,
-            "seed": seed,
-            "n_records": averages,
-            "commit": commit(),
-        }
-        files = write_comparison(folder, found, rows, about)
-        if json_output:
-            print_json({**as_dict(found, rows, about), "files": {name: str(path) for name, path in files.items()}})
-        else:
-            tell(rows, preflight.stimulus.wish.velocity * 1e3, beams)
-            print(files["comparison.html"])
+        try:
+            with bars() as progress:
+                report = measure(CompareOptions(protocol, out, scan, points, averages, beams, seed), progress)
+        except TooFewPointsError as error:
+            raise typer.BadParameter(str(error)) from None
+        give(report, lambda values: _show(report.table, report.paragraphs, values), json_output=json_output)
 
 
-def tell(rows: list[dict[str, Any]], level: float, n_beams: int) -> None:
-    """Print the methods side by side.
-
-    Parameters
-    ----------
-    rows : list of dict
-        As `rows_of` returns them.
-    level : float
-        Velocity wished at the focus [mm/s].
-    n_beams : int
-        Other beams that the drives were played on.
-    """
+def _show(lines: list[dict[str, Any]], paragraphs: list[str], values: dict[str, Any]) -> None:
+    """Print the methods side by side, what the numbers say, and where the page is."""
     from rich.console import Console
     from rich.table import Table
 
-    from modaltouch.lab.comparison.results import criteria, paragraphs
-
-    console = Console()
-    shown = {key: heading for key, heading in COLUMNS.items() if rows[0].get(key) is not None}
-    found = [each for each in criteria(rows) if each.key in shown]
-    table = Table(title=f"Wished: {level:g} mm/s at the focus; the best of each column bold", title_justify="left")
+    console, methods = Console(), values["methods"]
+    title = f"Wished: {values['velocity_mm_s']:g} mm/s at the focus; the best of each column bold"
+    table = Table(title=title, title_justify="left")
     table.add_column("method", no_wrap=True)
-    for each in found:
-        table.add_column(shown[each.key], justify="right")
-    for row in rows:
-        cells = [(each.printed(row), row in each.winners(rows, level)) for each in found]
-        table.add_row(row["name"], *(f"[bold]{text}[/]" if best else text for text, best in cells))
+    shown = [line for line in lines if line["key"] in COLUMNS and methods[0].get(line["key"]) is not None]
+    for line in shown:
+        table.add_column(COLUMNS[line["key"]], justify="right")
+    for number, method in enumerate(methods):
+        cells = [line["cells"][number] for line in shown]
+        table.add_row(method["name"], *(f"[bold]{cell['text']}[/]" if cell["best"] else cell["text"] for cell in cells))
     console.print(table)
-    for words in paragraphs(rows, level, n_beams):
+    for words in paragraphs:
         console.print(words, highlight=False)
+    print(values["files"]["comparison.html"])

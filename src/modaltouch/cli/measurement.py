@@ -1,59 +1,64 @@
-"""What the commands that measure a beam share: whose rig, how far, and who moves the vibrometer."""
+"""What the commands that measure a beam share: progress bars, who moves the vibrometer, and how a report is given."""
 
 from __future__ import annotations
 
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Protocol
 
 import typer
+
+from modaltouch.cli.exit_status import print_json
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
+    from modaltouch.lab import MeasurementProgress
 
-class MeasurementProgress:
-    """Bars on standard error, out of the way while somebody is asked to aim.
 
-    Parameters
-    ----------
-    bars : rich.progress.Progress
-        Where they are shown.
-    """
+class LabReport(Protocol):
+    """What a command of the lab returns."""
 
-    def __init__(self, bars: Progress) -> None:
-        self._bars = bars
-        self._tasks: dict[str, TaskID] = {}
+    def write(self) -> dict[str, Any]:
+        """Write the files and return everything as plain values."""
 
-    def __call__(self, what: str, done: int, total: int) -> None:
-        """Show how much of something is done."""
-        if what not in self._tasks:
-            self._tasks[what] = self._bars.add_task(what, total=total)
-        self._bars.update(self._tasks[what], completed=done, total=total)
 
-    def aim(self, position: float) -> None:
-        """Have the person at the rig bring the vibrometer's spot to a position [m from mid-beam].
-
-        The outputs are off meanwhile, so Ctrl-C may end it at once.
-        """
-        with aside(self._bars):
-            ask_to_aim(position)
+def give(report: LabReport, show: Callable[[dict[str, Any]], None], *, json_output: bool) -> None:
+    """Write a report's files, and print what it holds."""
+    (print_json if json_output else show)(report.write())
 
 
 @contextmanager
 def bars() -> Iterator[MeasurementProgress]:
-    """Show on standard error what is being done, how far it is, and how long the rest will take."""
+    """Show on standard error what is being done and how far it is; ask there for the vibrometer to be aimed."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+    from modaltouch.lab import MeasurementProgress
+
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    tasks: dict[str, TaskID] = {}
+    aimed: list[float] = []
     with Progress(*columns, console=Console(stderr=True)) as shown:
-        yield MeasurementProgress(shown)
+
+        def show(what: str, done: int, total: int) -> None:
+            if what not in tasks:
+                tasks[what] = shown.add_task(what, total=total)
+            shown.update(tasks[what], completed=done, total=total)
+
+        def aim(position: float) -> None:
+            """Ask once for a place, however many records follow each other there."""
+            if aimed != [position]:
+                with _aside(shown):
+                    _ask_to_aim(position)
+                aimed[:] = [position]
+
+        yield MeasurementProgress(show=show, say=shown.print, aim=aim)
 
 
 @contextmanager
-def aside(bars: Progress) -> Iterator[None]:
+def _aside(bars: Progress) -> Iterator[None]:
     """Have the bars out of the way while somebody is asked for something, and Ctrl-C end that at once."""
     bars.stop()
     noting = signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -64,14 +69,8 @@ def aside(bars: Progress) -> Iterator[None]:
         bars.start()
 
 
-def ask_to_aim(position: float) -> None:
-    """Ask the person at the rig to bring the vibrometer's spot to a position, and wait until it is there.
-
-    Parameters
-    ----------
-    position : float
-        Where, origin at mid-beam [m].
-    """
+def _ask_to_aim(position: float) -> None:
+    """Ask for the vibrometer's spot to be brought to a position [m from mid-beam], and wait until it is there."""
     typer.echo(f"Aim the vibrometer at {position * 1e3:+.2f} mm from mid-beam, then press Enter.", err=True)
     try:
         input()

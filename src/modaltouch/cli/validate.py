@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from modaltouch.cli.exit_status import print_json, reporting
-from modaltouch.cli.measurement import bars
+from modaltouch.cli.exit_status import reporting
+from modaltouch.cli.measurement import bars, give
 from modaltouch.cli.options import CALIBRATION, JSON, MEASURED_RIG, PROTOCOL
-
-if TYPE_CHECKING:
-    from modaltouch.lab.validation.page import ValidationContext
-    from modaltouch.lab.validation.recording import Observation
-    from modaltouch.preflight import Preflight
 
 
 def validate(
@@ -40,121 +35,30 @@ def validate(
 
     The highest level of the protocol is played. Measured is set beside wished, with the errors in mm/s.
     """
-    from modaltouch.lab.validation.evidence import evaluate
-    from modaltouch.lab.validation.key_figures import key_figures
-    from modaltouch.lab.validation.page import COMMAND, as_dict, write_evidence
-    from modaltouch.preflight import examine
-    from modaltouch.report import refuse_other
+    from modaltouch.lab import TooFewPointsError, ValidateOptions
+    from modaltouch.lab import validate as measure
 
     with reporting(json_output=json_output):
-        preflight = examine(protocol, calibration).of_one_stimulus()
-        experiment = preflight.experiment
-        folder = out or Path("validation") / experiment.protocol.protocol
-        refuse_other(folder, COMMAND)
-        refuse_few_points(points, preflight.stimulus.model.label)
-        observed, occasion = _observe(preflight, protocol, rig, scan, points, averages)
-        evidences = evaluate(observed)
-        figures = [key_figures(each, experiment.protocol.conditions.zone_pairs) for each in evidences]
-        files = write_evidence(folder, evidences, figures, occasion)
-        if json_output:
-            names = {name: str(path) for name, path in files.items()}
-            print_json({**as_dict(evidences, figures, occasion), "files": names})
-        else:
-            tell(figures)
-            print(files["validation.html"])
+        options = ValidateOptions(protocol, calibration, rig, out, scan, points, averages)
+        try:
+            with bars() as progress:
+                report = measure(options, progress)
+        except TooFewPointsError as error:
+            raise typer.BadParameter(str(error)) from None
+        give(report, lambda values: _show(report.table, values), json_output=json_output)
 
 
-def refuse_few_points(points: int, labels: tuple[int, ...]) -> None:
-    """Refuse fewer points along the beam than tell the modelled modes apart.
-
-    Parameters
-    ----------
-    points : int
-        Points from end to end.
-    labels : tuple of int
-        Labels of the modelled modes.
-
-    Raises
-    ------
-    typer.BadParameter
-        If there are no two points to each half wave of the highest.
-    """
-    # Mode k has k - 1 nodes; as many points as modes up to it, and half as many again against noise.
-    least = -(-3 * max(labels) // 2)
-    if points < least:
-        raise typer.BadParameter(
-            f"given --points {points}; allowed: at least {least}, since fewer cannot tell mode {max(labels)} from the "
-            "others; 41 suit the shipped beam"
-        )
-
-
-def _observe(
-    preflight: Preflight, protocol: Path, address: str, folder: Path | None, points: int, averages: int
-) -> tuple[list[Observation], ValidationContext]:
-    """Return what was recorded, now or before, and the occasion."""
-    from modaltouch.lab.laboratory import open_laboratory
-    from modaltouch.lab.validation.page import ValidationContext
-    from modaltouch.lab.validation.recording import complete, read_laws, record_laws
-    from modaltouch.system import Interruption, commit
-
-    experiment, (ground, stimulus) = preflight.experiment, preflight.sound
-    if folder is not None and complete(folder):
-        observed = read_laws(ground, folder)
-    else:
-        with (
-            Interruption() as interruption,
-            bars() as showing,
-            open_laboratory(experiment.apparatus, address, aim=showing.aim) as laboratory,
-        ):
-            observed = record_laws(
-                ground,
-                laboratory,
-                stimulus.wish.velocity,
-                n_points=points,
-                n_records=averages,
-                folder=folder,
-                source=experiment.sources.apparatus,
-                on_progress=showing,
-                check=interruption.check,
-            )
-    settings = observed[0].field.facts["settings"]
-    return observed, ValidationContext(
-        title=experiment.protocol.title or experiment.protocol.protocol,
-        protocol=str(protocol),
-        apparatus=experiment.apparatus.apparatus,
-        mode=observed[0].field.mode,
-        generator=settings["generator"],
-        scope=settings["scope"],
-        limit=experiment.apparatus.amplifier.limit_V,
-        calibration=_calibration(preflight),
-        commit=commit(),
-    )
-
-
-def _calibration(preflight: Preflight) -> str:
-    """Return the name of the calibration that is used; empty without one."""
-    reading = preflight.findings.calibration
-    return "" if reading is None else str(reading.source.path)
-
-
-def tell(figures: list[dict[str, Any]]) -> None:
-    """Print the laws side by side.
-
-    Parameters
-    ----------
-    figures : list of dict
-        As `key_figures` returns them, one to each law.
-    """
+def _show(lines: list[dict[str, Any]], values: dict[str, Any]) -> None:
+    """Print the laws side by side, and where the page is."""
     from rich.console import Console
     from rich.table import Table
 
-    from modaltouch.lab.validation.key_figures import summary
-
-    table = Table(title=f"Measured at {figures[0]['velocity_mm_s']:g} mm/s", title_justify="left")
+    table = Table(title=f"Measured at {values['laws'][0]['velocity_mm_s']:g} mm/s", title_justify="left")
     table.add_column("quantity [unit]")
-    for each in figures:
-        table.add_column(f"law {each['law']}", justify="right", no_wrap=True)
-    for row in summary(figures):
-        name = row["quantity"] if row["unit"] == "1" else f"{row['quantity']} \\[{row['unit']}]"
-        table.add_row(name, *row["cells"])
+    for law in values["laws"]:
+        table.add_column(f"law {law['law']}", justify="right", no_wrap=True)
+    for line in lines:
+        name = line["quantity"] if line["unit"] == "1" else f"{line['quantity']} \\[{line['unit']}]"
+        table.add_row(name, *line["cells"])
     Console().print(table)
+    print(values["files"]["validation.html"])

@@ -1,5 +1,44 @@
-"""Measures the beam: identification, calibration, validation and comparison.
+"""Measures the beam: identification, calibration, validation, and a comparison with other methods of focusing.
 
-Each loads for its own command alone. In come a rig, or its twin, and an apparatus or a protocol;
-out come apparatus and calibration files, figures and a page.
+In goes what to measure and on which rig, or the twin; out comes a report, which holds the result and writes its files:
+an apparatus file (`identify`), a calibration file (`calibrate`), or a page with figures and tables (`validate`,
+`compare`). `open_laboratory` gives generator and scope to whoever wants to measure something else.
 """
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from modaltouch.system import lazily
+
+if TYPE_CHECKING:
+    from modaltouch.lab.calibration.command import CalibrateOptions, calibrate
+    from modaltouch.lab.comparison.command import CompareOptions, compare
+    from modaltouch.lab.identification.command import IdentifyOptions, identify
+    from modaltouch.lab.laboratory import MeasurementProgress, TooFewPointsError, open_laboratory
+    from modaltouch.lab.validation.command import ValidateOptions, validate
+else:
+    __getattr__ = lazily(
+        __name__,
+        {
+            "calibration.command": "CalibrateOptions calibrate",
+            "comparison.command": "CompareOptions compare",
+            "identification.command": "IdentifyOptions identify",
+            "laboratory": "MeasurementProgress TooFewPointsError open_laboratory",
+            "validation.command": "ValidateOptions validate",
+        },
+    )
+
+__all__ = [
+    "CalibrateOptions",
+    "CompareOptions",
+    "IdentifyOptions",
+    "MeasurementProgress",
+    "TooFewPointsError",
+    "ValidateOptions",
+    "calibrate",
+    "compare",
+    "identify",
+    "open_laboratory",
+    "validate",
+]

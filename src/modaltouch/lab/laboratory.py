@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 from modaltouch.protocol import Apparatus
@@ -24,7 +24,7 @@ from modaltouch.rig import (
     start_simulator,
 )
 from modaltouch.stimulus import Burst
-from modaltouch.system import SYSTEM_CLOCK, VirtualClock
+from modaltouch.system import SYSTEM_CLOCK, Interruption, VirtualClock
 
 if TYPE_CHECKING:
     from modaltouch.rig import Repetition, Simulator
@@ -48,12 +48,51 @@ SETTLING_TIME = 0.5
 """From the first burst until the beam repeats itself: 30 times the decay of a mode of 20 Hz bandwidth [s]."""
 
 
-def _ignore(event: str, **facts: Any) -> None:
-    """Take an event and forget it."""
+def quiet(*_: object, **__: object) -> None:
+    """Take anything and do nothing."""
 
 
-def _stay(position: float) -> None:
-    """Leave the vibrometer's spot to whoever moves it."""
+class TooFewPointsError(ValueError):
+    """Points along the beam that cannot tell the modelled modes apart."""
+
+    @classmethod
+    def check(cls, points: int, labels: tuple[int, ...]) -> None:
+        """Refuse fewer points from end to end than two to each half wave of the highest mode."""
+        # Mode k has k - 1 nodes; as many points as modes up to it, and half as many again against noise.
+        least = -(-3 * max(labels) // 2)
+        if points < least:
+            raise cls(
+                f"given --points {points}; allowed: at least {least}, since fewer cannot tell mode {max(labels)} from "
+                "the others; 41 suit the shipped beam"
+            )
+
+
+@dataclass(frozen=True)
+class MeasurementProgress:
+    """What a measurement reports and asks for while it lasts; what is not given is not reported.
+
+    Attributes
+    ----------
+    show : callable
+        Called with what is being done, how much of it is done, and how much there is.
+    say : callable
+        Called with a line of text.
+    aim : callable
+        Called with a position [m from mid-beam]; returns when the vibrometer's spot is there.
+    check : callable
+        Called between records; may raise to stop.
+    """
+
+    show: Callable[[str, int, int], None] = quiet
+    say: Callable[[str], None] = quiet
+    aim: Callable[[float], None] = quiet
+    check: Callable[[], None] = quiet
+
+    @contextmanager
+    def interruptible(self) -> Iterator[MeasurementProgress]:
+        """Yield the same, stopped between two records by a signal."""
+        with Interruption() as interruption:
+            yield replace(self, check=interruption.check)
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,18 +122,12 @@ class Laboratory:
     rig: Rig
     scope: Scope
     mode: Mode
-    aim: Callable[[float], None] = _stay
+    aim: Callable[[float], None] = quiet
     settling_time: float = 0.0
     simulator: Simulator | None = None
 
     def load(self, burst: Burst) -> None:
-        """Have a burst in the generator, verified; the outputs are off.
-
-        Raises
-        ------
-        RigError
-            If the generator does not confirm it.
-        """
+        """Load a burst into the generator, verified; the outputs are off."""
         self.rig.load(burst)
 
     def record(self, position: float, velocity: float, acquisition: Acquisition) -> Recording:
@@ -178,8 +211,8 @@ def open_laboratory(
     *,
     seed: int | None = None,
     repetition: Repetition | None = None,
-    aim: Callable[[float], None] = _stay,
-    log: Callable[..., None] = _ignore,
+    aim: Callable[[float], None] = quiet,
+    log: Callable[..., None] = quiet,
     **options: Any,
 ) -> Iterator[Laboratory]:
     """Open generator and scope; on every way out the outputs are off.
@@ -224,7 +257,7 @@ def open_laboratory(
         from modaltouch.rig import PicoScope
 
         # The scope first: without it there is nothing to play for.
-        scope = stack.enter_context(PicoScope(apparatus, _stay))
+        scope = stack.enter_context(PicoScope(apparatus, quiet))
         rig = open_generator(address)
         mode: Mode = "simulated" if is_simulated(rig.identity) else "real"
         yield Laboratory(apparatus, rig, scope, mode, aim, SETTLING_TIME)

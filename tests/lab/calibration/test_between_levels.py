@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modaltouch.lab.calibration.file import aimed_ground, grounds_of, levels_between
+from modaltouch.lab.calibration.command import grounds_of, levels_between
+from modaltouch.lab.calibration.file import aimed_ground
 from modaltouch.lab.calibration.loop import calibrate_each
 from modaltouch.preflight import examine
 from modaltouch.preflight.examination import design_to_fit

@@ -33,7 +33,7 @@ def test_drive_tells_amplifier_and_clock(
         velocity_limit=0.5,
     )
     commanded = commanded_voltage(burst, listed.amplifier.gain)
-    taking = DecayRecorder(bench, listed.model, listed.timing, 0.5, 0.0, lambda: None, lambda: None)
+    taking = DecayRecorder(bench, listed.model, listed.timing, 0.5, 0.0)
     found = fit_drive(taking.drive(burst, float(np.abs(commanded).max())), commanded, listed.timing)
     assert found.delay == pytest.approx(delay * 1e-6 - 50e-9, abs=10e-9)
     assert found.bandwidth == pytest.approx(kilohertz * 1e3, rel=0.02)

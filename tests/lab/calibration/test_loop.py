@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 from modaltouch.lab.calibration.acquisition import measuring_points
-from modaltouch.lab.calibration.file import CalibrationProgress, Iteration, aimed_ground, grounds_of, significant
+from modaltouch.lab.calibration.command import grounds_of
+from modaltouch.lab.calibration.file import aimed_ground, significant
 from modaltouch.lab.calibration.loop import calibrate
 from modaltouch.lab.calibration.plant import ModalState
+from modaltouch.lab.laboratory import MeasurementProgress
 from modaltouch.preflight import Preflight, examine
 from modaltouch.preflight.design_inputs import design
 from modaltouch.preflight.examination import design_to_fit
@@ -144,19 +146,24 @@ def test_a_signal_ends_it_before_the_next_record(
             raise Interrupted("SIGINT")
 
     with pytest.raises(Interrupted):
-        calibrate(bench, shipped_apparatus, preflight.ground, CalibrationProgress(check=check))
+        calibrate(bench, shipped_apparatus, preflight.ground, MeasurementProgress(check=check))
     assert bench.n_records == 5
 
 
 def test_turns_are_told_as_they_are_measured(
     make_bench: Callable, preflight: Preflight, shipped_apparatus: Apparatus
 ) -> None:
-    """Every turn, in order, with the number of records announced beforehand."""
-    bench, turns, announced = make_bench(shipped_apparatus, 2), list[Iteration](), []
-    progress = CalibrationProgress(turn=turns.append, step=lambda words, n: announced.append(n))
+    """Every turn, in order, with the number of records announced beforehand; each step ends complete."""
+    bench, said, shown = make_bench(shipped_apparatus, 2), list[str](), dict[str, tuple[int, int]]()
+    progress = MeasurementProgress(
+        say=said.append, show=lambda what, done, total: shown.__setitem__(what, (done, total))
+    )
     outcome = calibrate(bench, shipped_apparatus, preflight.ground, progress)
-    assert tuple(turns) == outcome.turns
-    assert sum(announced) == bench.n_records
+    assert said == [str(turn) for turn in outcome.turns]
+    assert said[0].startswith("before       worst velocity error ")
+    assert said[1].startswith("iteration 1  worst velocity error ")
+    assert all(done == total for done, total in shown.values())
+    assert sum(total for _, total in shown.values()) == bench.n_records
 
 
 def test_the_papers_law_has_no_targets(edit: Callable) -> None:

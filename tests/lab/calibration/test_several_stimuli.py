@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from modaltouch.__main__ import main
-from modaltouch.lab.calibration.file import CalibrationProgress, grounds_of
+from modaltouch.lab.calibration.command import grounds_of
 from modaltouch.lab.calibration.loop import calibrate_each
-from modaltouch.lab.laboratory import open_laboratory
+from modaltouch.lab.laboratory import MeasurementProgress, open_laboratory
 from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.calibration_file import examine_calibration
@@ -52,13 +52,21 @@ def test_the_rig_is_identified_once_for_all(make_bench: Callable, mismatched: Ap
     """Records of amplifier, clock and modes are taken before the first stimulus alone; both end within 0.3 mm/s."""
     preflight = examine(TWO_FIELDS).require()
     bench, steps = make_bench(mismatched, 3), []
-    told = CalibrationProgress(stimulus=lambda name: steps.append(name), step=lambda words, n: steps.append(words))
+
+    def show(what: str, done: int, total: int) -> None:
+        if done == 0:
+            steps.append(what)
+
+    said: list[str] = []
+    told = MeasurementProgress(show=show, say=said.append)
     outcomes = calibrate_each(bench, mismatched, grounds_of(preflight), told)
     assert list(outcomes) == ["sharp", "blunt"]
-    assert steps[:5] == ["sharp", "amplifier and clock", "modes, by output 1", "modes, by output 2", "before"]
-    after = steps[steps.index("blunt") + 1 :]
-    assert after[0] == "before"
-    assert not any(words.startswith(("amplifier", "modes")) for words in after)
+    assert [words for words in said if words.startswith("stimulus")] == ["stimulus sharp", "stimulus blunt"]
+    identified = ["amplifier and clock", "modes, by output 1", "modes, by output 2", "before"]
+    assert steps[:4] == [f"sharp: {words}" for words in identified]
+    after = [words for words in steps if words.startswith("blunt: ")]
+    assert after[0] == "blunt: before"
+    assert not any("amplifier" in words or "modes" in words for words in after)
     assert outcomes["sharp"].plant is outcomes["blunt"].plant
     for outcome in outcomes.values():
         assert outcome.turns[0].worst > 1e-3 > 0.3e-3 > outcome.best.worst

@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 
 from modaltouch.__main__ import main
-from modaltouch.cli import calibrate as calibrating
 from modaltouch.lab.laboratory import Laboratory, open_laboratory
 from modaltouch.preflight import examine
 from modaltouch.record.chain import read_chain
@@ -165,13 +164,3 @@ def test_a_signal_ends_it_with_the_outputs_off_and_nothing_written(
     assert outputs[-1] == (False, False)
     assert "the outputs are off" in json.loads(capsys.readouterr().out)["error"]
     assert list(tmp_path.glob("*.yaml")) == []
-
-
-def test_a_spot_moved_by_hand_is_asked_for_once_a_place(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The same place twice in a row: one question."""
-    asked: list[float] = []
-    monkeypatch.setattr(calibrating, "ask_to_aim", asked.append)
-    with calibrating._showing(lambda: None, by_hand=True) as (_, aim):
-        for position in (0.01, 0.01, -0.01, 0.01):
-            aim(position)
-    assert asked == [0.01, -0.01, 0.01]

@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 from modaltouch.lab.calibration.file import (
-    CalibrationContext,
     CalibrationResult,
     aimed_ground,
     calibration_of,
@@ -38,15 +37,13 @@ def calibration(preflight: Preflight, outcome: CalibrationResult) -> Calibration
     """Its file's content."""
     return calibration_of(
         {"": outcome},
-        CalibrationContext(
-            protocol="differentiated_stimulation",
-            apparatus=preflight.experiment.apparatus,
-            generator="TEKTRONIX,AFG3022B,C012345,SCPI:99.0 FV:3.2.2\n",
-            scope="PicoScope 3404D, 0001",
-            mode="real",
-            person="Zoé",
-            made=datetime(2026, 5, 4, 10, 30, tzinfo=UTC),
-        ),
+        protocol="differentiated_stimulation",
+        apparatus=preflight.experiment.apparatus,
+        generator="TEKTRONIX,AFG3022B,C012345,SCPI:99.0 FV:3.2.2\n",
+        scope="PicoScope 3404D, 0001",
+        mode="real",
+        person="Zoé",
+        made=datetime(2026, 5, 4, 10, 30, tzinfo=UTC),
     )
 
 

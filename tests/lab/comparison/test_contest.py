@@ -11,8 +11,8 @@ import pytest
 from typer.testing import CliRunner
 
 from modaltouch.cli.app import app
-from modaltouch.lab.comparison.contest import Settings, contend, true_lag, without_mismatch
-from modaltouch.lab.comparison.page import write_comparison
+from modaltouch.lab.comparison.command import ComparisonReport
+from modaltouch.lab.comparison.contest import contend, true_lag, without_mismatch
 from modaltouch.lab.comparison.results import Criterion, criteria, paragraphs, rows_of
 from modaltouch.rig.simulator.twin import Twin
 
@@ -23,7 +23,7 @@ ABOUT = {"title": "A <title>", "protocol": "p.yaml", "apparatus": "beam", "seed"
 @pytest.fixture(scope="module")
 def found(preflight, known):
     """Return the comparison with what the table says, played through the driver, on two other beams."""
-    return contend(preflight, known, Settings(n_beams=2))
+    return contend(preflight, known, n_beams=2)
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +99,8 @@ def test_words_name_the_rival_that_wins_and_change_with_the_numbers(rows):
 
 def test_page_json_and_table_hold_the_same(found, rows, tmp_path):
     """One page without network, one JSON, one CSV; every criterion and every method."""
-    files = write_comparison(tmp_path / "out", found, rows, ABOUT)
+    written = ComparisonReport(found, "C", ABOUT, tmp_path / "out").write()
+    files = {name: Path(path) for name, path in written["files"].items()}
     page = files["comparison.html"].read_text()
     assert "A &lt;title&gt;" in page
     assert len(re.findall(r'<img src="data:image/svg\+xml;base64,', page)) == page.count("<img") == 4

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modaltouch.lab.comparison.contest import Settings, for_rivals, identified_model, learn, without_mismatch
+from modaltouch.lab.comparison.contest import for_rivals, identified_model, learn, without_mismatch
 from modaltouch.lab.comparison.methods import design_all
 from modaltouch.lab.comparison.training_data import TrainingData
 from modaltouch.lab.identification.joint_fit import identify
@@ -35,7 +35,7 @@ def test_learning_measures_the_true_responses(preflight):
 
     Within 4 %, and four times the noise of two records.
     """
-    recorded = learn(preflight, Settings(n_points=3, n_records=2))
+    recorded = learn(preflight, n_points=3, n_records=2)
     assert recorded.positions == pytest.approx([-0.05, 0.0, 0.05])
     twin = Twin(without_mismatch(preflight.experiment.apparatus), 1)
     system, table = twin.beam.equations(replace(twin.amplifier, bandwidth=None, delay=0.0)), twin.beam.table

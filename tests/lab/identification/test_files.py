@@ -12,7 +12,7 @@ import pytest
 from modaltouch.lab.identification.files import ResponseFormat, read_responses
 from modaltouch.lab.identification.joint_fit import identify_each
 from modaltouch.lab.identification.peaks import half_power
-from modaltouch.lab.identification.report import recognise, roots
+from modaltouch.lab.identification.shapes import recognise, roots
 
 POLES = ((120.0, 0.012), (330.0, 0.008), (640.0, 0.006))
 RESIDUES = np.array([[1.0, 0.6, -0.4], [0.7, -1.0, 0.9]])

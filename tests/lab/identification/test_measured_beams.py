@@ -15,8 +15,8 @@ import pytest
 
 from modaltouch.lab.identification.files import ResponseFormat, read_responses
 from modaltouch.lab.identification.joint_fit import identify_each
-from modaltouch.lab.identification.report import recognise
 from modaltouch.lab.identification.responses import FrequencyResponses, as_velocity
+from modaltouch.lab.identification.shapes import recognise
 
 pytestmark = pytest.mark.measured_data
 

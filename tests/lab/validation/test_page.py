@@ -8,8 +8,8 @@ import pytest
 from typer.testing import CliRunner
 
 from modaltouch.cli.app import app
-from modaltouch.lab.validation.key_figures import findings, key_figures
-from modaltouch.lab.validation.page import ValidationContext, write_evidence
+from modaltouch.lab.validation.command import ValidationContext, ValidationReport
+from modaltouch.lab.validation.key_figures import findings
 from modaltouch.record.chain import RecordError
 from modaltouch.report.output import write_files
 
@@ -22,8 +22,8 @@ PAIRS = [("A", "C"), ("B", "D"), ("C", "E")]
 def written(evidences, tmp_path_factory):
     """Return the files, and the figures that they show."""
     folder = tmp_path_factory.mktemp("page") / "out"
-    figures = [key_figures(each, PAIRS) for each in evidences]
-    return write_evidence(folder, evidences, figures, OCCASION), figures
+    report = ValidationReport(evidences, PAIRS, OCCASION, folder)
+    return {name: Path(path) for name, path in report.write()["files"].items()}, report.figures
 
 
 def test_page_needs_no_network(written):
@@ -61,11 +61,11 @@ def test_words_follow_the_numbers(written):
     assert "Law “paper” has the smaller worst modal error" in " ".join(findings(swapped))
 
 
-def test_an_analysis_is_not_replaced(written, evidences, tmp_path):
+def test_an_analysis_is_not_replaced(evidences, tmp_path):
     """A folder belongs to the command that made it."""
     write_files(tmp_path / "out", {"tests.csv": b"1"}, {})
     with pytest.raises(RecordError, match="holds what `modaltouch analyse` made"):
-        write_evidence(tmp_path / "out", evidences, written[1], OCCASION)
+        ValidationReport(evidences, PAIRS, OCCASION, tmp_path / "out").write()
 
 
 def test_command_reads_kept_scans_without_a_rig(written, kept, tmp_path):

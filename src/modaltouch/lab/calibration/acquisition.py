@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import typing
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.lab.calibration.delays import DriveDelay
+from modaltouch.lab.laboratory import MeasurementProgress
 from modaltouch.rig import Acquisition, Recording, RigError
 from modaltouch.stimulus import (
     MID_CODE,
@@ -225,10 +225,10 @@ class DecayRecorder:
         End of the vibrometer's range [m/s].
     latency : float
         From the generator's first sample to the scope's [s].
-    check : callable
-        Called before each record; raises where a signal has come.
-    advance : callable
-        Called after each record.
+    progress : MeasurementProgress
+        What is called before and after each record.
+    name : str
+        Of the stimulus, where there are several.
     margin : float
         From the focusing instant to the first sample of a decay [s].
     """
@@ -238,10 +238,19 @@ class DecayRecorder:
     timing: Timing
     highest_velocity: float
     latency: float
-    check: Callable[[], None]
-    advance: Callable[[], None]
+    progress: MeasurementProgress = field(default_factory=MeasurementProgress)
+    name: str = ""
     margin: float = field(default=MARGIN, init=False)
     _forth: bool = field(default=False, init=False)
+    _step: str = field(default="", init=False)
+    _done: int = field(default=0, init=False)
+    _total: int = field(default=0, init=False)
+
+    def begin(self, step: str, n_records: int) -> None:
+        """Announce a step, and how many records it takes."""
+        self._step = f"{self.name}: {step}" if self.name else step
+        self._done, self._total = 0, n_records
+        self.progress.show(self._step, 0, n_records)
 
     @property
     def rate(self) -> float:
@@ -353,10 +362,11 @@ class DecayRecorder:
         if highest:
             asked = replace(asked, velocity_range=min(HEADROOM * highest, self.highest_velocity))
         for _ in range(6):
-            self.check()
+            self.progress.check()
             recording = self.bench.record(point, level, asked)
             if not recording.overloaded:
-                self.advance()
+                self._done += 1
+                self.progress.show(self._step, self._done, self._total)
                 return replace(recording, time=recording.time + self.latency)
             wide = asked.velocity_range is None or asked.velocity_range >= self.highest_velocity
             if "velocity" in recording.overloaded and wide:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.lab.calibration.plant import ModalState, Plant
-from modaltouch.preflight import DesignInputs, Preflight, at_stimulus
+from modaltouch.preflight import DesignInputs
 from modaltouch.protocol import (
     Apparatus,
     CalibratedAmplifier,
@@ -23,12 +23,9 @@ from modaltouch.protocol import (
     Calibration,
     CalibrationFile,
     CalibrationOfSeveral,
-    InputError,
     Instruments,
     IterationFigures,
     MeasuringChain,
-    Problem,
-    Protocol,
     apparatus_hash,
 )
 from modaltouch.record import prepare_file, replace_file
@@ -63,6 +60,15 @@ class Iteration:
     def worst(self) -> float:
         """The larger of both errors [m/s]."""
         return max(self.errors)
+
+    def __str__(self) -> str:
+        """Return a line for the operator."""
+        name = f"iteration {self.number}" if self.number else "before     "
+        velocity, displacement = (error * 1e3 for error in self.errors)
+        return (
+            f"{name}  worst velocity error {velocity:7.3f} mm/s, worst w eta error {displacement:7.3f} mm/s, "
+            f"peak {self.peak_voltage:.0f} V"
+        )
 
 
 @dataclass(frozen=True)
@@ -130,93 +136,11 @@ class CalibrationResult:
     levels: tuple[Level, ...]
 
 
-def _quiet(*_: object) -> None:
-    """Say nothing, stop at no moment."""
-
-
-@dataclass(frozen=True)
-class CalibrationProgress:
-    """Whom to tell what the loop does.
-
-    Attributes
-    ----------
-    check : callable
-        Called before each record; raises where a signal has come.
-    stimulus : callable
-        Called with the name of each of several stimuli, before its targets are corrected.
-    step : callable
-        Called with what begins, in words, and how many records it takes.
-    advance : callable
-        Called after each record.
-    turn : callable
-        Called with each `Iteration` as soon as it is measured.
-    """
-
-    check: Callable[[], None] = _quiet
-    stimulus: Callable[[str], None] = _quiet
-    step: Callable[[str, int], None] = _quiet
-    advance: Callable[[], None] = _quiet
-    turn: Callable[[Iteration], None] = _quiet
-
-
-N_BETWEEN = 3
-"""Levels verified between bounds within which any level may be played."""
-
 CERTAIN = 3.0
 """Standard errors below which a deviation may be noise, and is not corrected [1]."""
 
 DIGITS = 6
 """Decimals of a target in mm/s that the file keeps: a thousandth of what noise leaves."""
-
-
-def grounds_of(preflight: Preflight) -> dict[str, DesignInputs]:
-    """Return what each stimulus of a checked protocol is designed from, by name; one alone has none.
-
-    Raises
-    ------
-    InputError
-        If anything is wrong with the files, or a stimulus has no targets that could be corrected.
-    """
-    preflight.require()
-    faults = {name: list(_uncorrectable(part)) for name, part in preflight.parts.items()}
-    problems = [each for name, own in faults.items() for each in at_stimulus(preflight.findings, name, own)]
-    if problems:
-        raise InputError(problems)
-    return {name: part.sound[0] for name, part in preflight.parts.items()}
-
-
-def levels_between(protocol: Protocol) -> tuple[float, ...]:
-    """Return the levels between a protocol's bounds that are verified too, at equal ratios [mm/s].
-
-    An adaptive run, or a participant whose levels are calibrated, may get any level there. Other protocols have none:
-    every level that is played is measured.
-
-    Parameters
-    ----------
-    protocol : Protocol
-        The protocol.
-    """
-    if protocol.adaptive is None and protocol.conditions.sensation_levels is None:
-        return ()
-    low, *_, high = sorted(protocol.conditions.peak_velocities_mm_s)
-    ratio = (high / low) ** (1 / (N_BETWEEN + 1))
-    return tuple(float(f"{low * ratio**step:.4g}") for step in range(1, N_BETWEEN + 1))
-
-
-def _uncorrectable(preflight: Preflight) -> Iterator[Problem]:
-    """Yield why the targets of a protocol's one stimulus cannot be corrected."""
-    (ground, _), reading = preflight.sound, preflight.findings.protocol
-    if reading is None:
-        return
-    if ground.section.law != "exact":
-        given = f"{ground.section.law}, a law without targets that could be corrected"
-        yield reading.problem(("stimulus", "law"), given, "exact", "calibrate the exact law")
-    if ground.section.field.file is not None:
-        given, remedy = (
-            "a file, which a calibration does not hold",
-            "write the points into the protocol, under `points`",
-        )
-        yield reading.problem(("stimulus", "field", "file"), given, "points", remedy)
 
 
 def significant(state: ModalState, target: FloatArray) -> FloatArray:
@@ -280,12 +204,23 @@ HEAD = """\
 """
 
 
-@dataclass(frozen=True)
-class CalibrationContext:
-    """What a calibration was made of and with.
+def calibration_of(
+    outcomes: Mapping[str, CalibrationResult],
+    *,
+    protocol: str,
+    apparatus: Apparatus,
+    generator: str,
+    scope: str,
+    mode: str,
+    person: str,
+    made: datetime,
+) -> Calibration:
+    """Return a finished calibration in the form and the units of its file.
 
-    Attributes
+    Parameters
     ----------
+    outcomes : mapping of str to CalibrationResult
+        What came of each stimulus, by name, on one rig; of one alone, under an empty name.
     protocol : str
         Name of the protocol.
     apparatus : Apparatus
@@ -299,27 +234,17 @@ class CalibrationContext:
     made : datetime
         When, with its offset from UTC.
     """
-
-    protocol: str
-    apparatus: Apparatus
-    generator: str
-    scope: str
-    mode: str
-    person: str
-    made: datetime
-
-
-def calibration_of(outcomes: Mapping[str, CalibrationResult], circumstances: CalibrationContext) -> Calibration:
-    """Return a finished calibration in the form and the units of its file.
-
-    Parameters
-    ----------
-    outcomes : mapping of str to CalibrationResult
-        What came of each stimulus, by name, on one rig; of one alone, under an empty name.
-    circumstances : CalibrationContext
-        What it was made with.
-    """
-    shared = _shared(next(iter(outcomes.values())), circumstances)
+    change = commit()
+    shared = {
+        "calibration": 1,
+        "made": made.isoformat(timespec="seconds"),
+        "made_by": f"modaltouch {versions()['modaltouch']}" + (f", commit {change[:12]}" if change else ""),
+        "person": person,
+        "protocol": protocol,
+        "apparatus": CalibratedApparatus(name=apparatus.apparatus, sha256=apparatus_hash(apparatus)),
+        "instruments": Instruments.model_validate({"generator": generator.strip(), "scope": scope, "mode": mode}),
+        **_of_rig(next(iter(outcomes.values()))),
+    }
     if "" in outcomes:
         return CalibrationFile.model_validate({**shared, **_own(outcomes[""])})
     return CalibrationOfSeveral.model_validate(
@@ -327,20 +252,10 @@ def calibration_of(outcomes: Mapping[str, CalibrationResult], circumstances: Cal
     )
 
 
-def _shared(outcome: CalibrationResult, at: CalibrationContext) -> dict[str, Any]:
+def _of_rig(outcome: CalibrationResult) -> dict[str, Any]:
     """Return what holds for the rig, whichever stimulus."""
     plant, refined = outcome.plant, outcome.refined
-    change = commit()
     return {
-        "calibration": 1,
-        "made": at.made.isoformat(timespec="seconds"),
-        "made_by": f"modaltouch {versions()['modaltouch']}" + (f", commit {change[:12]}" if change else ""),
-        "person": at.person,
-        "protocol": at.protocol,
-        "apparatus": CalibratedApparatus(name=at.apparatus.apparatus, sha256=apparatus_hash(at.apparatus)),
-        "instruments": Instruments.model_validate(
-            {"generator": at.generator.strip(), "scope": at.scope, "mode": at.mode}
-        ),
         "amplifier": CalibratedAmplifier(
             gain_V_per_V=refined.amplifier.gain_V_per_V,
             bandwidth_kHz=refined.amplifier.bandwidth_kHz,

@@ -21,7 +21,6 @@ from modaltouch.lab.calibration.decay import find_poles, fit_residues
 from modaltouch.lab.calibration.delays import DriveDelay, fit_drive
 from modaltouch.lab.calibration.file import (
     DIGITS,
-    CalibrationProgress,
     CalibrationResult,
     Iteration,
     Level,
@@ -30,6 +29,7 @@ from modaltouch.lab.calibration.file import (
     significant,
 )
 from modaltouch.lab.calibration.plant import Plant, identify_plant
+from modaltouch.lab.laboratory import MeasurementProgress
 from modaltouch.preflight import DesignInputs, design_to_fit
 from modaltouch.protocol import Apparatus
 from modaltouch.rig import RigError
@@ -158,7 +158,7 @@ def calibrate_each(
     bench: Bench,
     apparatus: Apparatus,
     grounds: Mapping[str, DesignInputs],
-    progress: CalibrationProgress | None = None,
+    progress: MeasurementProgress | None = None,
     between: Sequence[float] = (),
 ) -> dict[str, CalibrationResult]:
     """Return the targets and amplitudes that make each of several stimuli true on the rig at a bench, by name.
@@ -173,7 +173,7 @@ def calibrate_each(
         As its file gives it.
     grounds : mapping of str to DesignInputs
         The stimuli, without any calibration; one, without a name, of a protocol that has one alone.
-    progress : CalibrationProgress, optional
+    progress : MeasurementProgress, optional
         Whom to tell.
     between : sequence of float
         Levels to verify besides the protocol's own [mm/s].
@@ -183,13 +183,13 @@ def calibrate_each(
     RigError, ValueError
         As `calibrate` does.
     """
-    told = progress or CalibrationProgress()
+    told = progress or MeasurementProgress()
     found: dict[str, CalibrationResult] = {}
     plant: Plant | None = None
     for name, ground in grounds.items():
         if name:
-            told.stimulus(name)
-        found[name] = calibrate(bench, apparatus, ground, told, plant, between)
+            told.say(f"stimulus {name}")
+        found[name] = calibrate(bench, apparatus, ground, told, plant, between, name)
         plant = found[name].plant
     return found
 
@@ -198,9 +198,10 @@ def calibrate(
     bench: Bench,
     apparatus: Apparatus,
     ground: DesignInputs,
-    progress: CalibrationProgress | None = None,
+    progress: MeasurementProgress | None = None,
     plant: Plant | None = None,
     between: Sequence[float] = (),
+    name: str = "",
 ) -> CalibrationResult:
     """Return the targets and amplitudes that make a stimulus true on the rig at a bench.
 
@@ -210,12 +211,14 @@ def calibrate(
         As for `calibrate_each`.
     ground : DesignInputs
         The stimulus, without any calibration.
-    progress : CalibrationProgress, optional
+    progress : MeasurementProgress, optional
         Whom to tell.
     plant : Plant, optional
         The rig, where it has been identified already.
     between : sequence of float
         Levels to verify besides the protocol's own [mm/s].
+    name : str
+        Of the stimulus, where there are several.
 
     Raises
     ------
@@ -224,7 +227,7 @@ def calibrate(
     ValueError
         If the stimulus cannot be designed for the identified rig.
     """
-    return _Loop(bench, apparatus, ground, progress or CalibrationProgress(), between).run(plant)
+    return _Loop(bench, apparatus, ground, progress or MeasurementProgress(), between, name).run(plant)
 
 
 class _Loop:
@@ -235,8 +238,9 @@ class _Loop:
         bench: Bench,
         apparatus: Apparatus,
         ground: DesignInputs,
-        progress: CalibrationProgress,
+        progress: MeasurementProgress,
         between: Sequence[float],
+        name: str,
     ) -> None:
         self._asked = sorted({level * 1e-3 for level in (*ground.levels.values(), *between)})
         self._bench, self._apparatus, self._ground, self._progress = bench, apparatus, ground, progress
@@ -246,20 +250,20 @@ class _Loop:
         model = self._listed.model
         self._points = measuring_points(model)
         self._shapes = model.shapes(self._points)
-        self._taking = DecayRecorder(
+        self._recorder = DecayRecorder(
             bench=bench,
             model=model,
             timing=self._timing,
             highest_velocity=apparatus.acquisition.range_mm_s * 1e-3,
             latency=apparatus.acquisition.trigger_latency_us * 1e-6,
-            check=progress.check,
-            advance=progress.advance,
+            progress=progress,
+            name=name,
         )
 
     def run(self, known: Plant | None) -> CalibrationResult:
         """Identify what is not known, correct, verify."""
         plant = known or self._identify()
-        self._taking.wait_for(plant.drive)
+        self._recorder.wait_for(plant.drive)
         refined = refined_apparatus(self._apparatus, plant)
         # What is listed commands volts of the listed amplifier.
         self._refuse_beyond_limit(float(self._listed.peak_voltage.max()) * max(plant.drive.gain))
@@ -323,23 +327,23 @@ class _Loop:
                 velocity_limit=min(limits) * 1e-3,
             )
 
-        self._progress.step("amplifier and clock", 2)
+        self._recorder.begin("amplifier and clock", 2)
         burst = burst_of(timing_voltage(listed.model, timing))
         commanded = commanded_voltage(burst, to_beam)
-        drive = fit_drive(self._taking.drive(burst, float(np.abs(commanded).max())), commanded, timing)
+        drive = fit_drive(self._recorder.drive(burst, float(np.abs(commanded).max())), commanded, timing)
         refuse_doubtful_drive(drive)
-        self._taking.wait_for(drive)
+        self._recorder.wait_for(drive)
         rows, voltages, time = [], [], np.zeros(0)
         for channel in range(n_channels):
-            self._progress.step(f"modes, by output {channel + 1}", self._points.size)
+            self._recorder.begin(f"modes, by output {channel + 1}", self._points.size)
             burst = burst_of(probe_voltage(listed.model, timing, channel))
             voltages.append(commanded_voltage(burst, to_beam))
-            time, decay = self._taking.decays(burst, burst.velocity, self._points)
+            time, decay = self._recorder.decays(burst, burst.velocity, self._points)
             rows.append(decay)
         since = time / (1 + drive.clock) - timing.focusing_instant
         decays = find_poles(since, np.concatenate(rows), listed.model.exponent)
         plant = identify_plant(listed.model, listed.amplifier, drive, decays, self._shapes, voltages, timing)
-        refuse_doubtful_plant(plant, listed.model, self._taking.margin)
+        refuse_doubtful_plant(plant, listed.model, self._recorder.margin)
         return plant
 
     def _aimed(self, refined: Apparatus, correction: Correction) -> Stimulus:
@@ -352,19 +356,19 @@ class _Loop:
 
     def _measure(self, number: int, stimulus: Stimulus, plant: Plant) -> Iteration:
         """Play a stimulus at the reference level and return what the modes do at the focusing instant."""
-        self._progress.step("before" if number == 0 else f"iteration {number}", self._points.size)
-        time, decay = self._taking.decays(stimulus.burst, self._reference, self._points)
+        self._recorder.begin("before" if number == 0 else f"iteration {number}", self._points.size)
+        time, decay = self._recorder.decays(stimulus.burst, self._reference, self._points)
         fitted = fit_residues(plant.decay_time(time, self._timing), decay, plant.pole)
         state = plant.state(fitted, self._shapes)
         turn = Iteration(number, state, state.error(self._target), float(stimulus.peak_voltage.max()))
-        self._progress.turn(turn)
+        self._progress.say(str(turn))
         return turn
 
     def _levels(self, plant: Plant, refined: Apparatus, correction: Correction) -> tuple[Level, ...]:
         """Measure every level at the focus, with amplitudes in proportion and then, where that is off, as measured."""
         stimulus = self._aimed(refined, correction)
         self._bench.load(stimulus.burst)
-        self._progress.step("levels", 2 * len(self._asked))
+        self._recorder.begin("levels", 2 * len(self._asked))
         first = [self._level(plant, stimulus, level, 1.0) for level in self._asked]
         factors = [_trim(level) for level in first]
         if all(factor == 1.0 for factor in factors):
@@ -372,11 +376,11 @@ class _Loop:
         trims = tuple((level.velocity, factor) for level, factor in zip(first, factors, strict=True))
         trimmed = self._aimed(refined, replace(correction, trims=trims))
         self._bench.load(trimmed.burst)
-        self._progress.step("levels again", 2 * len(self._asked))
+        self._recorder.begin("levels again", 2 * len(self._asked))
         return tuple(self._level(plant, trimmed, level, factor) for level, factor in trims)
 
     def _level(self, plant: Plant, stimulus: Stimulus, level: float, factor: float) -> Level:
-        time, decay, highest = self._taking.at_level(level, stimulus.wish.centre)
+        time, decay, highest = self._recorder.at_level(level, stimulus.wish.centre)
         fitted = fit_residues(plant.decay_time(time, self._timing), decay, plant.pole)
         sight = plant.sight.response(plant.pole)
         return Level(

@@ -20,7 +20,7 @@ from modaltouch.lab.identification.estimates import Identification
 from modaltouch.lab.identification.excitation import LOWEST, Campaign, evenly, highest_needed
 from modaltouch.lab.identification.joint_fit import identify
 from modaltouch.lab.identification.responses import FrequencyResponses, responses_of
-from modaltouch.lab.laboratory import open_laboratory
+from modaltouch.lab.laboratory import MeasurementProgress, open_laboratory
 from modaltouch.lab.validation.evidence import contrast, root_mean_square, spot_width
 from modaltouch.preflight import Preflight
 from modaltouch.protocol import Apparatus
@@ -172,8 +172,6 @@ def _finger_contrasts(twin: Twin, playbacks: Playbacks, task: Task) -> dict[tupl
     return {(left, right): contrast(peak[left], peak[right]) for left, right in task.pairs}
 
 
-Progress = Callable[[str, int, int], None]
-
 VOLTAGE = 10.0
 """Peak of the chirp at the beam [V]."""
 
@@ -206,35 +204,13 @@ class Contest:
     changed: tuple[tuple[DriveAssessment, ...], ...]
 
 
-@dataclass(frozen=True)
-class Settings:
-    """How much is measured.
-
-    Attributes
-    ----------
-    n_points : int
-        Control points along the beam.
-    n_records : int
-        Records at each.
-    n_beams : int
-        Further beams that the drives are played on.
-    seed : int
-        Of the first of them; the next ones follow.
-    """
-
-    n_points: int = 41
-    n_records: int = 4
-    n_beams: int = 20
-    seed: int = 1
-
-
 def contest(
     preflight: Preflight,
     responses: FrequencyResponses,
-    settings: Settings,
     *,
-    on_progress: Progress = lambda what, done, total: None,
-    check: Callable[[], None] = lambda: None,
+    n_beams: int = 20,
+    seed: int = 1,
+    progress: MeasurementProgress | None = None,
 ) -> Contest:
     """Return the comparison.
 
@@ -244,12 +220,12 @@ def contest(
         The protocol, examined.
     responses : FrequencyResponses
         What every method learns from, as `learn` returns it.
-    settings : Settings
-        How much is measured.
-    on_progress : callable
-        Called with what is being done, how much is done, and how much there is.
-    check : callable
-        Called between measurements; may raise to stop.
+    n_beams : int
+        Further beams that the drives are played on.
+    seed : int
+        Of the first of them; the next ones follow.
+    progress : MeasurementProgress, optional
+        What is called meanwhile.
 
     Raises
     ------
@@ -259,10 +235,11 @@ def contest(
         If the recordings do not tell the modes.
     """
     apparatus, stimulus = preflight.experiment.apparatus, preflight.stimulus
-    on_progress("modes identified", 0, 1)
+    heard = progress or MeasurementProgress()
+    heard.show("modes identified", 0, 1)
     excited = responses.between(LOWEST, float(responses.frequency[-1]))
     identification = identify(excited, apparatus.beam.length_mm * 1e-3)
-    on_progress("modes identified", 1, 1)
+    heard.show("modes identified", 1, 1)
     known = TrainingData(
         model=identified_model(identification, apparatus),
         responses=for_rivals(responses, identification.delay.value, apparatus),
@@ -270,17 +247,17 @@ def contest(
         timing=stimulus.timing,
         amplifier=stimulus.amplifier,
     )
-    return contend(preflight, known, settings, identification.delay.value, on_progress=on_progress, check=check)
+    return contend(preflight, known, identification.delay.value, n_beams=n_beams, seed=seed, progress=heard)
 
 
 def contend(
     preflight: Preflight,
     known: TrainingData,
-    settings: Settings,
     delay: float = 0.0,
     *,
-    on_progress: Progress = lambda what, done, total: None,
-    check: Callable[[], None] = lambda: None,
+    n_beams: int = 20,
+    seed: int = 1,
+    progress: MeasurementProgress | None = None,
 ) -> Contest:
     """Return what every method makes of what is known: its drive played on the twin, and judged.
 
@@ -290,11 +267,9 @@ def contend(
         The protocol, examined.
     known : TrainingData
         What each method is given.
-    settings : Settings
-        Which other beams the drives are played on.
     delay : float
         What was taken out of the recordings [s].
-    on_progress, check : callable
+    n_beams, seed, progress
         As for `contest`.
 
     Raises
@@ -308,15 +283,16 @@ def contend(
     zones = {name: zone.centre_mm * 1e-3 for name, zone in apparatus.zones.items()}
     pairs = tuple((left, right) for left, right in preflight.experiment.protocol.conditions.zone_pairs)
     task = Task(stimulus.wish, stimulus.timing.focusing_instant, zones, pairs, stimulus.projection.field)
-    sent = _play(centre, designed, stimulus.wish.velocity, on_progress, check)
-    verdicts = [judge(Twin(centre, settings.seed), each, task) for each in sent]
+    heard = progress or MeasurementProgress()
+    sent = _play(centre, designed, stimulus.wish.velocity, heard)
+    verdicts = [judge(Twin(centre, seed), each, task) for each in sent]
     changed: list[list[DriveAssessment]] = [[] for _ in designed]
-    for number in range(settings.n_beams):
-        check()
-        twin = Twin(apparatus, settings.seed + number)
+    for number in range(n_beams):
+        heard.check()
+        twin = Twin(apparatus, seed + number)
         for own, each in zip(changed, sent, strict=True):
             own.append(judge(twin, each, task, everywhere=False))
-        on_progress("other beams", number + 1, settings.n_beams)
+        heard.show("other beams", number + 1, n_beams)
     return Contest(task, known, delay, tuple(designed), tuple(verdicts), tuple(map(tuple, changed)))
 
 
@@ -335,11 +311,11 @@ def without_mismatch(apparatus: Apparatus) -> Apparatus:
 
 def learn(
     preflight: Preflight,
-    settings: Settings,
-    folder: Path | None = None,
     *,
-    on_progress: Progress = lambda what, done, total: None,
-    check: Callable[[], None] = lambda: None,
+    n_points: int,
+    n_records: int,
+    folder: Path | None = None,
+    progress: MeasurementProgress | None = None,
 ) -> FrequencyResponses:
     """Return the responses that every method learns from, measured with a chirp on each actuator set.
 
@@ -349,20 +325,25 @@ def learn(
 
     Parameters
     ----------
-    preflight, settings
-        As for `contest`.
+    preflight : Preflight
+        The protocol, examined.
+    n_points, n_records : int
+        Control points along the beam, and records at each.
     folder : Path, optional
         Where the recordings are kept; a scan that was stopped goes on there.
-    on_progress, check : callable
-        As for `contest`.
+    progress : MeasurementProgress, optional
+        What is called meanwhile.
     """
     apparatus, source = without_mismatch(preflight.experiment.apparatus), preflight.experiment.sources.apparatus
     highest = highest_needed(apparatus)
     sets = tuple(sorted(apparatus.actuator_sets, key=lambda name: apparatus.actuator_sets[name].channel))
-    places = tuple(round(place, 9) for place in evenly(apparatus.beam.length_mm * 1e-3, settings.n_points, 0.0))
-    campaign = Campaign(places, settings.n_records, VOLTAGE, highest, sets)
+    places = tuple(round(place, 9) for place in evenly(apparatus.beam.length_mm * 1e-3, n_points, 0.0))
+    campaign = Campaign(places, n_records, VOLTAGE, highest, sets)
+    heard = progress or MeasurementProgress()
     with open_laboratory(apparatus, repetition="continuous") as laboratory:
-        scans = campaign.scan(laboratory, source, folder, on_progress=partial(on_progress, "recordings"), check=check)
+        scans = campaign.scan(
+            laboratory, source, folder, on_progress=partial(heard.show, "recordings"), check=heard.check
+        )
     return responses_of(scans, bandwidth=None)
 
 
@@ -411,7 +392,7 @@ def for_rivals(responses: FrequencyResponses, delay: float, apparatus: Apparatus
 
 
 def _play(
-    apparatus: Apparatus, designed: list[MethodDrive], velocity: float, on_progress: Progress, check: Callable[[], None]
+    apparatus: Apparatus, designed: list[MethodDrive], velocity: float, progress: MeasurementProgress
 ) -> list[Playbacks]:
     """Return what the generator sends of every drive, played through its driver at the level."""
     sent: list[Playbacks] = []
@@ -419,12 +400,12 @@ def _play(
         if laboratory.simulator is None:
             raise RigError("a comparison needs the twin, whose true beam judges; the outputs are off")
         for number, each in enumerate(designed, 1):
-            check()
+            progress.check()
             laboratory.load(each.burst)
             firing = laboratory.rig.fire(velocity)
             if not firing.started:
                 raise RigError(f"the generator does not confirm the drive of {each.method.name}: {firing.reason}")
             sent.append(laboratory.simulator.playbacks)
             laboratory.rig.stop()
-            on_progress("drives played", number, len(designed))
+            progress.show("drives played", number, len(designed))
     return sent

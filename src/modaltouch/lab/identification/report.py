@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import csv
 import io
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,100 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.lab.identification.estimates import Estimate, Identification, IdentifiedMode
+from modaltouch.lab.identification.shapes import recognise
 from modaltouch.protocol import InputError, Source, examine_apparatus
 from modaltouch.report import csv_bytes, json_bytes, refuse_other, write_files
-from modaltouch.stimulus import characteristic_root
 from modaltouch.system import version
 
 FloatArray = NDArray[np.float64]
-
-WITHIN = 0.005
-"""Largest deviation from the ratios of a free-free beam by which they count as recognised [1]."""
-
-FEWEST = 3
-"""Natural frequencies that it takes to recognise a beam; one more where shear and inertia are free."""
-
-
-@dataclass(frozen=True)
-class FreeFree:
-    """The free-free beam that natural frequencies fit best.
-
-    Attributes
-    ----------
-    first_frequency : float
-        Of its first bending mode [Hz].
-    shear : float
-        How much shear and rotary inertia lower its modes, of the order (h/L)^2; 0 by Euler and Bernoulli [1].
-    mode : tuple of (int or None)
-        Bending mode of each natural frequency, from 1; None for what is none.
-    deviation : float
-        Largest relative deviation of the natural frequencies that are bending modes [1].
-    recognised : bool
-        Whether they are a free-free beam's.
-    """
-
-    first_frequency: float
-    shear: float
-    mode: tuple[int | None, ...]
-    deviation: float
-    recognised: bool
-
-
-def roots(n: int) -> FloatArray:
-    """Return the first roots of cos(x) cosh(x) = 1 above 0, (n,) array [1]."""
-    return np.array([characteristic_root(k) for k in range(1, n + 1)])
-
-
-def recognise(natural_frequency: Sequence[float]) -> FreeFree | None:
-    r"""Return the free-free beam that natural frequencies fit best; None for fewer than three.
-
-    By Euler and Bernoulli :math:`f_n \propto \lambda_n^2`. Shear and rotary inertia lower it by a factor that is
-    :math:`1/\sqrt{1 + s \lambda_n^2}` to first order in s, the squared slenderness times a constant of the section. The
-    lowest frequency is tried as each of the first three bending modes; others may be of torsion or across.
-
-    Parameters
-    ----------
-    natural_frequency : sequence of float
-        Increasing [Hz].
-    """
-    measured = np.asarray(natural_frequency, dtype=float)
-    if measured.size < FEWEST:
-        return None
-    square = roots(measured.size + 8) ** 2
-    tried = [
-        _fit(measured, first, mode, float(shear), square)
-        for first in range(min(3, measured.size))
-        for mode in range(3)
-        for shear in np.concatenate([[0.0], np.geomspace(1e-5, 1e-2, 121)])
-    ]
-    return max(tried, key=_worth)
-
-
-def _fit(measured: FloatArray, first: int, mode: int, shear: float, square: FloatArray) -> FreeFree:
-    """Return the beam of which one frequency is a given bending mode."""
-    course = square / np.sqrt(1 + shear * square)
-    ratio = measured[:, None] / measured[first] * course[mode] / course
-    nearest = np.abs(np.log(ratio)).argmin(axis=1)
-    # The scale that suits all that fit, instead of that of one alone.
-    fits = np.abs(ratio[np.arange(measured.size), nearest] - 1) <= WITHIN
-    scale = float(np.median(measured[fits] / course[nearest[fits]]))
-    off = np.abs(measured / (scale * course[nearest]) - 1)
-    fits = off <= WITHIN
-    labels = [int(k) + 1 if fit else None for k, fit in zip(nearest, fits, strict=True)]
-    found = [label for label in labels if label is not None]
-    enough = FEWEST if shear == 0 else FEWEST + 1
-    # Successive modes, each once: many high ones match anything.
-    successive = len(set(found)) == len(found) and bool(found) and max(found) - min(found) + 1 <= len(found) + 1
-    deviation = float(off[fits].max()) if fits.any() else 1.0
-    recognised = successive and len(found) >= enough and 2 * len(found) > measured.size
-    return FreeFree(scale * float(course[0]), shear, tuple(labels), deviation, recognised)
-
-
-def _worth(tried: FreeFree) -> tuple[bool, int, float]:
-    """Rank what was tried: recognised, with many modes, near them; shear and inertia only where they are needed."""
-    n_found = sum(mode is not None for mode in tried.mode)
-    return tried.recognised, n_found, -tried.deviation - (WITHIN / 2 if tried.shear > 0 else 0.0)
-
 
 LEAST_COHERENCE = 0.5
 """Median coherence at a mode's peak below which nothing of it is believed [1]."""
@@ -173,7 +83,9 @@ def as_dict(identification: Identification) -> dict[str, Any]:
     """Return everything as plain values, as ``modaltouch identify --json`` prints it."""
     responses = identification.responses
     known = not math.isnan(identification.delay.value)
-    beam = free_free(identification)
+    # Where no shape says which mode is which, the natural frequencies may.
+    labelled = any(mode.label for mode in identification.modes)
+    beam = None if labelled else recognise([mode.natural_frequency.value for mode in identification.modes])
     return {
         "sets": list(responses.sets),
         "n_points": responses.n_points,
@@ -182,23 +94,8 @@ def as_dict(identification: Identification) -> dict[str, Any]:
         "velocity_delay_us": _pair(identification.delay, 1e6) if known else None,
         "misfit": identification.misfit,
         "modes": [mode_values(mode, responses.sets) for mode in identification.modes],
-        "free_free": None
-        if beam is None
-        else {
-            "recognised": beam.recognised,
-            "first_frequency_Hz": beam.first_frequency,
-            "bending_modes": list(beam.mode),
-            "shear": beam.shear,
-            "deviation": beam.deviation,
-        },
+        "free_free": None if beam is None else beam.as_dict(),
     }
-
-
-def free_free(identification: Identification) -> FreeFree | None:
-    """Return the free-free beam that the natural frequencies fit, where no shape says which mode they are of."""
-    if any(mode.label for mode in identification.modes):
-        return None
-    return recognise([mode.natural_frequency.value for mode in identification.modes])
 
 
 def table_csv(identification: Identification) -> bytes:
@@ -207,15 +104,11 @@ def table_csv(identification: Identification) -> bytes:
     for mode in identification.modes:
         values = mode_values(mode, identification.responses.sets)
         row: dict[str, Any] = {"mode": values["label"] or ""}
-        for name in ("natural_frequency_Hz", "damping_ratio"):
-            row |= {
-                name: values[name]["value"],
-                f"{name}_low": values[name]["low"],
-                f"{name}_high": values[name]["high"],
-            }
-        for set_name in identification.responses.sets:
-            pair = values["gain_mm_s2_per_V"].get(set_name, {"value": "", "low": "", "high": ""})
-            row |= {f"gain_{set_name}_mm_s2_per_V{end}": pair[key] for end, key in _ENDS}
+        quantities = {name: values[name] for name in ("natural_frequency_Hz", "damping_ratio")}
+        gains = values["gain_mm_s2_per_V"]
+        quantities |= {f"gain_{name}_mm_s2_per_V": gains.get(name, {}) for name in identification.responses.sets}
+        for name, pair in quantities.items():
+            row |= {f"{name}{end}": pair.get(key) for end, key in _ENDS}
         half = values["half_power"]
         row |= {
             "mac": values["mac"],
@@ -234,16 +127,15 @@ _ENDS = (("", "value"), ("_low", "low"), ("_high", "high"))
 
 
 def shapes_csv(identification: Identification) -> bytes:
-    """Return the measured shapes as `modaltouch.stimulus.measured` reads them."""
+    """Return the measured shapes as the stimulus reads them."""
     positions = identification.responses.positions
-    modes = [mode for mode in identification.modes if mode.label is not None and mode.shape is not None]
-    buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(["position_mm", *(f"mode_{mode.label}" for mode in modes)])
-    for index, place in enumerate([] if positions is None else positions):
-        values = [float(mode.shape[index]) for mode in modes if mode.shape is not None]
-        writer.writerow([f"{place * 1e3:.6g}", *(f"{value:.6g}" for value in values)])
-    return buffer.getvalue().encode()
+    modes = [mode for mode in identification.modes if mode.label is not None]
+    rows = [
+        {"position_mm": f"{place * 1e3:.6g}"}
+        | {f"mode_{mode.label}": f"{mode.shape[index]:.6g}" for mode in modes if mode.shape is not None}
+        for index, place in enumerate([] if positions is None else positions)
+    ]
+    return csv_bytes(rows)
 
 
 def write_identification(
@@ -268,7 +160,7 @@ def write_identification(
         If the folder holds something else, or cannot be written.
     """
     from modaltouch.lab.identification.figures import draw_coherence, draw_responses, draw_shapes
-    from modaltouch.report import render
+    from modaltouch.lab.output import rendered
 
     refuse_other(folder, COMMAND)
     figures = {"responses": draw_responses(identification)}
@@ -286,9 +178,7 @@ def write_identification(
         files["shapes.csv"] = shapes_csv(identification)
     if apparatus is not None:
         files[apparatus[0]] = apparatus[1].encode()
-    for name, figure in figures.items():
-        files |= {f"{name}.{kind}": render(figure, kind) for kind in ("svg", "png")}
-    return write_files(folder, files, {"version": version(), **about}, COMMAND)
+    return write_files(folder, files | rendered(figures), {"version": version(), **about}, COMMAND)
 
 
 def _pair(estimate: Estimate, scale: float = 1.0) -> dict[str, float | None]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.lab.laboratory import Laboratory
+from modaltouch.lab.laboratory import Laboratory, MeasurementProgress
 from modaltouch.lab.scan import Scan, ScanPlan, read_scan, take_scan
 from modaltouch.preflight import DesignInputs, design
 from modaltouch.protocol import Source
@@ -135,8 +135,7 @@ def record_laws(
     n_records: int,
     folder: Path | None = None,
     source: Source | None = None,
-    on_progress: Callable[[str, int, int], None] = lambda what, done, total: None,
-    check: Callable[[], None] = lambda: None,
+    progress: MeasurementProgress | None = None,
 ) -> list[Observation]:
     """Return what each law does on a rig, recorded.
 
@@ -154,11 +153,10 @@ def record_laws(
         Where the scans are kept, each in a folder of its own; one that was stopped goes on.
     source : Source, optional
         The apparatus file.
-    on_progress : callable
-        Called with the scan's name, how many positions are done, and how many there are.
-    check : callable
-        Called between positions; may raise to stop.
+    progress : MeasurementProgress, optional
+        What is called between positions.
     """
+    heard = progress or MeasurementProgress()
     observed = []
     for law in LAWS:
         stimulus = design(ground, law=law)
@@ -171,8 +169,8 @@ def record_laws(
                 None if folder is None else folder / name,
                 source=source,
                 reduction=keep_velocities,
-                on_progress=partial(on_progress, name),
-                check=check,
+                on_progress=partial(heard.show, name),
+                check=heard.check,
             )
             scans.append(scan.refuse_overloaded())
         observed.append(_observation(ground, stimulus, velocity, scans[0], scans[1]))

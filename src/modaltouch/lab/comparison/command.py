@@ -1,8 +1,10 @@
-"""The comparison on one page, and as files."""
+"""``modaltouch compare``: the drive laws beside their rivals, on one page."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -10,24 +12,27 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from modaltouch.lab.comparison.contest import Contest, DriveAssessment
-from modaltouch.lab.comparison.results import Row, criteria, paragraphs
+from modaltouch.lab.comparison.contest import Contest, DriveAssessment, contest, learn
+from modaltouch.lab.comparison.results import Row, criteria, paragraphs, rows_of
+from modaltouch.lab.laboratory import MeasurementProgress, TooFewPointsError
+from modaltouch.lab.output import page_files
+from modaltouch.preflight import examine
 from modaltouch.report import (
     FAINT,
     INK,
     csv_bytes,
-    embed_svg,
     house_style,
     json_bytes,
     level_label,
     new_figure,
     quiet_grid,
     refuse_other,
-    render,
-    render_page,
     write_files,
 )
-from modaltouch.system import version
+from modaltouch.system import commit, version
+
+COMMAND = "compare"
+"""The command that owns the folder."""
 
 DARK, MIDDLE, LIGHT = "#0b3c8c", "#5bb8e8", "#cfdcec"
 MARKERS = ("o", "s", "^", "v", "D", "P")
@@ -140,85 +145,175 @@ def _draw_dots(axes: Axes, place: int, others: Sequence[float], learned: float) 
     axes.plot([learned, learned], [place - 0.36, place + 0.36], color=DARK, linewidth=2)
 
 
-COMMAND = "compare"
-"""The command that owns the folder."""
+@dataclass(frozen=True)
+class CompareOptions:
+    """What is compared, and how much is measured.
+
+    Attributes
+    ----------
+    protocol : Path
+        A YAML file, or the name of a shipped protocol.
+    out : Path or None
+        Folder for page, figures and tables; ``comparison/<protocol>`` if not given.
+    scan : Path or None
+        Folder that keeps the recordings, so that a comparison that was stopped goes on there.
+    points, averages : int
+        Control points along the beam, and records at each.
+    beams : int
+        Other beams that the drives are played on.
+    seed : int
+        Of the first of them; the next ones follow.
+    """
+
+    protocol: Path
+    out: Path | None = None
+    scan: Path | None = None
+    points: int = 41
+    averages: int = 2
+    beams: int = 20
+    seed: int = 1
 
 
-def as_dict(contest: Contest, rows: Sequence[Row], about: dict[str, Any]) -> dict[str, Any]:
-    """Return everything as plain values, as ``modaltouch compare --json`` prints it.
+@dataclass(frozen=True, eq=False)
+class ComparisonReport:
+    """The methods side by side.
 
-    Parameters
+    Attributes
     ----------
     contest : Contest
         The comparison.
-    rows : sequence of dict
-        As `rows_of` returns them.
+    focus : str
+        Zone of the focus.
     about : dict
-        Protocol, apparatus, seed and records at each point (``n_records``), plain values.
+        Title, protocol, apparatus, seed, records at each point (``n_records``) and commit, plain values.
+    folder : Path
+        Where the files go.
     """
-    return {
-        **about,
-        "mode": "simulated",
-        "velocity_mm_s": contest.task.wish.velocity * 1e3,
-        "voltage_limit_V": contest.known.amplifier.limit,
-        "n_points": int(contest.known.responses.position.size),
-        "n_other_beams": len(contest.changed[0]),
-        "methods": list(rows),
-    }
+
+    contest: Contest
+    focus: str
+    about: dict[str, Any]
+    folder: Path
+
+    @cached_property
+    def rows(self) -> list[Row]:
+        """The figures of every method."""
+        return rows_of(self.contest, self.focus)
+
+    @property
+    def table(self) -> list[dict[str, Any]]:
+        """A line to each criterion, with a cell to each method and whether it is the best."""
+        return _table(self.rows, self.level)
+
+    @property
+    def level(self) -> float:
+        """Velocity asked for at the focus [mm/s]."""
+        return self.contest.task.wish.velocity * 1e3
+
+    @property
+    def paragraphs(self) -> list[str]:
+        """What the numbers say."""
+        return paragraphs(self.rows, self.level, len(self.contest.changed[0]))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return everything as plain values."""
+        return {
+            **self.about,
+            "mode": "simulated",
+            "velocity_mm_s": self.level,
+            "voltage_limit_V": self.contest.known.amplifier.limit,
+            "n_points": int(self.contest.known.responses.position.size),
+            "n_other_beams": len(self.contest.changed[0]),
+            "methods": self.rows,
+        }
+
+    def write(self) -> dict[str, Any]:
+        """Write page, figures and tables, and return the plain values with the path of each file.
+
+        Raises
+        ------
+        RecordError
+            If the folder holds something else, or cannot be written.
+        """
+        refuse_other(self.folder, COMMAND)
+        values = self.as_dict()
+        figures = {
+            "fields": (
+                draw_fields(self.contest),
+                "The true velocity field at the focusing instant, and the wished one.",
+            ),
+            "price": (
+                draw_price(self.rows, values["voltage_limit_V"]),
+                "What each method pays, and what for. Dark: the exact law.",
+            ),
+            "robustness": (
+                draw_robustness(self.contest),
+                "The same drives on other beams, drawn around the learned one: each beam a dot, the learned one a "
+                "line.",
+            ),
+            "drives": (draw_drives(self.contest), "The drives; each row has a scale of its own."),
+        }
+        files = page_files(
+            "comparison",
+            figures,
+            title=f"Comparison: {self.about['title']}",
+            values=values,
+            level=level_label(round(self.level, 6)),
+            rows=self.rows,
+            table=self.table,
+            paragraphs=self.paragraphs,
+            delay=self.contest.delay * 1e6,
+        )
+        files |= {"comparison.json": json_bytes(values), "comparison.csv": _csv(self.rows)}
+        written = write_files(self.folder, files, {"version": version()}, COMMAND)
+        return {**values, "files": {name: str(path) for name, path in written.items()}}
 
 
-def write_comparison(folder: Path, contest: Contest, rows: Sequence[Row], about: dict[str, Any]) -> dict[str, Path]:
-    """Write page, figures and tables into a folder, and return where each file lies.
+def compare(options: CompareOptions, progress: MeasurementProgress | None = None) -> ComparisonReport:
+    """Design a drive by every method from the same recordings, and judge them all by the twin's true beam.
 
     Parameters
     ----------
-    folder : Path
-        Where the files go; made where it does not exist.
-    contest, rows, about
-        As for `as_dict`; ``about`` also has ``title`` and ``commit``.
+    options : CompareOptions
+        What is compared.
+    progress : MeasurementProgress, optional
+        What is called meanwhile.
+
+    Returns
+    -------
+    ComparisonReport
+        Nothing is written yet but the recordings.
 
     Raises
     ------
+    InputError
+        If the protocol has faults.
+    TooFewPointsError
+        If the points cannot tell the modelled modes apart.
     RecordError
-        If the folder holds something else, or cannot be written.
+        If a folder holds something else, or cannot be written.
+    RigError
+        If the twin's generator does not confirm a drive.
     """
+    preflight = examine(options.protocol).require()
+    experiment = preflight.experiment
+    folder = options.out or Path("comparison") / experiment.protocol.protocol
     refuse_other(folder, COMMAND)
-    values = as_dict(contest, rows, about)
-    limit, level = values["voltage_limit_V"], values["velocity_mm_s"]
-    figures = {
-        "fields": (
-            draw_fields(contest),
-            "The true velocity field at the focusing instant, and the wished one.",
-        ),
-        "price": (draw_price(rows, limit), "What each method pays, and what for. Dark: the exact law."),
-        "robustness": (
-            draw_robustness(contest),
-            "The same drives on other beams, drawn around the learned one: each beam a dot, the learned one a line.",
-        ),
-        "drives": (draw_drives(contest), "The drives; each row has a scale of its own."),
+    TooFewPointsError.check(options.points, preflight.stimulus.model.label)
+    with (progress or MeasurementProgress()).interruptible() as heard:
+        responses = learn(
+            preflight, n_points=options.points, n_records=options.averages, folder=options.scan, progress=heard
+        )
+        found = contest(preflight, responses, n_beams=options.beams, seed=options.seed, progress=heard)
+    about = {
+        "title": experiment.protocol.title or experiment.protocol.protocol,
+        "protocol": str(options.protocol),
+        "apparatus": experiment.apparatus.apparatus,
+        "seed": options.seed,
+        "n_records": options.averages,
+        "commit": commit(),
     }
-    files: dict[str, bytes] = {}
-    pictures = []
-    for name, (figure, caption) in figures.items():
-        vector = render(figure, "svg")
-        files |= {f"{name}.svg": vector, f"{name}.png": render(figure, "png")}
-        pictures.append({"name": name, "caption": caption, "uri": embed_svg(vector)})
-    files["comparison.json"] = json_bytes(values)
-    files["comparison.csv"] = _csv(rows)
-    page = render_page(
-        "modaltouch.lab.comparison",
-        "comparison.html.j2",
-        title=f"Comparison: {about['title']}",
-        values=values,
-        level=level_label(round(level, 6)),
-        rows=rows,
-        table=_table(rows, level),
-        paragraphs=paragraphs(rows, level, values["n_other_beams"]),
-        pictures=pictures,
-        delay=contest.delay * 1e6,
-        version=version(),
-    )
-    return write_files(folder, {"comparison.html": page.encode(), **files}, {"version": version()}, COMMAND)
+    return ComparisonReport(found, experiment.protocol.stimulus.focus, about, folder)
 
 
 def _table(rows: Sequence[Row], level: float) -> list[dict[str, Any]]:
@@ -227,9 +322,9 @@ def _table(rows: Sequence[Row], level: float) -> list[dict[str, Any]]:
     for each in criteria(rows):
         best = each.winners(rows, level)
         cells = [{"text": each.printed(row), "best": row in best} for row in rows]
-        lines.append({"name": each.name, "unit": each.unit, "cells": cells})
+        lines.append({"key": each.key, "name": each.name, "unit": each.unit, "cells": cells})
     times = [{"text": f"{row['computing_time_s'] * 1e3:.0f}", "best": False} for row in rows]
-    lines.append({"name": "computing time, on this machine", "unit": "ms", "cells": times})
+    lines.append({"key": "computing_time_s", "name": "computing time, on this machine", "unit": "ms", "cells": times})
     return lines
 
 

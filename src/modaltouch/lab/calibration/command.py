@@ -1,0 +1,151 @@
+"""``modaltouch calibrate``: which stimuli can be calibrated, at which levels, and the file that comes of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from modaltouch.lab.calibration.file import calibration_of, write_calibration
+from modaltouch.lab.calibration.loop import calibrate_each
+from modaltouch.lab.laboratory import SIMULATED, MeasurementProgress, open_laboratory
+from modaltouch.preflight import DesignInputs, Preflight, at_stimulus, examine
+from modaltouch.protocol import Calibration, InputError, Problem, Protocol
+from modaltouch.record import prepare_file
+
+
+@dataclass(frozen=True)
+class CalibrateOptions:
+    """What is calibrated.
+
+    Attributes
+    ----------
+    protocol : Path
+        A YAML file, or the name of a shipped protocol.
+    out : Path
+        The calibration file; never overwritten.
+    rig : str
+        ``simulated``, or the generator's VISA address.
+    person : str
+        Who calibrates, for the file.
+    """
+
+    protocol: Path
+    out: Path
+    rig: str = SIMULATED
+    person: str = ""
+
+
+@dataclass(frozen=True)
+class CalibrationReport:
+    """A finished calibration, and the file where it is to be kept."""
+
+    calibration: Calibration
+    out: Path
+
+    def write(self) -> dict[str, Any]:
+        """Write the file and return its plain values, with its path."""
+        write_calibration(self.out, self.calibration)
+        return {**self.calibration.model_dump(mode="json"), "file": str(self.out)}
+
+
+def calibrate(options: CalibrateOptions, progress: MeasurementProgress | None = None) -> CalibrationReport:
+    """Calibrate every stimulus of a protocol on a rig.
+
+    Parameters
+    ----------
+    options : CalibrateOptions
+        What is calibrated.
+    progress : MeasurementProgress, optional
+        What is called meanwhile.
+
+    Returns
+    -------
+    CalibrationReport
+        Nothing is written yet.
+
+    Raises
+    ------
+    InputError
+        If the protocol has faults, or a stimulus has no targets that could be corrected.
+    RecordError
+        If the file cannot be written, or exists.
+    RigError
+        If the rig fails, or is not the one of the apparatus file.
+    """
+    preflight = examine(options.protocol, uncalibrated=True).require()
+    experiment, grounds = preflight.experiment, grounds_of(preflight)
+    between = levels_between(experiment.protocol)
+    prepare_file(options.out)
+    with (
+        (progress or MeasurementProgress()).interruptible() as heard,
+        open_laboratory(experiment.apparatus, options.rig, aim=heard.aim) as laboratory,
+    ):
+        outcomes = calibrate_each(laboratory, experiment.apparatus, grounds, heard, between)
+        calibration = calibration_of(
+            outcomes,
+            protocol=experiment.protocol.protocol,
+            apparatus=experiment.apparatus,
+            generator=laboratory.rig.identity,
+            scope=laboratory.scope.identity,
+            mode=laboratory.mode,
+            person=options.person,
+            made=datetime.now().astimezone(),
+        )
+    return CalibrationReport(calibration, options.out)
+
+
+N_BETWEEN = 3
+"""Levels verified between bounds within which any level may be played."""
+
+
+def grounds_of(preflight: Preflight) -> dict[str, DesignInputs]:
+    """Return what each stimulus of a checked protocol is designed from, by name; one alone has none.
+
+    Raises
+    ------
+    InputError
+        If anything is wrong with the files, or a stimulus has no targets that could be corrected.
+    """
+    preflight.require()
+    faults = {name: list(_uncorrectable(part)) for name, part in preflight.parts.items()}
+    problems = [each for name, own in faults.items() for each in at_stimulus(preflight.findings, name, own)]
+    if problems:
+        raise InputError(problems)
+    return {name: part.sound[0] for name, part in preflight.parts.items()}
+
+
+def levels_between(protocol: Protocol) -> tuple[float, ...]:
+    """Return the levels between a protocol's bounds that are verified too, at equal ratios [mm/s].
+
+    An adaptive run, or a participant whose levels are calibrated, may get any level there. Other protocols have none:
+    every level that is played is measured.
+
+    Parameters
+    ----------
+    protocol : Protocol
+        The protocol.
+    """
+    if protocol.adaptive is None and protocol.conditions.sensation_levels is None:
+        return ()
+    low, *_, high = sorted(protocol.conditions.peak_velocities_mm_s)
+    ratio = (high / low) ** (1 / (N_BETWEEN + 1))
+    return tuple(float(f"{low * ratio**step:.4g}") for step in range(1, N_BETWEEN + 1))
+
+
+def _uncorrectable(preflight: Preflight) -> Iterator[Problem]:
+    """Yield why the targets of a protocol's one stimulus cannot be corrected."""
+    (ground, _), reading = preflight.sound, preflight.findings.protocol
+    if reading is None:
+        return
+    if ground.section.law != "exact":
+        given = f"{ground.section.law}, a law without targets that could be corrected"
+        yield reading.problem(("stimulus", "law"), given, "exact", "calibrate the exact law")
+    if ground.section.field.file is not None:
+        given, remedy = (
+            "a file, which a calibration does not hold",
+            "write the points into the protocol, under `points`",
+        )
+        yield reading.problem(("stimulus", "field", "file"), given, "points", remedy)

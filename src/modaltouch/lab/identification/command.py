@@ -1,0 +1,325 @@
+"""``modaltouch identify``: from a bare beam, or files of measured responses, to a table of modes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from modaltouch.lab.identification.estimates import Identification
+from modaltouch.lab.identification.excitation import (
+    CLOCK_TOLERANCE,
+    LOWEST,
+    Campaign,
+    Excitation,
+    evenly,
+    excite,
+    highest_needed,
+)
+from modaltouch.lab.identification.files import ResponseFormat, read_responses
+from modaltouch.lab.identification.joint_fit import identify as fit_jointly
+from modaltouch.lab.identification.joint_fit import identify_each
+from modaltouch.lab.identification.report import (
+    COMMAND,
+    as_dict,
+    check_modes,
+    identified_apparatus,
+    write_identification,
+)
+from modaltouch.lab.identification.responses import FrequencyResponses, Quantity, responses_of
+from modaltouch.lab.identification.shapes import check_points
+from modaltouch.lab.laboratory import SIMULATED, MeasurementProgress, open_laboratory
+from modaltouch.lab.scan import Scan, read_scan
+from modaltouch.protocol import find, load_source, read_apparatus
+from modaltouch.report import refuse_other
+from modaltouch.system import Interrupted
+
+FEWEST_SHAPE_POINTS = 6
+"""Points of a file from which its modes are told apart by their shapes."""
+
+
+@dataclass(frozen=True)
+class IdentifyOptions:
+    """What is identified, and how it is measured or read.
+
+    Attributes
+    ----------
+    apparatus : Path
+        The apparatus file whose table is replaced, or the name of a shipped one.
+    files : tuple of Path
+        Files of measured responses, or the folder of an earlier scan; empty to measure on a rig.
+    rig : str
+        ``simulated``, or the generator's VISA address.
+    out : Path
+        Folder for scans, apparatus file, table and figures.
+    points, averages : int
+        Evenly spaced points of the scan, and records at each; of files, the records behind each response.
+    voltage : float
+        Peak of the excitation at the beam [V].
+    excitation : str
+        ``multisine`` or ``chirp``.
+    lowest : float or None
+        Where the band of a file begins; its lowest bin if not given [Hz].
+    highest : float or None
+        Highest frequency; by the highest mode of the table, or the whole band of a file, if not given [Hz].
+    margin : float
+        From the ends of the beam to the outer points [m].
+    sets : tuple of str
+        Actuator sets; all of the apparatus if empty.
+    modes : str
+        Modes of the new table: ``listed`` in the apparatus file, ``all``, or labels such as ``1,3,5``.
+    quantity : str or None
+        What the responses of a file that does not say it are of: ``velocity``, ``displacement`` or ``acceleration``.
+    conjugated : bool
+        Whether the files follow exp(-i w t).
+    spacing : float or None
+        Distance of the bins of a file of bare numbers [Hz].
+    seed : int or None
+        Of the simulated rig, instead of its own.
+    """
+
+    apparatus: Path
+    files: tuple[Path, ...] = ()
+    rig: str = SIMULATED
+    out: Path = Path("identification")
+    points: int = 41
+    averages: int = 10
+    voltage: float = 50.0
+    excitation: Excitation = "multisine"
+    lowest: float | None = None
+    highest: float | None = None
+    margin: float = 0.5e-3
+    sets: tuple[str, ...] = ()
+    modes: str = "listed"
+    quantity: Quantity | None = None
+    conjugated: bool = False
+    spacing: float | None = None
+    seed: int | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class IdentificationReport:
+    """The modes that were found, and the apparatus file that lists them.
+
+    Attributes
+    ----------
+    found : Identification
+        The modes.
+    mode : str
+        ``simulated``, ``real`` or ``file``.
+    sources : str or list of str
+        Where the responses come from.
+    folder : Path
+        Where the files go.
+    labels : tuple of int
+        Modes of the new table.
+    apparatus : (str, str) or None
+        Name and text of the apparatus file; None where there are no shapes, and so no gains.
+    """
+
+    found: Identification
+    mode: str
+    sources: str | list[str]
+    folder: Path
+    labels: tuple[int, ...] = ()
+    apparatus: tuple[str, str] | None = None
+
+    def write(self) -> dict[str, Any]:
+        """Write table, shapes, figures and apparatus file, and return the plain values with the path of each file.
+
+        Raises
+        ------
+        RecordError
+            If the folder holds something else, or cannot be written.
+        """
+        written = write_identification(self.folder, self.found, self.apparatus, {"sources": self.sources})
+        table = {} if self.apparatus is None else {"table_modes": list(self.labels)}
+        return {
+            **as_dict(self.found),
+            "mode": self.mode,
+            **table,
+            "apparatus_file": None if self.apparatus is None else str(written[self.apparatus[0]]),
+            "files": {name: str(path) for name, path in written.items()},
+        }
+
+
+def identify(options: IdentifyOptions, progress: MeasurementProgress | None = None) -> IdentificationReport:
+    """Identify the modes of a beam, from a scan, taken now or earlier, or from files of measured responses.
+
+    Parameters
+    ----------
+    options : IdentifyOptions
+        What is identified.
+    progress : MeasurementProgress, optional
+        What is called meanwhile.
+
+    Returns
+    -------
+    IdentificationReport
+        Nothing is written yet but the scans.
+
+    Raises
+    ------
+    ValueError
+        If an option, a file or the apparatus has faults, or a mode that is asked for was not found.
+    RecordError
+        If a folder holds something else, or cannot be written.
+    RigError
+        If the rig fails.
+    """
+    heard = progress or MeasurementProgress()
+    scanned = options.files[0] if len(options.files) == 1 and options.files[0].is_dir() else None
+    if options.files and scanned is None:
+        responses = _read(options)
+        if responses.positions is None or responses.n_points < FEWEST_SHAPE_POINTS:
+            refuse_other(options.out, COMMAND)
+            with _fitting(heard):
+                found = identify_each(responses)
+            return IdentificationReport(found, "file", [path.name for path in options.files], options.out)
+        beam = _Beam(options)
+        facts = {
+            "date": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+            "mode": "file",
+            "source": ", ".join(path.name for path in options.files),
+            "method": "responses of a file, joint fit of all of them",
+        }
+        return beam.fit(beam.chosen(responses), facts, heard)
+    beam = _Beam(options)
+    scans = beam.measure(heard) if scanned is None else beam.read(scanned)
+    first = next(iter(scans.values())).facts
+    facts = {
+        "date": first["begun"],
+        "mode": first["mode"],
+        "source": (scanned or options.out).as_posix(),
+        "generator": first["settings"]["generator"],
+        "scope": first["settings"]["scope"],
+        "method": f"{first['settings']['about']['stimulus']}, H1 by the measured drive, joint fit of all responses",
+    }
+    responses = responses_of(scans, beam.bandwidth)
+    return beam.fit(responses.between(1.5 * LOWEST, float(responses.frequency[-1])), facts, heard)
+
+
+def _read(options: IdentifyOptions) -> FrequencyResponses:
+    """Return the responses of files, within the band that is asked for."""
+    how = ResponseFormat(options.quantity, options.conjugated, options.spacing, options.averages)
+    responses = read_responses(options.files, how)
+    if options.lowest is None and options.highest is None:
+        return responses
+    end = float(responses.frequency[-1]) if options.highest is None else options.highest
+    return responses.between(options.lowest or 0.0, end)
+
+
+@contextmanager
+def _fitting(progress: MeasurementProgress) -> Iterator[None]:
+    progress.show("fitting", 0, 1)
+    yield
+    progress.show("fitting", 1, 1)
+
+
+class _Beam:
+    """The beam of an apparatus file, and what is to be identified of it; checked before anything is opened."""
+
+    def __init__(self, options: IdentifyOptions) -> None:
+        self.options = options
+        self.source = load_source(find("apparatus", options.apparatus))
+        self.apparatus = read_apparatus(self.source.path)
+        known = tuple(self.apparatus.actuator_sets)
+        self.sets = options.sets or known
+        strange = next((name for name in self.sets if name not in known), None)
+        if strange is not None:
+            raise ValueError(
+                f"'{strange}' is not an actuator set of {options.apparatus}: name one of {', '.join(known)}"
+            )
+        self.labels = self._labels()
+        self.length = self.apparatus.beam.length_mm * 1e-3
+        corner = self.apparatus.acquisition.vibrometer_bandwidth_kHz
+        self.bandwidth = None if corner is None else corner * 1e3
+
+    def _labels(self) -> tuple[int, ...]:
+        """Return the labels that must be found; with ``all``, those that the table lists."""
+        modes = self.options.modes
+        if modes in ("listed", "all"):
+            return tuple(mode.label for mode in self.apparatus.modes)
+        try:
+            labels = tuple(sorted({int(word) for word in modes.split(",")}))
+        except ValueError:
+            labels = ()
+        if not labels or labels[0] < 1:
+            raise ValueError(f"--modes is '{modes}': give `listed`, `all`, or labels from 1 on, as 1,3,5")
+        return labels
+
+    def measure(self, progress: MeasurementProgress) -> dict[str, Scan]:
+        """Return the scans of a rig, new or gone on with."""
+        options, out = self.options, self.options.out
+        refuse_other(out, COMMAND)
+        positions = evenly(self.length, options.points, options.margin)
+        check_points(np.array(positions), self.labels, self.length)
+        highest = highest_needed(self.apparatus) if options.highest is None else options.highest
+        campaign = Campaign(positions, options.averages, options.voltage, highest, self.sets, options.excitation)
+        for name in self.sets:
+            excite(self.apparatus, name, options.voltage, highest, "chirp")
+        kept = [0, 0]
+
+        def show(done: int, total: int) -> None:
+            kept[:] = done, total
+            progress.show("points measured", done, total)
+
+        try:
+            with (
+                progress.interruptible() as heard,
+                open_laboratory(
+                    self.apparatus, options.rig, seed=options.seed, repetition="continuous", aim=heard.aim
+                ) as laboratory,
+            ):
+                return campaign.scan(laboratory, self.source, out, on_progress=show, check=heard.check)
+        except Interrupted as error:
+            error.add_note(f"{kept[0]} of {kept[1]} points are kept in {out}; give the same command to go on")
+            raise
+
+    def read(self, folder: Path) -> dict[str, Scan]:
+        """Return the scans of a folder."""
+        for name in self.sets:
+            if not (folder / f"scan_{name}").is_dir():
+                raise ValueError(
+                    f"{folder}: holds no scan of the actuator set {name} (scan_{name} is missing); measure it, or "
+                    "name the sets that were measured with --set"
+                )
+        return {name: read_scan(folder / f"scan_{name}") for name in self.sets}
+
+    def chosen(self, responses: FrequencyResponses) -> FrequencyResponses:
+        """Return the responses to the actuator sets that are asked for, as a file names them."""
+        missing = [name for name in self.sets if name not in responses.sets]
+        if missing:
+            raise ValueError(
+                f"the files hold responses to {', '.join(responses.sets)}, none to the actuator set {missing[0]}: name "
+                "the sets in the files as in the apparatus file, or those that were measured with --set"
+            )
+        rows = [responses.sets.index(name) for name in self.sets]
+        return replace(
+            responses,
+            response=responses.response[rows],
+            coherence=None if responses.coherence is None else responses.coherence[rows],
+            sets=self.sets,
+            bandwidth=self.bandwidth,
+        )
+
+    def fit(
+        self, responses: FrequencyResponses, facts: dict[str, Any], progress: MeasurementProgress
+    ) -> IdentificationReport:
+        """Return the modes, and the apparatus file with the new table."""
+        refuse_other(self.options.out, COMMAND)
+        if responses.positions is not None:
+            check_points(responses.positions, self.labels, self.length)
+        with _fitting(progress):
+            found = fit_jointly(responses, self.length, clock_tolerance=CLOCK_TOLERANCE)
+        check_modes(found, self.labels)
+        labels = self.labels
+        if self.options.modes == "all":
+            labels = tuple(mode.label for mode in found.modes if mode.label is not None)
+        apparatus = identified_apparatus(self.source, found, labels, facts)
+        return IdentificationReport(found, facts["mode"], facts["source"], self.options.out, labels, apparatus)

@@ -1,0 +1,37 @@
+"""The files that every command of the lab writes: figures in two forms, and one page that holds them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from modaltouch.report import embed_svg, render, render_page
+from modaltouch.system import version
+
+
+def rendered(figures: Mapping[str, Figure]) -> dict[str, bytes]:
+    """SVG and PNG of each figure, by file name."""
+    return {f"{name}.{kind}": render(figure, kind) for name, figure in figures.items() for kind in ("svg", "png")}
+
+
+def page_files(name: str, figures: Mapping[str, tuple[Figure, str]], /, **values: Any) -> dict[str, bytes]:
+    """A page and the figures that it shows, by file name.
+
+    Parameters
+    ----------
+    name : str
+        Of the page and of its template.
+    figures : mapping of str to (Figure, str)
+        Each figure and its caption.
+    **values
+        What the template names besides.
+    """
+    files = rendered({key: figure for key, (figure, _) in figures.items()})
+    pictures = [
+        {"name": key, "caption": caption, "uri": embed_svg(files[f"{key}.svg"])}
+        for key, (_, caption) in figures.items()
+    ]
+    page = render_page("modaltouch.lab", f"{name}.html.j2", pictures=pictures, version=version(), **values)
+    return {f"{name}.html": page.encode(), **files}

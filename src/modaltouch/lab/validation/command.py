@@ -1,0 +1,360 @@
+"""``modaltouch validate``: the drive of both laws recorded, evaluated, and shown on one page."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from modaltouch.lab.laboratory import SIMULATED, MeasurementProgress, TooFewPointsError, open_laboratory
+from modaltouch.lab.output import page_files
+from modaltouch.lab.validation.evidence import Evidence, evaluate
+from modaltouch.lab.validation.figures import (
+    PAPER_WORST,
+    around_focus,
+    draw_coefficients,
+    draw_decomposition,
+    draw_drives,
+    draw_fields,
+    draw_maps,
+    draw_spectrograms,
+    draw_zones,
+    spectrogram_of,
+)
+from modaltouch.lab.validation.key_figures import coefficients, findings, key_figures, summary
+from modaltouch.lab.validation.recording import Observation, complete, read_laws, record_laws
+from modaltouch.preflight import Preflight, examine
+from modaltouch.report import csv_bytes, json_bytes, level_label, refuse_other, write_files
+from modaltouch.system import commit, version
+
+COMMAND = "validate"
+"""The command that owns the folder."""
+
+MAP_CSV_STEP = 10e-6
+"""From one instant of the map's table to the next [s]."""
+
+
+@dataclass(frozen=True)
+class ValidateOptions:
+    """What is validated, and how much is measured.
+
+    Attributes
+    ----------
+    protocol : Path
+        A YAML file, or the name of a shipped protocol.
+    calibration : Path or None
+        Calibration file to use instead of the one that the protocol names.
+    rig : str
+        ``simulated``, or the generator's VISA address.
+    out : Path or None
+        Folder for page, figures and tables; ``validation/<protocol>`` if not given.
+    scan : Path or None
+        Folder that keeps the recordings: a scan that was stopped goes on there, a complete one is read and no rig is
+        opened.
+    points, averages : int
+        Points along the beam, and records at each.
+    """
+
+    protocol: Path
+    calibration: Path | None = None
+    rig: str = SIMULATED
+    out: Path | None = None
+    scan: Path | None = None
+    points: int = 41
+    averages: int = 10
+
+
+@dataclass(frozen=True)
+class ValidationContext:
+    """What was validated, and where.
+
+    Attributes
+    ----------
+    title : str
+        Of the protocol.
+    protocol : str
+        Its file.
+    apparatus : str
+        Name of the apparatus.
+    mode : str
+        ``simulated`` or ``real``.
+    generator, scope : str
+        What they call themselves.
+    limit : float
+        Highest voltage at the beam [V].
+    calibration : str
+        File of the calibration that the exact law was corrected by; empty without one.
+    commit : str
+        Of the program.
+    """
+
+    title: str
+    protocol: str
+    apparatus: str
+    mode: str
+    generator: str
+    scope: str
+    limit: float
+    calibration: str
+    commit: str
+
+
+@dataclass(frozen=True, eq=False)
+class ValidationReport:
+    """What the drive laws were seen to do.
+
+    Attributes
+    ----------
+    evidences : sequence of Evidence
+        Of each law.
+    pairs : sequence of (str, str)
+        Zones that two fingers touch together.
+    context : ValidationContext
+        What was validated.
+    folder : Path
+        Where the files go.
+    """
+
+    evidences: Sequence[Evidence]
+    pairs: Sequence[tuple[str, str]]
+    context: ValidationContext
+    folder: Path
+
+    @cached_property
+    def figures(self) -> list[dict[str, Any]]:
+        """Key figures of each law."""
+        return [key_figures(each, self.pairs) for each in self.evidences]
+
+    @property
+    def table(self) -> list[dict[str, Any]]:
+        """The laws side by side: a quantity, its unit, and a cell to each law."""
+        return summary(self.figures)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return everything as plain values."""
+        values = {
+            "protocol": self.context.protocol,
+            "apparatus": self.context.apparatus,
+            "mode": self.context.mode,
+            "generator": self.context.generator,
+            "scope": self.context.scope,
+            "calibration": self.context.calibration or None,
+            "measurement_lag_us": self.evidences[0].lag * 1e6,
+            "laws": list(self.figures),
+        }
+        return {key: _plain(value) for key, value in values.items()}
+
+    def write(self) -> dict[str, Any]:
+        """Write page, figures and tables, and return the plain values with the path of each file.
+
+        Raises
+        ------
+        RecordError
+            If the folder holds something else, or cannot be written.
+        """
+        refuse_other(self.folder, COMMAND)
+        values = self.as_dict()
+        files = page_files(
+            "validation",
+            _draw(self.evidences, self.context.limit),
+            title=f"Validation: {self.context.title}",
+            occasion=self.context,
+            level=level_label(round(self.evidences[0].observation.velocity * 1e3, 6)),
+            laws=[each.law for each in self.evidences],
+            figures=self.figures,
+            lag=self.evidences[0].lag * 1e6,
+            paper_worst=PAPER_WORST,
+            findings=findings(self.figures),
+            rows=self.table,
+        )
+        files |= {"validation.json": json_bytes(values), **_tables(self.evidences)}
+        written = write_files(self.folder, files, {"version": version()}, COMMAND)
+        return {**values, "files": {name: str(path) for name, path in written.items()}}
+
+
+def validate(options: ValidateOptions, progress: MeasurementProgress | None = None) -> ValidationReport:
+    """Play the drive of both laws, scan the beam, and compare the measured fields with the target and the prediction.
+
+    Parameters
+    ----------
+    options : ValidateOptions
+        What is validated.
+    progress : MeasurementProgress, optional
+        What is called meanwhile.
+
+    Returns
+    -------
+    ValidationReport
+        Nothing is written yet but the recordings.
+
+    Raises
+    ------
+    InputError
+        If the protocol or its calibration has faults.
+    TooFewPointsError
+        If the points cannot tell the modelled modes apart.
+    RecordError
+        If a folder holds something else, or cannot be written.
+    RigError
+        If the rig fails.
+    """
+    preflight = examine(options.protocol, options.calibration).of_one_stimulus()
+    experiment = preflight.experiment
+    folder = options.out or Path("validation") / experiment.protocol.protocol
+    refuse_other(folder, COMMAND)
+    TooFewPointsError.check(options.points, preflight.stimulus.model.label)
+    observed = _observe(preflight, options, progress or MeasurementProgress())
+    field = observed[0].field
+    calibration = preflight.findings.calibration
+    context = ValidationContext(
+        title=experiment.protocol.title or experiment.protocol.protocol,
+        protocol=str(options.protocol),
+        apparatus=experiment.apparatus.apparatus,
+        mode=field.mode,
+        generator=field.facts["settings"]["generator"],
+        scope=field.facts["settings"]["scope"],
+        limit=experiment.apparatus.amplifier.limit_V,
+        calibration="" if calibration is None else str(calibration.source.path),
+        commit=commit(),
+    )
+    return ValidationReport(evaluate(observed), experiment.protocol.conditions.zone_pairs, context, folder)
+
+
+def _observe(preflight: Preflight, options: ValidateOptions, progress: MeasurementProgress) -> list[Observation]:
+    """Return what was recorded, now or before."""
+    experiment, (ground, stimulus) = preflight.experiment, preflight.sound
+    if options.scan is not None and complete(options.scan):
+        return read_laws(ground, options.scan)
+    with (
+        progress.interruptible() as heard,
+        open_laboratory(experiment.apparatus, options.rig, aim=heard.aim) as laboratory,
+    ):
+        return record_laws(
+            ground,
+            laboratory,
+            stimulus.wish.velocity,
+            n_points=options.points,
+            n_records=options.averages,
+            folder=options.scan,
+            source=experiment.sources.apparatus,
+            progress=heard,
+        )
+
+
+def _plain(value: Any) -> Any:
+    """Return plain values with every number to a millionth of its unit: what lies below is no measurement."""
+    if isinstance(value, dict):
+        return {key: _plain(each) for key, each in value.items()}
+    if isinstance(value, list):
+        return [_plain(each) for each in value]
+    return round(value, 6) if isinstance(value, float) else value
+
+
+def _draw(evidences: Sequence[Evidence], limit: float) -> dict[str, tuple[Figure, str]]:
+    """Return each figure with its caption, by its file's name."""
+    drawn = {
+        "fig_2": (
+            draw_decomposition(evidences[0]),
+            "Fig. 2: the wished field decomposed on the modes of the beam. The strongest of the modelled modes are "
+            "selected; the others of them are to rest at the focusing instant.",
+        ),
+        "fig_5": (
+            draw_maps(evidences),
+            "Fig. 5: measured velocity by position and time. Black lines: half of the level. The dotted line is the "
+            "focusing instant.",
+        ),
+        "fig_6": (
+            draw_coefficients(evidences),
+            "Fig. 6: coefficients of the selected modes as wished, as predicted on the identified beam, and as "
+            "measured (least squares over all points at the focusing instant). Right: their difference with 95 % "
+            "intervals from record to record.",
+        ),
+        "fig_7": (
+            draw_fields(evidences),
+            "Fig. 7: the field at the focusing instant, points with 95 % intervals, and how far the measured field is "
+            "from the wished one and from that of the selected modes [mm/s].",
+        ),
+        "fig_8": (
+            draw_spectrograms(evidences),
+            "Fig. 8: spectrogram of the measured velocity at the focus (Hann window of 4 ms). Marks at the left: the "
+            "modelled modes, the selected ones bold.",
+        ),
+    }
+    for evidence in evidences:
+        drawn[f"zones_{evidence.law}"] = (
+            draw_zones(evidence),
+            f"Velocity at the centre of each zone over time, law “{evidence.law}”.",
+        )
+    drawn["drive"] = (draw_drives(evidences, limit), "Drive as measured at the beam.")
+    return drawn
+
+
+def _tables(evidences: Sequence[Evidence]) -> dict[str, bytes]:
+    """Return the numbers behind the figures, by file name."""
+    first = evidences[0]
+    wished = [
+        {"mode": label, "wished_mm_s": _round(value), "selected": label in first.observation.stimulus.selected}
+        for label, value in enumerate(first.wished_coefficient.tolist(), 1)
+    ]
+    tables = {
+        "fig_2.csv": wished,
+        "fig_6.csv": [{"law": each.law, **_rounded(line)} for each in evidences for line in coefficients(each)],
+        "fig_7.csv": [line for each in evidences for line in _field_lines(each)],
+        "fig_8.csv": [line for each in evidences for line in _spectrum_lines(each)],
+    }
+    for each in evidences:
+        tables[f"fig_5_{each.law}.csv"] = _map_lines(each)
+    return {name: csv_bytes(lines) for name, lines in tables.items()}
+
+
+def _field_lines(evidence: Evidence) -> list[dict[str, Any]]:
+    place = evidence.observation.field.positions
+    smooth = {
+        name: np.interp(place, evidence.position, getattr(evidence, f"{name}_field"))
+        for name in ("wished", "target", "predicted")
+    }
+    return [
+        {
+            "law": evidence.law,
+            "position_mm": round(float(place[i]) * 1e3, 6),
+            **{f"{name}_mm_s": _round(values[i]) for name, values in smooth.items()},
+            "measured_mm_s": _round(evidence.measured_points[i]),
+            "standard_error_mm_s": _round(evidence.points_error[i]),
+        }
+        for i in range(place.size)
+    ]
+
+
+def _map_lines(evidence: Evidence) -> list[dict[str, Any]]:
+    time, velocity = around_focus(evidence, MAP_CSV_STEP)
+    names = [f"velocity_mm_s_at_{place * 1e3:g}_mm" for place in evidence.observation.field.positions]
+    return [
+        {"time_ms": round(float(instant) * 1e3, 5), **dict(zip(names, np.round(row * 1e3, 1).tolist(), strict=True))}
+        for instant, row in zip(time, velocity.T, strict=True)
+    ]
+
+
+def _spectrum_lines(evidence: Evidence) -> list[dict[str, Any]]:
+    """Return the spectrogram at the natural frequencies of the modelled modes."""
+    one, model = spectrogram_of(evidence), evidence.observation.stimulus.model
+    rows = [int(np.abs(one.frequency - frequency).argmin()) for frequency in model.natural_frequency]
+    names = [f"amplitude_mm_s_at_mode_{label}" for label in model.label]
+    return [
+        {"law": evidence.law, "time_ms": round(float(instant) * 1e3, 4)}
+        | {name: _round(value) for name, value in zip(names, column, strict=True)}
+        for instant, column in zip(one.time, one.amplitude[rows].T, strict=True)
+    ]
+
+
+def _round(value: float) -> float | None:
+    """Return a velocity in mm/s to the micrometre per second; None where it is not known."""
+    return None if not np.isfinite(value) else round(float(value) * 1e3, 3)
+
+
+def _rounded(line: dict[str, Any]) -> dict[str, Any]:
+    return {key: round(value, 3) if isinstance(value, float) else value for key, value in line.items()}
