@@ -64,13 +64,7 @@ class ScanPlan:
             raise ValueError(f"the position {double * 1e3:g} mm is given twice; give each once")
 
     def check_on(self, apparatus: Apparatus) -> None:
-        """Refuse positions beyond the ends of the beam.
-
-        Raises
-        ------
-        ValueError
-            If one is.
-        """
+        """Refuse positions beyond the ends of the beam."""
         half = apparatus.beam.length_mm / 2
         for place in self.positions:
             if abs(place) * 1e3 > half * (1 + 1e-9):
@@ -227,13 +221,7 @@ def read_facts(folder: Path) -> dict[str, Any]:
 
 
 def read_position(path: Path, position: float) -> dict[str, NDArray[Any]]:
-    """Return the arrays of a position's file.
-
-    Raises
-    ------
-    RecordError
-        If the file is damaged or another position's.
-    """
+    """Return the arrays of a position's file."""
     try:
         with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             arrays = dict(file)
@@ -439,13 +427,7 @@ def _flat(values: Mapping[str, Any], before: str = "") -> dict[str, Any]:
 
 
 def save_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Write arrays as an npz file in one step: whole or not at all.
-
-    Raises
-    ------
-    RecordError
-        If the file cannot be written.
-    """
+    """Write arrays as an npz file in one step: whole or not at all."""
     buffer = io.BytesIO()
     np.savez(buffer, **dict(arrays))  # type: ignore[arg-type]
     replace_file(path, buffer.getvalue(), _REMEDY)

@@ -102,13 +102,7 @@ N_BETWEEN = 3
 
 
 def grounds_of(preflight: Preflight) -> dict[str, DesignInputs]:
-    """Return what each stimulus of a checked protocol is designed from, by name; one alone has none.
-
-    Raises
-    ------
-    InputError
-        If anything is wrong with the files, or a stimulus has no targets that could be corrected.
-    """
+    """Return what each stimulus of a checked protocol is designed from, by name; one alone has none."""
     preflight.require()
     faults = {name: list(_uncorrectable(part)) for name, part in preflight.parts.items()}
     problems = [each for name, own in faults.items() for each in at_stimulus(preflight.findings, name, own)]
@@ -122,11 +116,6 @@ def levels_between(protocol: Protocol) -> tuple[float, ...]:
 
     An adaptive run, or a participant whose levels are calibrated, may get any level there. Other protocols have none:
     every level that is played is measured.
-
-    Parameters
-    ----------
-    protocol : Protocol
-        The protocol.
     """
     if protocol.adaptive is None and protocol.conditions.sensation_levels is None:
         return ()

@@ -72,15 +72,7 @@ def fit_residues(time: FloatArray, records: FloatArray, pole: ComplexArray) -> D
 
 
 def fit_poles(time: FloatArray, records: FloatArray, pole: ComplexArray) -> Decay:
-    """Return the decays for poles that are known roughly: to about their own decay rate.
-
-    Parameters
-    ----------
-    time, records
-        As for `fit_residues`.
-    pole : (n_poles,) complex array
-        Where the fit begins [1/s].
-    """
+    """Return the decays for poles that are known roughly: to about their own decay rate."""
     best = _Projection(time, records, pole)
     for _ in range(_STEPS):
         step = best.newton_step()

@@ -55,13 +55,7 @@ LARGEST_PHASE = 0.2
 
 
 def refuse_doubtful_drive(drive: DriveDelay) -> None:
-    """Refuse a measured drive that is not the commanded one behind an amplifier.
-
-    Raises
-    ------
-    RigError
-        With what was found, what is allowed and what to look at.
-    """
+    """Refuse a measured drive that is not the commanded one behind an amplifier."""
     believed = drive.rest <= LARGEST_REST
     for number, gain in enumerate(drive.gain, start=1):
         if (believed or abs(gain) < NOTHING) and not GAINS[0] <= gain <= GAINS[1]:
@@ -79,22 +73,7 @@ def refuse_doubtful_drive(drive: DriveDelay) -> None:
 
 
 def refuse_doubtful_plant(plant: Plant, listed: ModalModel, margin: float) -> None:
-    """Refuse modes that are not seen, or are not those of the table.
-
-    Parameters
-    ----------
-    plant : Plant
-        As identified.
-    listed : ModalModel
-        The table.
-    margin : float
-        From the focusing instant to the first sample of a decay [s].
-
-    Raises
-    ------
-    RigError
-        With the mode, what was found, what is listed, and what to do.
-    """
+    """Refuse modes that are not seen, or are not those of the table."""
     found = plant.model
     for row, label in enumerate(listed.label):
         if not plant.certainty[row] >= LEAST_CERTAINTY:

@@ -98,24 +98,7 @@ def modal_swings(decay: Decay, shapes: FloatArray) -> ComplexArray:
 
 
 def unit_responses(model: ModalModel, drive: DriveDelay, voltage: FloatArray, timing: Timing) -> ComplexArray:
-    """Return what a mode of unit gain would swing with after a burst, extrapolated back to the focusing instant.
-
-    Parameters
-    ----------
-    model : ModalModel
-        Natural frequencies and damping ratios.
-    drive : DriveDelay
-        How the drive follows.
-    voltage : (n_channels, n_samples) array
-        Commanded at the beam, nothing after the focusing instant [V].
-    timing : Timing
-        Clock of the samples.
-
-    Returns
-    -------
-    (n_modes, n_channels) complex array
-        Of the modal velocity [m/s per m/s^2 per V].
-    """
+    """Return what a mode of unit gain would swing with after a burst, extrapolated back to the focusing instant."""
     unit = replace(model, modal_gain=np.ones_like(model.modal_gain))
     amplifier = Amplifier(gain=1.0, limit=1.0, bandwidth=drive.bandwidth, delay=drive.delay)
     system = modal_system(unit, amplifier)

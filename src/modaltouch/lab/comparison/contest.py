@@ -259,24 +259,7 @@ def contend(
     seed: int = 1,
     progress: MeasurementProgress | None = None,
 ) -> Contest:
-    """Return what every method makes of what is known: its drive played on the twin, and judged.
-
-    Parameters
-    ----------
-    preflight : Preflight
-        The protocol, examined.
-    known : TrainingData
-        What each method is given.
-    delay : float
-        What was taken out of the recordings [s].
-    n_beams, seed, progress
-        As for `contest`.
-
-    Raises
-    ------
-    RigError
-        If the twin's generator does not confirm a drive.
-    """
+    """Return what every method makes of what is known: its drive played on the twin, and judged."""
     apparatus, stimulus = preflight.experiment.apparatus, preflight.stimulus
     centre = without_mismatch(apparatus)
     designed = design_all(known, stimulus.release, stimulus.load_factor)
@@ -365,17 +348,7 @@ def identified_model(found: Identification, apparatus: Apparatus) -> ModalModel:
 
 
 def for_rivals(responses: FrequencyResponses, delay: float, apparatus: Apparatus) -> TransferFunctions:
-    """Return the responses by generator output, within the band that the chirp excited, their delay taken out.
-
-    Parameters
-    ----------
-    responses : FrequencyResponses
-        By actuator set.
-    delay : float
-        Of the velocity against the drive, as identified from the same responses [s].
-    apparatus : Apparatus
-        Which output feeds which set.
-    """
+    """Return the responses by generator output, within the band that the chirp excited, their delay taken out."""
     table = apparatus.modal_model()
     frequencies = table.natural_frequency
     window = band(responses.frequency, float(frequencies.min()) / 2, 1.1 * float(frequencies.max()))

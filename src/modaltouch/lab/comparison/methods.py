@@ -124,17 +124,7 @@ def _pulse(frequency: FloatArray, width: float, instant: float) -> ComplexArray:
 
 
 def regularised_inverse(response: ComplexArray, wished: ComplexArray, strength: float) -> ComplexArray:
-    r"""Return :math:`(H^* H + \beta I)^{-1} H^* U` at every frequency, (n_channels, n_bins) array.
-
-    Parameters
-    ----------
-    response : (n_channels, n_points, n_bins) complex array
-        H, transposed [m/s per V].
-    wished : (n_points, n_bins) complex array
-        U [m/s per Hz].
-    strength : float
-        :math:`\beta` over the largest eigenvalue of :math:`H^* H` at any frequency [1].
-    """
+    r"""Return :math:`(H^* H + \beta I)^{-1} H^* U` at every frequency, (n_channels, n_bins) array."""
     H = np.moveaxis(response, 2, 0).swapaxes(1, 2)
     adjoint = H.conj().swapaxes(1, 2)
     gram = adjoint @ H
@@ -151,11 +141,6 @@ def inverse_filter_at_instant(known: TrainingData) -> FloatArray:
     Noise adds to :math:`R R^T` what is known of it from record to record, on the average on its diagonal alone: that
     is the regularisation. Directions that do not stand ABOVE_NOISE out of it are left out, since a drive that leans on
     them leans on noise; more are where it would pass the voltage limit.
-
-    Returns
-    -------
-    (n_channels, n_samples) array
-        Voltages of the whole burst at the beam; 0 after the focusing instant [V].
     """
     noise = float(known.responses.noise_towards(known.n_before * known.step, known.step).sum()) * known.n_before
     wished, towards = known.wished(), known.towards
@@ -362,17 +347,7 @@ def _designed(method: Method, known: TrainingData, release: Release, load_factor
 
 
 def as_burst(voltage: FloatArray, known: TrainingData, load_factor: float) -> Burst:
-    """Return voltages as the generator plays them.
-
-    Parameters
-    ----------
-    voltage : (n_channels, n_samples) array
-        At the beam [V].
-    known : TrainingData
-        Clock, level and amplifier.
-    load_factor : float
-        Share of the generator's open-circuit voltage that reaches the amplifier's input [1].
-    """
+    """Return voltages as the generator plays them."""
     to_beam = known.amplifier.gain * load_factor
     amplitude = tuple(
         full_scale(2 * max(float(np.abs(row).max()) / to_beam, SMALLEST_AMPLITUDE / 2), (1.0,)) for row in voltage

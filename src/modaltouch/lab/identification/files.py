@@ -36,29 +36,7 @@ DRIVES = {"v": 1.0, "volt": 1.0, "volts": 1.0, "mv": 1e-3, "n": 1.0, "newton": 1
 
 
 def read_lvm(path: Path) -> tuple[FloatArray, str, ComplexArray, Quantity]:
-    """Return the response of a LabVIEW measurement: one motion and one excitation over time, of one blow.
-
-    Parameters
-    ----------
-    path : Path
-        The file, with its header; decimal commas are read by what the header says.
-
-    Returns
-    -------
-    frequency : (n_bins,) array
-        [Hz].
-    excitation : str
-        Unit of the excitation, as the file has it.
-    response : (n_bins,) complex array
-        In SI units of the quantity per unit of the excitation.
-    quantity : str
-        By the unit of the motion.
-
-    Raises
-    ------
-    ValueError
-        If the file has no such channels, is cut, or holds no numbers; the message begins with the path.
-    """
+    """Return the response of a LabVIEW measurement: one motion and one excitation over time, of one blow."""
     text = path.read_text(encoding="utf-8-sig")
     head, mark, body = text.rpartition("***End_of_Header***")
     if not mark:
@@ -152,11 +130,6 @@ def read_universal(
     """Return frequencies [Hz], responses by reference and position [m], and what they are of.
 
     Positions are those of the response nodes along the axis in which the nodes spread most, from their middle.
-
-    Raises
-    ------
-    ValueError
-        If the file cannot be read or holds no frequency response; the message begins with the path.
     """
     sets = _read_sets(path)
     functions = [each for each in sets if each["type"] == _FUNCTION and each["func_type"] == _RESPONSE]

@@ -44,19 +44,7 @@ def make_problem(responses: FrequencyResponses, poles: Poles, phase_at: float | 
 def refine(
     problem: LeastSquaresProblem, poles: Poles, *, tolerance: float = 1e-5, most: int = 60
 ) -> tuple[Poles, Evaluation]:
-    """Return the poles and the delay of least squares, and the fit there.
-
-    Parameters
-    ----------
-    problem : LeastSquaresProblem
-        The responses.
-    poles : Poles
-        Where to begin.
-    tolerance : float
-        Ends when the expected gain of a step is below this part of a degree of freedom [1].
-    most : int
-        Longest search [iterations].
-    """
+    """Return the poles and the delay of least squares, and the fit there."""
     from scipy.optimize import minimize
 
     scale = 1 / float(problem.omega[-1])

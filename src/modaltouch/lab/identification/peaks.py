@@ -290,11 +290,6 @@ def first_delay(responses: FrequencyResponses, peaks: Sequence[_Peak]) -> float:
 
     Twice the phase counts, since a shape has both signs. Over a band about a peak the phases before and after it
     cancel, so that its frequency need not be known well.
-
-    Raises
-    ------
-    ValueError
-        If the phases turn the other way through the peaks, or are those of another quantity than a velocity.
     """
     turning = sum(np.sign(peak.rotation) * np.sqrt(peak.height) for peak in peaks if peak.rotates)
     if turning > 0:

@@ -58,19 +58,7 @@ def _first_below(place: FloatArray, height: FloatArray, fraction: float) -> floa
 
 
 def time_above(time: FloatArray, velocity: FloatArray, instant: float, fraction: float) -> float:
-    """Return how long a velocity stays above a fraction of its value at an instant, without a break around it [s].
-
-    Parameters
-    ----------
-    time : (n_times,) array
-        Instants, increasing [s].
-    velocity : (n_times,) array
-        Velocity of a point [m/s].
-    instant : float
-        Of the peak [s].
-    fraction : float
-        Of the velocity at that instant [1].
-    """
+    """Return how long a velocity stays above a fraction of its value at an instant, without a break around it [s]."""
     return spot_width(time, velocity, instant, fraction)
 
 
@@ -139,11 +127,6 @@ def measurement_lag(observations: Sequence[Observation], predictions: Sequence[P
 
     Vibrometer, amplifier and trigger each come late by microseconds, which the highest selected mode turns into a
     large part of its period: without taking the delay out, no field at the focusing instant can be told.
-
-    Raises
-    ------
-    RecordInputError
-        If none of the delays tried is better than its neighbours.
     """
     missed = np.zeros(LAGS.size)
     for observation, prediction in zip(observations, predictions, strict=True):
