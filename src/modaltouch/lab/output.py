@@ -10,6 +10,18 @@ from matplotlib.figure import Figure
 from modaltouch.report import embed_svg, render, render_page
 from modaltouch.system import version
 
+DARK, MIDDLE, LIGHT = "#0b3c8c", "#5bb8e8", "#dbe3ee"
+"""Measured, predicted, asked for: far apart in lightness, so that they differ without colour."""
+
+
+def rounded(value: Any, digits: int) -> Any:
+    """Plain values with every number to some decimals."""
+    if isinstance(value, dict):
+        return {key: rounded(each, digits) for key, each in value.items()}
+    if isinstance(value, list):
+        return [rounded(each, digits) for each in value]
+    return round(value, digits) if isinstance(value, float) else value
+
 
 def rendered(figures: Mapping[str, Figure]) -> dict[str, bytes]:
     """SVG and PNG of each figure, by file name."""

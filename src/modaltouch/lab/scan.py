@@ -1,6 +1,12 @@
 """A scan: what is to be played and where, taken position by position, each on the disk before the next.
 
-``scan.json`` says what was played, one ``position_<n>.npz`` holds each position; a scan that was stopped goes on.
+``scan.json`` says what was played, one ``position_<n>.npz`` holds each position; a scan that was stopped goes on::
+
+    plan = ScanPlan(burst, velocity=0.2, positions=np.linspace(-0.05, 0.05, 41), acquisition=Acquisition(...))
+    with open_laboratory(apparatus) as laboratory:
+        scan = take_scan(laboratory, plan, folder, source=load_source(path))
+
+Without a folder nothing is written.
 """
 
 from __future__ import annotations
@@ -19,7 +25,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.lab.laboratory import Laboratory
+from modaltouch.lab.arrays import FloatArray
+from modaltouch.lab.laboratory import Laboratory, quiet
 from modaltouch.protocol import Apparatus, Source
 from modaltouch.record import RecordError, RecordInputError, replace_file
 from modaltouch.rig import Acquisition, Recording
@@ -89,8 +96,6 @@ class ScanPlan:
             "acquisition": {**asdict(self.acquisition), "drives": list(self.acquisition.drives)},
         }
 
-
-FloatArray = NDArray[np.float64]
 
 SCHEMA = "modaltouch scan 1"
 DESCRIPTION = "scan.json"
@@ -250,21 +255,14 @@ def read_scan(folder: Path) -> Scan:
         If it is no scan, or damaged.
     """
     facts = read_facts(folder)
-    places = np.array(facts["settings"]["positions_mm"], dtype=float) * 1e-3
-    kept: list[dict[str, NDArray[Any]]] = []
-    for index, place in enumerate(places):
-        path = position_file(folder, index)
-        if not path.exists():
-            break
-        kept.append(read_position(path, float(place)))
-    return assemble(facts, places, kept)
+    return assemble(facts, _recorded(folder, facts))
 
 
-def assemble(facts: Mapping[str, Any], places: FloatArray, kept: list[dict[str, NDArray[Any]]]) -> Scan:
+def assemble(facts: Mapping[str, Any], kept: list[dict[str, NDArray[Any]]]) -> Scan:
     """Return the scan of what was kept at the first positions."""
     return Scan(
         facts=facts,
-        positions=places[: len(kept)],
+        positions=np.array(facts["settings"]["positions_mm"][: len(kept)], dtype=float) * 1e-3,
         arrays=tuple(kept),
         overloaded=tuple(tuple(str(name) for name in each["overloaded"]) for each in kept),
         sampling_rate=float(kept[0]["sampling_rate"]) if kept else float("nan"),
@@ -286,14 +284,6 @@ def keep_records(recording: Recording) -> dict[str, NDArray[Any]]:
     }
 
 
-def _nothing(done: int, total: int) -> None:
-    """Show no progress."""
-
-
-def _never() -> None:
-    """Stop at no moment."""
-
-
 def take_scan(
     laboratory: Laboratory,
     plan: ScanPlan,
@@ -301,8 +291,8 @@ def take_scan(
     *,
     source: Source | None = None,
     reduction: Reduction = keep_records,
-    on_progress: Callable[[int, int], None] = _nothing,
-    check: Callable[[], None] = _never,
+    on_progress: Callable[[int, int], None] = quiet,
+    check: Callable[[], None] = quiet,
 ) -> Scan:
     """Return a scan, taken anew or from where it was stopped.
 
@@ -353,7 +343,7 @@ def take_scan(
             save_arrays(position_file(folder, index), arrays)
         kept.append(arrays)
         on_progress(len(kept), len(places))
-    return assemble(facts, places, kept)
+    return assemble(facts, kept)
 
 
 def _describe(laboratory: Laboratory, plan: ScanPlan, source: Source | None, reduction: Reduction) -> dict[str, Any]:
@@ -395,7 +385,8 @@ def _begin(folder: Path, facts: dict[str, Any], plan: ScanPlan) -> list[dict[str
     return []
 
 
-def _recorded(folder: Path, facts: dict[str, Any]) -> list[dict[str, NDArray[Any]]]:
+def _recorded(folder: Path, facts: Mapping[str, Any]) -> list[dict[str, NDArray[Any]]]:
+    """Return what is kept at the first positions of a scan."""
     kept = []
     for index, place in enumerate(facts["settings"]["positions_mm"]):
         path = position_file(folder, index)

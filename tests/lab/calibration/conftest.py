@@ -1,4 +1,4 @@
-"""A bench at physics level, twin and scope without the generator's commands, and the mismatch of the issue."""
+"""A bench at physics level, twin and scope without the generator's commands, and a large mismatch."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def shipped_apparatus(preflight: Preflight) -> Apparatus:
 
 @pytest.fixture(scope="session")
 def mismatched(shipped_apparatus: Apparatus) -> Apparatus:
-    """The apparatus with the mismatch of the issue."""
+    """The apparatus with a mismatch five times as large as shipped."""
     changed = {
         "natural_frequency_mismatch": 0.005,
         "damping_ratio_mismatch": 0.1,
@@ -134,7 +134,7 @@ def judge(preflight: Preflight) -> Callable[[TwinBench, CalibrationResult], tupl
 
 @pytest.fixture
 def run_seed(preflight: Preflight, mismatched: Apparatus, judge: Callable) -> Callable[[int], None]:
-    """Return what calibrates one beam of the issue's mismatch and holds it against the bars."""
+    """Return what calibrates one beam of that mismatch and holds it against the bars."""
 
     def run(seed: int) -> None:
         bench = TwinBench(mismatched, seed)

@@ -57,7 +57,7 @@ def exact(beam: TrueBeam) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
 
 @pytest.fixture(scope="session")
 def make(beam: TrueBeam, exact: Callable[..., np.ndarray]) -> MakeResponses:
-    """Return what makes estimated responses: a seed, and the noise in units of the issue's.
+    """Return what makes estimated responses: a seed, and the noise in units of a reference.
 
     At unit noise the median over the points of the coherence at the peak of the weakest listed mode is 0.95. Of
     n_averages records the mean keeps 1/n of the noise power, and the residual power has n - 1 degrees of freedom.

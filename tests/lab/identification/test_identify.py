@@ -1,4 +1,4 @@
-"""The joint fit against the twin's true beam: the bars of the issue, and that intervals cover what they say.
+"""The joint fit against the twin's true beam: its accuracy, and that intervals cover what they say.
 
 ``MODALTOUCH_IDENTIFIED_SEEDS`` says how many seeds the intervals are judged by; ``make soak-identification`` takes 200.
 """

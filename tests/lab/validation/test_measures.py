@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from modaltouch.lab.validation.evidence import contrast, spot_width, time_above
+from modaltouch.lab.validation.evidence import contrast, spot_width
 from modaltouch.lab.validation.figures import Spectrogram
 
 
@@ -35,7 +35,7 @@ def test_a_field_without_a_focus_has_no_width():
 def test_a_cosine_stays_above_nine_tenths_for_twice_its_arc():
     """cos(w t) > 0.9 for |t| < arccos(0.9) / w; a later crest does not count."""
     time, omega = np.linspace(-1e-4, 1e-4, 20_001), 2 * np.pi * 29_390
-    assert time_above(time, np.cos(omega * time), 0.0, 0.9) == pytest.approx(2 * math.acos(0.9) / omega, rel=1e-5)
+    assert spot_width(time, np.cos(omega * time), 0.0, 0.9) == pytest.approx(2 * math.acos(0.9) / omega, rel=1e-5)
 
 
 def test_contrast_is_the_faster_over_the_slower():

@@ -8,12 +8,22 @@ import pytest
 from typer.testing import CliRunner
 
 from modaltouch.cli.app import app
-from modaltouch.lab.validation.command import ValidationContext, ValidationReport
+from modaltouch.lab.validation.command import ValidationReport
 from modaltouch.lab.validation.key_figures import findings
 from modaltouch.record.chain import RecordError
 from modaltouch.report.output import write_files
 
-OCCASION = ValidationContext("A <title>", "p.yaml", "beam", "simulated", "generator", "scope", 250.0, "", "abc")
+OCCASION = {
+    "title": "A <title>",
+    "protocol": "p.yaml",
+    "apparatus": "beam",
+    "mode": "simulated",
+    "generator": "generator",
+    "scope": "scope",
+    "limit": 250.0,
+    "calibration": None,
+    "commit": "abc",
+}
 SHIPPED = Path(__file__).parents[3] / "protocols"
 PAIRS = [("A", "C"), ("B", "D"), ("C", "E")]
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import typing
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from modaltouch.lab.arrays import FloatArray
 from modaltouch.lab.calibration.delays import DriveDelay
-from modaltouch.lab.laboratory import MeasurementProgress
+from modaltouch.lab.laboratory import Laboratory, MeasurementProgress
 from modaltouch.rig import Acquisition, Recording, RigError
 from modaltouch.stimulus import (
     MID_CODE,
@@ -24,8 +23,6 @@ from modaltouch.stimulus import (
     synthesise,
     unsigned_codes,
 )
-
-FloatArray = NDArray[np.float64]
 
 SHARE = 0.6
 """Part of the amplifier's and of the velocity limit that identification uses [1]: the table may be wrong by a third."""
@@ -176,16 +173,6 @@ N_PAIRS = 4
 """Pairs of points at equal distance from the middle: what is antisymmetric there drops out of a symmetric mode."""
 
 
-class Bench(typing.Protocol):
-    """A generator that plays and a scope that records, as `modaltouch.lab.laboratory.Laboratory`."""
-
-    def load(self, burst: Burst) -> None:
-        """Have a burst in the generator, outputs off."""
-
-    def record(self, position: float, velocity: float, acquisition: Acquisition) -> Recording:
-        """Return velocity and drive at a position while the loaded burst repeats at a level [m/s]."""
-
-
 def measuring_points(model: ModalModel) -> FloatArray:
     """Return where to measure: pairs about the middle, of the many the one that sees the worst seen mode best.
 
@@ -215,7 +202,7 @@ class DecayRecorder:
 
     Attributes
     ----------
-    bench : Bench
+    bench : Laboratory
         Generator and scope.
     model : ModalModel
         The modes, known roughly: they set sampling rate and length of a record.
@@ -233,7 +220,7 @@ class DecayRecorder:
         From the focusing instant to the first sample of a decay [s].
     """
 
-    bench: Bench
+    bench: Laboratory
     model: ModalModel
     timing: Timing
     highest_velocity: float

@@ -13,10 +13,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from modaltouch.lab.arrays import ComplexArray, FloatArray
 
 _STEPS = 12
 """Most Gauss-Newton steps: two or three settle it."""

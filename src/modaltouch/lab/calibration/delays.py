@@ -11,13 +11,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from modaltouch.lab.arrays import ComplexArray, FloatArray
 from modaltouch.rig import Recording
 from modaltouch.stimulus import Timing
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 LONGEST = 100e-6
 """Longest delay, and lag, that is looked for [s]."""

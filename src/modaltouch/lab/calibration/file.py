@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from modaltouch.lab.arrays import FloatArray
 from modaltouch.lab.calibration.plant import ModalState, Plant
 from modaltouch.preflight import DesignInputs
 from modaltouch.protocol import (
@@ -31,8 +31,6 @@ from modaltouch.protocol import (
 from modaltouch.record import prepare_file, replace_file
 from modaltouch.stimulus import Correction
 from modaltouch.system import commit, versions
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -277,19 +275,28 @@ def _own(outcome: CalibrationResult) -> dict[str, Any]:
         "stimulus": outcome.ground.section,
         "focus_centre_mm": outcome.ground.centre_mm,
         "reference_mm_s": outcome.ground.reference,
-        "iterations": tuple(_iteration(turn) for turn in outcome.turns),
+        "iterations": tuple(
+            IterationFigures(
+                iteration=turn.number,
+                worst_velocity_error_mm_s=round(turn.errors[0] * 1e3, 4),
+                worst_displacement_error_mm_s=round(turn.errors[1] * 1e3, 4),
+                peak_voltage_V=round(turn.peak_voltage, 2),
+            )
+            for turn in outcome.turns
+        ),
         "modes": tuple(_modes(outcome)),
-        "levels": tuple(_level(level) for level in outcome.levels),
+        "levels": tuple(
+            CalibratedLevel(
+                velocity_mm_s=round(level.velocity * 1e3, 6),
+                amplitude_factor=level.factor,
+                amplitude_Vpp=level.amplitude,
+                at_focus_mm_s=round(level.at_focus * 1e3, 3),
+                uncertainty_mm_s=round(INTERVAL * level.spread * 1e3, 3),
+                highest_mm_s=round(level.highest * 1e3, 2),
+            )
+            for level in outcome.levels
+        ),
     }
-
-
-def _iteration(turn: Iteration) -> IterationFigures:
-    return IterationFigures(
-        iteration=turn.number,
-        worst_velocity_error_mm_s=round(turn.errors[0] * 1e3, 4),
-        worst_displacement_error_mm_s=round(turn.errors[1] * 1e3, 4),
-        peak_voltage_V=round(turn.peak_voltage, 2),
-    )
 
 
 def _modes(outcome: CalibrationResult) -> list[CalibratedMode]:
@@ -316,17 +323,6 @@ def _modes(outcome: CalibrationResult) -> list[CalibratedMode]:
             )
         )
     return rows
-
-
-def _level(level: Level) -> CalibratedLevel:
-    return CalibratedLevel(
-        velocity_mm_s=round(level.velocity * 1e3, 6),
-        amplitude_factor=level.factor,
-        amplitude_Vpp=level.amplitude,
-        at_focus_mm_s=round(level.at_focus * 1e3, 3),
-        uncertainty_mm_s=round(INTERVAL * level.spread * 1e3, 3),
-        highest_mm_s=round(level.highest * 1e3, 2),
-    )
 
 
 def calibration_text(calibration: Calibration) -> str:

@@ -6,10 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from modaltouch.lab.arrays import FloatArray
 from modaltouch.lab.calibration.acquisition import (
-    Bench,
     DecayRecorder,
     commanded_voltage,
     identifying_burst,
@@ -29,7 +28,7 @@ from modaltouch.lab.calibration.file import (
     significant,
 )
 from modaltouch.lab.calibration.plant import Plant, identify_plant
-from modaltouch.lab.laboratory import MeasurementProgress
+from modaltouch.lab.laboratory import Laboratory, MeasurementProgress
 from modaltouch.preflight import DesignInputs, design_to_fit
 from modaltouch.protocol import Apparatus
 from modaltouch.rig import RigError
@@ -121,8 +120,6 @@ def _refuse_phases(plant: Plant, margin: float) -> None:
         )
 
 
-FloatArray = NDArray[np.float64]
-
 MOST_ITERATIONS = 4
 """Turns of the loop at most; two settle it."""
 
@@ -134,7 +131,7 @@ LEAST_TRIM = 5e-3
 
 
 def calibrate_each(
-    bench: Bench,
+    bench: Laboratory,
     apparatus: Apparatus,
     grounds: Mapping[str, DesignInputs],
     progress: MeasurementProgress | None = None,
@@ -146,7 +143,7 @@ def calibrate_each(
 
     Parameters
     ----------
-    bench : Bench
+    bench : Laboratory
         Generator and scope.
     apparatus : Apparatus
         As its file gives it.
@@ -174,7 +171,7 @@ def calibrate_each(
 
 
 def calibrate(
-    bench: Bench,
+    bench: Laboratory,
     apparatus: Apparatus,
     ground: DesignInputs,
     progress: MeasurementProgress | None = None,
@@ -214,7 +211,7 @@ class _Loop:
 
     def __init__(
         self,
-        bench: Bench,
+        bench: Laboratory,
         apparatus: Apparatus,
         ground: DesignInputs,
         progress: MeasurementProgress,

@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from modaltouch.lab.arrays import ComplexArray, FloatArray
 from modaltouch.lab.calibration.decay import Decay
 from modaltouch.lab.calibration.delays import DriveDelay, VibrometerDelay, fit_sight
 from modaltouch.stimulus import Amplifier, ModalModel, Timing, modal_system, states_by_channel
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from modaltouch.lab.comparison.contest import Contest, DriveAssessment, contest, learn
 from modaltouch.lab.comparison.results import Row, criteria, paragraphs, rows_of
 from modaltouch.lab.laboratory import MeasurementProgress, TooFewPointsError
-from modaltouch.lab.output import page_files
+from modaltouch.lab.output import DARK, MIDDLE, page_files, rounded
 from modaltouch.preflight import examine
 from modaltouch.report import (
     FAINT,
@@ -34,7 +34,6 @@ from modaltouch.system import commit, version
 COMMAND = "compare"
 """The command that owns the folder."""
 
-DARK, MIDDLE, LIGHT = "#0b3c8c", "#5bb8e8", "#cfdcec"
 MARKERS = ("o", "s", "^", "v", "D", "P")
 COLUMNS = 3
 
@@ -331,11 +330,9 @@ def _table(rows: Sequence[Row], level: float) -> list[dict[str, Any]]:
 def _csv(rows: Sequence[Row]) -> bytes:
     # How long it took is this machine's, and would make other bytes each time.
     left_out = ("computing_time_s", "zone_peak_mm_s")
-    flat = [{key: _rounded(value) for key, value in row.items() if key not in left_out} for row in rows]
-    for line, row in zip(flat, rows, strict=True):
-        line |= {f"zone_peak_{zone}_mm_s": _rounded(peak) for zone, peak in row["zone_peak_mm_s"].items()}
-    return csv_bytes(flat)
-
-
-def _rounded(value: Any) -> Any:
-    return round(value, 4) if isinstance(value, float) else value
+    flat = [
+        {key: value for key, value in row.items() if key not in left_out}
+        | {f"zone_peak_{zone}_mm_s": peak for zone, peak in row["zone_peak_mm_s"].items()}
+        for row in rows
+    ]
+    return csv_bytes(rounded(flat, 4))

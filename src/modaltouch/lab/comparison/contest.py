@@ -12,8 +12,8 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from modaltouch.lab.arrays import FloatArray
 from modaltouch.lab.comparison.methods import MethodDrive, design_all
 from modaltouch.lab.comparison.training_data import TrainingData, TransferFunctions, band
 from modaltouch.lab.identification.estimates import Identification
@@ -27,7 +27,6 @@ from modaltouch.protocol import Apparatus
 from modaltouch.rig import Playback, RigError, Twin
 from modaltouch.stimulus import ModalModel, TargetField
 
-FloatArray = NDArray[np.float64]
 Playbacks = Sequence[Playback | None]
 
 POINTS = 201

@@ -38,8 +38,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from modaltouch.lab.arrays import ComplexArray, FloatArray
 from modaltouch.lab.comparison.training_data import TrainingData
 from modaltouch.stimulus import (
     MID_CODE,
@@ -52,8 +52,6 @@ from modaltouch.stimulus import (
     unsigned_codes,
 )
 
-FloatArray = NDArray[np.float64]
-
 
 def time_reversal(known: TrainingData) -> FloatArray:
     """Return the recorded impulse responses at the focus alone, reversed, as voltages at the level or limit [V]."""
@@ -64,8 +62,6 @@ def one_bit_reversal(known: TrainingData) -> FloatArray:
     """Return the signs of the reversed impulse responses, as `time_reversal`."""
     return known.to_level(np.sign(known.towards[:, known.focus, ::-1]))
 
-
-ComplexArray = NDArray[np.complex128]
 
 PULSES = (44e-6, 88e-6, 176e-6, 352e-6)
 """Widths of the wished pulse that are tried, raised cosines; 88 us stay above 90 % as long as the paper's focus [s]."""
@@ -233,13 +229,6 @@ def _by_law(law: Law) -> Callable[[TrainingData, Release], FloatArray]:
     return design
 
 
-def _rival(way: Callable[[TrainingData], FloatArray]) -> Callable[[TrainingData, Release], FloatArray]:
-    def design(known: TrainingData, release: Release) -> FloatArray:
-        return way(known)
-
-    return design
-
-
 METHODS = (
     Method(
         "exact",
@@ -261,14 +250,14 @@ METHODS = (
         "each output plays its impulse response at the focus backwards (Hudin, Lozada & Hayward, IEEE Trans. Haptics "
         "8(2), 2015)",
         "focus",
-        _rival(time_reversal),
+        lambda known, _: time_reversal(known),
     ),
     Method(
         "one_bit",
         "1-bit time reversal",
         "the signs of the same alone (Derode, Tourin & Fink, J. Appl. Phys. 85, 1999)",
         "focus",
-        _rival(one_bit_reversal),
+        lambda known, _: one_bit_reversal(known),
     ),
     Method(
         "inverse_filter",
@@ -276,14 +265,14 @@ METHODS = (
         "regularised least squares at every frequency towards a pulse of the wished field and rest at every other time "
         "(Pantera & Hudin, World Haptics 2019 and IEEE Trans. Haptics 13(3), 2020)",
         "field",
-        _rival(inverse_filter),
+        lambda known, _: inverse_filter(known),
     ),
     Method(
         "inverse_instant",
         "inverse filter at t_F",
         "regularised least squares towards the wished field at the focusing instant alone, a law without a model",
         "field",
-        _rival(inverse_filter_at_instant),
+        lambda known, _: inverse_filter_at_instant(known),
     ),
 )
 """In the order of every table and figure."""
@@ -336,14 +325,13 @@ def design_all(known: TrainingData, release: Release, load_factor: float) -> lis
     """
     # What methods share is computed before the clock starts: it belongs to the recordings.
     _ = known.towards
-    return [_designed(method, known, release, load_factor) for method in METHODS]
-
-
-def _designed(method: Method, known: TrainingData, release: Release, load_factor: float) -> MethodDrive:
-    started = time.perf_counter()
-    voltage = method.design(known, release)
-    took = time.perf_counter() - started
-    return MethodDrive(method, voltage, as_burst(voltage, known, load_factor), took)
+    designed = []
+    for method in METHODS:
+        started = time.perf_counter()
+        voltage = method.design(known, release)
+        took = time.perf_counter() - started
+        designed.append(MethodDrive(method, voltage, as_burst(voltage, known, load_factor), took))
+    return designed
 
 
 def as_burst(voltage: FloatArray, known: TrainingData, load_factor: float) -> Burst:

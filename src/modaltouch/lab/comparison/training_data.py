@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from modaltouch.lab.arrays import ComplexArray, FloatArray
 from modaltouch.stimulus import Amplifier, ModalModel, TargetField, Timing
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 STEP = 0.8e-6
 """How long rivals hold a voltage at least: 14 steps to a period of the highest mode of Table I [s]."""

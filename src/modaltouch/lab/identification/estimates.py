@@ -4,13 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
+from modaltouch.lab.arrays import FloatArray
 from modaltouch.lab.identification.peaks import HalfPower
 from modaltouch.lab.identification.responses import FrequencyResponses
-
-FloatArray = NDArray[np.float64]
 
 NORMAL_95 = 1.959963984540054
 """Half-width of a 95 % interval in standard deviations."""

@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from modaltouch.lab.arrays import FloatArray
 from modaltouch.lab.identification.estimates import Identification, IdentifiedMode
 from modaltouch.report import (
     CONDITION_COLOURS,
@@ -19,8 +20,6 @@ from modaltouch.report import (
     quiet_grid,
 )
 from modaltouch.stimulus import mode_shapes
-
-FloatArray = NDArray[np.float64]
 
 STYLES = ("-", "--", ":", "-.")
 """Of the lines, so that nothing hangs on colour."""

@@ -3,19 +3,52 @@
 from __future__ import annotations
 
 import csv
+import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from modaltouch.lab.arrays import ComplexArray, FloatArray
 from modaltouch.lab.identification.responses import QUANTITIES, FrequencyResponses, Quantity, as_velocity
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+Key = tuple[str, float | None]
+"""Excitation and position [m] of a response; no position where a file does not say it."""
+
+
+@dataclass(frozen=True)
+class ResponseFormat:
+    """How a file is to be read where it does not say so itself.
+
+    Attributes
+    ----------
+    quantity : str or None
+        ``velocity``, ``displacement`` or ``acceleration``; None takes the file's word.
+    conjugated : bool
+        Whether the responses follow the time law exp(-i w t).
+    spacing : float or None
+        Distance of two bins of a file that holds bare numbers [Hz].
+    n_averages : int
+        Records behind each response, where there is a coherence.
+    """
+
+    quantity: Quantity | None = None
+    conjugated: bool = False
+    spacing: float | None = None
+    n_averages: int = 1
+
+
+class _Part(NamedTuple):
+    """The responses of one file, by excitation and position [m], in SI units of the quantity, where it names one."""
+
+    frequency: FloatArray
+    response: dict[Key, ComplexArray]
+    coherence: dict[Key, FloatArray]
+    quantity: Quantity | None
+
 
 UNITS: dict[str, tuple[Quantity, float]] = {
     "m/s^2": ("acceleration", 1.0),
@@ -35,7 +68,7 @@ DRIVES = {"v": 1.0, "volt": 1.0, "volts": 1.0, "mv": 1e-3, "n": 1.0, "newton": 1
 """Units of excitation and their size in SI, folded to small letters."""
 
 
-def read_lvm(path: Path) -> tuple[FloatArray, str, ComplexArray, Quantity]:
+def _read_lvm(path: Path, how: ResponseFormat) -> _Part:
     """Return the response of a LabVIEW measurement: one motion and one excitation over time, of one blow."""
     text = path.read_text(encoding="utf-8-sig")
     head, mark, body = text.rpartition("***End_of_Header***")
@@ -51,7 +84,10 @@ def read_lvm(path: Path) -> tuple[FloatArray, str, ComplexArray, Quantity]:
             f"{path}: its channels are in {', '.join(units) or 'no unit'}; needed are one motion (in "
             f"{', '.join(UNITS)}) and one excitation (in V or N)"
         )
-    number = _number_reader(comma)
+
+    def number(cell: str) -> float:
+        return float(cell.replace(",", ".") if comma else cell)
+
     rows: list[list[float]] = []
     first_line = head.count("\n") + 1
     for line, cells in enumerate((row.split("\t") for row in body.splitlines()), start=first_line):
@@ -71,11 +107,7 @@ def read_lvm(path: Path) -> tuple[FloatArray, str, ComplexArray, Quantity]:
     frequency, response = transfer(
         record[motion[0]] * size, record[drive[0]] * DRIVES[units[drive[0]].casefold()], step
     )
-    return frequency, units[drive[0]], response, quantity
-
-
-def _number_reader(comma: bool) -> Callable[[str], float]:
-    return lambda cell: float(cell.replace(",", ".") if comma else cell)
+    return _Part(frequency, {(units[drive[0]], None): response}, {}, quantity)
 
 
 def _refuse_cut(path: Path, record: FloatArray, units: Sequence[str]) -> None:
@@ -124,10 +156,8 @@ _QUANTITIES: dict[int, Quantity] = {8: "displacement", 11: "velocity", 12: "acce
 """What a specific data type of an ordinate's numerator is."""
 
 
-def read_universal(
-    path: Path,
-) -> tuple[NDArray[np.float64], dict[tuple[str, float | None], NDArray[np.complex128]], Quantity | None]:
-    """Return frequencies [Hz], responses by reference and position [m], and what they are of.
+def _read_universal(path: Path, how: ResponseFormat) -> _Part:
+    """Return the responses of a universal file.
 
     Positions are those of the response nodes along the axis in which the nodes spread most, from their middle.
     """
@@ -142,7 +172,7 @@ def read_universal(
     if len(kinds) > 1:
         raise ValueError(f"{path}: its responses are of several quantities (types {sorted(kinds)}); export one of them")
     frequency = np.asarray(functions[0]["x"], dtype=float)
-    found: dict[tuple[str, float | None], NDArray[np.complex128]] = {}
+    found: dict[Key, ComplexArray] = {}
     for each in functions:
         x = np.asarray(each["x"], dtype=float)
         if x.shape != frequency.shape or not np.allclose(x, frequency):
@@ -152,15 +182,13 @@ def read_universal(
         if key in found:
             key = (f"{key[0]} node {node} direction {int(each['rsp_dir'])}", key[1])
         found[key] = np.asarray(np.asarray(each["data"], dtype=complex) / size, dtype=complex)
-    return frequency, found, _QUANTITIES.get(next(iter(kinds)))
+    return _Part(frequency, found, {}, _QUANTITIES.get(next(iter(kinds))))
 
 
 def _read_sets(path: Path) -> list[dict[str, Any]]:
     """Return the data sets of a universal file."""
     import pyuff
 
-    if not path.is_file():
-        raise ValueError(f"{path}: there is no such file; give the path of a universal file")
     try:
         read = pyuff.UFF(str(path)).read_sets()
     # The library raises bare exceptions, and whatever its parsing meets.
@@ -196,50 +224,6 @@ CSV_COLUMNS = ("frequency_Hz", "set", "position_mm", "real", "imag")
 """Columns of responses as CSV; ``coherence`` may follow."""
 
 
-@dataclass(frozen=True)
-class ResponseFormat:
-    """How a file is to be read where it does not say so itself.
-
-    Attributes
-    ----------
-    quantity : str or None
-        ``velocity``, ``displacement`` or ``acceleration``; None takes the file's word.
-    conjugated : bool
-        Whether the responses follow the time law exp(-i w t).
-    spacing : float or None
-        Distance of two bins of a file that holds bare numbers [Hz].
-    n_averages : int
-        Records behind each response, where there is a coherence.
-    """
-
-    quantity: Quantity | None = None
-    conjugated: bool = False
-    spacing: float | None = None
-    n_averages: int = 1
-
-
-@dataclass(frozen=True, eq=False)
-class Part:
-    """The responses of one file.
-
-    Attributes
-    ----------
-    frequency : (n_bins,) array
-        [Hz].
-    response : dict of (str, float or None) to (n_bins,) complex array
-        By excitation and position [m], in SI units of the quantity.
-    coherence : dict of (str, float or None) to (n_bins,) array
-        Where the file has it.
-    quantity : str or None
-        As the file says.
-    """
-
-    frequency: FloatArray
-    response: dict[tuple[str, float | None], ComplexArray]
-    coherence: dict[tuple[str, float | None], FloatArray]
-    quantity: Quantity | None
-
-
 def read_responses(paths: Sequence[Path], how: ResponseFormat | None = None) -> FrequencyResponses:
     """Return the velocity responses of files, all of one frequency axis.
 
@@ -261,8 +245,8 @@ def read_responses(paths: Sequence[Path], how: ResponseFormat | None = None) -> 
         raise ValueError("no file is given: name at least one")
     parts = [(path, _read(path, how)) for path in paths]
     first_path, first = parts[0]
-    response: dict[tuple[str, float | None], ComplexArray] = {}
-    coherence: dict[tuple[str, float | None], FloatArray] = {}
+    response: dict[Key, ComplexArray] = {}
+    coherence: dict[Key, FloatArray] = {}
     for path, part in parts:
         if part.frequency.shape != first.frequency.shape or not np.allclose(part.frequency, first.frequency):
             raise ValueError(f"{path}: has other frequencies than {first_path}; give files of one measurement")
@@ -277,7 +261,7 @@ def read_responses(paths: Sequence[Path], how: ResponseFormat | None = None) -> 
     return _assemble(first_path, first.frequency, response, coherence, how.n_averages)
 
 
-def _quantity(path: Path, part: Part, how: ResponseFormat) -> Quantity:
+def _quantity(path: Path, part: _Part, how: ResponseFormat) -> Quantity:
     said, found = how.quantity, part.quantity
     if said is None and found is None:
         raise ValueError(f"{path}: does not say whether it holds a velocity, a displacement or an acceleration; say so "
@@ -290,8 +274,8 @@ def _quantity(path: Path, part: Part, how: ResponseFormat) -> Quantity:
 def _assemble(
     path: Path,
     frequency: FloatArray,
-    response: dict[tuple[str, float | None], ComplexArray],
-    coherence: dict[tuple[str, float | None], FloatArray],
+    response: dict[Key, ComplexArray],
+    coherence: dict[Key, FloatArray],
     n_averages: int,
 ) -> FrequencyResponses:
     """Return responses as a whole: sets by positions where every set is measured everywhere, else one by one."""
@@ -330,10 +314,10 @@ def _check_axis(path: Path, frequency: FloatArray) -> None:
         raise ValueError(f"{path}: its frequencies are not evenly spaced and increasing; export them so")
 
 
-def _read(path: Path, how: ResponseFormat) -> Part:
+def _read(path: Path, how: ResponseFormat) -> _Part:
     if not path.is_file():
         raise ValueError(f"{path}: there is no such file")
-    readers: dict[str, Callable[[Path, ResponseFormat], Part]] = {
+    readers: dict[str, Callable[[Path, ResponseFormat], _Part]] = {
         ".uff": _read_universal,
         ".unv": _read_universal,
         ".csv": _read_csv,
@@ -352,55 +336,37 @@ def _read(path: Path, how: ResponseFormat) -> Part:
         raise ValueError(f"{path}: is no text in UTF-8 (byte {error.start}); export it again") from None
 
 
-def _read_universal(path: Path, how: ResponseFormat) -> Part:
-    frequency, response, quantity = read_universal(path)
-    return Part(frequency, response, {}, quantity)
-
-
-def _read_csv(path: Path, how: ResponseFormat) -> Part:
+def _read_csv(path: Path, how: ResponseFormat) -> _Part:
     with path.open(encoding="utf-8-sig", newline="") as file:
         rows = list(csv.reader(file))
     header = [cell.strip() for cell in rows[0]] if rows else []
     missing = [name for name in CSV_COLUMNS if name not in header]
     if missing:
         raise ValueError(f"{path}:1: lacks the column {missing[0]}; needed are {', '.join(CSV_COLUMNS)}")
-    at = {name: header.index(name) for name in header}
-    frequency: dict[tuple[str, float | None], list[float]] = {}
-    values: dict[tuple[str, float | None], list[complex]] = {}
-    certain: dict[tuple[str, float | None], list[float]] = {}
+    read: dict[Key, list[tuple[float, complex, float]]] = {}
     for line, row in enumerate(rows[1:], start=2):
         if not row:
             continue
         try:
-            cells = {name: row[index].strip() for name, index in at.items()}
+            cells = {name: row[index].strip() for index, name in enumerate(header)}
             key = (cells["set"], float(cells["position_mm"]) * 1e-3 if cells["position_mm"] else None)
             number = complex(float(cells["real"]), float(cells["imag"]))
-            frequency.setdefault(key, []).append(float(cells["frequency_Hz"]))
-            values.setdefault(key, []).append(number)
-            if "coherence" in cells:
-                certain.setdefault(key, []).append(float(cells["coherence"]))
+            certain = float(cells["coherence"]) if "coherence" in cells else math.nan
+            read.setdefault(key, []).append((float(cells["frequency_Hz"]), number, certain))
         except (ValueError, IndexError):
             raise ValueError(f"{path}:{line}: {','.join(row)!r} is not a line of numbers under the header") from None
-    if not values:
+    if not read:
         raise ValueError(f"{path}: no line below the header")
-    first = next(iter(frequency.values()))
-    odd = next((key for key, each in frequency.items() if each != first), None)
+    columns = {key: [np.array(column) for column in zip(*each, strict=True)] for key, each in read.items()}
+    first = next(iter(columns.values()))[0]
+    odd = next((key for key, each in columns.items() if not np.array_equal(each[0], first, equal_nan=True)), None)
     if odd is not None:
         raise ValueError(f"{path}: the set {odd[0]} at {odd[1]} m has other frequencies than the first response")
-    return Part(
-        np.array(first),
-        {key: np.array(each) for key, each in values.items()},
-        {key: np.array(each) for key, each in certain.items()},
-        None,
-    )
+    coherence = {key: each[2] for key, each in columns.items()} if "coherence" in header else {}
+    return _Part(first, {key: each[1] for key, each in columns.items()}, coherence, None)
 
 
-def _read_lvm(path: Path, how: ResponseFormat) -> Part:
-    frequency, name, response, quantity = read_lvm(path)
-    return Part(frequency, {(name, None): response}, {}, quantity)
-
-
-def _read_npz(path: Path, how: ResponseFormat) -> Part:
+def _read_npz(path: Path, how: ResponseFormat) -> _Part:
     try:
         with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             arrays = dict(file)
@@ -427,7 +393,7 @@ def _read_npz(path: Path, how: ResponseFormat) -> Part:
     quantity = str(arrays["quantity"]) if "quantity" in arrays else None
     if quantity is not None and quantity not in QUANTITIES:
         raise ValueError(f"{path}: the quantity is '{quantity}'; allowed: {', '.join(QUANTITIES)}")
-    return Part(
+    return _Part(
         frequency,
         {key: response[s, p] for key, s, p in cells},
         {} if coherence is None else {key: np.asarray(coherence[s, p], dtype=float) for key, s, p in cells},
@@ -435,7 +401,7 @@ def _read_npz(path: Path, how: ResponseFormat) -> Part:
     )
 
 
-def _read_text(path: Path, how: ResponseFormat) -> Part:
+def _read_text(path: Path, how: ResponseFormat) -> _Part:
     """Read one complex number a line, as Python prints it, from 0 Hz on."""
     if how.spacing is None:
         raise ValueError(f"{path}: holds bare numbers; say how far its bins are apart with --spacing-Hz")
@@ -448,4 +414,4 @@ def _read_text(path: Path, how: ResponseFormat) -> Part:
         except ValueError:
             raise ValueError(f"{path}:{line}: {text[:40]!r} is no complex number such as (1.5-0.2j)") from None
     frequency = np.arange(len(values), dtype=float) * how.spacing
-    return Part(frequency, {(path.stem, None): np.array(values)}, {}, None)
+    return _Part(frequency, {(path.stem, None): np.array(values)}, {}, None)

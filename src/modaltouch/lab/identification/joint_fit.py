@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from modaltouch.lab.arrays import ComplexArray, FloatArray
 from modaltouch.lab.identification.estimates import NORMAL_95, Estimate, Identification, IdentifiedMode
 from modaltouch.lab.identification.kernel import N_REST, Bins, Evaluation, LeastSquaresProblem, evaluate
 from modaltouch.lab.identification.peaks import (
@@ -22,9 +22,6 @@ from modaltouch.lab.identification.peaks import (
 )
 from modaltouch.lab.identification.responses import FrequencyResponses
 from modaltouch.lab.identification.shapes import label_shapes, unit_shape
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 def make_problem(responses: FrequencyResponses, poles: Poles, phase_at: float | None = None) -> LeastSquaresProblem:

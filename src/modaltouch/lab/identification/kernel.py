@@ -19,8 +19,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from modaltouch.lab.arrays import ComplexArray, FloatArray
 
 N_REST = 4
 """Columns of the complex linear rest."""

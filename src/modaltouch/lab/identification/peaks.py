@@ -7,12 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from modaltouch.lab.arrays import ComplexArray, FloatArray
 from modaltouch.lab.identification.responses import FrequencyResponses
 from modaltouch.stimulus import mode_shapes
-
-FloatArray = NDArray[np.float64]
 
 FEWEST_BINS = 5.0
 """Half-power bandwidth, in bins, below which its damping is worthless: up to thirty times too large [1]."""
@@ -97,8 +95,6 @@ def _crossing(power: FloatArray, peak: int, step: int) -> float | None:
     return None
 
 
-ComplexArray = NDArray[np.complex128]
-
 SIGNIFICANT = 7.0
 """Height of a peak over its noise from which it counts [standard deviations of what was averaged]."""
 
@@ -152,10 +148,6 @@ class Poles:
         return Poles(
             np.append(self.natural_frequency, frequency), np.append(self.damping_ratio, damping_ratio), self.delay
         ).sorted()
-
-    def without(self, index: int) -> Poles:
-        """Return one pole less."""
-        return Poles(np.delete(self.natural_frequency, index), np.delete(self.damping_ratio, index), self.delay)
 
 
 def first_poles(responses: FrequencyResponses, length: float | None) -> Poles:

@@ -8,16 +8,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from modaltouch.lab.identification.estimates import Estimate, Identification, IdentifiedMode
 from modaltouch.lab.identification.shapes import recognise
 from modaltouch.protocol import InputError, Source, examine_apparatus
 from modaltouch.report import csv_bytes, json_bytes, refuse_other, write_files
 from modaltouch.system import version
-
-FloatArray = NDArray[np.float64]
 
 LEAST_COHERENCE = 0.5
 """Median coherence at a mode's peak below which nothing of it is believed [1]."""

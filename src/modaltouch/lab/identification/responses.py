@@ -10,12 +10,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from modaltouch.lab.arrays import ComplexArray, FloatArray
 from modaltouch.lab.scan import Scan
 from modaltouch.record import RecordInputError
 from modaltouch.rig import Recording
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 Quantity = Literal["velocity", "displacement", "acceleration"]
 QUANTITIES: tuple[Quantity, ...] = ("velocity", "displacement", "acceleration")

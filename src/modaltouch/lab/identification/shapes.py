@@ -7,11 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from modaltouch.lab.arrays import FloatArray
 from modaltouch.stimulus import MeasuredShapes, characteristic_root, mode_shapes
-
-FloatArray = NDArray[np.float64]
 
 ALIKE = 0.5
 """MAC of two shapes on their points from which the points cannot tell them apart [1]."""

@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from modaltouch.lab.laboratory import SIMULATED, MeasurementProgress, TooFewPointsError, open_laboratory
-from modaltouch.lab.output import page_files
+from modaltouch.lab.output import page_files, rounded
 from modaltouch.lab.validation.evidence import Evidence, evaluate
 from modaltouch.lab.validation.figures import (
     PAPER_WORST,
@@ -69,41 +69,6 @@ class ValidateOptions:
     averages: int = 10
 
 
-@dataclass(frozen=True)
-class ValidationContext:
-    """What was validated, and where.
-
-    Attributes
-    ----------
-    title : str
-        Of the protocol.
-    protocol : str
-        Its file.
-    apparatus : str
-        Name of the apparatus.
-    mode : str
-        ``simulated`` or ``real``.
-    generator, scope : str
-        What they call themselves.
-    limit : float
-        Highest voltage at the beam [V].
-    calibration : str
-        File of the calibration that the exact law was corrected by; empty without one.
-    commit : str
-        Of the program.
-    """
-
-    title: str
-    protocol: str
-    apparatus: str
-    mode: str
-    generator: str
-    scope: str
-    limit: float
-    calibration: str
-    commit: str
-
-
 @dataclass(frozen=True, eq=False)
 class ValidationReport:
     """What the drive laws were seen to do.
@@ -114,15 +79,16 @@ class ValidationReport:
         Of each law.
     pairs : sequence of (str, str)
         Zones that two fingers touch together.
-    context : ValidationContext
-        What was validated.
+    context : dict
+        What was validated, plain values: ``title`` and ``protocol`` (its file), ``apparatus``, ``mode``, ``generator``,
+        ``scope``, ``limit`` (highest voltage at the beam [V]), ``calibration`` (its file or None) and ``commit``.
     folder : Path
         Where the files go.
     """
 
     evidences: Sequence[Evidence]
     pairs: Sequence[tuple[str, str]]
-    context: ValidationContext
+    context: dict[str, Any]
     folder: Path
 
     @cached_property
@@ -137,17 +103,14 @@ class ValidationReport:
 
     def as_dict(self) -> dict[str, Any]:
         """Return everything as plain values."""
+        shown = ("protocol", "apparatus", "mode", "generator", "scope", "calibration")
         values = {
-            "protocol": self.context.protocol,
-            "apparatus": self.context.apparatus,
-            "mode": self.context.mode,
-            "generator": self.context.generator,
-            "scope": self.context.scope,
-            "calibration": self.context.calibration or None,
+            **{key: self.context[key] for key in shown},
             "measurement_lag_us": self.evidences[0].lag * 1e6,
             "laws": list(self.figures),
         }
-        return {key: _plain(value) for key, value in values.items()}
+        # What lies below a millionth of a unit is no measurement.
+        return dict(rounded(values, 6))
 
     def write(self) -> dict[str, Any]:
         """Write page, figures and tables, and return the plain values with the path of each file.
@@ -161,8 +124,8 @@ class ValidationReport:
         values = self.as_dict()
         files = page_files(
             "validation",
-            _draw(self.evidences, self.context.limit),
-            title=f"Validation: {self.context.title}",
+            _draw(self.evidences, self.context["limit"]),
+            title=f"Validation: {self.context['title']}",
             occasion=self.context,
             level=level_label(round(self.evidences[0].observation.velocity * 1e3, 6)),
             laws=[each.law for each in self.evidences],
@@ -211,17 +174,17 @@ def validate(options: ValidateOptions, progress: MeasurementProgress | None = No
     observed = _observe(preflight, options, progress or MeasurementProgress())
     field = observed[0].field
     calibration = preflight.findings.calibration
-    context = ValidationContext(
-        title=experiment.protocol.title or experiment.protocol.protocol,
-        protocol=str(options.protocol),
-        apparatus=experiment.apparatus.apparatus,
-        mode=field.mode,
-        generator=field.facts["settings"]["generator"],
-        scope=field.facts["settings"]["scope"],
-        limit=experiment.apparatus.amplifier.limit_V,
-        calibration="" if calibration is None else str(calibration.source.path),
-        commit=commit(),
-    )
+    context = {
+        "title": experiment.protocol.title or experiment.protocol.protocol,
+        "protocol": str(options.protocol),
+        "apparatus": experiment.apparatus.apparatus,
+        "mode": field.mode,
+        "generator": field.facts["settings"]["generator"],
+        "scope": field.facts["settings"]["scope"],
+        "limit": experiment.apparatus.amplifier.limit_V,
+        "calibration": None if calibration is None else str(calibration.source.path),
+        "commit": commit(),
+    }
     return ValidationReport(evaluate(observed), experiment.protocol.conditions.zone_pairs, context, folder)
 
 
@@ -244,15 +207,6 @@ def _observe(preflight: Preflight, options: ValidateOptions, progress: Measureme
             source=experiment.sources.apparatus,
             progress=heard,
         )
-
-
-def _plain(value: Any) -> Any:
-    """Return plain values with every number to a millionth of its unit: what lies below is no measurement."""
-    if isinstance(value, dict):
-        return {key: _plain(each) for key, each in value.items()}
-    if isinstance(value, list):
-        return [_plain(each) for each in value]
-    return round(value, 6) if isinstance(value, float) else value
 
 
 def _draw(evidences: Sequence[Evidence], limit: float) -> dict[str, tuple[Figure, str]]:
@@ -303,7 +257,7 @@ def _tables(evidences: Sequence[Evidence]) -> dict[str, bytes]:
     ]
     tables = {
         "fig_2.csv": wished,
-        "fig_6.csv": [{"law": each.law, **_rounded(line)} for each in evidences for line in coefficients(each)],
+        "fig_6.csv": [{"law": each.law, **rounded(line, 3)} for each in evidences for line in coefficients(each)],
         "fig_7.csv": [line for each in evidences for line in _field_lines(each)],
         "fig_8.csv": [line for each in evidences for line in _spectrum_lines(each)],
     }
@@ -354,7 +308,3 @@ def _spectrum_lines(evidence: Evidence) -> list[dict[str, Any]]:
 def _round(value: float) -> float | None:
     """Return a velocity in mm/s to the micrometre per second; None where it is not known."""
     return None if not np.isfinite(value) else round(float(value) * 1e3, 3)
-
-
-def _rounded(line: dict[str, Any]) -> dict[str, Any]:
-    return {key: round(value, 3) if isinstance(value, float) else value for key, value in line.items()}

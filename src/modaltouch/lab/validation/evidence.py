@@ -8,13 +8,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from modaltouch.lab.arrays import FloatArray
 from modaltouch.lab.validation.recording import Observation
 from modaltouch.record import RecordInputError
 from modaltouch.stimulus import mode_shapes, velocity_history
-
-FloatArray = NDArray[np.float64]
 
 
 def spot_width(position: FloatArray, field: FloatArray, centre: float, fraction: float) -> float:
@@ -55,11 +53,6 @@ def _first_below(place: FloatArray, height: FloatArray, fraction: float) -> floa
     high, low = height[after - 1], height[after]
     share = (high - fraction) / (high - low)
     return float(place[after - 1] + share * (place[after] - place[after - 1]))
-
-
-def time_above(time: FloatArray, velocity: FloatArray, instant: float, fraction: float) -> float:
-    """Return how long a velocity stays above a fraction of its value at an instant, without a break around it [s]."""
-    return spot_width(time, velocity, instant, fraction)
 
 
 def root_mean_square(values: FloatArray) -> float:
@@ -332,17 +325,17 @@ class Evidence:
     @cached_property
     def time_above_90(self) -> float:
         """How long the measured velocity at the focus stays above 90 % of its peak near the focusing instant [s]."""
-        near = np.abs(self.course_time - self.instant) < AROUND_PEAK
-        time, velocity = self.course_time[near], self.focus_course[near]
-        return time_above(time, velocity, float(time[np.abs(velocity).argmax()]), 0.9)
+        return self._above_90(self.course_time, self.focus_course)
 
     @cached_property
     def predicted_time_above_90(self) -> float:
         """The same on the identified beam [s]."""
-        time, velocity = self.prediction.time, self.prediction.course[self._focus_row]
+        return self._above_90(self.prediction.time, self.prediction.course[self._focus_row])
+
+    def _above_90(self, time: FloatArray, velocity: FloatArray) -> float:
         near = np.abs(time - self.instant) < AROUND_PEAK
         time, velocity = time[near], velocity[near]
-        return time_above(time, velocity, float(time[np.abs(velocity).argmax()]), 0.9)
+        return spot_width(time, velocity, float(time[np.abs(velocity).argmax()]), 0.9)
 
     @cached_property
     def zone_peak(self) -> dict[str, float]:

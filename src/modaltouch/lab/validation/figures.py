@@ -12,15 +12,12 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
+from modaltouch.lab.arrays import FloatArray
+from modaltouch.lab.output import DARK, LIGHT, MIDDLE
 from modaltouch.lab.validation.evidence import Evidence
 from modaltouch.lab.validation.key_figures import coefficients, key_figures
 from modaltouch.lab.validation.recording import AROUND
 from modaltouch.report import FAINT, INK, house_style, new_figure, quiet_grid
-
-FloatArray = NDArray[np.float64]
-
-DARK, MIDDLE, LIGHT = "#0b3c8c", "#5bb8e8", "#dbe3ee"
-"""Measured, predicted, wished: far apart in lightness, so that they differ without colour."""
 
 LAW_TITLES = {"exact": "law “exact”", "paper": "law “paper”, eq. (6) and (7)"}
 

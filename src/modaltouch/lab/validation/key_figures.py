@@ -6,12 +6,10 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from modaltouch.lab.arrays import FloatArray
 from modaltouch.lab.validation.evidence import Evidence, contrast, root_mean_square, spot_width
 from modaltouch.preflight import finite
-
-FloatArray = NDArray[np.float64]
 
 
 def key_figures(evidence: Evidence, pairs: Sequence[tuple[str, str]]) -> dict[str, Any]:
@@ -37,7 +35,7 @@ def key_figures(evidence: Evidence, pairs: Sequence[tuple[str, str]]) -> dict[st
         "selected_modes": [int(label) for label in stimulus.selected],
         "coefficients": coefficients(evidence),
         **_modal_error(evidence),
-        "unmodelled_motion_mm_s": _largest(list(evidence.further_coefficient.values())),
+        "unmodelled_motion_mm_s": float(np.abs(list(evidence.further_coefficient.values())).max(initial=0.0)) * 1e3,
         "velocity_at_focus_mm_s": at_focus * 1e3,
         "highest_velocity_at_focus_mm_s": abs(float(evidence.focus_course[highest])) * 1e3,
         "highest_velocity_instant_ms": float(evidence.course_time[highest]) * 1e3,
@@ -105,10 +103,6 @@ def _modal_error(evidence: Evidence) -> dict[str, Any]:
         "worst_mode": int(evidence.observation.stimulus.model.label[worst]),
         "rms_modal_error_mm_s": root_mean_square(error) * 1e3,
     }
-
-
-def _largest(values: list[float]) -> float:
-    return float(np.abs(values).max(initial=0.0)) * 1e3
 
 
 def _distance(one: FloatArray, other: FloatArray) -> dict[str, float]:

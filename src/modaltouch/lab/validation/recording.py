@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -19,9 +18,10 @@ from modaltouch.record import RecordError, RecordInputError
 from modaltouch.rig import Acquisition, Recording
 from modaltouch.stimulus import Law, Stimulus
 
-FloatArray = NDArray[np.float64]
-
 LAWS: tuple[Law, ...] = ("exact", "paper")
+
+WHAT = ("field", "course")
+"""What is scanned of each law, in this order; each scan has a folder ``<law>_<what>``."""
 
 AROUND = 1.0e-3
 """How much is shown before and after the focusing instant: 24 to 26 ms in Fig. 5 [s]."""
@@ -93,28 +93,17 @@ def plans(
     outputs = tuple(range(1, stimulus.model.n_channels + 1))
     start = max(0.0, timing.focusing_instant - AROUND - MARGIN)
     end = min(timing.focusing_instant + AROUND + MARGIN, 1 / timing.repetition_rate)
-    around = Acquisition(
-        FIELD_RATE, round((end - start) * FIELD_RATE), n_records, outputs, start, expected, _drive(stimulus, velocity)
-    )
     before = -min(1e-3, (1 / timing.repetition_rate - timing.duration) / 2)
-    throughout = Acquisition(
-        COURSE_RATE,
-        round((timing.duration - 2 * before) * COURSE_RATE),
-        n_records,
-        outputs,
-        before,
-        expected,
-        _drive(stimulus, velocity),
+    drive = max(1.0, HEADROOM * float(stimulus.peak_drive(velocity).max()))
+    around, throughout = (
+        Acquisition(rate, round((last - first) * rate), n_records, outputs, first, expected, drive)
+        for rate, first, last in ((FIELD_RATE, start, end), (COURSE_RATE, before, timing.duration - before))
     )
     about = {"law": stimulus.law, "focus": ground.section.focus}
     return (
         ScanPlan(stimulus.burst, velocity, tuple(places), around, {**about, "what": "field"}),
         ScanPlan(stimulus.burst, velocity, tuple(centres), throughout, {**about, "what": "course"}),
     )
-
-
-def _drive(stimulus: Stimulus, velocity: float) -> float:
-    return max(1.0, HEADROOM * float(stimulus.peak_drive(velocity).max()))
 
 
 def keep_velocities(recording: Recording) -> dict[str, NDArray[Any]]:
@@ -162,7 +151,7 @@ def record_laws(
         stimulus = design(ground, law=law)
         scans = []
         for plan in plans(ground, stimulus, velocity, n_points, n_records):
-            name = scan_name(law, str(plan.about["what"]))
+            name = f"{law}_{plan.about['what']}"
             scan = take_scan(
                 laboratory,
                 plan,
@@ -196,8 +185,8 @@ def read_laws(ground: DesignInputs, folder: Path) -> list[Observation]:
     for law in LAWS:
         stimulus = design(ground, law=law)
         scans = []
-        for what in ("field", "course"):
-            place = folder / scan_name(law, what)
+        for what in WHAT:
+            place = folder / f"{law}_{what}"
             scan = read_scan(place).require_complete().refuse_overloaded()
             played = scan.facts["settings"]["burst"]["sha256"]
             if played != stimulus.burst.content_hash:
@@ -214,26 +203,9 @@ def read_laws(ground: DesignInputs, folder: Path) -> list[Observation]:
 def complete(folder: Path) -> bool:
     """Return whether a folder holds every scan, so that no rig is needed."""
     try:
-        return all(read_scan(place).complete for place in _places(folder))
+        return all(read_scan(folder / f"{law}_{what}").complete for law in LAWS for what in WHAT)
     except RecordError:
         return False
-
-
-def _places(folder: Path) -> Iterator[Path]:
-    for law in LAWS:
-        for what in ("field", "course"):
-            yield folder / scan_name(law, what)
-
-
-def scan_name(law: str, what: str) -> str:
-    """Return the name of a scan's folder.
-
-    Examples
-    --------
-    >>> scan_name("exact", "field")
-    'exact_field'
-    """
-    return f"{law}_{what}"
 
 
 def _observation(ground: DesignInputs, stimulus: Stimulus, velocity: float, field: Scan, course: Scan) -> Observation:
