@@ -23,7 +23,7 @@ def test_achieved_coefficients_are_those_of_the_true_beam(evidences, recorded):
 
 
 def test_the_paper_law_misses_mode_1_and_the_exact_law_does_not(evidences):
-    """Begun from rest, the reversed free decays of the paper's eq. (6) leave mode 1 4 % short: 2.2 mm/s and more of 59."""
+    """Begun from rest, the free decays of the paper's eq. (6) leave mode 1 4 % short: 2.2 mm/s and more of 59."""
     exact, paper = (key_figures(each, ()) for each in evidences)
     assert (exact["law"], paper["law"]) == ("exact", "paper")
     missed = [line["achieved_mm_s"] - line["target_mm_s"] for line in paper["coefficients"]]
