@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -13,21 +12,8 @@ from modaltouch.cli.exit_status import BAD_INPUT, leave, reporting
 from modaltouch.cli.measurement import bars, give
 from modaltouch.cli.options import APPARATUS, JSON, MEASURED_RIG, SHIPPED_APPARATUS
 
-
-class Quantity(StrEnum):
-    """What a file's responses are of."""
-
-    velocity = "velocity"
-    displacement = "displacement"
-    acceleration = "acceleration"
-
-
-class Excitation(StrEnum):
-    """What the generator plays."""
-
-    multisine = "multisine"
-    chirp = "chirp"
-
+Quantity = Literal["velocity", "displacement", "acceleration"]
+Excitation = Literal["multisine", "chirp"]
 
 FILES = Annotated[
     list[Path] | None,
@@ -68,7 +54,7 @@ def identify(
     points: POINTS = 41,
     averages: AVERAGES = 10,
     drive_V: DRIVE = 50.0,
-    excitation: EXCITATION = Excitation.multisine,
+    excitation: EXCITATION = "multisine",
     highest_kHz: HIGHEST = None,
     margin_mm: MARGIN = 0.5,
     sets: SETS = None,
@@ -97,13 +83,13 @@ def identify(
             points=points,
             averages=averages,
             voltage=drive_V,
-            excitation=excitation.value,
+            excitation=excitation,
             lowest=lowest_Hz,
             highest=None if highest_kHz is None else highest_kHz * 1e3,
             margin=margin_mm * 1e-3,
             sets=tuple(sets or ()),
             modes=modes,
-            quantity=None if quantity is None else quantity.value,
+            quantity=quantity,
             conjugated=conjugated,
             spacing=spacing_Hz,
             seed=seed,

@@ -38,23 +38,29 @@ def bars() -> Iterator[MeasurementProgress]:
     from modaltouch.lab import MeasurementProgress
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    shown = Progress(*columns, console=Console(stderr=True))
     tasks: dict[str, TaskID] = {}
     aimed: list[float] = []
-    with Progress(*columns, console=Console(stderr=True)) as shown:
 
-        def show(what: str, done: int, total: int) -> None:
-            if what not in tasks:
-                tasks[what] = shown.add_task(what, total=total)
-            shown.update(tasks[what], completed=done, total=total)
+    def show(what: str, done: int, total: int) -> None:
+        shown.start()
+        if what not in tasks:
+            tasks[what] = shown.add_task(what, total=total)
+        shown.update(tasks[what], completed=done, total=total)
 
-        def aim(position: float) -> None:
-            """Ask once for a place, however many records follow each other there."""
-            if aimed != [position]:
-                with _aside(shown):
-                    _ask_to_aim(position)
-                aimed[:] = [position]
+    def aim(position: float) -> None:
+        """Ask once for a place, however many records follow each other there."""
+        if aimed != [position]:
+            with _aside(shown):
+                _ask_to_aim(position)
+            aimed[:] = [position]
 
+    try:
         yield MeasurementProgress(show=show, say=shown.print, aim=aim)
+    finally:
+        # Where nothing was measured, nothing was shown.
+        if shown.live.is_started:
+            shown.stop()
 
 
 @contextmanager
