@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modaltouch.lab.calibration.file import CalibrationResult, aimed_ground
+from modaltouch.lab.calibration.file import CalibrationResult, aimed_inputs
 from modaltouch.lab.calibration.loop import calibrate
 from modaltouch.preflight import Preflight, examine
 from modaltouch.preflight.examination import design_to_fit
@@ -113,7 +113,7 @@ def judge(preflight: Preflight) -> Callable[[TwinBench, CalibrationResult], tupl
 
     def judged(bench: TwinBench, outcome: CalibrationResult) -> tuple[float, float, float]:
         assert preflight.ground is not None
-        stimulus = design_to_fit(aimed_ground(preflight.ground, outcome.refined, outcome.correction))
+        stimulus = design_to_fit(aimed_inputs(preflight.ground, outcome.refined, outcome.correction))
         assert stimulus.release == "braked"
         instant = stimulus.timing.focusing_instant
         state = bench.true_state(stimulus.burst, stimulus.wish.velocity, instant)

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modaltouch.lab.calibration.command import grounds_of, levels_between
-from modaltouch.lab.calibration.file import aimed_ground
+from modaltouch.lab.calibration.command import design_inputs_of, levels_between
+from modaltouch.lab.calibration.file import aimed_inputs
 from modaltouch.lab.calibration.loop import calibrate_each
 from modaltouch.preflight import examine
 from modaltouch.preflight.examination import design_to_fit
@@ -32,11 +32,11 @@ def test_levels_that_a_run_may_play_are_met_between_those_that_were_verified(
 ) -> None:
     """Amplitudes come out 2 % higher for each decade below 15 Vpp: 4 % at 2 mm/s, and what is between within 1 %."""
     preflight = examine(THRESHOLD).require()
-    grounds, between = grounds_of(preflight), levels_between(preflight.experiment.protocol)
+    grounds, between = design_inputs_of(preflight), levels_between(preflight.experiment.protocol)
     bench = make_bench(shipped_apparatus, 1, lambda amplitude: 1 + 0.02 * math.log10(15 / max(amplitude, 0.01)))
     outcome = calibrate_each(bench, shipped_apparatus, grounds, between=between)[""]
     assert [round(level.velocity * 1e3, 3) for level in outcome.levels] == [2, 6.325, 20, 63.25, 200]
-    stimulus = design_to_fit(aimed_ground(grounds[""], outcome.refined, outcome.correction))
+    stimulus = design_to_fit(aimed_inputs(grounds[""], outcome.refined, outcome.correction))
     shapes = bench.twin.beam.shapes(stimulus.wish.centre)[:, 0]
     for level in (0.011, 0.035, 0.11):
         assert level not in [each.velocity for each in outcome.levels]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from modaltouch.lab.calibration.acquisition import DecayRecorder, commanded_voltage, identifying_burst, timing_voltage
-from modaltouch.lab.calibration.delays import VibrometerDelay, fit_drive, fit_sight
+from modaltouch.lab.calibration.delays import VibrometerDelay, fit_drive, fit_vibrometer
 from modaltouch.preflight import Preflight
 from modaltouch.protocol.apparatus import Apparatus, TrueAmplifier
 
@@ -50,7 +50,7 @@ def test_sight_is_told_by_phases_alone(preflight: Preflight, delay: float, lag: 
     gain = rng.uniform(0.5, 2, (pole.size, 2)) * rng.choice([-1, 1], (pole.size, 2))
     sign = np.sign(gain) * np.array([1, 0])
     ratio = gain * true.response(pole)[:, None] * (1 + 1e-4j * rng.standard_normal(gain.shape))
-    found = fit_sight(pole, ratio, 1e-4 * np.abs(ratio), sign)
+    found = fit_vibrometer(pole, ratio, 1e-4 * np.abs(ratio), sign)
     assert found.delay == pytest.approx(true.delay, abs=30e-9)
     assert found.lag == pytest.approx(true.lag, abs=30e-9)
     assert (ratio / found.response(pole)[:, None]).real == pytest.approx(gain, rel=0.01)

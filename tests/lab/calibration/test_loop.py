@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from modaltouch.lab.calibration.acquisition import measuring_points
-from modaltouch.lab.calibration.command import grounds_of
-from modaltouch.lab.calibration.file import aimed_ground, significant
+from modaltouch.lab.calibration.command import design_inputs_of
+from modaltouch.lab.calibration.file import aimed_inputs, significant
 from modaltouch.lab.calibration.loop import calibrate
 from modaltouch.lab.calibration.plant import ModalState
 from modaltouch.lab.laboratory import MeasurementProgress
@@ -170,7 +170,7 @@ def test_the_papers_law_has_no_targets(edit: Callable) -> None:
     """Refused at its key."""
     path = edit("differentiated_stimulation.yaml", ("law: exact  ", "law: paper  "))
     with pytest.raises(InputError, match=r":10:8: stimulus.law: given paper, a law without targets"):
-        grounds_of(examine(path))
+        design_inputs_of(examine(path))
 
 
 def test_a_field_in_a_file_of_its_own_is_refused(edit: Callable) -> None:
@@ -179,7 +179,7 @@ def test_a_field_in_a_file_of_its_own_is_refused(edit: Callable) -> None:
     path = edit("differentiated_stimulation.yaml", field)
     (path.parent / "field.csv").write_text("position_mm,velocity\n-20,0\n0,1\n20,0\n", encoding="utf-8")
     with pytest.raises(InputError, match=r"stimulus.field.file: given a file, which a calibration does not hold"):
-        grounds_of(examine(path))
+        design_inputs_of(examine(path))
 
 
 def test_a_trigger_latency_that_is_told_is_taken_out(
@@ -205,5 +205,5 @@ def test_every_level_is_verified_whatever_the_amplitude_grid(
     ground = replace(ground, apparatus=ground.apparatus.model_copy(update={"amplifier": tight}))
     apparatus = shipped_apparatus.model_copy(update={"amplifier": tight})
     outcome = calibrate(make_bench(apparatus, 1), apparatus, ground)
-    assert design_to_fit(aimed_ground(ground, outcome.refined, outcome.correction)).levels == (0.2,)
+    assert design_to_fit(aimed_inputs(ground, outcome.refined, outcome.correction)).levels == (0.2,)
     assert [level.velocity for level in outcome.levels] == pytest.approx([0.08, 0.1, 0.15, 0.2])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from modaltouch.__main__ import main
-from modaltouch.lab.calibration.command import grounds_of
+from modaltouch.lab.calibration.command import design_inputs_of
 from modaltouch.lab.calibration.loop import calibrate_each
 from modaltouch.lab.laboratory import MeasurementProgress, open_laboratory
 from modaltouch.preflight import Preflight, examine
@@ -59,7 +59,7 @@ def test_the_rig_is_identified_once_for_all(make_bench: Callable, mismatched: Ap
 
     said: list[str] = []
     told = MeasurementProgress(show=show, say=said.append)
-    outcomes = calibrate_each(bench, mismatched, grounds_of(preflight), told)
+    outcomes = calibrate_each(bench, mismatched, design_inputs_of(preflight), told)
     assert list(outcomes) == ["sharp", "blunt"]
     assert [words for words in said if words.startswith("stimulus")] == ["stimulus sharp", "stimulus blunt"]
     identified = ["amplifier and clock", "modes, by output 1", "modes, by output 2", "before"]

@@ -10,7 +10,7 @@ import pytest
 
 from modaltouch.lab.calibration.file import (
     CalibrationResult,
-    aimed_ground,
+    aimed_inputs,
     calibration_of,
     calibration_text,
     write_calibration,
@@ -63,7 +63,7 @@ def test_the_session_plays_what_the_loop_verified(
     path = tmp_path / "calibration.yaml"
     write_calibration(path, calibration)
     read = examine(preflight.findings.protocol.source.path, path).require().stimulus
-    verified = design_to_fit(aimed_ground(preflight.ground, outcome.refined, outcome.correction))
+    verified = design_to_fit(aimed_inputs(preflight.ground, outcome.refined, outcome.correction))
     assert read.burst.content_hash == verified.burst.content_hash
     for level, kept in zip(read.levels, calibration.levels, strict=True):
         assert read.burst.amplitude_for(level) == read.amplitude_for(level) == kept.amplitude_Vpp

@@ -76,14 +76,14 @@ def calibrate(options: CalibrateOptions, progress: MeasurementProgress | None = 
         If the rig fails, or is not the one of the apparatus file.
     """
     preflight = examine(options.protocol, uncalibrated=True).require()
-    experiment, grounds = preflight.experiment, grounds_of(preflight)
+    experiment, inputs = preflight.experiment, design_inputs_of(preflight)
     between = levels_between(experiment.protocol)
     prepare_file(options.out)
     with (
         (progress or MeasurementProgress()).interruptible() as heard,
         open_laboratory(experiment.apparatus, options.rig, aim=heard.aim) as laboratory,
     ):
-        outcomes = calibrate_each(laboratory, experiment.apparatus, grounds, heard, between)
+        outcomes = calibrate_each(laboratory, experiment.apparatus, inputs, heard, between)
         calibration = calibration_of(
             outcomes,
             protocol=experiment.protocol.protocol,
@@ -101,7 +101,7 @@ N_BETWEEN = 3
 """Levels verified between bounds within which any level may be played."""
 
 
-def grounds_of(preflight: Preflight) -> dict[str, DesignInputs]:
+def design_inputs_of(preflight: Preflight) -> dict[str, DesignInputs]:
     """Return what each stimulus of a checked protocol is designed from, by name; one alone has none."""
     preflight.require()
     faults = {name: list(_uncorrectable(part)) for name, part in preflight.parts.items()}

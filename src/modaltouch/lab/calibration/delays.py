@@ -154,7 +154,7 @@ class VibrometerDelay:
         return np.asarray(np.exp(-pole * self.delay) / (1 + pole * self.lag))
 
 
-def fit_sight(pole: ComplexArray, ratio: ComplexArray, spread: FloatArray, sign: FloatArray) -> VibrometerDelay:
+def fit_vibrometer(pole: ComplexArray, ratio: ComplexArray, spread: FloatArray, sign: FloatArray) -> VibrometerDelay:
     """Return the vibrometer's delay and lag from responses that without it would be real.
 
     Parameters

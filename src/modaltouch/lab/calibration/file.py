@@ -159,7 +159,7 @@ def significant(state: ModalState, target: FloatArray) -> FloatArray:
     return np.asarray(error * np.maximum(1 - doubt**2, 0.0))
 
 
-def aimed_ground(ground: DesignInputs, refined: Apparatus, correction: Correction) -> DesignInputs:
+def aimed_inputs(ground: DesignInputs, refined: Apparatus, correction: Correction) -> DesignInputs:
     """Return what a stimulus is designed from on an identified rig."""
     used = ground.apparatus.model_copy(update={"modes": refined.modes, "amplifier": refined.amplifier})
     return replace(ground, apparatus=used, correction=correction)
@@ -260,8 +260,8 @@ def _of_rig(outcome: CalibrationResult) -> dict[str, Any]:
             delay_us=refined.amplifier.delay_us,
         ),
         "measuring_chain": MeasuringChain(
-            vibrometer_delay_us=round(max(plant.sight.delay, 0.0) * 1e6, 4),
-            vibrometer_lag_us=round(plant.sight.lag * 1e6, 4),
+            vibrometer_delay_us=round(max(plant.vibrometer.delay, 0.0) * 1e6, 4),
+            vibrometer_lag_us=round(plant.vibrometer.lag * 1e6, 4),
             clock_offset_ppm=round(plant.drive.clock * 1e6, 3),
         ),
         "unlisted_modes_Hz": tuple(sorted(round(float(abs(pole)) / (2 * np.pi), 1) for pole in plant.unlisted)),

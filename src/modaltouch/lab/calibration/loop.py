@@ -23,7 +23,7 @@ from modaltouch.lab.calibration.file import (
     CalibrationResult,
     Iteration,
     Level,
-    aimed_ground,
+    aimed_inputs,
     refined_apparatus,
     significant,
 )
@@ -107,16 +107,17 @@ def refuse_doubtful_plant(plant: Plant, listed: ModalModel, margin: float) -> No
 
 def _refuse_phases(plant: Plant, margin: float) -> None:
     """Refuse a vibrometer that is no delay and low-pass, or so late that the records begin before its signal."""
-    sight = plant.sight
-    if sight.rest > LARGEST_PHASE:
+    vibrometer = plant.vibrometer
+    if vibrometer.rest > LARGEST_PHASE:
         raise RigError(
-            f"the modes' phases differ by {sight.rest:.2f} rad from those of a delay and a low-pass: allowed "
+            f"the modes' phases differ by {vibrometer.rest:.2f} rad from those of a delay and a low-pass: allowed "
             f"{LARGEST_PHASE:g} rad; the outputs are off; see which filters the vibrometer has switched on"
         )
-    if sight.delay + 10 * sight.lag > margin:
+    if vibrometer.delay + 10 * vibrometer.lag > margin:
         raise RigError(
-            f"the vibrometer is {sight.delay * 1e6:.0f} us late, with a low-pass of {sight.lag * 1e6:.1f} us: allowed "
-            f"together with ten times the latter {margin * 1e6:.0f} us; the outputs are off; switch on a faster filter"
+            f"the vibrometer is {vibrometer.delay * 1e6:.0f} us late, with a low-pass of {vibrometer.lag * 1e6:.1f} "
+            f"us: allowed together with ten times the latter {margin * 1e6:.0f} us; the outputs are off; switch on a "
+            "faster filter"
         )
 
 
@@ -133,7 +134,7 @@ LEAST_TRIM = 5e-3
 def calibrate_each(
     bench: Laboratory,
     apparatus: Apparatus,
-    grounds: Mapping[str, DesignInputs],
+    inputs: Mapping[str, DesignInputs],
     progress: MeasurementProgress | None = None,
     between: Sequence[float] = (),
 ) -> dict[str, CalibrationResult]:
@@ -147,7 +148,7 @@ def calibrate_each(
         Generator and scope.
     apparatus : Apparatus
         As its file gives it.
-    grounds : mapping of str to DesignInputs
+    inputs : mapping of str to DesignInputs
         The stimuli, without any calibration; one, without a name, of a protocol that has one alone.
     progress : MeasurementProgress, optional
         Whom to tell.
@@ -159,13 +160,13 @@ def calibrate_each(
     RigError, ValueError
         As `calibrate` does.
     """
-    told = progress or MeasurementProgress()
+    heard = progress or MeasurementProgress()
     found: dict[str, CalibrationResult] = {}
     plant: Plant | None = None
-    for name, ground in grounds.items():
+    for name, ground in inputs.items():
         if name:
-            told.say(f"stimulus {name}")
-        found[name] = calibrate(bench, apparatus, ground, told, plant, between, name)
+            heard.say(f"stimulus {name}")
+        found[name] = calibrate(bench, apparatus, ground, heard, plant, between, name)
         plant = found[name].plant
     return found
 
@@ -323,7 +324,7 @@ class _Loop:
         return plant
 
     def _aimed(self, refined: Apparatus, correction: Correction) -> Stimulus:
-        return design_to_fit(aimed_ground(self._ground, refined, correction), release="free")
+        return design_to_fit(aimed_inputs(self._ground, refined, correction), release="free")
 
     def _correction(self, aim: FloatArray) -> Correction:
         """Return targets with the digits that the file keeps."""
@@ -358,13 +359,13 @@ class _Loop:
     def _level(self, plant: Plant, stimulus: Stimulus, level: float, factor: float) -> Level:
         time, decay, highest = self._recorder.at_level(level, stimulus.wish.centre)
         fitted = fit_residues(plant.decay_time(time, self._timing), decay, plant.pole)
-        sight = plant.sight.response(plant.pole)
+        vibrometer = plant.vibrometer.response(plant.pole)
         return Level(
             velocity=level,
             factor=factor,
             amplitude=stimulus.amplitude_for(level),
-            at_focus=float((fitted.residue[:, 0] / sight).real.sum()),
-            spread=float(np.sqrt(np.sum((fitted.spread / np.abs(sight)) ** 2))),
+            at_focus=float((fitted.residue[:, 0] / vibrometer).real.sum()),
+            spread=float(np.sqrt(np.sum((fitted.spread / np.abs(vibrometer)) ** 2))),
             highest=highest,
         )
 

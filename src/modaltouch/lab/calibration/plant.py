@@ -8,7 +8,7 @@ import numpy as np
 
 from modaltouch.lab.arrays import ComplexArray, FloatArray
 from modaltouch.lab.calibration.decay import Decay
-from modaltouch.lab.calibration.delays import DriveDelay, VibrometerDelay, fit_sight
+from modaltouch.lab.calibration.delays import DriveDelay, VibrometerDelay, fit_vibrometer
 from modaltouch.stimulus import Amplifier, ModalModel, Timing, modal_system, states_by_channel
 
 
@@ -47,7 +47,7 @@ class Plant:
         As identified; its limit holds for the voltage that really reaches the beam.
     drive : DriveDelay
         How the drive follows what is commanded.
-    sight : VibrometerDelay
+    vibrometer : VibrometerDelay
         How the vibrometer follows the motion.
     unlisted : (n_unlisted,) complex array
         Poles of modes that the table lacks [1/s].
@@ -58,7 +58,7 @@ class Plant:
     model: ModalModel
     amplifier: Amplifier
     drive: DriveDelay
-    sight: VibrometerDelay
+    vibrometer: VibrometerDelay
     unlisted: ComplexArray
     certainty: FloatArray
 
@@ -82,7 +82,7 @@ class Plant:
             Mode shapes at the points of its records [1].
         """
         n = self.model.n_modes
-        swing = modal_swings(decay, shapes) / self.sight.response(self.model.exponent)
+        swing = modal_swings(decay, shapes) / self.vibrometer.response(self.model.exponent)
         spread = decay.spread[:n] / np.sqrt((shapes**2).sum(axis=1))
         turned = self.model.angular_frequency * swing / self.model.exponent
         return ModalState(swing.real, turned.real, spread)
@@ -151,15 +151,15 @@ def identify_plant(
         unit = unit_responses(refined, drive, voltage, timing)[:, channel]
         ratio[:, channel] = swing / unit
         spread[:, channel] = decay.spread[:n_modes] / np.sqrt((shapes**2).sum(axis=1)) / np.abs(unit)
-    sight = fit_sight(pole, ratio, spread, np.sign(model.modal_gain))
+    vibrometer = fit_vibrometer(pole, ratio, spread, np.sign(model.modal_gain))
     strongest = max(drive.gain)
-    gain = (ratio / sight.response(pole)[:, None]).real
+    gain = (ratio / vibrometer.response(pole)[:, None]).real
     return Plant(
         # What is identified is per commanded volt; the model counts real ones.
         model=replace(refined, modal_gain=gain / strongest),
         amplifier=replace(amplifier, gain=amplifier.gain * strongest, bandwidth=drive.bandwidth, delay=drive.delay),
         drive=drive,
-        sight=sight,
+        vibrometer=vibrometer,
         unlisted=decay.pole[n_modes:],
         certainty=np.asarray((np.abs(ratio) / np.maximum(spread, 1e-300)).max(axis=1)),
     )
