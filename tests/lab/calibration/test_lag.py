@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from modaltouch.lab.calibration.acquisition import DecayRecorder, commanded_voltage, identifying_burst, timing_voltage
-from modaltouch.lab.calibration.delays import VibrometerDelay, fit_drive, fit_vibrometer
+from modaltouch.lab.calibration.plant import VibrometerDelay, fit_drive, fit_vibrometer
 from modaltouch.preflight import Preflight
 from modaltouch.protocol.apparatus import Apparatus, TrueAmplifier
 

@@ -17,7 +17,6 @@ from modaltouch.lab.calibration.acquisition import (
     timing_voltage,
 )
 from modaltouch.lab.calibration.decay import find_poles, fit_residues
-from modaltouch.lab.calibration.delays import DriveDelay, fit_drive
 from modaltouch.lab.calibration.file import (
     DIGITS,
     CalibrationResult,
@@ -27,7 +26,7 @@ from modaltouch.lab.calibration.file import (
     refined_apparatus,
     significant,
 )
-from modaltouch.lab.calibration.plant import Plant, identify_plant
+from modaltouch.lab.calibration.plant import DriveDelay, Plant, fit_drive, identify_plant
 from modaltouch.lab.laboratory import Laboratory, MeasurementProgress
 from modaltouch.preflight import DesignInputs, design_to_fit
 from modaltouch.protocol import Apparatus

@@ -1,15 +1,204 @@
-"""The rig as a calibration identifies it: modes, amplifier, vibrometer, clock; and states read off free decays."""
+r"""The rig as a calibration identifies it: amplifier, clock, vibrometer and modes; and states read off free decays.
+
+The drive measured at the beam is the commanded one behind an amplifier of first order,
+:math:`T \dot u = g v(t - \tau) - u`, sampled by a clock that may run fast. The vibrometer is a delay and a lag too,
+:math:`V(s) = e^{-s \tau} / (1 + s T)`: a mode's response to a known drive, but for a real gain, has its phase.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
 from modaltouch.lab.arrays import ComplexArray, FloatArray
 from modaltouch.lab.calibration.decay import Decay
-from modaltouch.lab.calibration.delays import DriveDelay, VibrometerDelay, fit_vibrometer
+from modaltouch.rig import Recording
 from modaltouch.stimulus import Amplifier, ModalModel, Timing, modal_system, states_by_channel
+
+LONGEST = 100e-6
+"""Longest delay, and lag, that is looked for [s]."""
+
+FORGOTTEN = 30.0
+"""Lags after which nothing is left of a voltage [1]."""
+
+SHORTEST_LAG = 20e-9
+"""Lag below which the amplifier counts as following at once [s]."""
+
+
+@dataclass(frozen=True)
+class DriveDelay:
+    """How the measured drive follows the commanded one.
+
+    Attributes
+    ----------
+    gain : tuple of float
+        Of each channel, relative to what the apparatus file says [1].
+    delay : float
+        From the generator's output to the beam [s].
+    lag : float
+        Time constant of the amplifier [s].
+    clock : float
+        By what part the scope's clock runs fast against the generator's [1].
+    rest : float
+        Root mean square of measured less predicted drive, over that of the drive [1].
+    """
+
+    gain: tuple[float, ...]
+    delay: float
+    lag: float
+    clock: float
+    rest: float
+
+    @property
+    def bandwidth(self) -> float | None:
+        """Corner of the amplifier's pole [Hz]; None where it follows at once."""
+        return None if self.lag <= SHORTEST_LAG else 1 / (2 * np.pi * self.lag)
+
+
+def fit_drive(recordings: list[Recording], commanded: FloatArray, timing: Timing) -> DriveDelay:
+    """Return gain, delay, lag and clock from drives measured in different parts of a burst.
+
+    Parameters
+    ----------
+    recordings : list of Recording
+        Each with a drive to every commanded channel; the further apart in time, the better the clock is told.
+    commanded : (n_channels, n_samples) array
+        Voltages at the beam that the burst commands, by the apparatus file's gain [V].
+    timing : Timing
+        Clock of the samples.
+    """
+    from scipy.optimize import least_squares
+
+    measured = [recording.drive.mean(axis=0) for recording in recordings]
+    size = np.concatenate([each.ravel() for each in measured])
+    scale = float(np.sqrt(np.mean(size**2)))
+    if scale == 0:
+        return DriveDelay((0.0,) * commanded.shape[0], 0.0, 0.0, 0.0, 1.0)
+
+    @lru_cache(maxsize=1)
+    def lagged(lag: float) -> _Lagged:
+        return _Lagged(commanded, timing.hold, lag)
+
+    def predicted(delay: float, lag: float, clock: float) -> list[FloatArray]:
+        held = lagged(lag)
+        return [held.at(recording.time / (1 + clock) - delay) for recording in recordings]
+
+    def gains(courses: list[FloatArray]) -> FloatArray:
+        top = sum(np.einsum("cn,cn->c", course, each) for course, each in zip(courses, measured, strict=True))
+        bottom = sum(np.einsum("cn,cn->c", course, course) for course in courses)
+        return np.asarray(top / np.maximum(bottom, 1e-300))
+
+    def rest(values: FloatArray) -> FloatArray:
+        courses = predicted(values[0] * 1e-6, abs(values[1]) * 1e-6, values[2] * 1e-6)
+        gain = gains(courses)[:, None]
+        return np.concatenate([(each - gain * c).ravel() for c, each in zip(courses, measured, strict=True)]) / scale
+
+    tried = [
+        (float(np.sum(rest(np.array([delay, 0.5, 0.0])) ** 2)), delay) for delay in np.arange(-1.0, LONGEST * 1e6, 1.0)
+    ]
+    begin = np.array([min(tried)[1], 0.5, 0.0])
+    found = least_squares(rest, begin, diff_step=1e-3, x_scale=[1.0, 1.0, 5.0], xtol=1e-9, ftol=1e-12)
+    delay, lag, clock = found.x[0] * 1e-6, abs(found.x[1]) * 1e-6, found.x[2] * 1e-6
+    return DriveDelay(
+        gain=tuple(float(g) for g in gains(predicted(delay, lag, clock))),
+        delay=float(max(delay, 0.0)),
+        lag=float(lag if lag > SHORTEST_LAG else 0.0),
+        clock=float(clock),
+        rest=float(np.sqrt(np.mean(found.fun**2))),
+    )
+
+
+class _Lagged:
+    """Held samples behind a first-order lag, exact at every instant."""
+
+    def __init__(self, voltage: FloatArray, hold: float, lag: float) -> None:
+        self._hold, self._lag = hold, max(lag, 1e-9)
+        self._target = np.pad(voltage, ((0, 0), (0, 1)))
+        self._before = np.zeros_like(self._target)
+        self._before[:, 1:] = -np.expm1(-hold / self._lag) * voltage
+        # Sample + c * sample before + c^2 * ... is a product of sums of two.
+        step = 1
+        while step < voltage.shape[1] and hold * step < FORGOTTEN * self._lag:
+            self._before[:, step:] += np.exp(-hold * step / self._lag) * self._before[:, :-step]
+            step *= 2
+
+    def at(self, time: FloatArray) -> FloatArray:
+        """Return the voltages at instants since the first sample arrived, (n_channels, n_times) array [V]."""
+        index = np.clip((time / self._hold).astype(np.intp), 0, self._target.shape[1] - 1)
+        faded = np.exp(-np.maximum(time - index * self._hold, 0.0) / self._lag)
+        target = self._target[:, index]
+        return np.asarray(np.where(time < 0, 0.0, target + (self._before[:, index] - target) * faded))
+
+
+@dataclass(frozen=True)
+class VibrometerDelay:
+    """How the vibrometer follows the motion.
+
+    Attributes
+    ----------
+    delay : float
+        Pure delay [s].
+    lag : float
+        Time constant of its low-pass [s].
+    rest : float
+        Root mean square of the phases that delay and lag leave unexplained, each weighted by its certainty [rad].
+    """
+
+    delay: float
+    lag: float
+    rest: float
+
+    def response(self, pole: ComplexArray) -> ComplexArray:
+        """Return what the vibrometer makes of a decay e^{st}, (n_poles,) complex array [1]."""
+        return np.asarray(np.exp(-pole * self.delay) / (1 + pole * self.lag))
+
+
+def fit_vibrometer(pole: ComplexArray, ratio: ComplexArray, spread: FloatArray, sign: FloatArray) -> VibrometerDelay:
+    """Return the vibrometer's delay and lag from responses that without it would be real.
+
+    Parameters
+    ----------
+    pole : (n_modes,) complex array
+        Poles [1/s].
+    ratio : (n_modes, n_channels) complex array
+        Measured response over the response to the same drive of a mode of unit gain [m/s^2 per V].
+    spread : (n_modes, n_channels) array
+        Their standard errors; infinite where there is none [m/s^2 per V].
+    sign : (n_modes, n_channels) array
+        Sign of the gain as listed; 0 where it is not known.
+    """
+    from scipy.optimize import least_squares
+
+    size = np.maximum(np.abs(ratio), 1e-30)
+    # No response is known better than a thousandth: what the fit leaves out is larger.
+    weight = 1 / np.hypot(spread, 1e-3 * size + 1e-30)
+
+    def turned(values: FloatArray) -> ComplexArray:
+        lag = VibrometerDelay(values[0] * 1e-6, abs(values[1]) * 1e-6, 0.0)
+        return np.asarray(ratio / lag.response(pole)[:, None])
+
+    def rest(values: FloatArray) -> FloatArray:
+        return np.asarray((turned(values).imag * weight).ravel())
+
+    def astray(delay: float) -> float:
+        # A signal that is inverted as a whole is no later for it.
+        straight = turned(np.array([delay, 0.0]))
+        straight = straight * np.sign(np.sum(np.where(sign != 0, sign * straight.real / size, 0.0)))
+        known = sign != 0
+        return float(np.sum((np.abs(straight - sign * np.abs(straight)) / size)[known] ** 2))
+
+    tried = np.arange(0.0, LONGEST * 1e6, 0.2)
+    together = tried[int(np.argmin([astray(float(delay)) for delay in tried]))]
+    # Delay and lag differ in the third power of lag times frequency only: a search from one lag may not see it.
+    starts = [(max(together - lag, 0.0), lag) for lag in np.arange(0.05, min(together, 5.0) + 0.1, 0.25)]
+    each = [least_squares(rest, start, x_scale=[0.1, 0.1], xtol=1e-12, ftol=1e-12) for start in starts]
+    found = min(each, key=lambda one: float(one.cost))
+    lag = VibrometerDelay(float(found.x[0]) * 1e-6, abs(float(found.x[1])) * 1e-6, 0.0)
+    phase = (turned(found.x).imag / size)[np.isfinite(spread)]
+    certainty = (weight * size)[np.isfinite(spread)] ** 2
+    return VibrometerDelay(lag.delay, lag.lag, float(np.sqrt(np.sum(certainty * phase**2) / np.sum(certainty))))
 
 
 @dataclass(frozen=True, eq=False)
