@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +12,8 @@ import pytest
 from typer.testing import CliRunner
 
 from modaltouch.cli.app import app
+from modaltouch.lab.identification.excitation import Campaign
+from modaltouch.system.interruption import Interrupted
 
 APPARATUS = str(Path(__file__).parents[2] / "protocols" / "apparatus" / "beam_100x6x2.yaml")
 RUN = CliRunner()
@@ -95,3 +97,18 @@ def test_nobody_to_aim_ends_the_scan(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert said.exit_code == 2
     assert "+12.50 mm from mid-beam" in said.stderr
     assert "nobody is there to aim the vibrometer" in " ".join(said.stderr.split())
+
+
+def test_interrupted_scan_says_what_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Exit 130, how many points are on the disk and how to go on."""
+
+    def scan(self: Campaign, *parts: object, on_progress: Callable[[int, int], None], **options: object) -> None:
+        on_progress(3, 82)
+        raise Interrupted("SIGINT")
+
+    monkeypatch.setattr("modaltouch.lab.identification.command.open_laboratory", lambda *parts, **how: nullcontext())
+    monkeypatch.setattr(Campaign, "scan", scan)
+    said = RUN.invoke(app, ["identify", "--apparatus", APPARATUS, "--out", str(tmp_path / "out")])
+    assert said.exit_code == 130
+    assert "3 of 82 points are kept" in " ".join(said.stderr.split())
+    assert "give the same command to go on" in " ".join(said.stderr.split())
