@@ -159,5 +159,5 @@ def _record_session(
             )  # fmt: skip
         for event in also:
             log.append(**event)
-        write_view(place, Session(log.path, tuple(log.events), ()), log.head)
+        write_view(place, Session(log.path, tuple(log.events)), log.head)
     return place.log

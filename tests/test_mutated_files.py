@@ -21,11 +21,11 @@ from modaltouch.cli.app import app
 from modaltouch.planning.observer.file import read_observer
 from modaltouch.preflight import examine
 from modaltouch.protocol.document import InputError
+from modaltouch.record.audit import audit_session
 from modaltouch.record.chain import RecordError
 from modaltouch.record.recovery import survey
-from modaltouch.record.session import read_session
+from modaltouch.record.session import Session, read_session
 from modaltouch.session.simulation import simulate_session
-from modaltouch.session.verification import verify_session
 
 ROOT = Path(__file__).parents[1]
 N_MUTATIONS = int(os.environ.get("MODALTOUCH_MUTATIONS", "240"))
@@ -96,6 +96,9 @@ def kinds(tmp_path_factory):
     table.write_text("participant,finger_condition,zone_left,zone_right,velocity_mm_s,response\n" + "\n".join(rows))
     observer = folder / "protocols" / "observers" / "paper.yaml"
 
+    def verified(path):
+        return audit_session(Session.find(path))
+
     def analysed(path):
         responses = read_responses(path)
         find(count_answers(responses.frame, responses.focus), responses.frame)
@@ -111,7 +114,7 @@ def kinds(tmp_path_factory):
         of(
             "observer", observer, [read_observer], "simulate", protocol, "--observer", observer, "--results", os.devnull
         ),
-        of("session log", session, [read_session, survey, verify_session, analysed], "verify", session),
+        of("session log", session, [read_session, survey, verified, analysed], "verify", session),
         of("table of answers", table, [analysed], "analyse", table, "--out", folder / "out"),
     ]
 

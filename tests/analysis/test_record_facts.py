@@ -16,7 +16,7 @@ def session(participant: str, *events: dict) -> Session:
         "commanded": {"amplitude_Vpp": [1.5, 2.0]},
         "confirmed": {"confirmed": True, "confirmed_amplitude": [1.5, 2.01]},
     }  # fmt: skip
-    return Session(Path("session.jsonl"), (start, trial, *events), ())
+    return Session(Path("session.jsonl"), (start, trial, *events))
 
 
 def facts(*sessions: Session):

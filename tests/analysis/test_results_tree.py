@@ -12,8 +12,9 @@ from modaltouch.analysis.reading import read_responses
 from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol.document import InputError
 from modaltouch.protocol.trial import Trial
+from modaltouch.record.audit import audit_session
 from modaltouch.record.chain import read_chain
-from modaltouch.session.verification import verify_session
+from modaltouch.record.session import Session
 
 KINDS = ("fired", "trial")
 NAMED = ("protocol: differentiated_stimulation", "protocol: two")
@@ -94,7 +95,7 @@ def test_a_superseded_answer_does_not_count(record) -> None:
             {**facts, "presentation": 2, "response": response, "supersedes": old["n"]},
         ),
     )
-    assert verify_session(path).problems == ()
+    assert audit_session(Session.find(path)).problems == ()
     frame = read_responses(path).frame
     assert len(frame) == 24
     assert frame[frame["trial"] == 1]["response"].tolist() == [response["answer"]]

@@ -27,7 +27,8 @@ from modaltouch.protocol.document import Source
 from modaltouch.protocol.schedule import draw_schedule
 from modaltouch.protocol.trial import Condition, Trial
 from modaltouch.record.chain import GENESIS, encode_line
-from modaltouch.record.folders import Mode, SessionFolder, make_folder
+from modaltouch.record.files import make_folder
+from modaltouch.record.folders import Mode, SessionFolder
 from modaltouch.record.session import Session
 from modaltouch.record.view import write_view
 from modaltouch.session.events import describe_start
@@ -93,7 +94,7 @@ def write_tree(root: Path, n_sessions: int, n_repetitions: int, seed: int = 1) -
             data += line
         make_folder(place.folder)
         place.log.write_bytes(data.replace(b'"answer":"both"', b'"answer":"BOTH"') if kind == "damaged" else data)
-        write_view(place, Session(place.log, tuple(events), ()), {"lines": len(events), "check": check})
+        write_view(place, Session(place.log, tuple(events)), {"lines": len(events), "check": check})
 
 
 def _presented(preflight: Preflight, trial: Trial, answer: str) -> list[dict[str, Any]]:

@@ -21,9 +21,9 @@ from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol.adaptive_rules import Levels
 from modaltouch.protocol.document import InputError
 from modaltouch.protocol.schedule import draw_schedule
-from modaltouch.record.session import read_session
+from modaltouch.record.audit import audit_session
+from modaltouch.record.session import Session, read_session
 from modaltouch.session.setup import begin
-from modaltouch.session.verification import verify_session
 from modaltouch.session.wiring import wire_run
 
 SHIPPED = Path(__file__).parents[2] / "protocols" / "two_fields.yaml"
@@ -116,7 +116,7 @@ def test_a_session_changes_between_them_without_an_upload(preflight: Preflight, 
     rows = [(t["trial"]["condition"]["stimulus"], t["planned"]["speed_left_mm_s"]) for t in session.trials]
     assert len({name for name, _ in rows}) == 2
     assert all(event["confirmed"]["confirmed"] for event in session.trials)
-    verdict = verify_session(session.path.parent)
+    verdict = audit_session(Session.find(session.path.parent))
     assert verdict.problems == ()
     assert any(line.startswith("drives of 2 stimuli computed again") for line in verdict.lines)
     table = next(session.path.parent.glob("*_beh.tsv")).read_text(encoding="utf-8").splitlines()
@@ -180,7 +180,7 @@ def test_a_threshold_is_fitted_to_each_stimulus(tmp_path: Path) -> None:
     short = (SHARP_AND_SLOW, ("trials: 40", "trials: 8"), ("catch_trials: 10", "catch_trials: 4"))
     preflight = examine(write(tmp_path, *short, name="threshold.yaml")).require()
     log = begin(wire_run(preflight, "p01", answers="simulated", results=tmp_path)).path
-    assert verify_session(log).problems == ()
+    assert audit_session(Session.find(log)).problems == ()
     analysis = analyse(tmp_path, tmp_path / "out")
     assert isinstance(analysis, ThresholdAnalysis)
     assert [(run.kind, len(run.levels)) for run in analysis.runs] == [

@@ -10,8 +10,9 @@ import pytest
 
 from modaltouch.preflight import examine
 from modaltouch.protocol import Sources, examine_sources
+from modaltouch.record.audit import audit_session
+from modaltouch.record.session import Session
 from modaltouch.session.simulation import simulate_session
-from modaltouch.session.verification import verify_session
 
 Edit = Callable[..., Path]
 FILE = "differentiated_stimulation.yaml"
@@ -63,7 +64,7 @@ def test_a_record_keeps_the_points_of_its_field(edit: Edit, tmp_path: Path) -> N
     session = simulate_session(file, "p01", tmp_path / "results")
     points.unlink()
     assert examine_sources(Sources.from_dict(session.start["sources"])).problems == ()
-    assert verify_session(session.path).problems == ()
+    assert audit_session(Session.find(session.path)).problems == ()
 
 
 @pytest.mark.parametrize(

@@ -19,13 +19,12 @@ from modaltouch.analysis.reading import read_responses
 from modaltouch.protocol import Sources
 from modaltouch.protocol.document import InputError
 from modaltouch.protocol.experiment import restore_experiment
-from modaltouch.record.audit.start import draw_again
+from modaltouch.record.audit import audit_session, draw_again
 from modaltouch.record.chain import GENESIS, RecordError, encode_line, read_chain
-from modaltouch.record.folders import locate
+from modaltouch.record.folders import SessionFolder
 from modaltouch.record.session import Session
 from modaltouch.record.view import write_view
 from modaltouch.session.simulation import simulate_session
-from modaltouch.session.verification import verify_session
 from modaltouch.session.wiring import wire_resume
 
 Events = list[dict[str, Any]]
@@ -59,14 +58,14 @@ def copied(recorded: dict[str, Path], tmp_path: Path) -> Callable[..., Path]:
 def forge(log: Path, lie: Lie) -> None:
     """Tell a lie in a log, and make its checks and its view fit."""
     events: Events = [copy.deepcopy(event) for event in read_chain(log).events]
-    place = locate(log, "simulated", events[0]["protocol"])
+    place = SessionFolder.of(log, "simulated", events[0]["protocol"])
     lie(events)
     check, lines = GENESIS, []
     for event in events:
         line, check = encode_line(event, check)
         lines.append(line)
     log.write_bytes(b"".join(lines))
-    write_view(place, Session(log, tuple(events), ()), {"lines": len(lines), "check": check})
+    write_view(place, Session(log, tuple(events)), {"lines": len(lines), "check": check})
 
 
 def of(events: Events, *kinds: str) -> Events:
@@ -119,7 +118,7 @@ def rewrite_protocol(events: Events) -> None:
     source["sha256"] = sources.protocol.sha256
     protocol = restore_experiment(sources).protocol
     start["design"] = protocol.model_dump(mode="json")
-    start["schedule"] = draw_again(Session(Path(), tuple(events), ()), protocol).as_dict()
+    start["schedule"] = draw_again(Session(Path(), tuple(events)), protocol).as_dict()
     for event in of(events, "fired", "answered", "trial"):
         condition = event["trial"]["condition"]
         condition["velocity_mm_s"] = 90.0 if condition["velocity_mm_s"] == 80 else condition["velocity_mm_s"]
@@ -269,8 +268,8 @@ def test_a_forged_log_is_found_out(copied: Callable[..., Path], name: str, schem
     lie, words = IN_BOTH[name]
     log = copied(schema=schema)
     forge(log, lie)
-    found = [problem for problem in verify_session(log).problems if words in problem]
-    assert found, verify_session(log).problems
+    found = [problem for problem in audit_session(Session.find(log)).problems if words in problem]
+    assert found, audit_session(Session.find(log)).problems
     assert re.match(rf"{re.escape(str(log))}:\d+: ", found[0])
 
 
@@ -280,7 +279,7 @@ def test_forged_bursts_and_instants_are_found_out(copied: Callable[..., Path], n
     lie, words = IN_FORMAT_2[name]
     log = copied()
     forge(log, lie)
-    problems = verify_session(log).problems
+    problems = audit_session(Session.find(log)).problems
     assert any(words in problem and problem.startswith(f"{log}:") for problem in problems), problems
 
 
@@ -294,7 +293,7 @@ def test_a_catch_trial_with_bursts_is_found_out(copied: Callable[..., Path]) -> 
         event["commanded"]["amplitude_Vpp"] = [each * 2 for each in event["commanded"]["amplitude_Vpp"]]
 
     forge(log, lie)
-    problems = "\n".join(verify_session(log).problems)
+    problems = "\n".join(audit_session(Session.find(log)).problems)
     assert "is a catch trial with 1 bursts asked" in problems
     assert "80 mm/s takes" in problems
 
@@ -311,7 +310,7 @@ def test_a_log_written_anew_without_a_lie_passes(copied: Callable[..., Path], pr
     before = log.read_bytes()
     forge(log, nothing)
     assert log.read_bytes() == before
-    assert verify_session(log).problems == ()
+    assert audit_session(Session.find(log)).problems == ()
 
 
 @pytest.mark.parametrize("name", ["every level", "the codes", "a line number"])
@@ -319,7 +318,7 @@ def test_what_verify_refuses_is_neither_analysed_nor_gone_on_with(copied: Callab
     """With the same sentence."""
     log = copied()
     forge(log, IN_BOTH[name][0])
-    said = verify_session(log).problems[0]
+    said = audit_session(Session.find(log)).problems[0]
     with pytest.raises(RecordError, match=re.escape(said)):
         wire_resume(log)
     with pytest.raises(InputError, match=re.escape(said)):
@@ -330,7 +329,7 @@ def test_many_faults_are_told_to_a_number(copied: Callable[..., Path]) -> None:
     """A page of them helps nobody."""
     log = copied("with_catch_trials")
     forge(log, rewrite_levels)
-    problems = verify_session(log).problems
+    problems = audit_session(Session.find(log)).problems
     assert len(problems) == 21
     assert problems[-1].endswith("more such faults")
 
@@ -339,7 +338,7 @@ def test_many_faults_are_told_to_a_number(copied: Callable[..., Path]) -> None:
 def test_a_session_of_format_1_is_verified_and_analysed_for_ever(copied: Callable[..., Path], protocol: str) -> None:
     """Recorded before bursts were counted."""
     log = copied(protocol, "1")
-    assert verify_session(log).problems == ()
+    assert audit_session(Session.find(log)).problems == ()
     stimulus = "sharp" if protocol == "two_fields" else None
     assert len(read_responses(log, stimulus=stimulus).frame) == {"two_fields": 16, "threshold": 90}.get(
         protocol, 12 if protocol == "demo" else 24

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from modaltouch.record.chain import RecordError
-from modaltouch.record.files import OWNER_ALONE, prepare_file, replace_file, sync_file
+from modaltouch.record.files import OWNER_ALONE, prepare_file, replace_file
+from modaltouch.system import sync_file
 
 SOURCE = Path(__file__).parents[2] / "src" / "modaltouch"
 

@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 
 from modaltouch.record.chain import RecordError, RecordInputError
-from modaltouch.record.folders import SessionFolder, check_participant, find_log, locate, make_folder
+from modaltouch.record.files import make_folder
+from modaltouch.record.folders import SessionFolder, find_log
 
 
 @pytest.mark.parametrize(
@@ -29,7 +30,7 @@ def test_the_table_has_a_bids_name():
 def test_a_participant_id_with_anything_but_letters_and_digits_is_refused(name):
     """No path tricks and no names in file names."""
     with pytest.raises(RecordInputError, match="letters and digits"):
-        check_participant(name)
+        SessionFolder.check_participant(name)
 
 
 def test_sessions_count_from_one():
@@ -65,20 +66,20 @@ def test_two_sessions_under_one_folder_are_not_guessed_between(tmp_path):
 def test_a_place_is_known_from_its_log(tmp_path, mode):
     """`locate` undoes `SessionFolder.log`."""
     place = make_log(tmp_path, mode)
-    assert locate(place.log, mode, "demo") == place
+    assert SessionFolder.of(place.log, mode, "demo") == place
 
 
 def test_a_log_that_was_moved_is_not_taken_for_another_session(tmp_path):
     """A simulated session put into the real tree is refused."""
     place = make_log(tmp_path, "real")
     with pytest.raises(RecordError, match="put it back there"):
-        locate(place.log, "simulated", "demo")
+        SessionFolder.of(place.log, "simulated", "demo")
 
 
 def test_a_good_participant_id_is_given_back():
     """Letters and digits, up to 32 of them."""
-    assert check_participant("p01") == "p01"
-    assert check_participant("Z" * 32) == "Z" * 32
+    assert SessionFolder.check_participant("p01") == "p01"
+    assert SessionFolder.check_participant("Z" * 32) == "Z" * 32
 
 
 def test_all_folders_that_are_made_are_their_owners_alone(tmp_path):
@@ -96,14 +97,14 @@ def test_a_log_in_a_folder_of_another_name_has_no_place(tmp_path, path):
     make_folder(log.parent)
     log.touch()
     with pytest.raises(RecordError, match=r"does not lie in a folder sub-<id>/ses-<n>/beh"):
-        locate(log, "real", "demo")
+        SessionFolder.of(log, "real", "demo")
 
 
 def test_an_unknown_mode_has_no_place(tmp_path):
     """There are three trees and no fourth."""
     place = make_log(tmp_path, "real")
     with pytest.raises(RecordError, match="does not lie in a folder"):
-        locate(place.log, "unknown", "demo")
+        SessionFolder.of(place.log, "unknown", "demo")
 
 
 def test_what_is_no_session_is_refused(tmp_path):

@@ -320,12 +320,12 @@ def test_a_folder_that_cannot_be_made_is_said(tmp_path):
 def test_a_session_says_whose_it_is():
     """The start record; of a log that was cut before it, nothing is known."""
     start = {"n": 1, "event": "start", "mode": "pilot", "participant": "p03", "protocol": "demo", "session": 4}
-    session = Session(Path("session.jsonl"), (start,), ())
+    session = Session(Path("session.jsonl"), (start,))
     assert (session.mode, session.participant, session.protocol, session.drawn_as) == ("pilot", "p03", "demo", 4)
-    again = Session(Path("session.jsonl"), ({**start, "schedule": {"seeds": {"session": 2}}},), ())
+    again = Session(Path("session.jsonl"), ({**start, "schedule": {"seeds": {"session": 2}}},))
     assert again.drawn_as == 2
     for events in ((), ({"n": 1, "event": "note", "mode": "real"},)):
-        unknown = Session(Path("session.jsonl"), events, ())
+        unknown = Session(Path("session.jsonl"), events)
         assert (unknown.start, unknown.mode, unknown.participant, unknown.protocol) == ({}, "unknown", "", "")
         assert unknown.drawn_as == 1
         assert not unknown.complete
@@ -335,9 +335,9 @@ def test_a_session_begun_anew_says_as_which():
     """The last closing counts; a session that may go on has none."""
     start = {"n": 1, "event": "start"}
     closed = [{"n": n, "event": "closed", "begun_anew_as": n + 1} for n in (2, 3)]
-    assert Session(Path("session.jsonl"), (start,), ()).begun_anew_as is None
-    assert Session(Path("session.jsonl"), (start, closed[0]), ()).begun_anew_as == 3
-    assert Session(Path("session.jsonl"), (start, *closed), ()).begun_anew_as == 4
+    assert Session(Path("session.jsonl"), (start,)).begun_anew_as is None
+    assert Session(Path("session.jsonl"), (start, closed[0])).begun_anew_as == 3
+    assert Session(Path("session.jsonl"), (start, *closed)).begun_anew_as == 4
 
 
 def test_only_confirmed_answers_to_scheduled_trials_complete_a_session():
@@ -349,14 +349,12 @@ def test_only_confirmed_answers_to_scheduled_trials_complete_a_session():
 
     start = {"n": 1, "event": "start", "schedule": {"n_trials": 3}}
     events = (start, trial(2, 1, practice=True), trial(3, 1), trial(4, 2, confirmed=False), trial(5, 3))
-    session = Session(Path("session.jsonl"), events, ())
+    session = Session(Path("session.jsonl"), events)
     assert session.answered == {(True, 1), (False, 1), (False, 3)}
     assert session.n_answered == 2
     assert not session.complete
-    assert Session(Path("session.jsonl"), (*events, trial(6, 2)), ()).complete
-    withdrawn = Session(
-        Path("session.jsonl"), (*events, trial(6, 2), {"n": 7, "event": "withdrawn", "lines": [3, 5]}), ()
-    )
+    assert Session(Path("session.jsonl"), (*events, trial(6, 2))).complete
+    withdrawn = Session(Path("session.jsonl"), (*events, trial(6, 2), {"n": 7, "event": "withdrawn", "lines": [3, 5]}))
     assert [event["n"] for event in withdrawn.trials] == [2, 4, 6]
     assert withdrawn.n_answered == 1
     assert not withdrawn.complete
@@ -365,8 +363,8 @@ def test_only_confirmed_answers_to_scheduled_trials_complete_a_session():
 def test_levels_in_multiples_of_the_own_threshold_come_in_pairs():
     """What multiple each level is; a record that lacks one is not read as if it were whole."""
     start = {"n": 1, "event": "start", "sensation_levels": {"levels_mm_s": [20.0, 40.0], "multiples": [2.0, 4.0]}}
-    assert Session(Path("session.jsonl"), (start,), ()).multiples == {20.0: 2.0, 40.0: 4.0}
-    assert Session(Path("session.jsonl"), ({"n": 1, "event": "start"},), ()).multiples == {}
+    assert Session(Path("session.jsonl"), (start,)).multiples == {20.0: 2.0, 40.0: 4.0}
+    assert Session(Path("session.jsonl"), ({"n": 1, "event": "start"},)).multiples == {}
     start["sensation_levels"]["multiples"].pop()
     with pytest.raises(ValueError, match="shorter"):
-        assert Session(Path("session.jsonl"), (start,), ()).multiples
+        assert Session(Path("session.jsonl"), (start,)).multiples

@@ -8,11 +8,11 @@ import pytest
 from typer.testing import CliRunner
 
 from modaltouch.cli.app import app
+from modaltouch.record.audit import audit_session
 from modaltouch.record.chain import GENESIS, RecordError, encode_line
 from modaltouch.record.log import SessionLog
-from modaltouch.record.recovery import recover, survey
-from modaltouch.record.session import read_session
-from modaltouch.session.verification import verify_session
+from modaltouch.record.recovery import survey
+from modaltouch.record.session import Session, read_session
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +79,7 @@ def test_a_changed_answer_costs_that_answer_and_no_other(damaged, sound, tmp_pat
     found = survey(path)
     assert [line.number for line in found.left_out] == [spoilt + 1]
     assert found.missing == (spoilt + 1,)
-    log = recover(found, tmp_path / "recovered")
+    log = found.write(tmp_path / "recovered")
     assert path.read_bytes() == before
     assert log.with_name("left_out.txt").read_bytes() == before.splitlines(keepends=True)[spoilt]
     session = read_session(log)
@@ -103,9 +103,9 @@ def test_moved_and_doubled_lines_cost_nothing(damaged, sound, tmp_path):
     found = survey(damaged(change))
     assert found.missing == ()
     assert [line.reason for line in found.left_out] == ["a copy of line 7"]
-    log = recover(found, tmp_path / "recovered")
+    log = found.write(tmp_path / "recovered")
     assert answers_of(log) == expected
-    assert verify_session(log).problems == ()
+    assert audit_session(Session.find(log)).problems == ()
 
 
 def test_a_removed_line_takes_the_next_along_and_no_more(damaged):
@@ -120,16 +120,16 @@ def test_a_log_without_its_start_is_left_as_it_is(damaged, tmp_path):
     """Answers that belong to no known experiment are no data."""
     found = survey(damaged(lambda lines: lines[1:]))
     with pytest.raises(RecordError, match="start record does not prove itself"):
-        recover(found, tmp_path / "recovered")
+        found.write(tmp_path / "recovered")
     assert not (tmp_path / "recovered").exists()
 
 
 def test_nothing_is_recovered_over_another_session(damaged, tmp_path):
     """The new folder may hold sessions already, never the same one."""
     found = survey(damaged(lambda lines: lines[:-3]))
-    recover(found, tmp_path / "recovered")
+    found.write(tmp_path / "recovered")
     with pytest.raises(RecordError, match="exists already and is never overwritten"):
-        recover(found, tmp_path / "recovered")
+        found.write(tmp_path / "recovered")
 
 
 def test_what_is_lost_is_said_in_words_and_values(damaged, sound):
@@ -210,7 +210,7 @@ def test_a_replaced_answer_stays_replaced_under_its_new_number(tmp_path, damaged
         data += line
     lines = data.splitlines(keepends=True)
     path.write_bytes(b"".join([lines[0], *lines[2:]]))  # two lines gone: one removed, the next unproved
-    log = recover(survey(path), tmp_path / "recovered")
+    log = survey(path).write(tmp_path / "recovered")
     session = read_session(log)
     assert session.problems == ()
     assert [event["supersedes"] for event in session.events if event.get("supersedes")] == [old - 1]
@@ -226,7 +226,7 @@ def test_a_replaced_answer_stays_replaced_under_its_new_number(tmp_path, damaged
 
 def test_an_unreadable_file_is_named(tmp_path):
     """The message says what to give."""
-    with pytest.raises(RecordError, match=r"none.jsonl: cannot be read .*give the session.jsonl"):
+    with pytest.raises(RecordError, match=r"none.jsonl: no such file or folder; give a session's folder"):
         survey(tmp_path / "none.jsonl")
 
 
@@ -236,7 +236,7 @@ def test_an_empty_file_proves_nothing(tmp_path):
     found = survey(tmp_path / "session.jsonl")
     assert (found.events, found.left_out, found.missing) == ((), (), ())
     with pytest.raises(RecordError, match="start record does not prove itself"):
-        recover(found, tmp_path / "recovered")
+        found.write(tmp_path / "recovered")
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -263,7 +263,7 @@ def test_whatever_is_recovered_was_written(damaged, sound, tmp_path, seed):
         {**event, "check": original[event["n"] - 1]["check"]} == original[event["n"] - 1] for event in found.events
     )
     if found.events and found.events[0]["event"] == "start":
-        session = read_session(recover(found, tmp_path / "recovered"))
+        session = read_session(found.write(tmp_path / "recovered"))
         assert session.problems == ()
 
 

@@ -5,11 +5,10 @@ import json
 import pytest
 
 from modaltouch.protocol.document import InputError
+from modaltouch.record.audit import audit_session
 from modaltouch.record.chain import GENESIS, RecordError, encode_line, read_chain
-from modaltouch.record.session import read_session
-from modaltouch.record.shape import check_shape
+from modaltouch.record.session import Session, check_shape, read_session
 from modaltouch.session.simulation import simulate_session
-from modaltouch.session.verification import verify_session
 from modaltouch.session.wiring import wire_resume
 
 
@@ -60,7 +59,7 @@ def test_a_session_of_today_says_all_it_must(log):
 def test_another_format_is_told_by_every_reader(rewritten, change, said):
     """Verify names the line, resume refuses, the analysis leaves the session out with the reason."""
     path = rewritten(change)
-    assert said in verify_session(path).problems[0]
+    assert said in audit_session(Session.find(path)).problems[0]
     with pytest.raises(RecordError, match="format 3|does not say|is no event"):
         wire_resume(path)
     from modaltouch.analysis.reading import read_responses
@@ -80,7 +79,7 @@ def test_another_format_is_told_by_every_reader(rewritten, change, said):
 def test_what_cannot_be_repeated_is_told_where_it_would_be(rewritten, change, said):
     """Verify and resume compute order and drive again; the answers can still be analysed."""
     path = rewritten(change)
-    assert said in verify_session(path).problems[0]
+    assert said in audit_session(Session.find(path)).problems[0]
     with pytest.raises(RecordError, match="does not say"):
         wire_resume(path)
     assert read_session(path).problems == ()

@@ -11,8 +11,6 @@ from modaltouch.record.folders import SessionFolder
 from modaltouch.record.session import Session
 from modaltouch.record.view import (
     COLUMNS,
-    describe_dataset,
-    list_participants,
     table_text,
     write_view,
 )
@@ -44,7 +42,7 @@ TRIAL = {
 def session(tmp_path):
     """A session with one answer."""
     start = {"n": 1, "event": "start", "mode": "simulated", "schedule": {"n_trials": 1}}
-    return Session(tmp_path / "session.jsonl", (start, TRIAL), ())
+    return Session(tmp_path / "session.jsonl", (start, TRIAL))
 
 
 @pytest.fixture
@@ -94,8 +92,8 @@ def test_every_column_is_described_in_the_side_file(place, session):
 def test_the_dataset_is_described_and_lists_its_participants(place):
     """BIDS: dataset_description.json with Name and BIDSVersion; participants.tsv with a row for each sub- folder."""
     (place.dataset / "sub-p02").mkdir()
-    describe_dataset(place, "A title")
-    list_participants(place)
+    place.describe_dataset("A title")
+    place.list_participants()
     assert json.loads((place.dataset / "dataset_description.json").read_text())["Name"] == "A title"
     assert (place.dataset / "participants.tsv").read_text() == "participant_id\nsub-p01\nsub-p02\n"
     assert "*.jsonl" in (place.dataset / ".bidsignore").read_text()
@@ -105,17 +103,17 @@ def test_what_a_lab_wrote_about_its_participants_stays(place):
     """Columns and rows of others are kept; a new participant gets a row of ``n/a``."""
     path = place.dataset / "participants.tsv"
     path.write_text("participant_id\tage\tsex\nsub-p09\t34\tF\n")
-    list_participants(place)
+    place.list_participants()
     assert path.read_text() == "participant_id\tage\tsex\nsub-p09\t34\tF\nsub-p01\tn/a\tn/a\n"
     before = path.stat().st_mtime_ns
-    list_participants(place)
+    place.list_participants()
     assert path.stat().st_mtime_ns == before
 
 
 def test_every_file_of_the_view_is_its_owners_alone(session, place):
     """It holds what a participant did."""
-    describe_dataset(place, "A title")
-    list_participants(place)
+    place.describe_dataset("A title")
+    place.list_participants()
     write_view(place, session, {"lines": 2, "check": "0" * 16})
     files = [path for path in place.dataset.rglob("*") if path.is_file()]
     assert {place.table, place.table.with_suffix(".json"), place.dataset / "participants.tsv"} <= set(files)
@@ -134,7 +132,7 @@ def test_catch_trials_and_the_answer_none_are_described_where_there_are_any(sess
     start, trial = session.events
     design = {"schedule": {"catch_trials": 2}, "answers": {"keys": {"left": [], "none": []}}}
     caught = {**trial, "trial": {**trial["trial"], "condition": {**CONDITION, "velocity_mm_s": 0.0}}}
-    with_both = Session(session.path, ({**start, "design": design}, caught), ())
+    with_both = Session(session.path, ({**start, "design": design}, caught))
     header, row = (line.split("\t") for line in table_text(with_both).splitlines())
     assert dict(zip(header, row, strict=True))["catch"] == "1"
     write_view(place, with_both, {"lines": 2, "check": "0" * 64})
@@ -180,7 +178,7 @@ def test_every_level_of_a_column_is_described():
 
 def test_the_description_of_the_dataset_is_that_of_bids(place):
     """BIDS 1.10: Name, BIDSVersion, DatasetType, GeneratedBy; written once, then the lab's own."""
-    describe_dataset(place, "")
+    place.describe_dataset("")
     path = place.dataset / "dataset_description.json"
     assert json.loads(path.read_text()) == {
         "Name": "demo",
@@ -191,7 +189,7 @@ def test_the_description_of_the_dataset_is_that_of_bids(place):
     assert (place.dataset / "README").read_text().startswith("demo: sessions recorded by modaltouch")
     assert {"*.jsonl", "*.log"} <= set((place.dataset / ".bidsignore").read_text().split())
     path.write_text("{}")
-    describe_dataset(place, "Another title")
+    place.describe_dataset("Another title")
     assert path.read_text() == "{}"
 
 
@@ -200,7 +198,7 @@ def test_masking_and_stimuli_have_columns_where_there_are_any(session, place):
     start, trial = session.events
     design = {"masking": {"noise": "pink"}, "stimuli": {"narrow": {}}}
     named = {**trial, "masked": True, "trial": {**trial["trial"], "condition": {**CONDITION, "stimulus": "narrow"}}}
-    both = Session(session.path, ({**start, "design": design}, named, {**trial, "n": 8}), ())
+    both = Session(session.path, ({**start, "design": design}, named, {**trial, "n": 8}))
     header, *rows = (line.split("\t") for line in table_text(both).splitlines())
     values = [dict(zip(header, row, strict=True)) for row in rows]
     assert [(row["masked"], row["stimulus"], row["log_line"]) for row in values] == [
@@ -218,7 +216,7 @@ def test_no_value_can_break_the_table(session):
     """A tab or a line end within a value becomes a space; a way that was not asked is n/a."""
     start, trial = session.events
     odd = {**trial, "fingers": ["left\tindex", "right\nindex"], "response": {**trial["response"], "way": None}}
-    header, row = (line.split("\t") for line in table_text(Session(session.path, (start, odd), ())).splitlines())
+    header, row = (line.split("\t") for line in table_text(Session(session.path, (start, odd))).splitlines())
     values = dict(zip(header, row, strict=True))
     assert (values["finger_left"], values["finger_right"], values["way"]) == ("left index", "right index", "n/a")
 
@@ -228,7 +226,7 @@ def test_a_list_of_participants_that_is_no_text_is_named(place):
     path = place.dataset / "participants.tsv"
     path.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(RecordError, match=r"participants.tsv: cannot be read .*mend it or move it away"):
-        list_participants(place)
+        place.list_participants()
     assert path.read_bytes() == b"\xff\xfe\x00"
 
 
@@ -238,5 +236,5 @@ def test_a_list_is_begun_where_there_is_none_and_an_empty_one_gets_its_header(pl
     place.folder.parent.rmdir()
     place.folder.parent.parent.rmdir()
     (place.dataset / "sub-notes.txt").touch()
-    list_participants(place)
+    place.list_participants()
     assert (place.dataset / "participants.tsv").read_text() == "participant_id\n"

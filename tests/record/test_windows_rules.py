@@ -22,11 +22,12 @@ from windows_rules import UNIX_ONLY, windows_rules
 
 from modaltouch.record import files
 from modaltouch.record.chain import RecordError, read_chain
-from modaltouch.record.files import open_file, replace_file
-from modaltouch.record.log import SessionLog, refuse_existing
+from modaltouch.record.files import hold, is_locked, open_file, replace_file
+from modaltouch.record.folders import refuse_existing
+from modaltouch.record.log import SessionLog
 from modaltouch.session.console.lines import EventLines
-from modaltouch.system import locking
-from modaltouch.system.locking import PATIENCE, hold, is_locked, lock
+from modaltouch.system import files as system_files
+from modaltouch.system.files import lock
 
 WINDOWS = pytest.mark.parametrize("rules", ["windows"], indirect=True)
 UNIX = pytest.mark.parametrize("rules", ["unix"], indirect=True)
@@ -262,7 +263,7 @@ def test_a_draft_that_gets_its_name_while_it_is_open_is_found_out(
 @WINDOWS
 def test_a_lock_on_what_is_read_is_found_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nobody else could read the record of a session that is being run."""
-    monkeypatch.setattr(locking, "LOCKED_BYTE", 0)
+    monkeypatch.setattr(system_files, "LOCKED_BYTE", 0)
     with (
         SessionLog.create(tmp_path / "session.jsonl", "start") as log,
         pytest.raises(RecordError, match="locked a port"),
@@ -393,8 +394,8 @@ def test_a_lock_that_is_kept_is_waited_for_no_longer_than_is_said(file: Path, mo
     first, second = (os.open(file, os.O_RDWR) for _ in range(2))
     lock(first)
     with pytest.raises(OSError, match="unavailable|denied"):
-        lock(second, PATIENCE)
-    assert next(seconds) == PATIENCE + 2
+        lock(second, files.LOCK_PATIENCE)
+    assert next(seconds) == files.LOCK_PATIENCE + 2
     os.close(first)
     os.close(second)
 

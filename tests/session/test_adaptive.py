@@ -7,8 +7,9 @@ import signal
 
 import pytest
 
+from modaltouch.record.audit import audit_session
 from modaltouch.record.chain import GENESIS, encode_line, read_chain
-from modaltouch.session.verification import verify_session
+from modaltouch.record.session import Session
 
 RUN = ("--rig", "simulated", "--answers", "simulated", "--yes")
 
@@ -49,7 +50,7 @@ def test_a_killed_run_goes_on_with_the_very_same_level(
     assert answers_of(logs[1]) == answers_of(logs[0])
     levels = {condition["velocity_mm_s"] for practice, _, condition, _ in answers_of(logs[1]) if not practice}
     assert len(levels) > 4
-    verdict = verify_session(logs[1].parent)
+    verdict = audit_session(Session.find(logs[1].parent))
     assert verdict.problems == ()
     assert "levels of 18 trials follow from the answers before them" in verdict.lines
     start_record = json.loads(logs[1].read_text(encoding="utf-8").splitlines()[0])
@@ -67,7 +68,7 @@ def test_a_level_that_does_not_follow_is_noticed(tmp_path, short, finish):
         line, check = encode_line(event, check)
         lines.append(line)
     log.write_bytes(b"".join(lines))
-    problems = verify_session(log.parent).problems
+    problems = audit_session(Session.find(log.parent)).problems
     assert any("the record says 77 mm/s" in problem for problem in problems)
 
 
@@ -84,4 +85,4 @@ def test_a_killed_session_goes_on_with_the_stimuli_it_had(
     assert finish("resume", logs[1].parent, timeout=120) == 0
     assert answers_of(logs[1]) == answers_of(logs[0])
     assert {condition["stimulus"] for _, _, condition, _ in answers_of(logs[1])} == {"sharp", "blunt"}
-    assert verify_session(logs[1].parent).problems == ()
+    assert audit_session(Session.find(logs[1].parent)).problems == ()

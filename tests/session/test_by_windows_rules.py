@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from modaltouch.record.audit import audit_session
 from modaltouch.record.chain import read_chain
-from modaltouch.record.session import read_session
-from modaltouch.session.verification import verify_session
+from modaltouch.record.session import Session, read_session
 
 CUT_SHORT = Path(__file__).with_name("cut_short.py")
 RUN = ("--rig", "simulated", "--answers", "simulated", "--yes")
@@ -64,7 +64,7 @@ def whole(by_rules, protocol, tmp_path_factory):
 def test_a_session_is_recorded_and_verified(whole, by_rules):
     """Complete, sound, byte for byte what Unix would have written, with its view; nothing is left beside it."""
     assert read_session(whole).complete
-    assert verify_session(whole).problems == ()
+    assert audit_session(Session.find(whole)).problems == ()
     for path in whole.parents[3].rglob("*"):
         assert not path.name.endswith(".tmp")
         assert path.is_dir() or b"\r" not in path.read_bytes()
@@ -95,7 +95,7 @@ def test_a_session_that_is_cut_short_goes_on(tmp_path, whole, by_rules, protocol
     assert answers_of(log)[: len(before)] == before
     assert answers_of(log) == answers_of(whole)
     assert read_chain(log).problems == ()
-    assert verify_session(log).problems == ()
+    assert audit_session(Session.find(log)).problems == ()
 
 
 def test_of_two_runs_at_once_one_is_refused(tmp_path, by_rules, protocol):
@@ -103,4 +103,4 @@ def test_of_two_runs_at_once_one_is_refused(tmp_path, by_rules, protocol):
     runs = [by_rules("run", protocol, "-p", "p07", *RUN, "--results", tmp_path) for _ in range(2)]
     assert sorted(status(process) for process in runs) == [0, 4]
     assert read_session(log_in(tmp_path)).complete
-    assert verify_session(log_in(tmp_path)).problems == ()
+    assert audit_session(Session.find(log_in(tmp_path))).problems == ()

@@ -27,10 +27,10 @@ from pathlib import Path
 import pytest
 
 from modaltouch.protocol.apparatus import read_apparatus
+from modaltouch.record.audit import audit_session
 from modaltouch.record.chain import read_chain
-from modaltouch.record.session import read_session
+from modaltouch.record.session import Session, read_session
 from modaltouch.rig.simulator import Simulator
-from modaltouch.session.verification import verify_session
 
 CUT_SHORT = Path(__file__).with_name("cut_short.py")
 N_POINTS = int(os.environ.get("MODALTOUCH_KILL_POINTS", "60"))
@@ -280,10 +280,10 @@ def cut_until_complete(person, whole, seconds, rng, tally, kinds):
         tally.answers_lost += max(0, person.confirmed - len(answers)) + (answers[: len(before)] != before)
         tally.changed_orders += person.done != whole[: len(person.done)]
         tally.invalid_views += not view_is_valid(person.log)
-    problems = verify_session(person.log).problems if person.complete else None
+    problems = audit_session(Session.find(person.log)).problems if person.complete else None
     if problems != ():  # a last line that was cut is declared by the one that a resumption writes
         assert end(person.start({}), "nothing", rng, person.simulator, seconds) == 0
-        problems = verify_session(person.log).problems
+        problems = audit_session(Session.find(person.log)).problems
     assert problems == ()
     assert person.done == whole
     tally.answers_confirmed += person.confirmed

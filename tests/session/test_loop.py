@@ -219,7 +219,7 @@ def test_the_last_trial_can_be_repeated_while_the_participant_is_thanked(sit: Ca
     answer, place = right_answer(sitting.trials[-1]), "place " + "".join(sitting.trials[-1].condition.pair)
     assert last == ["goodbye", *[place, "trial 12", answer, "goodbye"] * 2]
     assert len(events(sitting, "withdrawn")) == 2
-    assert Session(sitting.log.path, tuple(sitting.log.events), ()).n_answered == 12
+    assert Session(sitting.log.path, tuple(sitting.log.events)).n_answered == 12
 
 
 def pressing(sitting: SessionRun, *moments: int) -> SessionRun:
@@ -257,7 +257,7 @@ def test_a_practice_trial_is_repeated_with_what_was_to_be_felt(sit: Callable[...
     kept = [event for event in events(sitting, "trial") if event["trial"]["practice"] and event["trial"]["index"] == 2]
     assert len(kept) == 2
     assert withdrawn["lines"] == [kept[0]["n"]]
-    session = Session(sitting.log.path, tuple(sitting.log.events), ())
+    session = Session(sitting.log.path, tuple(sitting.log.events))
     assert {kept[0]["n"], kept[1]["n"]} & {event["n"] for event in session.trials} == {kept[1]["n"]}
     assert session.n_answered == 12
 
@@ -379,7 +379,7 @@ def test_stalls_use_up_no_attempt_and_are_told_to_the_participant(sit: Callable[
     sitting.rig.stalled = 10  # type: ignore[attr-defined]
     conduct(sitting)
     assert seen(sitting).count("stall") == 10
-    assert Session(sitting.log.path, tuple(sitting.log.events), ()).n_answered == 12
+    assert Session(sitting.log.path, tuple(sitting.log.events)).n_answered == 12
 
 
 def test_a_computer_that_is_always_held_up_is_told_of_at_last(sit: Callable[..., SessionRun]) -> None:

@@ -18,13 +18,13 @@ from modaltouch.planning.observer import Observer
 from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol import ResumeSection
 from modaltouch.protocol.schedule import draw_schedule, random_generator
+from modaltouch.record.audit import audit_session
 from modaltouch.record.chain import RecordInputError, read_chain
 from modaltouch.record.session import Session, read_session
 from modaltouch.rig.interface import Bursts, Firing
 from modaltouch.session.console.interface import Facts, NoConsole, Request
 from modaltouch.session.resumption import answers_to_ask_again, examine_interruption, refuse_old
 from modaltouch.session.setup import Setup, begin, resume
-from modaltouch.session.verification import verify_session
 from modaltouch.session.wiring import wire_resume, wire_run
 from modaltouch.window.interface import AnswerWindow, SessionStopped
 from modaltouch.window.simulated import Answerer, SimulatedParticipant
@@ -132,14 +132,14 @@ def test_whatever_line_a_session_is_cut_at_the_rest_has_the_order_of_an_uninterr
         done = resume(on_paper(wire_resume(log)))
         assert done.complete
         # Verification draws and synthesises anew, which takes longer than the session.
-        assert n % 8 or verify_session(done.path).problems == ()
+        assert n % 8 or audit_session(Session.find(done.path)).problems == ()
         after = asked(done)
         if at == "restart" and not complete:
             assert done.path != log
             assert after == expected
             assert asked(read_session(log)) == before
             assert read_session(log).begun_anew_as == 2
-            assert verify_session(log).lines[-1] == "closed and not complete: begun anew as session 2"
+            assert audit_session(Session.find(log)).lines[-1] == "closed and not complete: begun anew as session 2"
             continue
         assert after[: len(before)] == before
         counted = [event for event in before if not event[0]]
@@ -160,14 +160,14 @@ def test_a_complete_session_whose_last_line_was_cut_is_made_whole(edit: Edit, tm
     preflight = with_policy(edit, "{at: trial}")
     whole = begin(on_paper(wire_run(preflight, "p01", answers="simulated", results=tmp_path)))
     whole.path.write_bytes(whole.path.read_bytes()[:-cut])
-    assert verify_session(whole.path).problems
+    assert audit_session(Session.find(whole.path)).problems
     told = CliRunner().invoke(app, ["doctor", str(whole.path)])
     assert told.exit_code == (4 if cut > 1 else 0), "a newline is no loss"
     assert f"go on with `modaltouch resume {whole.path.parent}`" in told.output
     assert "--into" not in told.output
     done = resume(on_paper(wire_resume(whole.path)))
     assert done.problems == ()
-    assert verify_session(done.path).problems == ()
+    assert audit_session(Session.find(done.path)).problems == ()
     assert CliRunner().invoke(app, ["doctor", str(whole.path)]).exit_code == 0
     assert asked(done) == asked(whole)
     assert done.events[-1]["reason"] == "finished"
@@ -273,14 +273,14 @@ def test_a_repeated_trial_supersedes_its_answer_and_the_record_stays_sound(
     old = [done.events[line - 1] for line in withdrawn[0]["lines"]]
     assert [event["trial"]["index"] for event in old] == [5, 6][:lines]
     assert len(asked(done)) == len(done.trials) + lines
-    assert verify_session(done.path).problems == ()
+    assert audit_session(Session.find(done.path)).problems == ()
 
 
 def interrupted(hours_ago: float, *, clock: float = 1000.0, boot: str = "one") -> Session:
     """Return a session of two lines that ended some hours ago."""
     then = datetime.now(UTC) - timedelta(hours=hours_ago)
     start = {"n": 1, "time": then.isoformat(), "clock": clock, "event": "start", "boot": boot}
-    return Session(Path("s/session.jsonl"), (start, {**start, "n": 2, "event": "placement"}), ())
+    return Session(Path("s/session.jsonl"), (start, {**start, "n": 2, "event": "placement"}))
 
 
 def test_an_interruption_within_the_limit_of_age_goes_on() -> None:

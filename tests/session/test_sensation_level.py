@@ -20,11 +20,11 @@ from modaltouch.planning.observer import Observer, Participant
 from modaltouch.planning.presented import designs_for
 from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol.document import InputError
+from modaltouch.record.audit import audit_session
 from modaltouch.record.chain import GENESIS, encode_line, read_chain
 from modaltouch.record.folders import SessionFolder
 from modaltouch.record.session import Session, read_session
 from modaltouch.session.setup import begin, resume
-from modaltouch.session.verification import verify_session
 from modaltouch.session.wiring import wire_resume, wire_run
 from modaltouch.window.interface import SessionStopped
 
@@ -157,7 +157,7 @@ def test_an_interrupted_session_goes_on_at_the_same_levels(preflight: Preflight,
     assert [event["trial"] for event in resumed.trials][: len(order)] == order
     assert set(resumed.multiples.values()) == set(MULTIPLES)
     assert list(resumed.multiples) == [12.34, 18.51, 24.68, 37.02]
-    verdict = verify_session(log.parent)
+    verdict = audit_session(Session.find(log.parent))
     assert verdict.problems == ()
     assert "levels follow from the threshold of 12.34 mm/s, as it was given" in verdict.lines
 
@@ -170,7 +170,7 @@ def test_begun_anew_it_keeps_the_levels(preflight: Preflight, tmp_path: Path) ->
     anew = resume(wire_resume(setup.place.log.parent, restart=True))
     assert anew.complete
     assert list(anew.multiples) == [12.34, 18.51, 24.68, 37.02]
-    assert verify_session(anew.path.parent).problems == ()
+    assert audit_session(Session.find(anew.path.parent)).problems == ()
 
 
 def _stopped_after(setup, n_trials: int):
@@ -202,7 +202,7 @@ def test_a_forged_threshold_is_noticed(results: Path, tmp_path: Path, forge, wor
         line, check = encode_line(event, check)
         lines.append(line)
     log.write_bytes(b"".join(lines))
-    assert any(words in problem for problem in verify_session(log.parent).problems)
+    assert any(words in problem for problem in audit_session(Session.find(log.parent)).problems)
 
 
 @pytest.mark.parametrize(

@@ -9,9 +9,10 @@ from typer.testing import CliRunner
 
 from modaltouch.cli.app import app
 from modaltouch.preflight import examine
+from modaltouch.record.audit import audit_session
 from modaltouch.record.chain import GENESIS, encode_line, line_check, read_chain
+from modaltouch.record.session import Session
 from modaltouch.session.setup import begin, resume
-from modaltouch.session.verification import verify_session
 from modaltouch.session.wiring import wire_resume, wire_run
 
 PROTOCOL = Path(__file__).parents[2] / "protocols" / "demo.yaml"
@@ -46,7 +47,7 @@ def forge(folder, change):
 
 def test_a_sound_session_passes(folder):
     """Nothing is wrong with what the program itself recorded."""
-    verdict = verify_session(folder)
+    verdict = audit_session(Session.find(folder))
     assert verdict.problems == ()
     assert verdict.lines[-1] == "complete"
 
@@ -58,7 +59,7 @@ def test_a_session_whose_screens_were_spoken_is_read_as_any_other(edit, tmp_path
     folder = begin(setup).path.parent
     former = {"voice": "en", "screens": ["question"], "rate_words_per_min": 160, "level_dB_FS": -20.0}
     forge(folder, lambda start: start["design"].update(speech=former))
-    (problem,) = verify_session(folder).problems
+    (problem,) = audit_session(Session.find(folder)).problems
     assert "was made from another log" in problem
 
 
@@ -66,20 +67,20 @@ def test_lines_removed_from_the_end_are_noticed(folder):
     """The chain alone cannot tell; the BIDS side file knows how far the log had come."""
     log = folder / "session.jsonl"
     log.write_bytes(b"".join(log.read_bytes().splitlines(keepends=True)[:-3]))
-    assert any("lines were removed from its end" in problem for problem in verify_session(folder).problems)
+    assert any("lines were removed from its end" in problem for problem in audit_session(Session.find(folder)).problems)
 
 
 def test_a_changed_table_is_noticed(folder):
     """An answer changed in the table, where the eye looks first."""
     table = next(folder.glob("*_beh.tsv"))
     table.write_text(table.read_text().replace("\tboth\t", "\tleft\t", 1))
-    assert any("differs from what the log says" in problem for problem in verify_session(folder).problems)
+    assert any("differs from what the log says" in problem for problem in audit_session(Session.find(folder)).problems)
 
 
 def test_an_order_that_the_seed_does_not_draw_is_noticed(folder):
     """Even in a log whose checks were all made to fit."""
     forge(folder, lambda start: start.update(seed=start["seed"] + 1))
-    assert any("draws another order" in problem for problem in verify_session(folder).problems)
+    assert any("draws another order" in problem for problem in audit_session(Session.find(folder)).problems)
 
 
 def test_a_drive_that_the_apparatus_does_not_give_is_noticed(folder):
@@ -90,7 +91,7 @@ def test_a_drive_that_the_apparatus_does_not_give_is_noticed(folder):
         apparatus["text"] = apparatus["text"].replace("{centre: 114}", "{centre: 115}")
 
     forge(folder, change)
-    assert any("the drive computed again" in problem for problem in verify_session(folder).problems)
+    assert any("the drive computed again" in problem for problem in audit_session(Session.find(folder)).problems)
 
 
 def test_the_side_file_carries_the_head_of_the_log(folder):
@@ -108,7 +109,7 @@ def test_a_table_newer_than_its_side_file_agrees(folder):
     chain = read_chain(folder / "session.jsonl")
     values["SessionLog"] |= {"lines": 5, "check": chain.checks[4]}
     side.write_text(json.dumps(values))
-    verdict = verify_session(folder)
+    verdict = audit_session(Session.find(folder))
     assert verdict.problems == ()
     assert any(line.startswith("BIDS view agrees: ") for line in verdict.lines)
 
@@ -123,7 +124,7 @@ def test_a_view_behind_its_log_is_said_to_be_behind(folder):
     described["SessionLog"] |= {"lines": n_lines, "check": chain.checks[n_lines - 1]}
     side.write_text(json.dumps(described))
     table.write_text("\n".join(table.read_text().splitlines()[:2]) + "\n")
-    verdict = verify_session(folder)
+    verdict = audit_session(Session.find(folder))
     assert verdict.problems == ()
     assert any("lines behind the log" in line for line in verdict.lines)
 
@@ -145,9 +146,9 @@ def test_a_complete_session_is_given_the_last_line_that_was_cut(folder, tmp_path
     place.mkdir(parents=True)
     log = folder.rename(place / "beh") / "session.jsonl"
     log.write_bytes(log.read_bytes()[:-cut])
-    assert verify_session(log).problems
+    assert audit_session(Session.find(log)).problems
     assert resume(wire_resume(log)).complete
-    assert verify_session(log).problems == ()
+    assert audit_session(Session.find(log)).problems == ()
 
 
 UNREADABLE = {

@@ -24,7 +24,7 @@ from modaltouch.analysis.provenance import SessionFacts, take_facts
 from modaltouch.analysis.responses import AnswerSource, ExcludedSource, Responses
 from modaltouch.analysis.scale import OWN_THRESHOLD, VELOCITY, scale_of
 from modaltouch.protocol import ANSWERS, ANSWERS_WITH_NONE, TIME_OUT, InputError, Problem
-from modaltouch.record import LOG_NAME, Chain, RecordError, Session, audit_session, read_chain, read_session
+from modaltouch.record import RecordError, Session, SessionFolder, audit_session, read_session
 
 
 @dataclass(frozen=True)
@@ -164,14 +164,13 @@ def _one(word: object) -> str:
 def open_log(path: Path) -> SessionAnswers:
     """Read a session and keep only what an analysis needs of it: a thousand logs would not fit in memory."""
     try:
-        chain = read_chain(path)
+        session = read_session(path)
     except RecordError as error:
         return SessionAnswers(path, reason=f"unreadable: {error}")
-    session = Session(path, chain.events, chain.problems)
     if not session.start:
-        damage = f"damaged: {session.problems[0]}" if session.problems else "cut before it began"
+        damage = f"damaged: {session.chain.problems[0]}" if session.chain.problems else "cut before it began"
         return SessionAnswers(path, reason=damage)
-    found = SessionAnswers(path, session.mode, session.participant, session.protocol, unfit=_unfit(session, chain))
+    found = SessionAnswers(path, session.mode, session.participant, session.protocol, unfit=_unfit(session))
     if found.unfit:
         return found
     design = session.start.get("design", {})
@@ -192,8 +191,8 @@ def open_log(path: Path) -> SessionAnswers:
     )
 
 
-def _unfit(session: Session, chain: Chain) -> str:
-    if faults := session.problems or audit_session(session, chain).problems:
+def _unfit(session: Session) -> str:
+    if faults := session.chain.problems or audit_session(session).problems:
         return f"damaged: {faults[0]}"
     if not session.complete and session.begun_anew_as is not None:
         return f"closed: begun anew as session {session.begun_anew_as}"
@@ -238,7 +237,7 @@ def read_tree(place: Path, mode: str | None = None, stimulus: str | None = None)
     with _no_search_for_cycles():
         found = [open_log(path) for path in find_logs(place)]
     if not found:
-        remedy = f"give the folder that `modaltouch run` wrote to; it holds files named {LOG_NAME}"
+        remedy = f"give the folder that `modaltouch run` wrote to; it holds files named {SessionFolder.LOG_NAME}"
         _refuse(place, "a folder without a recorded session", "a results folder", remedy)
     chosen = mode or _choose_mode(place, found)
     found = [_mark(item, _other_mode(item, chosen)) for item in found]
@@ -297,7 +296,7 @@ def _no_search_for_cycles() -> Iterator[None]:
 
 def find_logs(place: Path) -> list[Path]:
     """Return the session logs under a folder, in order of their names."""
-    return [place] if place.is_file() else sorted(place.rglob(LOG_NAME))
+    return [place] if place.is_file() else sorted(place.rglob(SessionFolder.LOG_NAME))
 
 
 def _mark(item: SessionAnswers, reason: str) -> SessionAnswers:

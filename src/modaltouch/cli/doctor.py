@@ -13,8 +13,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Literal
 
-from modaltouch.record import sync_file
-from modaltouch.system import versions
+from modaltouch.system import sync_file, versions
 
 
 @dataclass(frozen=True)

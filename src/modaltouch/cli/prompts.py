@@ -76,7 +76,7 @@ def ask_participant(dataset: Path) -> str:
     typer.BadParameter
         If there is no terminal to ask in.
     """
-    from modaltouch.record import RecordError, check_participant
+    from modaltouch.record import RecordError, SessionFolder
 
     if not can_ask():
         raise typer.BadParameter("a session needs a participant id: give it with -p, for example -p p01")
@@ -84,7 +84,7 @@ def ask_participant(dataset: Path) -> str:
         words = "Participant id (a code of letters and digits, never a name)"
         participant = str(_prompt(words, default=propose_participant(dataset))).strip()
         try:
-            check_participant(participant)
+            SessionFolder.check_participant(participant)
         except RecordError as error:
             typer.secho(str(error), err=True, fg=typer.colors.RED)
             continue
@@ -125,8 +125,7 @@ def ask_session(dataset: Path, participant: str, n_sessions: int) -> int | None:
     n_sessions : int
         Sessions that the protocol gives each participant.
     """
-    from modaltouch.record import check_shape, read_session
-    from modaltouch.system import is_locked
+    from modaltouch.record import read_session
 
     logs = {
         int(log.parents[1].name[4:]): log
@@ -137,9 +136,9 @@ def ask_session(dataset: Path, participant: str, n_sessions: int) -> int | None:
         return None
     for number, log in sorted(logs.items()):
         session = read_session(log)
-        if is_locked(log):
+        if session.is_running:
             state = "being run now, by another program"
-        elif not session.start or check_shape(session.events, ""):
+        elif not session.is_readable:
             state = f"cannot be read: {(*session.problems, 'has no start record')[0]}"
         elif session.complete:
             state = "complete"

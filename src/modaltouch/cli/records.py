@@ -23,10 +23,10 @@ def verify(
     json_output: JSON = False,
 ) -> None:
     """Check a session's record: its chain of lines, its order, its drive and its BIDS view, all recomputed."""
-    from modaltouch.session import verify_session
+    from modaltouch.record import Session, audit_session
 
     with reporting(json_output=json_output):
-        verdict = verify_session(session)
+        verdict = audit_session(Session.find(session))
         if json_output:
             print_json(verdict.as_dict())
         else:
@@ -93,16 +93,15 @@ def doctor(
 
 def _examine_record(session: Path, into: Path | None, *, json_output: bool) -> None:
     """Say what a record proves, and write it anew where that is asked; the exit status tells whether it is sound."""
-    from modaltouch.record import find_log, read_chain, recover, survey
+    from modaltouch.record import survey
 
-    found = survey(find_log(session))
-    chain = read_chain(found.path)
+    found = survey(session)
     lines = found.lines
     recovered = None
     if into is not None:
-        recovered = recover(found, into)
+        recovered = found.write(into)
         lines.append(f"recovered into {recovered}; check it with `modaltouch verify {recovered.parent}`")
-    elif chain.problems and not chain.damage:
+    elif found.is_cut:
         lines.append(
             f"go on with `modaltouch resume {found.path.parent}`, which declares the cut line and keeps the rest"
         )

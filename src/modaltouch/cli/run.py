@@ -173,16 +173,16 @@ def run(
     with reporting(json_output=json_output):
         window_options = _window_options(fullscreen, size, theme, screen, screenshots)
         preflight = examine(protocol, calibration).require()
-        from modaltouch.record import check_participant, dataset_of, refuse_existing
+        from modaltouch.record import SessionFolder
         from modaltouch.session import mode_of, wire_run
 
         rig = rig or ask_rig(can_ask() and not yes and not json_output)
         mode = mode_of(rig, answers.value, pilot=pilot)
         design = preflight.experiment.protocol
-        dataset = dataset_of(results, mode, design.protocol)
+        dataset = SessionFolder.dataset_of(results, mode, design.protocol)
         if participant is None:
             participant = ask_participant(dataset)
-        check_participant(participant)
+        SessionFolder.check_participant(participant)
         if session is None:
             session = None if yes or json_output else ask_session(dataset, participant, design.schedule.sessions)
         setup = wire_run(
@@ -197,7 +197,7 @@ def run(
             window_options=window_options,
             threshold_mm_s=threshold,
         )
-        refuse_existing(setup.place.log)
+        setup.place.refuse_existing()
         _try_masking(setup)
         if can_ask() and not yes and not json_output:
             wait_for_start(setup, rig)

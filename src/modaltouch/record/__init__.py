@@ -1,4 +1,8 @@
-"""What is kept: the append-only session log, the only truth, and the BIDS view derived from it."""
+"""What is kept: the append-only session log, the only truth, and the BIDS view derived from it.
+
+In go the place of a session and the events of its course; out come the session as its log tells it, whether it is what
+its own start record makes of it, and what a damaged log still proves.
+"""
 
 from __future__ import annotations
 
@@ -7,73 +11,38 @@ from typing import TYPE_CHECKING
 from modaltouch.system import lazily
 
 if TYPE_CHECKING:
-    from modaltouch.record.audit import audit_session, require_sound
-    from modaltouch.record.audit.view import check_view
-    from modaltouch.record.chain import (
-        Chain,
-        RecordError,
-        RecordInputError,
-        UnreadableLineError,
-        read_chain,
-        read_object,
-    )
-    from modaltouch.record.files import move, open_file, prepare_file, replace_file, sync_file
-    from modaltouch.record.folders import LOG_NAME, Mode, SessionFolder, check_participant, dataset_of, find_log, locate
-    from modaltouch.record.log import RecordExistsError, SessionLog, refuse_existing
-    from modaltouch.record.recovery import recover, survey
+    from modaltouch.record.audit import audit_session
+    from modaltouch.record.chain import RecordError, RecordExistsError, RecordInputError
+    from modaltouch.record.files import move, prepare_file, replace_file
+    from modaltouch.record.folders import SessionFolder
+    from modaltouch.record.log import SessionLog
+    from modaltouch.record.recovery import survey
     from modaltouch.record.session import Session, read_session
-    from modaltouch.record.shape import SCHEMA, check_shape
-    from modaltouch.record.view import describe_dataset, hold_dataset, list_participants, write_view
 else:
     __getattr__ = lazily(
         __name__,
         {
-            "audit": "audit_session require_sound",
-            "audit.view": "check_view",
-            "chain": "Chain RecordError RecordInputError UnreadableLineError read_chain read_object",
-            "files": "move open_file prepare_file replace_file sync_file",
-            "folders": "LOG_NAME Mode SessionFolder check_participant dataset_of find_log locate",
-            "log": "RecordExistsError SessionLog refuse_existing",
-            "recovery": "recover survey",
+            "audit": "audit_session",
+            "chain": "RecordError RecordExistsError RecordInputError",
+            "files": "move prepare_file replace_file",
+            "folders": "SessionFolder",
+            "log": "SessionLog",
+            "recovery": "survey",
             "session": "Session read_session",
-            "shape": "SCHEMA check_shape",
-            "view": "describe_dataset hold_dataset list_participants write_view",
         },
     )
 
 __all__ = [
-    "Chain",
-    "LOG_NAME",
-    "Mode",
     "RecordError",
     "RecordExistsError",
     "RecordInputError",
-    "SCHEMA",
     "Session",
     "SessionFolder",
     "SessionLog",
-    "UnreadableLineError",
     "audit_session",
-    "check_participant",
-    "check_shape",
-    "check_view",
-    "dataset_of",
-    "describe_dataset",
-    "find_log",
-    "hold_dataset",
-    "list_participants",
-    "locate",
     "move",
-    "open_file",
     "prepare_file",
-    "read_chain",
-    "read_object",
     "read_session",
-    "recover",
-    "refuse_existing",
     "replace_file",
-    "require_sound",
     "survey",
-    "sync_file",
-    "write_view",
 ]

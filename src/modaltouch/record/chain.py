@@ -34,6 +34,10 @@ class RecordInputError(RecordError):
     """What was named is no participant id, or no session; no record is at risk."""
 
 
+class RecordExistsError(RecordError):
+    """A session has been recorded, or is being recorded, where another was to be."""
+
+
 class UnreadableLineError(Exception):
     """A line whose check is right and that is no JSON object that can be read.
 
@@ -70,12 +74,12 @@ class Chain:
         Whether the last line is terminated.
     """
 
-    events: tuple[dict[str, Any], ...]
-    checks: tuple[str, ...]
-    problems: tuple[str, ...]
-    damage: tuple[str, ...]
-    torn: bytes
-    ends_in_newline: bool
+    events: tuple[dict[str, Any], ...] = ()
+    checks: tuple[str, ...] = ()
+    problems: tuple[str, ...] = ()
+    damage: tuple[str, ...] = ()
+    torn: bytes = b""
+    ends_in_newline: bool = True
 
     @property
     def last_check(self) -> str:

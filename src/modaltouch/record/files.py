@@ -1,15 +1,16 @@
-"""Files that are whole or not there: written beside their place, synced, and renamed into it."""
+"""Files that are whole or not there: written beside their place, synced, and renamed into it; and who holds them."""
 
 from __future__ import annotations
 
-import contextlib
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from modaltouch.record.chain import RecordError
+from modaltouch.system import lock, sync_file
 
 OWNER_ALONE = 0o600
 """Permissions of a file that holds what a participant did."""
@@ -18,21 +19,16 @@ PATIENCE = 1.0
 """How long Windows is asked to rename a file that another program has open, such as a virus scanner [s]."""
 
 
+LOCK_NAME = ".lock"
+"""File of a folder that stands for the folder where it is locked; it stays, empty."""
+
+LOCK_PATIENCE = 10.0
+"""How long to wait for a folder that another process holds [s]; each holds it for milliseconds."""
+
+
 def open_file(path: Path, flags: int) -> int:
     """Return a descriptor that takes bytes as they are; Windows would otherwise write CR LF for LF."""
     return os.open(path, flags | getattr(os, "O_BINARY", 0), OWNER_ALONE)
-
-
-def sync_file(descriptor: int) -> None:
-    """Force what was written to a file to the disk."""
-    if sys.platform == "darwin":
-        import fcntl
-
-        # There fsync stops at the cache of the drive; a file system that cannot do more refuses this.
-        with contextlib.suppress(OSError):
-            fcntl.fcntl(descriptor, fcntl.F_FULLFSYNC)
-            return
-    os.fsync(descriptor)
 
 
 def move(rename: Callable[[Path], object], target: Path) -> None:
@@ -103,5 +99,52 @@ def sync_folder(folder: Path) -> None:
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         sync_file(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def make_folder(folder: Path) -> None:
+    """Create a folder and those above it that are missing, every one for its owner alone.
+
+    `Path.mkdir` gives its mode to the last folder only.
+
+    Raises
+    ------
+    OSError
+        If one cannot be created.
+    """
+    if not folder.is_dir():
+        make_folder(folder.parent)
+        folder.mkdir(mode=0o700, exist_ok=True)
+
+
+def is_locked(path: Path) -> bool:
+    """Return whether a process keeps the lock of a file, as a session does for its log while it is run."""
+    try:
+        descriptor = os.open(path, os.O_RDWR)
+    except OSError:
+        return False
+    try:
+        lock(descriptor)
+    except OSError:
+        return True
+    finally:
+        os.close(descriptor)
+    return False
+
+
+@contextmanager
+def hold(folder: Path) -> Iterator[None]:
+    """Keep other processes from changing what a folder holds in common, such as a list of participants.
+
+    Raises
+    ------
+    OSError
+        If the lock cannot be made, or another process keeps it for longer than `LOCK_PATIENCE`.
+    """
+    descriptor = os.open(folder / LOCK_NAME, os.O_RDWR | os.O_CREAT, 0o600)
+    try:
+        lock(descriptor, LOCK_PATIENCE)
+        yield
     finally:
         os.close(descriptor)

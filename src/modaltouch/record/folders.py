@@ -1,14 +1,25 @@
-"""Where a session lives: ``<results>/[simulated|pilot/]<protocol>/sub-<id>/ses-<n>/beh/``."""
+"""Where a session lives: ``<results>/[simulated|pilot/]<protocol>/sub-<id>/ses-<n>/beh/``.
+
+References
+----------
+Brain Imaging Data Structure 1.10, "Behavioral experiments (with no neural recordings)".
+"""
 
 from __future__ import annotations
 
+import json
 import re
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal, Self
 
-from modaltouch.record.chain import RecordError, RecordInputError
+from modaltouch.record.chain import RecordError, RecordExistsError, RecordInputError
+from modaltouch.record.files import LOCK_NAME, OWNER_ALONE, hold, is_locked, make_folder, replace_file
+from modaltouch.system import version
 
+BIDS_VERSION = "1.10.0"
 Mode = Literal["real", "pilot", "simulated"]
 LOG_NAME = "session.jsonl"
 
@@ -33,6 +44,9 @@ class SessionFolder:
         Number of the session, from 1.
     """
 
+    LOG_NAME: ClassVar[str] = LOG_NAME
+    """Name of every session log."""
+
     results: Path
     mode: Mode
     protocol: str
@@ -40,14 +54,59 @@ class SessionFolder:
     session: int = 1
 
     def __post_init__(self) -> None:
-        check_participant(self.participant)
+        self.check_participant(self.participant)
         if self.session < 1:
             raise RecordInputError(f"session number {self.session} is not allowed: sessions count from 1")
+
+    @classmethod
+    def of(cls, log: Path, mode: str, protocol: str) -> Self:
+        """Return the place of a session from the path of its log.
+
+        Raises
+        ------
+        RecordError
+            If the log does not lie where sessions lie.
+        """
+        folder = log.resolve().parent
+        session, participant = folder.parent.name, folder.parent.parent.name
+        dataset = folder.parent.parent.parent
+        results = dataset.parent if mode == "real" else dataset.parent.parent
+        named = re.fullmatch(r"ses-([1-9]\d*)", session), re.fullmatch(r"sub-(\w+)", participant)
+        if mode not in ("real", "pilot", "simulated") or not all(named):
+            raise RecordError(f"{log}: does not lie in a folder sub-<id>/ses-<n>/beh; put it back there")
+        place = cls(results, mode, protocol, participant[4:], int(session[4:]))  # type: ignore[arg-type]
+        if place.log != log.resolve():
+            raise RecordError(
+                f"{log}: is a {mode} session of the protocol {protocol} and belongs in {place.folder}; put it back "
+                "there"
+            )
+        return place
+
+    @staticmethod
+    def dataset_of(results: Path, mode: Mode, protocol: str) -> Path:
+        """Return the root of the BIDS dataset of one protocol in one mode."""
+        return (results if mode == "real" else results / mode) / protocol
+
+    @staticmethod
+    def check_participant(participant: str) -> str:
+        """Return the participant id if it may stand in a file name.
+
+        Raises
+        ------
+        RecordInputError
+            If it is empty, longer than 32 or holds anything but ASCII letters and digits.
+        """
+        if not _PARTICIPANT.match(participant):
+            raise RecordInputError(
+                f"participant id {participant!r} is not allowed: use 1 to 32 letters and digits (A-Z, a-z, 0-9), "
+                "for example p01, and never a person's name"
+            )
+        return participant
 
     @property
     def dataset(self) -> Path:
         """Root of the BIDS dataset: one protocol in one mode."""
-        return dataset_of(self.results, self.mode, self.protocol)
+        return self.dataset_of(self.results, self.mode, self.protocol)
 
     @property
     def folder(self) -> Path:
@@ -65,36 +124,98 @@ class SessionFolder:
         task = re.sub(r"[^A-Za-z0-9]", "", self.protocol)
         return self.folder / f"sub-{self.participant}_ses-{self.session}_task-{task}_beh.tsv"
 
+    def refuse_existing(self) -> None:
+        """Raise if a session has been recorded here.
 
-def dataset_of(results: Path, mode: Mode, protocol: str) -> Path:
-    """Return the root of the BIDS dataset of one protocol in one mode.
+        Raises
+        ------
+        RecordExistsError
+            If the log exists, with the way to go on.
+        """
+        refuse_existing(self.log)
 
-    Parameters
-    ----------
-    results : Path
-        Root of all results.
-    mode : str
-        ``real``, ``pilot`` or ``simulated``.
-    protocol : str
-        Name of the protocol.
-    """
-    return (results if mode == "real" else results / mode) / protocol
+    @staticmethod
+    def number_of(log: Path) -> int:
+        """Return the number of the session of a log, from its folder; 0 where that has none."""
+        name = log.parent.parent.name.removeprefix("ses-")
+        return int(name) if name.isdecimal() else 0
+
+    @classmethod
+    def logs_of(cls, participant: Path) -> list[Path]:
+        """Return the logs in the folder of a participant, in order of their sessions' numbers."""
+        return sorted(participant.glob(f"ses-*/beh/{LOG_NAME}"), key=cls.number_of)
+
+    def describe_dataset(self, title: str) -> None:
+        """Write the dataset's description and ignore file where they are missing.
+
+        Raises
+        ------
+        RecordError
+            If a file cannot be written.
+        """
+        dataset = self.dataset
+        try:
+            make_folder(dataset)
+        except OSError as error:
+            raise RecordError(
+                f"{dataset}: cannot be created ({error.strerror}); give a folder you may write to with --results"
+            ) from error
+        if (dataset / "dataset_description.json").exists():
+            return
+        description = {
+            "Name": title or self.protocol,
+            "BIDSVersion": BIDS_VERSION,
+            "DatasetType": "raw",
+            "GeneratedBy": [{"Name": "modaltouch", "Version": version()}],
+        }
+        text = json.dumps(description, indent=2, ensure_ascii=False) + "\n"
+        replace_text(dataset / "dataset_description.json", text)
+        replace_text(dataset / "README", f"{description['Name']}: sessions recorded by modaltouch {version()}.\n")
+        replace_text(dataset / ".bidsignore", f"*.jsonl\n*.log\n{LOCK_NAME}\n")
+
+    @contextmanager
+    def hold_dataset(self) -> Iterator[None]:
+        """Keep other sessions from beginning in the dataset, for milliseconds.
+
+        Raises
+        ------
+        RecordError
+            If it cannot be locked.
+        """
+        with ExitStack() as stack:
+            try:
+                stack.enter_context(hold(self.dataset))
+            except OSError as error:
+                raise RecordError(
+                    f"{self.dataset}: cannot be locked ({error.strerror}); see what else writes there"
+                ) from error
+            yield
+
+    def list_participants(self) -> None:
+        """Add the participants whose folders are not listed yet; what a lab wrote into the list stays as it is.
+
+        Raises
+        ------
+        RecordError
+            If the list cannot be read or written.
+        """
+        with self.hold_dataset():  # two sessions may begin at once: none may write a list that lacks the other
+            path = self.dataset / "participants.tsv"
+            try:
+                text = path.read_text(encoding="utf-8") if path.exists() else "participant_id\n"
+            except (OSError, UnicodeDecodeError) as error:
+                raise RecordError(f"{path}: cannot be read ({error}); mend it or move it away") from error
+            header, *rows = [line.split("\t") for line in text.splitlines()] or [["participant_id"]]
+            listed = {row[0] for row in rows}
+            folders = sorted(folder.name for folder in self.dataset.glob("sub-*") if folder.is_dir())
+            new = ["\t".join([name, *["n/a"] * (len(header) - 1)]) for name in folders if name not in listed]
+            if new or not path.exists():
+                replace_text(path, "\n".join([text.rstrip("\n"), *new]) + "\n")
 
 
-def check_participant(participant: str) -> str:
-    """Return the participant id if it may stand in a file name.
-
-    Raises
-    ------
-    RecordError
-        If it is empty, longer than 32 or holds anything but ASCII letters and digits.
-    """
-    if not _PARTICIPANT.match(participant):
-        raise RecordInputError(
-            f"participant id {participant!r} is not allowed: use 1 to 32 letters and digits (A-Z, a-z, 0-9), "
-            "for example p01, and never a person's name"
-        )
-    return participant
+def replace_text(path: Path, text: str) -> None:
+    """Put a file of the view in place, for its owner alone."""
+    replace_file(path, text.encode(), "the session log is intact", OWNER_ALONE)
 
 
 def find_log(session: Path) -> Path:
@@ -118,39 +239,21 @@ def find_log(session: Path) -> Path:
     return logs[0]
 
 
-def locate(log: Path, mode: str, protocol: str) -> SessionFolder:
-    """Return the place of a session from the path of its log.
+def refuse_existing(path: Path) -> None:
+    """Raise if a session has been recorded here.
 
     Raises
     ------
-    RecordError
-        If the log does not lie where sessions lie.
+    RecordExistsError
+        If the log exists, with the way to go on.
     """
-    folder = log.resolve().parent
-    session, participant = folder.parent.name, folder.parent.parent.name
-    dataset = folder.parent.parent.parent
-    results = dataset.parent if mode == "real" else dataset.parent.parent
-    named = re.fullmatch(r"ses-([1-9]\d*)", session), re.fullmatch(r"sub-(\w+)", participant)
-    if mode not in ("real", "pilot", "simulated") or not all(named):
-        raise RecordError(f"{log}: does not lie in a folder sub-<id>/ses-<n>/beh; put it back there")
-    place = SessionFolder(results, mode, protocol, participant[4:], int(session[4:]))  # type: ignore[arg-type]
-    if place.log != log.resolve():
-        raise RecordError(
-            f"{log}: is a {mode} session of the protocol {protocol} and belongs in {place.folder}; put it back there"
+    if path.exists() and is_locked(path):
+        raise RecordExistsError(
+            f"{path}: this session is being run now, by another program; give another participant id, or wait until "
+            "it is over"
         )
-    return place
-
-
-def make_folder(folder: Path) -> None:
-    """Create a folder and those above it that are missing, every one for its owner alone.
-
-    `Path.mkdir` gives its mode to the last folder only.
-
-    Raises
-    ------
-    OSError
-        If one cannot be created.
-    """
-    if not folder.is_dir():
-        make_folder(folder.parent)
-        folder.mkdir(mode=0o700, exist_ok=True)
+    if path.exists():
+        raise RecordExistsError(
+            f"{path}: this session exists already and is never overwritten; "
+            f"continue it with `modaltouch resume {path.parent}`, or give another --session number"
+        )

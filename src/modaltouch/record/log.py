@@ -8,19 +8,17 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 from modaltouch.record.chain import GENESIS, Chain, RecordError, describe_torn, encode_line, read_chain
-from modaltouch.record.files import move, open_file, sync_file, sync_folder
-from modaltouch.record.folders import make_folder
-from modaltouch.system import SYSTEM_CLOCK, Clock, is_locked, lock
+from modaltouch.record.files import make_folder, move, open_file, sync_folder
+from modaltouch.record.folders import SessionFolder, refuse_existing
+from modaltouch.record.session import SCHEMA, Session, read_session
+from modaltouch.record.view import check_view, write_view
+from modaltouch.system import SYSTEM_CLOCK, Clock, lock, sync_file
 
 _MOMENT = 0.1
 """How long whoever only asks whether a log is locked may keep it so, at most [s]."""
-
-
-class RecordExistsError(RecordError):
-    """A session has been recorded, or is being recorded, where another was to be."""
 
 
 class SessionLog:
@@ -28,6 +26,9 @@ class SessionLog:
 
     Use `create` for a new session and `reopen` for one that was interrupted.
     """
+
+    SCHEMA: ClassVar[int] = SCHEMA
+    """Version of the format that is written."""
 
     def __init__(self, path: Path, descriptor: int, chain: Chain | None, clock: Clock = SYSTEM_CLOCK) -> None:
         self.path = path
@@ -102,6 +103,39 @@ class SessionLog:
             os.close(descriptor)
             raise RecordError("\n".join(chain.damage) or f"{path}: holds no whole line: there is nothing to continue")
         return cls(path, descriptor, chain, timed_by)
+
+    @classmethod
+    def mend(cls, place: SessionFolder, *, timed_by: Clock = SYSTEM_CLOCK) -> Session:
+        """Write what an interruption kept from a complete session: its last line, its BIDS view.
+
+        Raises
+        ------
+        RecordError
+            If the log is damaged, in use by another process, or cannot be written.
+        """
+        session = read_session(place.log)
+        if check_view(session).is_current and not session.chain.problems:
+            return session
+        with cls.reopen(place.log, timed_by=timed_by) as log:
+            if not log.ends_well:
+                log.append("stop", reason="finished", complete=True, n_answered=log.session.n_answered)
+            log.write_view(place)
+        return read_session(place.log)
+
+    @property
+    def session(self) -> Session:
+        """The session as it has been written so far."""
+        return Session(self.path, tuple(self.events))
+
+    def write_view(self, place: SessionFolder) -> None:
+        """Bring the session's BIDS table and its side file up to date.
+
+        Raises
+        ------
+        RecordError
+            If a file cannot be written; the files before it stay valid.
+        """
+        write_view(place, self.session, self.head)
 
     def append(self, event: str, **facts: Any) -> dict[str, Any]:
         """Write one event and return it once it is on the disk.
@@ -207,26 +241,6 @@ class SessionLog:
         if written != len(data):
             self._failure = f"{self.path}: the disk is full; all earlier events are on it, this one is not"
             raise RecordError(self._failure)
-
-
-def refuse_existing(path: Path) -> None:
-    """Raise if a session has been recorded here.
-
-    Raises
-    ------
-    RecordExistsError
-        If the log exists, with the way to go on.
-    """
-    if path.exists() and is_locked(path):
-        raise RecordExistsError(
-            f"{path}: this session is being run now, by another program; give another participant id, or wait until "
-            "it is over"
-        )
-    if path.exists():
-        raise RecordExistsError(
-            f"{path}: this session exists already and is never overwritten; "
-            f"continue it with `modaltouch resume {path.parent}`, or give another --session number"
-        )
 
 
 def _open_log(path: Path) -> int:

@@ -19,14 +19,13 @@ from modaltouch.record.chain import (
     UnreadableLineError,
     describe_torn,
     line_check,
+    parse_chain,
     read_log,
     read_object,
 )
 from modaltouch.record.files import OWNER_ALONE, replace_file
-from modaltouch.record.folders import SessionFolder
-from modaltouch.record.log import SessionLog, refuse_existing
-from modaltouch.record.session import Session
-from modaltouch.record.view import describe_dataset, list_participants, write_view
+from modaltouch.record.folders import SessionFolder, find_log
+from modaltouch.record.log import SessionLog
 
 
 @dataclass(frozen=True)
@@ -66,6 +65,8 @@ class Recovery:
         The other lines.
     missing : tuple of int
         Numbers of lines that were written and are gone.
+    is_cut : bool
+        Whether the only fault of the file is a cut at its end, with which `modaltouch resume` goes on.
     """
 
     path: Path
@@ -74,6 +75,7 @@ class Recovery:
     numbers: tuple[int, ...]
     left_out: tuple[UnrecoveredLine, ...]
     missing: tuple[int, ...]
+    is_cut: bool
 
     @property
     def is_sound(self) -> bool:
@@ -104,6 +106,52 @@ class Recovery:
             "lines": self.lines,
         }
 
+    def write(self, results: Path) -> Path:
+        """Write a new log of what is proved, with a last line that says so, and return its path.
+
+        Parameters
+        ----------
+        results : Path
+            Folder of results in which the session gets its place.
+
+        Raises
+        ------
+        RecordError
+            If no start record is proved, or there is a session in that place.
+        """
+        if not self.events or self.events[0].get("event") != "start":
+            raise RecordError(
+                f"{self.path}: its start record does not prove itself, so nothing says what the answers belong to; "
+                "the lines are left as they are"
+            )
+        first, *others = self.events
+        place = SessionFolder(results, first["mode"], first["protocol"], first["participant"], first["session"])
+        place.refuse_existing()
+        place.describe_dataset(first.get("design", {}).get("title", ""))
+        new_numbers = {event["n"]: number for number, event in enumerate(self.events, 1)}
+        with SessionLog.create(place.log, "start", **_facts(first)) as log:
+            for event in others:
+                facts = _facts(event)
+                for reference in ("supersedes", "answered"):
+                    if event.get(reference):
+                        facts[reference] = new_numbers.get(event[reference])
+                if event["event"] == "withdrawn":
+                    facts["lines"] = [new_numbers[line] for line in event["lines"] if line in new_numbers]
+                log.append(event["event"], **facts)
+            log.append(
+                "recovered",
+                sha256=self.sha256,
+                lines=[event["n"] for event in self.events],
+                missing=list(self.missing),
+                left_out=[{"line": line.number, "reason": line.reason} for line in self.left_out],
+            )
+            place.list_participants()
+            log.write_view(place)
+        if self.left_out:
+            content = b"\n".join(line.content for line in self.left_out) + b"\n"
+            replace_file(place.log.with_name("left_out.txt"), content, "the new log is intact", OWNER_ALONE)
+        return place.log
+
 
 def survey(path: Path) -> Recovery:
     """Return what a log still proves.
@@ -111,13 +159,14 @@ def survey(path: Path) -> Recovery:
     Parameters
     ----------
     path : Path
-        A ``session.jsonl``.
+        A session's folder or its ``session.jsonl``.
 
     Raises
     ------
     RecordError
-        If it cannot be read.
+        If there is none, or it cannot be read.
     """
+    path = find_log(path)
     data = read_log(path)
     lines = data.split(b"\n")
     if lines and not lines[-1]:
@@ -141,56 +190,9 @@ def survey(path: Path) -> Recovery:
     events = tuple(proved[number] for number in order)
     written = {event["n"] for event in events}
     missing = tuple(n for n in range(1, max(written, default=0)) if n not in written)
-    return Recovery(path, hashlib.sha256(data).hexdigest(), events, tuple(order), tuple(left_out), missing)
-
-
-def recover(found: Recovery, results: Path) -> Path:
-    """Write a new log of what is proved, with a last line that says so, and return its path.
-
-    Parameters
-    ----------
-    found : Recovery
-        What the damaged log proves; its start record must be among it.
-    results : Path
-        Folder of results in which the session gets its place.
-
-    Raises
-    ------
-    RecordError
-        If there is nothing to recover, or a session in that place.
-    """
-    if not found.events or found.events[0].get("event") != "start":
-        raise RecordError(
-            f"{found.path}: its start record does not prove itself, so nothing says what the answers belong to; "
-            "the lines are left as they are"
-        )
-    first, *others = found.events
-    place = SessionFolder(results, first["mode"], first["protocol"], first["participant"], first["session"])
-    refuse_existing(place.log)
-    describe_dataset(place, first.get("design", {}).get("title", ""))
-    new_numbers = {event["n"]: number for number, event in enumerate(found.events, 1)}
-    with SessionLog.create(place.log, "start", **_facts(first)) as log:
-        for event in others:
-            facts = _facts(event)
-            for reference in ("supersedes", "answered"):
-                if event.get(reference):
-                    facts[reference] = new_numbers.get(event[reference])
-            if event["event"] == "withdrawn":
-                facts["lines"] = [new_numbers[line] for line in event["lines"] if line in new_numbers]
-            log.append(event["event"], **facts)
-        log.append(
-            "recovered",
-            sha256=found.sha256,
-            lines=[event["n"] for event in found.events],
-            missing=list(found.missing),
-            left_out=[{"line": line.number, "reason": line.reason} for line in found.left_out],
-        )
-        list_participants(place)
-        write_view(place, Session(place.log, tuple(log.events), ()), log.head)
-    if found.left_out:
-        content = b"\n".join(line.content for line in found.left_out) + b"\n"
-        replace_file(place.log.with_name("left_out.txt"), content, "the new log is intact", OWNER_ALONE)
-    return place.log
+    chain = parse_chain(data, str(path))
+    is_cut = bool(chain.problems and not chain.damage)
+    return Recovery(path, hashlib.sha256(data).hexdigest(), events, tuple(order), tuple(left_out), missing, is_cut)
 
 
 def _facts(event: dict[str, Any]) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The BIDS view: tables and side files derived from the session log, valid at every moment.
+"""The BIDS view: tables and side files derived from the session log, valid at every moment, and checked against it.
 
 Every file is written beside its place and renamed into it, so a reader never meets half a file. The log is the
 only truth; the view may be rebuilt from it at any time.
@@ -11,18 +11,11 @@ Brain Imaging Data Structure 1.10, "Behavioral experiments (with no neural recor
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
-from modaltouch.record.chain import RecordError
-from modaltouch.record.files import OWNER_ALONE, replace_file
-from modaltouch.record.folders import LOG_NAME, SessionFolder, make_folder
+from modaltouch.record.folders import LOG_NAME, SessionFolder, replace_text
 from modaltouch.record.session import Session
-from modaltouch.system import LOCK_NAME, hold, version
-
-BIDS_VERSION = "1.10.0"
 
 COLUMNS: dict[str, dict[str, Any]] = {
     "trial": {"Description": "Place in the session, from 1; practice trials count on their own"},
@@ -143,8 +136,8 @@ def write_view(place: SessionFolder, session: Session, head: dict[str, Any]) -> 
         "Mode": session.mode,
         "SessionLog": {"File": LOG_NAME, **head},
     }
-    _replace(place.table, table_text(session))
-    _replace(place.table.with_suffix(".json"), json.dumps(side, indent=2, ensure_ascii=False) + "\n")
+    replace_text(place.table, table_text(session))
+    replace_text(place.table.with_suffix(".json"), json.dumps(side, indent=2, ensure_ascii=False) + "\n")
 
 
 def table_text(session: Session) -> str:
@@ -176,82 +169,6 @@ def _columns(session: Session) -> dict[str, dict[str, Any]]:
         response = columns["response"]
         columns["response"] = {**response, "Levels": {**response["Levels"], "time_out": "no answer in time"}}
     return columns
-
-
-def describe_dataset(place: SessionFolder, title: str) -> None:
-    """Write the dataset's description and ignore file where they are missing.
-
-    Raises
-    ------
-    RecordError
-        If a file cannot be written.
-    """
-    description = {
-        "Name": title or place.protocol,
-        "BIDSVersion": BIDS_VERSION,
-        "DatasetType": "raw",
-        "GeneratedBy": [{"Name": "modaltouch", "Version": version()}],
-    }
-    try:
-        make_folder(place.dataset)
-    except OSError as error:
-        raise RecordError(
-            f"{place.dataset}: cannot be created ({error.strerror}); give a folder you may write to with --results"
-        ) from error
-    if not (place.dataset / "dataset_description.json").exists():
-        text = json.dumps(description, indent=2, ensure_ascii=False) + "\n"
-        _replace(place.dataset / "dataset_description.json", text)
-        _replace(place.dataset / "README", f"{description['Name']}: sessions recorded by modaltouch {version()}.\n")
-        _replace(place.dataset / ".bidsignore", f"*.jsonl\n*.log\n{LOCK_NAME}\n")
-
-
-def list_participants(place: SessionFolder) -> None:
-    """Add the participants whose folders are not listed yet; what a lab wrote into the list stays as it is.
-
-    Raises
-    ------
-    RecordError
-        If the list cannot be read or written.
-    """
-    with hold_dataset(place):  # two sessions may begin at once: none may write a list that lacks the other
-        _list_participants(place.dataset)
-
-
-@contextmanager
-def hold_dataset(place: SessionFolder) -> Iterator[None]:
-    """Keep other sessions from beginning in a dataset, for milliseconds.
-
-    Raises
-    ------
-    RecordError
-        If it cannot be locked.
-    """
-    with ExitStack() as stack:
-        try:
-            stack.enter_context(hold(place.dataset))
-        except OSError as error:
-            raise RecordError(
-                f"{place.dataset}: cannot be locked ({error.strerror}); see what else writes there"
-            ) from error
-        yield
-
-
-def _list_participants(dataset: Path) -> None:
-    path = dataset / "participants.tsv"
-    try:
-        text = path.read_text(encoding="utf-8") if path.exists() else "participant_id\n"
-    except (OSError, UnicodeDecodeError) as error:
-        raise RecordError(f"{path}: cannot be read ({error}); mend it or move it away") from error
-    header, *rows = [line.split("\t") for line in text.splitlines()] or [["participant_id"]]
-    listed = {row[0] for row in rows}
-    folders = sorted(folder.name for folder in dataset.glob("sub-*") if folder.is_dir())
-    new = ["\t".join([name, *["n/a"] * (len(header) - 1)]) for name in folders if name not in listed]
-    if new or not path.exists():
-        _replace(path, "\n".join([text.rstrip("\n"), *new]) + "\n")
-
-
-def _replace(path: Path, text: str) -> None:
-    replace_file(path, text.encode(), "the session log is intact", OWNER_ALONE)
 
 
 def _row(event: dict[str, Any], columns: dict[str, dict[str, Any]], multiples: dict[float, float]) -> list[str]:
@@ -297,3 +214,69 @@ def _row(event: dict[str, Any], columns: dict[str, dict[str, Any]], multiples: d
 
 def _number(value: float | None, form: str) -> str:
     return "n/a" if value is None else format(value, form)
+
+
+@dataclass(frozen=True)
+class ViewFound:
+    """How a view stands to its log.
+
+    Attributes
+    ----------
+    line : str
+        What holds, in words; empty where nothing does.
+    problem : str
+        What does not hold; empty for a sound view.
+    is_mendable : bool
+        Whether the problem is that there is none, or that it knows the very line that was cut: `resume` mends both.
+    is_current : bool
+        Whether it was made from the whole log, so that nothing is to be written.
+    """
+
+    line: str = ""
+    problem: str = ""
+    is_mendable: bool = False
+    is_current: bool = False
+
+
+def check_view(session: Session) -> ViewFound:
+    """Return how the BIDS view beside a log stands to it.
+
+    Parameters
+    ----------
+    session : Session
+        As it was read from its log.
+    """
+    checks = session.chain.checks
+    tables = sorted(session.path.parent.glob("*_beh.tsv"))
+    if len(tables) != 1:
+        said = f"{session.path.parent}: holds {len(tables)} BIDS tables (*_beh.tsv), exactly one is needed"
+        return ViewFound(problem=said, is_mendable=not tables)
+    table, side = tables[0], tables[0].with_suffix(".json")
+    try:
+        head = json.loads(side.read_text(encoding="utf-8"))["SessionLog"]
+        text, n_lines, check = table.read_text(encoding="utf-8"), int(head["lines"]), head["check"]
+    except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:
+        return ViewFound(problem=f"{table}: the BIDS view cannot be read ({error}); move it away, and {_REMAKE}")
+    if n_lines > len(checks):
+        return ViewFound(
+            problem=f"{session.path}: the BIDS view was made from {n_lines} lines, the log has {len(checks)}: "
+            "lines were removed from its end",
+            is_mendable=bool(session.chain.torn) and n_lines == len(checks) + 1,
+        )
+    if n_lines > 0 and checks[n_lines - 1] != check:
+        return ViewFound(problem=f"{side}: was made from another log")
+    # The table is replaced before its side file: after a kill between the two it is of a later line.
+    made_from = (Session(session.path, session.events[:n]) for n in range(max(n_lines, 0), len(checks) + 1))
+    shown = next((each for each in made_from if text == table_text(each)), None)
+    if shown is None:
+        return ViewFound(
+            problem=f"{table}: differs from what the log says; the log is the truth: move the table away, and {_REMAKE}"
+        )
+    if session.trials != shown.trials:
+        behind = len(checks) - len(shown.events)
+        return ViewFound(f"BIDS view agrees, {behind} lines behind the log: `modaltouch resume` brings it up")
+    said = f"BIDS view agrees: {len(session.trials)} answers, practice included"
+    return ViewFound(said, is_current=n_lines == len(checks))
+
+
+_REMAKE = "`modaltouch resume` makes it anew"

@@ -12,7 +12,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from modaltouch.record import RecordError, move, sync_file
+from modaltouch.record import RecordError, move
+from modaltouch.system import sync_file
 
 MANIFEST = "manifest.json"
 

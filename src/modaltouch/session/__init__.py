@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from modaltouch.session.console.terminal import TerminalConsole
     from modaltouch.session.setup import Setup, begin, resume
     from modaltouch.session.simulation import simulate_session
-    from modaltouch.session.verification import verify_session
     from modaltouch.session.wiring import mode_of, wire_resume, wire_run
     from modaltouch.session.wiring.parts import SIMULATED
 else:
@@ -28,7 +27,6 @@ else:
             "console.terminal": "TerminalConsole",
             "setup": "Setup begin resume",
             "simulation": "simulate_session",
-            "verification": "verify_session",
             "wiring": "mode_of wire_resume wire_run",
             "wiring.parts": "SIMULATED",
         },
@@ -46,7 +44,6 @@ __all__ = [
     "mode_of",
     "resume",
     "simulate_session",
-    "verify_session",
     "wire_resume",
     "wire_run",
 ]

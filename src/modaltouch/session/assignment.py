@@ -9,7 +9,6 @@ otherwise filled alike, since it may still be resumed.
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -17,20 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from modaltouch.protocol import Protocol, Turn, period_of_turns, recorded_turn, turn_of
-from modaltouch.record import (
-    LOG_NAME,
-    RecordError,
-    Session,
-    SessionFolder,
-    UnreadableLineError,
-    check_shape,
-    read_object,
-    read_session,
-)
-from modaltouch.system import is_locked
-
-_TAIL = 4096
-"""Bytes at the end of a log that hold its last line, if that is a stop."""
+from modaltouch.record import RecordError, Session, SessionFolder, read_session
 
 
 @dataclass(frozen=True)
@@ -90,7 +76,7 @@ def allot(place: SessionFolder, protocol: Protocol, drawn_as: int) -> Assignment
         if participant == place.participant:
             own = base
         else:
-            counter = filled if _is_complete(latest) or is_locked(latest) else left
+            counter = filled if Session.is_complete_or_running(latest) else left
             counter[base] += 1
     if own is not None:
         reason = "the participant's earlier sessions"
@@ -117,9 +103,9 @@ def next_session(place: SessionFolder, n_sessions: int) -> tuple[SessionFolder, 
     RecordError
         If the latest session is not complete, or there are as many as the protocol has.
     """
-    every = [read_session(log) for log in _logs_of(place.dataset / f"sub-{place.participant}")]
+    every = [read_session(log) for log in SessionFolder.logs_of(place.dataset / f"sub-{place.participant}")]
     for each in every:
-        if not each.start or check_shape(each.events, ""):
+        if not each.is_readable:
             fault = (*each.problems, f"{each.path}:1: is no start record")[0]
             way = f"see `modaltouch doctor {each.path.parent}`, or give --session"
             raise RecordError(f"{fault}; so the participant's next session is not known: {way}")
@@ -127,7 +113,7 @@ def next_session(place: SessionFolder, n_sessions: int) -> tuple[SessionFolder, 
         return replace(place, session=1), 1
     latest = every[-1]
     folder = latest.path.parent
-    number = _number(latest.path) + 1
+    number = SessionFolder.number_of(latest.path) + 1
     faults = "".join(f"\n{fault}" for fault in latest.problems)
     if not latest.complete:
         raise RecordError(
@@ -150,39 +136,10 @@ def _participants(dataset: Path) -> Iterator[tuple[str, Session, Path]]:
     Of a thousand participants only the first and last lines are read, as the dataset is held meanwhile.
     """
     for folder in sorted(dataset.glob("sub-*")):
-        logs = _logs_of(folder)
-        begun = [Session(log, _first_line(log), ()) for log in logs[:1]]
+        logs = SessionFolder.logs_of(folder)
+        begun = [Session.peek(log) for log in logs[:1]]
         if begun and begun[0].start:
             yield folder.name.removeprefix("sub-"), begun[0], logs[-1]
-
-
-def _first_line(log: Path) -> tuple[dict[str, Any], ...]:
-    try:
-        with log.open("rb") as file:
-            return (read_object(file.readline()),)
-    except (OSError, UnreadableLineError):
-        return ()
-
-
-def _is_complete(log: Path) -> bool:
-    """Return whether no answer is missing: its last line says so, or else all of them together."""
-    try:
-        with log.open("rb") as file:
-            file.seek(max(file.seek(0, os.SEEK_END) - _TAIL, 0))
-            last = read_object(file.read().rstrip(b"\n").rsplit(b"\n", 1)[-1])
-    except (OSError, UnreadableLineError):
-        last = {}
-    return bool(last.get("event") == "stop" and last.get("complete")) or read_session(log).complete
-
-
-def _logs_of(folder: Path) -> list[Path]:
-    """Return the logs of a participant's sessions in order of their numbers."""
-    return sorted(folder.glob(f"ses-*/beh/{LOG_NAME}"), key=_number)
-
-
-def _number(log: Path) -> int:
-    name = log.parent.parent.name.removeprefix("ses-")
-    return int(name) if name.isdecimal() else 0
 
 
 def _first_turn(session: Session) -> int:

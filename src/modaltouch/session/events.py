@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from modaltouch.preflight import Preflight
 from modaltouch.protocol import Protocol, Response, Schedule, Trial, describe_rule
-from modaltouch.record import SCHEMA, RecordError, SessionFolder
+from modaltouch.record import RecordError, SessionFolder, SessionLog
 from modaltouch.rig import Firing, RigError
 from modaltouch.system import Interrupted
 from modaltouch.window import MaskingError, SessionStopped, WindowError
@@ -28,7 +28,7 @@ def describe_start(preflight: Preflight, schedule: Schedule, place: SessionFolde
     experiment, burst = preflight.experiment, preflight.stimulus.burst
     rule = describe_rule(experiment.protocol)
     return {
-        "schema": SCHEMA,
+        "schema": SessionLog.SCHEMA,
         "mode": place.mode,
         "participant": place.participant,
         "session": place.session,

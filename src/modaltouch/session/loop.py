@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from modaltouch.protocol import Levels, Protocol, Response, Trial, expected_answer, judge_round
-from modaltouch.record import RecordError, Session, SessionLog
+from modaltouch.record import RecordError, SessionLog
 from modaltouch.rig import Bursts, Firing, Rig, RigError, StimulusLost
 from modaltouch.session.console.experimenter import Experimenter
 from modaltouch.session.events import describe_answer, describe_ending, describe_placement, describe_trial
@@ -139,7 +139,7 @@ def repeat(sitting: SessionRun, previous: Trial | None) -> Trial | None:
 
 def _counted(sitting: SessionRun) -> tuple[dict[str, Any], ...]:
     """Return the trial events that count so far."""
-    return Session(sitting.log.path, tuple(sitting.log.events), ()).trials
+    return sitting.log.session.trials
 
 
 def practise(sitting: SessionRun) -> Trial | None:

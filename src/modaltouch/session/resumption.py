@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from modaltouch.protocol import ResumeSection, Schedule
-from modaltouch.record import RecordInputError, Session, SessionFolder, SessionLog, write_view
+from modaltouch.record import RecordInputError, Session, SessionFolder, SessionLog
 from modaltouch.system import SYSTEM_CLOCK, Clock
 
 CLOCK_TOLERANCE = 60.0
@@ -66,7 +66,7 @@ def examine_interruption(session: Session, *, now: datetime, clock: float, boot:
     clock : float
         The monotonic clock of the record, `time.perf_counter` [s].
     boot : str
-        Since which start of the machine that clock counts (`provenance.boot`); empty if unknown.
+        Since which start of the machine that clock counts (`boot_id`); empty if unknown.
     """
     events = session.events
     last = events[-1]
@@ -83,6 +83,14 @@ def examine_interruption(session: Session, *, now: datetime, clock: float, boot:
         clock_set_back_s=round(behind, 1) if behind > CLOCK_TOLERANCE else 0.0,
         cut_trial=_cut_trial(session),
     )
+
+
+def boot_id() -> str:
+    """Return what tells one start of this machine from another; empty where the system does not say."""
+    try:
+        return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+    except (OSError, UnicodeDecodeError):
+        return ""
 
 
 FAILED = "practice not passed"
@@ -200,7 +208,7 @@ def go_on(
     log.append("resume", at=policy.at, interruption=cut.as_dict(), **facts)
     if cut.cut_trial is not None:
         log.append("trial_cut", trial=cut.cut_trial, reason=f"interrupted ({cut.reason})")
-    lines = answers_to_ask_again(Session(log.path, tuple(log.events), ()), schedule, policy)
+    lines = answers_to_ask_again(log.session, schedule, policy)
     if lines:
         log.append("withdrawn", lines=list(lines), reason="the block that was interrupted begins anew")
     return log
@@ -232,9 +240,9 @@ def begin_anew(
         If either log cannot be written.
     """
     with SessionLog.reopen(old.log) as log:
-        if Session(log.path, tuple(log.events), ()).begun_anew_as is None:
+        if log.session.begun_anew_as is None:
             log.append("closed", begun_anew_as=place.session, interruption=cut.as_dict())
-        write_view(old, Session(log.path, tuple(log.events), ()), log.head)
+        log.write_view(old)
     begun = {"session": old.session, "interruption": cut.as_dict()}
     return SessionLog.create(place.log, "start", timed_by=clock, **facts, begins_anew=begun)
 

@@ -9,7 +9,7 @@ from typing import Any, NoReturn
 
 from modaltouch.preflight import Preflight
 from modaltouch.protocol import InputError, SensationLevelsSection
-from modaltouch.record import RecordError, SessionFolder, read_chain, read_session
+from modaltouch.record import RecordError, SessionFolder, read_session
 
 _SECTION = ("conditions", "sensation_levels")
 
@@ -125,7 +125,7 @@ def _find(preflight: Preflight, place: SessionFolder, section: SensationLevelsSe
     names = ("finger_condition", "pair", "stimulus", "threshold_mm_s", "threshold_low_mm_s", "threshold_high_mm_s")
     told = tuple({name: run[name] for name in names if name in run} for run in runs)
     seen_from = log.relative_to(place.results).as_posix()
-    return OwnThreshold(float(f"{mean:.4g}"), "session", seen_from, read_chain(log).last_check, told)
+    return OwnThreshold(float(f"{mean:.4g}"), "session", seen_from, read_session(log).chain.last_check, told)
 
 
 def _latest(place: SessionFolder) -> tuple[Path | None, str]:

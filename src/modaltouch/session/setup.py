@@ -15,14 +15,7 @@ from modaltouch.record import (
     Session,
     SessionFolder,
     SessionLog,
-    check_view,
-    describe_dataset,
-    hold_dataset,
-    list_participants,
-    read_chain,
     read_session,
-    refuse_existing,
-    write_view,
 )
 from modaltouch.rig import Rig, is_simulated
 from modaltouch.session.assignment import allot
@@ -32,8 +25,16 @@ from modaltouch.session.console.status import Status
 from modaltouch.session.event_buffer import EventBuffer
 from modaltouch.session.events import describe_ending, describe_start
 from modaltouch.session.loop import SessionRun, conduct
-from modaltouch.session.resumption import begin_anew, examine_interruption, go_on, refuse_failed, refuse_old, way_on
-from modaltouch.system import SYSTEM_CLOCK, Clock, Interruption, boot, commit, versions
+from modaltouch.session.resumption import (
+    begin_anew,
+    boot_id,
+    examine_interruption,
+    go_on,
+    refuse_failed,
+    refuse_old,
+    way_on,
+)
+from modaltouch.system import SYSTEM_CLOCK, Clock, Interruption, commit, versions
 from modaltouch.window import AnswerWindow, Masking, NoMasking, Tick, Wish
 
 OpenRig = Callable[[Callable[..., None]], AbstractContextManager[Rig]]
@@ -103,7 +104,7 @@ def begin(setup: Setup) -> Session:
     RigError, WindowError, SessionStopped, Interrupted
         Whatever ended it early; outputs are off and what was answered is kept.
     """
-    refuse_existing(setup.place.log)
+    setup.place.refuse_existing()
     return _sit(
         setup, lambda place, facts: SessionLog.create(place.log, "start", timed_by=setup.clock, **facts), "start"
     )
@@ -125,10 +126,9 @@ def resume(setup: Setup) -> Session:
         Whatever ended it early again.
     """
     place = setup.replaces or setup.place
-    chain = read_chain(place.log)
-    session = Session(place.log, chain.events, chain.problems)
+    session = read_session(place.log)
     if session.complete:
-        return session if check_view(session, chain.checks).is_current and not session.problems else _mend(setup, place)
+        return SessionLog.mend(place, timed_by=setup.clock)
     recorded = session.start["schedule"]
     if recorded["order_hash"] != setup.schedule.order_hash:
         raise RecordError(
@@ -137,25 +137,15 @@ def resume(setup: Setup) -> Session:
             f"({session.start['versions']['modaltouch']})"
         )
 
-    cut = examine_interruption(session, now=datetime.now(UTC), clock=setup.clock.now(), boot=boot())
+    cut = examine_interruption(session, now=datetime.now(UTC), clock=setup.clock.now(), boot=boot_id())
     policy = setup.preflight.experiment.protocol.schedule.resume
     if setup.replaces is not None:
         old = setup.replaces
-        refuse_existing(setup.place.log)
+        setup.place.refuse_existing()
         return _sit(setup, lambda place, facts: begin_anew(old, place, cut, facts, setup.clock), "start")
     refuse_failed(session, cut)
     refuse_old(session, cut, policy)
     return _sit(setup, lambda place, facts: go_on(place, setup.schedule, policy, cut, facts, setup.clock), "resume")
-
-
-def _mend(setup: Setup, place: SessionFolder) -> Session:
-    """Write what an interruption kept from a complete session: its last line, its BIDS view."""
-    with SessionLog.reopen(place.log, timed_by=setup.clock) as log:
-        session = Session(log.path, tuple(log.events), ())
-        if not log.ends_well:
-            log.append("stop", reason="finished", complete=True, n_answered=session.n_answered)
-        write_view(place, Session(log.path, tuple(log.events), ()), log.head)
-    return read_session(place.log)
 
 
 def _sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], SessionLog], first: str) -> Session:
@@ -170,7 +160,7 @@ def _sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessi
         if is_simulated(rig.identity) and setup.place.mode != "simulated":
             # An address may lead to a simulator; its data never land among real ones.
             setup = replace(setup, place=replace(setup.place, mode="simulated"))
-            refuse_existing(setup.place.log)
+            setup.place.refuse_existing()
         rig.load(*setup.preflight.bursts)
 
         def tick() -> Wish | None:
@@ -180,8 +170,8 @@ def _sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessi
 
         masking = stack.enter_context(setup.open_masking(journal.event))
         window = stack.enter_context(setup.open_window(tick, journal.event))
-        describe_dataset(setup.place, setup.preflight.experiment.protocol.title)
-        with hold_dataset(setup.place):
+        setup.place.describe_dataset(setup.preflight.experiment.protocol.title)
+        with setup.place.hold_dataset():
             setup = _allotted(setup)
             log = stack.enter_context(open_log(setup.place, _describe(setup, rig, window, masking, first)))
         journal.open(log)
@@ -191,7 +181,7 @@ def _sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessi
         log.listener = experimenter.tell
         ending = {"reason": "finished"}
         try:
-            list_participants(setup.place)
+            setup.place.list_participants()
             masking.start()
             sitting = _sitting(setup, rig, window, log, journal, tick, levels)
             conduct(replace(sitting, experimenter=experimenter, masking=masking))
@@ -243,16 +233,15 @@ def _sitting(
     tick: Tick,
     levels: Levels,
 ) -> SessionRun:
-    done = Session(log.path, tuple(log.events), ()).answered
+    done = log.session.answered
     schedule = setup.schedule
     remaining = [trial for trial in (*schedule.practice, *schedule.trials) if (trial.practice, trial.index) not in done]
     total = len(schedule.trials)
 
     def save_view() -> None:
         journal.flush()
-        session = Session(log.path, tuple(log.events), ())
-        write_view(setup.place, session, log.head)
-        setup.on_progress(session.n_answered, total)
+        log.write_view(setup.place)
+        setup.on_progress(log.session.n_answered, total)
 
     save_view()
     return SessionRun(
@@ -279,7 +268,7 @@ def _describe(setup: Setup, rig: Rig, window: AnswerWindow, masking: Masking, fi
         "window": window.describe(),
         "versions": versions(),
         "commit": commit(),
-        "boot": boot(),
+        "boot": boot_id(),
     }
     return about if first == "resume" else {**describe_start(setup.preflight, setup.schedule, setup.place), **about}
 
@@ -288,6 +277,6 @@ def _conclude(setup: Setup, log: SessionLog, journal: EventBuffer, ending: dict[
     if ending["reason"] == "record fault":
         return  # the log takes nothing more
     journal.flush()
-    session = Session(log.path, tuple(log.events), ())
+    session = log.session
     log.append("stop", **ending, complete=session.complete, n_answered=session.n_answered)
-    write_view(setup.place, session, log.head)
+    log.write_view(setup.place)

@@ -1,4 +1,8 @@
-"""What the computer gives to every room: clocks, locks between processes, signals, and which build this is."""
+"""What the computer gives to every room: clocks, locks between processes, signals, and which build this is.
+
+Nothing goes in but what the caller times, locks or waits for; out come instants, locks, signals as exceptions, and the
+version that a record names.
+"""
 
 from __future__ import annotations
 
@@ -8,17 +12,17 @@ from modaltouch.system.faces import lazily
 
 if TYPE_CHECKING:
     from modaltouch.system.clock import SYSTEM_CLOCK, Clock, VirtualClock, measure_clock
+    from modaltouch.system.files import lock, sync_file
     from modaltouch.system.interruption import Interrupted, Interruption
-    from modaltouch.system.locking import LOCK_NAME, hold, is_locked, lock
-    from modaltouch.system.provenance import boot, commit, version, versions
+    from modaltouch.system.provenance import commit, version, versions
 else:
     __getattr__ = lazily(
         __name__,
         {
             "clock": "Clock SYSTEM_CLOCK VirtualClock measure_clock",
+            "files": "lock sync_file",
             "interruption": "Interrupted Interruption",
-            "locking": "LOCK_NAME hold is_locked lock",
-            "provenance": "boot commit version versions",
+            "provenance": "commit version versions",
         },
     )
 
@@ -27,15 +31,12 @@ __all__ = [
     "Clock",
     "Interrupted",
     "Interruption",
-    "LOCK_NAME",
     "SYSTEM_CLOCK",
     "VirtualClock",
-    "boot",
     "commit",
-    "hold",
-    "is_locked",
     "lock",
     "measure_clock",
+    "sync_file",
     "version",
     "versions",
 ]

@@ -1,4 +1,4 @@
-"""Which program made a record: its version and commit, what took part, and since when the machine runs.
+"""Which program made a record: its version and commit, and what took part.
 
 The build executes this file for the version, so it imports the standard library alone.
 """
@@ -40,17 +40,6 @@ def versions() -> dict[str, str]:
         except metadata.PackageNotFoundError:
             found[package] = "absent"
     return found
-
-
-def boot() -> str:
-    """Return what tells one start of this machine from another; empty where the system does not say.
-
-    The monotonic clock of a record counts from there.
-    """
-    try:
-        return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
-    except (OSError, UnicodeDecodeError):
-        return ""
 
 
 @lru_cache(maxsize=1)

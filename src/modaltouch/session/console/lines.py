@@ -11,7 +11,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TextIO
 
-from modaltouch.record import open_file
 from modaltouch.session.console.drawing import describe_last
 from modaltouch.session.console.interface import Facts, NoConsole
 
@@ -109,9 +108,9 @@ class EventLines(NoConsole):
             self._descriptor = -1
 
     def _open(self) -> None:
-        flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | getattr(os, "O_NONBLOCK", 0)
+        flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
         try:
-            self._descriptor = open_file(self._path, flags)
+            self._descriptor = os.open(self._path, flags, 0o600)
         except OSError as error:
             if error.errno != errno.ENXIO or not stat.S_ISFIFO(self._path.stat().st_mode):
                 raise

@@ -5,22 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from modaltouch.planning import Observer, read_observer, usual_observer
 from modaltouch.preflight import Preflight, examine_findings
 from modaltouch.protocol import Protocol, Sources, draw_schedule, examine_sources, recorded_turn
-from modaltouch.record import (
-    SCHEMA,
-    Mode,
-    RecordError,
-    RecordInputError,
-    Session,
-    SessionFolder,
-    find_log,
-    locate,
-    require_sound,
-)
+from modaltouch.record import RecordError, RecordInputError, Session, SessionFolder, SessionLog, audit_session
 from modaltouch.session.assignment import next_session
 from modaltouch.session.sensation_level import at_own_levels, recorded_levels
 from modaltouch.session.setup import Setup
@@ -113,10 +103,10 @@ def wire_resume(
         If there is no such session, `modaltouch verify` refuses it, it has been begun anew, or a real one would go on
         simulated.
     """
-    log = find_log(path)
-    session = require_sound(log)
+    session = Session.find(path)
+    audit_session(session).require()
     start = session.start
-    place = locate(log, session.mode, session.protocol)
+    place = SessionFolder.of(session.path, session.mode, session.protocol)
     rig, answers = rig or start["rig_choice"], answers or start["answers_choice"]
     _refuse_another_kind(session, rig, answers, restart=restart)
     preflight = examine_findings(examine_sources(Sources.from_dict(start["sources"]))).require()
@@ -149,7 +139,7 @@ def wire_resume(
 def _refuse_another_kind(session: Session, rig: str, answers: AnswersBy, *, restart: bool) -> None:
     """Raise where a session would go on as something else than it was begun as."""
     start, log = session.start, session.path
-    if start.get("schema", 1) < SCHEMA and not (session.complete or restart):
+    if start.get("schema", 1) < SessionLog.SCHEMA and not (session.complete or restart):
         raise RecordInputError(
             f"{log}: was begun by a version whose bursts were not counted "
             f"({start['versions'].get('modaltouch', 'unknown')}); half a session of each is no session: "
@@ -197,7 +187,7 @@ def _place_anew(place: SessionFolder, session: Session) -> SessionFolder:
     return replace(place, session=number)
 
 
-def mode_of(rig: str, answers: AnswersBy, *, pilot: bool) -> Mode:
+def mode_of(rig: str, answers: AnswersBy, *, pilot: bool) -> Literal["real", "pilot", "simulated"]:
     """Return which kind of data a session makes: ``simulated`` as soon as anything in it is."""
     if rig == SIMULATED or answers != "window":
         return "simulated"

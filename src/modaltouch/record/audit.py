@@ -1,20 +1,117 @@
-"""What a start record says of its order, its drive and its levels, against what its own texts give."""
+"""A session checked against its own start record: what was presented, in which order, at which level, and when."""
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
-from modaltouch.protocol import Protocol, Schedule, draw_schedule, recorded_turn
-from modaltouch.record.audit.experiment import RestoredExperiment
-from modaltouch.record.chain import read_chain
-from modaltouch.record.folders import locate
-from modaltouch.record.session import Session
+from modaltouch.protocol import InputError, Protocol, Schedule, Sources, draw_schedule, recorded_turn
+from modaltouch.record.chain import RecordError, read_chain
+from modaltouch.record.folders import SessionFolder
+from modaltouch.record.restored import UNTOLD, RestoredExperiment, restore
+from modaltouch.record.sequence import EventSequence, TrialExpectation
+from modaltouch.record.session import Session, check_shape
+from modaltouch.record.view import check_view
 from modaltouch.rig import is_simulated
 
 Checked = Iterator[tuple[bool, str]]
 """Whether something holds, and which words say so; empty words where there is nothing to say."""
+
+
+@dataclass(frozen=True)
+class Audit:
+    """What came of the check of a session against itself.
+
+    Attributes
+    ----------
+    path : Path
+        The session log.
+    lines : tuple of str
+        What was checked and holds, in words.
+    problems : tuple of str
+        What does not hold, each with its file and line; empty for a sound session.
+    to_mend : tuple of str
+        Those of the problems that an interruption leaves behind and `resume` mends: a last line that was cut, a BIDS
+        view that was not written.
+    """
+
+    path: Path
+    lines: tuple[str, ...]
+    problems: tuple[str, ...]
+    to_mend: tuple[str, ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the outcome as plain values."""
+        return {
+            "session": str(self.path),
+            "sound": not self.problems,
+            "checked": list(self.lines),
+            "problems": list(self.problems),
+        }
+
+    def require(self) -> None:
+        """Raise unless nothing is wrong with the session but what going on mends.
+
+        Raises
+        ------
+        RecordError
+            With what `modaltouch verify` says against it.
+        """
+        if faults := [each for each in self.problems if each not in self.to_mend]:
+            raise RecordError("\n".join(faults))
+
+
+def audit_session(session: Session) -> Audit:
+    """Return whether a session is what its own start record makes of it.
+
+    Parameters
+    ----------
+    session : Session
+        As it was read from its log.
+    """
+    path, chain, start = session.path, session.chain, session.start
+    shape = check_shape(session.events, str(path), to_repeat=True)
+    problems = list(dict.fromkeys((*chain.problems, *shape)))
+    place = f"{path}:1:"
+    if shape or not start:
+        return Audit(path, (), (*problems, *(() if start else (f"{place} is no start record",))))
+    lines = [] if problems else [f"{len(session.events)} lines, each continuing the one before"]
+    try:
+        restored = restore(Sources.from_dict(start["sources"]))
+        protocol = levels_of(restored.protocol, start)
+        schedule = draw_again(session, protocol)
+        checked = [each for each in check_beginning(session, restored, protocol, schedule) if each[1]]
+        lines += [said for holds, said in checked if holds]
+        problems += [said for holds, said in checked if not holds]
+        sequence = EventSequence(session, TrialExpectation(restored, protocol, start.get("schema", 1)), schedule)
+        sequence.walk()
+        problems += sequence.problems
+        lines += sequence.lines
+        seen = check_view(session)
+    except InputError as error:
+        return Audit(path, (), (*problems, f"{place} its files do not hold: {error}"))
+    except RecordError as error:
+        return Audit(path, (), (*problems, str(error)))
+    except UNTOLD as error:
+        said = f"does not say what its order and drive follow from ({type(error).__name__}: {error})"
+        return Audit(path, (), (*problems, f"{place} {said}"))
+    cut = () if chain.damage else chain.problems
+    mendable = (seen.problem,) if seen.is_mendable else ()
+    lines += [seen.line] if seen.line else []
+    problems += [seen.problem] if seen.problem else []
+    lines += [_completeness(session)] if lines else []
+    return Audit(path, tuple(lines), tuple(problems), (*cut, *mendable))
+
+
+def _completeness(session: Session) -> str:
+    if session.complete:
+        return "complete"
+    if session.begun_anew_as is not None:
+        return f"closed and not complete: begun anew as session {session.begun_anew_as}"
+    return "not complete: `modaltouch resume` goes on with it; until then the analysis leaves it out"
 
 
 def levels_of(protocol: Protocol, start: dict[str, Any]) -> Protocol:
@@ -122,7 +219,7 @@ def _check_own_levels(session: Session, restored: RestoredExperiment, place: str
         return False, f"{place} its levels do not follow from the {threshold}"
     if own["found"] != "session":
         return True, f"levels follow from the {threshold}, as it was given"
-    log = locate(session.path, session.mode, session.protocol).results / own["session"]
+    log = SessionFolder.of(session.path, session.mode, session.protocol).results / own["session"]
     if not log.exists():
         return True, f"levels follow from the {threshold}; {log}, which found it, is not here"
     if read_chain(log).last_check != own["last_check"]:

@@ -1,0 +1,48 @@
+"""What systems do differently with an open file: lock it for one process, force it to the disk."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+import time
+
+LOCKED_BYTE = 1 << 40
+"""The byte that is locked on Windows, which forbids others to read what is locked: far beyond any content."""
+
+
+def lock(descriptor: int, patience: float = 0.0) -> None:
+    """Take the lock of a file, or raise OSError once it has been waited for so long [s]."""
+    deadline = time.monotonic() + patience
+    while True:
+        try:
+            return _lock_at_once(descriptor)
+        except OSError:
+            if time.monotonic() >= deadline:
+                raise
+        time.sleep(0.005)
+
+
+def _lock_at_once(descriptor: int) -> None:
+    if sys.platform == "win32":
+        import msvcrt
+
+        os.lseek(descriptor, LOCKED_BYTE, os.SEEK_SET)
+        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+        os.lseek(descriptor, 0, os.SEEK_END)
+    else:
+        import fcntl
+
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def sync_file(descriptor: int) -> None:
+    """Force what was written to a file to the disk."""
+    if sys.platform == "darwin":
+        import fcntl
+
+        # There fsync stops at the cache of the drive; a file system that cannot do more refuses this.
+        with contextlib.suppress(OSError):
+            fcntl.fcntl(descriptor, fcntl.F_FULLFSYNC)
+            return
+    os.fsync(descriptor)
