@@ -16,7 +16,7 @@ import pytest
 from Xlib import XK, X, display
 from Xlib.ext import xtest
 
-from modaltouch.window.virtual_display import virtual_display
+from modaltouch.window.environment import virtual_display
 
 ROOT = Path(__file__).parents[1]
 TEXT = (ROOT / "README.md").read_text(encoding="utf-8")

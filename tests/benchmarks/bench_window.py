@@ -184,7 +184,7 @@ def summarise(values: Any) -> dict[str, float]:
 
 def main() -> int:
     """Measure, print and write the figures."""
-    from modaltouch.window.virtual_display import some_display
+    from modaltouch.window.environment import some_display
 
     with some_display() as where, tempfile.TemporaryDirectory() as folder:
         starts, processor = measure_start()

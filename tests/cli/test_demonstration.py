@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from modaltouch.cli import demonstration
-from modaltouch.record.log import RecordExistsError
+from modaltouch.record.chain import RecordExistsError
 from modaltouch.window import WindowOptions
 
 
@@ -32,7 +32,7 @@ def test_a_number_that_another_demonstration_takes_meanwhile_is_passed_over(
 
     monkeypatch.setattr(demonstration, "begin", begin)
     monkeypatch.setattr(demonstration, "analyse", analyse)
-    monkeypatch.setattr(demonstration, "some_display", lambda: nullcontext("the screen"))
+    monkeypatch.setattr(WindowOptions, "display", lambda self: nullcontext("the screen"))
     outcome = demonstration.demonstrate(
         tmp_path, seed=1, window_options=WindowOptions(), tell=said.append, on_progress=lambda done, total: None
     )

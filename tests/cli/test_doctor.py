@@ -10,19 +10,20 @@ from pathlib import Path
 import pytest
 
 from modaltouch.cli import doctor
-from modaltouch.window import environment
+from modaltouch.window import environment, machine
 from modaltouch.window.interface import WindowError
 
 
 def lack(monkeypatch: pytest.MonkeyPatch, *missing: str) -> None:
     """Have the loader miss some libraries, as on a bare Debian."""
-    monkeypatch.setattr(environment, "is_loadable", lambda name: name not in missing)
+    for module in (environment, machine):
+        monkeypatch.setattr(module, "is_loadable", lambda name: name not in missing)
 
 
 def test_each_missing_library_is_named_with_its_package(monkeypatch: pytest.MonkeyPatch) -> None:
     """A bare Debian has neither: pyglet ended in `Library "fontconfig" not found`."""
     lack(monkeypatch, "libfontconfig.so.1", "libGLU.so.1", "libportaudio.so.2")
-    found = doctor._libraries()
+    found = machine._libraries()
     assert found.state == "fault"
     assert found.found == "missing: libGLU.so.1 (libglu1-mesa), libfontconfig.so.1 (libfontconfig1)"
     assert found.remedy == "apt install libglu1-mesa libfontconfig1"
@@ -45,10 +46,10 @@ def test_a_window_that_lacks_a_library_says_which(monkeypatch: pytest.MonkeyPatc
 
 
 @pytest.mark.window
-@pytest.mark.parametrize(("seen", "state"), [("", "ok"), ("doctor._share_lit = lambda picture: 0.0; ", "fault")])
+@pytest.mark.parametrize(("seen", "state"), [("", "ok"), ("machine._share_lit = lambda picture: 0.0; ", "fault")])
 def test_a_letter_is_drawn(seen: str, state: str) -> None:
     """White pixels of an A; where none can be seen it is a fault. In a process of its own: a window has one display."""
-    program = f"from modaltouch.cli import doctor; {seen}print(doctor._window().state)"
+    program = f"from modaltouch.window import machine; {seen}print(machine._window().state)"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.split()[-1] == state
 
@@ -59,8 +60,8 @@ def test_a_window_that_does_not_open_is_a_fault_with_its_remedy(monkeypatch: pyt
     def fail() -> None:
         raise WindowError("there is no display; log in at a screen")
 
-    monkeypatch.setattr("modaltouch.window.virtual_display.some_display", fail)
-    found = doctor._window()
+    monkeypatch.setattr("modaltouch.window.machine.some_display", fail)
+    found = machine._window()
     assert (found.state, found.found, found.remedy) == ("fault", "there is no display", "log in at a screen")
 
 

@@ -22,7 +22,7 @@ from modaltouch.session.console.status import Status
 from modaltouch.session.loop import SessionRun, conduct
 from modaltouch.system.clock import VirtualClock
 from modaltouch.window.interface import Presentation, Progress, SessionStopped, TrialInterrupted
-from modaltouch.window.masking.interface import MaskingError, NoMasking
+from modaltouch.window.masking import Masking, MaskingError
 
 SPEEDS = {"A": 0.12, "B": 0.115, "C": 0.2, "D": 0.115, "E": 0.12}
 
@@ -524,7 +524,7 @@ def test_a_catch_trial_is_asked_like_any_other_and_drives_nothing(sit: Callable[
     )
 
 
-class FragileNoise(NoMasking):
+class FragileNoise(Masking):
     """Masking that is lost during the third trial and, where it is demanded, cannot be had again."""
 
     def __init__(self, *, required: bool) -> None:

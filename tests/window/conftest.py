@@ -14,12 +14,12 @@ import pytest
 from modaltouch.protocol import Experiment, read_protocol
 from modaltouch.protocol.trial import Condition, Trial
 from modaltouch.system.clock import SYSTEM_CLOCK, Clock, VirtualClock
+from modaltouch.window.environment import virtual_display
 from modaltouch.window.events import Event
 from modaltouch.window.interface import Presentation
 from modaltouch.window.participant import ParticipantWindow
 from modaltouch.window.shapes import Picture
 from modaltouch.window.theme import DARK
-from modaltouch.window.virtual_display import virtual_display
 
 ROOT = Path(__file__).resolve().parents[2]
 

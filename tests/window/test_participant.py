@@ -13,7 +13,7 @@ from modaltouch.planning.observer import Participant
 from modaltouch.protocol.trial import Condition, Response, Trial
 from modaltouch.window.display_loop import DisplayLoop, Nobody
 from modaltouch.window.events import Event
-from modaltouch.window.interface import Progress, SessionStopped, TrialInterrupted, TypedAnswer, WindowError, Wish
+from modaltouch.window.interface import Progress, SessionStopped, TrialInterrupted, WindowError, Wish
 from modaltouch.window.robot import Robot
 from modaltouch.window.shapes import Picture
 from modaltouch.window.simulated import Answerer
@@ -386,12 +386,12 @@ def test_an_answer_typed_at_the_console_is_taken_with_its_own_time(
     room = paper_room(answers={"given_by": "experimenter", "question_delay_s": 0.5})
 
     def answer() -> None:
-        room.wishes.append(TypedAnswer("right", "3", room.clock.now() - 0.02))
+        room.wishes.append(Event(room.clock.now() - 0.02, "answer", "3", answer="right"))
 
     room.script = [
         ("feel", 0.1, send(room, "blur")),
-        ("feel", 0.2, wish(room, TypedAnswer("left", "1", room.clock.now() + 0.2))),
-        ("question", 0.01, wish(room, TypedAnswer("left", "1", room.clock.now() + 0.4))),
+        ("feel", 0.2, wish(room, Event(room.clock.now() + 0.2, "answer", "1", answer="left"))),
+        ("question", 0.01, wish(room, Event(room.clock.now() + 0.4, "answer", "1", answer="left"))),
         ("question", 0.3, answer),
     ]
     response = ask(room, trial)

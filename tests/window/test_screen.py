@@ -12,12 +12,12 @@ import pytest
 
 from modaltouch.protocol import Experiment, Texts
 from modaltouch.protocol.trial import Condition, Trial
+from modaltouch.window.environment import virtual_display
 from modaltouch.window.interface import Progress, WindowError
 from modaltouch.window.layout import lay_out
 from modaltouch.window.pictures import Illustrator
 from modaltouch.window.shapes import Box, Picture, Words, rectangle, triangle
 from modaltouch.window.theme import DARK, THEMES
-from modaltouch.window.virtual_display import virtual_display
 
 pytestmark = pytest.mark.window
 ROOT = Path(__file__).resolve().parents[2]

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from modaltouch.window.timing import WindowTiming, measure_timing
+from modaltouch.window.machine import WindowTiming, time_window
 
 GOOD = WindowTiming(
     display="the screen",
@@ -28,7 +28,7 @@ GOOD = WindowTiming(
 @pytest.mark.window
 def test_keys_injected_at_the_display_are_all_seen_in_time(screen: Any) -> None:
     """Expected: none lost, and stamped about a poll (1 ms) after injection; no frame waits on a virtual display."""
-    measured = measure_timing(screen, n_frames=30, n_keys=20)
+    measured = time_window(screen, n_frames=30, n_keys=20)
     assert measured.n_lost == 0
     assert measured.key_path == "display server"
     assert measured.key_delay_median is not None
@@ -41,7 +41,7 @@ def test_keys_injected_at_the_display_are_all_seen_in_time(screen: Any) -> None:
 def test_without_xtest_the_windows_own_queue_is_measured(screen: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Expected: the path is named, since it leaves out the display server."""
     monkeypatch.setattr("ctypes.util.find_library", lambda name: None)
-    measured = measure_timing(screen, n_frames=10, n_keys=10)
+    measured = time_window(screen, n_frames=10, n_keys=10)
     assert (measured.key_path, measured.n_lost) == ("event queue", 0)
 
 
@@ -86,4 +86,4 @@ def test_times_are_given_in_milliseconds() -> None:
 def test_too_few_keys_are_refused(experiment: object) -> None:
     """Expected: the message says how many there must be."""
     with pytest.raises(ValueError, match="given 120 frames and 5 keys; allowed: 10 or more of each"):
-        measure_timing(None, n_keys=5)  # type: ignore[arg-type]
+        time_window(None, n_keys=5)  # type: ignore[arg-type]

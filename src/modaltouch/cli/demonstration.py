@@ -12,7 +12,7 @@ from modaltouch.preflight import examine
 from modaltouch.protocol import shipped
 from modaltouch.record import RecordExistsError, SessionFolder
 from modaltouch.session import begin, wire_run
-from modaltouch.window import WindowOptions, some_display
+from modaltouch.window import WindowOptions
 
 PARTICIPANT = "demo"
 
@@ -61,7 +61,7 @@ def demonstrate(
     """
     preflight = examine(shipped("protocol")["demo"]).require()
     number = 0
-    with some_display() as display:
+    with window_options.display() as display:
         while True:
             number += 1
             place = SessionFolder(results, "simulated", preflight.experiment.protocol.protocol, PARTICIPANT, number)

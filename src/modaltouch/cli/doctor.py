@@ -50,19 +50,24 @@ def examine_machine(results: Path) -> tuple[MachineCheck, ...]:
     results : Path
         Where sessions would be recorded.
     """
+    from modaltouch.window import examine_surroundings
+
     return (
         _python(),
         *_packages(),
-        _display(),
-        _libraries(),
-        _virtual_display(),
-        _window(),
-        _sound(),
+        *(MachineCheck(*check[:4]) for check in examine_surroundings()),
         _visa(),
         _usb(),
         _precedence(),
         _disk(results),
     )
+
+
+def missing_packages() -> list[str]:
+    """Return the Debian packages that hold what this machine lacks for a session, a test or the demonstration."""
+    from modaltouch.window import examine_surroundings
+
+    return [package for check in examine_surroundings(quick=True) for package in check.packages]
 
 
 def _python() -> MachineCheck:
@@ -83,87 +88,6 @@ def _packages() -> list[MachineCheck]:
     if missing:
         return [MachineCheck("packages", "fault", f"missing: {', '.join(missing)}", "install modaltouch anew")]
     return [MachineCheck("packages", "ok", ", ".join(found))]
-
-
-def missing_packages() -> list[str]:
-    """Return the Debian packages that hold what this machine lacks for a session, a test or the demonstration."""
-    from modaltouch.window import is_loadable, missing_libraries
-
-    if sys.platform != "linux":
-        return []
-    packages = list(missing_libraries().values())
-    packages += [] if is_loadable("libportaudio.so.2") else ["libportaudio2"]
-    return packages + ([] if shutil.which("Xvfb") else ["xvfb"])
-
-
-def _display() -> MachineCheck:
-    own, display = sys.platform in ("win32", "darwin"), os.environ.get("DISPLAY", "")
-    if own or display:
-        return MachineCheck("display", "ok", "the system's own" if own else f"DISPLAY={display}")
-    remedy = "log in at the screen; the demo brings a virtual display of its own"
-    return MachineCheck("display", "warning", "DISPLAY is not set", remedy)
-
-
-def _libraries() -> MachineCheck:
-    from modaltouch.window import LIBRARIES, missing_libraries
-
-    missing = missing_libraries()
-    if missing:
-        names = ", ".join(f"{name} ({package})" for name, package in missing.items())
-        return MachineCheck("libraries", "fault", f"missing: {names}", f"apt install {' '.join(missing.values())}")
-    return MachineCheck("libraries", "ok", ", ".join(LIBRARIES) if sys.platform == "linux" else "the system's own")
-
-
-def _window() -> MachineCheck:
-    """Open the window and draw a letter, which needs a display, OpenGL, fonts and PsychoPy together."""
-    from modaltouch.window import Box, Picture, Screen, WindowError, Words, some_display
-
-    try:
-        with some_display() as where:
-            screen = Screen(size=(320, 200), title="modaltouch doctor")
-            try:
-                screen.draw(Picture("letter", (Words("A", Box(0.0, 0.0, 0.8, 0.8), 0.5, "#ffffff"),)))
-                with tempfile.TemporaryDirectory() as folder:
-                    screen.flip(Path(folder) / "letter.png")
-                    lit = _share_lit(Path(folder) / "letter.png")
-                renderer = screen.describe()["renderer"]
-            finally:
-                screen.close()
-    except WindowError as error:
-        return MachineCheck("window", "fault", *str(error).split("; ", 1))
-    if not lit:
-        return MachineCheck(
-            "window", "fault", f"no letter can be seen on {where}", "install fonts and a driver for OpenGL"
-        )
-    return MachineCheck("window", "ok", f"a letter is drawn on {where} ({renderer})")
-
-
-def _share_lit(picture: Path) -> float:
-    """Return how much of a picture is not its ground [1]."""
-    from matplotlib.image import imread
-
-    return float((imread(picture)[..., :3] > 0.5).any(axis=2).mean())
-
-
-def _virtual_display() -> MachineCheck:
-    if sys.platform != "linux":
-        return MachineCheck("virtual display", "ok", "not needed")
-    path = shutil.which("Xvfb")
-    if path:
-        return MachineCheck("virtual display", "ok", path)
-    return MachineCheck("virtual display", "warning", "Xvfb is absent", "install xvfb to run the demo without a screen")
-
-
-def _sound() -> MachineCheck:
-    from modaltouch.window import DeviceError, default_device
-
-    try:
-        device = default_device()
-    except DeviceError as error:
-        remedy = "connect one, or install libportaudio2, where a protocol wants masking noise"
-        return MachineCheck("sound", "warning", str(error).partition(";")[0], remedy)
-    found = f"{device['name']}, {device['default_samplerate']:g} Hz, {device['max_output_channels']} channels"
-    return MachineCheck("sound", "ok", found)
 
 
 def _visa() -> MachineCheck:

@@ -55,7 +55,6 @@ def explain(error: BaseException) -> tuple[int | None, list[dict[str, Any]]]:
     statuses = {
         ("modaltouch.rig.interface", "RigError"): RIG_FAILED,
         ("modaltouch.window.interface", "WindowError"): RIG_FAILED,
-        ("modaltouch.window.masking.interface", "MaskingError"): RIG_FAILED,
         ("modaltouch.record.chain", "RecordInputError"): BAD_INPUT,
         ("modaltouch.record.chain", "RecordError"): RECORD_AT_RISK,
         ("modaltouch.window.interface", "SessionStopped"): INTERRUPTED,

@@ -13,7 +13,6 @@ from modaltouch.cli.options import APPARATUS, JSON, SESSION, SHIPPED_APPARATUS
 
 if TYPE_CHECKING:
     from modaltouch.rig import CommandLatency
-    from modaltouch.window import WindowTiming
 
 MARKS = {"ok": ("ok", "green"), "warning": ("warning", "yellow"), "fault": ("FAULT", "red")}
 
@@ -119,13 +118,13 @@ def _measure(rig: str, apparatus: Path, *, json_output: bool) -> None:
     """Say how exactly window, keyboard, generator and clock keep time; one that cannot be reached is a fault."""
     from modaltouch.rig import RigError
     from modaltouch.system import measure_clock
-    from modaltouch.window import WindowError
+    from modaltouch.window import WindowError, measure_timing
 
     figures: dict[str, Any] = {}
     verdicts: dict[str, str] = {}
     faults: dict[str, str] = {}
     for subject, measure in (
-        ("window", _measure_window),
+        ("window", measure_timing),
         ("generator", lambda: _measure_generator(rig, apparatus)),
         ("clock", measure_clock),
     ):
@@ -146,17 +145,6 @@ def _measure(rig: str, apparatus: Path, *, json_output: bool) -> None:
             typer.echo(f"{subject:10} {typer.style('FAULT', fg='red')} {fault}")
     if faults:
         raise typer.Exit(RIG_FAILED)
-
-
-def _measure_window() -> WindowTiming:
-    from modaltouch.window import Screen, measure_timing, some_display
-
-    with some_display() as where:
-        screen = Screen(title="modaltouch doctor")
-        try:
-            return measure_timing(screen, display=where)
-        finally:
-            screen.close()
 
 
 def _measure_generator(rig: str, apparatus: Path) -> CommandLatency:

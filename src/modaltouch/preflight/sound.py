@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 
 from modaltouch.protocol import Apparatus, Findings, Problem, Protocol
-from modaltouch.window import highest_level
+from modaltouch.window import Masking
 
 LOUD = 80.0
 """Level at which hearing protection begins to be a matter of hours (2003/10/EC, lower action value) [dB SPL]."""
@@ -21,7 +21,7 @@ def check_masking_level(findings: Findings) -> Iterator[Problem]:
         return
     section, sound = protocol.value.masking, apparatus.value.sound
     level = section.level(sound)
-    highest = highest_level(section.noise, sound.sampling_rate_Hz)
+    highest = Masking.highest_level(section.noise, sound.sampling_rate_Hz)
     if level is None or level <= highest:
         return
     unit = section.level_key.removeprefix("level_").replace("_", " ")

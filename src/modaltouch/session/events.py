@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any
 
 from modaltouch.preflight import Preflight
 from modaltouch.protocol import Protocol, Response, Schedule, Trial, describe_rule
 from modaltouch.record import RecordError, SessionFolder, SessionLog
 from modaltouch.rig import Firing, RigError
 from modaltouch.system import Interrupted
-from modaltouch.window import MaskingError, SessionStopped, WindowError
+from modaltouch.window import SessionStopped, WindowError
 
 
 def describe_start(preflight: Preflight, schedule: Schedule, place: SessionFolder) -> dict[str, Any]:
@@ -61,13 +61,11 @@ def describe_ending(error: BaseException) -> dict[str, str]:
         return {"reason": error.reason}
     if isinstance(error, Interrupted):
         return {"reason": error.signal_name}
-    kinds: dict[type[BaseException], Literal["rig fault", "window lost", "record fault", "masking lost"]] = {
-        RigError: "rig fault",
-        MaskingError: "masking lost",
-        WindowError: "window lost",
-        RecordError: "record fault",
-    }
-    reason = next((reason for kind, reason in kinds.items() if isinstance(error, kind)), "error")
+    if isinstance(error, WindowError):
+        reason = error.ending
+    else:
+        kinds = (RigError, "rig fault"), (RecordError, "record fault"), (BaseException, "error")
+        reason = next(reason for kind, reason in kinds if isinstance(error, kind))
     return {"reason": reason, "message": f"{type(error).__name__}: {error}"}
 
 

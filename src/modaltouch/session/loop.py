@@ -16,11 +16,8 @@ from modaltouch.system import SYSTEM_CLOCK, Clock
 from modaltouch.window import (
     AnswerWindow,
     Masking,
-    NoMasking,
     Presentation,
-    Progress,
     SessionStopped,
-    Tick,
     TrialInterrupted,
 )
 
@@ -73,9 +70,9 @@ class SessionRun:
     window: AnswerWindow
     log: SessionLog
     save_view: Callable[[], None]
-    tick: Tick
+    tick: Callable[[], object]
     experimenter: Experimenter = field(default_factory=Experimenter)
-    masking: Masking = field(default_factory=NoMasking)
+    masking: Masking = field(default_factory=Masking)
     clock: Clock = SYSTEM_CLOCK
 
 
@@ -87,7 +84,7 @@ def conduct(sitting: SessionRun) -> None:
 
     Raises
     ------
-    SessionStopped, Interrupted, RigError, RecordError, WindowError, MaskingError
+    SessionStopped, Interrupted, RigError, RecordError, WindowError
         Whatever ended the session early; what was answered is kept.
     """
     sitting.window.welcome(sitting.trials[0])
@@ -103,7 +100,7 @@ def conduct(sitting: SessionRun) -> None:
             sitting.window.announce("start")
         elif _rest_is_due(sitting, trial, rested):
             sitting.log.append("rest", before_trial=trial.index)
-            sitting.window.rest(Progress(trial.index, sitting.total))
+            sitting.window.rest((trial.index, sitting.total))
             rested = sitting.clock.now()
         # The record alone decides the next level, so that a session that was killed goes on with the very same one.
         settled = sitting.levels.settle(trial, _counted(sitting))
@@ -259,7 +256,7 @@ def present(sitting: SessionRun, trial: Trial) -> tuple[Response | None, Firing]
         If the outputs could not be switched off.
     """
     while True:
-        sitting.window.settle(trial, Progress(trial.index, sitting.total))
+        sitting.window.settle(trial, (trial.index, sitting.total))
         sitting.masking.ensure(sitting.tick)
         firing = fire(sitting, trial)
         if not firing.started:
@@ -277,7 +274,7 @@ def present(sitting: SessionRun, trial: Trial) -> tuple[Response | None, Firing]
         try:
             # Whatever ends the session now, the record knows that this stimulus had begun.
             sitting.log.append("fired", trial=trial.as_dict(), confirmed=firing.as_dict())
-            response = sitting.window.ask(trial, Progress(trial.index, sitting.total), presentation)
+            response = sitting.window.ask(trial, (trial.index, sitting.total), presentation)
             line = _write_down(sitting, "answered", trial, response, replace(firing, reason=NOT_OVER, bursts=Bursts()))
             sitting.window.confirm(response)
         except (TrialInterrupted, StimulusLost) as cut:

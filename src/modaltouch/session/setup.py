@@ -19,7 +19,7 @@ from modaltouch.record import (
 )
 from modaltouch.rig import Rig, is_simulated
 from modaltouch.session.assignment import allot
-from modaltouch.session.console.experimenter import Experimenter
+from modaltouch.session.console.experimenter import Experimenter, Tick, Wish
 from modaltouch.session.console.interface import Console, NoConsole
 from modaltouch.session.console.status import Status
 from modaltouch.session.event_buffer import EventBuffer
@@ -35,7 +35,7 @@ from modaltouch.session.resumption import (
     way_on,
 )
 from modaltouch.system import SYSTEM_CLOCK, Clock, Interruption, commit, versions
-from modaltouch.window import AnswerWindow, Masking, NoMasking, Tick, Wish
+from modaltouch.window import AnswerWindow, Masking
 
 OpenRig = Callable[[Callable[..., None]], AbstractContextManager[Rig]]
 """Opens the instrument for a while, given a function that takes each exchange with it."""
@@ -85,7 +85,7 @@ class Setup:
     place: SessionFolder
     open_rig: OpenRig
     open_window: OpenWindow
-    open_masking: OpenMasking = lambda log: NoMasking()
+    open_masking: OpenMasking = lambda log: Masking()
     facts: dict[str, Any] = field(default_factory=dict)
     replaces: SessionFolder | None = None
     drawn_as: int | None = None

@@ -1,4 +1,8 @@
-"""Asks the participant: the PsychoPy window, and a simulated participant behind the same interface."""
+"""Asks the participant: the PsychoPy window, and a simulated participant behind the same interface; masking noise.
+
+In go a protocol, its words and, trial by trial, the stimulus that plays; out come the answers and their instants.
+``examine_surroundings`` and ``measure_timing`` say whether a machine is fit for it.
+"""
 
 from __future__ import annotations
 
@@ -7,79 +11,36 @@ from typing import TYPE_CHECKING
 from modaltouch.system import lazily
 
 if TYPE_CHECKING:
-    from modaltouch.window.environment import LIBRARIES, is_loadable, missing_libraries
-    from modaltouch.window.events import canonical_key
-    from modaltouch.window.interface import (
-        AnswerWindow,
-        Presentation,
-        Progress,
-        SessionStopped,
-        Tick,
-        TrialInterrupted,
-        TypedAnswer,
-        WindowError,
-        Wish,
-    )
-    from modaltouch.window.masking.interface import Masking, MaskingError, NoMasking
-    from modaltouch.window.masking.noise import highest_level
-    from modaltouch.window.masking.player import DeviceError, default_device, open_masking
-    from modaltouch.window.opening import AnswersBy, WindowOptions, open_window
-    from modaltouch.window.screen import Screen
-    from modaltouch.window.shapes import Box, Picture, Words
+    from modaltouch.window.events import Event
+    from modaltouch.window.interface import AnswerWindow, Presentation, SessionStopped, TrialInterrupted, WindowError
+    from modaltouch.window.machine import examine_surroundings, measure_timing
+    from modaltouch.window.masking import Masking
+    from modaltouch.window.opening import WindowOptions, open_window
     from modaltouch.window.simulated import Answerer
-    from modaltouch.window.timing import WindowTiming, measure_timing
-    from modaltouch.window.virtual_display import some_display
 else:
     __getattr__ = lazily(
         __name__,
         {
-            "opening": "AnswersBy WindowOptions open_window",
-            "environment": "LIBRARIES is_loadable missing_libraries",
-            "events": "canonical_key",
-            "interface": (
-                "AnswerWindow Presentation Progress SessionStopped Tick TrialInterrupted TypedAnswer WindowError Wish"
-            ),
-            "masking.interface": "Masking MaskingError NoMasking",
-            "masking.noise": "highest_level",
-            "masking.player": "DeviceError default_device open_masking",
-            "screen": "Screen",
-            "shapes": "Box Picture Words",
+            "events": "Event",
+            "interface": "AnswerWindow Presentation SessionStopped TrialInterrupted WindowError",
+            "machine": "examine_surroundings measure_timing",
+            "masking": "Masking",
+            "opening": "WindowOptions open_window",
             "simulated": "Answerer",
-            "timing": "WindowTiming measure_timing",
-            "virtual_display": "some_display",
         },
     )
 
 __all__ = [
     "AnswerWindow",
     "Answerer",
-    "AnswersBy",
-    "Box",
-    "DeviceError",
-    "LIBRARIES",
+    "Event",
     "Masking",
-    "MaskingError",
-    "NoMasking",
-    "Picture",
     "Presentation",
-    "Progress",
-    "Screen",
     "SessionStopped",
-    "Tick",
     "TrialInterrupted",
-    "TypedAnswer",
     "WindowError",
     "WindowOptions",
-    "WindowTiming",
-    "Wish",
-    "Words",
-    "canonical_key",
-    "default_device",
-    "highest_level",
-    "is_loadable",
+    "examine_surroundings",
     "measure_timing",
-    "missing_libraries",
-    "open_masking",
     "open_window",
-    "some_display",
 ]

@@ -12,7 +12,7 @@ from typing import Any
 from modaltouch.protocol import Trial
 from modaltouch.system import SYSTEM_CLOCK, Clock
 from modaltouch.window.events import Event
-from modaltouch.window.interface import Log, SessionStopped, Tick, TypedAnswer, WindowError
+from modaltouch.window.interface import Log, SessionStopped, Tick, WindowError
 from modaltouch.window.shapes import Picture
 
 POLL_INTERVAL = 1e-3
@@ -198,11 +198,7 @@ class DisplayLoop:
         if self._is_emergency:
             raise SessionStopped("emergency stop")
         if wish is not None:
-            events.append(
-                Event(wish.time, "answer", wish.key, answer=wish.answer)
-                if isinstance(wish, TypedAnswer)
-                else Event(self.clock.now(), wish)
-            )
+            events.append(wish if isinstance(wish, Event) else Event(self.clock.now(), wish))
         self._refresh()
         if not events:
             self.clock.sleep(POLL_INTERVAL)

@@ -8,10 +8,19 @@ from dataclasses import dataclass
 from typing import Any, Self
 
 from modaltouch.protocol import Answer, Response, Trial
+from modaltouch.window.events import Event
 
 
 class WindowError(Exception):
-    """The answer window cannot be opened or was lost."""
+    """The answer window cannot be opened or was lost.
+
+    Attributes
+    ----------
+    ending : str
+        How the stop record calls a session that this ended.
+    """
+
+    ending = "window lost"
 
 
 class SessionStopped(Exception):  # noqa: N818
@@ -43,27 +52,8 @@ class TrialInterrupted(Exception):  # noqa: N818
         self.reason = reason
 
 
-@dataclass(frozen=True)
-class TypedAnswer:
-    """An answer that the experimenter typed at the console, for the participant.
-
-    Attributes
-    ----------
-    answer : str
-        Which one.
-    key : str
-        Name of the key.
-    time : float
-        When it was read, by the window's clock [s].
-    """
-
-    answer: Answer
-    key: str
-    time: float
-
-
-Wish = typing.Literal["pause", "continue"] | TypedAnswer
-"""What the experimenter asks of the window."""
+Wish = typing.Literal["pause", "continue"] | Event
+"""What the experimenter asks of the window; an event is an answer that was typed at the console."""
 
 Tick = Callable[[], Wish | None]
 """Called about every millisecond while the window waits; may raise, and returns what the experimenter wishes."""
@@ -94,8 +84,7 @@ class Presentation:
     stop: Callable[[], None]
 
 
-@dataclass(frozen=True)
-class Progress:
+class Progress(typing.NamedTuple):
     """Where the session stands, as the participant may see it: trial `number` of `total`."""
 
     number: int
@@ -103,7 +92,7 @@ class Progress:
 
 
 class AnswerWindow(typing.Protocol):
-    """Shows the session to the participant and collects the answers.
+    """Shows the session to the participant and collects the answers; `progress` is a trial's number and their total.
 
     Every method that waits calls the `tick` given at opening about every millisecond; `tick` may raise, and what
     it returns is done: ``pause`` holds the session until ``continue`` or a press to go on; an answer is
@@ -119,7 +108,7 @@ class AnswerWindow(typing.Protocol):
     def place_fingers(self, trial: Trial) -> None:
         """Show which finger goes on which zone until it is confirmed."""
 
-    def settle(self, trial: Trial, progress: Progress) -> None:
+    def settle(self, trial: Trial, progress: tuple[int, int]) -> None:
         """Let hands and fingers come to rest before a stimulus: the pause since the last answer or key to go on.
 
         Where a hand of those on the beam pressed, the participant sees a countdown. Called before every stimulus.
@@ -131,7 +120,7 @@ class AnswerWindow(typing.Protocol):
     def announce(self, text: str) -> None:
         """Show one text of the protocol (``practice``, ``practice_again``, ``start``) until the participant goes on."""
 
-    def ask(self, trial: Trial, progress: Progress, presentation: Presentation) -> Response:
+    def ask(self, trial: Trial, progress: tuple[int, int], presentation: Presentation) -> Response:
         """Show the trial and return the answer, as soon as it is known and without confirming it on screen.
 
         The session writes the answer to the disk first and calls `confirm` then, so that an answer the
@@ -158,7 +147,7 @@ class AnswerWindow(typing.Protocol):
     def wait(self, seconds: float) -> None:
         """Let the pause between two trials pass, counted from the answer; a simulated participant does not wait."""
 
-    def rest(self, progress: Progress) -> None:
+    def rest(self, progress: tuple[int, int]) -> None:
         """Show the break until the participant goes on."""
 
     def goodbye(self) -> None:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
 
 from modaltouch.system import SYSTEM_CLOCK, Clock
+from modaltouch.window.environment import some_display
 from modaltouch.window.interface import AnswerWindow, Log, Tick
 
 if TYPE_CHECKING:
@@ -42,6 +44,17 @@ class WindowOptions:
     theme: str = "dark"
     screen: int = 0
     screenshots: Path | None = None
+
+    @staticmethod
+    def display() -> AbstractContextManager[str]:
+        """Give the display there is, or a virtual one for as long as it is needed, in words.
+
+        Raises
+        ------
+        WindowError
+            If there is neither a display nor Xvfb.
+        """
+        return some_display()
 
     @classmethod
     def recorded(cls, window: Mapping[str, Any]) -> Self:

@@ -116,7 +116,7 @@ class ParticipantWindow:
         self._make_ready(trial)
         self._go_on(lambda: self._pictures.placement(trial), trial)
 
-    def settle(self, trial: Trial, progress: Progress) -> None:
+    def settle(self, trial: Trial, progress: tuple[int, int]) -> None:
         """Let the fingers come to rest before a stimulus, counted down where a hand of those on the beam pressed."""
         self._current = (trial, self._count(trial, progress))
         is_at_rest = False
@@ -143,7 +143,7 @@ class ParticipantWindow:
         words = str(getattr(self._texts, text))
         self._go_on(lambda: self._pictures.page(text, words))
 
-    def ask(self, trial: Trial, progress: Progress, presentation: Presentation) -> Response:
+    def ask(self, trial: Trial, progress: tuple[int, int], presentation: Presentation) -> Response:
         """Show the trial and return the answer as soon as it is known.
 
         Raises
@@ -156,10 +156,9 @@ class ParticipantWindow:
         answers, onset = self._answers, presentation.onset
         stops_first = answers.stimulus_until == "question"
         due = onset + answers.question_delay_s
-        progress = self._count(trial, progress)
-        self._current = (trial, progress)
+        self._current = (trial, counted) = (trial, self._count(trial, progress))
         self._stage.attend(Moment("feel", trial, onset))
-        question = self._pictures.question(trial, progress)
+        question = self._pictures.question(trial, counted)
         if stops_first:
             self._feel(trial, question, presentation.stop, until=presentation.ends)
             presentation.stop()
@@ -176,7 +175,7 @@ class ParticipantWindow:
         taken = self._taker.await_answer(trial, interrupt, None if stops_first else self._end_of(presentation))
         gap = self._stage.poll_gap
         if taken is not None and answers.change_until_confirmed:
-            taken = self._taker.await_confirmation(trial, progress, *taken, interrupt)
+            taken = self._taker.await_confirmation(trial, counted, *taken, interrupt)
         presentation.end()
         answered = taken[1].time if taken is not None else self._clock.now()
         self._answered = self._clock.now() if taken is None or answers.change_until_confirmed else answered
@@ -232,9 +231,9 @@ class ParticipantWindow:
         if self._clock.now() < until and self._current is not None and not self._settles:
             self._rest_on(self._pictures.ready(*self._current), until)
 
-    def rest(self, progress: Progress) -> None:
+    def rest(self, progress: tuple[int, int]) -> None:
         """Show the break until the participant goes on."""
-        self._go_on(lambda: self._pictures.page("rest", self._texts.rest, progress))
+        self._go_on(lambda: self._pictures.page("rest", self._texts.rest, Progress(*progress)))
 
     def goodbye(self) -> None:
         """Thank the participant, until a key is pressed or some seconds have passed."""
@@ -272,10 +271,10 @@ class ParticipantWindow:
         for answer in draw.layout.buttons:
             self._stage.prepare(draw.question(trial, progress, chosen=answer))
 
-    def _count(self, trial: Trial, progress: Progress) -> Progress:
+    def _count(self, trial: Trial, progress: tuple[int, int]) -> Progress:
         """Return the progress as the participant sees it: practice trials count on their own."""
         if not trial.practice:
-            return progress
+            return Progress(*progress)
         n_trials = max(self._n_practice, 1)
         return Progress((trial.index - 1) % n_trials + 1, n_trials)
 

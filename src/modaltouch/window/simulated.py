@@ -12,7 +12,7 @@ import numpy as np
 
 from modaltouch.protocol import ANSWERS, TIME_OUT, Answer, Response, Trial
 from modaltouch.system import SYSTEM_CLOCK, Clock
-from modaltouch.window.interface import Log, Presentation, Progress, Tick, TrialInterrupted
+from modaltouch.window.interface import Log, Presentation, Tick, TrialInterrupted
 
 
 class Observing(Protocol):
@@ -124,7 +124,7 @@ class SimulatedParticipant:
         """Place the fingers at once."""
         self._tick()
 
-    def settle(self, trial: Trial, progress: Progress) -> None:
+    def settle(self, trial: Trial, progress: tuple[int, int]) -> None:
         """Never lift a finger."""
         self._tick()
 
@@ -136,7 +136,7 @@ class SimulatedParticipant:
         """Read nothing."""
         self._tick()
 
-    def ask(self, trial: Trial, progress: Progress, presentation: Presentation) -> Response:
+    def ask(self, trial: Trial, progress: tuple[int, int], presentation: Presentation) -> Response:
         """Return the observer's answer once its reaction time has passed."""
         answer, reaction_time = self._answerer.answer(trial)
         stops_first = self._onset_is == "question"
@@ -174,7 +174,7 @@ class SimulatedParticipant:
         """Let the pause pass."""
         self._pass(seconds)
 
-    def rest(self, progress: Progress) -> None:
+    def rest(self, progress: tuple[int, int]) -> None:
         """Need no break."""
         self._tick()
 

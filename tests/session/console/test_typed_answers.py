@@ -18,7 +18,7 @@ from modaltouch.session.console.experimenter import Experimenter
 from modaltouch.session.console.interface import NoConsole, Request
 from modaltouch.session.console.lines import EventLines, PlainLines
 from modaltouch.session.console.status import Status, typed_keys
-from modaltouch.window.interface import TypedAnswer
+from modaltouch.window.events import Event
 
 TRIAL = {
     "number": 7, "practice": False, "block": 1, "velocity_mm_s": 100.0, "predicted_left_mm_s": 100.0,
@@ -134,7 +134,7 @@ def test_a_typed_answer_reaches_the_window_with_its_key_and_its_time() -> None:
     experimenter = Experimenter(console, lambda event, **facts: recorded.append(event))
     for event in (experimenters(), *asked()):
         experimenter.tell(event)
-    assert experimenter.attend() == TypedAnswer("both", "up", 12.5)
+    assert experimenter.attend() == Event(12.5, "answer", "up", answer="both")
     console.asked = [Request("go_on")]
     assert experimenter.attend() == "continue"
     assert recorded == ["experimenter"]

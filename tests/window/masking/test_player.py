@@ -14,10 +14,8 @@ import sounddevice
 
 from modaltouch.protocol import MaskingSection
 from modaltouch.protocol.apparatus import Sound
-from modaltouch.window.masking import player
-from modaltouch.window.masking.interface import MaskingError, NoMasking
-from modaltouch.window.masking.noise import amplitude_at, make_noise
-from modaltouch.window.masking.player import NoiseMasking, open_masking
+from modaltouch.window import masking as player
+from modaltouch.window.masking import Masking, MaskingError, NoiseMasking, amplitude_at, make_noise
 
 SECTION = MaskingSection(noise="pink", level_dB_FS=-20.0, fade_s=0.05)
 ALSA = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="ALSA is Linux's")
@@ -30,8 +28,8 @@ def test_the_device_gets_the_noise_faded_in_and_out(in_a_process: Any, null_devi
 import json
 import numpy as np
 from modaltouch.protocol.apparatus import Sound
-from modaltouch.window.masking.noise import amplitude_at, make_noise
-from modaltouch.window.masking.player import NoiseMasking
+from modaltouch.window.masking import amplitude_at, make_noise
+from modaltouch.window.masking import NoiseMasking
 from modaltouch.protocol import MaskingSection
 
 events, blocks = [], []
@@ -81,14 +79,14 @@ def test_without_a_device_masking_is_refused_or_recorded_as_lacking(in_a_process
     script = """
 import json
 from modaltouch.protocol.apparatus import Sound
-from modaltouch.window.masking.interface import MaskingError
-from modaltouch.window.masking.player import open_masking
+from modaltouch.window.masking import MaskingError
+from modaltouch.window.masking import Masking
 from modaltouch.protocol import MaskingSection
 said = {}
 for required in (True, False):
     section = MaskingSection(noise="white", level_dB_FS=-20.0, required=required)
     try:
-        masking = open_masking(section, Sound(), lambda event, **facts: None)
+        masking = Masking.open(section, Sound(), lambda event, **facts: None)
         said[str(required)] = [masking.describe(), masking.is_on]
     except MaskingError as error:
         said[str(required)] = str(error)
@@ -257,7 +255,7 @@ def test_a_device_that_refuses_to_start_is_let_go(monkeypatch: pytest.MonkeyPatc
 
 def test_no_masking_is_wanted_where_the_protocol_has_none() -> None:
     """Nothing is opened, nothing recorded."""
-    masking = open_masking(None, Sound(), lambda event, **facts: pytest.fail(event))
-    assert isinstance(masking, NoMasking)
+    masking = Masking.open(None, Sound(), lambda event, **facts: pytest.fail(event))
+    assert type(masking) is Masking
     assert masking.describe() is None
     assert masking.is_on is None

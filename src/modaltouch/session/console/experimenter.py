@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Literal
 
 from modaltouch.session.console.interface import Console, NoConsole
 from modaltouch.session.console.status import Status
-from modaltouch.window import SessionStopped, TypedAnswer, Wish
+from modaltouch.window import Event, SessionStopped
+
+Wish = Literal["pause", "continue"] | Event
+"""What the experimenter asks of the window; an event is an answer that was typed at the console."""
+
+Tick = Callable[[], Wish | None]
+"""Called about every millisecond while the window waits; may raise, and returns what the experimenter wishes."""
 
 
 class Experimenter:
@@ -67,7 +73,7 @@ class Experimenter:
             if request.command == "answer":
                 # The line of the answer says it all; nothing is written while a question is open.
                 answer = self._status.answer_by(request.text)
-                wish = wish if answer is None else TypedAnswer(answer, request.text, request.at)
+                wish = wish if answer is None else Event(request.at, "answer", request.text, answer=answer)
                 continue
             self._record("experimenter", asks=request.command, **({"text": request.text} if request.text else {}))
             if request.command == "stop":

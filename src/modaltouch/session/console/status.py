@@ -11,7 +11,6 @@ from typing import Any
 from modaltouch.protocol import Answer
 from modaltouch.session.console.dialogue import OWN_KEYS
 from modaltouch.session.console.interface import Facts
-from modaltouch.window import canonical_key
 
 HASTY = 0.1
 """Nobody feels, decides and presses within this time: such an answer was ready before its question [s]."""
@@ -89,11 +88,11 @@ def typed_keys(keys: Mapping[str, Sequence[str]]) -> dict[str, list[str]]:
     answers = [answer for answer in _ORDER if answer in keys]
     taken: dict[str, str] = {}
     for answer in answers:
-        for name in map(canonical_key, keys[answer]):
+        for name in keys[answer]:
             if name not in OWN_KEYS and not name.startswith("num_"):
                 taken.setdefault(name, answer)
     for answer in answers:
-        for name in map(canonical_key, keys[answer]):
+        for name in keys[answer]:
             if name[:4] == "num_" and name[4:].isdecimal():
                 taken.setdefault(name[4:], answer)
     for place, answer in enumerate(answers, start=1):

@@ -14,8 +14,8 @@ from modaltouch.record import RecordError, RecordInputError, Session, SessionFol
 from modaltouch.session.assignment import next_session
 from modaltouch.session.sensation_level import at_own_levels, recorded_levels
 from modaltouch.session.setup import Setup
-from modaltouch.session.wiring.parts import SIMULATED, SessionParts
-from modaltouch.window import AnswersBy, WindowOptions
+from modaltouch.session.wiring.parts import SIMULATED, AnswersBy, SessionParts
+from modaltouch.window import WindowOptions
 
 
 def wire_run(

@@ -5,29 +5,29 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from modaltouch.planning import FeltSpeeds, Observer
 from modaltouch.preflight import Preflight
 from modaltouch.protocol import ANSWERS, ANSWERS_WITH_NONE, Schedule, Trial, random_generator
 from modaltouch.record import SessionFolder
 from modaltouch.rig import Rig, open_rig, same_process, start_simulator
+from modaltouch.session.console.experimenter import Tick
 from modaltouch.session.setup import Setup
 from modaltouch.system import SYSTEM_CLOCK, Clock, VirtualClock
 from modaltouch.window import (
     Answerer,
-    AnswersBy,
     AnswerWindow,
     Masking,
-    NoMasking,
-    Tick,
     WindowOptions,
-    open_masking,
     open_window,
 )
 
 if TYPE_CHECKING:
     from modaltouch.rig import Simulator
+
+AnswersBy = Literal["window", "simulated", "robot"]
+"""A person at the window; an observer model without a window; an observer model typing into the real window."""
 
 SIMULATED = "simulated"
 """What stands in a rig's place for the digital twin."""
@@ -121,9 +121,7 @@ class SessionParts:
         """Open the masking noise that the protocol wants, where there is a person to hear it."""
         experiment = self._preflight.experiment
         section = experiment.protocol.masking
-        if self._answers != "window":
-            return NoMasking("a simulated participant hears nothing" if section is not None else "")
-        return open_masking(section, experiment.apparatus.sound, log)
+        return Masking.open(section, experiment.apparatus.sound, log, is_heard=self._answers == "window")
 
     def _answerer(self) -> Answerer:
         who = self._seed, self._place.participant, self._place.session

@@ -1,21 +1,28 @@
-"""Measures how exactly this machine shows pictures and sees keys."""
+"""What this machine has of what window and noise need, and how exactly it shows pictures and sees keys."""
 
 from __future__ import annotations
 
 import ctypes
 import ctypes.util
+import os
+import shutil
 import sys
+import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
-from typing import Any
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from modaltouch.window.display_loop import POLL_INTERVAL
+from modaltouch.window.environment import LIBRARIES, is_loadable, missing_libraries, some_display
+from modaltouch.window.interface import WindowError
+from modaltouch.window.masking import DeviceError, default_device
 from modaltouch.window.screen import Screen
-from modaltouch.window.shapes import Box, Picture, rectangle
+from modaltouch.window.shapes import Box, Picture, Words, rectangle
 
 _LATE_FRAME = 1.5
 """A frame counts as dropped when it takes this many times the usual [1]."""
@@ -25,6 +32,106 @@ _F12 = 0xFFC9
 """X's number for the key F12, which no program minds."""
 _NO_RETRACE = 4e-3
 """Frames shorter than this do not wait for a monitor: none refreshes so fast [s]."""
+
+
+class WindowCheck(NamedTuple):
+    """One thing that a window or the noise needs.
+
+    Attributes
+    ----------
+    subject : str
+        What was looked at.
+    state : str
+        ``ok``, ``warning`` (something optional is absent) or ``fault`` (a session cannot run).
+    found : str
+        What is there.
+    remedy : str
+        What to do; empty where all is well.
+    packages : list of str
+        The Debian packages that are missing.
+    """
+
+    subject: str
+    state: Literal["ok", "warning", "fault"]
+    found: str
+    remedy: str = ""
+    packages: Sequence[str] = ()
+
+
+def examine_surroundings(*, quick: bool = False) -> tuple[WindowCheck, ...]:
+    """Return what this machine has of what window and noise need.
+
+    Parameters
+    ----------
+    quick : bool
+        Whether no window and no sound device is opened: only what is installed is looked at.
+    """
+    return (_display(), _libraries(), _virtual_display(), *(() if quick else (_window(),)), _sound(quick=quick))
+
+
+def _display() -> WindowCheck:
+    own, display = sys.platform in ("win32", "darwin"), os.environ.get("DISPLAY", "")
+    if own or display:
+        return WindowCheck("display", "ok", "the system's own" if own else f"DISPLAY={display}")
+    remedy = "log in at the screen; the demo brings a virtual display of its own"
+    return WindowCheck("display", "warning", "DISPLAY is not set", remedy)
+
+
+def _libraries() -> WindowCheck:
+    packages = list((missing := missing_libraries()).values())
+    if missing:
+        names = ", ".join(f"{name} ({package})" for name, package in missing.items())
+        return WindowCheck("libraries", "fault", f"missing: {names}", f"apt install {' '.join(packages)}", packages)
+    return WindowCheck("libraries", "ok", ", ".join(LIBRARIES) if sys.platform == "linux" else "the system's own")
+
+
+def _virtual_display() -> WindowCheck:
+    if sys.platform != "linux":
+        return WindowCheck("virtual display", "ok", "not needed")
+    if path := shutil.which("Xvfb"):
+        return WindowCheck("virtual display", "ok", path)
+    remedy = "install xvfb to run the demo without a screen"
+    return WindowCheck("virtual display", "warning", "Xvfb is absent", remedy, ["xvfb"])
+
+
+def _window() -> WindowCheck:
+    """Open the window and draw a letter, which needs a display, OpenGL, fonts and PsychoPy together."""
+    try:
+        with some_display() as where, tempfile.TemporaryDirectory() as folder:
+            screen = Screen(size=(320, 200), title="modaltouch doctor")
+            try:
+                screen.draw(Picture("letter", (Words("A", Box(0.0, 0.0, 0.8, 0.8), 0.5, "#ffffff"),)))
+                screen.flip(Path(folder) / "letter.png")
+                lit = _share_lit(Path(folder) / "letter.png")
+                renderer = screen.describe()["renderer"]
+            finally:
+                screen.close()
+    except WindowError as error:
+        return WindowCheck("window", "fault", *str(error).split("; ", 1))
+    if not lit:
+        remedy = "install fonts and a driver for OpenGL"
+        return WindowCheck("window", "fault", f"no letter can be seen on {where}", remedy)
+    return WindowCheck("window", "ok", f"a letter is drawn on {where} ({renderer})")
+
+
+def _share_lit(picture: Path) -> float:
+    """Return how much of a picture is not its ground [1]."""
+    from matplotlib.image import imread
+
+    return float((imread(picture)[..., :3] > 0.5).any(axis=2).mean())
+
+
+def _sound(*, quick: bool) -> WindowCheck:
+    lacks = sys.platform == "linux" and not is_loadable("libportaudio.so.2")
+    if quick:
+        return WindowCheck("sound", "warning" if lacks else "ok", "PortAudio", packages=["libportaudio2"] * lacks)
+    try:
+        device = default_device()
+    except DeviceError as error:
+        remedy = "connect one, or install libportaudio2, where a protocol wants masking noise"
+        return WindowCheck("sound", "warning", str(error).partition(";")[0], remedy)
+    found = f"{device['name']}, {device['default_samplerate']:g} Hz, {device['max_output_channels']} channels"
+    return WindowCheck("sound", "ok", found)
 
 
 @dataclass(frozen=True)
@@ -103,24 +210,29 @@ class WindowTiming:
         return " ".join(lines)
 
 
-def measure_timing(
-    screen: Screen, *, n_frames: int = 120, n_keys: int = 60, display: str = "the screen"
-) -> WindowTiming:
-    """Return how exactly a window shows pictures and sees keys; takes some seconds.
+def measure_timing() -> WindowTiming:
+    """Return how exactly a window of this machine shows pictures and sees keys; takes some seconds.
 
-    Parameters
-    ----------
-    screen : Screen
-        An open window that has the keyboard.
-    n_frames, n_keys : int
-        How many frames to show, and keys to inject.
-    display : str
-        What the window is on, in words.
+    Raises
+    ------
+    WindowError
+        If no window can be opened.
+    """
+    with some_display() as display:
+        screen = Screen(title="modaltouch doctor")
+        try:
+            return time_window(screen, display=display)
+        finally:
+            screen.close()
+
+
+def time_window(screen: Screen, *, n_frames: int = 120, n_keys: int = 60, display: str = "the screen") -> WindowTiming:
+    """Return how exactly an open window, which has the keyboard, shows pictures and sees keys.
 
     Raises
     ------
     ValueError
-        If fewer than 10 of either are asked for.
+        If fewer than 10 frames or keys are asked for.
     """
     if min(n_frames, n_keys) < 10:
         raise ValueError(f"given {n_frames} frames and {n_keys} keys; allowed: 10 or more of each")

@@ -1,30 +1,85 @@
-"""Masking noise on a sound device, through PortAudio.
+"""Noise that masks the sound of the beam, without a break from before the first trial until after the last.
 
-A device that is lost in mid-session (unplugged, taken away by the system) leaves the trial that is on alone: its
-answer is recorded as not masked. Before the next trial the device is opened again; where that fails, a protocol
-that demands masking ends the session in order, and `modaltouch resume` goes on once the device is back; any other
-goes on without, every trial recorded as such.
+The noise has random phases over a spectrum that is exact, so that one period repeats without a seam; it is played
+through PortAudio. A device that is lost in mid-session (unplugged, taken away by the system) leaves the trial that is
+on alone: its answer is recorded as not masked. Before the next trial the device is opened again; where that fails, a
+protocol that demands masking ends the session in order, and `modaltouch resume` goes on once the device is back; any
+other goes on without, every trial recorded as such.
 """
 
 from __future__ import annotations
 
 import contextlib
+import math
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Self
-
-from modaltouch.window.masking.interface import Masking, MaskingError, NoMasking
-from modaltouch.window.masking.noise import SEED, amplitude_at, make_noise
-
-if TYPE_CHECKING:
-    from modaltouch.protocol import MaskingSection, Sound
-from typing import TYPE_CHECKING
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from modaltouch.window.interface import Log, WindowError
+
 if TYPE_CHECKING:
-    from modaltouch.protocol import Sound
+    from modaltouch.protocol import MaskingSection, Sound
+
+Kind = Literal["pink", "white"]
+
+LOWEST, HIGHEST = 20.0, 20_000.0
+"""Band of the noise: what can be heard [Hz]."""
+
+PERIOD = 10.0
+"""Length of the period [s]; nobody hears a repetition this slow."""
+
+SEED = 20_120_501
+"""Of the random phases: the noise of every session is the same."""
+
+SINE_DB = 20 * math.log10(math.sqrt(2))
+"""How far the rms of a sine of full scale, 0 dB FS (AES17), lies below full scale [dB]."""
+
+
+@lru_cache(maxsize=4)
+def make_noise(kind: Kind, sampling_rate: float) -> NDArray[np.float32]:
+    """Return one period of noise with a root mean square of 1, without a seam and read-only, (n_samples,) array [1].
+
+    Parameters
+    ----------
+    kind : str
+        ``pink``, power falling with frequency, or ``white``, power even.
+    sampling_rate : float
+        Samples per second [Hz].
+
+    Raises
+    ------
+    ValueError
+        If the sampling rate leaves nothing of the band.
+    """
+    if not (math.isfinite(sampling_rate) and sampling_rate > 4 * LOWEST):
+        raise ValueError(f"given a sampling rate of {sampling_rate} Hz; allowed: above {4 * LOWEST:g} Hz")
+    n_samples = round(PERIOD * sampling_rate)
+    frequency = np.fft.rfftfreq(n_samples, 1 / sampling_rate)
+    in_band = (frequency >= LOWEST) & (frequency <= min(HIGHEST, 0.45 * sampling_rate))
+    magnitude = np.zeros(frequency.size)
+    magnitude[in_band] = 1.0 if kind == "white" else 1 / np.sqrt(frequency[in_band])
+    # Raw words, whose stream numpy promises to keep: the same noise in every version.
+    words = np.random.PCG64(SEED).random_raw(frequency.size)
+    phase = words.astype(np.float64) * (2 * np.pi / 2.0**64)
+    samples = np.fft.irfft(magnitude * np.exp(1j * phase), n_samples)
+    noise: NDArray[np.float32] = (samples / np.sqrt(np.mean(samples**2))).astype(np.float32)
+    noise.flags.writeable = False
+    return noise
+
+
+def amplitude_at(level: float) -> float:
+    """Return the root mean square of noise at a level [dB FS], as a share of full scale [1].
+
+    Examples
+    --------
+    >>> round(amplitude_at(0.0), 4)
+    0.7071
+    """
+    return float(10 ** ((level - SINE_DB) / 20))
 
 
 class DeviceError(Exception):
@@ -154,43 +209,102 @@ class LoopedNoise:
         out[:] = samples[:, np.newaxis]
 
 
-Log = Callable[..., None]
-
 STALE = 1.0
 """A device that asks for no samples for so long is lost [s]."""
 _HURRY = 0.1
 """Longest fade where something went wrong [s]."""
 
 
-def open_masking(section: MaskingSection | None, sound: Sound, log: Log) -> Masking:
-    """Return the masking that a protocol wants, silent until `start`.
+class MaskingError(WindowError):
+    """The masking noise that a protocol demands cannot be played."""
+
+    ending = "masking lost"
+
+
+class Masking:
+    """What the session asks of masking noise; this one plays nothing.
 
     Parameters
     ----------
-    section : MaskingSection or None
-        What the protocol wants.
-    sound : Sound
-        What the apparatus plays it with.
-    log : callable
-        Takes what happens to it for the record.
-
-    Raises
-    ------
-    MaskingError
-        If it cannot be played and the protocol demands it.
+    reason : str
+        Why, where the protocol wants masking; empty where it does not.
     """
-    if section is None:
-        return NoMasking()
-    try:
-        return NoiseMasking(section, sound, log)
-    except MaskingError as error:
-        if section.required:
-            raise
-        log("masking_lost", reason=str(error))
-        return NoMasking(str(error))
+
+    def __init__(self, reason: str = "") -> None:
+        self._reason = reason
+
+    @staticmethod
+    def open(section: MaskingSection | None, sound: Sound, log: Log, *, is_heard: bool = True) -> Masking:
+        """Return the masking that a protocol wants, silent until `start`.
+
+        Parameters
+        ----------
+        section : MaskingSection or None
+            What the protocol wants.
+        sound : Sound
+            What the apparatus plays it with.
+        log : callable
+            Takes what happens to it for the record.
+        is_heard : bool
+            Whether a person answers; a simulated participant hears nothing.
+
+        Raises
+        ------
+        MaskingError
+            If it cannot be played and the protocol demands it.
+        """
+        if section is None or not is_heard:
+            return Masking("" if section is None else "a simulated participant hears nothing")
+        try:
+            return NoiseMasking(section, sound, log)
+        except MaskingError as error:
+            if section.required:
+                raise
+            log("masking_lost", reason=str(error))
+            return Masking(str(error))
+
+    @staticmethod
+    def highest_level(kind: Kind, sampling_rate: float) -> float:
+        """Return the level at which the highest peak of a noise just reaches full scale [dB FS]."""
+        return SINE_DB - 20 * math.log10(float(np.abs(make_noise(kind, sampling_rate)).max()))
+
+    def describe(self) -> dict[str, Any] | None:
+        """Return noise, level and device for the start record; None where the protocol wants no masking."""
+        return {"state": "not masked", "reason": self._reason} if self._reason else None
+
+    def start(self) -> None:
+        """Begin to fade in."""
+
+    def ensure(self, tick: Callable[[], object]) -> None:
+        """See before a trial that the noise is on and at its level; open the device again where it was lost.
+
+        Calls `tick` while it waits.
+
+        Raises
+        ------
+        MaskingError
+            If it is lost and the protocol demands it.
+        """
+
+    @property
+    def is_on(self) -> bool | None:
+        """Whether the noise has been on since `ensure`; None where the protocol wants no masking."""
+        return False if self._reason else None
+
+    def stop(self, *, hurry: bool) -> None:
+        """Fade out, in an instant where something went wrong, and let the device go; a second call does nothing.
+
+        How often the device got no samples in time, a click each, goes into the record.
+        """
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        """Let the device go, whatever happened."""
 
 
-class NoiseMasking:
+class NoiseMasking(Masking):
     """Noise on a sound device.
 
     Parameters
@@ -212,6 +326,7 @@ class NoiseMasking:
         level = section.level(sound)
         if level is None:
             raise MaskingError("the masking noise has no level; give masking.level_dB_FS")
+        super().__init__()
         self._section, self._sound, self._log, self._level = section, sound, log, level
         period = make_noise(section.noise, sound.sampling_rate_Hz) * amplitude_at(level)
         self._playback = LoopedNoise(period, round(section.fade_s * sound.sampling_rate_Hz))
@@ -243,13 +358,7 @@ class NoiseMasking:
         self._log("masking", state="on")
 
     def ensure(self, tick: Callable[[], object]) -> None:
-        """See before a trial that the noise is on and at its level; open the device again where it was lost.
-
-        Raises
-        ------
-        MaskingError
-            If it is lost and the protocol demands it.
-        """
+        """See that the noise is on and at its level; open the device again where it was lost."""
         self._watch()
         if self._is_lost and not self._given_up:
             self._reopen()
@@ -264,18 +373,12 @@ class NoiseMasking:
         self._watch()
         return not self._is_lost and self._playback.is_full
 
-    def __enter__(self) -> Self:
-        return self
-
     def __exit__(self, *exc: object) -> None:
-        """Let the device go, whatever happened."""
+        """Let the device go."""
         self._close()
 
     def stop(self, *, hurry: bool) -> None:
-        """Fade out, in an instant where something went wrong, and let the device go.
-
-        How often the device got no samples in time, a click each, goes into the record.
-        """
+        """Fade out and let the device go."""
         if self._stream is None:
             return
         self._playback.fade_out()
