@@ -25,7 +25,7 @@ from modaltouch.record.audit import audit_session
 from modaltouch.record.chain import RecordError
 from modaltouch.record.recovery import survey
 from modaltouch.record.session import Session, read_session
-from modaltouch.session.simulation import simulate_session
+from modaltouch.session.wiring import simulate_session
 
 ROOT = Path(__file__).parents[1]
 N_MUTATIONS = int(os.environ.get("MODALTOUCH_MUTATIONS", "240"))

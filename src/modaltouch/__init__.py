@@ -37,7 +37,7 @@ from typing import Any
 
 _DOORS = {
     "examine": "modaltouch.preflight",
-    "simulate_session": "modaltouch.session.simulation",
+    "simulate_session": "modaltouch.session.wiring",
     "analyse": "modaltouch.analysis.pipeline",
     "read_session": "modaltouch.record.session",
 }

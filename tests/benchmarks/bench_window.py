@@ -109,7 +109,7 @@ def console_on_a_terminal() -> Iterator[Any]:
     """Give the live console on a terminal of its own, which is read all the time."""
     import threading
 
-    from modaltouch.session.console.terminal import TerminalConsole
+    from modaltouch.session.console.consoles import TerminalConsole
 
     master, slave = pty.openpty()
 

@@ -16,7 +16,7 @@ from modaltouch.planning.presented import designs_for
 from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol.document import InputError
 from modaltouch.protocol.trial import Condition, Trial
-from modaltouch.session.simulation import simulate_session
+from modaltouch.session.wiring import simulate_session
 
 TWO_FIELDS = Path(__file__).parents[2] / "protocols" / "two_fields.yaml"
 HEADER = "participant,finger_condition,zone_left,zone_right,velocity_mm_s,response,n"

@@ -12,7 +12,7 @@ from modaltouch.preflight import examine
 from modaltouch.protocol import Sources, examine_sources
 from modaltouch.record.audit import audit_session
 from modaltouch.record.session import Session
-from modaltouch.session.simulation import simulate_session
+from modaltouch.session.wiring import simulate_session
 
 Edit = Callable[..., Path]
 FILE = "differentiated_stimulation.yaml"

@@ -8,8 +8,7 @@ from modaltouch.protocol.document import InputError
 from modaltouch.record.audit import audit_session
 from modaltouch.record.chain import GENESIS, RecordError, encode_line, read_chain
 from modaltouch.record.session import Session, check_shape, read_session
-from modaltouch.session.simulation import simulate_session
-from modaltouch.session.wiring import wire_resume
+from modaltouch.session.wiring import simulate_session, wire_resume
 
 
 @pytest.fixture(scope="module")

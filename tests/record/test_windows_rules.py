@@ -25,7 +25,7 @@ from modaltouch.record.chain import RecordError, read_chain
 from modaltouch.record.files import hold, is_locked, open_file, replace_file
 from modaltouch.record.folders import refuse_existing
 from modaltouch.record.log import SessionLog
-from modaltouch.session.console.lines import EventLines
+from modaltouch.session.console.consoles import EventLines
 from modaltouch.system import files as system_files
 from modaltouch.system.files import lock
 

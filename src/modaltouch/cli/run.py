@@ -40,58 +40,6 @@ if TYPE_CHECKING:
     from modaltouch.record import Session
     from modaltouch.session import Setup
     from modaltouch.window import WindowOptions
-import os
-import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from modaltouch.session import Console
-
-
-@contextmanager
-def open_console(events: Path | None, emergency_keys: Sequence[str], *, plain: bool) -> Iterator[Console]:
-    """Give the experimenter's console of one sitting.
-
-    Raises
-    ------
-    typer.BadParameter
-        If the events can be written nowhere.
-    """
-    from modaltouch.session import Consoles
-
-    consoles: list[Console] = []
-    if events is not None:
-        from modaltouch.session import EventLines
-
-        try:
-            consoles.append(EventLines(events))
-        except OSError as error:
-            raise typer.BadParameter(
-                f"given --events {events}, which cannot be written ({error.strerror}); give a file in a folder you "
-                "may write to, or a named pipe (`mkfifo`)"
-            ) from error
-    from modaltouch.session import PlainLines
-
-    shown: Console = PlainLines(sys.stderr)
-    if has_terminal() and not plain:
-        from modaltouch.session import TerminalConsole
-
-        # A machine that can start no more processes shows plain lines.
-        with suppress(OSError):
-            shown = TerminalConsole(sys.stdin.fileno(), sys.stderr.fileno(), emergency_keys, instead=shown)
-    consoles.append(shown)
-    with Consoles(consoles) as console:
-        yield console
-
-
-def has_terminal() -> bool:
-    """Return whether somebody can type at this process and see what it draws."""
-    if not (sys.stdin.isatty() and sys.stderr.isatty()) or os.environ.get("TERM") == "dumb":
-        return False
-    # A job in the background would be stopped by the first key it reads.
-    return sys.platform == "win32" or os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
 
 
 class AnswersChoice(StrEnum):
@@ -351,8 +299,17 @@ def _conduct(
     sit: Callable[[Setup], Session], setup: Setup, events: Path | None, *, plain: bool, json_output: bool
 ) -> None:
     """Run a sitting before the experimenter's console, and say what came of it."""
+    from modaltouch.session import open_console
+
     emergency_keys = setup.preflight.experiment.protocol.answers.emergency_keys
-    with open_console(events, emergency_keys, plain=plain) as console:
+    try:
+        opened = open_console(events, emergency_keys, plain=plain)
+    except OSError as error:
+        raise typer.BadParameter(
+            f"given --events {events}, which cannot be written ({error.strerror}); give a file in a folder you "
+            "may write to, or a named pipe (`mkfifo`)"
+        ) from error
+    with opened as console:
         session = sit(replace(setup, console=console))
     folder = session.path.parent
     if json_output:

@@ -11,37 +11,25 @@ from typing import TYPE_CHECKING
 from modaltouch.system import lazily
 
 if TYPE_CHECKING:
-    from modaltouch.session.console.interface import Console, Consoles
-    from modaltouch.session.console.lines import EventLines, PlainLines
-    from modaltouch.session.console.terminal import TerminalConsole
+    from modaltouch.session.console.consoles import open_console
     from modaltouch.session.setup import Setup, begin, resume
-    from modaltouch.session.simulation import simulate_session
-    from modaltouch.session.wiring import mode_of, wire_resume, wire_run
-    from modaltouch.session.wiring.parts import SIMULATED
+    from modaltouch.session.wiring import SIMULATED, mode_of, simulate_session, wire_resume, wire_run
 else:
     __getattr__ = lazily(
         __name__,
         {
-            "console.interface": "Console Consoles",
-            "console.lines": "EventLines PlainLines",
-            "console.terminal": "TerminalConsole",
+            "console.consoles": "open_console",
             "setup": "Setup begin resume",
-            "simulation": "simulate_session",
-            "wiring": "mode_of wire_resume wire_run",
-            "wiring.parts": "SIMULATED",
+            "wiring": "SIMULATED mode_of simulate_session wire_resume wire_run",
         },
     )
 
 __all__ = [
-    "Console",
-    "Consoles",
-    "EventLines",
-    "PlainLines",
     "SIMULATED",
     "Setup",
-    "TerminalConsole",
     "begin",
     "mode_of",
+    "open_console",
     "resume",
     "simulate_session",
     "wire_resume",

@@ -13,12 +13,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from modaltouch.session.console.dialogue import LONGEST_NOTE, Dialogue
+from modaltouch.session.console.consoles import LONGEST_LINE, EventLines, PlainLines
 from modaltouch.session.console.drawing import describe_trial, draw_session
 from modaltouch.session.console.experimenter import Experimenter
 from modaltouch.session.console.interface import NoConsole, Request
-from modaltouch.session.console.keyboard import split_keys
-from modaltouch.session.console.lines import LONGEST_LINE, EventLines, PlainLines
+from modaltouch.session.console.keyboard import LONGEST_NOTE, Dialogue, split_keys
 from modaltouch.session.console.status import Status, read_signs
 from modaltouch.window.interface import SessionStopped
 

@@ -12,11 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from modaltouch.session.console.dialogue import OWN_KEYS, Dialogue
+from modaltouch.session.console.consoles import EventLines, PlainLines
 from modaltouch.session.console.drawing import draw_session
 from modaltouch.session.console.experimenter import Experimenter
 from modaltouch.session.console.interface import NoConsole, Request
-from modaltouch.session.console.lines import EventLines, PlainLines
+from modaltouch.session.console.keyboard import OWN_KEYS, Dialogue
 from modaltouch.session.console.status import Status, typed_keys
 from modaltouch.window.events import Event
 

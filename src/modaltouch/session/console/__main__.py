@@ -20,9 +20,8 @@ from typing import Any, TextIO
 from rich.console import Console, ConsoleDimensions
 from rich.live import Live
 
-from modaltouch.session.console.dialogue import Dialogue
 from modaltouch.session.console.drawing import draw_session
-from modaltouch.session.console.keyboard import Keyboard, open_keyboard
+from modaltouch.session.console.keyboard import Dialogue, Keyboard, open_keyboard
 from modaltouch.system import SYSTEM_CLOCK
 
 _GLANCE = 0.1

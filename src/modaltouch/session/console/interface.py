@@ -69,24 +69,3 @@ class NoConsole:
 
     def __exit__(self, *exc: object) -> None:
         self.close()
-
-
-class Consoles(NoConsole):
-    """Several consoles as one."""
-
-    def __init__(self, consoles: list[Console]) -> None:
-        self._consoles = consoles
-
-    def show(self, facts: Facts) -> None:
-        """Show it on all of them."""
-        for console in self._consoles:
-            console.show(facts)
-
-    def requests(self) -> list[Request]:
-        """Return what was asked for at any of them."""
-        return [request for console in self._consoles for request in console.requests()]
-
-    def close(self) -> None:
-        """Close all of them."""
-        for console in self._consoles:
-            console.close()

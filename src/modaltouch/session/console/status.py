@@ -9,8 +9,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from modaltouch.protocol import Answer
-from modaltouch.session.console.dialogue import OWN_KEYS
 from modaltouch.session.console.interface import Facts
+from modaltouch.session.console.keyboard import OWN_KEYS
 
 HASTY = 0.1
 """Nobody feels, decides and presses within this time: such an answer was ready before its question [s]."""

@@ -1,0 +1,310 @@
+"""Where a session shows how it stands: a picture in the terminal, plain lines, and JSON lines for other programs."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import json
+import os
+import queue
+import stat
+import subprocess
+import sys
+import threading
+from collections import deque
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TextIO
+
+from modaltouch.session.console.drawing import describe_last
+from modaltouch.session.console.interface import COMMANDS, Console, Facts, NoConsole, Request
+from modaltouch.session.console.keyboard import restore_terminal, save_terminal
+
+_OPENING = b'{"time": "'
+"""How every line begins."""
+LONGEST_LINE = 4096
+"""A pipe takes a line of this length whole or not at all (POSIX's PIPE_BUF on Linux) [bytes]."""
+_KEPT = 64
+"""Facts kept for a terminal that takes none: each says everything, so old ones are dropped."""
+_PATIENCE = 2.0
+"""Longest time the process may take to give the terminal back [s]."""
+_LEAVE_SCREEN = b"\x1b[?1049l\x1b[?25h"
+"""Back to the terminal's own page, with its cursor."""
+
+
+def open_console(events: Path | None, emergency_keys: Sequence[str], *, plain: bool) -> Console:
+    """Return the experimenter's console of one sitting, to be closed at its end.
+
+    Parameters
+    ----------
+    events : Path or None
+        File or named pipe that takes the events as JSON lines.
+    emergency_keys : sequence of str
+        Names of the keys that stop everything at once.
+    plain : bool
+        Whether plain lines are shown even in a terminal.
+
+    Raises
+    ------
+    OSError
+        If the events can be written nowhere.
+    """
+    consoles: list[Console] = [] if events is None else [EventLines(events)]
+    shown: Console = PlainLines(sys.stderr)
+    if _has_terminal() and not plain:
+        # A machine that can start no more processes shows plain lines.
+        with contextlib.suppress(OSError):
+            shown = TerminalConsole(sys.stdin.fileno(), sys.stderr.fileno(), emergency_keys, instead=shown)
+    return Consoles([*consoles, shown])
+
+
+def _has_terminal() -> bool:
+    """Return whether somebody can type at this process and see what it draws."""
+    if not (sys.stdin.isatty() and sys.stderr.isatty()) or os.environ.get("TERM") == "dumb":
+        return False
+    # A job in the background would be stopped by the first key it reads.
+    return sys.platform == "win32" or os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
+
+
+class Consoles(NoConsole):
+    """Several consoles as one."""
+
+    def __init__(self, consoles: list[Console]) -> None:
+        self._consoles = consoles
+
+    def show(self, facts: Facts) -> None:
+        """Show it on all of them."""
+        for console in self._consoles:
+            console.show(facts)
+
+    def requests(self) -> list[Request]:
+        """Return what was asked for at any of them."""
+        return [request for console in self._consoles for request in console.requests()]
+
+    def close(self) -> None:
+        """Close all of them."""
+        for console in self._consoles:
+            console.close()
+
+
+class PlainLines(NoConsole):
+    """One line for each answer, pause, break, warning and trouble.
+
+    Parameters
+    ----------
+    file : text stream
+        Where they go.
+    """
+
+    def __init__(self, file: TextIO) -> None:
+        self._file = file
+        self._warned: set[str] = set()
+        self._error = ""
+        self._told: int | None = None
+
+    def show(self, facts: Facts) -> None:
+        """Write what is new."""
+        last, minutes = facts["last"], facts["time_left_s"] / 60
+        if facts["event"] in ("answered", "trial") and last["line"] != self._told:
+            self._told = last["line"]
+            done = f"{facts['n_answered']} of {facts['n_trials']} answered"
+            self._write(f"{done}: {describe_last(last)}; {minutes:.0f} min left")
+        elif facts["event"] in ("pause", "focus_lost", "continued", "rest", "stop"):
+            words = {"pause": "paused", "focus_lost": "paused: focus lost", "rest": "break", "continued": "going on"}
+            self._write(words.get(facts["event"], f"ended: {facts['stopped_by']}"))
+        for warning in facts["warnings"]:
+            # A warning counts on with every trial; it is said when it begins.
+            if warning.split(" ", 1)[-1][:12] not in self._warned:
+                self._warned.add(warning.split(" ", 1)[-1][:12])
+                self._write(f"warning: {warning}")
+        if facts["generator"]["last_error"] not in ("", self._error):
+            self._error = facts["generator"]["last_error"]
+            self._write(f"generator: {self._error}")
+
+    def _write(self, line: str) -> None:
+        # Nobody may read it any more; the session goes on.
+        with contextlib.suppress(OSError, ValueError):
+            self._file.write(line + "\n")
+            self._file.flush()
+
+
+class EventLines(NoConsole):
+    """The facts as JSON lines in a file or a named pipe, never waiting for whoever reads it.
+
+    A line says everything, so one that a full pipe does not take is dropped; the next one that is taken says how
+    many were, under ``n_dropped``.
+
+    Parameters
+    ----------
+    path : Path
+        A file, which is appended to, or a named pipe, which may get its reader at any time.
+
+    Raises
+    ------
+    OSError
+        If it can be neither, or the file holds something else already.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._descriptor = -1
+        self._n_dropped = 0
+        if path.is_file() and path.read_bytes()[: len(_OPENING)] not in (b"", _OPENING):
+            raise FileExistsError(errno.EEXIST, "it holds something else than events already", str(path))
+        self._open()
+
+    def show(self, facts: Facts) -> None:
+        """Write a line, if it is taken at once."""
+        try:
+            if self._descriptor < 0:
+                self._open()
+            if self._descriptor >= 0:
+                os.write(self._descriptor, self._line(facts))
+                self._n_dropped = 0
+                return
+        except BlockingIOError:
+            pass
+        except OSError:
+            self.close()  # the reader has gone, and another may come; or the disk is full
+        self._n_dropped += 1
+
+    def close(self) -> None:
+        """Close it."""
+        if self._descriptor >= 0:
+            os.close(self._descriptor)
+            self._descriptor = -1
+
+    def _open(self) -> None:
+        flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+        try:
+            self._descriptor = os.open(self._path, flags, 0o600)
+        except OSError as error:
+            if error.errno != errno.ENXIO or not stat.S_ISFIFO(self._path.stat().st_mode):
+                raise
+            # A pipe that nobody reads yet.
+
+    def _line(self, facts: Facts) -> bytes:
+        time = datetime.now(UTC).isoformat(timespec="milliseconds")
+        said = {"time": time, **facts, **({"n_dropped": self._n_dropped} if self._n_dropped else {})}
+        line = json.dumps(said, ensure_ascii=False).encode() + b"\n"
+        if len(line) > LONGEST_LINE:
+            shortened = {**said, "warnings": [warning[:80] for warning in facts["warnings"][:4]]}
+            shortened["generator"] = {**facts["generator"], "last_error": facts["generator"]["last_error"][:200]}
+            line = json.dumps(shortened, ensure_ascii=False).encode() + b"\n"
+        return line
+
+
+class TerminalConsole(NoConsole):
+    """A live picture in the terminal, and its keys.
+
+    Parameters
+    ----------
+    keys, screen : int
+        Descriptors of the terminal: keys come from the first, the picture goes to the second.
+    emergency : sequence of str
+        Names of the keys that stop everything at once.
+    instead : Console, optional
+        Shows how the session stands once the process is gone.
+
+    Raises
+    ------
+    OSError
+        If the process cannot be started; the terminal is as it was.
+    """
+
+    def __init__(
+        self,
+        keys: int = 0,
+        screen: int = 2,
+        emergency: Sequence[str] = ("f12",),
+        instead: Console | None = None,
+    ) -> None:
+        self._instead = instead or NoConsole()
+        self._is_given_back = False
+        self._terminal = keys
+        self._screen = screen
+        self._before = save_terminal(keys)
+        # Numbers of their own: the process's standard input and output are the pipes.
+        passed = () if sys.platform == "win32" else (os.dup(keys), os.dup(screen))
+        words = [str(number) for number in passed or (keys, screen)]
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "modaltouch.session.console", *words, ",".join(emergency) or "x"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
+            pass_fds=passed,
+        )
+        for number in passed:
+            os.close(number)
+        self._asked: deque[Request] = deque()
+        self._facts: deque[Facts] = deque(maxlen=_KEPT)
+        self._wake: queue.SimpleQueue[bool] = queue.SimpleQueue()
+        self._threads = [threading.Thread(target=work, daemon=True) for work in (self._send, self._hear)]
+        for thread in self._threads:
+            thread.start()
+
+    def show(self, facts: Facts) -> None:
+        """Show how the session stands; a terminal that stands still is not waited for."""
+        if self._process.poll() is not None:
+            self._give_back()
+            self._instead.show(facts)
+            return
+        self._facts.append(facts)
+        self._wake.put(True)
+
+    def requests(self) -> list[Request]:
+        """Return what was typed since the last call."""
+        requests = []
+        while self._asked:
+            requests.append(self._asked.popleft())
+        return requests
+
+    def close(self) -> None:
+        """Have the terminal given back; do it here if the process cannot any more."""
+        self._wake.put(False)
+        try:
+            self._process.wait(_PATIENCE)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._give_back()
+        for thread in self._threads:
+            thread.join(_PATIENCE)
+        if self._process.stdout is not None:
+            self._process.stdout.close()
+
+    def _give_back(self) -> None:
+        """Leave the terminal as it was, whether or not the process could."""
+        if self._is_given_back:
+            return
+        self._is_given_back = True
+        if self._process.returncode != 0:
+            with contextlib.suppress(OSError):
+                os.write(self._screen, _LEAVE_SCREEN)
+        restore_terminal(self._terminal, self._before)
+
+    def _send(self) -> None:
+        """Write facts to the process until told to end."""
+        pipe = self._process.stdin
+        if pipe is None:
+            return
+        with contextlib.suppress(OSError, ValueError):
+            while self._wake.get():
+                if self._facts:
+                    pipe.write(json.dumps(self._facts.popleft()).encode() + b"\n")
+                    pipe.flush()
+        with contextlib.suppress(OSError):
+            pipe.close()
+
+    def _hear(self) -> None:
+        """Keep what the process says was typed."""
+        pipe = self._process.stdout
+        if pipe is None:
+            return
+        with contextlib.suppress(OSError, ValueError):
+            for line in pipe:
+                asked = json.loads(line)
+                if asked.get("command") in COMMANDS:
+                    self._asked.append(Request(asked["command"], str(asked.get("text", "")), float(asked.get("at", 0))))

@@ -1,0 +1,378 @@
+"""Puts real or simulated parts behind the session's interfaces: the only place that knows which is which."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from modaltouch.planning import FeltSpeeds, Observer, read_observer, usual_observer
+from modaltouch.preflight import Preflight, examine, examine_findings
+from modaltouch.protocol import (
+    ANSWERS,
+    ANSWERS_WITH_NONE,
+    Protocol,
+    Schedule,
+    Sources,
+    Trial,
+    draw_schedule,
+    examine_sources,
+    random_generator,
+    recorded_turn,
+)
+from modaltouch.record import RecordError, RecordInputError, Session, SessionFolder, SessionLog, audit_session
+from modaltouch.rig import Rig, open_rig, same_process, start_simulator
+from modaltouch.session.assignment import next_session
+from modaltouch.session.console.experimenter import Tick
+from modaltouch.session.sensation_level import at_own_levels, recorded_levels
+from modaltouch.session.setup import Setup, begin
+from modaltouch.system import SYSTEM_CLOCK, Clock, VirtualClock
+from modaltouch.window import Answerer, AnswerWindow, Masking, WindowOptions, open_window
+
+if TYPE_CHECKING:
+    from modaltouch.rig import Simulator
+
+AnswersBy = Literal["window", "simulated", "robot"]
+"""A person at the window; an observer model without a window; an observer model typing into the real window."""
+
+SIMULATED = "simulated"
+"""What stands in a rig's place for the digital twin."""
+
+
+def wire_run(
+    preflight: Preflight,
+    participant: str,
+    *,
+    session: int | None = 1,
+    rig: str = SIMULATED,
+    answers: AnswersBy = "window",
+    pilot: bool = False,
+    seed: int = 1,
+    results: Path = Path("results"),
+    window_options: WindowOptions | None = None,
+    observer: Observer | None = None,
+    threshold_mm_s: float | None = None,
+) -> Setup:
+    """Return what a new session needs.
+
+    Parameters
+    ----------
+    preflight : Preflight
+        The checked experiment.
+    participant : str
+        Participant id.
+    session : int or None
+        Number of the session; None for the participant's next.
+    rig, answers, pilot, seed, results, window_options, observer
+        As `SessionParts` and the command line have them.
+    threshold_mm_s : float, optional
+        The participant's own threshold, where levels are calibrated by participant and it was measured otherwise than
+        by a session of this program.
+
+    Raises
+    ------
+    RecordError
+        If the participant id is not allowed, or the participant has no next session.
+    InputError
+        If levels are calibrated by participant and this one's cannot be told.
+    """
+    protocol = preflight.experiment.protocol
+    place = SessionFolder(results, mode_of(rig, answers, pilot=pilot), protocol.protocol, participant, session or 1)
+    drawn_as = place.session
+    if session is None:
+        place, drawn_as = next_session(place, protocol.schedule.sessions)
+    preflight, calibrated = at_own_levels(preflight, place, threshold_mm_s)
+    schedule = draw_schedule(preflight.experiment.protocol, participant, seed, drawn_as)
+    wires = SessionParts(
+        preflight,
+        place,
+        seed=seed,
+        rig=rig,
+        answers=answers,
+        window_options=window_options,
+        observer=observer or _usual(protocol, answers),
+    )
+    setup = wires.setup(schedule)
+    setup = replace(setup, facts=setup.facts | calibrated)
+    return replace(setup, drawn_as=drawn_as) if protocol.schedule.balance == "least_filled" else setup
+
+
+def wire_resume(
+    path: Path,
+    *,
+    rig: str | None = None,
+    answers: AnswersBy | None = None,
+    restart: bool = False,
+    window: Mapping[str, Any] | None = None,
+) -> Setup:
+    """Return what an interrupted session needs to go on, all of it from the session's own record.
+
+    Parameters
+    ----------
+    path : Path
+        A session's folder or its log.
+    rig, answers : str, optional
+        Others than the recorded ones, of the same kind.
+    restart : bool
+        Whether it is begun anew as another session, whatever its protocol says.
+    window : mapping, optional
+        What of the answer window is to be otherwise than it was, by the names of `WindowOptions`.
+
+    Raises
+    ------
+    RecordError
+        If there is no such session, `modaltouch verify` refuses it, it has been begun anew, or a real one would go on
+        simulated.
+    """
+    session = Session.find(path)
+    audit_session(session).require()
+    start = session.start
+    place = SessionFolder.of(session.path, session.mode, session.protocol)
+    rig, answers = rig or start["rig_choice"], answers or start["answers_choice"]
+    _refuse_another_kind(session, rig, answers, restart=restart)
+    preflight = examine_findings(examine_sources(Sources.from_dict(start["sources"]))).require()
+    preflight = recorded_levels(preflight, start)
+    given = recorded_turn(start)
+    protocol = preflight.experiment.protocol
+    schedule = draw_schedule(protocol, place.participant, start["seed"], session.drawn_as, given=given)
+    observer = Observer.from_dict(start["observer"]) if "observer" in start else Observer()
+    at = preflight.experiment.protocol.schedule.resume.at
+    anew = _place_anew(place, session) if (restart or at == "restart") and not session.complete else None
+    if anew is None and session.begun_anew_as is not None:
+        anew = _place_anew(place, session)
+    wires = SessionParts(
+        preflight,
+        anew or place,
+        seed=start["seed"],
+        rig=rig,
+        answers=answers,
+        window_options=replace(WindowOptions.recorded(_latest_window(session)), **(window or {})),
+        observer=observer,
+        after=float(session.events[-1]["clock"]),
+    )
+    setup = wires.setup(schedule)
+    if anew is None:
+        return setup
+    calibrated = {name: start[name] for name in ("sensation_levels",) if name in start}
+    return replace(setup, replaces=place, facts=setup.facts | calibrated)
+
+
+def simulate_session(
+    protocol: Path | str | Preflight,
+    participant: str,
+    results: Path | str = "results",
+    *,
+    seed: int = 1,
+    observer: Observer | None = None,
+) -> Session:
+    """Return a session as it was recorded, answered by an observer model.
+
+    Parameters
+    ----------
+    protocol : Path, str or Preflight
+        The protocol's file, the name of a shipped one, or its preflight where several sessions share it.
+    participant : str
+        Participant id.
+    results : Path or str
+        Folder of results; the session is recorded in its simulated tree.
+    seed : int
+        Of the study.
+    observer : Observer, optional
+        Population from which the participant is drawn.
+
+    Raises
+    ------
+    InputError
+        With every fault of the protocol.
+    RecordError
+        If the session exists already, or cannot be written.
+    """
+    preflight = protocol if isinstance(protocol, Preflight) else examine(protocol)
+    setup = wire_run(
+        preflight.require(), participant, answers="simulated", seed=seed, results=Path(results), observer=observer
+    )
+    return begin(setup)
+
+
+class SessionParts:
+    """The parts of one sitting, opened when the sitting asks for them.
+
+    Parameters
+    ----------
+    preflight : Preflight
+        The checked experiment.
+    place : SessionFolder
+        Where it is recorded.
+    seed : int
+        Seed of the study.
+    rig : str
+        ``simulated`` or a VISA address.
+    answers : str
+        ``window``, ``robot`` or ``simulated``.
+    window_options : WindowOptions or None
+        How the answer window is opened, where there is one.
+    observer : Observer
+        Population that a simulated participant is drawn from.
+    after : float
+        What a virtual clock must not read less than: the record's, where one is continued [s].
+    """
+
+    def __init__(
+        self,
+        preflight: Preflight,
+        place: SessionFolder,
+        *,
+        seed: int,
+        rig: str,
+        answers: AnswersBy,
+        window_options: WindowOptions | None,
+        observer: Observer,
+        after: float = 0.0,
+    ) -> None:
+        self._preflight = preflight
+        self._place = place
+        self._seed = seed
+        self._rig = rig
+        self._answers = answers
+        self._window_options = window_options
+        self._observer = observer
+        self._simulator: Simulator | None = None
+        # Nobody waits for a simulated participant before the twin in this very process.
+        is_virtual = rig == SIMULATED and answers == "simulated"
+        self.clock: Clock = VirtualClock(max(SYSTEM_CLOCK.now(), after)) if is_virtual else SYSTEM_CLOCK
+
+    def setup(self, schedule: Schedule) -> Setup:
+        """Return what the sitting is made of, with the participant's trials."""
+        facts: dict[str, Any] = {"seed": self._seed, "rig_choice": self._rig, "answers_choice": self._answers}
+        if self._answers != "window":
+            facts["observer"] = self._observer.as_dict()
+        opened = self.open_rig, self.open_window, self.open_masking
+        return Setup(self._preflight, schedule, self._place, *opened, facts, clock=self.clock)
+
+    @contextmanager
+    def open_rig(self, log: Callable[..., None]) -> Iterator[Rig]:
+        """Open the driver, on the twin's address where no other is given."""
+        apparatus, address = self._preflight.experiment.apparatus, self._rig
+        with ExitStack() as stack:
+            options: dict[str, Any] = {}
+            if self._rig == SIMULATED:
+                self._simulator = stack.enter_context(start_simulator(apparatus, clock=self.clock))
+                address = self._simulator.address
+            if isinstance(self.clock, VirtualClock):
+                options = {"clock": self.clock, "start_guard": same_process(self.clock)}
+            yield stack.enter_context(open_rig(address, apparatus, log=log, **options))
+
+    def open_window(self, tick: Tick, log: Callable[..., None]) -> AnswerWindow:
+        """Open the answer window, with a simulated participant where no person answers."""
+        experiment = self._preflight.experiment
+        zones = experiment.apparatus.zones
+        return open_window(
+            self._answers,
+            experiment.protocol,
+            experiment.texts,
+            zones=tuple(sorted(zones, key=lambda name: zones[name].centre_mm)),
+            tick=tick,
+            log=log,
+            answerer=None if self._answers == "window" else self._answerer(),
+            options=self._window_options,
+            clock=self.clock,
+        )
+
+    def open_masking(self, log: Callable[..., None]) -> Masking:
+        """Open the masking noise that the protocol wants, where there is a person to hear it."""
+        experiment = self._preflight.experiment
+        section = experiment.protocol.masking
+        return Masking.open(section, experiment.apparatus.sound, log, is_heard=self._answers == "window")
+
+    def _answerer(self) -> Answerer:
+        who = self._seed, self._place.participant, self._place.session
+        person = self._observer.draw(random_generator(*who, "observer"))
+        offers_none = self._preflight.experiment.protocol.answers.offers_none
+        answers = ANSWERS_WITH_NONE if offers_none else ANSWERS
+        return Answerer(person, self._felt, random_generator(*who, "answers"), answers)
+
+    def _felt(self, trial: Trial) -> tuple[float, float]:
+        """Return what the two fingers feel: on the twin where there is one, else as predicted."""
+        predicted = self._preflight.speeds(trial)
+        peaks = predicted
+        if self._simulator is not None:
+            left, right = self._simulator.felt_velocity(trial.condition.pair)
+            peaks = float(left), float(right)
+        if self._observer.front_end == "peak" or trial.condition.is_catch:
+            return peaks
+        # The twin tells peaks; what else is felt follows the predicted history, at the twin's size.
+        level, sense = trial.condition.velocity_mm_s * 1e-3, self._senses[trial.condition.stimulus]
+        left, right = (
+            sense.at(zone, level) * peak / expected
+            for zone, peak, expected in zip(trial.condition.pair, peaks, predicted, strict=True)
+        )
+        return left, right
+
+    @cached_property
+    def _senses(self) -> dict[str, FeltSpeeds]:
+        """What the observer's front end makes of the predicted velocities of each stimulus."""
+        zones = self._preflight.experiment.apparatus.zones
+        centres = {name: zone.centre_mm * 1e-3 for name, zone in zones.items()}
+        parts = self._preflight.parts.items()
+        return {name: FeltSpeeds(part.stimulus, centres, self._observer.front_end) for name, part in parts}
+
+
+def _refuse_another_kind(session: Session, rig: str, answers: AnswersBy, *, restart: bool) -> None:
+    """Raise where a session would go on as something else than it was begun as."""
+    start, log = session.start, session.path
+    if start.get("schema", 1) < SessionLog.SCHEMA and not (session.complete or restart):
+        raise RecordInputError(
+            f"{log}: was begun by a version whose bursts were not counted "
+            f"({start['versions'].get('modaltouch', 'unknown')}); half a session of each is no session: "
+            f"`modaltouch resume --restart {log.parent}` begins it anew, and keeps what was answered"
+        )
+    as_begun = (rig, answers) == (start["rig_choice"], start["answers_choice"])
+    if not as_begun and mode_of(rig, answers, pilot=session.mode == "pilot") != session.mode:
+        raise RecordError(
+            f"{log}: is a {session.mode} session, and with rig {rig!r} and answers {answers!r} it would go on as "
+            "another kind; give --rig and --answers as it began"
+        )
+
+
+def _latest_window(session: Session) -> dict[str, Any]:
+    """Return what the record says of the window of the latest sitting."""
+    sittings = (event for event in reversed(session.events) if event["event"] in ("start", "resume"))
+    return next(sittings).get("window") or {}
+
+
+def _usual(protocol: Protocol, answers: AnswersBy) -> Observer:
+    """Return who is simulated if nobody says otherwise; the default observer is the shipped `paper`."""
+    name = usual_observer(protocol)
+    return Observer() if name == "paper" or answers == "window" else read_observer(name)
+
+
+def _place_anew(place: SessionFolder, session: Session) -> SessionFolder:
+    """Return the place of the session that begins another one anew: the next free number.
+
+    Raises
+    ------
+    RecordInputError
+        If it has been begun anew already.
+    """
+    number = session.begun_anew_as
+    if number is not None:
+        anew = replace(place, session=number)
+        if anew.log.exists():
+            raise RecordInputError(
+                f"{place.log}: was begun anew as session {number}; go on with `modaltouch resume {anew.folder}`"
+            )
+        return anew
+    number = place.session + 1
+    while replace(place, session=number).log.exists():
+        number += 1
+    return replace(place, session=number)
+
+
+def mode_of(rig: str, answers: AnswersBy, *, pilot: bool) -> Literal["real", "pilot", "simulated"]:
+    """Return which kind of data a session makes: ``simulated`` as soon as anything in it is."""
+    if rig == SIMULATED or answers != "window":
+        return "simulated"
+    return "pilot" if pilot else "real"
