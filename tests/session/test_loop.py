@@ -17,7 +17,7 @@ from modaltouch.record.log import SessionLog
 from modaltouch.record.session import Session
 from modaltouch.rig.interface import Bursts, Firing, RigError, StimulusLost
 from modaltouch.session.console.experimenter import Experimenter
-from modaltouch.session.console.interface import NoConsole, Request
+from modaltouch.session.console.interface import Console, Request
 from modaltouch.session.console.status import Status
 from modaltouch.session.loop import SessionRun, conduct
 from modaltouch.system.clock import VirtualClock
@@ -113,7 +113,7 @@ class Person:
         self.seen.append("goodbye")
 
 
-class Keys(NoConsole):
+class Keys(Console):
     """A console whose keys are pressed by the test."""
 
     def __init__(self) -> None:

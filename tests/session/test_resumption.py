@@ -22,7 +22,7 @@ from modaltouch.record.audit import audit_session
 from modaltouch.record.chain import RecordInputError, read_chain
 from modaltouch.record.session import Session, read_session
 from modaltouch.rig.interface import Bursts, Firing
-from modaltouch.session.console.interface import Facts, NoConsole, Request
+from modaltouch.session.console.interface import Console, Facts, Request
 from modaltouch.session.resumption import answers_to_ask_again, examine_interruption, refuse_old
 from modaltouch.session.setup import Setup, begin, resume
 from modaltouch.session.wiring import wire_resume, wire_run
@@ -239,7 +239,7 @@ def test_a_restart_that_was_itself_killed_takes_the_place_it_had(edit: Edit, tmp
     assert [event["event"] for event in read_chain(log).events].count("closed") == 1
 
 
-class Repeating(NoConsole):
+class Repeating(Console):
     """A console at which somebody has a trial repeated while the next one is on."""
 
     def __init__(self, index: int) -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from modaltouch.planning.observer import Participant
 from modaltouch.protocol.trial import Condition, Response, Trial
-from modaltouch.window.display_loop import DisplayLoop, Nobody
+from modaltouch.window.display_loop import DisplayLoop, Sitter
 from modaltouch.window.events import Event
 from modaltouch.window.interface import Progress, SessionStopped, TrialInterrupted, WindowError, Wish
 from modaltouch.window.robot import Robot
@@ -603,7 +603,7 @@ def test_a_covered_window_is_drawn_again_at_most_four_times_a_second(paper_room:
     display.flip = flip
     uncover = lambda: display.events.append(Event(room.clock.now(), "expose"))  # noqa: E731
     stage = DisplayLoop(
-        display, tick=uncover, log=lambda event, **facts: None, screenshots=None, sitter=Nobody(), clock=room.clock
+        display, tick=uncover, log=lambda event, **facts: None, screenshots=None, sitter=Sitter(), clock=room.clock
     )
     began = stage.show(Picture("any", ()))
     while room.clock.now() < began + 0.6:

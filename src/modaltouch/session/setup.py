@@ -20,7 +20,7 @@ from modaltouch.record import (
 from modaltouch.rig import Rig, is_simulated
 from modaltouch.session.assignment import allot
 from modaltouch.session.console.experimenter import Experimenter, Tick, Wish
-from modaltouch.session.console.interface import Console, NoConsole
+from modaltouch.session.console.interface import Console
 from modaltouch.session.console.status import Status
 from modaltouch.session.events import describe_ending, describe_start
 from modaltouch.session.loop import SessionRun, conduct
@@ -89,7 +89,7 @@ class Setup:
     replaces: SessionFolder | None = None
     drawn_as: int | None = None
     on_progress: Callable[[int, int], None] = lambda answered, total: None
-    console: Console = field(default_factory=NoConsole)
+    console: Console = field(default_factory=Console)
     clock: Clock = SYSTEM_CLOCK
 
 

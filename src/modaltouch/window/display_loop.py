@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import typing
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from modaltouch.protocol import Trial
 from modaltouch.system import SYSTEM_CLOCK, Clock
@@ -15,39 +14,13 @@ from modaltouch.window.events import Event
 from modaltouch.window.interface import Log, SessionStopped, Tick, WindowError
 from modaltouch.window.shapes import Picture
 
+if TYPE_CHECKING:
+    from modaltouch.window.screen import Screen
+
 POLL_INTERVAL = 1e-3
 """Rest between two polls: the resolution of a reaction time [s]."""
 _REDRAW_INTERVAL = 0.25
 """A covered and uncovered window is drawn again, but no more often than this [s]."""
-
-
-class Display(typing.Protocol):
-    """What the stage needs of a window: `screen.Screen`, or a stand-in of the tests."""
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Width and height [pixels]."""
-
-    def describe(self) -> dict[str, Any]:
-        """Return what the start record says about the window."""
-
-    def prepare(self, picture: Picture) -> None:
-        """Make a picture ready to be shown quickly."""
-
-    def draw(self, picture: Picture) -> None:
-        """Draw a picture out of sight."""
-
-    def flip(self, screenshot: Path | None = None) -> float:
-        """Bring what is drawn onto the screen and return when it was there [s]."""
-
-    def poll(self) -> list[Event]:
-        """Return what happened since the last poll."""
-
-    def type_key(self, key: str, *, down: bool) -> None:
-        """Put a key press or release into the window's event queue."""
-
-    def close(self) -> None:
-        """Close the window; never raises."""
 
 
 @dataclass(frozen=True)
@@ -64,13 +37,13 @@ class Moment:
         When its stimulus began, by the window's clock [s].
     """
 
-    wants: typing.Literal["go_on", "feel", "answer", "confirm", "nothing"] = "nothing"
+    wants: Literal["go_on", "feel", "answer", "confirm", "nothing"] = "nothing"
     trial: Trial | None = None
     onset: float = 0.0
 
 
-class Sitter(typing.Protocol):
-    """Someone in front of the window who is not flesh and blood: `robot.Robot`, or nobody."""
+class Sitter:
+    """Someone in front of the window who is not flesh and blood: nobody, or `robot.Robot`."""
 
     def see(self, moment: Moment, shown: float, picture: str) -> None:
         """Take in the picture that is on the screen since `shown` [s]."""
@@ -79,22 +52,12 @@ class Sitter(typing.Protocol):
         """Do what is due; what the moment wants is still wanted."""
 
 
-class Nobody:
-    """No robot: a person answers."""
-
-    def see(self, moment: Moment, shown: float, picture: str) -> None:
-        """Do nothing."""
-
-    def act(self, now: float, type_key: Callable[..., None]) -> None:
-        """Do nothing."""
-
-
 class DisplayLoop:
     """One display, the picture on it, and the events to be read.
 
     Parameters
     ----------
-    display : Display
+    display : Screen
         The window.
     tick : callable
         Called at every poll; may raise, and returns what the experimenter wishes.
@@ -117,7 +80,7 @@ class DisplayLoop:
 
     def __init__(
         self,
-        display: Display,
+        display: Screen,
         *,
         tick: Tick,
         log: Log,

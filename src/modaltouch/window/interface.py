@@ -23,7 +23,13 @@ class WindowError(Exception):
     ending = "window lost"
 
 
-class SessionStopped(Exception):  # noqa: N818
+class _EndedEarly(Exception):  # noqa: N818
+    def __init__(self, reason: str) -> None:
+        super().__init__(reason)
+        self.reason = reason
+
+
+class SessionStopped(_EndedEarly):
     """The participant or experimenter ended the session.
 
     Attributes
@@ -33,12 +39,8 @@ class SessionStopped(Exception):  # noqa: N818
         block``, ``emergency stop``.
     """
 
-    def __init__(self, reason: str) -> None:
-        super().__init__(reason)
-        self.reason = reason
 
-
-class TrialInterrupted(Exception):  # noqa: N818
+class TrialInterrupted(_EndedEarly):
     """The trial was cut by a pause or a lost focus: offer it again.
 
     Attributes
@@ -46,10 +48,6 @@ class TrialInterrupted(Exception):  # noqa: N818
     reason : str
         One of ``escape``, ``focus lost``, ``experimenter``.
     """
-
-    def __init__(self, reason: str) -> None:
-        super().__init__(reason)
-        self.reason = reason
 
 
 Wish = typing.Literal["pause", "continue"] | Event
@@ -91,7 +89,7 @@ class Progress(typing.NamedTuple):
     total: int
 
 
-class AnswerWindow(typing.Protocol):
+class AnswerWindow:
     """Shows the session to the participant and collects the answers; `progress` is a trial's number and their total.
 
     Every method that waits calls the `tick` given at opening about every millisecond; `tick` may raise, and what
@@ -101,6 +99,7 @@ class AnswerWindow(typing.Protocol):
 
     def describe(self) -> dict[str, Any]:
         """Return size, backend and versions for the start record."""
+        raise NotImplementedError
 
     def welcome(self, trial: Trial) -> None:
         """Show the instructions until the participant goes on, with the fingers where the first trial wants them."""
@@ -137,6 +136,7 @@ class AnswerWindow(typing.Protocol):
         SessionStopped
             If the session was ended.
         """
+        raise NotImplementedError
 
     def confirm(self, response: Response) -> None:
         """Show which answer was taken; it is on the disk."""
@@ -159,6 +159,8 @@ class AnswerWindow(typing.Protocol):
     def close(self) -> None:
         """Close the window; never raises."""
 
-    def __enter__(self) -> Self: ...
+    def __enter__(self) -> Self:
+        return self
 
-    def __exit__(self, *exc: object) -> None: ...
+    def __exit__(self, *exc: object) -> None:
+        self.close()

@@ -6,19 +6,22 @@ import contextlib
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NoReturn, Self
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from modaltouch.protocol import TIME_OUT, Answer, Protocol, Response, Texts, Trial
 from modaltouch.system import SYSTEM_CLOCK, Clock
 from modaltouch.window.answering import SETTLE, AnswerTaker, Pauser
-from modaltouch.window.display_loop import POLL_INTERVAL, Display, DisplayLoop, Moment, Nobody, Sitter
+from modaltouch.window.display_loop import POLL_INTERVAL, DisplayLoop, Moment, Sitter
 from modaltouch.window.events import Event, canonical_key
-from modaltouch.window.interface import Log, Presentation, Progress, Tick, TrialInterrupted
+from modaltouch.window.interface import AnswerWindow, Log, Presentation, Progress, Tick, TrialInterrupted
 from modaltouch.window.layout import lay_out
 from modaltouch.window.meanings import DEVICES, Reader, is_press
 from modaltouch.window.pictures import Illustrator
 from modaltouch.window.shapes import Picture
 from modaltouch.window.theme import THEMES, Theme
+
+if TYPE_CHECKING:
+    from modaltouch.window.screen import Screen
 
 _CONFIRMATION = 0.4
 """How long the chosen answer stays marked, at most [s]."""
@@ -34,12 +37,12 @@ _FAREWELL = 8.0
 """How long the last screen stays if nobody presses a key [s]."""
 
 
-class ParticipantWindow:
+class ParticipantWindow(AnswerWindow):
     """Shows instructions, placements and questions, and takes answers from keys, clicks and touches.
 
     Parameters
     ----------
-    display : Display
+    display : Screen
         The open window; closed by `close`.
     protocol : Protocol
         What is asked, and by which keys it is answered.
@@ -63,7 +66,7 @@ class ParticipantWindow:
 
     def __init__(
         self,
-        display: Display,
+        display: Screen,
         protocol: Protocol,
         texts: Texts,
         *,
@@ -88,7 +91,7 @@ class ParticipantWindow:
             tick=tick,
             log=log,
             screenshots=screenshots,
-            sitter=robot or Nobody(),
+            sitter=robot or Sitter(),
             emergency_keys=frozenset(map(canonical_key, protocol.answers.emergency_keys)),
             clock=clock,
         )
@@ -256,12 +259,6 @@ class ParticipantWindow:
     def close(self) -> None:
         """Close the window; never raises."""
         self._display.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
     def _make_ready(self, trial: Trial) -> None:
         """Draw the trial's pictures out of sight, so that none of them is late."""

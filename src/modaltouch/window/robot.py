@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from modaltouch.protocol import Answer, AnswersSection
-from modaltouch.window.display_loop import Moment
+from modaltouch.window.display_loop import Moment, Sitter
 from modaltouch.window.events import canonical_key
 from modaltouch.window.interface import WindowError
 from modaltouch.window.simulated import Answerer
@@ -24,7 +24,7 @@ _TRIES = 60
 """How often: a minute. They are counted, so that a process that was stopped for an hour has not lost its minute."""
 
 
-class Robot:
+class Robot(Sitter):
     """Types what an observer answers, at the observer's reaction time, until the window takes it.
 
     Parameters

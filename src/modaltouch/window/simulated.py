@@ -6,13 +6,13 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, Self
+from typing import Any, Protocol
 
 import numpy as np
 
 from modaltouch.protocol import ANSWERS, TIME_OUT, Answer, Response, Trial
 from modaltouch.system import SYSTEM_CLOCK, Clock
-from modaltouch.window.interface import Log, Presentation, Tick, TrialInterrupted
+from modaltouch.window.interface import AnswerWindow, Log, Presentation, Tick, TrialInterrupted
 
 
 class Observing(Protocol):
@@ -72,7 +72,7 @@ class Answerer:
         return self.participant.answer(left, right, trial.condition.finger_condition, stream, self.answers)
 
 
-class SimulatedParticipant:
+class SimulatedParticipant(AnswerWindow):
     """Answers every trial by an observer model.
 
     Parameters
@@ -116,25 +116,10 @@ class SimulatedParticipant:
         """Return the backend for the start record."""
         return {"backend": "simulated", "answered_by": "simulated"}
 
-    def welcome(self, trial: Trial) -> None:
-        """Read nothing."""
+    def _look(self, *shown: Any, **named: Any) -> None:
         self._tick()
 
-    def place_fingers(self, trial: Trial) -> None:
-        """Place the fingers at once."""
-        self._tick()
-
-    def settle(self, trial: Trial, progress: tuple[int, int]) -> None:
-        """Never lift a finger."""
-        self._tick()
-
-    def tell_stall(self) -> None:
-        """Read nothing."""
-        self._tick()
-
-    def announce(self, text: str) -> None:
-        """Read nothing."""
-        self._tick()
+    welcome = place_fingers = settle = tell_stall = announce = rest = goodbye = _look
 
     def ask(self, trial: Trial, progress: tuple[int, int], presentation: Presentation) -> Response:
         """Return the observer's answer once its reaction time has passed."""
@@ -164,35 +149,9 @@ class SimulatedParticipant:
             presentation.stop()
             raise TrialInterrupted("experimenter")
 
-    def confirm(self, response: Response) -> None:
-        """Look at nothing."""
-
-    def give_feedback(self, response: Response, expected: Answer) -> None:
-        """Learn nothing."""
-
     def wait(self, seconds: float) -> None:
         """Let the pause pass."""
         self._pass(seconds)
-
-    def rest(self, progress: tuple[int, int]) -> None:
-        """Need no break."""
-        self._tick()
-
-    def goodbye(self) -> None:
-        """Leave."""
-        self._tick()
-
-    def dismiss(self) -> None:
-        """Leave."""
-
-    def close(self) -> None:
-        """Do nothing; there is no window."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
     def _pass(self, seconds: float) -> bool:
         """Let time pass, ticking meanwhile; return whether a pause came between."""

@@ -16,7 +16,8 @@ from rich.console import Console
 from modaltouch.session.console.consoles import LONGEST_LINE, EventLines, PlainLines
 from modaltouch.session.console.drawing import describe_trial, draw_session
 from modaltouch.session.console.experimenter import Experimenter
-from modaltouch.session.console.interface import NoConsole, Request
+from modaltouch.session.console.interface import Console as SilentConsole
+from modaltouch.session.console.interface import Request
 from modaltouch.session.console.keyboard import LONGEST_NOTE, Dialogue, split_keys
 from modaltouch.session.console.status import Status, read_signs
 from modaltouch.window.interface import SessionStopped
@@ -111,7 +112,7 @@ def test_hasty_answers_doubles_and_missed_catch_trials_are_told() -> None:
     assert not any("catch" in sign for sign in read_signs(trials))
 
 
-class Asked(NoConsole):
+class Asked(SilentConsole):
     """A console at which somebody asks."""
 
     def __init__(self, *commands: str) -> None:

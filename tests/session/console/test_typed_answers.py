@@ -15,7 +15,8 @@ from rich.console import Console
 from modaltouch.session.console.consoles import EventLines, PlainLines
 from modaltouch.session.console.drawing import draw_session
 from modaltouch.session.console.experimenter import Experimenter
-from modaltouch.session.console.interface import NoConsole, Request
+from modaltouch.session.console.interface import Console as SilentConsole
+from modaltouch.session.console.interface import Request
 from modaltouch.session.console.keyboard import OWN_KEYS, Dialogue
 from modaltouch.session.console.status import Status, typed_keys
 from modaltouch.window.events import Event
@@ -45,7 +46,7 @@ def trial(index: int, *, clock: float = 0.0) -> dict[str, Any]:
     }
 
 
-class Asked(NoConsole):
+class Asked(SilentConsole):
     """A console at which somebody asks."""
 
     def __init__(self, *asked: Request) -> None:

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TextIO
 
 from modaltouch.session.console.drawing import describe_last
-from modaltouch.session.console.interface import COMMANDS, Console, Facts, NoConsole, Request
+from modaltouch.session.console.interface import COMMANDS, Console, Facts, Request
 from modaltouch.session.console.keyboard import restore_terminal, save_terminal
 
 _OPENING = b'{"time": "'
@@ -67,7 +67,7 @@ def _has_terminal() -> bool:
     return sys.platform == "win32" or os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
 
 
-class Consoles(NoConsole):
+class Consoles(Console):
     """Several consoles as one."""
 
     def __init__(self, consoles: list[Console]) -> None:
@@ -88,7 +88,7 @@ class Consoles(NoConsole):
             console.close()
 
 
-class PlainLines(NoConsole):
+class PlainLines(Console):
     """One line for each answer, pause, break, warning and trouble.
 
     Parameters
@@ -129,7 +129,7 @@ class PlainLines(NoConsole):
             self._file.flush()
 
 
-class EventLines(NoConsole):
+class EventLines(Console):
     """The facts as JSON lines in a file or a named pipe, never waiting for whoever reads it.
 
     A line says everything, so one that a full pipe does not take is dropped; the next one that is taken says how
@@ -195,7 +195,7 @@ class EventLines(NoConsole):
         return line
 
 
-class TerminalConsole(NoConsole):
+class TerminalConsole(Console):
     """A live picture in the terminal, and its keys.
 
     Parameters
@@ -220,7 +220,7 @@ class TerminalConsole(NoConsole):
         emergency: Sequence[str] = ("f12",),
         instead: Console | None = None,
     ) -> None:
-        self._instead = instead or NoConsole()
+        self._instead = instead or Console()
         self._is_given_back = False
         self._terminal = keys
         self._screen = screen

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Literal
 
-from modaltouch.session.console.interface import Console, NoConsole
+from modaltouch.session.console.interface import Console
 from modaltouch.session.console.status import Status
 from modaltouch.window import Event, SessionStopped
 
@@ -35,7 +35,7 @@ class Experimenter:
         record: Callable[..., Any] = lambda event, **facts: None,
         status: Status | None = None,
     ) -> None:
-        self._console = console or NoConsole()
+        self._console = console or Console()
         self._record = record
         self._status = status or Status()
         self._last: dict[str, Any] | None = None

@@ -34,35 +34,18 @@ class Request:
     at: float = 0.0
 
 
-class Console(typing.Protocol):
-    """Shows how a session stands and takes requests; nothing here may raise or wait."""
+class Console:
+    """Shows how a session stands and takes requests; nothing here may raise or wait. This one shows nothing."""
 
     def show(self, facts: Facts) -> None:
         """Show how the session stands."""
 
     def requests(self) -> list[Request]:
         """Return what was asked for since the last call."""
-
-    def close(self) -> None:
-        """Show nothing more; the terminal is as it was."""
-
-    def __enter__(self) -> Self: ...
-
-    def __exit__(self, *exc: object) -> None: ...
-
-
-class NoConsole:
-    """No console: nothing is shown, nothing is asked."""
-
-    def show(self, facts: Facts) -> None:
-        """Show nothing."""
-
-    def requests(self) -> list[Request]:
-        """Return nothing."""
         return []
 
     def close(self) -> None:
-        """Do nothing."""
+        """Show nothing more; the terminal is as it was."""
 
     def __enter__(self) -> Self:
         return self

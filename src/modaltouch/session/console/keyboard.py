@@ -12,7 +12,6 @@ import os
 import select
 import sys
 import time
-import typing
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -38,13 +37,6 @@ _WINDOWS_KEYS = {
 _NAMES = {"\r": "enter", "\n": "enter", "\x7f": "backspace", "\b": "backspace", "\x1b": "escape"}
 _SEQUENCE_PAUSE = 0.05
 """The rest of a key's sequence comes within this time, or it is Escape itself [s]."""
-
-
-class Keyboard(typing.Protocol):
-    """Gives keys: a printable character as itself, others by name (`enter`, `backspace`, `escape`, `left`, `f12`)."""
-
-    def read(self, patience: float) -> list[str]:
-        """Return the keys that come within some time [s]; empty if none does."""
 
 
 @contextmanager
@@ -169,6 +161,10 @@ class WindowsKeyboard:
                     keys += split_keys(letter)
             time.sleep(0.01)
         return keys
+
+
+Keyboard = UnixKeyboard | WindowsKeyboard
+"""Gives keys: a printable character as itself, others by name (`enter`, `backspace`, `escape`, `left`, `f12`)."""
 
 
 def split_keys(text: str) -> list[str]:
