@@ -126,7 +126,7 @@ def _record_session(
     from modaltouch.record.log import SessionLog
     from modaltouch.record.session import Session
     from modaltouch.record.view import write_view
-    from modaltouch.session.events import describe_start, fingers
+    from modaltouch.session.events import describe_start
 
     protocol, burst = preflight.experiment.protocol, preflight.stimulus.burst
     place = SessionFolder(results, mode, protocol.protocol, participant, session)
@@ -148,7 +148,7 @@ def _record_session(
                 "trial",
                 trial=trial.as_dict(),
                 presentation=1,
-                fingers=list(fingers(protocol, trial)),
+                fingers=list(trial.condition.fingers(protocol.conditions.hand)),
                 **({"catch": True} if trial.condition.is_catch else {}),
                 planned={"velocity_mm_s": trial.condition.velocity_mm_s, **speeds},
                 commanded={"amplitude_Vpp": amplitudes},

@@ -1,4 +1,4 @@
-"""The session log's lines check each other (architecture.md: each line carries a running checksum)."""
+"""The session log's lines check each other: each carries a running checksum."""
 
 import hashlib
 import json

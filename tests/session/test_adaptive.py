@@ -1,4 +1,4 @@
-"""Adaptive sessions and several stimuli on the simulated rig: killed, resumed, checked, forged (issue 6, item 6)."""
+"""Adaptive sessions and several stimuli on the simulated rig: killed, resumed, checked, forged."""
 
 import json
 import random

@@ -1,4 +1,4 @@
-"""Levels calibrated by participant (issue 6, item 6): from the session that found a threshold to the statistics."""
+"""Levels calibrated by participant: from the session that found a threshold to the statistics."""
 
 from __future__ import annotations
 

@@ -94,11 +94,14 @@ def describe_answer(
     events : sequence of dict
         The record so far.
     """
-    values, answered = trial.as_dict(), firing.onset + response.counted_from + response.reaction_time
+    values, onset, around = trial.as_dict(), firing.onset, firing.onset_uncertainty
+    answered = onset + response.counted_from + response.reaction_time
+    asked = None if response.question_after is None else onset + response.question_after
+    is_undated = trial.condition.is_catch or firing.repetition == "wired"
     return {
         "trial": values,
         "presentation": sum(event["event"] == "fired" and event["trial"] == values for event in events),
-        "fingers": list(fingers(protocol, trial)),
+        "fingers": list(trial.condition.fingers(protocol.conditions.hand)),
         **({"catch": True} if trial.condition.is_catch else {}),
         **({"masked": masked} if masked is not None else {}),
         "planned": {
@@ -110,15 +113,13 @@ def describe_answer(
         "confirmed": firing.as_dict(),
         "bursts": firing.bursts.as_dict(),
         "response": response.as_dict(),
-        "instants": _instants(
-            onset=firing.onset,
-            onset_uncertainty=firing.onset_uncertainty,
-            answered=answered,
-            answer_uncertainty=response.time_uncertainty,
-            question=None if response.question_after is None else firing.onset + response.question_after,
-            question_uncertainty=response.question_uncertainty,
-            undated=trial.condition.is_catch or firing.repetition == "wired",
-        ),
+        # A picture is on the screen between the call that flips it and the call's return; a monitor's own latency comes
+        # on top, unseen. A press is stamped when it is read, at most one poll after it happened.
+        "instants": {
+            "first_burst": None if is_undated else _between(onset - around, onset + around),
+            "question": None if asked is None else _between(asked - response.question_uncertainty, asked),
+            "answer": _between(answered - response.time_uncertainty, answered),
+        },
         "supersedes": _superseded(events, values),
     }
 
@@ -151,8 +152,8 @@ def describe_placement(protocol: Protocol, trial: Trial) -> dict[str, Any]:
     protocol, trial
         As for `describe_answer`.
     """
-    left, right = fingers(protocol, trial)
     condition = trial.condition
+    left, right = condition.fingers(protocol.conditions.hand)
     return {
         "finger_condition": condition.finger_condition,
         "placement": condition.placement,
@@ -164,17 +165,6 @@ def describe_placement(protocol: Protocol, trial: Trial) -> dict[str, Any]:
     }
 
 
-def fingers(protocol: Protocol, trial: Trial) -> tuple[str, str]:
-    """Return the fingers on the left and on the right zone.
-
-    Parameters
-    ----------
-    protocol, trial
-        As for `describe_answer`.
-    """
-    return trial.condition.fingers(protocol.conditions.hand)
-
-
 def _superseded(events: Sequence[dict[str, Any]], values: dict[str, Any]) -> int | None:
     """Return the line of the answer that a new one to the same trial replaces, if there is one.
 
@@ -183,28 +173,6 @@ def _superseded(events: Sequence[dict[str, Any]], values: dict[str, Any]) -> int
     last = max((place for place, event in enumerate(events) if event["event"] == "fired"), default=len(events))
     answers = (event for event in reversed(events[:last]) if event["event"] in ("trial", "answered"))
     return next((event["n"] for event in answers if event["trial"] == values), None)
-
-
-def _instants(
-    *,
-    onset: float,
-    onset_uncertainty: float,
-    answered: float,
-    answer_uncertainty: float,
-    question: float | None,
-    question_uncertainty: float,
-    undated: bool,
-) -> dict[str, dict[str, float] | None]:
-    """Return the earliest and the latest instant of first burst, question and answer, by the record's clock [s].
-
-    A picture is on the screen between the call that flips it and the call's return; a monitor's own latency, which no
-    program can see, comes on top. A press is stamped when it is read, at most one poll after it happened.
-    """
-    return {
-        "first_burst": None if undated else _between(onset - onset_uncertainty, onset + onset_uncertainty),
-        "question": None if question is None else _between(question - question_uncertainty, question),
-        "answer": _between(answered - answer_uncertainty, answered),
-    }
 
 
 def _between(earliest: float, latest: float) -> dict[str, float]:

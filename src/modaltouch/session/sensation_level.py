@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -12,36 +12,6 @@ from modaltouch.protocol import InputError, SensationLevelsSection
 from modaltouch.record import RecordError, SessionFolder, read_session
 
 _SECTION = ("conditions", "sensation_levels")
-
-
-@dataclass(frozen=True)
-class OwnThreshold:
-    """The threshold of one participant.
-
-    Attributes
-    ----------
-    value_mm_s : float
-        The threshold [mm/s].
-    found : str
-        ``session`` or ``given`` (by the experimenter).
-    session : str
-        Log of the session that found it, seen from the folder of results; empty where it was given.
-    last_check : str
-        Check of that log's last line, so that it cannot change unseen.
-    runs : tuple of dict
-        Finger condition, pair, threshold and interval of every run of that session.
-    """
-
-    value_mm_s: float
-    found: str
-    session: str = ""
-    last_check: str = ""
-    runs: tuple[dict[str, Any], ...] = ()
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return it as plain values for the record."""
-        told = {"session": self.session, "last_check": self.last_check, "runs": list(self.runs)} if self.session else {}
-        return {"threshold_mm_s": self.value_mm_s, "found": self.found, **told}
 
 
 def at_own_levels(
@@ -71,10 +41,11 @@ def at_own_levels(
                 "leave --threshold out", path=("conditions", "peak_velocities_mm_s"),
             )  # fmt: skip
         return preflight, {}
-    own = OwnThreshold(given_mm_s, "given") if given_mm_s is not None else _find(preflight, place, section)
-    levels = section.levels(own.value_mm_s)
+    given: dict[str, Any] = {"threshold_mm_s": given_mm_s, "found": "given"}
+    own = _find(preflight, place, section) if given_mm_s is None else given
+    levels = section.levels(own["threshold_mm_s"])
     _refuse_beyond(preflight, place.participant, own, section, levels)
-    facts = {**own.as_dict(), "multiples": list(section.multiples), "levels_mm_s": list(levels)}
+    facts = {**own, "multiples": list(section.multiples), "levels_mm_s": list(levels)}
     return preflight.with_levels(levels), {"sensation_levels": facts}
 
 
@@ -92,8 +63,8 @@ def recorded_levels(preflight: Preflight, start: dict[str, Any]) -> Preflight:
     return preflight.with_levels(tuple(facts["levels_mm_s"])) if facts else preflight
 
 
-def _find(preflight: Preflight, place: SessionFolder, section: SensationLevelsSection) -> OwnThreshold:
-    """Return the threshold that the participant's latest complete session of another protocol found."""
+def _find(preflight: Preflight, place: SessionFolder, section: SensationLevelsSection) -> dict[str, Any]:
+    """Return the threshold that the participant's latest complete session of another protocol found, and where."""
     log, damage = _latest(replace(place, protocol=section.thresholds_from))
     who = f"participant {place.participant}"
     anew = f"run that protocol with `-p {place.participant}`, or give the threshold with --threshold"
@@ -123,9 +94,13 @@ def _find(preflight: Preflight, place: SessionFolder, section: SensationLevelsSe
         )
     mean = math.exp(math.fsum(math.log(run["threshold_mm_s"]) for run in runs) / len(runs))
     names = ("finger_condition", "pair", "stimulus", "threshold_mm_s", "threshold_low_mm_s", "threshold_high_mm_s")
-    told = tuple({name: run[name] for name in names if name in run} for run in runs)
-    seen_from = log.relative_to(place.results).as_posix()
-    return OwnThreshold(float(f"{mean:.4g}"), "session", seen_from, read_session(log).chain.last_check, told)
+    return {
+        "threshold_mm_s": float(f"{mean:.4g}"),
+        "found": "session",
+        "session": log.relative_to(place.results).as_posix(),
+        "last_check": read_session(log).chain.last_check,
+        "runs": [{name: run[name] for name in names if name in run} for run in runs],
+    }
 
 
 def _latest(place: SessionFolder) -> tuple[Path | None, str]:
@@ -153,7 +128,7 @@ def _latest(place: SessionFolder) -> tuple[Path | None, str]:
 def _refuse_beyond(
     preflight: Preflight,
     participant: str,
-    own: OwnThreshold,
+    own: dict[str, Any],
     section: SensationLevelsSection,
     levels: tuple[float, ...],
 ) -> None:
@@ -169,10 +144,10 @@ def _refuse_beyond(
         fits = section.thresholds(low, high)
         _refuse(
             preflight,
-            f"{multiple:g} times the threshold of participant {participant}, {own.value_mm_s:g} mm/s, which makes "
+            f"{multiple:g} times the threshold of participant {participant}, {own['threshold_mm_s']:g} mm/s, which makes "
             f"{level:g} mm/s",
             f"{low:g} to {high:g} mm/s, so thresholds of {fits[0]:.4g} to {fits[1]:.4g} mm/s",
-            ("check the value of --threshold, or " if own.found == "given" else "")
+            ("check the value of --threshold, or " if own["found"] == "given" else "")
             + "change the multiples or conditions.peak_velocities_mm_s for all participants",
             path=(*_SECTION, "multiples", at),
         )
