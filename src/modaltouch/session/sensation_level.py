@@ -144,8 +144,8 @@ def _refuse_beyond(
         fits = section.thresholds(low, high)
         _refuse(
             preflight,
-            f"{multiple:g} times the threshold of participant {participant}, {own['threshold_mm_s']:g} mm/s, which makes "
-            f"{level:g} mm/s",
+            f"{multiple:g} times the threshold of participant {participant}, {own['threshold_mm_s']:g} mm/s, which "
+            f"makes {level:g} mm/s",
             f"{low:g} to {high:g} mm/s, so thresholds of {fits[0]:.4g} to {fits[1]:.4g} mm/s",
             ("check the value of --threshold, or " if own["found"] == "given" else "")
             + "change the multiples or conditions.peak_velocities_mm_s for all participants",
