@@ -121,19 +121,7 @@ def levels_of(protocol: Protocol, start: dict[str, Any]) -> Protocol:
 
 
 def check_beginning(session: Session, restored: RestoredExperiment, protocol: Protocol, schedule: Schedule) -> Checked:
-    """Yield for each part of the start record whether it holds, and in which words.
-
-    Parameters
-    ----------
-    session : Session
-        As its log tells it.
-    restored : RestoredExperiment
-        What its texts give.
-    protocol : Protocol
-        The protocol at the participant's own levels, where there are such.
-    schedule : Schedule
-        The order drawn again.
-    """
+    """Yield for each part of the start record whether it holds, and in which words."""
     place = f"{session.path}:1:"
     yield _check_texts(session.start, protocol, place)
     yield _check_mode(session.start, place)
@@ -148,15 +136,7 @@ def check_beginning(session: Session, restored: RestoredExperiment, protocol: Pr
 
 
 def draw_again(session: Session, protocol: Protocol) -> Schedule:
-    """Return the order that the start record's seed draws.
-
-    Parameters
-    ----------
-    session : Session
-        As its log tells it.
-    protocol : Protocol
-        At the participant's own levels, where there are such.
-    """
+    """Return the order that the start record's seed draws."""
     start = session.start
     return draw_schedule(protocol, start["participant"], start["seed"], session.drawn_as, given=recorded_turn(start))
 

@@ -154,17 +154,7 @@ def refuse_old(session: Session, interruption: SessionInterruption, policy: Resu
 
 
 def answers_to_ask_again(session: Session, schedule: Schedule, policy: ResumeSection) -> tuple[int, ...]:
-    """Return the lines of the answers that a resumed session asks for again: those of the block that was cut.
-
-    Parameters
-    ----------
-    session : Session
-        As its log tells it.
-    schedule : Schedule
-        Its trials.
-    policy : ResumeSection
-        ``at: block`` offers a block that was begun from its first trial on; practice goes on at its trial.
-    """
+    """Return the lines of the answers that a resumed session asks for again: those of the block that was cut."""
     if policy.at != "block":
         return ()
     done = session.answered

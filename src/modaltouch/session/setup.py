@@ -252,13 +252,7 @@ def _allotted(setup: Setup) -> Setup:
 
 
 def _refuse_other_generator(preflight: Preflight, rig: Rig) -> None:
-    """Refuse a generator that the calibration was not made with: its amplitudes are its own.
-
-    Raises
-    ------
-    InputError
-        With the place in the calibration file.
-    """
+    """Refuse a generator that the calibration was not made with: its amplitudes are its own."""
     calibration = preflight.findings.calibration
     problem = None if calibration is None else generator_problem(calibration, rig.identity)
     if problem is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -197,111 +197,85 @@ def simulate_session(
     return begin(setup)
 
 
+@dataclass
 class SessionParts:
-    """The parts of one sitting, opened when the sitting asks for them.
+    """The parts of one sitting, opened when the sitting asks for them."""
 
-    Parameters
-    ----------
-    preflight : Preflight
-        The checked experiment.
-    place : SessionFolder
-        Where it is recorded.
-    seed : int
-        Seed of the study.
-    rig : str
-        ``simulated`` or a VISA address.
-    answers : str
-        ``window``, ``robot`` or ``simulated``.
-    window_options : WindowOptions or None
-        How the answer window is opened, where there is one.
-    observer : Observer
-        Population that a simulated participant is drawn from.
-    after : float
-        What a virtual clock must not read less than: the record's, where one is continued [s].
-    """
+    preflight: Preflight
+    place: SessionFolder
+    seed: int
+    rig: str
+    answers: AnswersBy
+    window_options: WindowOptions | None
+    observer: Observer
+    after: float = 0.0
+    """What a virtual clock must not read less than: the record's, where one is continued [s]."""
+    simulator: Simulator | None = None
 
-    def __init__(
-        self,
-        preflight: Preflight,
-        place: SessionFolder,
-        *,
-        seed: int,
-        rig: str,
-        answers: AnswersBy,
-        window_options: WindowOptions | None,
-        observer: Observer,
-        after: float = 0.0,
-    ) -> None:
-        self._preflight = preflight
-        self._place = place
-        self._seed = seed
-        self._rig = rig
-        self._answers = answers
-        self._window_options = window_options
-        self._observer = observer
-        self._simulator: Simulator | None = None
-        # Nobody waits for a simulated participant before the twin in this very process.
-        is_virtual = rig == SIMULATED and answers == "simulated"
-        self.clock: Clock = VirtualClock(max(SYSTEM_CLOCK.now(), after)) if is_virtual else SYSTEM_CLOCK
+    @cached_property
+    def clock(self) -> Clock:
+        """The machine's; a virtual one where a simulated participant answers before the twin in this very process."""
+        is_virtual = self.rig == SIMULATED and self.answers == "simulated"
+        return VirtualClock(max(SYSTEM_CLOCK.now(), self.after)) if is_virtual else SYSTEM_CLOCK
 
     def setup(self, schedule: Schedule) -> Setup:
         """Return what the sitting is made of, with the participant's trials."""
-        facts: dict[str, Any] = {"seed": self._seed, "rig_choice": self._rig, "answers_choice": self._answers}
-        if self._answers != "window":
-            facts["observer"] = self._observer.as_dict()
+        facts: dict[str, Any] = {"seed": self.seed, "rig_choice": self.rig, "answers_choice": self.answers}
+        if self.answers != "window":
+            facts["observer"] = self.observer.as_dict()
         opened = self.open_rig, self.open_window, self.open_masking
-        return Setup(self._preflight, schedule, self._place, *opened, facts, clock=self.clock)
+        return Setup(self.preflight, schedule, self.place, *opened, facts, clock=self.clock)
 
     @contextmanager
     def open_rig(self, log: Callable[..., None]) -> Iterator[Rig]:
         """Open the driver, on the twin's address where no other is given."""
-        apparatus, address = self._preflight.experiment.apparatus, self._rig
+        apparatus, address = self.preflight.experiment.apparatus, self.rig
         with ExitStack() as stack:
             options: dict[str, Any] = {}
-            if self._rig == SIMULATED:
-                self._simulator = stack.enter_context(start_simulator(apparatus, clock=self.clock))
-                address = self._simulator.address
+            if self.rig == SIMULATED:
+                self.simulator = stack.enter_context(start_simulator(apparatus, clock=self.clock))
+                address = self.simulator.address
             if isinstance(self.clock, VirtualClock):
                 options = {"clock": self.clock, "start_guard": same_process(self.clock)}
             yield stack.enter_context(open_rig(address, apparatus, log=log, **options))
 
     def open_window(self, tick: Tick, log: Callable[..., None]) -> AnswerWindow:
         """Open the answer window, with a simulated participant where no person answers."""
-        experiment = self._preflight.experiment
+        experiment = self.preflight.experiment
         zones = experiment.apparatus.zones
         return open_window(
-            self._answers,
+            self.answers,
             experiment.protocol,
             experiment.texts,
             zones=tuple(sorted(zones, key=lambda name: zones[name].centre_mm)),
             tick=tick,
             log=log,
-            answerer=None if self._answers == "window" else self._answerer(),
-            options=self._window_options,
+            answerer=None if self.answers == "window" else self._answerer(),
+            options=self.window_options,
             clock=self.clock,
         )
 
     def open_masking(self, log: Callable[..., None]) -> Masking:
         """Open the masking noise that the protocol wants, where there is a person to hear it."""
-        experiment = self._preflight.experiment
+        experiment = self.preflight.experiment
         section = experiment.protocol.masking
-        return Masking.open(section, experiment.apparatus.sound, log, is_heard=self._answers == "window")
+        return Masking.open(section, experiment.apparatus.sound, log, is_heard=self.answers == "window")
 
     def _answerer(self) -> Answerer:
-        who = self._seed, self._place.participant, self._place.session
-        person = self._observer.draw(random_generator(*who, "observer"))
-        offers_none = self._preflight.experiment.protocol.answers.offers_none
+        who = self.seed, self.place.participant, self.place.session
+        person = self.observer.draw(random_generator(*who, "observer"))
+        offers_none = self.preflight.experiment.protocol.answers.offers_none
         answers = ANSWERS_WITH_NONE if offers_none else ANSWERS
         return Answerer(person, self._felt, random_generator(*who, "answers"), answers)
 
     def _felt(self, trial: Trial) -> tuple[float, float]:
         """Return what the two fingers feel: on the twin where there is one, else as predicted."""
-        predicted = self._preflight.speeds(trial)
+        predicted = self.preflight.speeds(trial)
         peaks = predicted
-        if self._simulator is not None:
-            left, right = self._simulator.felt_velocity(trial.condition.pair)
+        if self.simulator is not None:
+            left, right = self.simulator.felt_velocity(trial.condition.pair)
             peaks = float(left), float(right)
-        if self._observer.front_end == "peak" or trial.condition.is_catch:
+        if self.observer.front_end == "peak" or trial.condition.is_catch:
             return peaks
         # The twin tells peaks; what else is felt follows the predicted history, at the twin's size.
         level, sense = trial.condition.velocity_mm_s * 1e-3, self._senses[trial.condition.stimulus]
@@ -314,10 +288,10 @@ class SessionParts:
     @cached_property
     def _senses(self) -> dict[str, FeltSpeeds]:
         """What the observer's front end makes of the predicted velocities of each stimulus."""
-        zones = self._preflight.experiment.apparatus.zones
+        zones = self.preflight.experiment.apparatus.zones
         centres = {name: zone.centre_mm * 1e-3 for name, zone in zones.items()}
-        parts = self._preflight.parts.items()
-        return {name: FeltSpeeds(part.stimulus, centres, self._observer.front_end) for name, part in parts}
+        parts = self.preflight.parts.items()
+        return {name: FeltSpeeds(part.stimulus, centres, self.observer.front_end) for name, part in parts}
 
 
 def _refuse_another_kind(session: Session, rig: str, answers: AnswersBy, *, restart: bool) -> None:
@@ -350,13 +324,7 @@ def _usual(protocol: Protocol, answers: AnswersBy) -> Observer:
 
 
 def _place_anew(place: SessionFolder, session: Session) -> SessionFolder:
-    """Return the place of the session that begins another one anew: the next free number.
-
-    Raises
-    ------
-    RecordInputError
-        If it has been begun anew already.
-    """
+    """Return the place of the session that begins another one anew: the next free number."""
     number = session.begun_anew_as
     if number is not None:
         anew = replace(place, session=number)

@@ -16,13 +16,17 @@ SETTLE = 0.25
 """A press this soon after a screen appeared was meant for the one before [s]."""
 
 
-class Pauser:
-    """Holds a session until the participant or the experimenter decides.
+DOUBLE_WINDOW = 0.05
+"""A different answer this soon after the first flags the trial as double [s]."""
+
+
+class AnswerTaker:
+    """Waits for answers at one window, and holds the session in a pause.
 
     Parameters
     ----------
     stage, pictures, reader
-        Where it is shown, what is shown, and what the answers mean.
+        Where it is shown, what is shown, and what the events mean.
     """
 
     def __init__(self, stage: DisplayLoop, pictures: Illustrator, reader: Reader) -> None:
@@ -65,25 +69,6 @@ class Pauser:
     def _end(self, reason: str) -> NoReturn:
         self._stage.note("stopped", reason=reason)
         raise SessionStopped(reason)
-
-
-DOUBLE_WINDOW = 0.05
-"""A different answer this soon after the first flags the trial as double [s]."""
-
-
-class AnswerTaker:
-    """Waits for answers at one window.
-
-    Parameters
-    ----------
-    stage, pictures, reader
-        Where it is shown, what is shown, and what the events mean.
-    """
-
-    def __init__(self, stage: DisplayLoop, pictures: Illustrator, reader: Reader) -> None:
-        self._stage = stage
-        self._pictures = pictures
-        self._reader = reader
 
     def await_answer(
         self, trial: Trial, interrupt: Callable[[Event], NoReturn], times_out: Callable[[], bool] | None = None

@@ -204,20 +204,7 @@ def some_display(size: tuple[int, int] = (1920, 1080)) -> Iterator[str]:
 
 @contextmanager
 def virtual_display(size: tuple[int, int] = (1920, 1080), *options: str) -> Iterator[str]:
-    """Run Xvfb on a display number of its own choice and give its name, such as ``:1``.
-
-    Parameters
-    ----------
-    size : (width, height) of int
-        Size of the screen [pixels].
-    *options : str
-        Further options of Xvfb.
-
-    Raises
-    ------
-    WindowError
-        If Xvfb is absent or does not start.
-    """
+    """Run Xvfb on a display number of its own choice and give its name, such as ``:1``."""
     program = shutil.which("Xvfb")
     if program is None:
         raise WindowError("there is no display, and no Xvfb to make one: install xvfb, or log in at a screen")

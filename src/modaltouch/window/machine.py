@@ -227,13 +227,7 @@ def measure_timing() -> WindowTiming:
 
 
 def time_window(screen: Screen, *, n_frames: int = 120, n_keys: int = 60, display: str = "the screen") -> WindowTiming:
-    """Return how exactly an open window, which has the keyboard, shows pictures and sees keys.
-
-    Raises
-    ------
-    ValueError
-        If fewer than 10 frames or keys are asked for.
-    """
+    """Return how exactly an open window, which has the keyboard, shows pictures and sees keys."""
     if min(n_frames, n_keys) < 10:
         raise ValueError(f"given {n_frames} frames and {n_keys} keys; allowed: 10 or more of each")
     frames = _measure_frames(screen, n_frames)

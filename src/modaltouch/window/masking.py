@@ -112,20 +112,7 @@ def default_device(name: str = "") -> dict[str, Any]:
 
 
 def open_stream(sound: Sound, fill: Callable[..., None]) -> tuple[dict[str, Any], Any]:
-    """Return what the device can do, and a stream on it that runs.
-
-    Parameters
-    ----------
-    sound : Sound
-        Which device, at which rate.
-    fill : callable
-        Hands over the next samples, as sounddevice calls it.
-
-    Raises
-    ------
-    DeviceError
-        If there is no such device, or it refuses.
-    """
+    """Return what the device can do, and a stream on it that runs."""
     device = default_device(sound.device)
     import sounddevice
 
@@ -152,15 +139,7 @@ def open_stream(sound: Sound, fill: Callable[..., None]) -> tuple[dict[str, Any]
 
 
 class LoopedNoise:
-    """Goes round a period of noise for ever.
-
-    Parameters
-    ----------
-    period : (n_samples,) array
-        One period, at its full level.
-    n_fade : int
-        Samples that a fade takes.
-    """
+    """Goes round a period of noise for ever."""
 
     def __init__(self, period: NDArray[np.float32], n_fade: int) -> None:
         self._period = period
@@ -305,22 +284,7 @@ class Masking:
 
 
 class NoiseMasking(Masking):
-    """Noise on a sound device.
-
-    Parameters
-    ----------
-    section : MaskingSection
-        Which noise, how loud.
-    sound : Sound
-        Device, sampling rate, calibration.
-    log : callable
-        Takes what happens for the record.
-
-    Raises
-    ------
-    MaskingError
-        If the device cannot be opened.
-    """
+    """Noise on a sound device."""
 
     def __init__(self, section: MaskingSection, sound: Sound, log: Log) -> None:
         level = section.level(sound)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from modaltouch.protocol import TIME_OUT, Answer, Protocol, Response, Texts, Trial
 from modaltouch.system import SYSTEM_CLOCK, Clock
-from modaltouch.window.answering import SETTLE, AnswerTaker, Pauser
+from modaltouch.window.answering import SETTLE, AnswerTaker
 from modaltouch.window.display_loop import POLL_INTERVAL, DisplayLoop, Moment, Sitter
 from modaltouch.window.events import Event, canonical_key
 from modaltouch.window.interface import AnswerWindow, Log, Presentation, Progress, Tick, TrialInterrupted
@@ -97,7 +97,6 @@ class ParticipantWindow(AnswerWindow):
         )
         self._answered_by = "simulated" if robot else ""
         self._reader = Reader.of(protocol.answers, layout)
-        self._pauser = Pauser(self._stage, self._pictures, self._reader)
         self._taker = AnswerTaker(self._stage, self._pictures, self._reader)
         self._current: tuple[Trial, Progress] | None = None
         self._answered, self._by_hand = -math.inf, True
@@ -288,7 +287,7 @@ class ParticipantWindow(AnswerWindow):
                     self._hold(trial, event)
                     shown = self._stage.show(draw(), Moment("go_on", trial))
                 elif event.time < shown + SETTLE:
-                    self._pauser.discard(event, "as the screen appeared")
+                    self._taker.discard(event, "as the screen appeared")
                 elif event.kind == "click" or self._reader.goes_on(event):
                     self._stage.write_notes()
                     self._note_press(event)
@@ -308,12 +307,12 @@ class ParticipantWindow(AnswerWindow):
                 if self._reader.interrupts(event):
                     self._hold(None, event)
                     return False
-                self._pauser.discard(event, "between trials")
+                self._taker.discard(event, "between trials")
         return True
 
     def _hold(self, trial: Trial | None, event: Event) -> None:
         """Pause until the session goes on."""
-        self._note_press(self._pauser.hold(trial, event))
+        self._note_press(self._taker.hold(trial, event))
 
     def _note_press(self, event: Event) -> None:
         """Keep when something was pressed, and whether it was by somebody at the window."""
@@ -335,7 +334,7 @@ class ParticipantWindow(AnswerWindow):
     def _before_question(self, event: Event, trial: Trial, stop: Callable[[], None]) -> None:
         if self._reader.interrupts(event):
             self._interrupt(trial, event, stop)
-        self._pauser.discard(event, "before the question", trial)
+        self._taker.discard(event, "before the question", trial)
 
     def _interrupt(self, trial: Trial, event: Event, stop: Callable[[], None]) -> NoReturn:
         """Stop the stimulus, pause, and have the trial offered again."""

@@ -24,15 +24,7 @@ from modaltouch.window.shapes import Mark, Picture, Shape, Words
 
 @dataclass(frozen=True, eq=False)
 class Coverage:
-    """The part of the screen that a polygon touches.
-
-    Attributes
-    ----------
-    left, bottom : int
-        First column and row [pixels].
-    alpha : (n_rows, n_columns) array
-        Covered share of each pixel, lowest row first [1].
-    """
+    """The part of the screen that a polygon touches."""
 
     left: int
     bottom: int
@@ -84,11 +76,6 @@ class DisplayLoss:
     Xlib calls ``exit(1)`` once its connection is broken. Since libX11 1.7 a program may decline that
     (``XSetIOErrorExitHandler``): then every call on the connection does nothing, and the session can end in order. With
     an older libX11 the process ends, and the watchdog switches the outputs off.
-
-    Parameters
-    ----------
-    look : callable
-        Asks the display for events, so that a broken connection is noticed.
     """
 
     def __init__(self, look: Callable[[], object]) -> None:
@@ -382,13 +369,7 @@ class Screen:
 
 
 def _import_psychopy() -> tuple[Any, Any]:
-    """Import PsychoPy's drawing half quietly, and return its modules ``visual`` and ``monitors``.
-
-    Raises
-    ------
-    WindowError
-        If there is no display, or no PsychoPy.
-    """
+    """Import PsychoPy's drawing half quietly, and return its modules ``visual`` and ``monitors``."""
     prepare_environment()
     try:
         with few_imports():

@@ -89,13 +89,7 @@ class Consoles(Console):
 
 
 class PlainLines(Console):
-    """One line for each answer, pause, break, warning and trouble.
-
-    Parameters
-    ----------
-    file : text stream
-        Where they go.
-    """
+    """One line for each answer, pause, break, warning and trouble."""
 
     def __init__(self, file: TextIO) -> None:
         self._file = file
@@ -134,16 +128,6 @@ class EventLines(Console):
 
     A line says everything, so one that a full pipe does not take is dropped; the next one that is taken says how
     many were, under ``n_dropped``.
-
-    Parameters
-    ----------
-    path : Path
-        A file, which is appended to, or a named pipe, which may get its reader at any time.
-
-    Raises
-    ------
-    OSError
-        If it can be neither, or the file holds something else already.
     """
 
     def __init__(self, path: Path) -> None:
@@ -196,22 +180,7 @@ class EventLines(Console):
 
 
 class TerminalConsole(Console):
-    """A live picture in the terminal, and its keys.
-
-    Parameters
-    ----------
-    keys, screen : int
-        Descriptors of the terminal: keys come from the first, the picture goes to the second.
-    emergency : sequence of str
-        Names of the keys that stop everything at once.
-    instead : Console, optional
-        Shows how the session stands once the process is gone.
-
-    Raises
-    ------
-    OSError
-        If the process cannot be started; the terminal is as it was.
-    """
+    """A live picture in the terminal, and its keys."""
 
     def __init__(
         self,

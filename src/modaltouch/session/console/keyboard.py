@@ -99,13 +99,7 @@ def _take_single_keys(descriptor: int) -> None:
 
 
 class UnixKeyboard:
-    """Keys of a Unix terminal.
-
-    Parameters
-    ----------
-    descriptor : int
-        The terminal, set to give single keys.
-    """
+    """Keys of a Unix terminal."""
 
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor

@@ -17,15 +17,7 @@ HASTY = 0.1
 
 
 def read_signs(trials: Sequence[dict[str, Any]], *, offers_none: bool = False) -> list[str]:
-    """Return what is worth a look, in words; empty where nothing is.
-
-    Parameters
-    ----------
-    trials : sequence of dict
-        The trial events that count, practice left out.
-    offers_none : bool
-        Whether ``none`` can be answered: else no catch trial can be told from a real one.
-    """
+    """Return what is worth a look, in words; empty where nothing is."""
     missed = _count_missed(trials) if offers_none else ""
     signs = [_count_hasty(trials), missed, _count_doubles(trials)]
     return [sign for sign in signs if sign]
