@@ -159,7 +159,7 @@ def count_idle_frames() -> int:
         tick=tick,
         log=lambda event, **facts: None,
     ) as window:
-        display = window._stage._display  # type: ignore[attr-defined]
+        display = window._loop._display  # type: ignore[attr-defined]
         flip = display.flip
         display.flip = lambda *words: (frames.append(time.perf_counter()), flip(*words))[1]
         end[0] = time.perf_counter() + IDLE

@@ -185,7 +185,7 @@ def test_a_lost_focus_stops_the_stimulus_and_pauses(room: Callable[..., Any], ha
     hands.take_focus()
     hands.give_focus_back(TITLE)
     time.sleep(0.1)
-    made.window._stage.poll_quietly()
+    made.window._loop.poll_quietly()
 
     def come_back() -> None:
         hands.give_focus_back(TITLE)

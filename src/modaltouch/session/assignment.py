@@ -50,7 +50,7 @@ class Assignment:
         }
 
 
-def allot(place: SessionFolder, protocol: Protocol, drawn_as: int) -> Assignment:
+def assign_turn(place: SessionFolder, protocol: Protocol, drawn_as: int) -> Assignment:
     """Return the turn of a participant whose session begins; to be called while the dataset is held.
 
     Parameters

@@ -18,7 +18,7 @@ from modaltouch.record import (
     read_session,
 )
 from modaltouch.rig import Rig, is_simulated
-from modaltouch.session.assignment import allot
+from modaltouch.session.assignment import assign_turn
 from modaltouch.session.console.experimenter import Experimenter, Tick, Wish
 from modaltouch.session.console.interface import Console
 from modaltouch.session.console.status import Status
@@ -190,13 +190,13 @@ def resume(setup: Setup) -> Session:
 
 
 def _sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], SessionLog], first: str) -> Session:
-    journal = EventBuffer()
+    buffer = EventBuffer()
     levels = Levels(setup.preflight.experiment.protocol)
     seconds = estimated_duration(setup.preflight.experiment.protocol) * 60 / max(len(setup.schedule.trials), 1)
-    experimenter = Experimenter(setup.console, journal.event, Status(seconds))
-    journal.listener = experimenter.tell
+    experimenter = Experimenter(setup.console, buffer.event, Status(seconds))
+    buffer.listener = experimenter.tell
     with Interruption() as interruption, ExitStack() as stack:
-        rig = stack.enter_context(setup.open_rig(journal.exchange))
+        rig = stack.enter_context(setup.open_rig(buffer.exchange))
         _refuse_other_generator(setup.preflight, rig)
         if is_simulated(rig.identity) and setup.place.mode != "simulated":
             # An address may lead to a simulator; its data never land among real ones.
@@ -209,13 +209,13 @@ def _sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessi
             rig.heartbeat()
             return experimenter.attend()
 
-        masking = stack.enter_context(setup.open_masking(journal.event))
-        window = stack.enter_context(setup.open_window(tick, journal.event))
+        masking = stack.enter_context(setup.open_masking(buffer.event))
+        window = stack.enter_context(setup.open_window(tick, buffer.event))
         setup.place.describe_dataset(setup.preflight.experiment.protocol.title)
         with setup.place.hold_dataset():
-            setup = _allotted(setup)
+            setup = _with_assigned_turn(setup)
             log = stack.enter_context(open_log(setup.place, _describe(setup, rig, window, masking, first)))
-        journal.open(log)
+        buffer.open(log)
         begun = max(event["n"] for event in log.events if event["event"] == first)
         for event in log.events:
             experimenter.tell(event, replayed=event["n"] < begun)
@@ -224,7 +224,7 @@ def _sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessi
         try:
             setup.place.list_participants()
             masking.start()
-            sitting = _sitting(setup, rig, window, log, journal, tick, levels)
+            sitting = _sitting(setup, rig, window, log, buffer, tick, levels)
             conduct(replace(sitting, experimenter=experimenter, masking=masking))
         except BaseException as error:
             ending = describe_ending(error)
@@ -235,20 +235,20 @@ def _sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessi
             rig.close()
             with suppress(RecordError):  # told where it came up first
                 masking.stop(hurry=ending["reason"] != "finished")
-            _conclude(setup, log, journal, ending)
+            _conclude(setup, log, buffer, ending)
             if ending["reason"] in _UNFORESEEN:
                 window.dismiss()
     return read_session(setup.place.log)
 
 
-def _allotted(setup: Setup) -> Setup:
+def _with_assigned_turn(setup: Setup) -> Setup:
     """Return the setup with the schedule that the records on disk give the participant, if they do."""
     if setup.drawn_as is None:
         return setup
     drawn, protocol = setup.schedule, setup.preflight.experiment.protocol
-    allotment = allot(setup.place, protocol, setup.drawn_as)
-    schedule = draw_schedule(protocol, drawn.participant, drawn.seed, drawn.session, given=allotment.turn)
-    return replace(setup, schedule=schedule, facts={**setup.facts, "balance": allotment.as_dict()})
+    assignment = assign_turn(setup.place, protocol, setup.drawn_as)
+    schedule = draw_schedule(protocol, drawn.participant, drawn.seed, drawn.session, given=assignment.turn)
+    return replace(setup, schedule=schedule, facts={**setup.facts, "balance": assignment.as_dict()})
 
 
 def _refuse_other_generator(preflight: Preflight, rig: Rig) -> None:
@@ -264,7 +264,7 @@ def _sitting(
     rig: Rig,
     window: AnswerWindow,
     log: SessionLog,
-    journal: EventBuffer,
+    buffer: EventBuffer,
     tick: Tick,
     levels: Levels,
 ) -> SessionRun:
@@ -274,7 +274,7 @@ def _sitting(
     total = len(schedule.trials)
 
     def save_view() -> None:
-        journal.flush()
+        buffer.flush()
         log.write_view(setup.place)
         setup.on_progress(log.session.n_answered, total)
 
@@ -308,10 +308,10 @@ def _describe(setup: Setup, rig: Rig, window: AnswerWindow, masking: Masking, fi
     return about if first == "resume" else {**describe_start(setup.preflight, setup.schedule, setup.place), **about}
 
 
-def _conclude(setup: Setup, log: SessionLog, journal: EventBuffer, ending: dict[str, str]) -> None:
+def _conclude(setup: Setup, log: SessionLog, buffer: EventBuffer, ending: dict[str, str]) -> None:
     if ending["reason"] == "record fault":
         return  # the log takes nothing more
-    journal.flush()
+    buffer.flush()
     session = log.session
     log.append("stop", **ending, complete=session.complete, n_answered=session.n_answered)
     log.write_view(setup.place)

@@ -25,12 +25,12 @@ class AnswerTaker:
 
     Parameters
     ----------
-    stage, pictures, reader
+    loop, pictures, reader
         Where it is shown, what is shown, and what the events mean.
     """
 
-    def __init__(self, stage: DisplayLoop, pictures: Illustrator, reader: Reader) -> None:
-        self._stage = stage
+    def __init__(self, loop: DisplayLoop, pictures: Illustrator, reader: Reader) -> None:
+        self._loop = loop
         self._pictures = pictures
         self._reader = reader
 
@@ -46,11 +46,11 @@ class AnswerTaker:
             self._end("window closed")
         name = "focus_lost" if event.kind == "blur" else "pause"
         by = {"by": "experimenter"} if event.kind == "pause" else {}
-        self._stage.note(name, trial=trial.index if trial else None, **by)
-        began = self._stage.clock.now()
-        shown = self._stage.show(self._pictures.pause(trial), Moment("go_on", trial))
+        self._loop.note(name, trial=trial.index if trial else None, **by)
+        began = self._loop.clock.now()
+        shown = self._loop.show(self._pictures.pause(trial), Moment("go_on", trial))
         while True:
-            for press in self._stage.poll():
+            for press in self._loop.poll():
                 if press.kind == "close":
                     self._end("window closed")
                 if press.kind != "continue" and press.time < shown + SETTLE:
@@ -58,16 +58,16 @@ class AnswerTaker:
                 elif self._reader.ends(press):
                     self._end("escape")
                 elif self._reader.goes_on(press):
-                    self._stage.note("continued", paused_s=round(press.time - began, 3))
+                    self._loop.note("continued", paused_s=round(press.time - began, 3))
                     return press
 
     def discard(self, event: Event, when: str, trial: Trial | None = None) -> None:
         """Write down a press that does not count."""
         if is_press(event):
-            self._stage.note("discarded", when=when, trial=trial.index if trial else None, **describe_press(event))
+            self._loop.note("discarded", when=when, trial=trial.index if trial else None, **describe_press(event))
 
     def _end(self, reason: str) -> NoReturn:
-        self._stage.note("stopped", reason=reason)
+        self._loop.note("stopped", reason=reason)
         raise SessionStopped(reason)
 
     def await_answer(
@@ -85,20 +85,20 @@ class AnswerTaker:
             Asked at every poll whether the time for an answer is up.
         """
         while True:
-            events = self._stage.poll()
+            events = self._loop.poll()
             for place, event in enumerate(events):
                 if self._reader.interrupts(event):
                     interrupt(event)
-                if event.kind == "answer" and event.time < self._stage.shown:
+                if event.kind == "answer" and event.time < self._loop.shown:
                     # Typed at the console before the question came, and on its way since.
-                    self._stage.note("discarded", when="before the question", **describe_press(event))
+                    self._loop.note("discarded", when="before the question", **describe_press(event))
                     continue
                 answer = self._reader.answer(event)
                 if answer is not None:
-                    self._stage.put_back(events[place + 1 :])
+                    self._loop.put_back(events[place + 1 :])
                     return answer, event
                 if is_press(event):
-                    self._stage.note("ignored", trial=trial.index, **describe_press(event))
+                    self._loop.note("ignored", trial=trial.index, **describe_press(event))
             if times_out is not None and times_out():
                 return None
 
@@ -123,18 +123,18 @@ class AnswerTaker:
         """
         while True:
             picture = self._pictures.question(trial, progress, chosen=answer, confirmed=False)
-            self._stage.show(picture, Moment("confirm", trial))
+            self._loop.show(picture, Moment("confirm", trial))
             chosen = self.await_answer(trial, interrupt)
             if chosen is None:
                 continue
             again, press = chosen
             if again == answer and press.time < event.time + SETTLE:
                 # A double click, or a foot switch whose contact bounces, decides nothing twice.
-                self._stage.note("discarded", when="as it was chosen", trial=trial.index, **describe_press(press))
+                self._loop.note("discarded", when="as it was chosen", trial=trial.index, **describe_press(press))
                 continue
             if again == answer:
                 return answer, event
-            self._stage.note("changed", trial=trial.index, first=answer, to=again, after_s=press.time - event.time)
+            self._loop.note("changed", trial=trial.index, first=answer, to=again, after_s=press.time - event.time)
             answer, event = again, press
 
     def watch_double(self, answer: Answer, event: Event) -> bool:
@@ -142,15 +142,15 @@ class AnswerTaker:
         is_double = False
         rest: list[Event] = []
         while True:
-            for other in self._stage.poll_quietly():
+            for other in self._loop.poll_quietly():
                 second = self._reader.answer(other)
                 if second is None:
                     rest.append(other)
                 elif second != answer and other.time <= event.time + DOUBLE_WINDOW:
                     is_double = True
                     after = other.time - event.time
-                    self._stage.note_later("double", first=answer, second=second, after_s=after)
-            if self._stage.clock.now() > event.time + DOUBLE_WINDOW:
-                self._stage.put_back(rest)
+                    self._loop.note_later("double", first=answer, second=second, after_s=after)
+            if self._loop.clock.now() > event.time + DOUBLE_WINDOW:
+                self._loop.put_back(rest)
                 return is_double
-            self._stage.clock.sleep(0.002)
+            self._loop.clock.sleep(0.002)

@@ -86,7 +86,7 @@ class ParticipantWindow(AnswerWindow):
         self._theme = next((name for name, known in THEMES.items() if known == theme), "")
         layout = lay_out(*display.size, zones, offers_none=protocol.answers.offers_none)
         self._pictures = Illustrator(layout, theme, texts, protocol.answers, protocol.conditions.hand)
-        self._stage = DisplayLoop(
+        self._loop = DisplayLoop(
             display,
             tick=tick,
             log=log,
@@ -97,7 +97,7 @@ class ParticipantWindow(AnswerWindow):
         )
         self._answered_by = "simulated" if robot else ""
         self._reader = Reader.of(protocol.answers, layout)
-        self._taker = AnswerTaker(self._stage, self._pictures, self._reader)
+        self._taker = AnswerTaker(self._loop, self._pictures, self._reader)
         self._current: tuple[Trial, Progress] | None = None
         self._answered, self._by_hand = -math.inf, True
 
@@ -108,7 +108,7 @@ class ParticipantWindow(AnswerWindow):
 
     def welcome(self, trial: Trial) -> None:
         """Show the instructions until the participant goes on; the first trial is drawn ahead meanwhile."""
-        self._stage.show(self._pictures.welcome(trial))
+        self._loop.show(self._pictures.welcome(trial))
         self._make_ready(trial)
         self._go_on(lambda: self._pictures.welcome(trial))
         self._go_on(lambda: self._pictures.answering(trial))
@@ -159,23 +159,23 @@ class ParticipantWindow(AnswerWindow):
         stops_first = answers.stimulus_until == "question"
         due = onset + answers.question_delay_s
         self._current = (trial, counted) = (trial, self._count(trial, progress))
-        self._stage.attend(Moment("feel", trial, onset))
+        self._loop.attend(Moment("feel", trial, onset))
         question = self._pictures.question(trial, counted)
         if stops_first:
             self._feel(trial, question, presentation.stop, until=presentation.ends)
             presentation.stop()
         self._feel(trial, question, presentation.stop, until=due)
-        asked = self._stage.show(question, Moment("answer", trial, onset))
-        flip_took = self._stage.flip_took
+        asked = self._loop.show(question, Moment("answer", trial, onset))
+        flip_took = self._loop.flip_took
         # What is read now was pressed while the question was being drawn: it cannot answer it.
-        for event in self._stage.poll_quietly():
+        for event in self._loop.poll_quietly():
             self._before_question(event, trial, presentation.stop)
 
         def interrupt(event: Event) -> NoReturn:
             self._interrupt(trial, event, presentation.stop)
 
         taken = self._taker.await_answer(trial, interrupt, None if stops_first else self._end_of(presentation))
-        gap = self._stage.poll_gap
+        gap = self._loop.poll_gap
         if taken is not None and answers.change_until_confirmed:
             taken = self._taker.await_confirmation(trial, counted, *taken, interrupt)
         presentation.end()
@@ -212,10 +212,10 @@ class ParticipantWindow(AnswerWindow):
         """Show which answer was taken; it is on the disk."""
         self._by_hand = response.answer != TIME_OUT
         if self._current is not None and response.answer == TIME_OUT:
-            self._stage.show(self._pictures.ready(*self._current), Moment())
+            self._loop.show(self._pictures.ready(*self._current), Moment())
         elif self._current is not None and response.answer != TIME_OUT:
-            self._stage.show(self._pictures.question(*self._current, chosen=response.answer), Moment())
-        self._stage.write_notes()
+            self._loop.show(self._pictures.question(*self._current, chosen=response.answer), Moment())
+        self._loop.write_notes()
 
     def give_feedback(self, response: Response, expected: Answer) -> None:
         """Show for a moment where the vibration was stronger, after a practice trial."""
@@ -240,9 +240,9 @@ class ParticipantWindow(AnswerWindow):
     def goodbye(self) -> None:
         """Thank the participant, until a key is pressed or some seconds have passed."""
         picture = self._pictures.page("goodbye", self._texts.goodbye, waits=False)
-        shown = self._stage.show(picture, Moment("go_on"))
+        shown = self._loop.show(picture, Moment("go_on"))
         while self._clock.now() < shown + _FAREWELL:
-            for event in self._stage.poll():
+            for event in self._loop.poll():
                 if event.kind == "close" or (is_press(event) and event.time > shown + SETTLE):
                     return
 
@@ -250,9 +250,9 @@ class ParticipantWindow(AnswerWindow):
         """Tell for a moment that the session ends early; never raises, and ticks no more."""
         # Whatever ended the session may have taken the display, too, and is what is to be told.
         with contextlib.suppress(Exception):
-            shown = self._stage.show(self._pictures.page("session_ended", self._texts.session_ended, waits=False))
+            shown = self._loop.show(self._pictures.page("session_ended", self._texts.session_ended, waits=False))
             while self._clock.now() < shown + _DISMISSAL:
-                self._stage.poll_quietly()
+                self._loop.poll_quietly()
                 self._clock.sleep(POLL_INTERVAL)
 
     def close(self) -> None:
@@ -263,9 +263,9 @@ class ParticipantWindow(AnswerWindow):
         """Draw the trial's pictures out of sight, so that none of them is late."""
         progress, draw = Progress(1, 1), self._pictures
         for picture in (draw.placement(trial), draw.feel(trial, progress), draw.question(trial, progress)):
-            self._stage.prepare(picture)
+            self._loop.prepare(picture)
         for answer in draw.layout.buttons:
-            self._stage.prepare(draw.question(trial, progress, chosen=answer))
+            self._loop.prepare(draw.question(trial, progress, chosen=answer))
 
     def _count(self, trial: Trial, progress: tuple[int, int]) -> Progress:
         """Return the progress as the participant sees it: practice trials count on their own."""
@@ -280,20 +280,20 @@ class ParticipantWindow(AnswerWindow):
 
     def _go_on(self, draw: Callable[[], Picture], trial: Trial | None = None) -> None:
         """Show a picture until a key to go on or a click."""
-        shown = self._stage.show(draw(), Moment("go_on", trial))
+        shown = self._loop.show(draw(), Moment("go_on", trial))
         while True:
-            for event in self._stage.poll():
+            for event in self._loop.poll():
                 if self._reader.pauses(event):
                     self._hold(trial, event)
-                    shown = self._stage.show(draw(), Moment("go_on", trial))
+                    shown = self._loop.show(draw(), Moment("go_on", trial))
                 elif event.time < shown + SETTLE:
                     self._taker.discard(event, "as the screen appeared")
                 elif event.kind == "click" or self._reader.goes_on(event):
-                    self._stage.write_notes()
+                    self._loop.write_notes()
                     self._note_press(event)
                     return
                 elif event.kind == "key":
-                    self._stage.note("ignored", key=event.key)
+                    self._loop.note("ignored", key=event.key)
 
     def _rest_on(self, picture: Picture | None, until: float) -> bool:
         """Show a picture, or leave the one that is on, until a time; return whether no pause came between.
@@ -301,9 +301,9 @@ class ParticipantWindow(AnswerWindow):
         Presses do not count.
         """
         if picture is not None:
-            self._stage.show(picture, Moment())
+            self._loop.show(picture, Moment())
         while self._clock.now() < until:
-            for event in self._stage.poll():
+            for event in self._loop.poll():
                 if self._reader.interrupts(event):
                     self._hold(None, event)
                     return False
@@ -325,10 +325,10 @@ class ParticipantWindow(AnswerWindow):
     def _feel(self, trial: Trial, question: Picture, stop: Callable[[], None], until: float) -> None:
         """Show the beam until a time, the question drawn meanwhile; presses do not count yet."""
         if self._current is not None and self._clock.now() < until:
-            self._stage.show(self._pictures.feel(*self._current))
-        self._stage.draw_ahead(question)
+            self._loop.show(self._pictures.feel(*self._current))
+        self._loop.draw_ahead(question)
         while self._clock.now() < until:
-            for event in self._stage.poll():
+            for event in self._loop.poll():
                 self._before_question(event, trial, stop)
 
     def _before_question(self, event: Event, trial: Trial, stop: Callable[[], None]) -> None:
