@@ -99,10 +99,8 @@ def open_window(
         without a window).
     protocol, texts, zones, tick, log, clock
         As for `participant.ParticipantWindow`.
-    answerer : Answerer, optional
-        The observer, for ``robot`` and ``simulated``.
-    options : WindowOptions, optional
-        How the window is opened, where there is one.
+    answerer, options
+        The observer, for ``robot`` and ``simulated``; how the window is opened, where there is one.
 
     Raises
     ------
@@ -116,13 +114,9 @@ def open_window(
     if answers == "simulated" and answerer is not None:
         from modaltouch.window.simulated import SimulatedParticipant
 
+        until, after = protocol.answers.stimulus_until, protocol.answers.after_longest
         return SimulatedParticipant(
-            answerer,
-            tick=tick,
-            log=log,
-            stimulus_until=protocol.answers.stimulus_until,
-            after_longest=protocol.answers.after_longest,
-            clock=clock,
+            answerer, tick=tick, log=log, stimulus_until=until, after_longest=after, clock=clock
         )
     from modaltouch.window.participant import ParticipantWindow
     from modaltouch.window.robot import Robot
