@@ -23,8 +23,8 @@ import numpy as np
 
 from modaltouch.preflight import Preflight, examine, examine_findings
 from modaltouch.protocol import examine_sources
-from modaltouch.protocol.document import Source
 from modaltouch.protocol.schedule import draw_schedule
+from modaltouch.protocol.source import Source
 from modaltouch.protocol.trial import Condition, Trial
 from modaltouch.record.chain import GENESIS, encode_line
 from modaltouch.record.folders import Mode, SessionFolder, make_folder

@@ -11,7 +11,8 @@ from typer.testing import CliRunner
 
 from modaltouch.cli.app import app
 from modaltouch.cli.study import write_study
-from modaltouch.protocol.document import InputError, shipped
+from modaltouch.protocol.problems import InputError
+from modaltouch.protocol.source import shipped
 
 
 def run(*words):

@@ -13,7 +13,7 @@ import pytest
 
 from modaltouch.preflight import Preflight, examine
 from modaltouch.preflight.figures import estimated_duration
-from modaltouch.protocol.document import InputError
+from modaltouch.protocol.problems import InputError
 from modaltouch.protocol.schedule import draw_schedule
 from modaltouch.protocol.trial import Condition, Trial
 from modaltouch.rig.settings import Limits, amplitudes, record_peaks

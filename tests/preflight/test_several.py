@@ -18,8 +18,8 @@ from modaltouch.planning.observer import Observer
 from modaltouch.planning.power import plan
 from modaltouch.planning.presented import designs_for
 from modaltouch.preflight import Preflight, examine
-from modaltouch.protocol.adaptive_rules import Levels
-from modaltouch.protocol.document import InputError
+from modaltouch.protocol.levels import Levels
+from modaltouch.protocol.problems import InputError
 from modaltouch.protocol.schedule import draw_schedule
 from modaltouch.record.session import read_session
 from modaltouch.session.setup import begin

@@ -12,8 +12,9 @@ import pytest
 from modaltouch.preflight import examine, examine_findings
 from modaltouch.protocol import Protocol, Sources, examine_sources
 from modaltouch.protocol.apparatus import read_apparatus
-from modaltouch.protocol.calibration_file import apparatus_hash, check_age, examine_calibration, generator_problem
-from modaltouch.protocol.document import Source, load_source, read
+from modaltouch.protocol.calibration import apparatus_hash, check_age, examine_calibration, generator_problem
+from modaltouch.protocol.reading import read
+from modaltouch.protocol.source import Source, load_source
 
 IDENTITY = "TEKTRONIX,AFG3022B,C012345,SCPI:99.0 FV:3.2.2"
 

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 from modaltouch.protocol import Sources, examine_files, read_protocol
-from modaltouch.protocol.document import InputError
-from modaltouch.protocol.experiment import restore_experiment
+from modaltouch.protocol.findings import restore_experiment
 from modaltouch.protocol.keys import KEY_ALIASES, KEY_NAMES
+from modaltouch.protocol.problems import InputError
 
 Edit = Callable[..., Path]
 FILE = "differentiated_stimulation.yaml"

@@ -17,8 +17,8 @@ import pytest
 
 from modaltouch.analysis.reading import read_responses
 from modaltouch.protocol import Sources
-from modaltouch.protocol.document import InputError
-from modaltouch.protocol.experiment import restore_experiment
+from modaltouch.protocol.findings import restore_experiment
+from modaltouch.protocol.problems import InputError
 from modaltouch.record.audit.start import draw_again
 from modaltouch.record.chain import GENESIS, RecordError, encode_line, read_chain
 from modaltouch.record.folders import locate

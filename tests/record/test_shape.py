@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from modaltouch.protocol.document import InputError
+from modaltouch.protocol.problems import InputError
 from modaltouch.record.chain import GENESIS, RecordError, encode_line, read_chain
 from modaltouch.record.session import read_session
 from modaltouch.record.shape import check_shape

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from modaltouch.protocol import Experiment, Protocol, read_protocol
-from modaltouch.protocol.adaptive_rules import Levels
+from modaltouch.protocol.levels import Levels
 from modaltouch.protocol.schedule import draw_schedule
 from modaltouch.protocol.trial import Answer, Response, Trial
 from modaltouch.record.log import SessionLog

@@ -17,7 +17,8 @@ from modaltouch.cli.app import app
 from modaltouch.planning.observer import Observer
 from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol import ResumeSection
-from modaltouch.protocol.schedule import draw_schedule, random_generator
+from modaltouch.protocol.schedule import draw_schedule
+from modaltouch.protocol.streams import random_generator
 from modaltouch.record.chain import RecordInputError, read_chain
 from modaltouch.record.session import Session, read_session
 from modaltouch.rig.interface import Bursts, Firing

@@ -23,22 +23,17 @@ from typing import TYPE_CHECKING
 from modaltouch.system import lazily
 
 if TYPE_CHECKING:
-    from modaltouch.protocol.adaptive_rules.levels import Levels, describe_rule, to_dB
-    from modaltouch.protocol.adaptive_rules.staircase import is_success
-    from modaltouch.protocol.apparatus import examine_apparatus, read_apparatus
-    from modaltouch.protocol.apparatus.checks import zone_edges
-    from modaltouch.protocol.apparatus.offered import offered_gains
-    from modaltouch.protocol.apparatus.sections import Apparatus, Sound, Zone
-    from modaltouch.protocol.apparatus.twin import Fingers, UnlistedMode
-    from modaltouch.protocol.calibration_file import (
-        apparatus_hash,
-        calibrated_apparatus,
-        calibration_alone,
-        check_calibration,
-        generator_problem,
-        in_calibration,
+    from modaltouch.protocol.adaptive import SensationLevelsSection
+    from modaltouch.protocol.apparatus import (
+        Apparatus,
+        Sound,
+        Zone,
+        examine_apparatus,
+        offered_gains,
+        read_apparatus,
+        zone_edges,
     )
-    from modaltouch.protocol.calibration_sections import (
+    from modaltouch.protocol.calibration import (
         CalibratedAmplifier,
         CalibratedApparatus,
         CalibratedLevel,
@@ -50,15 +45,15 @@ if TYPE_CHECKING:
         Instruments,
         IterationFigures,
         MeasuringChain,
+        apparatus_hash,
+        calibrated_apparatus,
+        calibration_alone,
+        check_calibration,
+        generator_problem,
+        in_calibration,
     )
-    from modaltouch.protocol.checks import check_protocol
-    from modaltouch.protocol.document.problems import InputError, Problem, suggest
-    from modaltouch.protocol.document.reading import Reading, read
-    from modaltouch.protocol.document.section import Section
-    from modaltouch.protocol.document.shipped_files import find, shipped
-    from modaltouch.protocol.document.source import Source, load_source
-    from modaltouch.protocol.document.tree import Node
-    from modaltouch.protocol.experiment import (
+    from modaltouch.protocol.checks import check_fit, check_protocol
+    from modaltouch.protocol.findings import (
         Experiment,
         Findings,
         Sources,
@@ -66,60 +61,49 @@ if TYPE_CHECKING:
         examine_sources,
         read_protocol,
     )
-    from modaltouch.protocol.field_points import Points, read_points
-    from modaltouch.protocol.fit import check_fit
     from modaltouch.protocol.keys import END_KEY, KEY_ALIASES, PAUSE_KEY
+    from modaltouch.protocol.levels import Levels, describe_rule, is_success, to_dB
     from modaltouch.protocol.masking import MaskingSection
     from modaltouch.protocol.observers import ObserverFile
     from modaltouch.protocol.practice import expected_answer, judge_round
-    from modaltouch.protocol.schedule.draw import Schedule, Turn, draw_schedule, period_of_turns, recorded_turn, turn_of
-    from modaltouch.protocol.schedule.streams import random_generator
+    from modaltouch.protocol.problems import InputError, Problem, suggest
+    from modaltouch.protocol.reading import Reading, read
+    from modaltouch.protocol.schedule import Schedule, Turn, draw_schedule, period_of_turns, recorded_turn, turn_of
+    from modaltouch.protocol.section import Section
     from modaltouch.protocol.sections import AnswersSection, Protocol, ResumeSection
-    from modaltouch.protocol.sensation import SensationLevelsSection
-    from modaltouch.protocol.stimulus_sections import StimulusSection
+    from modaltouch.protocol.source import Source, find, load_source, shipped
+    from modaltouch.protocol.stimulus_sections import Points, StimulusSection, read_points
+    from modaltouch.protocol.streams import random_generator
     from modaltouch.protocol.texts import Texts
+    from modaltouch.protocol.tree import Node
     from modaltouch.protocol.trial import ANSWERS, ANSWERS_WITH_NONE, TIME_OUT, Answer, Condition, Response, Trial
+    from modaltouch.protocol.twin import Fingers, UnlistedMode
 else:
     __getattr__ = lazily(
         __name__,
         {
-            "adaptive_rules.levels": "Levels describe_rule to_dB",
-            "adaptive_rules.staircase": "is_success",
-            "apparatus": "examine_apparatus read_apparatus",
-            "apparatus.checks": "zone_edges",
-            "apparatus.offered": "offered_gains",
-            "apparatus.sections": "Apparatus Sound Zone",
-            "apparatus.twin": "Fingers UnlistedMode",
-            "calibration_file": (
-                "apparatus_hash calibrated_apparatus calibration_alone "
-                "check_calibration generator_problem in_calibration"
-            ),
-            "calibration_sections": (
-                "CalibratedAmplifier CalibratedApparatus CalibratedLevel CalibratedMode "
-                "CalibratedStimulus Calibration CalibrationFile CalibrationOfSeveral Instruments "
-                "IterationFigures MeasuringChain"
-            ),
-            "checks": "check_protocol",
-            "document.problems": "InputError Problem suggest",
-            "document.reading": "Reading read",
-            "document.section": "Section",
-            "document.shipped_files": "find shipped",
-            "document.source": "Source load_source",
-            "document.tree": "Node",
-            "experiment": "Experiment Findings Sources examine_files examine_sources read_protocol",
-            "field_points": "Points read_points",
-            "fit": "check_fit",
+            "adaptive": "SensationLevelsSection",
+            "apparatus": "Apparatus Sound Zone examine_apparatus offered_gains read_apparatus zone_edges",
+            "calibration": "CalibratedAmplifier CalibratedApparatus CalibratedLevel CalibratedMode CalibratedStimulus Calibration CalibrationFile CalibrationOfSeveral Instruments IterationFigures MeasuringChain apparatus_hash calibrated_apparatus calibration_alone check_calibration generator_problem in_calibration",
+            "checks": "check_fit check_protocol",
+            "findings": "Experiment Findings Sources examine_files examine_sources read_protocol",
             "keys": "END_KEY KEY_ALIASES PAUSE_KEY",
+            "levels": "Levels describe_rule is_success to_dB",
             "masking": "MaskingSection",
             "observers": "ObserverFile",
             "practice": "expected_answer judge_round",
-            "schedule.draw": "Schedule Turn draw_schedule period_of_turns recorded_turn turn_of",
-            "schedule.streams": "random_generator",
+            "problems": "InputError Problem suggest",
+            "reading": "Reading read",
+            "schedule": "Schedule Turn draw_schedule period_of_turns recorded_turn turn_of",
+            "section": "Section",
             "sections": "AnswersSection Protocol ResumeSection",
-            "sensation": "SensationLevelsSection",
-            "stimulus_sections": "StimulusSection",
+            "source": "Source find load_source shipped",
+            "stimulus_sections": "Points StimulusSection read_points",
+            "streams": "random_generator",
             "texts": "Texts",
+            "tree": "Node",
             "trial": "ANSWERS ANSWERS_WITH_NONE Answer Condition Response TIME_OUT Trial",
+            "twin": "Fingers UnlistedMode",
         },
     )
 
@@ -197,9 +181,9 @@ __all__ = [
     "read_points",
     "read_protocol",
     "recorded_turn",
+    "shipped",
     "suggest",
     "to_dB",
     "turn_of",
-    "shipped",
     "zone_edges",
 ]

@@ -8,8 +8,9 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from modaltouch.protocol.apparatus import Apparatus, Sound
-from modaltouch.protocol.document import Problem, Reading
-from modaltouch.protocol.document.section import Positive, Section, described
+from modaltouch.protocol.problems import Problem
+from modaltouch.protocol.reading import Reading
+from modaltouch.protocol.section import Positive, Section, described
 
 Decibels = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-120, le=140)]
 

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from modaltouch.protocol.document.section import FileName, NotNegative, Section, Text, described
+from modaltouch.protocol.section import FileName, NotNegative, Section, Text, described
 
 Share = Annotated[float, Field(strict=True, ge=0, le=1)]
 Small = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-10, le=10)]

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.protocol.calibration_sections import AnyCalibration
-from modaltouch.protocol.document.allowed import schema_of
+from modaltouch.protocol.calibration import AnyCalibration
 from modaltouch.protocol.observers import ObserverFile
+from modaltouch.protocol.section import schema_of
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.texts import Texts
 

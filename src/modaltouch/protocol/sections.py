@@ -6,10 +6,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from modaltouch.protocol.adaptive import AdaptiveSection
-from modaltouch.protocol.document.section import Count, FileName, NotNegative, Positive, Section, Text, Word, described
+from modaltouch.protocol.adaptive import AdaptiveSection, SensationLevelsSection
 from modaltouch.protocol.masking import MaskingSection
-from modaltouch.protocol.sensation import SensationLevelsSection
+from modaltouch.protocol.section import Count, FileName, NotNegative, Positive, Section, Text, Word, described
 from modaltouch.protocol.stimulus_sections import StimulusSection, StimulusVariant, ZoneName
 
 FingerCondition = Literal["one_hand", "two_hands"]

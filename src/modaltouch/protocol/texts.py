@@ -6,8 +6,9 @@ import string
 
 from pydantic import ValidationInfo, field_validator
 
-from modaltouch.protocol.document import Problem, Reading, fault
-from modaltouch.protocol.document.section import Section, Text, described
+from modaltouch.protocol.problems import Problem, fault
+from modaltouch.protocol.reading import Reading
+from modaltouch.protocol.section import Section, Text, described
 from modaltouch.protocol.sections import Protocol
 
 _PLACEHOLDERS: dict[str, frozenset[str]] = {

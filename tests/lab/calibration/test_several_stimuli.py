@@ -16,8 +16,8 @@ from modaltouch.lab.calibration.outcome import CalibrationProgress
 from modaltouch.lab.measurement import open_laboratory
 from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.protocol.calibration_file import examine_calibration
-from modaltouch.protocol.document import load_source
+from modaltouch.protocol.calibration import examine_calibration
+from modaltouch.protocol.source import load_source
 
 SHIPPED = Path(__file__).parents[3] / "protocols"
 TWO_FIELDS = SHIPPED / "two_fields.yaml"

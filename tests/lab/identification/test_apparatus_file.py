@@ -17,7 +17,8 @@ from modaltouch.lab.identification.apparatus_file import identified_apparatus
 from modaltouch.lab.identification.estimates import Estimate, Identification
 from modaltouch.lab.identification.report import check_modes, write_identification
 from modaltouch.protocol.apparatus import read_apparatus
-from modaltouch.protocol.document import InputError, load_source
+from modaltouch.protocol.problems import InputError
+from modaltouch.protocol.source import load_source
 from modaltouch.rig.simulator.true_beam import TrueBeam
 from modaltouch.stimulus.measured import MeasuredShapes
 

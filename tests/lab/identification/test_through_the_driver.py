@@ -20,7 +20,7 @@ from modaltouch.lab.identification.responses import Spectra, responses_of
 from modaltouch.lab.identification.shapes import mac
 from modaltouch.lab.measurement import Laboratory, ScanPlan, open_laboratory, read_scan, take_scan
 from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.protocol.document import load_source
+from modaltouch.protocol.source import load_source
 from modaltouch.record.chain import RecordInputError
 from modaltouch.rig.acquisition import Acquisition
 from modaltouch.rig.interface import RigError

@@ -15,7 +15,7 @@ import pytest
 from modaltouch.lab.measurement import Laboratory, ScanPlan, open_laboratory, read_scan, take_scan
 from modaltouch.lab.measurement.scan import position_file
 from modaltouch.protocol.apparatus import Apparatus, read_apparatus
-from modaltouch.protocol.document import load_source
+from modaltouch.protocol.source import load_source
 from modaltouch.record.chain import RecordError, RecordInputError
 from modaltouch.rig.acquisition import Acquisition
 from modaltouch.rig.interface import RigError

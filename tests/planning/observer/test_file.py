@@ -11,7 +11,8 @@ import pytest
 from modaltouch.planning.observer import Observer, Participant
 from modaltouch.planning.observer.file import read_observer, usual_observer, write_observer
 from modaltouch.preflight import examine
-from modaltouch.protocol.document import InputError, shipped
+from modaltouch.protocol.problems import InputError
+from modaltouch.protocol.source import shipped
 
 PEAKS = {"A": 0.123, "B": 0.115, "C": 0.2, "D": 0.115, "E": 0.123}
 """Peak speeds of the shipped stimulus at 200 mm/s [m/s]."""

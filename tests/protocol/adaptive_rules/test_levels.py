@@ -10,9 +10,7 @@ from scipy.stats import norm
 
 from modaltouch.protocol import Protocol, read_protocol
 from modaltouch.protocol.adaptive import StaircaseSection
-from modaltouch.protocol.adaptive_rules import Levels, describe_rule
-from modaltouch.protocol.adaptive_rules.levels import from_dB, to_dB
-from modaltouch.protocol.adaptive_rules.staircase import is_success
+from modaltouch.protocol.levels import Levels, describe_rule, from_dB, is_success, to_dB
 from modaltouch.protocol.schedule import draw_schedule
 from modaltouch.protocol.trial import Trial
 

@@ -22,9 +22,7 @@ from modaltouch.planning.observer import Participant
 from modaltouch.planning.observer.file import read_observer
 from modaltouch.preflight import examine
 from modaltouch.protocol.adaptive import AdaptiveSection
-from modaltouch.protocol.adaptive_rules.levels import from_dB, to_dB
-from modaltouch.protocol.adaptive_rules.quest import Quest
-from modaltouch.protocol.adaptive_rules.staircase import follow
+from modaltouch.protocol.levels import Quest, follow, from_dB, to_dB
 from modaltouch.protocol.trial import ANSWERS_WITH_NONE, Condition, Trial
 
 PROTOCOL = Path(__file__).parents[3] / "protocols" / "threshold.yaml"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from modaltouch.protocol.adaptive import StaircaseSection
-from modaltouch.protocol.adaptive_rules.staircase import follow
+from modaltouch.protocol.levels import follow
 
 BOUNDS = (0.0, 60.0)
 

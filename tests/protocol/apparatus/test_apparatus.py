@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from modaltouch.protocol.apparatus import Apparatus, offered_gains, read_apparatus
-from modaltouch.protocol.document import InputError
+from modaltouch.protocol.problems import InputError
 from modaltouch.stimulus.patches import patch_gains
 
 Edit = Callable[..., Path]

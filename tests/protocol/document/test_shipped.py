@@ -9,7 +9,8 @@ import pytest
 import modaltouch
 from modaltouch.cli.options import SHIPPED_APPARATUS
 from modaltouch.protocol.apparatus import read_apparatus
-from modaltouch.protocol.document import InputError, find, shipped
+from modaltouch.protocol.problems import InputError
+from modaltouch.protocol.source import find, shipped
 
 
 @pytest.fixture(autouse=True)

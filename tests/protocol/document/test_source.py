@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from modaltouch.protocol.document import InputError, Source, load_source
+from modaltouch.protocol.problems import InputError
+from modaltouch.protocol.source import Source, load_source
 
 
 def test_the_hash_is_that_of_the_file(tmp_path: Path) -> None:

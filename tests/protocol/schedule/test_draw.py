@@ -13,11 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from modaltouch.protocol import Protocol, read_protocol
-from modaltouch.protocol.schedule import Stream, draw_schedule, period_of_turns, random_generator, turn_of
-from modaltouch.protocol.schedule.catches import place_catches
-from modaltouch.protocol.schedule.designs import latin_square, order_cells, period_of_rows
-from modaltouch.protocol.schedule.draw import Turn
-from modaltouch.protocol.schedule.rejection import longest_run
+from modaltouch.protocol.designs import latin_square, order_cells, period_of_rows, place_catches
+from modaltouch.protocol.orders import longest_run
+from modaltouch.protocol.schedule import Turn, draw_schedule, period_of_turns, turn_of
+from modaltouch.protocol.streams import Stream, random_generator
 
 SHIPPED = Path(__file__).parents[3] / "protocols"
 ORDERS = ["shuffled", "by_pair", "by_velocity", "latin_square"]

@@ -7,7 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from modaltouch.protocol.apparatus import Apparatus, Fingers, TrueAmplifier, UnlistedMode
+from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.protocol.twin import Fingers, TrueAmplifier, UnlistedMode
 from modaltouch.rig.simulator.channel import Playback
 from modaltouch.rig.simulator.true_beam import generator_gains, true_beam
 from modaltouch.rig.simulator.twin import Twin

@@ -1,4 +1,4 @@
-"""The text of a file, as it is read and as the record keeps it."""
+"""The text of a file, as it is read and as the record keeps it; the files that come with the program."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import hashlib
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Literal
 
-from modaltouch.protocol.document.problems import InputError, Problem
+from modaltouch.protocol.problems import InputError, Problem, suggest
 
 YAML_FILE = "a YAML file that exists and can be read"
 """What may be named where a file is wanted."""
@@ -77,3 +78,37 @@ def load_source(path: Path) -> Source:
         given = f"byte 0x{content[error.start]:02x}, which is not UTF-8"
         remedy = "save the file in the encoding UTF-8"
         raise InputError([Problem(str(path), line, column, "", given, "text in UTF-8", remedy)]) from None
+
+
+Kind = Literal["protocol", "apparatus", "observer"]
+
+_FOLDERS: dict[Kind, str] = {"protocol": ".", "apparatus": "apparatus", "observer": "observers"}
+
+
+def shipped(kind: Kind) -> dict[str, Path]:
+    """Return the shipped files of a kind by name: in the package once installed, beside the source in a checkout."""
+    package = Path(__file__).parents[1]
+    installed = package / "protocols"
+    folder = installed if installed.is_dir() else package.parents[1] / "protocols"
+    return {file.stem: file for file in sorted((folder / _FOLDERS[kind]).glob("*.yaml"))}
+
+
+def find(kind: Kind, name: Path | str) -> Path:
+    """Return the file that a path, or the name of a shipped file, stands for; a file that exists wins.
+
+    Raises
+    ------
+    InputError
+        If there is neither, with the names that there are.
+    """
+    path, known = Path(name), shipped(kind)
+    try:
+        if path.is_file() or (path.exists() and str(name) not in known):
+            return path
+    except OSError:  # told by what reads it
+        return path
+    if str(name) not in known:
+        remedy = f"did you mean '{meant}'?" if (meant := suggest(path.stem, known)) else "check its name"
+        allowed = f"{YAML_FILE}, or one of {', '.join(known)}"
+        raise InputError([Problem(str(name), 1, 1, "", "a file that does not exist", allowed, remedy)])
+    return known[str(name)]

@@ -12,9 +12,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from modaltouch.protocol.schedule.designs import Cell, insert_catches, order_cells, period_of_rows
-from modaltouch.protocol.schedule.streams import ALGORITHM, Stream, key_of
+from modaltouch.protocol.designs import Cell, insert_catches, order_cells, period_of_rows
 from modaltouch.protocol.sections import Placement, Protocol
+from modaltouch.protocol.streams import ALGORITHM, Stream, key_of
 from modaltouch.protocol.trial import Condition, Trial
 
 

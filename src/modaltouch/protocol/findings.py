@@ -1,4 +1,4 @@
-"""Experiment: a protocol with the apparatus and the texts that it names, and their sources for the record."""
+"""A protocol with the apparatus and the texts that it names, their sources for the record, and all their faults."""
 
 from __future__ import annotations
 
@@ -7,101 +7,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from modaltouch.protocol.apparatus import Apparatus, examine_apparatus
-from modaltouch.protocol.calibration_file import check_age, check_calibration, examine_calibration
-from modaltouch.protocol.checks import check_protocol, check_settling
-from modaltouch.protocol.document import InputError, Problem, Reading, Source, find, load_source, read
-from modaltouch.protocol.document.source import YAML_FILE
-from modaltouch.protocol.field_points import read_points
-from modaltouch.protocol.fit import check_fit
+from modaltouch.protocol.checks import check_fit, check_protocol, check_settling, check_timing
+from modaltouch.protocol.problems import InputError, Problem
+from modaltouch.protocol.reading import Reading, read
 from modaltouch.protocol.sections import Protocol
+from modaltouch.protocol.source import YAML_FILE, Source, find, load_source
+from modaltouch.protocol.stimulus_sections import read_points
 from modaltouch.protocol.texts import Texts, check_words
 
 if TYPE_CHECKING:
-    from modaltouch.protocol.calibration_sections import Calibration
-from collections.abc import Iterator
-
-from modaltouch.protocol.sections import whole_bursts
-
-WHOLE = 5e-3
-"""How far from a whole number of bursts a duration may be, for its rounding [1]."""
-
-MOST_OF_PERIOD = 0.95
-"""Longest burst that leaves room for the next one's jitter, as a part of the period [1]."""
-
-
-def check_timing(protocol: Reading[Protocol], apparatus: Reading[Apparatus] | None) -> list[Problem]:
-    """Return the durations that are no whole bursts, and the bursts that cannot be played one by one."""
-    found = [*_check_durations(protocol), *_check_written_once(protocol)]
-    if apparatus is not None:
-        found += [*_check_period(protocol, apparatus), *_check_catch_trials(protocol, apparatus)]
-    return found
-
-
-def _stimuli(protocol: Reading[Protocol], key: str) -> Iterator[tuple[tuple[str, ...], float]]:
-    """Yield the values of a key of the stimulus, and of those of the several stimuli that have their own."""
-    value = protocol.sound("stimulus", key)
-    if value is not None:
-        yield ("stimulus", key), value
-    for name in protocol.sound("stimuli") or ():
-        own = protocol.sound("stimuli", name, key)
-        if own is not None:
-            yield ("stimuli", name, key), own
-
-
-def _check_durations(protocol: Reading[Protocol]) -> Iterator[Problem]:
-    for key in ("presentation_s", "longest_presentation_s"):
-        seconds = protocol.sound("answers", key)
-        if seconds is None:
-            continue
-        for _, rate in _stimuli(protocol, "repetition_rate_Hz"):
-            n_bursts = seconds * rate
-            if n_bursts > 1 - WHOLE and abs(n_bursts - round(n_bursts)) <= WHOLE:
-                continue
-            below, above = int(n_bursts), int(n_bursts) + 1
-            nearest = " or ".join(f"{n / rate:.5g} s ({n} burst{'s' * (n > 1)})" for n in (below, above))
-            if n_bursts < 1:
-                nearest = f"{1 / rate:.5g} s (1 burst), or more"
-            given = f"{seconds:g} s, which is {n_bursts:.4g} bursts at {rate:g} per second"
-            remedy = "or give `presentation_bursts`" if key == "presentation_s" else "or leave it out"
-            yield protocol.problem(("answers", key), given, f"whole bursts: {nearest}", remedy)
-            break
-
-
-def _check_written_once(protocol: Reading[Protocol]) -> Iterator[Problem]:
-    seconds, n_bursts = (protocol.sound("answers", f"presentation_{unit}") for unit in ("s", "bursts"))
-    rates = [rate for _, rate in _stimuli(protocol, "repetition_rate_Hz")]
-    if seconds is None or n_bursts is None:
-        return
-    if any(whole_bursts(seconds, rate) != n_bursts for rate in rates):
-        given = f"{n_bursts}, where presentation_s says {seconds:g} s"
-        yield protocol.problem(("answers", "presentation_bursts"), given, "one of the two", "remove one of them")
-
-
-def _check_period(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> Iterator[Problem]:
-    if (apparatus.sound("generator", "repetition") or "single") != "single":
-        return
-    shared = {key: protocol.sound("stimulus", key) for key in ("duration_ms", "repetition_rate_Hz")}
-    for own in (None, *(protocol.sound("stimuli") or ())):
-        section = ("stimulus",) if own is None else ("stimuli", own)
-        duration, rate = (protocol.sound(*section, key) or shared[key] for key in shared)
-        is_written = own is None or any(protocol.sound(*section, key) for key in shared)
-        if duration is None or rate is None or not is_written or duration * rate <= MOST_OF_PERIOD * 1e3:
-            continue
-        if duration * rate > 1e3:
-            continue  # longer than the period, which is told anyway
-        given = f"{duration:g} ms at {rate:g} bursts per second"
-        allowed = f"at most {MOST_OF_PERIOD * 1e3 / rate:.6g} ms, so that a burst is over before the next is triggered"
-        remedy = "shorten the burst, repeat it less often, or set generator.repetition to continuous"
-        key = "duration_ms" if protocol.sound(*section, "duration_ms") is not None else "repetition_rate_Hz"
-        yield protocol.problem((*section, key), given, allowed, remedy)
-
-
-def _check_catch_trials(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> Iterator[Problem]:
-    n_catch, repetition = protocol.sound("schedule", "catch_trials"), apparatus.sound("generator", "repetition")
-    if n_catch and repetition in ("continuous", "wired"):
-        given = f"{n_catch}, where the generator's repetition is {repetition}"
-        allowed = "0: only bursts that are triggered by command can be kept back while the outputs are on"
-        yield protocol.problem(("schedule", "catch_trials"), given, allowed, "set generator.repetition to single")
+    from modaltouch.protocol.calibration import Calibration
 
 
 @dataclass(frozen=True)
@@ -244,6 +159,8 @@ def examine_sources(sources: Sources) -> Findings:
     problems += [*texts.problems, *check_words(protocol, texts)]
     calibration = None
     if sources.calibration is not None:
+        from modaltouch.protocol.calibration import check_calibration, examine_calibration
+
         # However old it has become since: a record keeps what it was begun with.
         calibration = examine_calibration(sources.calibration)
         problems += [*calibration.problems, *check_calibration(calibration, protocol, apparatus)]
@@ -305,6 +222,9 @@ def _examine_calibration(
             problems.append(protocol.problem(("calibration", "required"), given, "a calibration", remedy))
     if source is None:
         return None
+    # Most protocols name none: its forty keys are not built for them.
+    from modaltouch.protocol.calibration import check_age, check_calibration, examine_calibration
+
     if protocol.sound("stimulus", "field", "file") is not None:
         given = "a file, which a calibration does not hold"
         remedy = "write the points into the protocol, under `points`"

@@ -12,11 +12,10 @@ from typing import Annotated, Any, Generic, TypeVar
 
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
-from modaltouch.protocol.document.allowed import Step, describe, keys_of, number_meant
-from modaltouch.protocol.document.problems import Problem, format_path, suggest
-from modaltouch.protocol.document.section import LARGEST, SMALLEST
-from modaltouch.protocol.document.source import Source
-from modaltouch.protocol.document.tree import Node, parse_tree
+from modaltouch.protocol.problems import Problem, format_path, suggest
+from modaltouch.protocol.section import LARGEST, SMALLEST, Step, describe, keys_of, number_meant
+from modaltouch.protocol.source import Source
+from modaltouch.protocol.tree import Node, parse_tree
 
 Model = TypeVar("Model", bound=BaseModel)
 
