@@ -14,7 +14,7 @@ import pytest
 from modaltouch.preflight import Preflight, examine
 from modaltouch.preflight.figures import estimated_duration
 from modaltouch.protocol.problems import InputError
-from modaltouch.protocol.schedule import draw_schedule
+from modaltouch.protocol.schedule import Schedule
 from modaltouch.protocol.trial import Condition, Trial
 from modaltouch.rig.settings import Limits, amplitudes, record_peaks
 
@@ -101,7 +101,7 @@ def test_speeds_at_the_fingers_are_the_zones_peaks(preflight: Preflight) -> None
     peaks = preflight.as_dict()["stimuli"][0]["zone_peak_mm_s"]
     trial = Trial(1, 1, Condition("one_hand", "B", "C", 80.0))
     np.testing.assert_allclose(preflight.speeds(trial), [peaks["B"] * 1e-3, peaks["C"] * 1e-3], rtol=1e-12)
-    for scheduled in draw_schedule(preflight.experiment.protocol, "p01", 1).trials:
+    for scheduled in Schedule.draw(preflight.experiment.protocol, "p01", 1).trials:
         assert min(preflight.speeds(scheduled)) > 0
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from modaltouch.preflight import examine
-from modaltouch.protocol import Sources, examine_sources
+from modaltouch.protocol import Findings, Sources
 from modaltouch.session.simulation import simulate_session
 from modaltouch.session.verification import verify_session
 
@@ -62,7 +62,7 @@ def test_a_record_keeps_the_points_of_its_field(edit: Edit, tmp_path: Path) -> N
     points.write_text("position_mm,velocity\n-28,0\n0,3\n28,0\n", encoding="utf-8")
     session = simulate_session(file, "p01", tmp_path / "results")
     points.unlink()
-    assert examine_sources(Sources.from_dict(session.start["sources"])).problems == ()
+    assert Findings.restored(Sources.from_dict(session.start["sources"])).problems == ()
     assert verify_session(session.path).problems == ()
 
 

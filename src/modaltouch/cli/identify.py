@@ -28,10 +28,10 @@ class IdentifyOptions:
     """What is to be identified, checked before anything is opened."""
 
     def __init__(self, path: Path, sets: list[str] | None, modes: str, folder: Path | None) -> None:
-        from modaltouch.protocol import find, load_source, read_apparatus
+        from modaltouch.protocol import Apparatus, Source
 
-        self.source: Source = load_source(find("apparatus", path))
-        self.apparatus: Apparatus = read_apparatus(self.source.path)
+        self.source: Source = Source.find("apparatus", path)
+        self.apparatus: Apparatus = Apparatus.read(self.source)
         self.sets = tuple(sets or self.apparatus.actuator_sets)
         self.folder = folder
         strange = next((name for name in self.sets if name not in self.apparatus.actuator_sets), None)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,28 +13,30 @@ from numpy.typing import NDArray
 
 from modaltouch.preflight.checked import Preflight
 from modaltouch.preflight.design_inputs import DesignInputs, design, find_ground
-from modaltouch.preflight.several_stimuli import at_stimulus, check_memories, each_stimulus
-from modaltouch.preflight.sound import check_masking_level
-from modaltouch.protocol import Findings, Problem, Protocol, Reading, draw_schedule, examine_files, zone_edges
+from modaltouch.protocol import Findings, Problem, Schedule
 from modaltouch.rig import LOWEST_AMPLITUDE, highest_level
-from modaltouch.stimulus import Release, Stimulus
+from modaltouch.stimulus import Burst, Release, Stimulus
+from modaltouch.window import highest_level as highest_noise_level
 
 _POINTS_PER_ZONE = 5
 """Points at which a zone's speed is looked at: a quarter of the shortest wavelength of Table I apart."""
 
+MEMORIES = 4
+"""Records that an AFG3022B holds."""
+
 _LEVELS = ("conditions", "peak_velocities_mm_s")
 
 
-def check_levels(ground: DesignInputs, stimulus: Stimulus, protocol: Reading[Protocol]) -> list[Problem]:
+def check_levels(ground: DesignInputs, stimulus: Stimulus, findings: Findings) -> list[Problem]:
     """Return the levels that amplifier, generator or safety do not allow."""
-    problems = _check_range(ground, stimulus, protocol)
+    problems = _check_range(ground, stimulus, findings)
     if problems:
         return problems
     fast = _moves_fast(ground, stimulus)
     for index, level in ground.levels.items():
-        amplified = list(_check_amplifier(ground, stimulus, protocol, index, level))
-        problems += amplified or _check_generator(ground, stimulus, protocol, index, level)
-        problems += _check_safety(ground, stimulus, protocol, index, level) if fast else []
+        amplified = list(_check_amplifier(ground, stimulus, findings, index, level))
+        problems += amplified or _check_generator(ground, stimulus, findings, index, level)
+        problems += _check_safety(ground, stimulus, findings, index, level) if fast else []
     return problems
 
 
@@ -49,7 +51,7 @@ def _highest_amplitude(ground: DesignInputs) -> float:
 
 
 def _check_amplifier(
-    ground: DesignInputs, stimulus: Stimulus, protocol: Reading[Protocol], index: int, level: float
+    ground: DesignInputs, stimulus: Stimulus, findings: Findings, index: int, level: float
 ) -> Iterator[Problem]:
     limit = ground.apparatus.amplifier.limit_V
     needed = float(stimulus.peak_voltage.max()) * level * 1e-3 / stimulus.wish.velocity
@@ -58,11 +60,11 @@ def _check_amplifier(
         given = f"{level:g} mm/s, which needs {needed:.0f} V at the beam"
         allowed = f"at most {limit:g} V there ({highest} mm/s)"
         remedy = "lower the level, or choose a law, field or focus that needs less"
-        yield protocol.problem((*_LEVELS, index), given, allowed, remedy)
+        yield findings.problem((*_LEVELS, index), given, allowed, remedy)
 
 
 def _check_generator(
-    ground: DesignInputs, stimulus: Stimulus, protocol: Reading[Protocol], index: int, level: float
+    ground: DesignInputs, stimulus: Stimulus, findings: Findings, index: int, level: float
 ) -> Iterator[Problem]:
     smallest, largest = LOWEST_AMPLITUDE, _highest_amplitude(ground)
     path, sounding = (*_LEVELS, index), _sounding(stimulus, level)
@@ -73,7 +75,7 @@ def _check_generator(
         given = f"{level:g} mm/s, which needs {sounding[strong]:.4g} V peak to peak of output {strong}"
         highest = _rounded_down(level * largest / sounding[strong])
         allowed = f"at most {largest:g} V into an open circuit ({highest} mm/s)"
-        yield protocol.problem(path, given, allowed, "lower the level, or take an amplifier of higher gain")
+        yield findings.problem(path, given, allowed, "lower the level, or take an amplifier of higher gain")
     if sounding[weak] < smallest:
         given = f"{level:g} mm/s, which needs {sounding[weak]:.4g} V peak to peak of output {weak}"
         least = level * smallest / sounding[weak]
@@ -81,7 +83,7 @@ def _check_generator(
         # A lab that thinks in m/s writes 0.08 for 80 mm/s.
         meant = level * 1e3 if level < 1 and least <= level * 1e3 <= ground.velocity_limit else None
         remedy = "raise the level" if meant is None else f"did you mean {meant:g} mm/s? Levels are in mm/s, not m/s"
-        yield protocol.problem(path, given, allowed, remedy)
+        yield findings.problem(path, given, allowed, remedy)
 
 
 def _sounding(stimulus: Stimulus, level: float) -> dict[int, float]:
@@ -91,7 +93,7 @@ def _sounding(stimulus: Stimulus, level: float) -> dict[int, float]:
     return {number: float(each) for number, each in enumerate(amplitudes, 1) if not silent[number - 1]}
 
 
-def _check_range(ground: DesignInputs, stimulus: Stimulus, protocol: Reading[Protocol]) -> list[Problem]:
+def _check_range(ground: DesignInputs, stimulus: Stimulus, findings: Findings) -> list[Problem]:
     """Return why no level can be played: one output falls below the generator's range before the beam is in its own."""
     level, limit = stimulus.wish.velocity * 1e3, ground.apparatus.amplifier.limit_V
     sounding = _sounding(stimulus, level)
@@ -115,7 +117,7 @@ def _check_range(ground: DesignInputs, stimulus: Stimulus, protocol: Reading[Pro
         f"amplifier and generator reach at most {_rounded_down(highest)} mm/s)"
     )
     allowed = f"up to {length:g} mm" if base > length else ""
-    return [protocol.problem(path, given, allowed, "choose another field, focus or modes; no other level will do")]
+    return [findings.problem(path, given, allowed, "choose another field, focus or modes; no other level will do")]
 
 
 def _moves_fast(ground: DesignInputs, stimulus: Stimulus) -> bool:
@@ -127,15 +129,15 @@ def _moves_fast(ground: DesignInputs, stimulus: Stimulus) -> bool:
 
 def _zone_points(ground: DesignInputs) -> NDArray[np.float64]:
     """Return the points at which each zone's speed is looked at, (n_zones, n_points) array [m]."""
-    edges = [zone_edges(zone) for zone in ground.zones.values()]
+    edges = [zone.edges for zone in ground.apparatus.ordered_zones.values()]
     half = ground.apparatus.beam.length_mm / 2
     return np.clip([np.linspace(*edge, _POINTS_PER_ZONE) for edge in edges], -half, half) * 1e-3
 
 
 def _check_safety(
-    ground: DesignInputs, stimulus: Stimulus, protocol: Reading[Protocol], index: int, level: float
+    ground: DesignInputs, stimulus: Stimulus, findings: Findings, index: int, level: float
 ) -> Iterator[Problem]:
-    limit, zones, points = ground.velocity_limit, ground.zones, _zone_points(ground)
+    limit, zones, points = ground.velocity_limit, ground.apparatus.ordered_zones, _zone_points(ground)
     if level > limit:
         return  # said by the protocol's own check
     speeds = stimulus.peak_velocity(points.ravel(), level * 1e-3).reshape(points.shape) * 1e3
@@ -147,7 +149,7 @@ def _check_safety(
         given = f"{level:g} mm/s, which moves zone {zone} at {speed:.0f} mm/s"
         allowed = f"at most {limit:g} mm/s anywhere in a zone ({_rounded_down(level * limit / speed)} mm/s)"
         remedy = "lower the level; the limit is the safety section of the apparatus"
-        yield protocol.problem((*_LEVELS, index), given, allowed, remedy)
+        yield findings.problem((*_LEVELS, index), given, allowed, remedy)
 
 
 def _rounded_down(value: float) -> str:
@@ -251,7 +253,7 @@ def examine(path: Path | str, calibration: Path | None = None, *, uncalibrated: 
     Preflight
         With every fault in its `problems`; nothing is raised for a faulty file.
     """
-    return examine_findings(examine_files(path, calibration, uncalibrated=uncalibrated))
+    return examine_findings(Findings.read(path, calibration, uncalibrated=uncalibrated))
 
 
 def examine_findings(findings: Findings) -> Preflight:
@@ -271,24 +273,33 @@ def examine_findings(findings: Findings) -> Preflight:
         try:
             with np.errstate(all="ignore"):
                 stimulus = design_to_fit(ground)
-                problems += check_levels(ground, stimulus, findings.protocol)
+                problems += check_levels(ground, stimulus, findings)
         except (ValueError, ArithmeticError) as error:
             problems.append(locate(error, findings))
     if findings.protocol is not None and findings.protocol.value is not None:
-        problems += [*_check_schedule(findings), *check_masking_level(findings)]
+        problems += [*_check_schedule(findings), *_check_masking_level(findings)]
     return Preflight(findings, tuple(sorted(set(problems))), ground, stimulus)
 
 
 def _examine_several(findings: Findings) -> Preflight:
     """Return the check of a protocol with several stimuli: of each alone, and of all together."""
-    variants = {name: examine_findings(alone) for name, alone in each_stimulus(findings)}
-    problems = {problem for name, part in variants.items() for problem in at_stimulus(findings, name, part.problems)}
+    variants = {name: examine_findings(alone) for name, alone in findings.each_stimulus()}
+    problems = {problem for name, part in variants.items() for problem in findings.at_stimulus(name, part.problems)}
     first = next(iter(variants.values()))
     together = Preflight(findings, (), first.ground, first.designed, variants)
     if not problems:
-        problems.update(check_memories(findings, together.bursts))
-    problems.update([*_check_schedule(findings), *check_masking_level(findings)])
+        problems.update(_check_memories(findings, together.bursts))
+    problems.update([*_check_schedule(findings), *_check_masking_level(findings)])
     return replace(together, problems=tuple(sorted(problems)))
+
+
+def _check_memories(findings: Findings, bursts: Sequence[Burst]) -> Iterator[Problem]:
+    """Yield more records than the generator has memories."""
+    n_records = len({record.tobytes() for burst in bursts for record in burst.codes})
+    if n_records > MEMORIES:
+        given = f"{len(bursts)} stimuli with {n_records} different records"
+        allowed = f"at most {MEMORIES}, as many as the generator has memories: two stimuli on two outputs"
+        yield findings.problem(("stimuli",), given, allowed, "take fewer, or make protocols of them")
 
 
 def design_to_fit(ground: DesignInputs, *, release: Release | None = None) -> Stimulus:
@@ -319,8 +330,28 @@ def _check_schedule(findings: Findings) -> list[Problem]:
     if reading is None or reading.value is None or findings.problems:
         return []
     try:
-        draw_schedule(reading.value, "p01", 0)
+        Schedule.draw(reading.value, "p01", 0)
     except ValueError as error:
         path = ("schedule", "max_same_pair_running")
         return [reading.problem(path, f"a limit that cannot be kept, {error}", "")]
     return []
+
+
+def _check_masking_level(findings: Findings) -> Iterator[Problem]:
+    """Yield the level of a masking noise whose peaks would pass full scale."""
+    protocol, apparatus = findings.protocol, findings.apparatus
+    if protocol is None or apparatus is None or findings.problems:
+        return
+    if protocol.value is None or apparatus.value is None or protocol.value.masking is None:
+        return
+    section, sound = protocol.value.masking, apparatus.value.sound
+    level = section.level(sound)
+    highest = highest_noise_level(section.noise, sound.sampling_rate_Hz)
+    if level is None or level <= highest:
+        return
+    unit = section.level_key.removeprefix("level_").replace("_", " ")
+    shift = 0.0 if section.level_dB_FS is not None else sound.full_scale_dB_SPL or 0.0
+    given = f"{level + shift:g} {unit}, at which the peaks of the {section.noise} noise pass full scale"
+    # Rounded down, so that what is allowed is allowed.
+    allowed = f"at most {math.floor((highest + shift) * 10) / 10:g} {unit}"
+    yield findings.problem(("masking", section.level_key), given, allowed, "lower it, and turn the amplifier up")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from importlib.metadata import version
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
@@ -67,6 +68,13 @@ class AdaptiveSection(Section):
         default=0.06,
     )
     staircase: StaircaseSection = described("The rule of the staircase.", default=StaircaseSection())
+
+    @property
+    def algorithm(self) -> dict[str, Any]:
+        """What decides the levels, for the record."""
+        if self.method == "staircase":
+            return {"algorithm": "modaltouch staircase 1", "target": round(self.staircase.target, 4)}
+        return {"algorithm": "modaltouch quest_plus 1", "questplus": version("questplus")}
 
 
 Multiple = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=1000)]

@@ -6,7 +6,9 @@ them, and nothing else does.
 
 from __future__ import annotations
 
+import hashlib
 import itertools
+import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -29,12 +31,16 @@ from modaltouch.protocol.section import (
     Word,
     described,
 )
-from modaltouch.protocol.source import Source, find, load_source
-from modaltouch.protocol.twin import Fingers, ScopeSection, TrueAmplifier, TwinSection, UnlistedMode, Vibrometer
+from modaltouch.protocol.source import Source
+from modaltouch.protocol.twin import TwinSection
 
 if TYPE_CHECKING:
     from modaltouch.stimulus import Amplifier as AmplifierValues
     from modaltouch.stimulus import ModalModel
+
+
+_MEASURED = ("beam", "actuator_sets", "modes", "amplifier", "generator", "acquisition", "twin")
+"""Parts that a calibration holds for; names, zones and limits may change."""
 
 
 class Beam(Section):
@@ -59,6 +65,11 @@ class Zone(Section):
 
     centre_mm: Number = described("Centre of the zone [mm from mid-beam, positive to the participant's right].")
     width_mm: Positive = described("Width of the zone [mm].")
+
+    @property
+    def edges(self) -> tuple[float, float]:
+        """Left and right edge [mm from mid-beam]."""
+        return self.centre_mm - self.width_mm / 2, self.centre_mm + self.width_mm / 2
 
 
 class ActuatorSet(Section):
@@ -265,50 +276,76 @@ class Apparatus(Section):
         """Return mode label and actuator set of every gain that is assumed, not measured."""
         return tuple((mode.label, name) for mode in self.modes for name in mode.assumed)
 
-    def zone_order(self) -> tuple[str, ...]:
-        """Return the zones' names from left to right."""
-        return tuple(sorted(self.zones, key=lambda name: self.zones[name].centre_mm))
+    def offered_gains(self) -> tuple[tuple[int, str, float], ...]:
+        """Mode label, actuator set and gain [mm/s^2 per V] that patches suggest where the table knows none.
+
+        Theory gives the ratios among the bending modes (`patch_gains`). The gains that the table has give their common
+        factor: the median of what each of them says. A set without any such gain, or without patches, offers nothing.
+        """
+        from modaltouch.stimulus import patch_gains
+
+        offered = []
+        bending = [mode for mode in self.modes if mode.label > 2]
+        for name, actuators in self.actuator_sets.items():
+            if not (actuators.patches_mm and bending):
+                continue
+            ends = [(left * 1e-3, right * 1e-3) for left, right in actuators.patches_mm]
+            unit = patch_gains([mode.label for mode in bending], ends, self.beam.length_mm * 1e-3)
+            felt = np.abs(unit) > _NOTHING * np.abs(unit).max()
+            pairs = list(zip(bending, unit.tolist(), felt.tolist(), strict=True))
+            factors = [
+                mode.gain_mm_s2_per_V[name] / each
+                for mode, each, feels in pairs
+                if feels and name in mode.gain_mm_s2_per_V and name not in mode.assumed
+            ]
+            if factors:
+                factor = float(np.median(factors))
+                offered += [
+                    (mode.label, name, factor * each)
+                    for mode, each, feels in pairs
+                    if feels and (name not in mode.gain_mm_s2_per_V or name in mode.assumed)
+                ]
+        return tuple(offered)
+
+    @property
+    def ordered_zones(self) -> dict[str, Zone]:
+        """Zones by name, from left to right."""
+        return dict(sorted(self.zones.items(), key=lambda item: item[1].centre_mm))
+
+    @property
+    def measured_hash(self) -> str:
+        """SHA-256 of the values that a calibration depends on; keys at their default do not count."""
+        values = self.model_dump(mode="json", include=set(_MEASURED), exclude_defaults=True)
+        return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
+
+    @classmethod
+    def read(cls, given: Path | str | Source) -> Apparatus:
+        """Apparatus that a YAML file describes.
+
+        Parameters
+        ----------
+        given : path or Source
+            The file, the name of a shipped apparatus, or a text.
+
+        Raises
+        ------
+        InputError
+            With every fault of the file.
+        """
+        reading, problems = examine_apparatus(given if isinstance(given, Source) else Source.find("apparatus", given))
+        if problems or reading.value is None:
+            raise InputError(problems)
+        return reading.value
+
+
+def examine_apparatus(source: Source) -> tuple[Reading[Apparatus], list[Problem]]:
+    """Text of an apparatus file as far as it is sound, and its faults."""
+    reading = read(source, Apparatus)
+    return reading, [*reading.problems, *check_apparatus(reading)]
 
 
 _NOTHING = 1e-6
 """Gain, over the largest of its set, below which a patch does not drive a mode: it lies across a node [1]."""
-
-
-def offered_gains(apparatus: Apparatus) -> tuple[tuple[int, str, float], ...]:
-    """Return mode label, actuator set and gain [mm/s^2 per V] that patches suggest where the table knows none.
-
-    Theory gives the ratios among the bending modes (`patch_gains`), the gains that the table has their common factor,
-    the median of what each of them says. A set without any such gain, or without patches, offers nothing.
-
-    Parameters
-    ----------
-    apparatus : Apparatus
-        The lab's.
-    """
-    from modaltouch.stimulus import patch_gains
-
-    offered = []
-    bending = [mode for mode in apparatus.modes if mode.label > 2]
-    for name, actuators in apparatus.actuator_sets.items():
-        if not (actuators.patches_mm and bending):
-            continue
-        ends = [(left * 1e-3, right * 1e-3) for left, right in actuators.patches_mm]
-        unit = patch_gains([mode.label for mode in bending], ends, apparatus.beam.length_mm * 1e-3)
-        felt = np.abs(unit) > _NOTHING * np.abs(unit).max()
-        pairs = list(zip(bending, unit.tolist(), felt.tolist(), strict=True))
-        factors = [
-            mode.gain_mm_s2_per_V[name] / each
-            for mode, each, feels in pairs
-            if feels and name in mode.gain_mm_s2_per_V and name not in mode.assumed
-        ]
-        if factors:
-            factor = float(np.median(factors))
-            offered += [
-                (mode.label, name, factor * each)
-                for mode, each, feels in pairs
-                if feels and (name not in mode.gain_mm_s2_per_V or name in mode.assumed)
-            ]
-    return tuple(offered)
 
 
 def check_patches(reading: Reading[Apparatus]) -> Iterator[Problem]:
@@ -339,26 +376,21 @@ def check_apparatus(reading: Reading[Apparatus]) -> list[Problem]:
     ]
 
 
-def zone_edges(zone: Zone) -> tuple[float, float]:
-    """Return the left and the right edge of a zone [mm from mid-beam]."""
-    return zone.centre_mm - zone.width_mm / 2, zone.centre_mm + zone.width_mm / 2
-
-
 def _check_zones(reading: Reading[Apparatus]) -> Iterator[Problem]:
     length = reading.sound("beam", "length_mm")
     zones: list[tuple[str, Zone]] = reading.items("zones")
     tolerance = 1e-9 * (length or 1.0)
     for name, zone in zones:
-        left, right = zone_edges(zone)
+        left, right = zone.edges
         if length is not None and max(-left, right) > length / 2 + tolerance:
             given = f"a zone from {left:g} to {right:g} mm"
             allowed = f"from {-length / 2:g} to {length / 2:g} mm, where the beam of {length:g} mm ends"
             yield reading.problem(("zones", name), given, allowed, "move it or make it narrower")
     ordered = sorted(zones, key=lambda item: item[1].centre_mm)
     for (first, one), (second, other) in itertools.pairwise(ordered):
-        if zone_edges(other)[0] < zone_edges(one)[1] - tolerance:
-            given = f"a zone that begins at {zone_edges(other)[0]:g} mm, within zone {first}"
-            allowed = f"from {zone_edges(one)[1]:g} mm on, where zone {first} ends"
+        if other.edges[0] < one.edges[1] - tolerance:
+            given = f"a zone that begins at {other.edges[0]:g} mm, within zone {first}"
+            allowed = f"from {one.edges[1]:g} mm on, where zone {first} ends"
             yield reading.problem(("zones", second), given, allowed, "move one of them or make it narrower")
 
 
@@ -437,59 +469,3 @@ def _check_latency(reading: Reading[Apparatus]) -> Iterator[Problem]:
     if low is not None and high is not None and low > high:
         path = ("generator", "trigger_latency_ms", "low")
         yield reading.problem(path, f"{low:g} ms, above the longest of {high:g} ms", f"at most {high:g}", "swap them")
-
-
-__all__ = [
-    "AcquisitionSection",
-    "ActuatorSet",
-    "AmplifierSection",
-    "Apparatus",
-    "Beam",
-    "Fingers",
-    "GeneratorSection",
-    "Identified",
-    "Intervals",
-    "Mode",
-    "Number",
-    "Positive",
-    "Provenance",
-    "Safety",
-    "ScopeSection",
-    "Section",
-    "Sound",
-    "TrueAmplifier",
-    "TwinSection",
-    "UnlistedMode",
-    "Vibrometer",
-    "Zone",
-    "check_apparatus",
-    "examine_apparatus",
-    "read_apparatus",
-    "zone_edges",
-    "offered_gains",
-]
-
-
-def read_apparatus(path: Path | str) -> Apparatus:
-    """Return the apparatus that a YAML file describes.
-
-    Parameters
-    ----------
-    path : path
-        The file, or the name of a shipped apparatus.
-
-    Raises
-    ------
-    InputError
-        With every fault of the file.
-    """
-    reading, problems = examine_apparatus(load_source(find("apparatus", path)))
-    if problems or reading.value is None:
-        raise InputError(problems)
-    return reading.value
-
-
-def examine_apparatus(source: Source) -> tuple[Reading[Apparatus], list[Problem]]:
-    """Return what the text of an apparatus file holds, as far as it is sound, and its faults."""
-    reading = read(source, Apparatus)
-    return reading, [*reading.problems, *check_apparatus(reading)]

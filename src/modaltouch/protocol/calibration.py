@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import re
 from abc import abstractmethod
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from datetime import UTC, datetime
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, RootModel
 
@@ -140,6 +138,17 @@ class Calibration(Section):
         shared = {key: getattr(self, key) for key in Calibration.model_fields}
         return CalibrationFile.model_construct(**shared, **{key: getattr(own, key) for key in OWN_KEYS})
 
+    @staticmethod
+    def of(values: Mapping[str, Any]) -> Calibration:
+        """Calibration that plain values describe: of several stimuli where they have the key ``stimuli``.
+
+        Parameters
+        ----------
+        values : mapping
+            As the file holds them.
+        """
+        return (CalibrationOfSeveral if "stimuli" in values else CalibrationFile).model_validate(values)
+
 
 class CalibratedStimulus(Section):
     """What a calibration holds of one stimulus: its targets on this rig, and what they reached."""
@@ -161,6 +170,10 @@ OWN_KEYS = tuple(CalibratedStimulus.model_fields)
 """Keys that each stimulus has for itself."""
 
 
+_REFINED = {"natural_frequency_Hz", "damping_ratio", "gain_mm_s2_per_V"}
+"""What a calibration refines of a mode."""
+
+
 class CalibrationFile(CalibratedStimulus, Calibration):
     """A calibration of one stimulus on one rig."""
 
@@ -168,6 +181,19 @@ class CalibrationFile(CalibratedStimulus, Calibration):
     def by_stimulus(self) -> dict[str, CalibratedStimulus]:
         """The file itself, without a name."""
         return {"": self}
+
+    def applied(self, apparatus: Apparatus) -> Apparatus:
+        """Apparatus with modes and amplifier as the calibration found them.
+
+        Parameters
+        ----------
+        apparatus : Apparatus
+            The one it was made with, as its file gives it.
+        """
+        found = {mode.label: mode.model_dump(include=_REFINED) for mode in self.modes}
+        modes = tuple(mode.model_copy(update={**found[mode.label], "assumed": ()}) for mode in apparatus.modes)
+        amplifier = apparatus.amplifier.model_copy(update=self.amplifier.model_dump())
+        return apparatus.model_copy(update={"modes": modes, "amplifier": amplifier})
 
 
 class CalibrationOfSeveral(Calibration):
@@ -188,9 +214,6 @@ class AnyCalibration(RootModel[CalibrationFile | CalibrationOfSeveral]):
 
 
 AGAIN = "calibrate again with `modaltouch calibrate`"
-
-MEASURED = ("beam", "actuator_sets", "modes", "amplifier", "generator", "acquisition", "twin")
-"""Parts of an apparatus that a calibration holds for; names, zones and limits may change."""
 
 
 def examine_calibration(source: Source) -> Reading[Calibration]:
@@ -237,23 +260,6 @@ def calibration_alone(reading: Reading[Calibration], name: str) -> Reading[Calib
     return Reading(reading.source, CalibrationFile, root, value)
 
 
-def in_calibration(reading: Reading[Calibration], name: str, problems: Iterable[Problem]) -> Iterator[Problem]:
-    """Yield the problems of a calibration of one stimulus alone, at their keys in the file of several.
-
-    Parameters
-    ----------
-    reading : Reading
-        The file of several.
-    name : str
-        The stimulus.
-    problems : iterable of Problem
-        What is wrong with `calibration_alone` of it.
-    """
-    for problem in problems:
-        at_own = problem.file == str(reading.source.path) and reading.find(("stimuli", name)) is not None
-        yield replace(problem, path=f"stimuli.{name}.{problem.path}") if at_own else problem
-
-
 def _check_names(
     reading: Reading[Calibration], calibration: Calibration, protocol: Reading[Protocol]
 ) -> Iterator[Problem]:
@@ -272,7 +278,7 @@ def _check_apparatus(
     labels = [mode.label for mode in apparatus.modes]
     only = calibration.alone("")
     modes = () if only is None else only.modes
-    if apparatus_hash(apparatus) != calibration.apparatus.sha256:
+    if apparatus.measured_hash != calibration.apparatus.sha256:
         given = f"a calibration of another apparatus ({calibration.apparatus.name}, values changed since or others)"
         allowed = f"one made with {apparatus.apparatus} as its file is now"
         yield reading.problem(("apparatus", "sha256"), given, allowed, AGAIN)
@@ -352,80 +358,9 @@ def check_age(
     return []
 
 
-def generator_problem(calibration: Reading[Calibration], identity: str) -> Problem | None:
-    """Return why a calibration was made with another generator than the one that is open; None if it was not.
-
-    Maker, model and serial number must agree; the firmware may be another.
-
-    Parameters
-    ----------
-    calibration : Reading
-        The calibration file.
-    identity : str
-        Reply of the open generator to ``*IDN?``.
-    """
-    made_with = calibration.sound("instruments", "generator")
-    if made_with is None or _serial(made_with) == _serial(identity):
-        return None
-    given = f"{made_with}, the generator it was made with"
-    allowed = f"{identity}, the generator that is open"
-    return calibration.problem(("instruments", "generator"), given, allowed, f"open that one, or {AGAIN}")
-
-
-def _serial(identity: str) -> tuple[str, ...]:
-    return tuple(word.strip().upper() for word in identity.split(",")[:3])
-
-
 def _words(value: object) -> str:
     if isinstance(value, dict):
         return " ".join(_words(each) for each in value.values() if each is not None)
     if isinstance(value, tuple | list):
         return ", ".join(map(str, value))
     return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def apparatus_hash(apparatus: Apparatus) -> str:
-    """Return the SHA-256 of the values of an apparatus that a calibration depends on.
-
-    Comments, order and keys left at their default do not count.
-
-    Parameters
-    ----------
-    apparatus : Apparatus
-        The apparatus, as its file gives it.
-    """
-    values = apparatus.model_dump(mode="json", include=set(MEASURED), exclude_defaults=True)
-    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
-
-
-def calibrated_apparatus(apparatus: Apparatus, calibration: CalibrationFile) -> Apparatus:
-    """Return an apparatus with modes and amplifier as a calibration found them.
-
-    Parameters
-    ----------
-    apparatus : Apparatus
-        As its file gives it.
-    calibration : CalibrationFile
-        Made with this apparatus.
-    """
-    found = {mode.label: mode for mode in calibration.modes}
-    modes = tuple(
-        mode.model_copy(
-            update={
-                "natural_frequency_Hz": found[mode.label].natural_frequency_Hz,
-                "damping_ratio": found[mode.label].damping_ratio,
-                "gain_mm_s2_per_V": found[mode.label].gain_mm_s2_per_V,
-                "assumed": (),
-            }
-        )
-        for mode in apparatus.modes
-    )
-    measured = calibration.amplifier
-    amplifier = apparatus.amplifier.model_copy(
-        update={
-            "gain_V_per_V": measured.gain_V_per_V,
-            "bandwidth_kHz": measured.bandwidth_kHz,
-            "delay_us": measured.delay_us,
-        }
-    )
-    return apparatus.model_copy(update={"modes": modes, "amplifier": amplifier})

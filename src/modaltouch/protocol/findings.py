@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,8 +12,8 @@ from modaltouch.protocol.checks import check_fit, check_protocol, check_settling
 from modaltouch.protocol.problems import InputError, Problem
 from modaltouch.protocol.reading import Reading, read
 from modaltouch.protocol.sections import Protocol
-from modaltouch.protocol.source import YAML_FILE, Source, find, load_source
-from modaltouch.protocol.stimulus_sections import read_points
+from modaltouch.protocol.source import YAML_FILE, Source
+from modaltouch.protocol.stimulus_sections import StimulusSection, read_points
 from modaltouch.protocol.texts import Texts, check_words
 
 if TYPE_CHECKING:
@@ -112,96 +113,163 @@ class Findings:
         sources = Sources(self.protocol.source, self.apparatus.source, self.texts.source, calibration, self.field)
         return Experiment(protocol, apparatus, texts, sources)
 
+    def problem(self, path: Iterable[str | int], given: str, allowed: str, remedy: str = "") -> Problem:
+        """Problem at a path of the protocol, which must have been opened.
 
-def read_protocol(path: Path | str) -> Experiment:
-    """Return the experiment that a protocol file describes, with the apparatus and texts that it names.
+        Parameters
+        ----------
+        path : iterable of str or int
+            Key within the file.
+        given, allowed, remedy : str
+            As of `Problem`.
 
-    Parameters
-    ----------
-    path : path
-        The protocol file, or the name of a shipped protocol.
+        Raises
+        ------
+        ValueError
+            If the protocol was not opened.
+        """
+        if self.protocol is None:
+            raise ValueError("there is no file in which to find the fault: open the protocol first")
+        return self.protocol.problem(path, given, allowed, remedy)
 
-    Raises
-    ------
-    InputError
-        With every fault of the protocol, its apparatus and its texts.
-    """
-    return examine_files(path).experiment()
+    def defaults(self) -> list[dict[str, Any]]:
+        """Keys that the protocol leaves out and the values taken for them, but what each of several stimuli gives."""
+        if self.protocol is None:
+            return []
+        named = [self.protocol.find(("stimuli", name)) for name in self.protocol.sound("stimuli") or ()]
+        keys = StimulusSection.model_fields if any(named) else ()
+        own = [f"stimulus.{key}" for key in keys if all(node and node.child(key) for node in named)]
+        return [each for each in self.protocol.defaults() if ".".join(each["key"].split(".")[:2]) not in own]
 
+    def points(self) -> tuple[tuple[float, float], ...] | None:
+        """Points in the file of the wished field, positions [mm] and relative velocities; None where it is faulty."""
+        points, faults = ((), []) if self.field is None else read_points(self.field)
+        return None if faults else points
 
-def restore_experiment(sources: Sources) -> Experiment:
-    """Return the experiment of a record from the texts kept there, whatever became of its files.
+    def generator_problem(self, identity: str) -> Problem | None:
+        """Why the calibration was made with another generator than the one that is open; None if it was not.
 
-    Parameters
-    ----------
-    sources : Sources
-        As `Sources.from_dict` reads them from the record.
+        Maker, model and serial number must agree; the firmware may be another.
 
-    Raises
-    ------
-    InputError
-        With every fault of the texts.
-    """
-    return examine_sources(sources).experiment()
+        Parameters
+        ----------
+        identity : str
+            Reply of the open generator to ``*IDN?``.
+        """
+        made_with = None if self.calibration is None else self.calibration.sound("instruments", "generator")
+        if self.calibration is None or made_with is None or _serial(made_with) == _serial(identity):
+            return None
+        given = f"{made_with}, the generator it was made with"
+        allowed = f"{identity}, the generator that is open"
+        remedy = "open that one, or calibrate again with `modaltouch calibrate`"
+        return self.calibration.problem(("instruments", "generator"), given, allowed, remedy)
 
+    def each_stimulus(self) -> Iterator[tuple[str, Findings]]:
+        """Name of each of several stimuli, and the files as if it were the only one, with what is then wrong."""
+        if self.protocol is None or self.protocol.value is None or self.apparatus is None:
+            return
+        for name, variant in self.protocol.value.stimuli.items():
+            value = self.protocol.value.with_stimulus(name)
+            # The order is drawn and checked for all of them together.
+            eased = value.schedule.model_copy(update={"catch_trials": 0, "max_same_pair_running": None})
+            alone = replace(self.protocol, value=value.model_copy(update={"schedule": eased}))
+            problems = [*check_protocol(alone), *check_fit(alone, self.apparatus)]
+            if variant.field is not None and variant.field.file is not None:
+                path, remedy = ("stimuli", name, "field", "file"), "write the points themselves"
+                problems.append(self.problem(path, "a file of one of several stimuli", "points", remedy))
+            calibration = self.calibration
+            if calibration is not None:
+                from modaltouch.protocol.calibration import calibration_alone, check_calibration
 
-def examine_sources(sources: Sources) -> Findings:
-    """Return what the texts of a record hold, with every fault of them.
+                calibration = calibration_alone(calibration, name)
+                problems += check_calibration(calibration, alone, self.apparatus)
+            yield name, replace(self, protocol=alone, problems=tuple(problems), calibration=calibration)
 
-    Parameters
-    ----------
-    sources : Sources
-        As `Sources.from_dict` reads them from the record.
-    """
-    protocol, texts = read(sources.protocol, Protocol), read(sources.texts, Texts)
-    apparatus, problems = examine_apparatus(sources.apparatus)
-    problems += [*protocol.problems, *check_protocol(protocol), *check_fit(protocol, apparatus)]
-    problems += [*texts.problems, *check_words(protocol, texts)]
-    calibration = None
-    if sources.calibration is not None:
-        from modaltouch.protocol.calibration import check_calibration, examine_calibration
+    def at_stimulus(self, name: str, problems: Iterable[Problem]) -> Iterator[Problem]:
+        """Problems of a stimulus at its own key where it has one, and named after it elsewhere.
 
-        # However old it has become since: a record keeps what it was begun with.
-        calibration = examine_calibration(sources.calibration)
-        problems += [*calibration.problems, *check_calibration(calibration, protocol, apparatus)]
-    if sources.field is not None:
-        problems += read_points(sources.field)[1]
-    return Findings(protocol, apparatus, texts, tuple(problems), calibration, sources.field)
+        Parameters
+        ----------
+        name : str
+            The stimulus.
+        problems : iterable of Problem
+            What is wrong with it.
+        """
+        calibration = self.calibration
+        in_calibration = calibration is not None and calibration.find(("stimuli", name)) is not None
+        for problem in problems:
+            section, _, key = problem.path.partition(".")
+            path = ("stimuli", name, key.split(".")[0].split("[")[0])
+            given = f"{problem.given} (stimulus {name})"
+            own = calibration is not None and in_calibration and problem.file == str(calibration.source.path)
+            if section == "stimulus" and not own and self.protocol is not None and self.protocol.find(path) is not None:
+                yield self.problem(path, given, problem.allowed, problem.remedy)
+            else:
+                at = f"stimuli.{name}.{problem.path}" if own else problem.path
+                yield replace(problem, given=given, path=at)
 
+    @classmethod
+    def restored(cls, sources: Sources) -> Findings:
+        """Findings in the texts that a record keeps, whatever became of their files.
 
-def examine_files(path: Path | str, calibration: Path | None = None, *, uncalibrated: bool = False) -> Findings:
-    """Return what a protocol file and the files that it names hold, with every fault of them.
-
-    Parameters
-    ----------
-    path : path
-        The protocol file, or the name of a shipped protocol.
-    calibration : Path, optional
-        Calibration file to use instead of the one that the protocol names.
-    uncalibrated : bool
-        Whether no calibration is read, although the protocol names or requires one: to make one, or to plan.
-    """
-    try:
-        source = load_source(find("protocol", path))
-    except InputError as error:
-        return Findings(None, None, None, error.problems)
-    protocol = read(source, Protocol)
-    problems = [*protocol.problems, *check_protocol(protocol), *check_settling(protocol)]
-    apparatus, texts = None, None
-    named = _load_named(protocol, ("apparatus",), problems)
-    if named is not None:
-        apparatus, found = examine_apparatus(named)
-        problems += [*found, *check_fit(protocol, apparatus)]
-    named = _load_named(protocol, ("texts",), problems)
-    if named is not None:
-        texts = read(named, Texts)
+        Parameters
+        ----------
+        sources : Sources
+            As `Sources.from_dict` reads them from the record.
+        """
+        protocol, texts = read(sources.protocol, Protocol), read(sources.texts, Texts)
+        apparatus, problems = examine_apparatus(sources.apparatus)
+        problems += [*protocol.problems, *check_protocol(protocol), *check_fit(protocol, apparatus)]
         problems += [*texts.problems, *check_words(protocol, texts)]
-    problems += check_timing(protocol, apparatus)
-    calibrated = None if uncalibrated else _examine_calibration(protocol, apparatus, calibration, problems)
-    field = _load_named(protocol, ("stimulus", "field", "file"), problems)
-    if field is not None:
-        problems += read_points(field)[1]
-    return Findings(protocol, apparatus, texts, tuple(sorted(set(problems))), calibrated, field)
+        calibration = None
+        if sources.calibration is not None:
+            from modaltouch.protocol.calibration import check_calibration, examine_calibration
+
+            # However old it has become since: a record keeps what it was begun with.
+            calibration = examine_calibration(sources.calibration)
+            problems += [*calibration.problems, *check_calibration(calibration, protocol, apparatus)]
+        if sources.field is not None:
+            problems += read_points(sources.field)[1]
+        return cls(protocol, apparatus, texts, tuple(problems), calibration, sources.field)
+
+    @classmethod
+    def read(cls, path: Path | str, calibration: Path | None = None, *, uncalibrated: bool = False) -> Findings:
+        """Findings in a protocol file and the files that it names.
+
+        Parameters
+        ----------
+        path : path
+            The protocol file, or the name of a shipped protocol.
+        calibration : Path, optional
+            Calibration file to use instead of the one that the protocol names.
+        uncalibrated : bool
+            Whether no calibration is read, although the protocol names or requires one: to make one, or to plan.
+        """
+        try:
+            source = Source.find("protocol", path)
+        except InputError as error:
+            return cls(None, None, None, error.problems)
+        protocol = read(source, Protocol)
+        problems = [*protocol.problems, *check_protocol(protocol), *check_settling(protocol)]
+        apparatus, texts = None, None
+        named = _load_named(protocol, ("apparatus",), problems)
+        if named is not None:
+            apparatus, found = examine_apparatus(named)
+            problems += [*found, *check_fit(protocol, apparatus)]
+        named = _load_named(protocol, ("texts",), problems)
+        if named is not None:
+            texts = read(named, Texts)
+            problems += [*texts.problems, *check_words(protocol, texts)]
+        problems += check_timing(protocol, apparatus)
+        calibrated = None if uncalibrated else _examine_calibration(protocol, apparatus, calibration, problems)
+        field = _load_named(protocol, ("stimulus", "field", "file"), problems)
+        if field is not None:
+            problems += read_points(field)[1]
+        return cls(protocol, apparatus, texts, tuple(sorted(set(problems))), calibrated, field)
+
+
+def _serial(identity: str) -> tuple[str, ...]:
+    return tuple(word.strip().upper() for word in identity.split(",")[:3])
 
 
 def _examine_calibration(
@@ -211,7 +279,7 @@ def _examine_calibration(
     source = None
     if path is not None:
         try:
-            source = load_source(path)
+            source = Source.load(path)
         except InputError as error:
             problems += error.problems
     else:
@@ -241,7 +309,7 @@ def _load_named(protocol: Reading[Protocol], key: tuple[str, ...], problems: lis
         return None
     path = protocol.source.path.parent / name
     try:
-        return load_source(path)
+        return Source.load(path)
     except InputError as error:
         found = error.problems[0]
         if found.line > 1 or found.column > 1 or "UTF-8" in found.allowed:

@@ -13,7 +13,6 @@ import copy
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from importlib.metadata import version
 from itertools import product
 from typing import Any, Self
 
@@ -143,16 +142,6 @@ def from_dB(level: float, bounds: tuple[float, float]) -> float:  # noqa: N802
     """Return a level [mm/s] within its bounds, to four digits, as many as the generator's amplitude has."""
     velocity = 10 ** (level / 20)
     return min(max(float(f"{velocity:.4g}"), bounds[0]), bounds[1])
-
-
-def describe_rule(protocol: Protocol) -> dict[str, Any] | None:
-    """Return what decides the levels, for the record; None for a protocol of fixed levels."""
-    adaptive = protocol.adaptive
-    if adaptive is None:
-        return None
-    if adaptive.method == "staircase":
-        return {"algorithm": "modaltouch staircase 1", "target": round(adaptive.staircase.target, 4)}
-    return {"algorithm": "modaltouch quest_plus 1", "questplus": version("questplus")}
 
 
 def is_success(rule: str, focus: str, zone_left: str, answer: str) -> bool:

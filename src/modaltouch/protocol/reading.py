@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import types
 import typing
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Annotated, Any, Generic, TypeVar
@@ -113,6 +113,10 @@ class Reading(Generic[Model]):
         steps = tuple(path)
         line, column = self._place(steps, at_key=at_key)
         return Problem(str(self.source.path), line, column, format_path(steps), given, allowed, remedy)
+
+    def defaults(self) -> list[dict[str, Any]]:
+        """Keys that the file leaves out and the values taken for them, in the schema's order."""
+        return [] if self.root is None else list(_absent(self.model, self.root, ""))
 
     def _place(self, path: tuple[Step, ...], *, at_key: bool) -> tuple[int, int]:
         node = self.root
@@ -250,6 +254,19 @@ def _remedy(reading: Reading[Any], path: tuple[Step, ...], node: Node | None) ->
     if isinstance(node.content, float) and "whole number" in allowed and node.content == node.content // 1:
         return f"write {node.content:.0f}"
     return ""
+
+
+def _absent(section: type[BaseModel], node: Node | None, prefix: str) -> Iterator[dict[str, Any]]:
+    for name, info in section.model_fields.items():
+        child = node.child(name) if node is not None else None
+        if child is None and info.is_required():
+            continue
+        inner = info.annotation
+        if isinstance(inner, type) and issubclass(inner, BaseModel):
+            yield from _absent(inner, child, f"{prefix}{name}.")
+        elif child is None:
+            value = info.get_default(call_default_factory=True)
+            yield {"key": f"{prefix}{name}", "value": list(value) if isinstance(value, tuple) else value}
 
 
 def _descend(value: Any, path: Iterable[Step]) -> Any:

@@ -17,6 +17,11 @@ SIZE_LIMIT = 256 * 1024
 """Longest file that is read [byte]: a hundred times the shipped ones."""
 
 
+Kind = Literal["protocol", "apparatus", "observer"]
+
+_FOLDERS: dict[Kind, str] = {"protocol": ".", "apparatus": "apparatus", "observer": "observers"}
+
+
 @dataclass(frozen=True)
 class Source:
     """A file's text and where it came from.
@@ -41,56 +46,78 @@ class Source:
         """Return path, hash and text for the record."""
         return {"path": self.path.as_posix(), "sha256": self.sha256, "text": self.text}
 
+    @classmethod
+    def load(cls, path: Path) -> Source:
+        """Return the text of a file.
 
-def load_source(path: Path) -> Source:
-    """Return the text of a file.
+        Parameters
+        ----------
+        path : Path
+            File to read.
 
-    Parameters
-    ----------
-    path : Path
-        File to read.
+        Raises
+        ------
+        InputError
+            If there is no such file, or it is no UTF-8 text of at most 256 KiB.
+        """
 
-    Raises
-    ------
-    InputError
-        If there is no such file, or it is no UTF-8 text of at most 256 KiB.
-    """
-    try:
-        if not path.exists():
-            raise InputError([Problem(str(path), 1, 1, "", "a file that does not exist", YAML_FILE, "check its name")])
-        if not path.is_file():
-            raise InputError([Problem(str(path), 1, 1, "", "a folder or device", YAML_FILE, "")])
-        with path.open("rb") as file:
-            content = file.read(SIZE_LIMIT + 1)
-    except (OSError, ValueError) as error:  # ValueError: a null character in the name
-        reason = getattr(error, "strerror", None) or str(error)
-        raise InputError(
-            [Problem(str(path), 1, 1, "", f"a file that cannot be read ({reason})", YAML_FILE, "")]
-        ) from None
-    if len(content) > SIZE_LIMIT:
-        allowed = f"at most {SIZE_LIMIT // 1024} KiB of YAML"
-        raise InputError([Problem(str(path), 1, 1, "", f"more than {SIZE_LIMIT // 1024} KiB", allowed, "")])
-    try:
-        return Source(path, content.decode("utf-8-sig"))
-    except UnicodeDecodeError as error:
-        before = content[: error.start].decode("utf-8-sig", errors="replace")
-        line, column = before.count("\n") + 1, len(before) - (before.rfind("\n") + 1) + 1
-        given = f"byte 0x{content[error.start]:02x}, which is not UTF-8"
-        remedy = "save the file in the encoding UTF-8"
-        raise InputError([Problem(str(path), line, column, "", given, "text in UTF-8", remedy)]) from None
+        def refused(
+            given: str, allowed: str = YAML_FILE, remedy: str = "", place: tuple[int, int] = (1, 1)
+        ) -> InputError:
+            return InputError([Problem(str(path), *place, "", given, allowed, remedy)])
 
+        try:
+            if not path.exists():
+                raise refused("a file that does not exist", remedy="check its name")
+            if not path.is_file():
+                raise refused("a folder or device")
+            with path.open("rb") as file:
+                content = file.read(SIZE_LIMIT + 1)
+        except (OSError, ValueError) as error:  # ValueError: a null character in the name
+            reason = getattr(error, "strerror", None) or str(error)
+            raise refused(f"a file that cannot be read ({reason})") from None
+        if len(content) > SIZE_LIMIT:
+            raise refused(f"more than {SIZE_LIMIT // 1024} KiB", f"at most {SIZE_LIMIT // 1024} KiB of YAML")
+        try:
+            return cls(path, content.decode("utf-8-sig"))
+        except UnicodeDecodeError as error:
+            before = content[: error.start].decode("utf-8-sig", errors="replace")
+            place = before.count("\n") + 1, len(before) - before.rfind("\n")
+            given = f"byte 0x{content[error.start]:02x}, which is not UTF-8"
+            raise refused(given, "text in UTF-8", "save the file in the encoding UTF-8", place) from None
 
-Kind = Literal["protocol", "apparatus", "observer"]
+    @classmethod
+    def find(cls, kind: Kind, name: Path | str) -> Source:
+        """Text of the file that a path, or the name of a shipped file, stands for.
 
-_FOLDERS: dict[Kind, str] = {"protocol": ".", "apparatus": "apparatus", "observer": "observers"}
+        Parameters
+        ----------
+        kind : str
+            ``protocol``, ``apparatus`` or ``observer``.
+        name : path
+            The file, or the name of a shipped one; a file that exists wins.
 
+        Raises
+        ------
+        InputError
+            If there is neither, with the names that there are; or if it cannot be read.
+        """
+        return cls.load(find(kind, name))
 
-def shipped(kind: Kind) -> dict[str, Path]:
-    """Return the shipped files of a kind by name: in the package once installed, beside the source in a checkout."""
-    package = Path(__file__).parents[1]
-    installed = package / "protocols"
-    folder = installed if installed.is_dir() else package.parents[1] / "protocols"
-    return {file.stem: file for file in sorted((folder / _FOLDERS[kind]).glob("*.yaml"))}
+    @staticmethod
+    def shipped(kind: Kind) -> dict[str, Path]:
+        """Shipped files of a kind by name.
+
+        Parameters
+        ----------
+        kind : str
+            ``protocol``, ``apparatus`` or ``observer``.
+        """
+        package = Path(__file__).parents[1]
+        # In the package once installed, beside the source in a checkout.
+        installed = package / "protocols"
+        folder = installed if installed.is_dir() else package.parents[1] / "protocols"
+        return {file.stem: file for file in sorted((folder / _FOLDERS[kind]).glob("*.yaml"))}
 
 
 def find(kind: Kind, name: Path | str) -> Path:
@@ -101,7 +128,7 @@ def find(kind: Kind, name: Path | str) -> Path:
     InputError
         If there is neither, with the names that there are.
     """
-    path, known = Path(name), shipped(kind)
+    path, known = Path(name), Source.shipped(kind)
     try:
         if path.is_file() or (path.exists() and str(name) not in known):
             return path

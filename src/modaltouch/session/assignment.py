@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from modaltouch.protocol import Protocol, Turn, period_of_turns, recorded_turn, turn_of
+from modaltouch.protocol import Protocol, Turn
 from modaltouch.record import (
     LOG_NAME,
     RecordError,
@@ -81,7 +81,7 @@ def allot(place: SessionFolder, protocol: Protocol, drawn_as: int) -> Assignment
     RecordError
         If a session cannot be read.
     """
-    n_turns = period_of_turns(protocol)
+    n_turns = Turn.period(protocol)
     filled: Counter[int] = Counter()
     left: Counter[int] = Counter()
     own: int | None = None
@@ -188,5 +188,5 @@ def _number(log: Path) -> int:
 def _first_turn(session: Session) -> int:
     """Return the turn that a participant's first session would have, from that of any."""
     start = session.start
-    turn = recorded_turn(start) or turn_of(session.participant, int(start["seed"]), session.drawn_as)
+    turn = Turn.recorded(start) or Turn.of(session.participant, int(start["seed"]), session.drawn_as)
     return turn.number - (session.drawn_as - 1)

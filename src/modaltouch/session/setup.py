@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from modaltouch.preflight import Preflight, estimated_duration
-from modaltouch.protocol import InputError, Levels, Schedule, draw_schedule, generator_problem
+from modaltouch.protocol import InputError, Levels, Schedule
 from modaltouch.record import (
     RecordError,
     Session,
@@ -144,8 +144,8 @@ def resume(setup: Setup) -> Session:
         refuse_existing(setup.place.log)
         return _sit(setup, lambda place, facts: begin_anew(old, place, cut, facts, setup.clock), "start")
     refuse_failed(session, cut)
-    refuse_old(session, cut, policy)
-    return _sit(setup, lambda place, facts: go_on(place, setup.schedule, policy, cut, facts, setup.clock), "resume")
+    refuse_old(session, cut, policy.within_hours)
+    return _sit(setup, lambda place, facts: go_on(place, setup.schedule, policy.at, cut, facts, setup.clock), "resume")
 
 
 def _mend(setup: Setup, place: SessionFolder) -> Session:
@@ -216,7 +216,7 @@ def _allotted(setup: Setup) -> Setup:
         return setup
     drawn, protocol = setup.schedule, setup.preflight.experiment.protocol
     allotment = allot(setup.place, protocol, setup.drawn_as)
-    schedule = draw_schedule(protocol, drawn.participant, drawn.seed, drawn.session, given=allotment.turn)
+    schedule = Schedule.draw(protocol, drawn.participant, drawn.seed, drawn.session, given=allotment.turn)
     return replace(setup, schedule=schedule, facts={**setup.facts, "balance": allotment.as_dict()})
 
 
@@ -228,8 +228,7 @@ def _refuse_other_generator(preflight: Preflight, rig: Rig) -> None:
     InputError
         With the place in the calibration file.
     """
-    calibration = preflight.findings.calibration
-    problem = None if calibration is None else generator_problem(calibration, rig.identity)
+    problem = preflight.findings.generator_problem(rig.identity)
     if problem is not None:
         raise InputError([problem])
 

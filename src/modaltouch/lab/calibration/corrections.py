@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.lab.calibration.plant import ModalState, Plant
-from modaltouch.preflight import DesignInputs, Preflight, at_stimulus
+from modaltouch.preflight import DesignInputs, Preflight
 from modaltouch.protocol import Apparatus, InputError, Problem, Protocol
 from modaltouch.stimulus import Correction
 
@@ -35,7 +35,7 @@ def grounds_of(preflight: Preflight) -> dict[str, DesignInputs]:
     """
     preflight.require()
     faults = {name: list(_uncorrectable(part)) for name, part in preflight.parts.items()}
-    problems = [each for name, own in faults.items() for each in at_stimulus(preflight.findings, name, own)]
+    problems = [each for name, own in faults.items() for each in preflight.findings.at_stimulus(name, own)]
     if problems:
         raise InputError(problems)
     return {name: part.sound[0] for name, part in preflight.parts.items()}

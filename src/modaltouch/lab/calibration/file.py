@@ -13,20 +13,7 @@ import numpy as np
 
 from modaltouch.lab.calibration.corrections import DIGITS
 from modaltouch.lab.calibration.outcome import CalibrationResult, Iteration, Level
-from modaltouch.protocol import (
-    Apparatus,
-    CalibratedAmplifier,
-    CalibratedApparatus,
-    CalibratedLevel,
-    CalibratedMode,
-    Calibration,
-    CalibrationFile,
-    CalibrationOfSeveral,
-    Instruments,
-    IterationFigures,
-    MeasuringChain,
-    apparatus_hash,
-)
+from modaltouch.protocol import Apparatus, Calibration
 from modaltouch.record import prepare_file, replace_file
 from modaltouch.system import commit, versions
 
@@ -80,10 +67,8 @@ def calibration_of(outcomes: Mapping[str, CalibrationResult], circumstances: Cal
     """
     shared = _shared(next(iter(outcomes.values())), circumstances)
     if "" in outcomes:
-        return CalibrationFile.model_validate({**shared, **_own(outcomes[""])})
-    return CalibrationOfSeveral.model_validate(
-        {**shared, "stimuli": {name: _own(outcome) for name, outcome in outcomes.items()}}
-    )
+        return Calibration.of({**shared, **_own(outcomes[""])})
+    return Calibration.of({**shared, "stimuli": {name: _own(outcome) for name, outcome in outcomes.items()}})
 
 
 def _shared(outcome: CalibrationResult, at: CalibrationContext) -> dict[str, Any]:
@@ -96,20 +81,18 @@ def _shared(outcome: CalibrationResult, at: CalibrationContext) -> dict[str, Any
         "made_by": f"modaltouch {versions()['modaltouch']}" + (f", commit {change[:12]}" if change else ""),
         "person": at.person,
         "protocol": at.protocol,
-        "apparatus": CalibratedApparatus(name=at.apparatus.apparatus, sha256=apparatus_hash(at.apparatus)),
-        "instruments": Instruments.model_validate(
-            {"generator": at.generator.strip(), "scope": at.scope, "mode": at.mode}
-        ),
-        "amplifier": CalibratedAmplifier(
-            gain_V_per_V=refined.amplifier.gain_V_per_V,
-            bandwidth_kHz=refined.amplifier.bandwidth_kHz,
-            delay_us=refined.amplifier.delay_us,
-        ),
-        "measuring_chain": MeasuringChain(
-            vibrometer_delay_us=round(max(plant.sight.delay, 0.0) * 1e6, 4),
-            vibrometer_lag_us=round(plant.sight.lag * 1e6, 4),
-            clock_offset_ppm=round(plant.drive.clock * 1e6, 3),
-        ),
+        "apparatus": {"name": at.apparatus.apparatus, "sha256": at.apparatus.measured_hash},
+        "instruments": {"generator": at.generator.strip(), "scope": at.scope, "mode": at.mode},
+        "amplifier": {
+            "gain_V_per_V": refined.amplifier.gain_V_per_V,
+            "bandwidth_kHz": refined.amplifier.bandwidth_kHz,
+            "delay_us": refined.amplifier.delay_us,
+        },
+        "measuring_chain": {
+            "vibrometer_delay_us": round(max(plant.sight.delay, 0.0) * 1e6, 4),
+            "vibrometer_lag_us": round(plant.sight.lag * 1e6, 4),
+            "clock_offset_ppm": round(plant.drive.clock * 1e6, 3),
+        },
         "unlisted_modes_Hz": tuple(sorted(round(float(abs(pole)) / (2 * np.pi), 1) for pole in plant.unlisted)),
         "positions_mm": tuple(round(float(point) * 1e3, 6) for point in outcome.points),
     }
@@ -127,16 +110,16 @@ def _own(outcome: CalibrationResult) -> dict[str, Any]:
     }
 
 
-def _iteration(turn: Iteration) -> IterationFigures:
-    return IterationFigures(
-        iteration=turn.number,
-        worst_velocity_error_mm_s=round(turn.errors[0] * 1e3, 4),
-        worst_displacement_error_mm_s=round(turn.errors[1] * 1e3, 4),
-        peak_voltage_V=round(turn.peak_voltage, 2),
-    )
+def _iteration(turn: Iteration) -> dict[str, Any]:
+    return {
+        "iteration": turn.number,
+        "worst_velocity_error_mm_s": round(turn.errors[0] * 1e3, 4),
+        "worst_displacement_error_mm_s": round(turn.errors[1] * 1e3, 4),
+        "peak_voltage_V": round(turn.peak_voltage, 2),
+    }
 
 
-def _modes(outcome: CalibrationResult) -> list[CalibratedMode]:
+def _modes(outcome: CalibrationResult) -> list[dict[str, Any]]:
     aim, before, after = outcome.correction, outcome.turns[0].state, outcome.best.state
     rows = []
     for row, mode in enumerate(outcome.refined.modes):
@@ -146,31 +129,31 @@ def _modes(outcome: CalibrationResult) -> list[CalibratedMode]:
             for state in (before, after)
         ]
         rows.append(
-            CalibratedMode(
-                label=mode.label,
-                natural_frequency_Hz=mode.natural_frequency_Hz,
-                damping_ratio=mode.damping_ratio,
-                gain_mm_s2_per_V=mode.gain_mm_s2_per_V,
-                wished_mm_s=round(wished * 1e3, DIGITS),
-                target_mm_s=round(aim.velocity[row] * 1e3, DIGITS),
-                target_displacement_mm_s=round(aim.displacement[row] * 1e3, DIGITS),
-                error_before_mm_s=errors[0],
-                error_after_mm_s=errors[1],
-                uncertainty_mm_s=round(INTERVAL * after.spread[row] * 1e3, 4),
-            )
+            {
+                "label": mode.label,
+                "natural_frequency_Hz": mode.natural_frequency_Hz,
+                "damping_ratio": mode.damping_ratio,
+                "gain_mm_s2_per_V": mode.gain_mm_s2_per_V,
+                "wished_mm_s": round(wished * 1e3, DIGITS),
+                "target_mm_s": round(aim.velocity[row] * 1e3, DIGITS),
+                "target_displacement_mm_s": round(aim.displacement[row] * 1e3, DIGITS),
+                "error_before_mm_s": errors[0],
+                "error_after_mm_s": errors[1],
+                "uncertainty_mm_s": round(INTERVAL * after.spread[row] * 1e3, 4),
+            }
         )
     return rows
 
 
-def _level(level: Level) -> CalibratedLevel:
-    return CalibratedLevel(
-        velocity_mm_s=round(level.velocity * 1e3, 6),
-        amplitude_factor=level.factor,
-        amplitude_Vpp=level.amplitude,
-        at_focus_mm_s=round(level.at_focus * 1e3, 3),
-        uncertainty_mm_s=round(INTERVAL * level.spread * 1e3, 3),
-        highest_mm_s=round(level.highest * 1e3, 2),
-    )
+def _level(level: Level) -> dict[str, Any]:
+    return {
+        "velocity_mm_s": round(level.velocity * 1e3, 6),
+        "amplitude_factor": level.factor,
+        "amplitude_Vpp": level.amplitude,
+        "at_focus_mm_s": round(level.at_focus * 1e3, 3),
+        "uncertainty_mm_s": round(INTERVAL * level.spread * 1e3, 3),
+        "highest_mm_s": round(level.highest * 1e3, 2),
+    }
 
 
 def calibration_text(calibration: Calibration) -> str:

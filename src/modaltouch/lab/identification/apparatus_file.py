@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from modaltouch.lab.identification.estimates import Estimate, Identification, IdentifiedMode
-from modaltouch.protocol import InputError, Source, examine_apparatus
+from modaltouch.protocol import Apparatus, Source
 
 SUFFIX = "_identified"
 
@@ -62,9 +62,7 @@ def identified_apparatus(
     yaml.dump(document, buffer)
     text = buffer.getvalue()
     file_name = f"{document['apparatus']}.yaml"
-    _, problems = examine_apparatus(Source(Path(file_name), text))
-    if problems:
-        raise InputError(problems)
+    Apparatus.read(Source(Path(file_name), text))
     return file_name, text
 
 

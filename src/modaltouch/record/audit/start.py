@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Iterator
 from typing import Any
 
-from modaltouch.protocol import Protocol, Schedule, draw_schedule, recorded_turn
+from modaltouch.protocol import Protocol, Schedule, Turn
 from modaltouch.record.audit.experiment import RestoredExperiment
 from modaltouch.record.chain import read_chain
 from modaltouch.record.folders import locate
@@ -61,7 +61,7 @@ def draw_again(session: Session, protocol: Protocol) -> Schedule:
         At the participant's own levels, where there are such.
     """
     start = session.start
-    return draw_schedule(protocol, start["participant"], start["seed"], session.drawn_as, given=recorded_turn(start))
+    return Schedule.draw(protocol, start["participant"], start["seed"], session.drawn_as, given=Turn.recorded(start))
 
 
 def _check_texts(start: dict[str, Any], protocol: Protocol, place: str) -> tuple[bool, str]:

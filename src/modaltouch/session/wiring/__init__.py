@@ -9,7 +9,7 @@ from typing import Any
 
 from modaltouch.planning import Observer, read_observer, usual_observer
 from modaltouch.preflight import Preflight, examine_findings
-from modaltouch.protocol import Protocol, Sources, draw_schedule, examine_sources, recorded_turn
+from modaltouch.protocol import Findings, Protocol, Schedule, Sources, Turn
 from modaltouch.record import (
     SCHEMA,
     Mode,
@@ -71,7 +71,7 @@ def wire_run(
     if session is None:
         place, drawn_as = next_session(place, protocol.schedule.sessions)
     preflight, calibrated = at_own_levels(preflight, place, threshold_mm_s)
-    schedule = draw_schedule(preflight.experiment.protocol, participant, seed, drawn_as)
+    schedule = Schedule.draw(preflight.experiment.protocol, participant, seed, drawn_as)
     wires = SessionParts(
         preflight,
         place,
@@ -119,11 +119,11 @@ def wire_resume(
     place = locate(log, session.mode, session.protocol)
     rig, answers = rig or start["rig_choice"], answers or start["answers_choice"]
     _refuse_another_kind(session, rig, answers, restart=restart)
-    preflight = examine_findings(examine_sources(Sources.from_dict(start["sources"]))).require()
+    preflight = examine_findings(Findings.restored(Sources.from_dict(start["sources"]))).require()
     preflight = recorded_levels(preflight, start)
-    given = recorded_turn(start)
+    given = Turn.recorded(start)
     protocol = preflight.experiment.protocol
-    schedule = draw_schedule(protocol, place.participant, start["seed"], session.drawn_as, given=given)
+    schedule = Schedule.draw(protocol, place.participant, start["seed"], session.drawn_as, given=given)
     observer = Observer.from_dict(start["observer"]) if "observer" in start else Observer()
     at = preflight.experiment.protocol.schedule.resume.at
     anew = _place_anew(place, session) if (restart or at == "restart") and not session.complete else None

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from modaltouch.planning import FeltSpeeds, Observer
 from modaltouch.preflight import Preflight
-from modaltouch.protocol import ANSWERS, ANSWERS_WITH_NONE, Schedule, Trial, random_generator
+from modaltouch.protocol import ANSWERS, ANSWERS_WITH_NONE, Schedule, Trial
 from modaltouch.record import SessionFolder
 from modaltouch.rig import Rig, open_rig, same_process, start_simulator
 from modaltouch.session.setup import Setup
@@ -123,14 +123,14 @@ class SessionParts:
         section = experiment.protocol.masking
         if self._answers != "window":
             return NoMasking("a simulated participant hears nothing" if section is not None else "")
-        return open_masking(section, experiment.apparatus.sound, log)
+        return open_masking(section, experiment.apparatus, log)
 
     def _answerer(self) -> Answerer:
         who = self._seed, self._place.participant, self._place.session
-        person = self._observer.draw(random_generator(*who, "observer"))
+        person = self._observer.draw(Schedule.random_generator(*who, "observer"))
         offers_none = self._preflight.experiment.protocol.answers.offers_none
         answers = ANSWERS_WITH_NONE if offers_none else ANSWERS
-        return Answerer(person, self._felt, random_generator(*who, "answers"), answers)
+        return Answerer(person, self._felt, Schedule.random_generator(*who, "answers"), answers)
 
     def _felt(self, trial: Trial) -> tuple[float, float]:
         """Return what the two fingers feel: on the twin where there is one, else as predicted."""

@@ -17,14 +17,11 @@ from modaltouch.window.masking.interface import Masking, MaskingError, NoMasking
 from modaltouch.window.masking.noise import SEED, amplitude_at, make_noise
 
 if TYPE_CHECKING:
-    from modaltouch.protocol import MaskingSection, Sound
+    from modaltouch.protocol import Apparatus, MaskingSection
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-
-if TYPE_CHECKING:
-    from modaltouch.protocol import Sound
 
 
 class DeviceError(Exception):
@@ -56,13 +53,13 @@ def default_device(name: str = "") -> dict[str, Any]:
         raise DeviceError(f"there is {what} ({error}); {remedy}") from error
 
 
-def open_stream(sound: Sound, fill: Callable[..., None]) -> tuple[dict[str, Any], Any]:
+def open_stream(apparatus: Apparatus, fill: Callable[..., None]) -> tuple[dict[str, Any], Any]:
     """Return what the device can do, and a stream on it that runs.
 
     Parameters
     ----------
-    sound : Sound
-        Which device, at which rate.
+    apparatus : Apparatus
+        Its section ``sound`` says which device, at which rate.
     fill : callable
         Hands over the next samples, as sounddevice calls it.
 
@@ -71,6 +68,7 @@ def open_stream(sound: Sound, fill: Callable[..., None]) -> tuple[dict[str, Any]
     DeviceError
         If there is no such device, or it refuses.
     """
+    sound = apparatus.sound
     device = default_device(sound.device)
     import sounddevice
 
@@ -162,15 +160,15 @@ _HURRY = 0.1
 """Longest fade where something went wrong [s]."""
 
 
-def open_masking(section: MaskingSection | None, sound: Sound, log: Log) -> Masking:
+def open_masking(section: MaskingSection | None, apparatus: Apparatus, log: Log) -> Masking:
     """Return the masking that a protocol wants, silent until `start`.
 
     Parameters
     ----------
     section : MaskingSection or None
         What the protocol wants.
-    sound : Sound
-        What the apparatus plays it with.
+    apparatus : Apparatus
+        What plays it.
     log : callable
         Takes what happens to it for the record.
 
@@ -182,7 +180,7 @@ def open_masking(section: MaskingSection | None, sound: Sound, log: Log) -> Mask
     if section is None:
         return NoMasking()
     try:
-        return NoiseMasking(section, sound, log)
+        return NoiseMasking(section, apparatus, log)
     except MaskingError as error:
         if section.required:
             raise
@@ -197,8 +195,8 @@ class NoiseMasking:
     ----------
     section : MaskingSection
         Which noise, how loud.
-    sound : Sound
-        Device, sampling rate, calibration.
+    apparatus : Apparatus
+        Its section ``sound`` has device, sampling rate and calibration.
     log : callable
         Takes what happens for the record.
 
@@ -208,11 +206,12 @@ class NoiseMasking:
         If the device cannot be opened.
     """
 
-    def __init__(self, section: MaskingSection, sound: Sound, log: Log) -> None:
+    def __init__(self, section: MaskingSection, apparatus: Apparatus, log: Log) -> None:
+        sound = apparatus.sound
         level = section.level(sound)
         if level is None:
             raise MaskingError("the masking noise has no level; give masking.level_dB_FS")
-        self._section, self._sound, self._log, self._level = section, sound, log, level
+        self._section, self._apparatus, self._log, self._level = section, apparatus, log, level
         period = make_noise(section.noise, sound.sampling_rate_Hz) * amplitude_at(level)
         self._playback = LoopedNoise(period, round(section.fade_s * sound.sampling_rate_Hz))
         self._device: dict[str, Any] = {}
@@ -224,7 +223,7 @@ class NoiseMasking:
 
     def describe(self) -> dict[str, Any] | None:
         """Return noise, level and device for the start record."""
-        full_scale = self._sound.full_scale_dB_SPL
+        full_scale = self._apparatus.sound.full_scale_dB_SPL
         return {
             "state": "masked",
             "noise": self._section.noise,
@@ -233,7 +232,7 @@ class NoiseMasking:
             "fade_s": self._section.fade_s,
             "seed": SEED,
             "device": self._device.get("name"),
-            "sampling_rate_Hz": self._sound.sampling_rate_Hz,
+            "sampling_rate_Hz": self._apparatus.sound.sampling_rate_Hz,
             "required": self._section.required,
         }
 
@@ -288,7 +287,7 @@ class NoiseMasking:
 
     def _open(self) -> None:
         try:
-            self._device, self._stream = open_stream(self._sound, self._fill)
+            self._device, self._stream = open_stream(self._apparatus, self._fill)
         except DeviceError as error:
             raise MaskingError(f"no masking noise can be played: {error}, or set masking.required: false") from error
         self._asked = time.perf_counter()
