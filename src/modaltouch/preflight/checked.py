@@ -33,20 +33,6 @@ def continuous_figures(stimulus: Stimulus, velocity: float) -> dict[str, Any]:
 
     A record of a whole period has fewer points for the burst: its steps come late or early by up to half a point,
     on top of the clock's own jitter.
-
-    Parameters
-    ----------
-    stimulus : Stimulus
-        The stimulus of all levels.
-    velocity : float
-        Level [m/s].
-
-    Returns
-    -------
-    dict
-        ``velocity_mm_s``; ``n_samples`` of the record; ``step_error_us``, by how much a step is late or early at
-        most; ``worst_modal_error_mm_s``, the largest of |velocity - target| and |w eta| over the modes; and a
-        ``warning`` in words.
     """
     burst, timing = stimulus.burst, stimulus.timing
     played = replace(timing, n_samples=MAX_POINTS, duration=1 / timing.repetition_rate)

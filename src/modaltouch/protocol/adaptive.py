@@ -120,8 +120,7 @@ _SECTION = ("conditions", "sensation_levels")
 
 def check_sensation_levels(reading: Reading[Any]) -> Iterator[Problem]:
     """Yield the faults between the section ``sensation_levels`` and the others."""
-    node = reading.find(_SECTION)
-    if node is None or not isinstance(node.content, dict):
+    if reading.keys(*_SECTION) is None:
         return
     if is_adaptive(reading):
         given = "levels calibrated by participant where runs are adaptive and find their own"
@@ -167,24 +166,14 @@ def check_adaptive(reading: Reading[Any]) -> Iterator[Problem]:
 
 def is_adaptive(reading: Reading[Any]) -> bool:
     """Return whether a protocol has a section ``adaptive``, sound or not."""
-    node = reading.find(("adaptive",))
-    return node is not None and isinstance(node.content, dict)
+    return reading.keys("adaptive") is not None
 
 
 def check_bounds(reading: Reading[Any], when: str, reached: str) -> Iterator[Problem]:
-    """Yield why the peak velocities are no bounds, a lowest level and then a higher one.
-
-    Parameters
-    ----------
-    reading : Reading
-        The protocol file.
-    when, reached : str
-        Where they have to be, as in ``runs are adaptive``, and who stays between them, as in ``a run may reach``.
-    """
+    """Yield why the peak velocities are no bounds, a lowest level and then a higher one."""
     path = ("conditions", "peak_velocities_mm_s")
     levels = [level for _, level in reading.items(*path)]
-    node = reading.find(path)
-    given = len(node.content) if node is not None and isinstance(node.content, list) else None
+    given = reading.length(*path)
     if given is not None and given != 2:
         words = f"{given} levels where {when}"
         yield reading.problem(path, words, f"two: the lowest and the highest that {reached}", "give both")
@@ -224,8 +213,6 @@ def _check_success(reading: Reading[Any]) -> Iterator[Problem]:
                 given = f"[{pair[0]}, {pair[1]}], neither of which is in focus, where success is naming the focus"
                 path = ("conditions", "zone_pairs", index)
                 yield reading.problem(path, given, f"a pair with {focus}", "remove it, or count `felt` as success")
-    keys = reading.find(("answers", "keys"))
-    offers_none = keys is not None and isinstance(keys.content, dict) and "none" in keys.content
-    if success == "felt" and not offers_none:
+    if success == "felt" and "none" not in (reading.keys("answers", "keys") or ()):
         given = "felt, where no answer says that nothing was felt"
         yield reading.problem(("adaptive", "success"), given, "focus_named, or keys for `none`", "give the keys")

@@ -17,7 +17,7 @@ import numpy as np
 from pydantic import Field
 
 from modaltouch.protocol.identified import Identified, Intervals, Provenance, ShapeTable, check_shapes
-from modaltouch.protocol.problems import InputError, Problem, suggest
+from modaltouch.protocol.problems import InputError, Problem
 from modaltouch.protocol.reading import Reading, read
 from modaltouch.protocol.section import (
     DampingRatio,
@@ -354,11 +354,10 @@ def check_patches(reading: Reading[Apparatus]) -> Iterator[Problem]:
     for name, actuators in reading.items("actuator_sets"):
         for index, (left, right) in enumerate(actuators.patches_mm):
             path = ("actuator_sets", name, "patches_mm", index)
+            given = f"a patch from {left:g} to {right:g} mm"
             if not left < right:
-                given = f"a patch from {left:g} to {right:g} mm"
                 yield reading.problem(path, given, "the left end first", "exchange the two ends")
             elif length is not None and max(-left, right) > length / 2 * (1 + 1e-9):
-                given = f"a patch from {left:g} to {right:g} mm"
                 allowed = f"from {-length / 2:g} to {length / 2:g} mm, where the beam of {length:g} mm ends"
                 yield reading.problem(path, given, allowed, "measure from mid-beam")
 
@@ -405,63 +404,41 @@ def _check_actuator_sets(reading: Reading[Apparatus]) -> Iterator[Problem]:
 
 
 def _check_modes(reading: Reading[Apparatus]) -> Iterator[Problem]:
-    node = reading.find(("actuator_sets",))
-    sets = list(node.content) if node is not None and isinstance(node.content, dict) else None
-    lines: dict[int, int] = {}
-    for index in range(_count(reading, "modes")):
-        label = reading.sound("modes", index, "label")
-        if label in lines:
-            given = f"{label}, the label of modes[{lines[label]}] too"
-            yield reading.problem(("modes", index, "label"), given, "each label once", "remove one of them")
+    sets, taken = reading.keys("actuator_sets"), dict[int, int]()
+    for index in range(reading.length("modes") or 0):
+        mode = ("modes", index)
+        label = reading.sound(*mode, "label")
+        if label in taken:
+            given = f"{label}, the label of modes[{taken[label]}] too"
+            yield reading.problem((*mode, "label"), given, "each label once", "remove one of them")
         elif label is not None:
-            lines[label] = index
-        gains = reading.find(("modes", index, "gain_mm_s2_per_V"))
-        named = list(gains.content) if gains is not None and isinstance(gains.content, dict) else []
-        for name in named if sets is not None else ():
-            if name not in (sets or ()):
-                path = ("modes", index, "gain_mm_s2_per_V", name)
-                yield _unknown_set(reading, path, name, sets or [], at_key=True)
-        known = reading.find(("modes", index, "intervals_95", "gain_mm_s2_per_V"))
-        for name in list(known.content) if known is not None and isinstance(known.content, dict) else ():
+            taken[label] = index
+        named = reading.keys(*mode, "gain_mm_s2_per_V") or []
+        yield from _unknown_sets(reading, (*mode, "gain_mm_s2_per_V"), named if sets is None else sets)
+        yield from _unknown_sets(reading, (*mode, "intervals_95", "gain_mm_s2_per_V"), named)
+        for position, name in reading.items(*mode, "assumed"):
             if name not in named:
-                within = ("modes", index, "intervals_95", "gain_mm_s2_per_V", name)
-                yield _unknown_set(reading, within, name, named, at_key=True)
-        for position, name in reading.items("modes", index, "assumed"):
-            if name not in named:
-                path = ("modes", index, "assumed", position)
-                yield _unknown_set(reading, path, name, named, at_key=False)
+                yield reading.unknown((*mode, "assumed", position), "a set with a gain in this mode", named)
 
 
 def _check_unlisted(reading: Reading[Apparatus]) -> Iterator[Problem]:
-    node = reading.find(("actuator_sets",))
-    sets = list(node.content) if node is not None and isinstance(node.content, dict) else []
-    taken = {("bending", reading.sound("modes", i, "label")): f"modes[{i}]" for i in range(_count(reading, "modes"))}
-    where: tuple[str | int, ...] = ("twin", "unlisted_modes")
-    for index in range(_count(reading, *where)):
-        label = reading.sound(*where, index, "label")
-        family = reading.sound(*where, index, "family")
+    n_modes = reading.length("modes") or 0
+    taken = {("bending", reading.sound("modes", index, "label")): f"modes[{index}]" for index in range(n_modes)}
+    for index in range(reading.length("twin", "unlisted_modes") or 0):
+        mode = ("twin", "unlisted_modes", index)
+        label, family = reading.sound(*mode, "label"), reading.sound(*mode, "family")
         if label is not None and (family, label) in taken:
             given = f"{label}, the label of {taken[(family, label)]} too"
-            yield reading.problem((*where, index, "label"), given, "each mode once", "remove one of them")
+            yield reading.problem((*mode, "label"), given, "each mode once", "remove one of them")
         taken.setdefault((family, label), f"twin.unlisted_modes[{index}]")
-        gains = reading.find((*where, index, "gain_mm_s2_per_V"))
-        for name in list(gains.content) if gains is not None and isinstance(gains.content, dict) else ():
-            if name not in sets:
-                yield _unknown_set(reading, (*where, index, "gain_mm_s2_per_V", name), name, sets, at_key=True)
+        yield from _unknown_sets(reading, (*mode, "gain_mm_s2_per_V"), reading.keys("actuator_sets") or [])
 
 
-def _count(reading: Reading[Apparatus], *path: str | int) -> int:
-    node = reading.find(path)
-    return len(node.content) if node is not None and isinstance(node.content, list) else 0
-
-
-def _unknown_set(
-    reading: Reading[Apparatus], path: tuple[str | int, ...], name: str, allowed: list[str], *, at_key: bool
-) -> Problem:
-    meant = suggest(name, allowed)
-    kind = "a set of actuator_sets" if at_key else "a set with a gain in this mode"
-    remedy = f"did you mean '{meant}'?" if meant else ""
-    return reading.problem(path, f"'{name}', which is not {kind}", ", ".join(allowed), remedy, at_key=at_key)
+def _unknown_sets(reading: Reading[Apparatus], path: tuple[str | int, ...], known: list[str]) -> Iterator[Problem]:
+    """Yield the keys of a mapping that are no known actuator sets."""
+    for name in reading.keys(*path) or ():
+        if name not in known:
+            yield reading.unknown((*path, name), "a set of actuator_sets", known, at_key=True)
 
 
 def _check_latency(reading: Reading[Apparatus]) -> Iterator[Problem]:

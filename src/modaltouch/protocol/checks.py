@@ -163,8 +163,7 @@ def _check_schedule(reading: Reading[Protocol]) -> Iterator[Problem]:
 
 
 def _check_keys(reading: Reading[Protocol]) -> Iterator[Problem]:
-    keys = reading.find(("answers", "keys"))
-    given_answers = list(keys.content) if keys is not None and isinstance(keys.content, dict) else None
+    given_answers = reading.keys("answers", "keys")
     for answer in ("left", "both", "right"):
         if given_answers is not None and answer not in given_answers:
             path = ("answers", "keys", answer)
@@ -230,28 +229,19 @@ def check_fit(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> lis
     ]
 
 
-def _names(apparatus: Reading[Apparatus], key: str) -> list[str] | None:
-    node = apparatus.find((key,))
-    return list(node.content) if node is not None and isinstance(node.content, dict) else None
-
-
 def _check_zones(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> Iterator[Problem]:
-    zones = _names(apparatus, "zones")
+    zones, kind = apparatus.keys("zones"), "a zone of this beam"
     if zones is None:
         return
-    focus = protocol.sound("stimulus", "focus")
-    if focus is not None and focus not in zones:
-        yield _unknown_zone(protocol, ("stimulus", "focus"), focus, zones)
+    if (focus := protocol.sound("stimulus", "focus")) is not None and focus not in zones:
+        yield protocol.unknown(("stimulus", "focus"), kind, zones)
     for index, further in protocol.items("stimulus", "further_foci"):
         if further not in zones:
-            yield _unknown_zone(protocol, ("stimulus", "further_foci", index), further, zones)
-    pairs = protocol.find(("conditions", "zone_pairs"))
-    n_pairs = len(pairs.content) if pairs is not None and isinstance(pairs.content, list) else 0
-    for index in range(n_pairs):
+            yield protocol.unknown(("stimulus", "further_foci", index), kind, zones)
+    for index in range(protocol.length("conditions", "zone_pairs") or 0):
         path = ("conditions", "zone_pairs", index)
-        unknown = [(position, name) for position, name in protocol.items(*path) if name not in zones]
-        for position, name in unknown:
-            yield _unknown_zone(protocol, (*path, position), name, zones)
+        unknown = [position for position, name in protocol.items(*path) if name not in zones]
+        yield from (protocol.unknown((*path, position), kind, zones) for position in unknown)
         pair = protocol.sound(*path)
         if pair is None or unknown or pair[0] == pair[1]:
             continue
@@ -261,17 +251,9 @@ def _check_zones(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> 
             yield protocol.problem(path, given, "the left zone first", f"write [{pair[1]}, {pair[0]}]")
 
 
-def _unknown_zone(protocol: Reading[Protocol], path: tuple[str | int, ...], name: str, zones: list[str]) -> Problem:
-    meant = suggest(name, zones)
-    remedy = f"did you mean '{meant}'?" if meant else ""
-    return protocol.problem(path, f"'{name}', which is not a zone of this beam", ", ".join(zones), remedy)
-
-
 def _check_modes(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> Iterator[Problem]:
-    modes = apparatus.find(("modes",))
-    if modes is None or not isinstance(modes.content, list):
+    if (n_modes := apparatus.length("modes")) is None:
         return
-    n_modes = len(modes.content)
     labels = [apparatus.sound("modes", index, "label") for index in range(n_modes)]
     selection = protocol.sound("stimulus", "selected_modes")
     if isinstance(selection, int) and selection > n_modes:

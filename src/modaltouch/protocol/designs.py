@@ -166,26 +166,7 @@ Pair = tuple[str, str]
 def place_catches(
     order: Sequence[Pair], n_catches: int, limit: int | None, stream: Stream, *, own_pair: bool = False
 ) -> list[tuple[int, Pair]]:
-    """Return after which trial each catch trial comes, counted from 0, and its pair of zones.
-
-    Parameters
-    ----------
-    order : sequence of (str, str)
-        Pairs of the trials of a block, in order, keeping the limit.
-    n_catches : int
-        How many catch trials, at most as many as trials.
-    limit : int or None
-        Most times that a pair may come running, catch trials with the others; None for no limit.
-    stream : Stream
-        Where chance comes from.
-    own_pair : bool
-        Whether a catch trial has the pair of the trial before it, as where pairs come one after the other.
-
-    Raises
-    ------
-    ValueError
-        If there is no valid way.
-    """
+    """Return after which trial each catch trial comes, counted from 0, and its pair of zones."""
     pairs = list(dict.fromkeys(order))
     if limit is None:
         places = sorted(stream.chosen(range(len(order)), n_catches))

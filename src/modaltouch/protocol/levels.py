@@ -12,37 +12,18 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
 from typing import Any, Self
 
 import numpy as np
 
-from modaltouch.protocol.adaptive import AdaptiveSection, StaircaseSection
+from modaltouch.protocol.adaptive import StaircaseSection
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.trial import Condition, Trial
 
 Run = tuple[str, str, str, str]
 """A finger condition, the zones under the left and the right finger, and a stimulus."""
-
-
-@dataclass(frozen=True)
-class AnsweredLevel:
-    """One answered trial of a run.
-
-    Attributes
-    ----------
-    index : int
-        Place of the trial in the session.
-    velocity_mm_s : float
-        Its level [mm/s].
-    success : bool
-        Whether the answer counts as success.
-    """
-
-    index: int
-    velocity_mm_s: float
-    success: bool
 
 
 class Levels:
@@ -56,10 +37,13 @@ class Levels:
 
     def __init__(self, protocol: Protocol) -> None:
         self._protocol = protocol
+        velocities, adaptive = protocol.conditions.peak_velocities_mm_s, protocol.adaptive
+        self._range = min(velocities), max(velocities)
+        self._bounds = to_dB(self._range[0]), to_dB(self._range[1])
         self._quests: dict[Run, Quest] = {}
-        if protocol.adaptive is not None and protocol.adaptive.method == "quest_plus":
+        if adaptive is not None and adaptive.method == "quest_plus":
             # Built now rather than at the first trial, which it would keep waiting.
-            blank = self._new_quest(protocol.adaptive)
+            blank = Quest(self._bounds, to_dB(adaptive.start_mm_s), adaptive.guess_rate, adaptive.lapse_rate)
             fingers, pairs = protocol.conditions.finger_conditions, protocol.conditions.zone_pairs
             for finger_condition, (left, right), name in product(fingers, pairs, protocol.stimulus_names):
                 for run in ((finger_condition, left, right, name), (finger_condition, right, left, name)):
@@ -79,53 +63,28 @@ class Levels:
         adaptive = self._protocol.adaptive
         if adaptive is None or trial.practice or trial.condition.is_catch:
             return trial
-        before = [each for each in self.history(run_of(trial.condition), answered) if each.index < trial.index]
-        level = self._next_dB(adaptive, run_of(trial.condition), before)
-        velocity = from_dB(level, self._range)
-        return replace(trial, condition=replace(trial.condition, velocity_mm_s=velocity))
-
-    def history(self, run: Run, answered: Iterable[Mapping[str, Any]]) -> list[AnsweredLevel]:
-        """Return the trials of a run that the instrument confirmed, in the order of the session.
-
-        Parameters
-        ----------
-        run : tuple of str
-            Which run.
-        answered : iterable of mapping
-            The record's trial events that count.
-        """
-        found = []
-        for event in answered:
-            condition = Condition(**event["trial"]["condition"])
-            counts = event["confirmed"]["confirmed"] and not event["trial"]["practice"] and not condition.is_catch
-            if counts and run_of(condition) == run:
-                focus, answer = self._protocol.stimulus_of(condition.stimulus).focus, event["response"]["answer"]
-                success = is_success(self._rule, focus, condition.zone_left, answer)
-                found.append(AnsweredLevel(event["trial"]["index"], condition.velocity_mm_s, success))
-        return sorted(found, key=lambda each: each.index)
-
-    @property
-    def _rule(self) -> str:
-        return self._protocol.adaptive.success if self._protocol.adaptive is not None else ""
-
-    @property
-    def _range(self) -> tuple[float, float]:
-        levels = self._protocol.conditions.peak_velocities_mm_s
-        return min(levels), max(levels)
-
-    @property
-    def _bounds_dB(self) -> tuple[float, float]:  # noqa: N802
-        low, high = self._range
-        return to_dB(low), to_dB(high)
-
-    def _next_dB(self, adaptive: AdaptiveSection, run: Run, before: Sequence[AnsweredLevel]) -> float:  # noqa: N802
+        run = run_of(trial.condition)
+        before = self._history(run, trial.index, adaptive.success, answered)
         if adaptive.method == "staircase":
-            start = to_dB(adaptive.start_mm_s)
-            return follow(adaptive.staircase, start, self._bounds_dB, [each.success for each in before]).next_dB
-        return self._quests[run].next_level([(to_dB(each.velocity_mm_s), each.success) for each in before])
+            start, successes = to_dB(adaptive.start_mm_s), [success for _, success in before]
+            level = follow(adaptive.staircase, start, self._bounds, successes)
+        else:
+            level = self._quests[run].next_level(before)
+        return replace(trial, condition=replace(trial.condition, velocity_mm_s=from_dB(level, self._range)))
 
-    def _new_quest(self, adaptive: AdaptiveSection) -> Quest:
-        return Quest(self._bounds_dB, to_dB(adaptive.start_mm_s), adaptive.guess_rate, adaptive.lapse_rate)
+    def _history(
+        self, run: Run, until: int, rule: str, answered: Iterable[Mapping[str, Any]]
+    ) -> list[tuple[float, bool]]:
+        """Return level [dB] and success of the trials of a run that the instrument confirmed before one, in order."""
+        found: list[tuple[int, float, bool]] = []
+        for event in answered:
+            condition, index = Condition(**event["trial"]["condition"]), event["trial"]["index"]
+            counts = event["confirmed"]["confirmed"] and not event["trial"]["practice"] and not condition.is_catch
+            if counts and index < until and run_of(condition) == run:
+                focus, answer = self._protocol.stimulus_of(condition.stimulus).focus, event["response"]["answer"]
+                success = is_success(rule, focus, condition.zone_left, answer)
+                found.append((index, to_dB(condition.velocity_mm_s), success))
+        return [(level, success) for _, level, success in sorted(found, key=lambda each: each[0])]
 
 
 def run_of(condition: Condition) -> Run:
@@ -167,59 +126,23 @@ def is_success(rule: str, focus: str, zone_left: str, answer: str) -> bool:
     return answer == ("left" if zone_left == focus else "right")
 
 
-@dataclass(frozen=True)
-class StaircaseState:
-    """A staircase after some answers.
+def follow(rule: StaircaseSection, start: float, bounds: tuple[float, float], successes: Sequence[bool]) -> float:
+    """Return the next level of a staircase after some answers [dB]; a step that would pass a bound ends there.
 
-    Attributes
-    ----------
-    next_dB : float
-        Level of the next trial [dB].
-    reversals : tuple of int
-        Trials, from 0, after which the staircase turned.
+    The step shrinks at each reversal, before it is taken.
     """
-
-    next_dB: float  # noqa: N815
-    reversals: tuple[int, ...]
-
-
-def follow(
-    rule: StaircaseSection, start: float, bounds: tuple[float, float], successes: Sequence[bool]
-) -> StaircaseState:
-    """Return where a staircase stands after some answers.
-
-    Parameters
-    ----------
-    rule : StaircaseSection
-        The rule.
-    start : float
-        Level of the first trial [dB].
-    bounds : (float, float)
-        Lowest and highest level [dB]; a step that would pass one ends there.
-    successes : sequence of bool
-        The answers so far, in order.
-
-    Returns
-    -------
-    StaircaseState
-        The step shrinks at each reversal, before it is taken.
-    """
-    level, in_a_row, heading = start, 0, 0
-    reversals: list[int] = []
-    for trial, success in enumerate(successes):
-        if success:
-            in_a_row += 1
-            if in_a_row < rule.down_after:
-                continue
-        in_a_row = 0
-        direction = -1 if success else 1
-        if heading and direction != heading:
-            reversals.append(trial)
+    level, in_a_row, heading, n_reversals = start, 0, 0, 0
+    for success in successes:
+        in_a_row = in_a_row + 1 if success else 0
+        if success and in_a_row < rule.down_after:
+            continue
+        in_a_row, direction = 0, -1 if success else 1
+        n_reversals += heading == -direction
         heading = direction
-        step = rule.steps_dB[min(len(reversals), len(rule.steps_dB) - 1)]
+        step = rule.steps_dB[min(n_reversals, len(rule.steps_dB) - 1)]
         level += direction * step * (rule.up_over_down if direction > 0 else 1.0)
         level = min(max(level, bounds[0]), bounds[1])
-    return StaircaseState(level, tuple(reversals))
+    return level
 
 
 STEP = 2.0
@@ -276,13 +199,7 @@ class Quest:
         return run
 
     def next_level(self, history: Sequence[tuple[float, bool]]) -> float:
-        """Return the level of the next trial [dB].
-
-        Parameters
-        ----------
-        history : sequence of (float, bool)
-            Level [dB] and success of the trials so far, in order.
-        """
+        """Return the level of the next trial [dB]."""
         if list(history[: len(self._taken)]) != self._taken:
             self._begin_anew()
         for level, success in history[len(self._taken) :]:

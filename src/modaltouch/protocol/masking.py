@@ -56,8 +56,7 @@ class MaskingSection(Section):
 
 def check_masking(protocol: Reading[Any], apparatus: Reading[Apparatus]) -> Iterator[Problem]:
     """Yield what is wrong with the level of the masking noise, as far as the sound parts of both files show it."""
-    node = protocol.find(("masking",))
-    if node is None or not isinstance(node.content, dict):
+    if protocol.keys("masking") is None:
         return
     given = [key for key in ("level_dB_FS", "level_dB_SPL") if protocol.sound("masking", key) is not None]
     if any(problem.path.startswith("masking.level") for problem in protocol.problems):

@@ -68,13 +68,6 @@ def draw_order(counts: Sequence[int], limit: int | None, stream: Stream) -> list
 def count_orders(counts: Sequence[int], limit: int) -> int:
     """Return how many orders keep the limit, kinds told apart and items of a kind not.
 
-    Parameters
-    ----------
-    counts : sequence of int
-        How often each kind comes.
-    limit : int
-        Most times that a kind may come running.
-
     Examples
     --------
     Three kinds, two of each, no two alike running: the 30 of OEIS A110706.
@@ -101,15 +94,7 @@ def n_states_at_most(counts: Sequence[int]) -> int:
 
 @lru_cache(maxsize=8)
 def count_states(counts: tuple[int, ...], limit: int) -> dict[State, int]:
-    """Return the number of ways to go on from every state that can be met.
-
-    Parameters
-    ----------
-    counts : tuple of int
-        How often each kind comes.
-    limit : int
-        Most times that a kind may come running.
-    """
+    """Return the number of ways to go on from every state that can be met."""
     layers: dict[int, set[State]] = {}
     open_states = set(_next_states(tuple(sorted(counts)), None, limit))
     while open_states:
@@ -167,13 +152,7 @@ def moves(left: Sequence[int], last: int | None, limit: int, table: dict[State, 
 
 
 def draw_counted(counts: Sequence[int], limit: int, stream: Stream) -> list[int]:
-    """Return an order drawn run by run, each with the share of the orders that begin so.
-
-    Parameters
-    ----------
-    counts, limit, stream
-        As `draw_order` takes them.
-    """
+    """Return an order drawn run by run, each with the share of the orders that begin so."""
     table = count_states(tuple(counts), limit)
     left, order = list(counts), list[int]()
     last: int | None = None
@@ -187,15 +166,7 @@ def draw_counted(counts: Sequence[int], limit: int, stream: Stream) -> list[int]
 
 
 def draw_unlike_neighbours(counts: tuple[int, ...], stream: Stream) -> list[int]:
-    """Return an order drawn uniformly among those in which no kind follows itself.
-
-    Parameters
-    ----------
-    counts : tuple of int
-        How often each kind comes; at least one such order must exist.
-    stream : Stream
-        Where chance comes from.
-    """
+    """Return an order drawn uniformly among those in which no kind follows itself."""
     order: list[int] = []
     for kind, count in enumerate(counts):
         like = [place for place, (one, other) in enumerate(pairwise(order), start=1) if one == other]
@@ -254,18 +225,7 @@ WORK_LIMIT = 4_000_000
 
 
 def draw_by_rejection(counts: Sequence[int], limit: int, stream: Stream) -> list[int]:
-    """Return the first order that keeps limit and counts, of many that keep one of the two by construction.
-
-    Parameters
-    ----------
-    counts, limit, stream
-        As `draw_order` takes them.
-
-    Raises
-    ------
-    ValueError
-        If none is found with reasonable work.
-    """
+    """Return the first order that keeps limit and counts, of many that keep one of the two by construction."""
     n_trials, n_kinds = sum(counts), len(counts)
     # Rough sizes only choose the quicker way: either draws uniformly.
     excess = n_trials * n_kinds ** -float(limit) * (1 - 1 / n_kinds)

@@ -106,6 +106,24 @@ class Reading(Generic[Model]):
             node = node.child(step) if node is not None else None
         return node
 
+    def keys(self, *path: Step) -> list[str] | None:
+        """Keys of the mapping at a path; None where there is no mapping."""
+        node = self.find(path)
+        return list(node.content) if node is not None and isinstance(node.content, dict) else None
+
+    def length(self, *path: Step) -> int | None:
+        """Number of entries of the list at a path; None where there is no list."""
+        node = self.find(path)
+        return len(node.content) if node is not None and isinstance(node.content, list) else None
+
+    def unknown(self, path: Iterable[Step], kind: str, known: Iterable[str], *, at_key: bool = False) -> Problem:
+        """Problem of a name, the value at a path or its last key, that is not among the known ones."""
+        *_, last = steps = tuple(path)
+        node, names = self.find(steps), list(known)
+        name = str(last if at_key or node is None else node.content)
+        remedy = f"did you mean '{meant}'?" if (meant := suggest(name, names)) else ""
+        return self.problem(steps, f"'{name}', which is not {kind}", ", ".join(names), remedy, at_key=at_key)
+
     def problem(
         self, path: Iterable[Step], given: str, allowed: str, remedy: str = "", *, at_key: bool = False
     ) -> Problem:
@@ -174,7 +192,7 @@ def _translate(reading: Reading[Any], details: Any) -> Problem:
     if kind == "modaltouch":
         return reading.problem(path, context["given"], context["allowed"], context["remedy"])
     if kind == "extra_forbidden":
-        return _unknown_key(reading, path)
+        return reading.unknown(path, "a key here", keys_of(reading.model, path[:-1]), at_key=True)
     if details["loc"] and details["loc"][-1] == "[key]":
         allowed = context.get("expected") or "a word of letters, digits, _ and -"
         return reading.problem(path, f"{path[-1]!r} as a key", allowed.replace(" or ", ", "), at_key=True)
@@ -211,14 +229,6 @@ def _real_path(reading: Reading[Any], details: Any) -> tuple[Step, ...]:
         elif details["type"] == "missing" and position == len(loc) - 1:
             path.append(step)
     return tuple(path)
-
-
-def _unknown_key(reading: Reading[Any], path: tuple[Step, ...]) -> Problem:
-    known = keys_of(reading.model, path[:-1])
-    meant = suggest(str(path[-1]), known)
-    given = f"'{path[-1]}', which is not a key here"
-    remedy = f"did you mean '{meant}'?" if meant else ""
-    return reading.problem(path, given, ", ".join(known), remedy, at_key=True)
 
 
 def _in_words(node: Node | None) -> str:

@@ -122,8 +122,7 @@ class Texts(Section):
 def check_words(protocol: Reading[Protocol], texts: Reading[Texts]) -> list[Problem]:
     """Return the texts that a protocol needs and its language file lacks."""
     problems: list[Problem] = []
-    keys = protocol.find(("answers", "keys"))
-    if keys is None or not isinstance(keys.content, dict) or "none" not in keys.content:
+    if "none" not in (protocol.keys("answers", "keys") or ()):
         return problems
     file = protocol.source.path.name
     for name in ("none", "how_to_answer_or_none"):

@@ -120,7 +120,7 @@ def test_staircases_give_back_the_thresholds_of_their_observers(
 
     def next_of() -> Callable[[list[float], list[bool]], float]:
         bounds, start = (to_dB(BOUNDS[0]), to_dB(BOUNDS[1])), to_dB(section.start_mm_s)
-        return lambda levels, successes: follow(section.staircase, start, bounds, successes).next_dB
+        return lambda levels, successes: follow(section.staircase, start, bounds, successes)
 
     found = recover(next_of, section, speeds, 50)
     assert found.share_told >= 0.7
