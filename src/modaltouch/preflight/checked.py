@@ -102,9 +102,7 @@ class Preflight:
         InputError
             If anything is wrong with them.
         """
-        if self.problems:
-            raise InputError(self.problems)
-        return self.findings.experiment()
+        return self.require().findings.experiment()
 
     @property
     def stimulus(self) -> Stimulus:

@@ -40,11 +40,6 @@ def check_levels(ground: DesignInputs, stimulus: Stimulus, findings: Findings) -
     return problems
 
 
-def fits_generator(ground: DesignInputs, stimulus: Stimulus) -> bool:
-    """Return whether the full scales at the reference level can be set."""
-    return max(stimulus.amplitude_for(stimulus.wish.velocity)) <= _highest_amplitude(ground)
-
-
 def _highest_amplitude(ground: DesignInputs) -> float:
     """Return what the generator may be set to without its full scale passing the amplifier's limit [Vpp]."""
     return 2 * highest_level(ground.apparatus)
@@ -175,21 +170,12 @@ _PLACES: tuple[tuple[str, str], ...] = (
 """Words of the engine's messages and the key of the stimulus section that they are about, first match first."""
 
 
+_MODE_KEYS = (("gain", "gain_mm_s2_per_V"), ("damping", "damping_ratio"), ("frequency", "natural_frequency_Hz"))
+"""The same, of the table of modes."""
+
+
 def locate(error: Exception, findings: Findings) -> Problem:
-    """Return what the engine refused as a problem of the file that asked for it.
-
-    Parameters
-    ----------
-    error : Exception
-        What the engine raised.
-    findings : Findings
-        The files; the protocol and apparatus must have been opened.
-
-    Raises
-    ------
-    ValueError
-        If the protocol or the apparatus was not opened.
-    """
+    """Return what the engine refused as a problem of the file that asked for it; both must have been opened."""
     protocol, apparatus = findings.protocol, findings.apparatus
     if protocol is None or apparatus is None:
         raise ValueError("there is no file in which to find the fault: open protocol and apparatus first")
@@ -197,43 +183,20 @@ def locate(error: Exception, findings: Findings) -> Problem:
     given, _, remedy = message.rpartition(": ") if ": " in message else (message, "", "")
     given = f"a stimulus that cannot be made, {given}"
     mode = re.search(r"mode (\d+)", message)
-    if mode is not None and re.search(r"gain|damping|frequency", message):
-        labels = {label: index for index, label in _labels(findings)}
-        index = labels.get(int(mode.group(1)))
-        key = next(key for word, key in _MODE_KEYS if word in message)
+    key = next((key for word, key in _MODE_KEYS if word in message), "")
+    if mode is not None and key:
+        index = next((index for index, each in apparatus.items("modes") if each.label == int(mode.group(1))), None)
         if index is not None:
             return apparatus.problem(("modes", index, key), given, "", remedy)
     if re.search(r"linearly dependent|scan grid|zero at every point", message):
         return apparatus.problem(("beam", "measured_shapes"), given, "", remedy)
-    if re.search(r"samples are fewer", message) and _is_late(findings):
-        return apparatus.problem(
-            ("amplifier", "delay_us"), given, "", "shorten the delay, or move the focusing instant"
-        )
+    # Late is a delay that takes most of the time before the focusing instant.
+    delay, instant = apparatus.sound("amplifier", "delay_us"), protocol.sound("stimulus", "focusing_instant_ms")
+    if "samples are fewer" in message and delay is not None and instant is not None and delay > 500 * instant:
+        remedy = "shorten the delay, or move the focusing instant"
+        return apparatus.problem(("amplifier", "delay_us"), given, "", remedy)
     key = next((key for words, key in _PLACES if re.search(words, message)), "")
     return protocol.problem(("stimulus", key) if key else ("stimulus",), given, "", remedy)
-
-
-_MODE_KEYS = (
-    ("gain", "gain_mm_s2_per_V"),
-    ("damping", "damping_ratio"),
-    ("frequency", "natural_frequency_Hz"),
-)
-
-
-def _is_late(findings: Findings) -> bool:
-    """Return whether the amplifier's delay takes most of the time before the focusing instant."""
-    if findings.protocol is None or findings.apparatus is None:
-        return False
-    delay = findings.apparatus.sound("amplifier", "delay_us")
-    instant = findings.protocol.sound("stimulus", "focusing_instant_ms")
-    return delay is not None and instant is not None and delay > 500 * instant
-
-
-def _labels(findings: Findings) -> list[tuple[int, int]]:
-    reading = findings.apparatus
-    if reading is None:
-        return []
-    return [(index, mode.label) for index, mode in reading.items("modes")]
 
 
 def examine(path: Path | str, calibration: Path | None = None, *, uncalibrated: bool = False) -> Preflight:
@@ -276,7 +239,7 @@ def examine_findings(findings: Findings) -> Preflight:
                 problems += check_levels(ground, stimulus, findings)
         except (ValueError, ArithmeticError) as error:
             problems.append(locate(error, findings))
-    if findings.protocol is not None and findings.protocol.value is not None:
+    if not findings.problems:
         problems += [*_check_schedule(findings), *_check_masking_level(findings)]
     return Preflight(findings, tuple(sorted(set(problems))), ground, stimulus)
 
@@ -319,35 +282,31 @@ def design_to_fit(ground: DesignInputs, *, release: Release | None = None) -> St
     """
     stimulus = design(ground, release=release)
     within = float(stimulus.peak_voltage.max()) <= ground.apparatus.amplifier.limit_V
-    if within and not fits_generator(ground, stimulus):
+    if within and max(stimulus.amplitude_for(stimulus.wish.velocity)) > _highest_amplitude(ground):
         return design(ground, release=release, on_grid=False)
     return stimulus
 
 
 def _check_schedule(findings: Findings) -> list[Problem]:
     """Return why no order can be drawn, if none can."""
-    reading = findings.protocol
-    if reading is None or reading.value is None or findings.problems:
-        return []
     try:
-        Schedule.draw(reading.value, "p01", 0)
+        Schedule.draw(findings.experiment().protocol, "p01", 0)
     except ValueError as error:
         path = ("schedule", "max_same_pair_running")
-        return [reading.problem(path, f"a limit that cannot be kept, {error}", "")]
+        return [findings.problem(path, f"a limit that cannot be kept, {error}", "")]
     return []
 
 
 def _check_masking_level(findings: Findings) -> Iterator[Problem]:
     """Yield the level of a masking noise whose peaks would pass full scale."""
-    protocol, apparatus = findings.protocol, findings.apparatus
-    if protocol is None or apparatus is None or findings.problems:
-        return
-    if protocol.value is None or apparatus.value is None or protocol.value.masking is None:
-        return
-    section, sound = protocol.value.masking, apparatus.value.sound
-    level = section.level(sound)
-    highest = highest_noise_level(section.noise, sound.sampling_rate_Hz)
-    if level is None or level <= highest:
+    experiment = findings.experiment()
+    section, sound = experiment.protocol.masking, experiment.apparatus.sound
+    level = None if section is None else section.level(sound)
+    if (
+        section is None
+        or level is None
+        or level <= (highest := highest_noise_level(section.noise, sound.sampling_rate_Hz))
+    ):
         return
     unit = section.level_key.removeprefix("level_").replace("_", " ")
     shift = 0.0 if section.level_dB_FS is not None else sound.full_scale_dB_SPL or 0.0
