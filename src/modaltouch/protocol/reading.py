@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import math
-import types
-import typing
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from functools import lru_cache
-from typing import Annotated, Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
-from pydantic import BaseModel, TypeAdapter, ValidationError
+from pydantic import BaseModel, ValidationError
 
 from modaltouch.protocol.problems import Problem, format_path, suggest
-from modaltouch.protocol.section import LARGEST, SMALLEST, Step, describe, keys_of, number_meant
+from modaltouch.protocol.section import LARGEST, SMALLEST, Step, adapter, annotation_at, describe, keys_of, number_meant
 from modaltouch.protocol.source import Source
 from modaltouch.protocol.tree import Node, parse_tree
 
@@ -59,11 +56,11 @@ class Reading(Generic[Model]):
             if child is None:
                 return _default(self.model, path, depth) if isinstance(node.content, dict) else None
             node = child
-        adapter = _adapter(self.model, path)
-        if node is None or adapter is None:
+        known = adapter(self.model, path)
+        if node is None or known is None:
             return None
         try:
-            return adapter.validate_python(node.plain())
+            return known.validate_python(node.plain())
         except ValidationError:
             return None
 
@@ -73,7 +70,7 @@ class Reading(Generic[Model]):
         A key that is probably a misspelt one of the section's own is not left out: its value is wanted.
         """
         value = self.sound(*path)
-        section, node = _annotation(self.model, path), self.find(path)
+        section, node = annotation_at(self.model, path), self.find(path)
         if value is not None or node is None or not isinstance(node.content, dict):
             return value
         if not (isinstance(section, type) and issubclass(section, BaseModel)):
@@ -294,39 +291,9 @@ def _descend(value: Any, path: Iterable[Step]) -> Any:
 
 def _default(model: type[BaseModel], path: tuple[Step, ...], depth: int) -> Any:
     """Return the default of what is absent from `path[depth]` on, or None where it has none."""
-    parent: Any = _annotation(model, path[:depth])
+    parent: Any = annotation_at(model, path[:depth])
     step = path[depth]
     if not (isinstance(parent, type) and issubclass(parent, BaseModel)) or step not in parent.model_fields:
         return None
     info = parent.model_fields[str(step)]
     return None if info.is_required() else _descend(info.get_default(call_default_factory=True), path[depth + 1 :])
-
-
-@lru_cache(maxsize=1024)
-def _adapter(model: type[BaseModel], path: tuple[Step, ...]) -> TypeAdapter[Any] | None:
-    annotation = _annotation(model, path)
-    return None if annotation is None else TypeAdapter(annotation)
-
-
-def _annotation(model: type[BaseModel], path: Iterable[Step]) -> Any:
-    """Return the annotation at a path of a model, or None."""
-    annotation: Any = model
-    for step in path:
-        annotation = _step_into(annotation, step)
-    return annotation
-
-
-def _step_into(annotation: Any, step: Step) -> Any:
-    origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
-    if origin is Annotated:
-        return _step_into(arguments[0], step)
-    if origin in (typing.Union, types.UnionType):
-        return next((found for branch in arguments if (found := _step_into(branch, step)) is not None), None)
-    if origin is tuple and isinstance(step, int):
-        return arguments[0] if arguments[-1] is Ellipsis else arguments[min(step, len(arguments) - 1)]
-    if origin is dict and isinstance(step, str):
-        return arguments[1]
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel) and step in annotation.model_fields:
-        info = annotation.model_fields[str(step)]
-        return Annotated[info.annotation, *info.metadata] if info.metadata else info.annotation
-    return None

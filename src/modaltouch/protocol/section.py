@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
+import types
+import typing
 from collections.abc import Iterable
-from functools import lru_cache
+from functools import lru_cache, reduce
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter
 
 from modaltouch.protocol.problems import fault
 
@@ -76,35 +78,52 @@ FileName = Annotated[
 Step = str | int
 
 
-@lru_cache(maxsize=64)
-def schema_of(model: type[BaseModel]) -> dict[str, Any]:
-    """Return the JSON Schema of a model."""
-    return model.model_json_schema()
+@lru_cache(maxsize=1024)
+def adapter(model: type[BaseModel], path: tuple[Step, ...]) -> TypeAdapter[Any] | None:
+    """Return what reads the value at a path of a model; None where the model knows no such path."""
+    annotation = annotation_at(model, path)
+    return None if annotation is None else TypeAdapter(annotation)
+
+
+def annotation_at(model: type[BaseModel], path: Iterable[Step]) -> Any:
+    """Return the annotation at a path of a model, or None."""
+    return reduce(_step_into, path, model)
+
+
+def _step_into(annotation: Any, step: Step) -> Any:
+    origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
+    if origin is Annotated:
+        return _step_into(arguments[0], step)
+    if origin in (typing.Union, types.UnionType):
+        return next((found for branch in arguments if (found := _step_into(branch, step)) is not None), None)
+    if origin is tuple and isinstance(step, int):
+        return arguments[0] if arguments[-1] is Ellipsis else arguments[min(step, len(arguments) - 1)]
+    if origin is dict and isinstance(step, str):
+        return arguments[1]
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel) and step in annotation.model_fields:
+        info = annotation.model_fields[str(step)]
+        return Annotated[info.annotation, info] if info.metadata or info.json_schema_extra else info.annotation
+    return None
 
 
 def describe(model: type[BaseModel], path: Iterable[Step]) -> str:
     """Return in words what may stand at a path of a model; empty where the model knows no such path."""
-    root, steps = schema_of(model), tuple(path)
-    schema: dict[str, Any] | None = root
-    for step in steps:
-        schema = _step(root, schema, step)
-        if schema is None:
-            return ""
-    words = _in_words(root, schema or {})
+    steps = tuple(path)
+    known = adapter(model, steps)
+    if known is None:
+        return ""
+    schema = known.json_schema()
+    words = _in_words(schema, schema)
     unit = next((_unit(step) for step in reversed(steps) if isinstance(step, str)), "")
     return words.replace("number", f"number [{unit}]", 1) if unit else words
 
 
 def keys_of(model: type[BaseModel], path: Iterable[Step]) -> tuple[str, ...]:
     """Return the keys that may stand in the mapping at a path; empty where any may."""
-    root = schema_of(model)
-    schema: dict[str, Any] | None = root
-    for step in path:
-        schema = _step(root, schema, step)
-        if schema is None:
-            return ()
+    known = adapter(model, tuple(path))
+    schema = {} if known is None else known.json_schema()
     # An optional section is one branch of two, the other being null.
-    branches = (_resolved(root, branch) for branch in _branches(_resolved(root, schema or {})))
+    branches = (_resolved(schema, branch) for branch in _branches(_resolved(schema, schema)))
     return tuple(dict.fromkeys(key for branch in branches for key in branch.get("properties", ())))
 
 
@@ -117,25 +136,6 @@ def _resolved(root: dict[str, Any], schema: dict[str, Any]) -> dict[str, Any]:
 def _branches(schema: dict[str, Any]) -> list[dict[str, Any]]:
     branches: list[dict[str, Any]] = schema.get("anyOf") or schema.get("oneOf") or [schema]
     return branches
-
-
-def _step(root: dict[str, Any], schema: dict[str, Any] | None, step: Step) -> dict[str, Any] | None:
-    for branch in _branches(_resolved(root, schema or {})):
-        found = _step_one(_resolved(root, branch), step)
-        if found is not None:
-            return found
-    return None
-
-
-def _step_one(schema: dict[str, Any], step: Step) -> dict[str, Any] | None:
-    if isinstance(step, int):
-        prefix = schema.get("prefixItems", [])
-        found = prefix[step] if step < len(prefix) else schema.get("items")
-        return found if isinstance(found, dict) else None
-    if step in schema.get("properties", {}):
-        return dict(schema["properties"][step])
-    free = [*schema.get("patternProperties", {}).values(), schema.get("additionalProperties")]
-    return next((dict(found) for found in free if isinstance(found, dict)), None)
 
 
 def _in_words(root: dict[str, Any], schema: dict[str, Any]) -> str:
