@@ -88,7 +88,7 @@ def default_warnings(taken: list[dict[str, Any]]) -> list[str]:
     Parameters
     ----------
     taken : list of dict
-        As `taken_defaults` returns them.
+        As `Findings.defaults` returns them.
     """
     acting = [each for each in taken if each["key"].startswith(_PRESENTED) and not _is_off(each["value"])]
     told = ", ".join(f"{each['key']} {_in_words(each['value'])}" for each in acting)

@@ -34,7 +34,7 @@ def identified_apparatus(
     name : str
         Of the file.
     text : str
-        Of the file, which `read_apparatus` reads.
+        Of the file, which `Apparatus.read` reads.
 
     Raises
     ------

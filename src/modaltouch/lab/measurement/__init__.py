@@ -9,7 +9,7 @@ A scan needs a few lines, whoever asks for it::
 
     plan = ScanPlan(burst, velocity=0.2, positions=np.linspace(-0.05, 0.05, 41), acquisition=Acquisition(...))
     with open_laboratory(apparatus) as laboratory:
-        scan = take_scan(laboratory, plan, folder, source=load_source(path))
+        scan = take_scan(laboratory, plan, folder, source=Source.load(path))
 
 Without a folder nothing is written. `Laboratory.record` measures one position alone.
 """
