@@ -49,7 +49,7 @@ def run_through(protocol: Protocol, threshold: float, seed: int) -> list[dict[st
 
 @pytest.mark.parametrize("method", ["staircase", "quest_plus"])
 def test_the_record_alone_decides_every_level(protocol: Protocol, method: str) -> None:
-    """Issue 6, item 6: begun anew after any answer, the next level is the very same."""
+    """Begun anew after any answer, the next level is the very same."""
     given = with_rule(protocol, method=method, trials=12)
     events, order = run_through(given, 20.0, 3), Schedule.draw(given, "p01", 3).trials
     fresh = Levels(given)

@@ -57,7 +57,7 @@ def test_gains_stand_in_the_column_of_their_channel(edit: Edit) -> None:
 
 
 def test_the_amplifier_is_in_si_units(edit: Edit) -> None:
-    """100 kHz and 4.6 us, the values of the design notes."""
+    """The shipped file: 100 kHz and 4.6 us."""
     file = edit(FILE, ("bandwidth_kHz: null", "bandwidth_kHz: 100"), ("delay_us: 0", "delay_us: 4.6"))
     values = Apparatus.read(file).amplifier_values()
     assert (values.gain, values.limit) == (25, 250)
