@@ -116,8 +116,8 @@ class Reading(Generic[Model]):
     def unknown(self, path: Iterable[Step], kind: str, known: Iterable[str], *, at_key: bool = False) -> Problem:
         """Problem of a name, the value at a path or its last key, that is not among the known ones."""
         *_, last = steps = tuple(path)
-        node, names = self.find(steps), list(known)
-        name = str(last if at_key or node is None else node.content)
+        # Of several stimuli the value is that of the one looked at, and the text that of what they share.
+        name, names = str(last if at_key else self.sound(*steps)), list(known)
         remedy = f"did you mean '{meant}'?" if (meant := suggest(name, names)) else ""
         return self.problem(steps, f"'{name}', which is not {kind}", ", ".join(names), remedy, at_key=at_key)
 
