@@ -121,7 +121,7 @@ def _record_session(
     also: tuple[dict[str, Any], ...] = (),
 ) -> Path:
     """Record the answers that a function of the trial gives, and `also` further events; return the log."""
-    from modaltouch.protocol.schedule import draw_schedule
+    from modaltouch.protocol.schedule import Schedule
     from modaltouch.record.folders import SessionFolder
     from modaltouch.record.log import SessionLog
     from modaltouch.record.session import Session
@@ -130,7 +130,7 @@ def _record_session(
 
     protocol, burst = preflight.experiment.protocol, preflight.stimulus.burst
     place = SessionFolder(results, mode, protocol.protocol, participant, session)
-    schedule = draw_schedule(protocol, participant, 1, session)
+    schedule = Schedule.draw(protocol, participant, 1, session)
     facts = {
         **describe_start(preflight, schedule, place), "schema": 1, "seed": 1, "rig_choice": "TCPIP::10.0.0.1::INSTR",
         "answers_choice": "window", "rig": {"identity": "TEKTRONIX,AFG3022B,C010101,SCPI:99.0 FV:3.2.2"},

@@ -20,7 +20,7 @@ from modaltouch.analysis.statistics import find
 from modaltouch.cli.app import app
 from modaltouch.planning.observer.file import read_observer
 from modaltouch.preflight import examine
-from modaltouch.protocol.document import InputError
+from modaltouch.protocol import InputError
 from modaltouch.record.audit import audit_session
 from modaltouch.record.chain import RecordError
 from modaltouch.record.recovery import survey

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from modaltouch.preflight import examine
-from modaltouch.protocol.apparatus import read_apparatus
+from modaltouch.protocol.apparatus import Apparatus
 
 ROOT = Path(__file__).parents[1]
 REFERENCE = ROOT / "results" / "reference"
@@ -31,7 +31,7 @@ def test_table_1_identified_on_the_twin_is_its_table():
     deviations are allowed on top.
     """
     table = pd.read_csv(REFERENCE / "table_1.csv").dropna(subset=["mode"]).set_index("mode")
-    apparatus = read_apparatus(ROOT / "protocols" / "apparatus" / "beam_100x6x2.yaml")
+    apparatus = Apparatus.read(ROOT / "protocols" / "apparatus" / "beam_100x6x2.yaml")
     for mode in apparatus.modes:
         row = table.loc[mode.label]
         assert row["natural_frequency_Hz"] == pytest.approx(mode.natural_frequency_Hz, rel=0.001 + 3 * 0.001)

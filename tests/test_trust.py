@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from modaltouch.protocol.apparatus import read_apparatus
+from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.simulator import Simulator
 
 ROOT = Path(__file__).parents[1]
@@ -55,7 +55,7 @@ def test_every_requirement_is_locked_by_its_hash():
 
 def test_the_twin_listens_on_this_machine_alone():
     """Its port answers on 127.0.0.1 and on no address by which others reach this machine."""
-    apparatus = read_apparatus(ROOT / "protocols" / "apparatus" / "beam_100x6x2.yaml")
+    apparatus = Apparatus.read(ROOT / "protocols" / "apparatus" / "beam_100x6x2.yaml")
     with Simulator(apparatus) as simulator:
         port = int(re.search(r",(\d+)::", simulator.address).group(1))
         socket.create_connection(("127.0.0.1", port), timeout=5).close()

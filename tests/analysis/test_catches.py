@@ -17,7 +17,7 @@ from modaltouch.analysis.pipeline import analyse
 from modaltouch.analysis.reading import read_responses
 from modaltouch.analysis.statistics import chance_findings, dominance_findings
 from modaltouch.analysis.tables import count_responses, zone_table
-from modaltouch.protocol.document import InputError
+from modaltouch.protocol.problems import InputError
 
 HEADER = "participant,finger_condition,zone_left,zone_right,velocity_mm_s,response,catch"
 

@@ -10,7 +10,7 @@ import pytest
 from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.reading import read_responses
 from modaltouch.preflight import Preflight, examine
-from modaltouch.protocol.document import InputError
+from modaltouch.protocol.problems import InputError
 from modaltouch.protocol.trial import Trial
 from modaltouch.record.audit import audit_session
 from modaltouch.record.chain import read_chain

@@ -20,9 +20,8 @@ from modaltouch.planning.fitting import fit_answers
 from modaltouch.planning.observer import Observer, Participant
 from modaltouch.planning.presented import designs_for
 from modaltouch.preflight import Preflight, examine
-from modaltouch.protocol.adaptive_rules.levels import to_dB
-from modaltouch.protocol.adaptive_rules.staircase import follow
-from modaltouch.protocol.document import InputError
+from modaltouch.protocol.levels import follow, to_dB
+from modaltouch.protocol.problems import InputError
 from modaltouch.session.setup import begin
 from modaltouch.session.wiring import wire_run
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.reading import read_responses
-from modaltouch.protocol.document import InputError
+from modaltouch.protocol.problems import InputError
 
 HEADER = "participant,finger_condition,zone_left,zone_right,velocity_mm_s,response"
 

@@ -22,9 +22,9 @@ from typing import Any
 import numpy as np
 
 from modaltouch.preflight import Preflight, examine, examine_findings
-from modaltouch.protocol import examine_sources
-from modaltouch.protocol.document import Source
-from modaltouch.protocol.schedule import draw_schedule
+from modaltouch.protocol import Findings
+from modaltouch.protocol.schedule import Schedule
+from modaltouch.protocol.source import Source
 from modaltouch.protocol.trial import Condition, Trial
 from modaltouch.record.chain import GENESIS, encode_line
 from modaltouch.record.files import make_folder
@@ -73,13 +73,13 @@ def write_tree(root: Path, n_sessions: int, n_repetitions: int, seed: int = 1) -
     sources = examine(ROOT / "protocols" / "differentiated_stimulation.yaml").experiment.sources
     repeated = text.replace("repetitions: 1", f"repetitions: {n_repetitions}")
     sources = replace(sources, protocol=Source(sources.protocol.path, repeated))
-    preflight = examine_findings(examine_sources(sources)).require()
+    preflight = examine_findings(Findings.restored(sources)).require()
     rng = np.random.default_rng(seed)
     for i in range(n_sessions):
         kind = ("incomplete", "damaged", "pilot", "simulated")[i // 10 % 4] if i % 10 == 0 else "sound"
         mode: Mode = kind if kind in ("pilot", "simulated") else "real"  # type: ignore[assignment]
         place = SessionFolder(root, mode, "differentiated_stimulation", f"p{i:05d}")
-        schedule = draw_schedule(preflight.experiment.protocol, place.participant, seed)
+        schedule = Schedule.draw(preflight.experiment.protocol, place.participant, seed)
         about = {"seed": seed, "rig_choice": "TCPIP::1::INSTR", "answers_choice": "window", "rig": {"identity": "AFG"}}
         start = {**describe_start(preflight, schedule, place), "schema": 1, "versions": {}, "boot": "", **about}
         events: list[dict[str, Any]] = [{"event": "start", **start}]

@@ -17,7 +17,7 @@ import bars
 import numpy as np
 import pyvisa
 
-from modaltouch.protocol.apparatus import read_apparatus
+from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.simulator import Simulator
 from modaltouch.rig.watchdog_client import WatchdogClient
@@ -169,7 +169,7 @@ def measure_end(simulator: Simulator) -> tuple[float, float]:
 
 def main() -> None:
     """Measure, print a table and the promises, and write them down."""
-    apparatus = read_apparatus(ROOT / "protocols" / "apparatus" / "beam_100x6x2.yaml")
+    apparatus = Apparatus.read(ROOT / "protocols" / "apparatus" / "beam_100x6x2.yaml")
     with Simulator(apparatus) as simulator:
         rows = measure_pyvisa(simulator)
         started = time.perf_counter()

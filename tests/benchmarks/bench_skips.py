@@ -16,7 +16,7 @@ from bench_synthesis import exact_amplitudes, undying
 from peers import ZONES, design, milliseconds, race, shipped_model
 from threadpoolctl import threadpool_limits
 
-from modaltouch.protocol.apparatus import read_apparatus
+from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.simulator import Simulator
 from modaltouch.stimulus.burst import Burst
@@ -115,7 +115,7 @@ def main() -> int:
     with threadpool_limits(1):
         for name, (without, with_skip) in works.items():
             rows[name] = race({"without_ms": without, "with_ms": with_skip}, 1.5)
-        apparatus = read_apparatus(APPARATUS)
+        apparatus = Apparatus.read(APPARATUS)
         with Simulator(apparatus) as simulator, Generator(simulator.address, apparatus) as rig:
             rows["records already in the instrument"] = loads(rotated(stimulus.burst, 12), rig)
     for row in rows.values():

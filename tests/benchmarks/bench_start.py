@@ -19,7 +19,7 @@ from peers import race
 from threadpoolctl import threadpool_limits
 
 from modaltouch.preflight import examine_findings
-from modaltouch.protocol import Findings, examine_files
+from modaltouch.protocol import Findings
 from modaltouch.stimulus import synthesis
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -37,8 +37,8 @@ import time
 from pathlib import Path
 import modaltouch.__main__, modaltouch.cli.check, numpy.random
 from modaltouch.preflight import examine_findings
-from modaltouch.protocol import examine_files
-files = examine_files(Path("{PROTOCOL}"))
+from modaltouch.protocol import Findings
+files = Findings.read(Path("{PROTOCOL}"))
 start = time.process_time()
 preflight = examine_findings(files)
 assert preflight.stimuli and preflight.comparison()
@@ -81,7 +81,7 @@ def imported(arguments: list[str]) -> list[str]:
 
 def main() -> int:
     """Run the benchmark and write its figures."""
-    files = examine_files(ROOT / PROTOCOL)
+    files = Findings.read(ROOT / PROTOCOL)
     with threadpool_limits(1):
         preflight = race(
             {"one_law_ms": lambda: examine(files, both=False), "both_laws_ms": lambda: examine(files, both=True)},

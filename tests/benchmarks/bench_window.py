@@ -32,11 +32,11 @@ SETTLED = 0.75
 OPEN = """
 import time
 from pathlib import Path
-from modaltouch.protocol import read_protocol
+from modaltouch.protocol import Findings
 from modaltouch.protocol.trial import Condition, Trial
 from modaltouch.window import open_window
 class Shown(Exception): pass
-experiment = read_protocol(Path("protocols/demo.yaml"))
+experiment = Findings.read(Path("protocols/demo.yaml")).experiment()
 polls = []
 def tick():
     polls.append(time.time())
@@ -140,10 +140,10 @@ def silence() -> Iterator[Any]:
 
 def count_idle_frames() -> int:
     """Return how many frames are drawn while a question waits for its answer and nothing changes."""
-    from modaltouch.protocol import read_protocol
+    from modaltouch.protocol import Findings
     from modaltouch.window import open_window
 
-    experiment = read_protocol(ROOT / "protocols" / "demo.yaml")
+    experiment = Findings.read(ROOT / "protocols" / "demo.yaml").experiment()
     frames: list[float] = []
     end = [0.0]
 

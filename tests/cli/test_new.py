@@ -11,7 +11,8 @@ from typer.testing import CliRunner
 
 from modaltouch.cli.app import app
 from modaltouch.cli.study import write_study
-from modaltouch.protocol.document import InputError, shipped
+from modaltouch.protocol.problems import InputError
+from modaltouch.protocol.source import Source
 
 
 def run(*words):
@@ -39,7 +40,7 @@ def commands_of(study):
         yield tuple(words)
 
 
-@pytest.mark.parametrize("template", shipped("protocol"))
+@pytest.mark.parametrize("template", Source.shipped("protocol"))
 def test_every_shipped_protocol_makes_a_study_whose_next_step_works(tmp_path, template):
     """As it is printed, also where the folder's name has a space."""
     printed = run("new", tmp_path / "my study", "--from", template).stdout
@@ -74,7 +75,7 @@ def test_a_study_is_used_from_any_folder(tmp_path):
 
 def test_a_study_is_a_copy_in_the_shipped_layout(tmp_path):
     """Byte by byte; apparatus, texts and schemas where the protocol and the editors look for them."""
-    source = shipped("protocol")["differentiated_stimulation"].parent
+    source = Source.shipped("protocol")["differentiated_stimulation"].parent
     write_study(tmp_path / "study", "differentiated_stimulation")
     copied = sorted(file for file in (tmp_path / "study" / "protocols").rglob("*") if file.is_file())
     names = [file.relative_to(tmp_path / "study" / "protocols").as_posix() for file in copied]

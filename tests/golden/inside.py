@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 import modaltouch
-from modaltouch.protocol import draw_schedule
+from modaltouch.protocol import Schedule
 
 
 def orders_of(protocol: Path, who: Sequence[tuple[str, int, int]]) -> list[dict[str, Any]]:
     """Return orders as start records keep them, one to each (participant, seed, session)."""
     design = modaltouch.examine(protocol).experiment.protocol
-    return [draw_schedule(design, *each).as_dict() for each in who]
+    return [Schedule.draw(design, *each).as_dict() for each in who]
 
 
 def drive_of(protocol: Path) -> tuple[dict[str, NDArray[np.uint16]], list[dict[str, Any]]]:

@@ -14,7 +14,7 @@ from modaltouch.planning.observer.fit import fit_observer
 from modaltouch.planning.observer.likelihood import RecordedAnswers, _grid
 from modaltouch.planning.presented import designs_for
 from modaltouch.preflight import Preflight, examine
-from modaltouch.protocol.document import InputError
+from modaltouch.protocol.problems import InputError
 from modaltouch.protocol.trial import Condition, Trial
 from modaltouch.session.wiring import simulate_session
 

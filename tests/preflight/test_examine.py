@@ -13,8 +13,8 @@ import pytest
 
 from modaltouch.preflight import Preflight, examine
 from modaltouch.preflight.figures import estimated_duration
-from modaltouch.protocol.document import InputError
-from modaltouch.protocol.schedule import draw_schedule
+from modaltouch.protocol.problems import InputError
+from modaltouch.protocol.schedule import Schedule
 from modaltouch.protocol.trial import Condition, Trial
 from modaltouch.rig.settings import Limits, amplitudes, record_peaks
 
@@ -50,7 +50,7 @@ def test_the_papers_modes_are_selected(preflight: Preflight) -> None:
 
 
 def test_the_focus_reaches_its_level_and_the_rest_is_as_the_design_notes_say(preflight: Preflight) -> None:
-    """physics.md: 184 V for the triangle, 14 mm wide at 80 %, contrast about 1.8 : 1 for (A, C), equal for (B, D)."""
+    """184 V for the triangle, 14 mm wide at 80 %, contrast about 1.8 : 1 for (A, C), equal for (B, D)."""
     values = preflight.as_dict()
     top = values["stimuli"][-1]
     assert top["zone_at_focus_mm_s"]["C"] == pytest.approx(200, rel=1e-4)
@@ -101,7 +101,7 @@ def test_speeds_at_the_fingers_are_the_zones_peaks(preflight: Preflight) -> None
     peaks = preflight.as_dict()["stimuli"][0]["zone_peak_mm_s"]
     trial = Trial(1, 1, Condition("one_hand", "B", "C", 80.0))
     np.testing.assert_allclose(preflight.speeds(trial), [peaks["B"] * 1e-3, peaks["C"] * 1e-3], rtol=1e-12)
-    for scheduled in draw_schedule(preflight.experiment.protocol, "p01", 1).trials:
+    for scheduled in Schedule.draw(preflight.experiment.protocol, "p01", 1).trials:
         assert min(preflight.speeds(scheduled)) > 0
 
 
@@ -455,7 +455,7 @@ def test_catch_trials_are_counted_and_warned_of_where_they_cannot_be_answered(ed
 
 
 def test_bursts_released_freely_are_told_apart(edit: Edit, preflight: Preflight) -> None:
-    """Issue 3: braked, the first and every later burst are exact; free, a residue of 0.007 mm/s reaches the next."""
+    """Braked, the first and every later burst are exact; free, a residue of 0.007 mm/s reaches the next."""
     braked = preflight.as_dict()["stimuli"][-1]
     assert braked["worst_modal_error_steady_mm_s"] == pytest.approx(braked["worst_modal_error_mm_s"], rel=1e-6)
     free = examine(edit(FILE, ("release: braked ", "release: free "))).as_dict()["stimuli"][-1]

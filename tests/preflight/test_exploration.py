@@ -29,7 +29,7 @@ def explored() -> dict[str, Any]:
 
 
 def test_open_loop_is_limited_by_identification(explored: dict[str, Any]) -> None:
-    """physics.md section 4: 5 % of a gain moves the field by about 3 mm/s, 5 % of a damping ratio by 1.4 or more."""
+    """5 % of a gain moves the field by about 3 mm/s, 5 % of a damping ratio by 1.4 or more."""
     table = explored["sensitivity"]["table"]
     of_mode_1 = {row["parameter"]: row["field_mm_s"] for row in table if row["mode"] == 1}
     assert of_mode_1["modal_gain"] == pytest.approx(2.96, abs=0.02)
@@ -38,7 +38,7 @@ def test_open_loop_is_limited_by_identification(explored: dict[str, Any]) -> Non
 
 
 def test_less_peak_voltage_shakes_what_is_not_modelled(explored: dict[str, Any]) -> None:
-    """physics.md section 4: p = 4 has a lower peak for a fifth more energy; the least peak is bang-bang."""
+    """The norm of p = 4 has a lower peak for a fifth more energy; the least peak is bang-bang."""
     rows = {row["design"]: row for row in explored["designs"]}
     assert rows["4-norm"]["peak_drive_V"] < 0.65 * rows["exact"]["peak_drive_V"]
     assert rows["4-norm"]["energy_V2_s"] == pytest.approx(1.2 * rows["exact"]["energy_V2_s"], rel=0.03)

@@ -18,9 +18,9 @@ from modaltouch.planning.observer import Observer
 from modaltouch.planning.power import plan
 from modaltouch.planning.presented import designs_for
 from modaltouch.preflight import Preflight, examine
-from modaltouch.protocol.adaptive_rules import Levels
-from modaltouch.protocol.document import InputError
-from modaltouch.protocol.schedule import draw_schedule
+from modaltouch.protocol import InputError
+from modaltouch.protocol.levels import Levels
+from modaltouch.protocol.schedule import Schedule
 from modaltouch.record.audit import audit_session
 from modaltouch.record.session import Session, read_session
 from modaltouch.session.setup import begin
@@ -78,7 +78,7 @@ def test_every_condition_meets_every_stimulus_equally_often(tmp_path: Path, orde
     limit = "" if order != "shuffled" else "\n  max_same_pair_running: 2"
     file = write(tmp_path, ("repetitions: 2\n  max_same_pair_running: 2", f"repetitions: 2\n  order: {order}{limit}"))
     protocol = examine(file).require().experiment.protocol
-    drawn = draw_schedule(protocol, "p03", 5)
+    drawn = Schedule.draw(protocol, "p03", 5)
     assert len(drawn.trials) == protocol.n_trials == 32
     counted = Counter(trial.condition for trial in drawn.trials)
     assert set(counted.values()) == {2}
@@ -131,7 +131,7 @@ def test_a_session_changes_between_them_without_an_upload(preflight: Preflight, 
 
 def test_what_is_felt_follows_the_stimulus(preflight: Preflight) -> None:
     """A blunt field moves zone A nearly as fast as C, a sharp one does not: on the twin as predicted."""
-    drawn = draw_schedule(preflight.experiment.protocol, "p01", 1)
+    drawn = Schedule.draw(preflight.experiment.protocol, "p01", 1)
     ratio = {}
     for trial in drawn.trials:
         slower, faster = sorted(preflight.speeds(trial))
@@ -162,7 +162,7 @@ def test_each_stimulus_has_adaptive_runs_of_its_own(tmp_path: Path) -> None:
     """A threshold is that of one stimulus: forty trials of each, and the answers to one move no level of the other."""
     file = write(tmp_path, SHARP_AND_SLOW, name="threshold.yaml")
     protocol = examine(file).require().experiment.protocol
-    trials = [trial for trial in draw_schedule(protocol, "p01", 1).trials if not trial.condition.is_catch]
+    trials = [trial for trial in Schedule.draw(protocol, "p01", 1).trials if not trial.condition.is_catch]
     assert Counter((t.condition.pair, t.condition.stimulus) for t in trials) == {
         (pair, name): 40 for pair in (("A", "C"), ("C", "E")) for name in ("sharp", "slow")
     }

@@ -10,17 +10,18 @@ from pathlib import Path
 import pytest
 
 from modaltouch.preflight import examine, examine_findings
-from modaltouch.protocol import Protocol, Sources, examine_sources
-from modaltouch.protocol.apparatus import read_apparatus
-from modaltouch.protocol.calibration_file import apparatus_hash, check_age, examine_calibration, generator_problem
-from modaltouch.protocol.document import Source, load_source, read
+from modaltouch.protocol import Findings, Protocol, Sources
+from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.protocol.calibration import check_age, examine_calibration
+from modaltouch.protocol.reading import read
+from modaltouch.protocol.source import Source
 
 IDENTITY = "TEKTRONIX,AFG3022B,C012345,SCPI:99.0 FV:3.2.2"
 
 
 def text_for(apparatus: Path, *, made: str = "") -> str:
     """Return a calibration of the demonstration, its targets as listed."""
-    listed = read_apparatus(apparatus)
+    listed = Apparatus.read(apparatus)
     made = made or datetime.now(UTC).isoformat(timespec="seconds")
     modes = "\n".join(
         f"- {{label: {mode.label}, natural_frequency_Hz: {mode.natural_frequency_Hz}, damping_ratio: "
@@ -36,7 +37,7 @@ calibration: 1
 made: '{made}'
 made_by: modaltouch 0.1.0
 protocol: demo
-apparatus: {{name: beam_100x6x2, sha256: {apparatus_hash(listed)}}}
+apparatus: {{name: beam_100x6x2, sha256: {listed.measured_hash}}}
 instruments: {{generator: '{IDENTITY}', scope: a scope, mode: real}}
 stimulus:
   focus: C
@@ -185,7 +186,7 @@ def test_age_is_counted_from_the_instant_and_not_from_the_file(shipped: Path) ->
     protocol = read(
         Source(
             Path("p.yaml"),
-            load_source(shipped / "demo.yaml").text + "\ncalibration: {max_age_days: 1}\n",
+            Source.load(shipped / "demo.yaml").text + "\ncalibration: {max_age_days: 1}\n",
         ),
         Protocol,
     )
@@ -197,8 +198,9 @@ def test_age_is_counted_from_the_instant_and_not_from_the_file(shipped: Path) ->
 def test_another_serial_number_is_refused(shipped: Path) -> None:
     """Maker, model and serial number count; the firmware does not."""
     calibration = examine_calibration(Source(Path("c.yaml"), text_for(shipped / "apparatus" / "beam_100x6x2.yaml")))
-    assert generator_problem(calibration, IDENTITY + "9\n") is None
-    found = generator_problem(calibration, IDENTITY.replace("C012345", "C099999"))
+    findings = Findings(None, None, None, (), calibration)
+    assert findings.generator_problem(IDENTITY + "9\n") is None
+    found = findings.generator_problem(IDENTITY.replace("C012345", "C099999"))
     assert str(found).startswith("c.yaml:6:26: instruments.generator: given TEKTRONIX,AFG3022B,C012345")
 
 
@@ -236,7 +238,7 @@ def test_a_record_is_restored_with_its_calibration_however_old(calibrate: Callab
     begun = examine(protocol, path).require()
     recorded = json.loads(json.dumps(begun.experiment.sources.as_dict()))
     recorded["protocol"]["text"] = recorded["protocol"]["text"].replace("500}", "5}")
-    restored = examine_findings(examine_sources(Sources.from_dict(recorded))).require()
+    restored = examine_findings(Findings.restored(Sources.from_dict(recorded))).require()
     assert restored.stimulus.burst.content_hash == begun.stimulus.burst.content_hash
     plain = examine(protocol, uncalibrated=True).stimulus.burst.content_hash
     assert restored.stimulus.burst.content_hash != plain

@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from modaltouch.preflight import examine
-from modaltouch.protocol import examine_files
+from modaltouch.protocol import Findings
 
 SHIPPED = Path(__file__).parents[2] / "protocols"
 PROTOCOL, BEAM, TEXTS = "differentiated_stimulation.yaml", "apparatus/beam_100x6x2.yaml", "texts/english.yaml"
@@ -77,7 +77,7 @@ def test_readers_end_in_problems_or_an_experiment(folder: Path, name: str) -> No
     @given(spoilt(name))
     def check(text: str) -> None:
         file = spoil(folder, name, text)
-        findings = examine_files(file)
+        findings = Findings.read(file)
         if not findings.problems:
             assert findings.experiment().protocol.n_trials > 0
         for problem in findings.problems:
@@ -109,4 +109,4 @@ def test_no_bytes_raise(folder: Path, content: bytes) -> None:
     """A file that was never YAML."""
     file = folder / "bytes.yaml"
     file.write_bytes(content)
-    assert examine_files(file).problems
+    assert Findings.read(file).problems

@@ -10,10 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from modaltouch.protocol import Sources, examine_files, read_protocol
-from modaltouch.protocol.document import InputError
-from modaltouch.protocol.experiment import restore_experiment
+from modaltouch.protocol import Findings, Sources
 from modaltouch.protocol.keys import KEY_ALIASES, KEY_NAMES
+from modaltouch.protocol.problems import InputError
 
 Edit = Callable[..., Path]
 FILE = "differentiated_stimulation.yaml"
@@ -24,12 +23,12 @@ PAIRS = "[[A, C], [B, D], [C, E]]"
 
 def faults(file: Path) -> list[str]:
     """Return the faults of a protocol and its files."""
-    return [str(problem).replace(str(file.parent) + "/", "") for problem in examine_files(file).problems]
+    return [str(problem).replace(str(file.parent) + "/", "") for problem in Findings.read(file).problems]
 
 
 def test_the_shipped_protocol_is_the_papers_experiment(shipped: Path) -> None:
     """Section V-B of the paper: pairs, speeds, 7 Hz, one hand and two hands."""
-    experiment = read_protocol(shipped / FILE)
+    experiment = Findings.read(shipped / FILE).experiment()
     conditions = experiment.protocol.conditions
     assert conditions.zone_pairs == (("A", "C"), ("B", "D"), ("C", "E"))
     assert conditions.peak_velocities_mm_s == (80, 100, 150, 200)
@@ -54,11 +53,11 @@ def test_the_sample_count_said_to_be_allowed_is_allowed(edit: Edit) -> None:
 def test_an_experiment_is_restored_from_its_record_alone(edit: Edit) -> None:
     """The files may have changed or gone since."""
     file = edit(FILE)
-    experiment = read_protocol(file)
+    experiment = Findings.read(file).experiment()
     kept = experiment.sources.as_dict()
     for name in (FILE, BEAM, "texts/english.yaml"):
         (file.parent / name).unlink()
-    assert restore_experiment(Sources.from_dict(kept)) == experiment
+    assert Findings.restored(Sources.from_dict(kept)).experiment() == experiment
 
 
 @pytest.mark.parametrize(
@@ -193,7 +192,7 @@ def test_faults_of_all_files_come_at_once_and_in_order(edit: Edit) -> None:
     edit("texts/english.yaml", ("language: English", "language: ''"))
     file = edit(FILE, ("repetitions: 1", "repetitions: 0"), ("[C, E]", "[C, F]"), ("law: exact", "law: exakt"))
     with pytest.raises(InputError) as caught:
-        read_protocol(file)
+        Findings.read(file).experiment()
     places = [(Path(problem.file).name, problem.path) for problem in caught.value.problems]
     assert places == [
         ("beam_100x6x2.yaml", "amplifier.gain_V_per_V"),
@@ -343,8 +342,8 @@ def test_a_pause_in_which_a_hand_cannot_come_back_is_a_fault(
 
 def test_a_record_with_a_short_pause_is_restored(edit: Edit) -> None:
     """Expected: it goes on, with the time that the hands need."""
-    experiment = read_protocol(edit("differentiated_stimulation.yaml"))
+    experiment = Findings.read(edit("differentiated_stimulation.yaml")).experiment()
     text = experiment.sources.protocol.text.replace("pause_s: 1.5", "pause_s: 1.0")
     sources = replace(experiment.sources, protocol=replace(experiment.sources.protocol, text=text))
-    answers = restore_experiment(sources).protocol.answers
+    answers = Findings.restored(sources).experiment().protocol.answers
     assert (answers.pause("one_hand"), answers.pause("two_hands")) == (1.0, 1.5)

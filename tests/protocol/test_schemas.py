@@ -8,8 +8,9 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from modaltouch.protocol.document import Source, parse_tree
 from modaltouch.protocol.schemas import SCHEMAS, write_schemas
+from modaltouch.protocol.source import Source
+from modaltouch.protocol.tree import parse_tree
 
 
 def plain(file: Path) -> dict:

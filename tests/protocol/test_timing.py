@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from modaltouch.preflight import examine
-from modaltouch.protocol import examine_files, read_protocol
+from modaltouch.protocol import Findings
 from modaltouch.protocol.sections import AnswersSection, whole_bursts
 
 Edit = Callable[..., Path]
@@ -22,7 +22,7 @@ SLOW = ("\nconditions:", "\nstimuli:\n  fast: {law: exact}\n  slow: {repetition_
 
 def faults(file: Path) -> list[str]:
     """Return the faults of a protocol and its files."""
-    return [str(problem).replace(str(file.parent) + "/", "") for problem in examine_files(file).problems]
+    return [str(problem).replace(str(file.parent) + "/", "") for problem in Findings.read(file).problems]
 
 
 def repeating(edit: Edit, repetition: str) -> None:
@@ -198,7 +198,7 @@ def test_repetition_that_promises_less_is_said_by_check(
     """Each but `single` with what it cannot promise; the former name is read as today's."""
     repeating(edit, repetition)
     file = edit(FILE)
-    assert read_protocol(file).apparatus.generator.repeats == read
+    assert Findings.read(file).experiment().apparatus.generator.repeats == read
     warned = [each for each in examine(file).as_dict()["warnings"] if "generator.repetition" in each]
     assert len(warned) == len(words)
     assert all(word in each for word, each in zip(words, warned, strict=True))

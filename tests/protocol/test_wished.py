@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from modaltouch.preflight import examine
-from modaltouch.protocol import Sources, examine_sources
+from modaltouch.protocol import Findings, Sources
 from modaltouch.record.audit import audit_session
 from modaltouch.record.session import Session
 from modaltouch.session.wiring import simulate_session
@@ -63,7 +63,7 @@ def test_a_record_keeps_the_points_of_its_field(edit: Edit, tmp_path: Path) -> N
     points.write_text("position_mm,velocity\n-28,0\n0,3\n28,0\n", encoding="utf-8")
     session = simulate_session(file, "p01", tmp_path / "results")
     points.unlink()
-    assert examine_sources(Sources.from_dict(session.start["sources"])).problems == ()
+    assert Findings.restored(Sources.from_dict(session.start["sources"])).problems == ()
     assert audit_session(Session.find(session.path)).problems == ()
 
 

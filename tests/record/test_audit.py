@@ -16,9 +16,8 @@ from typing import Any
 import pytest
 
 from modaltouch.analysis.reading import read_responses
-from modaltouch.protocol import Sources
-from modaltouch.protocol.document import InputError
-from modaltouch.protocol.experiment import restore_experiment
+from modaltouch.protocol import InputError, Sources
+from modaltouch.protocol.findings import Findings
 from modaltouch.record.audit import audit_session, draw_again
 from modaltouch.record.chain import GENESIS, RecordError, encode_line, read_chain
 from modaltouch.record.folders import SessionFolder
@@ -115,7 +114,7 @@ def rewrite_protocol(events: Events) -> None:
     source["text"] = re.sub(r"peak_velocities_mm_s: \[80,", "peak_velocities_mm_s: [90,", source["text"])
     sources = Sources.from_dict(start["sources"])
     source["sha256"] = sources.protocol.sha256
-    protocol = restore_experiment(sources).protocol
+    protocol = Findings.restored(sources).experiment().protocol
     start["design"] = protocol.model_dump(mode="json")
     start["schedule"] = draw_again(Session(Path(), tuple(events)), protocol).as_dict()
     for event in of(events, "fired", "answered", "trial"):

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from modaltouch.protocol.document import InputError
+from modaltouch.protocol import InputError
 from modaltouch.record.audit import audit_session
 from modaltouch.record.chain import GENESIS, RecordError, encode_line, read_chain
 from modaltouch.record.session import Session, check_shape, read_session

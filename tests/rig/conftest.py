@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modaltouch.protocol.apparatus import Apparatus, read_apparatus
+from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.connection import Patience
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.local_client import LocalClient
@@ -81,7 +81,7 @@ def rng() -> np.random.Generator:
 @pytest.fixture(scope="session")
 def apparatus() -> Apparatus:
     """Return the shipped apparatus."""
-    return read_apparatus(APPARATUS)
+    return Apparatus.read(APPARATUS)
 
 
 @pytest.fixture

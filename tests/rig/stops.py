@@ -54,7 +54,7 @@ KINDS = (
 SITTING = """
 import os, sys, time
 import numpy as np
-from modaltouch.protocol.apparatus import read_apparatus
+from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig import open_rig
 from modaltouch.rig.interface import RigError, StimulusLost
 from modaltouch.stimulus.burst import Burst
@@ -75,7 +75,7 @@ def sit(address):
                 return
             time.sleep(1e-3)
 
-apparatus = read_apparatus(sys.argv[1])
+apparatus = Apparatus.read(sys.argv[1])
 for line in sys.stdin:
     output, address = line.split()
     pid = os.fork()

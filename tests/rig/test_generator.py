@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.protocol.apparatus.sections import LatencyBounds
+from modaltouch.protocol.apparatus import Apparatus, LatencyBounds
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.interface import Bursts, RigError
 from modaltouch.rig.simulator import Simulator

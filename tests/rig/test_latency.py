@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from modaltouch.protocol.apparatus import read_apparatus
+from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig import start_simulator
 from modaltouch.rig.latency import CommandLatency, measure_latency
 
@@ -17,7 +17,7 @@ GOOD = CommandLatency("TCPIP::x::INSTR", "TEKTRONIX,AFG3022B,1,2", 50, 0.3, 1e-3
 
 def test_the_twin_is_prompt_and_stays_silent() -> None:
     """Expected: figures in order, both outputs off before and after."""
-    parts = read_apparatus(APPARATUS)
+    parts = Apparatus.read(APPARATUS)
     with start_simulator(parts) as simulator:
         measured = measure_latency(simulator.address, parts, n=10)
         assert [float(speed) for speed in simulator.felt_velocity(("A", "C"))] == [0.0, 0.0]
@@ -37,4 +37,4 @@ def test_what_a_person_should_do_is_said() -> None:
 def test_too_few_commands_are_refused() -> None:
     """No 95th percentile of five; the instrument is not even opened."""
     with pytest.raises(ValueError, match="given 5 commands; allowed: 10 or more"):
-        measure_latency("TCPIP::192.0.2.1::INSTR", read_apparatus(APPARATUS), n=5)
+        measure_latency("TCPIP::192.0.2.1::INSTR", Apparatus.read(APPARATUS), n=5)

@@ -26,7 +26,7 @@ SESSIONS = textwrap.dedent(
     """
     import os, signal, sys, time
     import numpy as np
-    from modaltouch.protocol.apparatus import read_apparatus
+    from modaltouch.protocol.apparatus import Apparatus
     from modaltouch.rig import open_rig
     from modaltouch.rig.generator import Generator
     from modaltouch.stimulus.burst import Burst
@@ -52,7 +52,7 @@ SESSIONS = textwrap.dedent(
             rig.stop()
             print("confirmed" if rig.firing.confirmed else rig.firing.reason, flush=True)
 
-    apparatus = read_apparatus(sys.argv[1])
+    apparatus = Apparatus.read(sys.argv[1])
     for line in sys.stdin:
         verb, *words = line.split()
         if verb == "wait":

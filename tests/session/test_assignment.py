@@ -11,14 +11,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from modaltouch.protocol import Protocol, read_protocol
-from modaltouch.protocol.schedule import draw_schedule, period_of_turns, recorded_turn, turn_of
+from modaltouch.protocol import Findings, Protocol
+from modaltouch.protocol.schedule import Schedule, Turn
 from modaltouch.record.chain import RecordError
 from modaltouch.record.folders import SessionFolder
 from modaltouch.record.log import SessionLog
 from modaltouch.session.assignment import assign_turn, next_session
 
-PAPER = read_protocol(Path(__file__).parents[2] / "protocols" / "differentiated_stimulation.yaml").protocol
+PAPER = Findings.read(Path(__file__).parents[2] / "protocols" / "differentiated_stimulation.yaml").experiment().protocol
 
 
 def changed(**changes: Any) -> Protocol:
@@ -43,7 +43,7 @@ def sit(
     """Record a session as the program does, as far as the assignment reads it; return its turn and its open log."""
     drawn_as = drawn_as or place.session
     assignment = assign_turn(place, protocol, drawn_as)
-    schedule = draw_schedule(protocol, place.participant, 1, drawn_as, given=assignment.turn)
+    schedule = Schedule.draw(protocol, place.participant, 1, drawn_as, given=assignment.turn)
     about = {"mode": place.mode, "protocol": place.protocol}
     facts = {**about, "participant": place.participant, "session": place.session, "seed": 1}
     log = SessionLog.create(place.log, "start", **facts, schedule={**schedule.as_dict(), "n_trials": int(not complete)})
@@ -119,23 +119,23 @@ def test_sessions_of_one_participant_take_turns_whatever_others_fill(tmp_path: P
 def test_sessions_drawn_by_number_count_with_their_own_turn(tmp_path: Path) -> None:
     """A study that changes its rule goes on from what is there: p02 by number has the second turn."""
     place = place_of(tmp_path, "p02")
-    schedule = draw_schedule(PAPER, "p02", 1)
+    schedule = Schedule.draw(PAPER, "p02", 1)
     facts = {"participant": "p02", "session": 1, "seed": 1}
     SessionLog.create(place.log, "start", **facts, schedule={**schedule.as_dict(), "n_trials": 0}).close()
-    assert turn_of("p02", 1, 1).number == 1
+    assert Turn.of("p02", 1, 1).number == 1
     assert assign_turn(place_of(tmp_path, "p07"), FOUR, 1).filled == {1: 1}
 
 
 def test_a_given_turn_is_in_the_record_and_draws_the_same_schedule_again(tmp_path: Path) -> None:
     """Order, placement and reason come from the record alone; without a given turn there is no trace of it."""
     assignment = assign_turn(place_of(tmp_path, "p9"), FOUR, 1)
-    schedule = draw_schedule(FOUR, "p9", 1, given=replace(assignment.turn, number=3))
+    schedule = Schedule.draw(FOUR, "p9", 1, given=replace(assignment.turn, number=3))
     start = {"schedule": schedule.as_dict()}
-    assert draw_schedule(FOUR, "p9", 1, given=recorded_turn(start)) == schedule
+    assert Schedule.draw(FOUR, "p9", 1, given=Turn.recorded(start)) == schedule
     assert schedule.finger_conditions_by == "least filled in the records"
     assert [block.finger_condition for block in schedule.blocks] == ["two_hands", "one_hand"]
     assert schedule.trials[0].condition.placement == "mirrored"
-    assert recorded_turn({"schedule": draw_schedule(PAPER, "p9", 1).as_dict()}) is None
+    assert Turn.recorded({"schedule": Schedule.draw(PAPER, "p9", 1).as_dict()}) is None
 
 
 @pytest.mark.parametrize(
@@ -152,8 +152,8 @@ def test_a_given_turn_is_in_the_record_and_draws_the_same_schedule_again(tmp_pat
 def test_turns_repeat_after_their_period_and_not_before(changes: dict[str, Any], period: int) -> None:
     """Orders of finger conditions, placements and rows, told apart by drawing them for two periods."""
     protocol = changed(**changes)
-    assert period_of_turns(protocol) == period
-    drawn = [draw_schedule(protocol, f"p{n}", 1) for n in range(1, 2 * period + 1)]
+    assert Turn.period(protocol) == period
+    drawn = [Schedule.draw(protocol, f"p{n}", 1) for n in range(1, 2 * period + 1)]
 
     def told(schedule: Any) -> Any:
         # Of a block, only what does not depend on the participant's own stream.

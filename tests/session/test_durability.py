@@ -26,7 +26,7 @@ from pathlib import Path
 
 import pytest
 
-from modaltouch.protocol.apparatus import read_apparatus
+from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.record.audit import audit_session
 from modaltouch.record.chain import read_chain
 from modaltouch.record.session import Session, read_session
@@ -100,7 +100,7 @@ def soaked():
 @pytest.fixture(scope="module")
 def simulator(protocol_path):
     """A rig that outlives the sessions, so that its outputs can be looked at after each."""
-    with Simulator(read_apparatus(protocol_path.parent / "apparatus" / "beam_100x6x2.yaml")) as simulator:
+    with Simulator(Apparatus.read(protocol_path.parent / "apparatus" / "beam_100x6x2.yaml")) as simulator:
         yield simulator
 
 

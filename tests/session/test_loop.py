@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
-from modaltouch.protocol import Experiment, Protocol, read_protocol
-from modaltouch.protocol.adaptive_rules import Levels
-from modaltouch.protocol.schedule import draw_schedule
+from modaltouch.protocol import Experiment, Findings, Protocol
+from modaltouch.protocol.levels import Levels
+from modaltouch.protocol.schedule import Schedule
 from modaltouch.protocol.trial import Answer, Response, Trial
 from modaltouch.record.log import SessionLog
 from modaltouch.record.session import Session
@@ -138,7 +138,7 @@ def wrong_answer(trial: Trial) -> Answer:
 @pytest.fixture(scope="module")
 def experiment() -> Experiment:
     """Give the shipped demonstration."""
-    return read_protocol(Path(__file__).resolve().parents[2] / "protocols" / "demo.yaml")
+    return Findings.read(Path(__file__).resolve().parents[2] / "protocols" / "demo.yaml").experiment()
 
 
 @pytest.fixture
@@ -148,7 +148,7 @@ def sit(experiment: Experiment, tmp_path: Path) -> Iterator[Callable[..., Sessio
 
     def make(rule: Callable[[Trial], Answer] = right_answer, **schedule: Any) -> SessionRun:
         protocol = change(experiment.protocol, **schedule)
-        drawn = draw_schedule(protocol, "p01", 1)
+        drawn = Schedule.draw(protocol, "p01", 1)
         log = SessionLog.create(tmp_path / f"session{len(logs)}.jsonl", "start")
         logs.append(log)
         return SessionRun(

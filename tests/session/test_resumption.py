@@ -16,8 +16,7 @@ from typer.testing import CliRunner
 from modaltouch.cli.app import app
 from modaltouch.planning.observer import Observer
 from modaltouch.preflight import Preflight, examine
-from modaltouch.protocol import ResumeSection
-from modaltouch.protocol.schedule import draw_schedule, random_generator
+from modaltouch.protocol.schedule import Schedule
 from modaltouch.record.audit import audit_session
 from modaltouch.record.chain import RecordInputError, read_chain
 from modaltouch.record.session import Session, read_session
@@ -81,8 +80,8 @@ def on_paper(setup: Setup) -> Setup:
         yield PaperRig(setup)
 
     def open_window(tick: Callable[[], None], log: Callable[..., None]) -> AnswerWindow:
-        person = Observer().draw(random_generator(1, "p01", 1, "observer"))
-        answerer = Answerer(person, setup.preflight.speeds, random_generator(1, "p01", 1, "answers"))
+        person = Observer().draw(Schedule.random_generator(1, "p01", 1, "observer"))
+        answerer = Answerer(person, setup.preflight.speeds, Schedule.random_generator(1, "p01", 1, "answers"))
         until = setup.preflight.experiment.protocol.answers.stimulus_until
         return SimulatedParticipant(answerer, tick=tick, stimulus_until=until, clock=setup.clock, step=0.1)
 
@@ -182,9 +181,9 @@ def test_a_session_whose_practice_was_not_passed_is_begun_anew_and_never_resumed
     preflight = examine(edit("demo.yaml", failing)).require()
 
     def open_window(tick: Callable[[], None], log: Callable[..., None]) -> AnswerWindow:
-        person = Observer().draw(random_generator(1, "p01", 1, "observer"))
+        person = Observer().draw(Schedule.random_generator(1, "p01", 1, "observer"))
         answerer = Answerer(
-            person, lambda trial: preflight.speeds(trial)[::-1], random_generator(1, "p01", 1, "answers")
+            person, lambda trial: preflight.speeds(trial)[::-1], Schedule.random_generator(1, "p01", 1, "answers")
         )
         return SimulatedParticipant(answerer, tick=tick, clock=setup.clock)
 
@@ -289,7 +288,7 @@ def test_an_interruption_within_the_limit_of_age_goes_on() -> None:
     cut = examine_interruption(session, now=datetime.now(UTC), clock=1000.0 + 7200, boot="one")
     assert cut.age_s == pytest.approx(7200, abs=1)
     assert cut.clock_set_back_s == 0
-    refuse_old(session, cut, ResumeSection(within_hours=3))
+    refuse_old(session, cut, 3.0)
 
 
 def test_an_interruption_beyond_the_limit_of_age_is_refused() -> None:
@@ -299,8 +298,8 @@ def test_an_interruption_beyond_the_limit_of_age_is_refused() -> None:
     with pytest.raises(
         RecordInputError, match=r"30\.0 h ago.*within 24 h \(schedule.resume.within_hours\).*--restart s"
     ):
-        refuse_old(session, cut, ResumeSection(within_hours=24))
-    refuse_old(session, cut, ResumeSection())
+        refuse_old(session, cut, 24.0)
+    refuse_old(session, cut, None)
 
 
 @pytest.mark.parametrize(
@@ -314,7 +313,7 @@ def test_a_clock_set_back_fools_no_limit_of_age(hours_ago: float, clock: float, 
     cut = examine_interruption(session, now=datetime.now(UTC), clock=clock, boot=boot)
     assert cut.clock_set_back_s > 3600
     with pytest.raises(RecordInputError, match="clock of this machine is at least"):
-        refuse_old(session, cut, ResumeSection(within_hours=24))
+        refuse_old(session, cut, 24.0)
 
 
 def test_a_machine_that_slept_is_not_taken_for_a_clock_set_back() -> None:
@@ -337,16 +336,16 @@ def test_the_limit_of_age_is_kept_to_the_second(seconds: float, hours: float, sa
     cut = examine_interruption(session, now=now, clock=5.0, boot="")
     assert cut.age_s == seconds
     if not said:
-        refuse_old(session, cut, ResumeSection(within_hours=hours))
+        refuse_old(session, cut, hours)
         return
     with pytest.raises(RecordInputError, match=f"was interrupted {said}, and the protocol lets it go on within"):
-        refuse_old(session, cut, ResumeSection(within_hours=hours))
+        refuse_old(session, cut, hours)
 
 
 def test_only_a_block_is_asked_again(edit: Edit) -> None:
     """A session that goes on at the trial withdraws no answer."""
-    schedule = draw_schedule(with_policy(edit, "{at: trial}").experiment.protocol, "p01", 1)
-    assert answers_to_ask_again(interrupted(1), schedule, ResumeSection(at="trial")) == ()
+    schedule = Schedule.draw(with_policy(edit, "{at: trial}").experiment.protocol, "p01", 1)
+    assert answers_to_ask_again(interrupted(1), schedule, "trial") == ()
 
 
 def test_the_record_says_when_everything_happened_and_how_surely(edit: Edit, tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from modaltouch.planning.fitting import fit_answers
 from modaltouch.planning.observer import Observer, Participant
 from modaltouch.planning.presented import designs_for
 from modaltouch.preflight import Preflight, examine
-from modaltouch.protocol.document import InputError
+from modaltouch.protocol import InputError
 from modaltouch.record.audit import audit_session
 from modaltouch.record.chain import GENESIS, encode_line, read_chain
 from modaltouch.record.folders import SessionFolder

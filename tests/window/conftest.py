@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from modaltouch.protocol import Experiment, read_protocol
+from modaltouch.protocol import Experiment, Findings
 from modaltouch.protocol.trial import Condition, Trial
 from modaltouch.system.clock import SYSTEM_CLOCK, Clock, VirtualClock
 from modaltouch.window.environment import virtual_display
@@ -50,7 +50,7 @@ def screen(display: str) -> Iterator[Any]:
 @pytest.fixture(scope="session")
 def experiment() -> Experiment:
     """Give the shipped demonstration."""
-    return read_protocol(ROOT / "protocols" / "demo.yaml")
+    return Findings.read(ROOT / "protocols" / "demo.yaml").experiment()
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from modaltouch.preflight import Preflight, examine_findings
-from modaltouch.protocol import InputError, Sources, examine_sources
+from modaltouch.protocol import Findings, InputError, Sources
 from modaltouch.report import (
     CONDITION_COLOURS,
     FAINT,
@@ -41,7 +41,7 @@ def draw_fields(start: dict[str, Any], stimulus: str = "") -> Figure | None:
     if not start.get("sources"):
         return None
     try:
-        preflight = examine_findings(examine_sources(Sources.from_dict(start["sources"]))).require()
+        preflight = examine_findings(Findings.restored(Sources.from_dict(start["sources"]))).require()
     except (InputError, KeyError, TypeError):
         return None
     if stimulus not in preflight.parts:

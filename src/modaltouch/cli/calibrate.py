@@ -14,7 +14,7 @@ from modaltouch.cli.options import JSON, MEASURED_RIG, PROTOCOL
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from modaltouch.protocol import CalibratedStimulus, Calibration
+    from modaltouch.protocol import Calibration
 
 
 def calibrate(
@@ -47,8 +47,8 @@ def _show(calibration: Calibration, out: Path, protocol: Path) -> None:
     from rich.console import Console
 
     console = Console()
-    for name, own in calibration.by_stimulus.items():
-        _show_stimulus(console, f"Stimulus {name}: " if name else "", own)
+    for name in calibration.by_stimulus:
+        _show_stimulus(console, name, calibration)
     noise = max(mode.uncertainty_mm_s for own in calibration.by_stimulus.values() for mode in own.modes)
     amplifier = calibration.amplifier
     corner = "none told" if amplifier.bandwidth_kHz is None else f"{amplifier.bandwidth_kHz:.0f} kHz"
@@ -60,15 +60,16 @@ def _show(calibration: Calibration, out: Path, protocol: Path) -> None:
     console.print(f"Next: modaltouch run {protocol} --calibration {out}", markup=False)
 
 
-def _show_stimulus(console: Console, whose: str, calibration: CalibratedStimulus) -> None:
+def _show_stimulus(console: Console, name: str, calibration: Calibration) -> None:
     """Print what was reached with one stimulus."""
     from rich.table import Table
 
+    whose, own = f"Stimulus {name}: " if name else "", calibration.by_stimulus[name]
     title = "errors at the focusing instant, as measured"
     turns = Table(title=f"{whose}{title}" if whose else title.capitalize(), title_justify="left")
     for heading in ("iteration", "worst velocity error mm/s", "worst w eta error mm/s", "peak voltage V"):
         turns.add_column(heading, justify="right")
-    for each in calibration.iterations:
+    for each in own.iterations:
         turns.add_row(
             str(each.iteration) if each.iteration else "before",
             f"{each.worst_velocity_error_mm_s:.3f}",
@@ -80,7 +81,7 @@ def _show_stimulus(console: Console, whose: str, calibration: CalibratedStimulus
     levels = Table(title=f"{whose}{title}" if whose else title.capitalize(), title_justify="left")
     for heading in ("level", "at the focusing instant", "highest over the burst", "amplitude Vpp"):
         levels.add_column(heading, justify="right")
-    for level in calibration.levels:
+    for level in own.levels:
         levels.add_row(
             f"{level.velocity_mm_s:g}",
             f"{level.at_focus_mm_s:.1f} ± {level.uncertainty_mm_s:.1f}",

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from modaltouch.analysis import analyse
 from modaltouch.preflight import examine
-from modaltouch.protocol import shipped
+from modaltouch.protocol import Source
 from modaltouch.record import RecordExistsError, SessionFolder
 from modaltouch.session import begin, wire_run
 from modaltouch.window import WindowOptions
@@ -59,7 +59,7 @@ def demonstrate(
     on_progress : callable
         Called with (answered, total) after each trial.
     """
-    preflight = examine(shipped("protocol")["demo"]).require()
+    preflight = examine(Source.shipped("protocol")["demo"]).require()
     number = 0
     with window_options.display() as display:
         while True:

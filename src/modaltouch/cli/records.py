@@ -148,10 +148,10 @@ def _measure(rig: str, apparatus: Path, *, json_output: bool) -> None:
 
 
 def _measure_generator(rig: str, apparatus: Path) -> CommandLatency:
-    from modaltouch.protocol import read_apparatus
+    from modaltouch.protocol import Apparatus
     from modaltouch.rig import measure_latency, start_simulator
 
-    parts = read_apparatus(apparatus)
+    parts = Apparatus.read(apparatus)
     with ExitStack() as stack:
         address = stack.enter_context(start_simulator(parts)).address if rig == "simulated" else rig
         return measure_latency(address, parts)

@@ -42,11 +42,11 @@ def check(
     """
     from contextlib import ExitStack
 
-    from modaltouch.protocol import read_apparatus
+    from modaltouch.protocol import Apparatus
     from modaltouch.rig import check_rig, start_simulator
 
     with reporting(json_output=json_output), ExitStack() as stack:
-        parts = read_apparatus(apparatus)
+        parts = Apparatus.read(apparatus)
         if address == "simulated":
             address = stack.enter_context(start_simulator(parts)).address
         rows = check_rig(address, parts)
@@ -74,8 +74,8 @@ def simulate(
     speed `zone_peak_mm_s` at each zone's centre, and the `link` that triggered it: 0 for the front panel, null for a
     burst that came by itself.
     """
-    from modaltouch.protocol import read_apparatus
+    from modaltouch.protocol import Apparatus
     from modaltouch.rig import serve
 
     with reporting():
-        serve(read_apparatus(apparatus), port=port, seed=seed, played=played)
+        serve(Apparatus.read(apparatus), port=port, seed=seed, played=played)

@@ -7,7 +7,7 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import NoReturn
 
-from modaltouch.protocol import InputError, Problem, Protocol, read_protocol, shipped
+from modaltouch.protocol import Findings, InputError, Problem, Protocol, Source
 from modaltouch.system import version
 
 
@@ -54,12 +54,12 @@ def analyses(protocol: Protocol, dataset: str) -> list[str]:
 
 def _contents(template: str) -> dict[str, str]:
     """Return the text of each file by its place in the study, its protocol first."""
-    known = shipped("protocol")
+    known = Source.shipped("protocol")
     if template not in known:
         _refuse("--from", f"{template!r}, which is no shipped protocol", ", ".join(known))
-    experiments = [read_protocol(known[template])]
+    experiments = [Findings.read(known[template]).experiment()]
     if own := experiments[0].protocol.conditions.sensation_levels:
-        experiments.append(read_protocol(known[own.thresholds_from]))
+        experiments.append(Findings.read(known[own.thresholds_from]).experiment())
     named = [vars(each.sources)[key].path for each in experiments for key in ("protocol", "apparatus", "texts")]
     folder, schemas = known[template].parent, known[template].parent.glob("schema/*.json")
     files = {file.relative_to(folder).as_posix(): file for file in (*named, *sorted(schemas))}

@@ -9,7 +9,7 @@ from modaltouch.planning.design import Design
 from modaltouch.planning.observer import Observer
 from modaltouch.planning.observer.felt import FeltSpeeds
 from modaltouch.preflight import Preflight
-from modaltouch.protocol import InputError, Protocol, draw_schedule
+from modaltouch.protocol import InputError, Protocol, Schedule
 
 
 def designs_for(preflight: Preflight, observer: Observer) -> dict[str, Design]:
@@ -63,5 +63,5 @@ def _placements(protocol: Protocol) -> tuple[bool, ...]:
     if not any(name.startswith("mirrored") for name in conditions.placements):
         return (False,)
     n_turns = len(conditions.placements) * max(1, 2 * len(conditions.finger_conditions))
-    drawn = (draw_schedule(protocol, f"p{number}", 0) for number in range(1, n_turns + 1))
+    drawn = (Schedule.draw(protocol, f"p{number}", 0) for number in range(1, n_turns + 1))
     return tuple(schedule.trials[0].condition.is_mirrored for schedule in drawn)

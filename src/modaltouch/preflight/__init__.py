@@ -1,9 +1,8 @@
-"""Everything that can fail before the participant sits down: files, limits, predicted speeds; no hardware.
+"""The whole check of a protocol before anybody sits down; no hardware.
 
-``ground``   the sound parts of the files that a stimulus needs
-``figures``  what each level does to the beam
-``advice``   where the field does not go, what was taken by default
-``examine``  the whole check: limits at every level, and what the engine refuses, with its place
+In go the files of a protocol (`examine`), or what was read of them (`examine_findings`). Out comes a `Preflight`: every
+fault with its place, or the stimulus of all levels and what each level does to the beam. `design` makes a stimulus of
+`DesignInputs`, the sound parts of the files.
 """
 
 from __future__ import annotations
@@ -16,9 +15,13 @@ if TYPE_CHECKING:
     from modaltouch.preflight.checked import Preflight
     from modaltouch.preflight.design_inputs import DesignInputs, design
     from modaltouch.preflight.examination import design_to_fit, examine, examine_findings
-    from modaltouch.preflight.exploration import design_figures, sample_figures, sensitivity_figures
-    from modaltouch.preflight.figures import estimated_duration, finite
-    from modaltouch.preflight.several_stimuli import at_stimulus
+    from modaltouch.preflight.figures import (
+        design_figures,
+        estimated_duration,
+        finite,
+        sample_figures,
+        sensitivity_figures,
+    )
 else:
     __getattr__ = lazily(
         __name__,
@@ -26,16 +29,13 @@ else:
             "checked": "Preflight",
             "design_inputs": "DesignInputs design",
             "examination": "design_to_fit examine examine_findings",
-            "exploration": "design_figures sample_figures sensitivity_figures",
-            "figures": "estimated_duration finite",
-            "several_stimuli": "at_stimulus",
+            "figures": "design_figures estimated_duration finite sample_figures sensitivity_figures",
         },
     )
 
 __all__ = [
     "DesignInputs",
     "Preflight",
-    "at_stimulus",
     "design",
     "design_figures",
     "design_to_fit",

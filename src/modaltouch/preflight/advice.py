@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from modaltouch.preflight.design_inputs import DesignInputs
-from modaltouch.protocol import Apparatus, Node, Protocol, Reading, Section, StimulusSection
+from modaltouch.protocol import Apparatus, Protocol
 from modaltouch.stimulus import Stimulus
 
 _FASTER = 1 + 2e-3
@@ -14,6 +14,8 @@ _FASTER = 1 + 2e-3
 _UNREACHED = 0.25
 """Share of the wish, as root mean square, from which it counts as missed: the paper's six modes miss 0.06 [1]."""
 
+LOUD = 80.0
+"""Level at which hearing protection begins to be a matter of hours (2003/10/EC, lower action value) [dB SPL]."""
 
 _PRESENTED = ("stimulus.", "conditions.", "schedule.order")
 """Keys whose defaults are told in `check`."""
@@ -78,40 +80,6 @@ def answer_warnings(protocol: Protocol) -> list[str]:
     return []
 
 
-def taken_defaults(reading: Reading[Protocol]) -> list[dict[str, Any]]:
-    """Return the keys that a protocol leaves out, with the values taken for them.
-
-    Returns
-    -------
-    list of dict
-        The key's path as ``key`` and its default as ``value``, in the order of the schema.
-    """
-    if reading.root is None:
-        return []
-    variants = reading.find(("stimuli",))
-    nodes = [variants.child(name) for name in reading.sound("stimuli") or ()] if variants is not None else []
-    # What each of several stimuli gives itself is taken from none.
-    keys = StimulusSection.model_fields if nodes else ()
-    own = [f"stimulus.{key}" for key in keys if all(node and node.child(key) for node in nodes)]
-    taken = _absent(reading.model, reading.root, "")
-    return [each for each in taken if ".".join(each["key"].split(".")[:2]) not in own]
-
-
-def _absent(section: type[Section], node: Node | None, prefix: str) -> list[dict[str, Any]]:
-    taken: list[dict[str, Any]] = []
-    for name, field in section.model_fields.items():
-        child = node.child(name) if node is not None else None
-        if child is None and field.is_required():
-            continue
-        inner = field.annotation
-        if isinstance(inner, type) and issubclass(inner, Section):
-            taken += _absent(inner, child, f"{prefix}{name}.")
-        elif child is None:
-            value = field.get_default(call_default_factory=True)
-            taken.append({"key": f"{prefix}{name}", "value": list(value) if isinstance(value, tuple) else value})
-    return taken
-
-
 def default_warnings(taken: list[dict[str, Any]]) -> list[str]:
     """Return one line on the defaults of what is presented; those that leave a feature off are not worth a line.
 
@@ -120,7 +88,7 @@ def default_warnings(taken: list[dict[str, Any]]) -> list[str]:
     Parameters
     ----------
     taken : list of dict
-        As `taken_defaults` returns them.
+        As `Findings.defaults` returns them.
     """
     acting = [each for each in taken if each["key"].startswith(_PRESENTED) and not _is_off(each["value"])]
     told = ", ".join(f"{each['key']} {_in_words(each['value'])}" for each in acting)
@@ -137,3 +105,21 @@ def _in_words(value: Any) -> str:
     if isinstance(value, list):
         return "/".join(map(str, value))
     return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def sound_warnings(protocol: Protocol, apparatus: Apparatus) -> list[str]:
+    """Return what a lab should know of its masking noise."""
+    section, sound = protocol.masking, apparatus.sound
+    if section is None:
+        return []
+    level = section.level(sound)
+    if level is None:
+        return []
+    if sound.full_scale_dB_SPL is None:
+        return [f"masking noise at {level:g} dB FS: its level at the ear is unknown, as the device is not calibrated"]
+    if level + sound.full_scale_dB_SPL > LOUD:
+        return [
+            f"masking noise at {level + sound.full_scale_dB_SPL:g} dB SPL: above {LOUD:g} dB it may harm hearing "
+            "within hours; keep sessions short and the total of a day in mind"
+        ]
+    return []

@@ -13,7 +13,7 @@ from modaltouch.preflight.advice import (
     default_warnings,
     field_warnings,
     repetition_warnings,
-    taken_defaults,
+    sound_warnings,
 )
 from modaltouch.preflight.design_inputs import DesignInputs
 from modaltouch.preflight.figures import (
@@ -23,8 +23,7 @@ from modaltouch.preflight.figures import (
     warnings,
     zone_centres,
 )
-from modaltouch.preflight.sound import sound_warnings
-from modaltouch.protocol import Experiment, Findings, InputError, Problem, Protocol, Trial, offered_gains
+from modaltouch.protocol import Experiment, Findings, InputError, Problem, Protocol, Trial
 from modaltouch.rig import MAX_POINTS, continuous_codes
 from modaltouch.stimulus import Burst, Law, Stimulus, signed_codes, states_by_channel
 
@@ -34,20 +33,6 @@ def continuous_figures(stimulus: Stimulus, velocity: float) -> dict[str, Any]:
 
     A record of a whole period has fewer points for the burst: its steps come late or early by up to half a point,
     on top of the clock's own jitter.
-
-    Parameters
-    ----------
-    stimulus : Stimulus
-        The stimulus of all levels.
-    velocity : float
-        Level [m/s].
-
-    Returns
-    -------
-    dict
-        ``velocity_mm_s``; ``n_samples`` of the record; ``step_error_us``, by how much a step is late or early at
-        most; ``worst_modal_error_mm_s``, the largest of |velocity - target| and |w eta| over the modes; and a
-        ``warning`` in words.
     """
     burst, timing = stimulus.burst, stimulus.timing
     played = replace(timing, n_samples=MAX_POINTS, duration=1 / timing.repetition_rate)
@@ -117,9 +102,7 @@ class Preflight:
         InputError
             If anything is wrong with them.
         """
-        if self.problems:
-            raise InputError(self.problems)
-        return self.findings.experiment()
+        return self.require().findings.experiment()
 
     @property
     def stimulus(self) -> Stimulus:
@@ -208,7 +191,7 @@ class Preflight:
             return 0.0, 0.0
         ground, stimulus = self.parts[trial.condition.stimulus].sound
         peaks = stimulus.peak_velocity(zone_centres(ground), trial.condition.velocity_mm_s * 1e-3)
-        by_zone = dict(zip(ground.zones, peaks.tolist(), strict=True))
+        by_zone = dict(zip(ground.apparatus.ordered_zones, peaks.tolist(), strict=True))
         return by_zone[trial.condition.zone_left], by_zone[trial.condition.zone_right]
 
     @cached_property
@@ -261,7 +244,7 @@ class Preflight:
             "estimated_duration_min": None,
             "problems": [problem.as_dict() for problem in self.problems],
             "warnings": [],
-            "defaults": taken_defaults(reading) if reading else [],
+            "defaults": self.findings.defaults(),
             "stimuli": self.stimuli,
             "contrasts": [],
             "unknown_gains": [],
@@ -286,7 +269,8 @@ class Preflight:
             "unknown_gains": [{"mode": label, "set": name} for label, name in apparatus.unknown_gains()],
             "assumed_gains": [{"mode": label, "set": name} for label, name in apparatus.assumed_gains()],
             "offered_gains": [
-                {"mode": label, "set": name, "gain_mm_s2_per_V": gain} for label, name, gain in offered_gains(apparatus)
+                {"mode": label, "set": name, "gain_mm_s2_per_V": gain}
+                for label, name, gain in apparatus.offered_gains()
             ],
         }
         if compare:

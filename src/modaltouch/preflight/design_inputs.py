@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from modaltouch.protocol import Apparatus, Findings, Problem, StimulusSection, Zone, calibrated_apparatus
+from modaltouch.protocol import Apparatus, Findings, Problem, StimulusSection
 from modaltouch.stimulus import Correction, Law, Release, Stimulus, TargetField, Timing, design_stimulus
-
-if TYPE_CHECKING:
-    from modaltouch.protocol import CalibrationFile
-from modaltouch.protocol import Points, read_points
 
 _NEEDED = ("stimulus", "beam", "actuator_sets", "modes", "amplifier", "generator")
 
@@ -48,18 +43,13 @@ class DesignInputs:
     levels: dict[int, float]
     velocity_limit: float
     correction: Correction | None = None
-    points: Points = ()
+    points: tuple[tuple[float, float], ...] = ()
 
     @property
     def reference(self) -> float:
         """Highest level within the safety limit, for which the codes fill the generator's range [mm/s]."""
         allowed = [level for level in self.levels.values() if level <= self.velocity_limit]
         return max(allowed, default=min(self.levels.values(), default=_FALLBACK_LEVEL))
-
-    @property
-    def zones(self) -> dict[str, Zone]:
-        """Zones by name, from left to right."""
-        return {name: self.apparatus.zones[name] for name in self.apparatus.zone_order()}
 
 
 def find_ground(findings: Findings) -> DesignInputs | None:
@@ -80,47 +70,36 @@ def find_ground(findings: Findings) -> DesignInputs | None:
         return None
     points = section.field.points or ()
     if section.field.shape == "sampled" and findings.field is not None:
-        points, faults = read_points(findings.field)
-        if faults:
-            return None
+        points = findings.points()
+    if points is None:
+        return None
     limit = apparatus.sound("safety", "velocity_limit_mm_s")
     used = Apparatus.model_construct(apparatus="", zones=zones, **parts)
-    calibration = _calibration_of_one(findings)
-    of_others = calibration is None and findings.calibration is not None and findings.calibration.value is not None
-    if of_others or (calibration is not None and (apparatus.value is None or not _fits(findings))):
-        return None
+    reading = findings.calibration
+    calibration = None if reading is None or reading.value is None else reading.value.alone("")
+    correction = None
+    if reading is not None and calibration is not None:
+        # Its values can be used where nothing speaks against it.
+        if apparatus.value is None or any(problem.file == str(reading.source.path) for problem in findings.problems):
+            return None
+        used = calibration.applied(used)
+        correction = Correction(
+            velocity=np.array([mode.target_mm_s for mode in calibration.modes]) * 1e-3,
+            displacement=np.array([mode.target_displacement_mm_s for mode in calibration.modes]) * 1e-3,
+            reference=calibration.reference_mm_s * 1e-3,
+            trims=tuple((level.velocity_mm_s * 1e-3, level.amplitude_factor) for level in calibration.levels),
+        )
+    elif reading is not None and reading.value is not None:
+        return None  # of other stimuli
     return DesignInputs(
         section=section,
-        apparatus=used if calibration is None else calibrated_apparatus(used, calibration),
+        apparatus=used,
         centre_mm=zones[section.focus].centre_mm,
         levels=dict(protocol.items("conditions", "peak_velocities_mm_s")),
         velocity_limit=float("inf") if limit is None else limit,
-        correction=None if calibration is None else correction_of(calibration),
+        correction=correction,
         points=points,
     )
-
-
-def _calibration_of_one(findings: Findings) -> CalibrationFile | None:
-    """Return the calibration of the one stimulus; None without a sound one."""
-    reading = findings.calibration
-    return None if reading is None or reading.value is None else reading.value.alone("")
-
-
-def correction_of(calibration: CalibrationFile) -> Correction:
-    """Return the corrected targets of a calibration in SI units."""
-    return Correction(
-        velocity=np.array([mode.target_mm_s for mode in calibration.modes]) * 1e-3,
-        displacement=np.array([mode.target_displacement_mm_s for mode in calibration.modes]) * 1e-3,
-        reference=calibration.reference_mm_s * 1e-3,
-        trims=tuple((level.velocity_mm_s * 1e-3, level.amplitude_factor) for level in calibration.levels),
-    )
-
-
-def _fits(findings: Findings) -> bool:
-    """Return whether nothing speaks against the calibration, so that its values can be used."""
-    reading = findings.calibration
-    named = str(reading.source.path) if reading is not None else ""
-    return not any(problem.file == named for problem in findings.problems)
 
 
 def design(

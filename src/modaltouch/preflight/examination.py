@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,34 +13,31 @@ from numpy.typing import NDArray
 
 from modaltouch.preflight.checked import Preflight
 from modaltouch.preflight.design_inputs import DesignInputs, design, find_ground
-from modaltouch.preflight.several_stimuli import at_stimulus, check_memories, each_stimulus
-from modaltouch.preflight.sound import check_masking_level
-from modaltouch.protocol import Findings, Problem, Protocol, Reading, draw_schedule, examine_files, zone_edges
+from modaltouch.protocol import Findings, Problem, Schedule
 from modaltouch.rig import LOWEST_AMPLITUDE, highest_level
-from modaltouch.stimulus import Release, Stimulus
+from modaltouch.stimulus import Burst, Release, Stimulus
+from modaltouch.window import Masking
 
 _POINTS_PER_ZONE = 5
 """Points at which a zone's speed is looked at: a quarter of the shortest wavelength of Table I apart."""
 
+MEMORIES = 4
+"""Records that an AFG3022B holds."""
+
 _LEVELS = ("conditions", "peak_velocities_mm_s")
 
 
-def check_levels(ground: DesignInputs, stimulus: Stimulus, protocol: Reading[Protocol]) -> list[Problem]:
+def check_levels(ground: DesignInputs, stimulus: Stimulus, findings: Findings) -> list[Problem]:
     """Return the levels that amplifier, generator or safety do not allow."""
-    problems = _check_range(ground, stimulus, protocol)
+    problems = _check_range(ground, stimulus, findings)
     if problems:
         return problems
     fast = _moves_fast(ground, stimulus)
     for index, level in ground.levels.items():
-        amplified = list(_check_amplifier(ground, stimulus, protocol, index, level))
-        problems += amplified or _check_generator(ground, stimulus, protocol, index, level)
-        problems += _check_safety(ground, stimulus, protocol, index, level) if fast else []
+        amplified = list(_check_amplifier(ground, stimulus, findings, index, level))
+        problems += amplified or _check_generator(ground, stimulus, findings, index, level)
+        problems += _check_safety(ground, stimulus, findings, index, level) if fast else []
     return problems
-
-
-def fits_generator(ground: DesignInputs, stimulus: Stimulus) -> bool:
-    """Return whether the full scales at the reference level can be set."""
-    return max(stimulus.amplitude_for(stimulus.wish.velocity)) <= _highest_amplitude(ground)
 
 
 def _highest_amplitude(ground: DesignInputs) -> float:
@@ -49,7 +46,7 @@ def _highest_amplitude(ground: DesignInputs) -> float:
 
 
 def _check_amplifier(
-    ground: DesignInputs, stimulus: Stimulus, protocol: Reading[Protocol], index: int, level: float
+    ground: DesignInputs, stimulus: Stimulus, findings: Findings, index: int, level: float
 ) -> Iterator[Problem]:
     limit = ground.apparatus.amplifier.limit_V
     needed = float(stimulus.peak_voltage.max()) * level * 1e-3 / stimulus.wish.velocity
@@ -58,11 +55,11 @@ def _check_amplifier(
         given = f"{level:g} mm/s, which needs {needed:.0f} V at the beam"
         allowed = f"at most {limit:g} V there ({highest} mm/s)"
         remedy = "lower the level, or choose a law, field or focus that needs less"
-        yield protocol.problem((*_LEVELS, index), given, allowed, remedy)
+        yield findings.problem((*_LEVELS, index), given, allowed, remedy)
 
 
 def _check_generator(
-    ground: DesignInputs, stimulus: Stimulus, protocol: Reading[Protocol], index: int, level: float
+    ground: DesignInputs, stimulus: Stimulus, findings: Findings, index: int, level: float
 ) -> Iterator[Problem]:
     smallest, largest = LOWEST_AMPLITUDE, _highest_amplitude(ground)
     path, sounding = (*_LEVELS, index), _sounding(stimulus, level)
@@ -73,7 +70,7 @@ def _check_generator(
         given = f"{level:g} mm/s, which needs {sounding[strong]:.4g} V peak to peak of output {strong}"
         highest = _rounded_down(level * largest / sounding[strong])
         allowed = f"at most {largest:g} V into an open circuit ({highest} mm/s)"
-        yield protocol.problem(path, given, allowed, "lower the level, or take an amplifier of higher gain")
+        yield findings.problem(path, given, allowed, "lower the level, or take an amplifier of higher gain")
     if sounding[weak] < smallest:
         given = f"{level:g} mm/s, which needs {sounding[weak]:.4g} V peak to peak of output {weak}"
         least = level * smallest / sounding[weak]
@@ -81,7 +78,7 @@ def _check_generator(
         # A lab that thinks in m/s writes 0.08 for 80 mm/s.
         meant = level * 1e3 if level < 1 and least <= level * 1e3 <= ground.velocity_limit else None
         remedy = "raise the level" if meant is None else f"did you mean {meant:g} mm/s? Levels are in mm/s, not m/s"
-        yield protocol.problem(path, given, allowed, remedy)
+        yield findings.problem(path, given, allowed, remedy)
 
 
 def _sounding(stimulus: Stimulus, level: float) -> dict[int, float]:
@@ -91,7 +88,7 @@ def _sounding(stimulus: Stimulus, level: float) -> dict[int, float]:
     return {number: float(each) for number, each in enumerate(amplitudes, 1) if not silent[number - 1]}
 
 
-def _check_range(ground: DesignInputs, stimulus: Stimulus, protocol: Reading[Protocol]) -> list[Problem]:
+def _check_range(ground: DesignInputs, stimulus: Stimulus, findings: Findings) -> list[Problem]:
     """Return why no level can be played: one output falls below the generator's range before the beam is in its own."""
     level, limit = stimulus.wish.velocity * 1e3, ground.apparatus.amplifier.limit_V
     sounding = _sounding(stimulus, level)
@@ -115,7 +112,7 @@ def _check_range(ground: DesignInputs, stimulus: Stimulus, protocol: Reading[Pro
         f"amplifier and generator reach at most {_rounded_down(highest)} mm/s)"
     )
     allowed = f"up to {length:g} mm" if base > length else ""
-    return [protocol.problem(path, given, allowed, "choose another field, focus or modes; no other level will do")]
+    return [findings.problem(path, given, allowed, "choose another field, focus or modes; no other level will do")]
 
 
 def _moves_fast(ground: DesignInputs, stimulus: Stimulus) -> bool:
@@ -127,15 +124,15 @@ def _moves_fast(ground: DesignInputs, stimulus: Stimulus) -> bool:
 
 def _zone_points(ground: DesignInputs) -> NDArray[np.float64]:
     """Return the points at which each zone's speed is looked at, (n_zones, n_points) array [m]."""
-    edges = [zone_edges(zone) for zone in ground.zones.values()]
+    edges = [zone.edges for zone in ground.apparatus.ordered_zones.values()]
     half = ground.apparatus.beam.length_mm / 2
     return np.clip([np.linspace(*edge, _POINTS_PER_ZONE) for edge in edges], -half, half) * 1e-3
 
 
 def _check_safety(
-    ground: DesignInputs, stimulus: Stimulus, protocol: Reading[Protocol], index: int, level: float
+    ground: DesignInputs, stimulus: Stimulus, findings: Findings, index: int, level: float
 ) -> Iterator[Problem]:
-    limit, zones, points = ground.velocity_limit, ground.zones, _zone_points(ground)
+    limit, zones, points = ground.velocity_limit, ground.apparatus.ordered_zones, _zone_points(ground)
     if level > limit:
         return  # said by the protocol's own check
     speeds = stimulus.peak_velocity(points.ravel(), level * 1e-3).reshape(points.shape) * 1e3
@@ -147,7 +144,7 @@ def _check_safety(
         given = f"{level:g} mm/s, which moves zone {zone} at {speed:.0f} mm/s"
         allowed = f"at most {limit:g} mm/s anywhere in a zone ({_rounded_down(level * limit / speed)} mm/s)"
         remedy = "lower the level; the limit is the safety section of the apparatus"
-        yield protocol.problem((*_LEVELS, index), given, allowed, remedy)
+        yield findings.problem((*_LEVELS, index), given, allowed, remedy)
 
 
 def _rounded_down(value: float) -> str:
@@ -173,21 +170,12 @@ _PLACES: tuple[tuple[str, str], ...] = (
 """Words of the engine's messages and the key of the stimulus section that they are about, first match first."""
 
 
+_MODE_KEYS = (("gain", "gain_mm_s2_per_V"), ("damping", "damping_ratio"), ("frequency", "natural_frequency_Hz"))
+"""The same, of the table of modes."""
+
+
 def locate(error: Exception, findings: Findings) -> Problem:
-    """Return what the engine refused as a problem of the file that asked for it.
-
-    Parameters
-    ----------
-    error : Exception
-        What the engine raised.
-    findings : Findings
-        The files; the protocol and apparatus must have been opened.
-
-    Raises
-    ------
-    ValueError
-        If the protocol or the apparatus was not opened.
-    """
+    """Return what the engine refused as a problem of the file that asked for it; both must have been opened."""
     protocol, apparatus = findings.protocol, findings.apparatus
     if protocol is None or apparatus is None:
         raise ValueError("there is no file in which to find the fault: open protocol and apparatus first")
@@ -195,43 +183,20 @@ def locate(error: Exception, findings: Findings) -> Problem:
     given, _, remedy = message.rpartition(": ") if ": " in message else (message, "", "")
     given = f"a stimulus that cannot be made, {given}"
     mode = re.search(r"mode (\d+)", message)
-    if mode is not None and re.search(r"gain|damping|frequency", message):
-        labels = {label: index for index, label in _labels(findings)}
-        index = labels.get(int(mode.group(1)))
-        key = next(key for word, key in _MODE_KEYS if word in message)
+    key = next((key for word, key in _MODE_KEYS if word in message), "")
+    if mode is not None and key:
+        index = next((index for index, each in apparatus.items("modes") if each.label == int(mode.group(1))), None)
         if index is not None:
             return apparatus.problem(("modes", index, key), given, "", remedy)
     if re.search(r"linearly dependent|scan grid|zero at every point", message):
         return apparatus.problem(("beam", "measured_shapes"), given, "", remedy)
-    if re.search(r"samples are fewer", message) and _is_late(findings):
-        return apparatus.problem(
-            ("amplifier", "delay_us"), given, "", "shorten the delay, or move the focusing instant"
-        )
+    # Late is a delay that takes most of the time before the focusing instant.
+    delay, instant = apparatus.sound("amplifier", "delay_us"), protocol.sound("stimulus", "focusing_instant_ms")
+    if "samples are fewer" in message and delay is not None and instant is not None and delay > 500 * instant:
+        remedy = "shorten the delay, or move the focusing instant"
+        return apparatus.problem(("amplifier", "delay_us"), given, "", remedy)
     key = next((key for words, key in _PLACES if re.search(words, message)), "")
     return protocol.problem(("stimulus", key) if key else ("stimulus",), given, "", remedy)
-
-
-_MODE_KEYS = (
-    ("gain", "gain_mm_s2_per_V"),
-    ("damping", "damping_ratio"),
-    ("frequency", "natural_frequency_Hz"),
-)
-
-
-def _is_late(findings: Findings) -> bool:
-    """Return whether the amplifier's delay takes most of the time before the focusing instant."""
-    if findings.protocol is None or findings.apparatus is None:
-        return False
-    delay = findings.apparatus.sound("amplifier", "delay_us")
-    instant = findings.protocol.sound("stimulus", "focusing_instant_ms")
-    return delay is not None and instant is not None and delay > 500 * instant
-
-
-def _labels(findings: Findings) -> list[tuple[int, int]]:
-    reading = findings.apparatus
-    if reading is None:
-        return []
-    return [(index, mode.label) for index, mode in reading.items("modes")]
 
 
 def examine(path: Path | str, calibration: Path | None = None, *, uncalibrated: bool = False) -> Preflight:
@@ -251,7 +216,7 @@ def examine(path: Path | str, calibration: Path | None = None, *, uncalibrated: 
     Preflight
         With every fault in its `problems`; nothing is raised for a faulty file.
     """
-    return examine_findings(examine_files(path, calibration, uncalibrated=uncalibrated))
+    return examine_findings(Findings.read(path, calibration, uncalibrated=uncalibrated))
 
 
 def examine_findings(findings: Findings) -> Preflight:
@@ -271,24 +236,33 @@ def examine_findings(findings: Findings) -> Preflight:
         try:
             with np.errstate(all="ignore"):
                 stimulus = design_to_fit(ground)
-                problems += check_levels(ground, stimulus, findings.protocol)
+                problems += check_levels(ground, stimulus, findings)
         except (ValueError, ArithmeticError) as error:
             problems.append(locate(error, findings))
-    if findings.protocol is not None and findings.protocol.value is not None:
-        problems += [*_check_schedule(findings), *check_masking_level(findings)]
+    if not findings.problems:
+        problems += [*_check_schedule(findings), *_check_masking_level(findings)]
     return Preflight(findings, tuple(sorted(set(problems))), ground, stimulus)
 
 
 def _examine_several(findings: Findings) -> Preflight:
     """Return the check of a protocol with several stimuli: of each alone, and of all together."""
-    variants = {name: examine_findings(alone) for name, alone in each_stimulus(findings)}
-    problems = {problem for name, part in variants.items() for problem in at_stimulus(findings, name, part.problems)}
+    variants = {name: examine_findings(alone) for name, alone in findings.each_stimulus()}
+    problems = {problem for name, part in variants.items() for problem in findings.at_stimulus(name, part.problems)}
     first = next(iter(variants.values()))
     together = Preflight(findings, (), first.ground, first.designed, variants)
     if not problems:
-        problems.update(check_memories(findings, together.bursts))
-    problems.update([*_check_schedule(findings), *check_masking_level(findings)])
+        problems.update(_check_memories(findings, together.bursts))
+    problems.update([*_check_schedule(findings), *_check_masking_level(findings)])
     return replace(together, problems=tuple(sorted(problems)))
+
+
+def _check_memories(findings: Findings, bursts: Sequence[Burst]) -> Iterator[Problem]:
+    """Yield more records than the generator has memories."""
+    n_records = len({record.tobytes() for burst in bursts for record in burst.codes})
+    if n_records > MEMORIES:
+        given = f"{len(bursts)} stimuli with {n_records} different records"
+        allowed = f"at most {MEMORIES}, as many as the generator has memories: two stimuli on two outputs"
+        yield findings.problem(("stimuli",), given, allowed, "take fewer, or make protocols of them")
 
 
 def design_to_fit(ground: DesignInputs, *, release: Release | None = None) -> Stimulus:
@@ -308,19 +282,35 @@ def design_to_fit(ground: DesignInputs, *, release: Release | None = None) -> St
     """
     stimulus = design(ground, release=release)
     within = float(stimulus.peak_voltage.max()) <= ground.apparatus.amplifier.limit_V
-    if within and not fits_generator(ground, stimulus):
+    if within and max(stimulus.amplitude_for(stimulus.wish.velocity)) > _highest_amplitude(ground):
         return design(ground, release=release, on_grid=False)
     return stimulus
 
 
 def _check_schedule(findings: Findings) -> list[Problem]:
     """Return why no order can be drawn, if none can."""
-    reading = findings.protocol
-    if reading is None or reading.value is None or findings.problems:
-        return []
     try:
-        draw_schedule(reading.value, "p01", 0)
+        Schedule.draw(findings.experiment().protocol, "p01", 0)
     except ValueError as error:
         path = ("schedule", "max_same_pair_running")
-        return [reading.problem(path, f"a limit that cannot be kept, {error}", "")]
+        return [findings.problem(path, f"a limit that cannot be kept, {error}", "")]
     return []
+
+
+def _check_masking_level(findings: Findings) -> Iterator[Problem]:
+    """Yield the level of a masking noise whose peaks would pass full scale."""
+    experiment = findings.experiment()
+    section, sound = experiment.protocol.masking, experiment.apparatus.sound
+    level = None if section is None else section.level(sound)
+    if (
+        section is None
+        or level is None
+        or level <= (highest := Masking.highest_level(section.noise, sound.sampling_rate_Hz))
+    ):
+        return
+    unit = section.level_key.removeprefix("level_").replace("_", " ")
+    shift = 0.0 if section.level_dB_FS is not None else sound.full_scale_dB_SPL or 0.0
+    given = f"{level + shift:g} {unit}, at which the peaks of the {section.noise} noise pass full scale"
+    # Rounded down, so that what is allowed is allowed.
+    allowed = f"at most {math.floor((highest + shift) * 10) / 10:g} {unit}"
+    yield findings.problem(("masking", section.level_key), given, allowed, "lower it, and turn the amplifier up")

@@ -1,12 +1,17 @@
-"""The keys of an adaptive run: which level comes next, given the answers so far."""
+"""Levels that follow from answers: the keys of adaptive runs and of levels calibrated by participant."""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+import math
+from collections.abc import Iterator
+from importlib.metadata import version
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from modaltouch.protocol.document.section import Count, Positive, Section, described
+from modaltouch.protocol.problems import Problem
+from modaltouch.protocol.reading import Reading
+from modaltouch.protocol.section import Count, FileName, Positive, Section, described
 
 Decibels = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=40)]
 GuessRate = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=0.6)]
@@ -63,3 +68,151 @@ class AdaptiveSection(Section):
         default=0.06,
     )
     staircase: StaircaseSection = described("The rule of the staircase.", default=StaircaseSection())
+
+    @property
+    def algorithm(self) -> dict[str, Any]:
+        """What decides the levels, for the record."""
+        if self.method == "staircase":
+            return {"algorithm": "modaltouch staircase 1", "target": round(self.staircase.target, 4)}
+        return {"algorithm": "modaltouch quest_plus 1", "questplus": version("questplus")}
+
+
+Multiple = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=1000)]
+
+
+class SensationLevelsSection(Section):
+    """Levels as multiples of a participant's own threshold: the sensation level, as a ratio and not in dB."""
+
+    thresholds_from: FileName = described(
+        "Name of the adaptive protocol whose latest complete session tells the participant's threshold: the geometric "
+        "mean over its runs."
+    )
+    multiples: tuple[Multiple, ...] = described(
+        "Levels as multiples of that threshold [1].",
+        min_length=1,
+        max_length=100,
+        json_schema_extra={"uniqueItems": True},
+    )
+
+    def levels(self, threshold_mm_s: float) -> tuple[float, ...]:
+        """Return the levels of a participant [mm/s], to four digits as the generator's amplitude has them.
+
+        Parameters
+        ----------
+        threshold_mm_s : float
+            The participant's own threshold [mm/s].
+        """
+        return tuple(float(f"{multiple * threshold_mm_s:.4g}") for multiple in self.multiples)
+
+    def thresholds(self, lowest_mm_s: float, highest_mm_s: float) -> tuple[float, float]:
+        """Return between which thresholds all levels lie within bounds [mm/s].
+
+        Parameters
+        ----------
+        lowest_mm_s, highest_mm_s : float
+            Lowest and highest level that any participant may get.
+        """
+        return lowest_mm_s / min(self.multiples), highest_mm_s / max(self.multiples)
+
+
+_SECTION = ("conditions", "sensation_levels")
+
+
+def check_sensation_levels(reading: Reading[Any]) -> Iterator[Problem]:
+    """Yield the faults between the section ``sensation_levels`` and the others."""
+    if reading.keys(*_SECTION) is None:
+        return
+    if is_adaptive(reading):
+        given = "levels calibrated by participant where runs are adaptive and find their own"
+        yield reading.problem(_SECTION, given, "one of the two", "remove this section, or the section adaptive")
+        return
+    if reading.sound(*_SECTION, "thresholds_from") == (name := reading.sound("protocol")) and name is not None:
+        path, given = (*_SECTION, "thresholds_from"), f"'{name}', which is this protocol itself"
+        yield reading.problem(path, given, "the name of an adaptive protocol", "name the one that finds thresholds")
+    multiples = dict(reading.items(*_SECTION, "multiples"))
+    yield from _check_doubles(reading, multiples)
+    faults = list(check_bounds(reading, "they are calibrated by participant", "anyone may get"))
+    yield from faults
+    levels = [level for _, level in reading.items("conditions", "peak_velocities_mm_s")]
+    if faults or len(levels) != 2 or not multiples:
+        return
+    if max(multiples.values()) / min(multiples.values()) > levels[1] / levels[0]:
+        given = f"{min(multiples.values()):g} to {max(multiples.values()):g}, further apart than the levels allowed"
+        allowed = f"a ratio of at most {levels[1] / levels[0]:.4g}, that of conditions.peak_velocities_mm_s"
+        remedy = "bring them closer together, or allow lower or higher levels"
+        yield reading.problem((*_SECTION, "multiples"), given, allowed, remedy)
+
+
+def _check_doubles(reading: Reading[Any], multiples: dict[int, float]) -> Iterator[Problem]:
+    """Yield multiples that no generator can tell apart: it has four digits."""
+    seen: dict[int, float] = {}
+    for index, value in multiples.items():
+        like = next((at for at, other in seen.items() if math.isclose(value, other, rel_tol=2e-3)), None)
+        if like is not None:
+            given = f"{value:g}, as good as the multiple of multiples[{like}]"
+            allowed = "multiples that are 0.2 % apart or more"
+            yield reading.problem((*_SECTION, "multiples", index), given, allowed, "remove one of them")
+        seen[index] = value
+
+
+def check_adaptive(reading: Reading[Any]) -> Iterator[Problem]:
+    """Yield the faults between the section ``adaptive`` and the others, as far as its sound parts show them."""
+    if not is_adaptive(reading):
+        return
+    yield from _check_levels(reading)
+    yield from _check_order(reading)
+    yield from _check_success(reading)
+
+
+def is_adaptive(reading: Reading[Any]) -> bool:
+    """Return whether a protocol has a section ``adaptive``, sound or not."""
+    return reading.keys("adaptive") is not None
+
+
+def check_bounds(reading: Reading[Any], when: str, reached: str) -> Iterator[Problem]:
+    """Yield why the peak velocities are no bounds, a lowest level and then a higher one."""
+    path = ("conditions", "peak_velocities_mm_s")
+    levels = [level for _, level in reading.items(*path)]
+    given = reading.length(*path)
+    if given is not None and given != 2:
+        words = f"{given} levels where {when}"
+        yield reading.problem(path, words, f"two: the lowest and the highest that {reached}", "give both")
+    elif len(levels) == 2 and not levels[0] < levels[1]:
+        words = f"[{levels[0]:g}, {levels[1]:g}] where {when}"
+        yield reading.problem(path, words, "the lowest level first, then a higher one", "write the lowest first")
+
+
+def _check_levels(reading: Reading[Any]) -> Iterator[Problem]:
+    yield from check_bounds(reading, "runs are adaptive", "a run may reach")
+    levels = [level for _, level in reading.items("conditions", "peak_velocities_mm_s")]
+    start = reading.sound("adaptive", "start_mm_s")
+    if start is not None and len(levels) == 2 and levels[0] < levels[1] and not levels[0] <= start <= levels[1]:
+        allowed = f"{levels[0]:g} to {levels[1]:g} mm/s, the levels of conditions.peak_velocities_mm_s"
+        yield reading.problem(("adaptive", "start_mm_s"), f"{start:g} mm/s", allowed, "start within them")
+
+
+def _check_order(reading: Reading[Any]) -> Iterator[Problem]:
+    repetitions, order = reading.sound("schedule", "repetitions"), reading.sound("schedule", "order")
+    if repetitions is not None and repetitions != 1:
+        given = f"{repetitions} where runs are adaptive"
+        remedy = "remove it; adaptive.trials says how long a run is"
+        yield reading.problem(("schedule", "repetitions"), given, "1", remedy)
+    if order in ("by_velocity", "latin_square"):
+        remedy = "shuffle the runs into each other, or take one after the other"
+        given = f"{order}, where the levels are not known beforehand"
+        yield reading.problem(("schedule", "order"), given, "shuffled or by_pair", remedy)
+
+
+def _check_success(reading: Reading[Any]) -> Iterator[Problem]:
+    success = reading.sound("adaptive", "success") or "focus_named"
+    focus = reading.sound("stimulus", "focus")
+    # Of several stimuli each is looked at by itself; what they share need not be one of them.
+    if success == "focus_named" and focus is not None and not reading.sound("stimuli"):
+        for index, pair in reading.items("conditions", "zone_pairs"):
+            if focus not in pair:
+                given = f"[{pair[0]}, {pair[1]}], neither of which is in focus, where success is naming the focus"
+                path = ("conditions", "zone_pairs", index)
+                yield reading.problem(path, given, f"a pair with {focus}", "remove it, or count `felt` as success")
+    if success == "felt" and "none" not in (reading.keys("answers", "keys") or ()):
+        given = "felt, where no answer says that nothing was felt"
+        yield reading.problem(("adaptive", "success"), given, "focus_named, or keys for `none`", "give the keys")

@@ -1,14 +1,19 @@
-"""What a protocol can say that no single key can: doubles, instants outside the burst, keys that clash."""
+"""Faults between the keys of a protocol, and between a protocol and its apparatus."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
+from typing import Any
 
-from modaltouch.protocol.adaptive_checks import check_adaptive, check_sensation_levels, is_adaptive
-from modaltouch.protocol.document import Problem, Reading, suggest
-from modaltouch.protocol.field_points import check_wished
+from modaltouch.protocol.adaptive import check_adaptive, check_sensation_levels, is_adaptive
+from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.keys import END_KEY, KEY_ALIASES, KEY_NAMES, RESERVED_KEYS
-from modaltouch.protocol.sections import AnswersSection, Protocol
+from modaltouch.protocol.masking import check_masking
+from modaltouch.protocol.problems import Problem, suggest
+from modaltouch.protocol.reading import Reading
+from modaltouch.protocol.sections import AnswersSection, Protocol, whole_bursts
+from modaltouch.protocol.stimulus_sections import check_wished
 
 TRIAL_LIMIT = 10_000
 """Most trials of a session: a day of them."""
@@ -158,8 +163,7 @@ def _check_schedule(reading: Reading[Protocol]) -> Iterator[Problem]:
 
 
 def _check_keys(reading: Reading[Protocol]) -> Iterator[Problem]:
-    keys = reading.find(("answers", "keys"))
-    given_answers = list(keys.content) if keys is not None and isinstance(keys.content, dict) else None
+    given_answers = reading.keys("answers", "keys")
     for answer in ("left", "both", "right"):
         if given_answers is not None and answer not in given_answers:
             path = ("answers", "keys", answer)
@@ -208,3 +212,172 @@ def _check_times(reading: Reading[Protocol]) -> Iterator[Problem]:
         value = reading.sound("answers", key)
         if value is not None and value > 600:
             yield reading.problem(("answers", key), f"{value:g} s", "at most 600 s", "shorten it")
+
+
+LEAST_SAMPLES_PER_CYCLE = 2.5
+"""Fewest samples to a cycle of the highest modelled mode: the 2 of the sampling theorem and a quarter to spare [1]."""
+
+
+def check_fit(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> list[Problem]:
+    """Return what a protocol asks for that its apparatus has not, as far as the sound parts of both show it."""
+    return [
+        *_check_zones(protocol, apparatus),
+        *_check_modes(protocol, apparatus),
+        *_check_delay(protocol, apparatus),
+        *_check_levels(protocol, apparatus),
+        *check_masking(protocol, apparatus),
+    ]
+
+
+def _check_zones(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> Iterator[Problem]:
+    zones, kind = apparatus.keys("zones"), "a zone of this beam"
+    if zones is None:
+        return
+    if (focus := protocol.sound("stimulus", "focus")) is not None and focus not in zones:
+        yield protocol.unknown(("stimulus", "focus"), kind, zones)
+    for index, further in protocol.items("stimulus", "further_foci"):
+        if further not in zones:
+            yield protocol.unknown(("stimulus", "further_foci", index), kind, zones)
+    for index in range(protocol.length("conditions", "zone_pairs") or 0):
+        path = ("conditions", "zone_pairs", index)
+        unknown = [position for position, name in protocol.items(*path) if name not in zones]
+        yield from (protocol.unknown((*path, position), kind, zones) for position in unknown)
+        pair = protocol.sound(*path)
+        if pair is None or unknown or pair[0] == pair[1]:
+            continue
+        left, right = (apparatus.sound("zones", name, "centre_mm") for name in pair)
+        if left is not None and right is not None and left >= right:
+            given = f"[{pair[0]}, {pair[1]}], whose left zone {pair[0]} lies right of {pair[1]}"
+            yield protocol.problem(path, given, "the left zone first", f"write [{pair[1]}, {pair[0]}]")
+
+
+def _check_modes(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> Iterator[Problem]:
+    if (n_modes := apparatus.length("modes")) is None:
+        return
+    labels = [apparatus.sound("modes", index, "label") for index in range(n_modes)]
+    selection = protocol.sound("stimulus", "selected_modes")
+    if isinstance(selection, int) and selection > n_modes:
+        given = f"{selection}, more than the {n_modes} modelled modes"
+        path = ("stimulus", "selected_modes")
+        yield protocol.problem(path, given, f"1 to {n_modes}", "select fewer or add modes to the apparatus")
+    if None not in labels:
+        for index, label in protocol.items("stimulus", "selected_modes"):
+            if label not in labels:
+                given = f"{label}, which is not a modelled mode"
+                allowed = ", ".join(str(known) for known in labels)
+                yield protocol.problem(("stimulus", "selected_modes", index), given, allowed)
+    yield from _check_sampling(protocol, apparatus, n_modes)
+
+
+def _check_sampling(protocol: Reading[Protocol], apparatus: Reading[Apparatus], n_modes: int) -> Iterator[Problem]:
+    n_samples, duration = (protocol.sound("stimulus", key) for key in ("n_samples", "duration_ms"))
+    known = [apparatus.sound("modes", index, "natural_frequency_Hz") for index in range(n_modes)]
+    highest: Any = max((value for value in known if value is not None), default=None)
+    if n_samples is None or duration is None or highest is None:
+        return
+    # Records are even; what rounding adds to an even bound shall not ask for two samples more.
+    least = 2 * math.ceil(LEAST_SAMPLES_PER_CYCLE * highest * duration * 1e-3 / 2 * (1 - 1e-12))
+    if n_samples < least:
+        given = f"{n_samples} samples in {duration:g} ms, too few for the mode of {highest:g} Hz"
+        remedy = "take more samples, shorten the burst or leave the mode out of the apparatus"
+        yield protocol.problem(("stimulus", "n_samples"), given, f"at least {least}", remedy)
+
+
+def _check_delay(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> Iterator[Problem]:
+    delay = apparatus.sound("amplifier", "delay_us")
+    instant = protocol.sound("stimulus", "focusing_instant_ms")
+    if delay is not None and instant is not None and delay >= instant * 1e3:
+        given = f"{delay:g} us, past the focusing instant of {instant:g} ms"
+        allowed = f"below {instant * 1e3:g} us, so that the drive reaches the beam by then"
+        yield apparatus.problem(("amplifier", "delay_us"), given, allowed, "write the delay in microseconds")
+
+
+def _check_levels(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> Iterator[Problem]:
+    limit = apparatus.sound("safety", "velocity_limit_mm_s")
+    for index, velocity in protocol.items("conditions", "peak_velocities_mm_s"):
+        if limit is not None and velocity > limit:
+            given = f"{velocity:g} mm/s, beyond the safety limit of the apparatus"
+            path = ("conditions", "peak_velocities_mm_s", index)
+            yield protocol.problem(path, given, f"at most {limit:g} mm/s", "lower the level")
+
+
+WHOLE = 5e-3
+"""How far from a whole number of bursts a duration may be, for its rounding [1]."""
+
+MOST_OF_PERIOD = 0.95
+"""Longest burst that leaves room for the next one's jitter, as a part of the period [1]."""
+
+
+def check_timing(protocol: Reading[Protocol], apparatus: Reading[Apparatus] | None) -> list[Problem]:
+    """Return the durations that are no whole bursts, and the bursts that cannot be played one by one."""
+    found = [*_check_durations(protocol), *_check_written_once(protocol)]
+    if apparatus is not None:
+        found += [*_check_period(protocol, apparatus), *_check_catch_trials(protocol, apparatus)]
+    return found
+
+
+def _stimuli(protocol: Reading[Protocol], key: str) -> Iterator[tuple[tuple[str, ...], float]]:
+    """Yield the values of a key of the stimulus, and of those of the several stimuli that have their own."""
+    value = protocol.sound("stimulus", key)
+    if value is not None:
+        yield ("stimulus", key), value
+    for name in protocol.sound("stimuli") or ():
+        own = protocol.sound("stimuli", name, key)
+        if own is not None:
+            yield ("stimuli", name, key), own
+
+
+def _check_durations(protocol: Reading[Protocol]) -> Iterator[Problem]:
+    for key in ("presentation_s", "longest_presentation_s"):
+        seconds = protocol.sound("answers", key)
+        if seconds is None:
+            continue
+        for _, rate in _stimuli(protocol, "repetition_rate_Hz"):
+            n_bursts = seconds * rate
+            if n_bursts > 1 - WHOLE and abs(n_bursts - round(n_bursts)) <= WHOLE:
+                continue
+            below, above = int(n_bursts), int(n_bursts) + 1
+            nearest = " or ".join(f"{n / rate:.5g} s ({n} burst{'s' * (n > 1)})" for n in (below, above))
+            if n_bursts < 1:
+                nearest = f"{1 / rate:.5g} s (1 burst), or more"
+            given = f"{seconds:g} s, which is {n_bursts:.4g} bursts at {rate:g} per second"
+            remedy = "or give `presentation_bursts`" if key == "presentation_s" else "or leave it out"
+            yield protocol.problem(("answers", key), given, f"whole bursts: {nearest}", remedy)
+            break
+
+
+def _check_written_once(protocol: Reading[Protocol]) -> Iterator[Problem]:
+    seconds, n_bursts = (protocol.sound("answers", f"presentation_{unit}") for unit in ("s", "bursts"))
+    rates = [rate for _, rate in _stimuli(protocol, "repetition_rate_Hz")]
+    if seconds is None or n_bursts is None:
+        return
+    if any(whole_bursts(seconds, rate) != n_bursts for rate in rates):
+        given = f"{n_bursts}, where presentation_s says {seconds:g} s"
+        yield protocol.problem(("answers", "presentation_bursts"), given, "one of the two", "remove one of them")
+
+
+def _check_period(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> Iterator[Problem]:
+    if (apparatus.sound("generator", "repetition") or "single") != "single":
+        return
+    shared = {key: protocol.sound("stimulus", key) for key in ("duration_ms", "repetition_rate_Hz")}
+    for own in (None, *(protocol.sound("stimuli") or ())):
+        section = ("stimulus",) if own is None else ("stimuli", own)
+        duration, rate = (protocol.sound(*section, key) or shared[key] for key in shared)
+        is_written = own is None or any(protocol.sound(*section, key) for key in shared)
+        if duration is None or rate is None or not is_written or duration * rate <= MOST_OF_PERIOD * 1e3:
+            continue
+        if duration * rate > 1e3:
+            continue  # longer than the period, which is told anyway
+        given = f"{duration:g} ms at {rate:g} bursts per second"
+        allowed = f"at most {MOST_OF_PERIOD * 1e3 / rate:.6g} ms, so that a burst is over before the next is triggered"
+        remedy = "shorten the burst, repeat it less often, or set generator.repetition to continuous"
+        key = "duration_ms" if protocol.sound(*section, "duration_ms") is not None else "repetition_rate_Hz"
+        yield protocol.problem((*section, key), given, allowed, remedy)
+
+
+def _check_catch_trials(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> Iterator[Problem]:
+    n_catch, repetition = protocol.sound("schedule", "catch_trials"), apparatus.sound("generator", "repetition")
+    if n_catch and repetition in ("continuous", "wired"):
+        given = f"{n_catch}, where the generator's repetition is {repetition}"
+        allowed = "0: only bursts that are triggered by command can be kept back while the outputs are on"
+        yield protocol.problem(("schedule", "catch_trials"), given, allowed, "set generator.repetition to single")

@@ -8,8 +8,9 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from modaltouch.protocol.apparatus import Apparatus, Sound
-from modaltouch.protocol.document import Problem, Reading
-from modaltouch.protocol.document.section import Positive, Section, described
+from modaltouch.protocol.problems import Problem
+from modaltouch.protocol.reading import Reading
+from modaltouch.protocol.section import Positive, Section, described
 
 Decibels = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-120, le=140)]
 
@@ -55,8 +56,7 @@ class MaskingSection(Section):
 
 def check_masking(protocol: Reading[Any], apparatus: Reading[Apparatus]) -> Iterator[Problem]:
     """Yield what is wrong with the level of the masking noise, as far as the sound parts of both files show it."""
-    node = protocol.find(("masking",))
-    if node is None or not isinstance(node.content, dict):
+    if protocol.keys("masking") is None:
         return
     given = [key for key in ("level_dB_FS", "level_dB_SPL") if protocol.sound("masking", key) is not None]
     if any(problem.path.startswith("masking.level") for problem in protocol.problems):

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field
 
-from modaltouch.protocol.document.section import FileName, NotNegative, Section, Text, described
+from modaltouch.protocol.problems import InputError
+from modaltouch.protocol.reading import read
+from modaltouch.protocol.section import FileName, NotNegative, Section, Text, described
+from modaltouch.protocol.source import Source
 
 Share = Annotated[float, Field(strict=True, ge=0, le=1)]
 Small = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-10, le=10)]
@@ -82,3 +86,22 @@ class ObserverFile(Section):
     )
     typical: TypicalSection = described("The participant in the middle of the population.", default=TypicalSection())
     spread: SpreadSection = described("How much participants differ.", default=SpreadSection())
+
+    @classmethod
+    def read(cls, name: Path | str) -> ObserverFile:
+        """Observer in a file.
+
+        Parameters
+        ----------
+        name : path
+            A YAML file, or the name of a shipped observer, such as ``paper``.
+
+        Raises
+        ------
+        InputError
+            With every fault of the file and its place; or with the shipped names, where there is no such file.
+        """
+        reading = read(Source.find("observer", name), cls)
+        if reading.value is None:
+            raise InputError(reading.problems)
+        return reading.value

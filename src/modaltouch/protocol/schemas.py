@@ -6,14 +6,15 @@ import json
 from pathlib import Path
 from typing import Any
 
+from pydantic import BaseModel
+
 from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.protocol.calibration_sections import AnyCalibration
-from modaltouch.protocol.document.allowed import schema_of
+from modaltouch.protocol.calibration import AnyCalibration
 from modaltouch.protocol.observers import ObserverFile
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.texts import Texts
 
-SCHEMAS = {
+SCHEMAS: dict[str, type[BaseModel]] = {
     "protocol": Protocol,
     "apparatus": Apparatus,
     "texts": Texts,
@@ -25,18 +26,12 @@ SCHEMAS = {
 
 def schema(name: str) -> dict[str, Any]:
     """Return the JSON Schema of ``protocol``, ``apparatus``, ``texts``, ``observer`` or ``calibration``."""
-    bare = _without(schema_of(SCHEMAS[name]), "x-allowed")
+    bare = _without(SCHEMAS[name].model_json_schema(), "x-allowed")
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **bare}
 
 
 def write_schemas(folder: Path) -> tuple[Path, ...]:
-    """Write the JSON Schemas into a folder and return their files.
-
-    Parameters
-    ----------
-    folder : Path
-        Where they go; made where it does not exist.
-    """
+    """Write the JSON Schemas into a folder and return their files."""
     folder.mkdir(parents=True, exist_ok=True)
     files = tuple(folder / f"{name}.json" for name in SCHEMAS)
     for file, name in zip(files, SCHEMAS, strict=True):

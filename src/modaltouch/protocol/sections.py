@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from modaltouch.protocol.adaptive import AdaptiveSection
-from modaltouch.protocol.document.section import Count, FileName, NotNegative, Positive, Section, Text, Word, described
+from modaltouch.protocol.adaptive import AdaptiveSection, SensationLevelsSection
+from modaltouch.protocol.keys import END_KEY, KEY_ALIASES, PAUSE_KEY
 from modaltouch.protocol.masking import MaskingSection
-from modaltouch.protocol.sensation import SensationLevelsSection
+from modaltouch.protocol.section import Count, FileName, NotNegative, Positive, Section, Text, Word, described
 from modaltouch.protocol.stimulus_sections import StimulusSection, StimulusVariant, ZoneName
 
 FingerCondition = Literal["one_hand", "two_hands"]
@@ -139,6 +139,10 @@ class ScheduleSection(Section):
 
 class AnswersSection(Section):
     """How the question is asked and answered."""
+
+    PAUSE_KEY: ClassVar[str] = PAUSE_KEY
+    END_KEY: ClassVar[str] = END_KEY
+    KEY_ALIASES: ClassVar[dict[str, str]] = KEY_ALIASES
 
     given_by: Literal["participant", "experimenter"] = described(
         "Who types the answer: the participant, or the experimenter for them.", default="participant"

@@ -6,8 +6,9 @@ import string
 
 from pydantic import ValidationInfo, field_validator
 
-from modaltouch.protocol.document import Problem, Reading, fault
-from modaltouch.protocol.document.section import Section, Text, described
+from modaltouch.protocol.problems import Problem, fault
+from modaltouch.protocol.reading import Reading
+from modaltouch.protocol.section import Section, Text, described
 from modaltouch.protocol.sections import Protocol
 
 _PLACEHOLDERS: dict[str, frozenset[str]] = {
@@ -121,8 +122,7 @@ class Texts(Section):
 def check_words(protocol: Reading[Protocol], texts: Reading[Texts]) -> list[Problem]:
     """Return the texts that a protocol needs and its language file lacks."""
     problems: list[Problem] = []
-    keys = protocol.find(("answers", "keys"))
-    if keys is None or not isinstance(keys.content, dict) or "none" not in keys.content:
+    if "none" not in (protocol.keys("answers", "keys") or ()):
         return problems
     file = protocol.source.path.name
     for name in ("none", "how_to_answer_or_none"):

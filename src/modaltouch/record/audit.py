@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from modaltouch.protocol import InputError, Protocol, Schedule, Sources, draw_schedule, recorded_turn
+from modaltouch.protocol import InputError, Protocol, Schedule, Sources, Turn
 from modaltouch.record.chain import RecordError, read_chain
 from modaltouch.record.folders import SessionFolder
 from modaltouch.record.restored import UNTOLD, RestoredExperiment, restore
@@ -138,7 +138,7 @@ def check_beginning(session: Session, restored: RestoredExperiment, protocol: Pr
 def draw_again(session: Session, protocol: Protocol) -> Schedule:
     """Return the order that the start record's seed draws."""
     start = session.start
-    return draw_schedule(protocol, start["participant"], start["seed"], session.drawn_as, given=recorded_turn(start))
+    return Schedule.draw(protocol, start["participant"], start["seed"], session.drawn_as, given=Turn.recorded(start))
 
 
 def _check_texts(start: dict[str, Any], protocol: Protocol, place: str) -> tuple[bool, str]:

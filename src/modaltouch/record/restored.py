@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cached_property, lru_cache
 
 from modaltouch.preflight import examine_findings
-from modaltouch.protocol import Condition, Levels, Sources, Trial, examine_sources
+from modaltouch.protocol import Findings, Levels, Sources, Trial
 from modaltouch.rig import Limits, RigError, amplitudes, record_peaks
 
 UNTOLD = (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError, RigError)
@@ -27,10 +27,10 @@ class RestoredExperiment:
     """
 
     def __init__(self, sources: Sources) -> None:
-        self.preflight = examine_findings(examine_sources(sources)).require()
+        self.preflight = examine_findings(Findings.restored(sources)).require()
         self.protocol = self.preflight.experiment.protocol
         self._limits = Limits.of(self.preflight.experiment.apparatus)
-        self._speeds: dict[Condition, tuple[float, float]] = {}
+        self._speeds: dict[object, tuple[float, float]] = {}
         self.agreed: set[tuple[str, float, tuple[float, ...], tuple[float, ...]]] = set()
         """Stimulus, level, commanded and read back amplitudes that were found to agree."""
         self._amplitudes: dict[tuple[str, float], tuple[float, ...]] = {}

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from modaltouch.protocol import Protocol, Turn, period_of_turns, recorded_turn, turn_of
+from modaltouch.protocol import Protocol, Turn
 from modaltouch.record import RecordError, Session, SessionFolder, read_session
 
 
@@ -67,7 +67,7 @@ def assign_turn(place: SessionFolder, protocol: Protocol, drawn_as: int) -> Assi
     RecordError
         If a session cannot be read.
     """
-    n_turns = period_of_turns(protocol)
+    n_turns = Turn.period(protocol)
     filled: Counter[int] = Counter()
     left: Counter[int] = Counter()
     own: int | None = None
@@ -145,5 +145,5 @@ def _participants(dataset: Path) -> Iterator[tuple[str, Session, Path]]:
 def _first_turn(session: Session) -> int:
     """Return the turn that a participant's first session would have, from that of any."""
     start = session.start
-    turn = recorded_turn(start) or turn_of(session.participant, int(start["seed"]), session.drawn_as)
+    turn = Turn.recorded(start) or Turn.of(session.participant, int(start["seed"]), session.drawn_as)
     return turn.number - (session.drawn_as - 1)

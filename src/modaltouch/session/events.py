@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from modaltouch.preflight import Preflight
-from modaltouch.protocol import Protocol, Response, Schedule, Trial, describe_rule
+from modaltouch.protocol import Protocol, Response, Schedule, Trial
 from modaltouch.record import RecordError, SessionFolder, SessionLog
 from modaltouch.rig import Firing, RigError
 from modaltouch.system import Interrupted
@@ -26,7 +26,7 @@ def describe_start(preflight: Preflight, schedule: Schedule, place: SessionFolde
         Where it is recorded.
     """
     experiment, burst = preflight.experiment, preflight.stimulus.burst
-    rule = describe_rule(experiment.protocol)
+    adaptive = experiment.protocol.adaptive
     return {
         "schema": SessionLog.SCHEMA,
         "mode": place.mode,
@@ -38,7 +38,7 @@ def describe_start(preflight: Preflight, schedule: Schedule, place: SessionFolde
         "design": experiment.protocol.model_dump(mode="json"),
         "sources": experiment.sources.as_dict(),
         "schedule": schedule.as_dict(),
-        **({"adaptive": rule} if rule is not None else {}),
+        **({"adaptive": adaptive.algorithm} if adaptive is not None else {}),
         "stimulus": {
             "content_hash": burst.content_hash,
             "velocity_mm_s": burst.velocity * 1e3,

@@ -14,7 +14,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from modaltouch.protocol import ResumeSection, Schedule
+from modaltouch.protocol import Schedule
 from modaltouch.record import RecordInputError, Session, SessionFolder, SessionLog
 from modaltouch.system import SYSTEM_CLOCK, Clock
 
@@ -127,7 +127,7 @@ def refuse_failed(session: Session, interruption: SessionInterruption) -> None:
         )
 
 
-def refuse_old(session: Session, interruption: SessionInterruption, policy: ResumeSection) -> None:
+def refuse_old(session: Session, interruption: SessionInterruption, within_hours: float | None) -> None:
     """Raise if the protocol does not let a session go on after so long a time.
 
     Raises
@@ -135,10 +135,10 @@ def refuse_old(session: Session, interruption: SessionInterruption, policy: Resu
     RecordInputError
         If the interruption is too old, or the clock was set back, so that its age is unknown.
     """
-    if policy.within_hours is None:
+    if within_hours is None:
         return
     anew = f"`modaltouch resume --restart {session.path.parent}` begins it anew, and keeps what was answered"
-    limit = f"the protocol lets it go on within {policy.within_hours:g} h"
+    limit = f"the protocol lets it go on within {within_hours:g} h"
     if interruption.clock_set_back_s:
         raise RecordInputError(
             f"{session.path}: the clock of this machine is at least {interruption.clock_set_back_s / 3600:.2g} h "
@@ -146,16 +146,16 @@ def refuse_old(session: Session, interruption: SessionInterruption, policy: Resu
             f"{anew}"
         )
     hours = interruption.age_s / 3600
-    if hours > policy.within_hours:
+    if hours > within_hours:
         raise RecordInputError(
             f"{session.path}: was interrupted {_duration(interruption.age_s)} ago, and {limit} "
             f"(schedule.resume.within_hours); {anew}"
         )
 
 
-def answers_to_ask_again(session: Session, schedule: Schedule, policy: ResumeSection) -> tuple[int, ...]:
+def answers_to_ask_again(session: Session, schedule: Schedule, at: str) -> tuple[int, ...]:
     """Return the lines of the answers that a resumed session asks for again: those of the block that was cut."""
-    if policy.at != "block":
+    if at != "block":
         return ()
     done = session.answered
     cut = next((trial.block for trial in schedule.trials if (False, trial.index) not in done), None)
@@ -167,7 +167,7 @@ def answers_to_ask_again(session: Session, schedule: Schedule, policy: ResumeSec
 def go_on(
     place: SessionFolder,
     schedule: Schedule,
-    policy: ResumeSection,
+    at: str,
     cut: SessionInterruption,
     facts: dict[str, Any],
     clock: Clock = SYSTEM_CLOCK,
@@ -180,8 +180,8 @@ def go_on(
         Where it is recorded.
     schedule : Schedule
         Its trials.
-    policy : ResumeSection
-        How it goes on.
+    at : str
+        ``schedule.resume.at``: where it goes on.
     cut : SessionInterruption
         How it was interrupted.
     facts : dict
@@ -195,10 +195,10 @@ def go_on(
         If the log is damaged, in use, or cannot be written.
     """
     log = SessionLog.reopen(place.log, timed_by=clock)
-    log.append("resume", at=policy.at, interruption=cut.as_dict(), **facts)
+    log.append("resume", at=at, interruption=cut.as_dict(), **facts)
     if cut.cut_trial is not None:
         log.append("trial_cut", trial=cut.cut_trial, reason=f"interrupted ({cut.reason})")
-    lines = answers_to_ask_again(log.session, schedule, policy)
+    lines = answers_to_ask_again(log.session, schedule, at)
     if lines:
         log.append("withdrawn", lines=list(lines), reason="the block that was interrupted begins anew")
     return log

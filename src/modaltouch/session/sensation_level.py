@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from modaltouch.preflight import Preflight
-from modaltouch.protocol import InputError, SensationLevelsSection
+from modaltouch.protocol import InputError
 from modaltouch.record import RecordError, SessionFolder, read_session
 
 _SECTION = ("conditions", "sensation_levels")
@@ -42,9 +42,9 @@ def at_own_levels(
             )  # fmt: skip
         return preflight, {}
     given: dict[str, Any] = {"threshold_mm_s": given_mm_s, "found": "given"}
-    own = _find(preflight, place, section) if given_mm_s is None else given
+    own = _find(preflight, place, section.thresholds_from) if given_mm_s is None else given
     levels = section.levels(own["threshold_mm_s"])
-    _refuse_beyond(preflight, place.participant, own, section, levels)
+    _refuse_beyond(preflight, place.participant, own, section.multiples, levels)
     facts = {**own, "multiples": list(section.multiples), "levels_mm_s": list(levels)}
     return preflight.with_levels(levels), {"sensation_levels": facts}
 
@@ -63,23 +63,23 @@ def recorded_levels(preflight: Preflight, start: dict[str, Any]) -> Preflight:
     return preflight.with_levels(tuple(facts["levels_mm_s"])) if facts else preflight
 
 
-def _find(preflight: Preflight, place: SessionFolder, section: SensationLevelsSection) -> dict[str, Any]:
+def _find(preflight: Preflight, place: SessionFolder, thresholds_from: str) -> dict[str, Any]:
     """Return the threshold that the participant's latest complete session of another protocol found, and where."""
-    log, damage = _latest(replace(place, protocol=section.thresholds_from))
+    log, damage = _latest(replace(place, protocol=thresholds_from))
     who = f"participant {place.participant}"
     anew = f"run that protocol with `-p {place.participant}`, or give the threshold with --threshold"
     if damage:
-        _refuse(preflight, f"{section.thresholds_from!r}, whose latest session of {who} is damaged ({damage})",
+        _refuse(preflight, f"{thresholds_from!r}, whose latest session of {who} is damaged ({damage})",
                 "a sound record", f"see `modaltouch doctor {log}`, or give the threshold with --threshold")  # fmt: skip
     if log is None:
-        dataset = replace(place, protocol=section.thresholds_from).dataset
-        _refuse(preflight, f"{section.thresholds_from!r}, of which {who} has no complete session in {dataset}",
+        dataset = replace(place, protocol=thresholds_from).dataset
+        _refuse(preflight, f"{thresholds_from!r}, of which {who} has no complete session in {dataset}",
                 "a protocol that has found the participant's threshold", anew)  # fmt: skip
     from modaltouch.analysis import analyse_runs, read_responses
 
     responses = read_responses(log, mode=place.mode)
     if not responses.is_adaptive:
-        _refuse(preflight, f"{section.thresholds_from!r}, whose session {log.parent} is not adaptive",
+        _refuse(preflight, f"{thresholds_from!r}, whose session {log.parent} is not adaptive",
                 "an adaptive protocol", "name the one that finds thresholds")  # fmt: skip
     runs = [run.as_dict() for run in analyse_runs(responses).runs]
     silent = [run for run in runs if run["threshold_mm_s"] is None]
@@ -87,7 +87,7 @@ def _find(preflight: Preflight, place: SessionFolder, section: SensationLevelsSe
         first = silent[0]
         _refuse(
             preflight,
-            f"{section.thresholds_from!r}, where {len(silent)} of {len(runs)} runs of {who} tell no threshold "
+            f"{thresholds_from!r}, where {len(silent)} of {len(runs)} runs of {who} tell no threshold "
             f"({first['finger_condition']} {first['pair']}: {first['why_not']})",
             "a threshold from every run",
             anew,
@@ -129,19 +129,19 @@ def _refuse_beyond(
     preflight: Preflight,
     participant: str,
     own: dict[str, Any],
-    section: SensationLevelsSection,
+    multiples: tuple[float, ...],
     levels: tuple[float, ...],
 ) -> None:
     velocities = preflight.experiment.protocol.conditions.peak_velocities_mm_s
     low, high = min(velocities), max(velocities)
     beyond = [
         (at, multiple, level)
-        for at, (multiple, level) in enumerate(zip(section.multiples, levels, strict=True))
+        for at, (multiple, level) in enumerate(zip(multiples, levels, strict=True))
         if not low <= level <= high
     ]
     if beyond:
         at, multiple, level = beyond[0]
-        fits = section.thresholds(low, high)
+        fits = low / min(multiples), high / max(multiples)
         _refuse(
             preflight,
             f"{multiple:g} times the threshold of participant {participant}, {own['threshold_mm_s']:g} mm/s, which "

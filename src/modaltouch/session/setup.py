@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from modaltouch.preflight import Preflight, estimated_duration
-from modaltouch.protocol import InputError, Levels, Schedule, draw_schedule, generator_problem
+from modaltouch.protocol import InputError, Levels, Schedule
 from modaltouch.record import (
     RecordError,
     Session,
@@ -185,8 +185,8 @@ def resume(setup: Setup) -> Session:
         setup.place.refuse_existing()
         return _sit(setup, lambda place, facts: begin_anew(old, place, cut, facts, setup.clock), "start")
     refuse_failed(session, cut)
-    refuse_old(session, cut, policy)
-    return _sit(setup, lambda place, facts: go_on(place, setup.schedule, policy, cut, facts, setup.clock), "resume")
+    refuse_old(session, cut, policy.within_hours)
+    return _sit(setup, lambda place, facts: go_on(place, setup.schedule, policy.at, cut, facts, setup.clock), "resume")
 
 
 def _sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], SessionLog], first: str) -> Session:
@@ -247,14 +247,13 @@ def _with_assigned_turn(setup: Setup) -> Setup:
         return setup
     drawn, protocol = setup.schedule, setup.preflight.experiment.protocol
     assignment = assign_turn(setup.place, protocol, setup.drawn_as)
-    schedule = draw_schedule(protocol, drawn.participant, drawn.seed, drawn.session, given=assignment.turn)
+    schedule = Schedule.draw(protocol, drawn.participant, drawn.seed, drawn.session, given=assignment.turn)
     return replace(setup, schedule=schedule, facts={**setup.facts, "balance": assignment.as_dict()})
 
 
 def _refuse_other_generator(preflight: Preflight, rig: Rig) -> None:
     """Refuse a generator that the calibration was not made with: its amplitudes are its own."""
-    calibration = preflight.findings.calibration
-    problem = None if calibration is None else generator_problem(calibration, rig.identity)
+    problem = preflight.findings.generator_problem(rig.identity)
     if problem is not None:
         raise InputError([problem])
 

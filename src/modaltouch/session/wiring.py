@@ -11,18 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from modaltouch.planning import FeltSpeeds, Observer, read_observer, usual_observer
 from modaltouch.preflight import Preflight, examine, examine_findings
-from modaltouch.protocol import (
-    ANSWERS,
-    ANSWERS_WITH_NONE,
-    Protocol,
-    Schedule,
-    Sources,
-    Trial,
-    draw_schedule,
-    examine_sources,
-    random_generator,
-    recorded_turn,
-)
+from modaltouch.protocol import ANSWERS, ANSWERS_WITH_NONE, Findings, Protocol, Schedule, Sources, Trial, Turn
 from modaltouch.record import RecordError, RecordInputError, Session, SessionFolder, SessionLog, audit_session
 from modaltouch.rig import Rig, open_rig, same_process, start_simulator
 from modaltouch.session.assignment import next_session
@@ -85,7 +74,7 @@ def wire_run(
     if session is None:
         place, drawn_as = next_session(place, protocol.schedule.sessions)
     preflight, calibrated = at_own_levels(preflight, place, threshold_mm_s)
-    schedule = draw_schedule(preflight.experiment.protocol, participant, seed, drawn_as)
+    schedule = Schedule.draw(preflight.experiment.protocol, participant, seed, drawn_as)
     wires = SessionParts(
         preflight,
         place,
@@ -133,11 +122,11 @@ def wire_resume(
     place = SessionFolder.of(session.path, session.mode, session.protocol)
     rig, answers = rig or start["rig_choice"], answers or start["answers_choice"]
     _refuse_another_kind(session, rig, answers, restart=restart)
-    preflight = examine_findings(examine_sources(Sources.from_dict(start["sources"]))).require()
+    preflight = examine_findings(Findings.restored(Sources.from_dict(start["sources"]))).require()
     preflight = recorded_levels(preflight, start)
-    given = recorded_turn(start)
+    given = Turn.recorded(start)
     protocol = preflight.experiment.protocol
-    schedule = draw_schedule(protocol, place.participant, start["seed"], session.drawn_as, given=given)
+    schedule = Schedule.draw(protocol, place.participant, start["seed"], session.drawn_as, given=given)
     observer = Observer.from_dict(start["observer"]) if "observer" in start else Observer()
     at = preflight.experiment.protocol.schedule.resume.at
     anew = _place_anew(place, session) if (restart or at == "restart") and not session.complete else None
@@ -259,14 +248,14 @@ class SessionParts:
         """Open the masking noise that the protocol wants, where there is a person to hear it."""
         experiment = self.preflight.experiment
         section = experiment.protocol.masking
-        return Masking.open(section, experiment.apparatus.sound, log, is_heard=self.answers == "window")
+        return Masking.open(section, experiment.apparatus, log, is_heard=self.answers == "window")
 
     def _answerer(self) -> Answerer:
         who = self.seed, self.place.participant, self.place.session
-        person = self.observer.draw(random_generator(*who, "observer"))
+        person = self.observer.draw(Schedule.random_generator(*who, "observer"))
         offers_none = self.preflight.experiment.protocol.answers.offers_none
         answers = ANSWERS_WITH_NONE if offers_none else ANSWERS
-        return Answerer(person, self._felt, random_generator(*who, "answers"), answers)
+        return Answerer(person, self._felt, Schedule.random_generator(*who, "answers"), answers)
 
     def _felt(self, trial: Trial) -> tuple[float, float]:
         """Return what the two fingers feel: on the twin where there is one, else as predicted."""

@@ -12,13 +12,13 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from modaltouch.protocol import KEY_ALIASES, Answer
+from modaltouch.protocol import Answer, AnswersSection
 from modaltouch.system import SYSTEM_CLOCK, Clock
 
 EventKind = Literal["key", "release", "click", "close", "focus", "blur", "expose", "pause", "continue", "answer"]
 
 _ALIASES = {
-    **KEY_ALIASES,
+    **AnswersSection.KEY_ALIASES,
     "num_next": "num_3",
     "num_prior": "num_9",
 }

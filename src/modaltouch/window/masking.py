@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from modaltouch.window.interface import Log, WindowError
 
 if TYPE_CHECKING:
-    from modaltouch.protocol import MaskingSection, Sound
+    from modaltouch.protocol import Apparatus, MaskingSection
 
 Kind = Literal["pink", "white"]
 
@@ -111,8 +111,9 @@ def default_device(name: str = "") -> dict[str, Any]:
         raise DeviceError(f"there is {what} ({error}); {remedy}") from error
 
 
-def open_stream(sound: Sound, fill: Callable[..., None]) -> tuple[dict[str, Any], Any]:
+def open_stream(apparatus: Apparatus, fill: Callable[..., None]) -> tuple[dict[str, Any], Any]:
     """Return what the device can do, and a stream on it that runs."""
+    sound = apparatus.sound
     device = default_device(sound.device)
     import sounddevice
 
@@ -213,15 +214,15 @@ class Masking:
         self._reason = reason
 
     @staticmethod
-    def open(section: MaskingSection | None, sound: Sound, log: Log, *, is_heard: bool = True) -> Masking:
+    def open(section: MaskingSection | None, apparatus: Apparatus, log: Log, *, is_heard: bool = True) -> Masking:
         """Return the masking that a protocol wants, silent until `start`.
 
         Parameters
         ----------
         section : MaskingSection or None
             What the protocol wants.
-        sound : Sound
-            What the apparatus plays it with.
+        apparatus : Apparatus
+            What plays it.
         log : callable
             Takes what happens to it for the record.
         is_heard : bool
@@ -235,7 +236,7 @@ class Masking:
         if section is None or not is_heard:
             return Masking("" if section is None else "a simulated participant hears nothing")
         try:
-            return NoiseMasking(section, sound, log)
+            return NoiseMasking(section, apparatus, log)
         except MaskingError as error:
             if section.required:
                 raise
@@ -286,12 +287,12 @@ class Masking:
 class NoiseMasking(Masking):
     """Noise on a sound device."""
 
-    def __init__(self, section: MaskingSection, sound: Sound, log: Log) -> None:
-        level = section.level(sound)
+    def __init__(self, section: MaskingSection, apparatus: Apparatus, log: Log) -> None:
+        sound, level = apparatus.sound, section.level(apparatus.sound)
         if level is None:
             raise MaskingError("the masking noise has no level; give masking.level_dB_FS")
         super().__init__()
-        self._section, self._sound, self._log, self._level = section, sound, log, level
+        self._section, self._apparatus, self._log, self._level = section, apparatus, log, level
         period = make_noise(section.noise, sound.sampling_rate_Hz) * amplitude_at(level)
         self._playback = LoopedNoise(period, round(section.fade_s * sound.sampling_rate_Hz))
         self._device: dict[str, Any] = {}
@@ -303,7 +304,7 @@ class NoiseMasking(Masking):
 
     def describe(self) -> dict[str, Any] | None:
         """Return noise, level and device for the start record."""
-        full_scale = self._sound.full_scale_dB_SPL
+        full_scale = self._apparatus.sound.full_scale_dB_SPL
         return {
             "state": "masked",
             "noise": self._section.noise,
@@ -312,7 +313,7 @@ class NoiseMasking(Masking):
             "fade_s": self._section.fade_s,
             "seed": SEED,
             "device": self._device.get("name"),
-            "sampling_rate_Hz": self._sound.sampling_rate_Hz,
+            "sampling_rate_Hz": self._apparatus.sound.sampling_rate_Hz,
             "required": self._section.required,
         }
 
@@ -355,7 +356,7 @@ class NoiseMasking(Masking):
 
     def _open(self) -> None:
         try:
-            self._device, self._stream = open_stream(self._sound, self._fill)
+            self._device, self._stream = open_stream(self._apparatus, self._fill)
         except DeviceError as error:
             raise MaskingError(f"no masking noise can be played: {error}, or set masking.required: false") from error
         self._asked = time.perf_counter()

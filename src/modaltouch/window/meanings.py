@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Self
 
-from modaltouch.protocol import END_KEY, PAUSE_KEY, Answer, AnswersSection
+from modaltouch.protocol import Answer, AnswersSection
 from modaltouch.window.events import Event, canonical_key
 from modaltouch.window.layout import Layout
 
@@ -61,7 +61,7 @@ class Reader:
 
     def pauses(self, event: Event) -> bool:
         """Return whether the event asks for a pause, or for the end."""
-        return event.kind in ("close", "pause") or (event.kind == "key" and event.key == PAUSE_KEY)
+        return event.kind in ("close", "pause") or (event.kind == "key" and event.key == AnswersSection.PAUSE_KEY)
 
     def interrupts(self, event: Event) -> bool:
         """Return whether the event cuts a trial: a pause, or keys that now go to another window."""
@@ -69,7 +69,7 @@ class Reader:
 
     def ends(self, event: Event) -> bool:
         """Return whether the event ends the session from the pause screen."""
-        return event.kind == "key" and event.key == END_KEY
+        return event.kind == "key" and event.key == AnswersSection.END_KEY
 
 
 def is_press(event: Event) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from modaltouch.protocol import END_KEY, PAUSE_KEY, AnswersSection, Texts, Trial
+from modaltouch.protocol import AnswersSection, Texts, Trial
 from modaltouch.window.buttons import Buttons, key_name
 from modaltouch.window.interface import Progress
 from modaltouch.window.layout import Layout
@@ -181,7 +181,7 @@ class Illustrator:
         """Return the screen that shows how to answer."""
         texts = self.texts
         words = (texts.how_to_answer_or_none if self.answers.offers_none else None) or texts.how_to_answer
-        title, *rest = _paragraphs(words.format(pause_key=key_name(self.texts, PAUSE_KEY)))
+        title, *rest = _paragraphs(words.format(pause_key=key_name(self.texts, AnswersSection.PAUSE_KEY)))
         layout = self.layout
         below = Box(0, 0.07, layout.body.width, 0.4)
         return Picture(
@@ -287,7 +287,8 @@ class Illustrator:
         """Return the pause screen, with the fingers' places where a trial is to be repeated."""
         words = self.texts.pause if trial else self.texts.pause_between_trials
         words = words.format(
-            key=key_name(self.texts, self.answers.continue_keys[0]), end_key=key_name(self.texts, END_KEY)
+            key=key_name(self.texts, self.answers.continue_keys[0]),
+            end_key=key_name(self.texts, AnswersSection.END_KEY),
         )
         if trial is None:
             return self.page("pause_between_trials", words, waits=False)

@@ -12,7 +12,8 @@ from modaltouch.lab.calibration.file import CalibrationResult, aimed_inputs
 from modaltouch.lab.calibration.loop import calibrate
 from modaltouch.preflight import Preflight, examine
 from modaltouch.preflight.examination import design_to_fit
-from modaltouch.protocol.apparatus import Apparatus, TrueAmplifier
+from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.protocol.twin import TrueAmplifier
 from modaltouch.rig.acquisition import Acquisition, Recording
 from modaltouch.rig.simulator.channel import Playback
 from modaltouch.rig.simulator.scope import SimulatedScope

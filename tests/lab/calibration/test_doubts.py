@@ -10,7 +10,8 @@ import pytest
 
 from modaltouch.lab.calibration.loop import calibrate
 from modaltouch.preflight import Preflight
-from modaltouch.protocol.apparatus import Apparatus, TrueAmplifier, Vibrometer
+from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.protocol.twin import TrueAmplifier, Vibrometer
 from modaltouch.rig.acquisition import Acquisition, Recording
 from modaltouch.rig.interface import RigError
 

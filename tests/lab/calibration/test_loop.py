@@ -18,7 +18,7 @@ from modaltouch.preflight import Preflight, examine
 from modaltouch.preflight.design_inputs import design
 from modaltouch.preflight.examination import design_to_fit
 from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.protocol.document import InputError
+from modaltouch.protocol.problems import InputError
 from modaltouch.rig.interface import RigError
 from modaltouch.stimulus.correction import Correction
 from modaltouch.system.interruption import Interrupted

@@ -15,8 +15,8 @@ from modaltouch.lab.calibration.loop import calibrate_each
 from modaltouch.lab.laboratory import MeasurementProgress, open_laboratory
 from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.protocol.calibration_file import examine_calibration
-from modaltouch.protocol.document import load_source
+from modaltouch.protocol.calibration import examine_calibration
+from modaltouch.protocol.source import Source
 
 SHIPPED = Path(__file__).parents[3] / "protocols"
 TWO_FIELDS = SHIPPED / "two_fields.yaml"
@@ -127,7 +127,7 @@ def test_a_session_keeps_it_and_is_verified(made: Path, edit: Callable, tmp_path
 
 def test_what_the_check_tells_is_the_worst_of_them(made: Path) -> None:
     """The largest error after calibration over both stimuli, as the file has them."""
-    held = examine_calibration(load_source(made)).value
+    held = examine_calibration(Source.load(made)).value
     assert held is not None
     errors = [abs(e) for own in held.by_stimulus.values() for mode in own.modes for e in mode.error_after_mm_s]
     told = examine(TWO_FIELDS, made).require().as_dict()["calibration"]

@@ -18,9 +18,8 @@ from modaltouch.lab.calibration.file import (
 from modaltouch.lab.calibration.loop import calibrate
 from modaltouch.preflight import Preflight, examine
 from modaltouch.preflight.examination import design_to_fit
-from modaltouch.protocol.calibration_file import examine_calibration
-from modaltouch.protocol.calibration_sections import Calibration
-from modaltouch.protocol.document import Source
+from modaltouch.protocol.calibration import Calibration, examine_calibration
+from modaltouch.protocol.source import Source
 from modaltouch.record.chain import RecordError
 
 

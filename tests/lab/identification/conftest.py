@@ -11,7 +11,7 @@ import pytest
 from modaltouch.lab.identification.estimates import Identification
 from modaltouch.lab.identification.joint_fit import identify
 from modaltouch.lab.identification.responses import FrequencyResponses
-from modaltouch.protocol.apparatus import Apparatus, read_apparatus
+from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.simulator.true_beam import TrueBeam, true_beam
 
 APPARATUS = Path(__file__).parents[3] / "protocols" / "apparatus" / "beam_100x6x2.yaml"
@@ -25,7 +25,7 @@ MakeResponses = Callable[..., FrequencyResponses]
 @pytest.fixture(scope="session")
 def apparatus() -> Apparatus:
     """Return the shipped apparatus."""
-    return read_apparatus(APPARATUS)
+    return Apparatus.read(APPARATUS)
 
 
 @pytest.fixture(scope="session")

@@ -15,8 +15,9 @@ from typer.testing import CliRunner
 from modaltouch.cli.app import app
 from modaltouch.lab.identification.estimates import Estimate, Identification
 from modaltouch.lab.identification.report import check_modes, identified_apparatus, write_identification
-from modaltouch.protocol.apparatus import read_apparatus
-from modaltouch.protocol.document import InputError, load_source
+from modaltouch.protocol import InputError
+from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.protocol.source import Source
 from modaltouch.rig.simulator.true_beam import TrueBeam
 from modaltouch.stimulus.measured import MeasuredShapes
 
@@ -27,11 +28,11 @@ FACTS = {"date": "2026-01-01T00:00:00", "mode": "simulated", "source": "test"}
 
 def test_file_is_read_back_with_every_number(found: Identification, tmp_path: Path) -> None:
     """Values in the middle of their intervals, gains of both sets, provenance in words; beam and zones as before."""
-    source = load_source(APPARATUS)
+    source = Source.load(APPARATUS)
     name, text = identified_apparatus(source, found, LABELS, FACTS)
     path = tmp_path / name
     path.write_text(text, encoding="utf-8")
-    before, after = read_apparatus(APPARATUS), read_apparatus(path)
+    before, after = Apparatus.read(APPARATUS), Apparatus.read(path)
     assert after.apparatus == "beam_100x6x2_identified"
     assert after.zones == before.zones
     assert after.amplifier == before.amplifier
@@ -53,27 +54,27 @@ def test_file_is_read_back_with_every_number(found: Identification, tmp_path: Pa
 
 def test_modes_that_are_listed_now_leave_the_twin(found: Identification, tmp_path: Path) -> None:
     """Label 4 becomes a mode of the table: as an unlisted one it would stand twice, and the file would be refused."""
-    _, text = identified_apparatus(load_source(APPARATUS), found, (1, 3, 4, 5), FACTS)
+    _, text = identified_apparatus(Source.load(APPARATUS), found, (1, 3, 4, 5), FACTS)
     path = tmp_path / "all.yaml"
     path.write_text(text, encoding="utf-8")
-    apparatus = read_apparatus(path)
+    apparatus = Apparatus.read(path)
     assert [mode.label for mode in apparatus.modes] == [1, 3, 4, 5]
     assert 4 not in [mode.label for mode in apparatus.twin.unlisted_modes if mode.family == "bending"]
 
 
 def test_interval_that_is_upside_down_is_refused_in_its_place(found: Identification, tmp_path: Path) -> None:
     """Whoever edits the file by hand is told the line."""
-    _, text = identified_apparatus(load_source(APPARATUS), found, (1,), FACTS)
+    _, text = identified_apparatus(Source.load(APPARATUS), found, (1,), FACTS)
     line = next(row for row in text.splitlines() if "damping_ratio: [" in row)
     path = tmp_path / "edited.yaml"
     path.write_text(text.replace(line, line.split("[")[0] + "[0.06, 0.05]"), encoding="utf-8")
     with pytest.raises(InputError, match=r"edited.yaml:\d+:\d+: .*an interval from 0.06 to 0.05"):
-        read_apparatus(path)
+        Apparatus.read(path)
 
 
 def test_folder_holds_table_shapes_and_figures(found: Identification, tmp_path: Path) -> None:
     """Table I with half-power beside the fit; shapes that the stimulus engine reads; nothing stands for no number."""
-    name, text = identified_apparatus(load_source(APPARATUS), found, LABELS, FACTS)
+    name, text = identified_apparatus(Source.load(APPARATUS), found, LABELS, FACTS)
     folder = tmp_path / "out"
     files = write_identification(folder, found, (name, text), {})
     with files["table_1.csv"].open(encoding="utf-8", newline="") as opened:
@@ -120,7 +121,7 @@ def test_files_with_positions_give_an_apparatus_file_too(
     command = ["identify", str(file), "--apparatus", str(APPARATUS), "--modes", "1,3,5", "--out", str(out), "--json"]
     done = CliRunner().invoke(app, command)
     assert done.exit_code == 0, done.output
-    after = read_apparatus(Path(json.loads(done.stdout)["apparatus_file"]))
+    after = Apparatus.read(Path(json.loads(done.stdout)["apparatus_file"]))
     for mode in after.modes:
         true = beam.table.modal_gain[beam.table.label.index(mode.label)] * 1e3
         gains = [mode.gain_mm_s2_per_V["centre"], mode.gain_mm_s2_per_V["side"]]
@@ -139,7 +140,7 @@ def test_actuator_set_that_is_missing_in_the_files_is_named(exact: Callable[...,
     assert not out.exists()
     done = CliRunner().invoke(app, [*command, "--set", "centre", "--json"])
     assert done.exit_code == 0, done.output
-    after = read_apparatus(Path(json.loads(done.stdout)["apparatus_file"]))
+    after = Apparatus.read(Path(json.loads(done.stdout)["apparatus_file"]))
     assert after.unknown_gains() == ((1, "side"), (3, "side"))
 
 

@@ -21,7 +21,7 @@ from modaltouch.lab.identification.shapes import mac
 from modaltouch.lab.laboratory import Laboratory, open_laboratory
 from modaltouch.lab.scan import ScanPlan, read_scan, take_scan
 from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.protocol.document import load_source
+from modaltouch.protocol.source import Source
 from modaltouch.record.chain import RecordInputError
 from modaltouch.rig.acquisition import Acquisition
 from modaltouch.rig.interface import RigError
@@ -84,7 +84,7 @@ def test_twin_is_identified_through_all_its_instruments(
     if WHOLE:
         apparatus = with_noise(apparatus, density_of_the_bar(apparatus, campaign))
     with open_laboratory(apparatus, repetition="continuous") as laboratory:
-        scans = campaign.scan(laboratory, load_source(APPARATUS), tmp_path, on_progress=nothing, check=never)
+        scans = campaign.scan(laboratory, Source.load(APPARATUS), tmp_path, on_progress=nothing, check=never)
         assert laboratory.simulator is not None
         true = laboratory.simulator.twin.beam.table
     bandwidth = (apparatus.acquisition.vibrometer_bandwidth_kHz or 0) * 1e3
@@ -116,7 +116,7 @@ def laboratory(apparatus: Apparatus) -> Any:
 
 def test_stopped_scan_keeps_its_range(laboratory: Laboratory, tmp_path: Path) -> None:
     """Gone on with, it measures with the range it was begun with, and only what is left."""
-    source, passed = load_source(APPARATUS), iter(range(1))
+    source, passed = Source.load(APPARATUS), iter(range(1))
 
     def check() -> None:
         if next(passed, None) is None:
@@ -144,7 +144,7 @@ def test_saturated_records_are_refused_with_their_place(laboratory: Laboratory) 
 
 def test_scans_at_other_positions_do_not_go_together(laboratory: Laboratory) -> None:
     """Each set at the same positions: no shape has two places at once."""
-    source = load_source(APPARATUS)
+    source = Source.load(APPARATUS)
     one, other = (
         small(positions=(place,)).scan(laboratory, source, None, on_progress=nothing, check=never)["centre"]
         for place in (0.0, 0.01)
@@ -159,7 +159,7 @@ def test_drive_that_does_not_arrive_is_told(laboratory: Laboratory, tmp_path: Pa
     laboratory.simulator.trip_amplifier()
     try:
         with pytest.raises(RigError, match="the drive of the actuator set centre was measured as .* where 20 V"):
-            small().scan(laboratory, load_source(APPARATUS), tmp_path, on_progress=nothing, check=never)
+            small().scan(laboratory, Source.load(APPARATUS), tmp_path, on_progress=nothing, check=never)
     finally:
         laboratory.simulator.reset_amplifier()
     assert list(tmp_path.iterdir()) == []
@@ -174,7 +174,7 @@ def test_velocity_beyond_the_safety_limit_is_refused(apparatus: Apparatus) -> No
         open_laboratory(careful, repetition="continuous") as laboratory,
         pytest.raises(RigError, match="mm/s, the safety limit is 5; the outputs are off; lower --drive-V"),
     ):
-        small(voltage=100.0).scan(laboratory, load_source(APPARATUS), None, on_progress=nothing, check=never)
+        small(voltage=100.0).scan(laboratory, Source.load(APPARATUS), None, on_progress=nothing, check=never)
 
 
 def test_headroom_ends_at_the_vibrometer_s_own_range(apparatus: Apparatus) -> None:
@@ -183,7 +183,7 @@ def test_headroom_ends_at_the_vibrometer_s_own_range(apparatus: Apparatus) -> No
     tight = apparatus.model_copy(update={"acquisition": knobs})
     with open_laboratory(tight, repetition="continuous") as laboratory:
         scans = small(positions=(0.049,)).scan(
-            laboratory, load_source(APPARATUS), None, on_progress=nothing, check=never
+            laboratory, Source.load(APPARATUS), None, on_progress=nothing, check=never
         )
     assert scans["centre"].overloaded == ((),)
     assert scans["centre"].facts["settings"]["acquisition"]["velocity_range"] == pytest.approx(0.0075)

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from modaltouch.lab.laboratory import ATTEMPTS, Laboratory
-from modaltouch.protocol.apparatus import read_apparatus
+from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.acquisition import Acquisition, Recording
 from modaltouch.rig.interface import Firing, RigError, StimulusLost
 
-APPARATUS = read_apparatus(Path(__file__).parents[3] / "protocols" / "apparatus" / "beam_100x6x2.yaml")
+APPARATUS = Apparatus.read(Path(__file__).parents[3] / "protocols" / "apparatus" / "beam_100x6x2.yaml")
 SOUND = Firing((1.0, 1.0), (1.0, 1.0), 0.0, 0.001, started=True, confirmed=True)
 STALLED = Firing(
     (1.0, 1.0), (1.0, 1.0), 0.0, 0.001, started=True, stalled=True, reason="this computer was held up for 1.4 s"

@@ -14,8 +14,8 @@ import pytest
 
 from modaltouch.lab.laboratory import Laboratory, open_laboratory
 from modaltouch.lab.scan import ScanPlan, position_file, read_scan, take_scan
-from modaltouch.protocol.apparatus import Apparatus, read_apparatus
-from modaltouch.protocol.document import load_source
+from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.protocol.source import Source
 from modaltouch.record.chain import RecordError, RecordInputError
 from modaltouch.rig.acquisition import Acquisition
 from modaltouch.rig.interface import RigError
@@ -32,7 +32,7 @@ class StoppedError(Exception):
 @pytest.fixture(scope="module")
 def apparatus() -> Apparatus:
     """Return the shipped apparatus."""
-    return read_apparatus(APPARATUS)
+    return Apparatus.read(APPARATUS)
 
 
 @pytest.fixture
@@ -71,7 +71,7 @@ def stop_after(n: int) -> Callable[[], None]:
 def test_scan_is_read_back_as_it_was_taken(laboratory: Laboratory, tmp_path: Path) -> None:
     """Positions, records and drives in their order, in single precision; the description says what was played."""
     shown: list[tuple[int, int]] = []
-    source = load_source(APPARATUS)
+    source = Source.load(APPARATUS)
     taken = take_scan(laboratory, plan(), tmp_path / "scan", source=source, on_progress=lambda *n: shown.append(n))
     found = read_scan(tmp_path / "scan").require_complete()
     assert shown == [(n, 4) for n in range(5)]

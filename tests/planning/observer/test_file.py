@@ -11,7 +11,8 @@ import pytest
 from modaltouch.planning.observer import Observer, Participant
 from modaltouch.planning.observer.file import read_observer, usual_observer, write_observer
 from modaltouch.preflight import examine
-from modaltouch.protocol.document import InputError, shipped
+from modaltouch.protocol.problems import InputError
+from modaltouch.protocol.source import Source
 
 PEAKS = {"A": 0.123, "B": 0.115, "C": 0.2, "D": 0.115, "E": 0.123}
 """Peak speeds of the shipped stimulus at 200 mm/s [m/s]."""
@@ -39,7 +40,7 @@ def test_the_paper_observer_is_the_default_one() -> None:
 
 def test_only_the_fingertip_has_internal_noise() -> None:
     """All others answer as before there was such a key; what the paper's says at 80 mm/s, the fingertip says too."""
-    noisy = [name for name in shipped("observer") if read_observer(name).typical.internal_noise]
+    noisy = [name for name in Source.shipped("observer") if read_observer(name).typical.internal_noise]
     assert noisy == ["fingertip"]
     crowds = [read_observer(name).draw_crowd(np.random.default_rng(1), (5_000,)) for name in ("paper", "fingertip")]
     named = [crowd.shares([[0.4 * PEAKS["A"], 0.4 * PEAKS["C"]]], ["one_hand"])[1].mean() for crowd in crowds]
@@ -63,7 +64,7 @@ def test_guessing_is_a_third_of_each_answer() -> None:
 
 def test_every_shipped_observer_can_be_read_by_its_name() -> None:
     """Expected: the file's name is the observer's."""
-    names = list(shipped("observer"))
+    names = list(Source.shipped("observer"))
     assert {"paper", "near_miss", "envelope", "below_1_khz", "guessing"} <= set(names)
     assert [read_observer(name).name for name in names] == names
 

@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from modaltouch.protocol import Protocol, read_protocol
+from modaltouch.protocol import Findings, Protocol
 from modaltouch.protocol.adaptive import StaircaseSection
-from modaltouch.protocol.adaptive_rules import Levels, describe_rule
-from modaltouch.protocol.adaptive_rules.levels import from_dB, to_dB
-from modaltouch.protocol.adaptive_rules.staircase import is_success
-from modaltouch.protocol.schedule import draw_schedule
+from modaltouch.protocol.levels import Levels, from_dB, is_success, to_dB
+from modaltouch.protocol.schedule import Schedule
 from modaltouch.protocol.trial import Trial
 
 SHIPPED = Path(__file__).parents[3] / "protocols" / "threshold.yaml"
@@ -22,7 +20,7 @@ SHIPPED = Path(__file__).parents[3] / "protocols" / "threshold.yaml"
 @pytest.fixture(scope="module")
 def protocol() -> Protocol:
     """The shipped adaptive protocol."""
-    return read_protocol(SHIPPED).protocol
+    return Findings.read(SHIPPED).experiment().protocol
 
 
 def with_rule(protocol: Protocol, **changes: Any) -> Protocol:
@@ -39,7 +37,7 @@ def event(trial: Trial, answer: str, *, confirmed: bool = True) -> dict[str, Any
 def run_through(protocol: Protocol, threshold: float, seed: int) -> list[dict[str, Any]]:
     """Return the record of a session in which the focus is named by a cumulative normal over decibels."""
     levels, rng, events = Levels(protocol), np.random.default_rng(seed), list[dict[str, Any]]()
-    for scheduled in draw_schedule(protocol, "p01", seed).trials:
+    for scheduled in Schedule.draw(protocol, "p01", seed).trials:
         trial = levels.settle(scheduled, events)
         named = "left" if trial.condition.zone_left == "C" else "right"
         is_felt = not trial.condition.is_catch and rng.random() < norm.cdf(
@@ -51,9 +49,9 @@ def run_through(protocol: Protocol, threshold: float, seed: int) -> list[dict[st
 
 @pytest.mark.parametrize("method", ["staircase", "quest_plus"])
 def test_the_record_alone_decides_every_level(protocol: Protocol, method: str) -> None:
-    """Issue 6, item 6: begun anew after any answer, the next level is the very same."""
+    """Begun anew after any answer, the next level is the very same."""
     given = with_rule(protocol, method=method, trials=12)
-    events, order = run_through(given, 20.0, 3), draw_schedule(given, "p01", 3).trials
+    events, order = run_through(given, 20.0, 3), Schedule.draw(given, "p01", 3).trials
     fresh = Levels(given)
     for cut in (0, 1, 5, 11, 17, 25, len(events) - 1):
         resumed = Levels(given) if cut % 2 else fresh
@@ -82,7 +80,7 @@ def test_levels_gather_around_the_threshold(protocol: Protocol, method: str, thr
 
 def test_an_answer_that_was_not_confirmed_moves_nothing(protocol: Protocol) -> None:
     """A trial whose stimulus the instrument did not confirm is offered again at the same level."""
-    first, second = draw_schedule(with_rule(protocol, method="staircase"), "p01", 1).trials[:2]
+    first, second = Schedule.draw(with_rule(protocol, method="staircase"), "p01", 1).trials[:2]
     levels = Levels(with_rule(protocol, method="staircase"))
     unsure = event(levels.settle(first, []), "right", confirmed=False)
     assert levels.settle(second, [unsure]).condition.velocity_mm_s == 60
@@ -91,12 +89,12 @@ def test_an_answer_that_was_not_confirmed_moves_nothing(protocol: Protocol) -> N
 
 def test_practice_and_catch_trials_and_fixed_levels_stay_as_they_are(protocol: Protocol) -> None:
     """Only what counts in a run has a level of its own."""
-    drawn, levels = draw_schedule(protocol, "p01", 1), Levels(protocol)
+    drawn, levels = Schedule.draw(protocol, "p01", 1), Levels(protocol)
     catch = next(trial for trial in drawn.trials if trial.condition.is_catch)
     assert levels.settle(catch, []) == catch
     assert levels.settle(drawn.practice[0], []) == drawn.practice[0]
-    fixed = read_protocol(SHIPPED.with_name("demo.yaml")).protocol
-    trial = draw_schedule(fixed, "p01", 1).trials[0]
+    fixed = Findings.read(SHIPPED.with_name("demo.yaml")).experiment().protocol
+    trial = Schedule.draw(fixed, "p01", 1).trials[0]
     assert Levels(fixed).settle(trial, []) == trial
 
 
@@ -126,16 +124,18 @@ def test_levels_have_four_digits_and_keep_their_bounds() -> None:
 
 def test_the_schedule_says_adaptive(protocol: Protocol) -> None:
     """The record's schedule does not pass the first level for that of every trial."""
-    values = draw_schedule(protocol, "p01", 1).as_dict()
+    values = Schedule.draw(protocol, "p01", 1).as_dict()
     assert values["levels"] == "adaptive"
     assert values["n_trials"] == protocol.n_trials == 90
-    assert "levels" not in draw_schedule(read_protocol(SHIPPED.with_name("demo.yaml")).protocol, "p01", 1).as_dict()
+    assert (
+        "levels"
+        not in Schedule.draw(Findings.read(SHIPPED.with_name("demo.yaml")).experiment().protocol, "p01", 1).as_dict()
+    )
 
 
 def test_the_record_says_which_rule_decided_the_levels(protocol: Protocol) -> None:
     """A record must be read by what made it; the target is 0.5 ** (1 / 3) of three down, one up (Levitt 1971)."""
     staircase = with_rule(protocol, method="staircase", staircase=StaircaseSection(down_after=3))
-    assert describe_rule(staircase) == {"algorithm": "modaltouch staircase 1", "target": 0.7937}
+    assert staircase.adaptive.algorithm == {"algorithm": "modaltouch staircase 1", "target": 0.7937}
     quest = {"algorithm": "modaltouch quest_plus 1", "questplus": version("questplus")}
-    assert describe_rule(with_rule(protocol, method="quest_plus")) == quest
-    assert describe_rule(read_protocol(SHIPPED.with_name("demo.yaml")).protocol) is None
+    assert with_rule(protocol, method="quest_plus").adaptive.algorithm == quest

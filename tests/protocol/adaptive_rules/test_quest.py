@@ -7,7 +7,7 @@ import pytest
 from scipy.special import xlogy
 from scipy.stats import norm
 
-from modaltouch.protocol.adaptive_rules.quest import Quest
+from modaltouch.protocol.levels import Quest
 
 
 class Definition:

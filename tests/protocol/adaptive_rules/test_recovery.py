@@ -22,9 +22,7 @@ from modaltouch.planning.observer import Participant
 from modaltouch.planning.observer.file import read_observer
 from modaltouch.preflight import examine
 from modaltouch.protocol.adaptive import AdaptiveSection
-from modaltouch.protocol.adaptive_rules.levels import from_dB, to_dB
-from modaltouch.protocol.adaptive_rules.quest import Quest
-from modaltouch.protocol.adaptive_rules.staircase import follow
+from modaltouch.protocol.levels import Quest, follow, from_dB, to_dB
 from modaltouch.protocol.trial import ANSWERS_WITH_NONE, Condition, Trial
 
 PROTOCOL = Path(__file__).parents[3] / "protocols" / "threshold.yaml"
@@ -122,7 +120,7 @@ def test_staircases_give_back_the_thresholds_of_their_observers(
 
     def next_of() -> Callable[[list[float], list[bool]], float]:
         bounds, start = (to_dB(BOUNDS[0]), to_dB(BOUNDS[1])), to_dB(section.start_mm_s)
-        return lambda levels, successes: follow(section.staircase, start, bounds, successes).next_dB
+        return lambda levels, successes: follow(section.staircase, start, bounds, successes)
 
     found = recover(next_of, section, speeds, 50)
     assert found.share_told >= 0.7

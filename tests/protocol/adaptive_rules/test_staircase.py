@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from modaltouch.protocol.adaptive import StaircaseSection
-from modaltouch.protocol.adaptive_rules.staircase import follow
+from modaltouch.protocol.levels import follow
 
 BOUNDS = (0.0, 60.0)
 
@@ -18,7 +18,7 @@ def rule(down_after: int = 1, steps: tuple[float, ...] = (4.0, 2.0), up: float =
 
 def course(answers: str, given: StaircaseSection, start: float = 20.0) -> list[float]:
     """Return the level of every trial and of the next one, for answers written + and -."""
-    return [follow(given, start, BOUNDS, [a == "+" for a in answers[:n]]).next_dB for n in range(len(answers) + 1)]
+    return [follow(given, start, BOUNDS, [a == "+" for a in answers[:n]]) for n in range(len(answers) + 1)]
 
 
 def test_one_up_one_down_follows_every_answer() -> None:
@@ -36,10 +36,11 @@ def test_weighted_steps_go_further_up() -> None:
     assert course("+-+", rule(1, (2.0,), up=3.0)) == [20, 18, 24, 22]
 
 
-def test_reversals_are_counted_where_the_direction_changes() -> None:
-    """Definition: trials 2 (to up), 3 (to down); a bound does not hide a turn."""
-    assert follow(rule(), 20.0, BOUNDS, [True, True, False, True]).reversals == (2, 3)
-    assert follow(rule(steps=(4.0,)), 2.0, BOUNDS, [True, True, False]).next_dB == 4.0
+def test_the_step_shrinks_where_the_direction_changes() -> None:
+    """Definition: at trials 2 (to up) and 3 (to down); a bound does not hide a turn."""
+    assert course("++-+", rule(1, (8.0, 4.0, 1.0))) == [20, 12, 4, 8, 7]
+    assert course("++-", rule(1, (8.0, 4.0)), 4.0) == [4, 0, 0, 4]
+    assert follow(rule(steps=(4.0,)), 2.0, BOUNDS, [True, True, False]) == 4.0
 
 
 @pytest.mark.parametrize(
@@ -59,6 +60,6 @@ def test_long_runs_settle_at_the_target(down_after: int, up: float) -> None:
     levels, answers = [30.0], list[bool]()
     for _ in range(1000):
         answers.append(bool(rng.random() < 1 / (1 + math.exp(-(levels[-1] - middle) / scale))))
-        levels.append(follow(given, levels[0], BOUNDS, answers).next_dB)
+        levels.append(follow(given, levels[0], BOUNDS, answers))
     expected = middle + scale * math.log(given.target / (1 - given.target))
     assert np.mean(levels[100:]) == pytest.approx(expected, abs=1.0)

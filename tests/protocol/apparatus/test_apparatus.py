@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modaltouch.protocol.apparatus import Apparatus, offered_gains, read_apparatus
-from modaltouch.protocol.document import InputError
+from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.protocol.problems import InputError
 from modaltouch.stimulus.patches import patch_gains
 
 Edit = Callable[..., Path]
@@ -19,7 +19,7 @@ FILE = "apparatus/beam_100x6x2.yaml"
 @pytest.fixture
 def apparatus(shipped: Path) -> Apparatus:
     """The shipped apparatus."""
-    return read_apparatus(shipped / FILE)
+    return Apparatus.read(shipped / FILE)
 
 
 def test_the_shipped_file_is_table_1(apparatus: Apparatus) -> None:
@@ -51,15 +51,15 @@ def test_the_model_is_in_si_units(apparatus: Apparatus) -> None:
 def test_gains_stand_in_the_column_of_their_channel(edit: Edit) -> None:
     """With the outputs swapped, the columns swap."""
     swapped = edit(FILE, ("centre: {channel: 1}", "centre: {channel: 2}"), ("side: {channel: 2}", "side: {channel: 1}"))
-    model = read_apparatus(swapped).modal_model()
+    model = Apparatus.read(swapped).modal_model()
     np.testing.assert_allclose(model.modal_gain[model.label.index(5)], [6.5, 0.0], rtol=1e-15)
     np.testing.assert_allclose(model.modal_gain[model.label.index(1)], [0.0, 0.114], rtol=1e-15)
 
 
 def test_the_amplifier_is_in_si_units(edit: Edit) -> None:
-    """100 kHz and 4.6 us, the values of the design notes."""
+    """The shipped file: 100 kHz and 4.6 us."""
     file = edit(FILE, ("bandwidth_kHz: null", "bandwidth_kHz: 100"), ("delay_us: 0", "delay_us: 4.6"))
-    values = read_apparatus(file).amplifier_values()
+    values = Apparatus.read(file).amplifier_values()
     assert (values.gain, values.limit) == (25, 250)
     assert values.bandwidth == pytest.approx(1e5, rel=1e-15)
     assert values.delay == pytest.approx(4.6e-6, rel=1e-15)
@@ -75,12 +75,12 @@ def test_unknown_and_assumed_gains_are_listed(apparatus: Apparatus) -> None:
 def test_zones_are_ordered_by_their_place(edit: Edit) -> None:
     """A and E change sides."""
     file = edit(FILE, ("A: {centre_mm: -40", "A: {centre_mm: 40"), ("E: {centre_mm: 40", "E: {centre_mm: -40"))
-    assert read_apparatus(file).zone_order() == ("E", "B", "C", "D", "A")
+    assert list(Apparatus.read(file).ordered_zones) == ["E", "B", "C", "D", "A"]
 
 
 def test_a_50_ohm_load_halves_the_open_circuit_voltage(edit: Edit) -> None:
     """Voltage divider of 50 ohm output and 50 ohm load."""
-    assert read_apparatus(edit(FILE, ("load: high_impedance", "load: 50_ohm"))).generator.load_factor == 0.5
+    assert Apparatus.read(edit(FILE, ("load: high_impedance", "load: 50_ohm"))).generator.load_factor == 0.5
 
 
 @pytest.mark.parametrize(
@@ -136,10 +136,10 @@ def test_each_fault_is_said_with_its_place(edit: Edit, old: str, new: str, fault
     """Lines and columns counted in the shipped file; a mode that no set is known to drive is no fault."""
     file = edit(FILE, (old, new))
     if fault is None:
-        assert read_apparatus(file).modal_model().modal_gain[0].tolist() == [0.0, 0.0]
+        assert Apparatus.read(file).modal_model().modal_gain[0].tolist() == [0.0, 0.0]
         return
     with pytest.raises(InputError, match=fault) as caught:
-        read_apparatus(file)
+        Apparatus.read(file)
     assert len(caught.value.problems) == (2 if "cm: 6" in new else 1)
 
 
@@ -154,7 +154,7 @@ def test_faults_of_all_sections_come_at_once(edit: Edit) -> None:
         ("gain_V_per_V: 25", "gain_V_per_V: 0"),
     )
     with pytest.raises(InputError) as caught:
-        read_apparatus(file)
+        Apparatus.read(file)
     sections = [problem.path.split(".")[0].split("[")[0] for problem in caught.value.problems]
     assert sections == ["beam", "zones", "actuator_sets", "modes", "amplifier"]
 
@@ -187,7 +187,7 @@ def test_faults_of_all_sections_come_at_once(edit: Edit) -> None:
 def test_faults_of_the_twin_are_said_with_their_place(edit: Edit, old: str, new: str, fault: str) -> None:
     """Each mode once in table and twin together, known sets, and no number that is none."""
     with pytest.raises(InputError, match=fault):
-        read_apparatus(edit(FILE, (old, new)))
+        Apparatus.read(edit(FILE, (old, new)))
 
 
 def test_torsion_may_bear_the_number_of_a_bending_mode(apparatus: Apparatus) -> None:
@@ -201,7 +201,7 @@ def test_an_apparatus_without_a_twin_has_an_ideal_beam(edit: Edit, apparatus: Ap
     file = edit(FILE)
     text = file.read_text(encoding="utf-8")
     file.write_text(text[: text.index("twin:  ")], encoding="utf-8")
-    twin = read_apparatus(file).twin
+    twin = Apparatus.read(file).twin
     assert twin.unlisted_modes == ()
     assert twin.natural_frequency_mismatch == twin.gain_mismatch == twin.generator_gain_mismatch == 0
     assert (twin.fingers, twin.amplifier.bandwidth_kHz, twin.amplifier.delay_us) == (None, None, None)
@@ -211,7 +211,7 @@ def test_an_apparatus_without_a_twin_has_an_ideal_beam(edit: Edit, apparatus: Ap
 def test_patches_offer_the_gains_that_the_table_lacks(edit: Edit) -> None:
     """Ratios by theory, their common factor by the one gain measured: slope differences of mode 9 over those of 5."""
     pair = "side: {channel: 2, patches_mm: [[-30, -15], [15, 30]]}"
-    apparatus = read_apparatus(
+    apparatus = Apparatus.read(
         edit(
             FILE,
             ("side: {channel: 2}", pair),
@@ -219,7 +219,7 @@ def test_patches_offer_the_gains_that_the_table_lacks(edit: Edit) -> None:
         )
     )
     unit = patch_gains([5, 7, 9], [(-0.03, -0.015), (0.015, 0.03)], 0.1)
-    offered = {(label, name): gain for label, name, gain in offered_gains(apparatus)}
+    offered = {(label, name): gain for label, name, gain in apparatus.offered_gains()}
     assert offered[7, "side"] == pytest.approx(6500 * unit[1] / unit[0], rel=1e-12)
     # Mode 9 is in the table, but assumed; what is measured is not offered again.
     assert offered[9, "side"] == pytest.approx(6500 * unit[2] / unit[0], rel=1e-12)
@@ -229,7 +229,7 @@ def test_patches_offer_the_gains_that_the_table_lacks(edit: Edit) -> None:
 
 def test_without_patches_nothing_is_offered(apparatus: Apparatus) -> None:
     """The paper does not say where its patches are."""
-    assert offered_gains(apparatus) == ()
+    assert apparatus.offered_gains() == ()
 
 
 @pytest.mark.parametrize(
@@ -243,4 +243,4 @@ def test_impossible_patches_are_refused_in_their_place(edit: Edit, ends: str, me
     """With file, line and column."""
     file = edit(FILE, ("side: {channel: 2}", f"side: {{channel: 2, patches_mm: [{ends}]}}"))
     with pytest.raises(InputError, match=r"beam_100x6x2\.yaml:22:35: .*" + message):
-        read_apparatus(file)
+        Apparatus.read(file)

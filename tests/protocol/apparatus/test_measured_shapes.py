@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from modaltouch.preflight import examine
-from modaltouch.protocol.apparatus import read_apparatus
+from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.stimulus.shapes import mode_shapes
 from modaltouch.stimulus.timoshenko import TimoshenkoBeam
 
@@ -39,14 +39,14 @@ def faults(edit: Edit, text: str) -> list[str]:
 
 def test_scanned_shapes_take_the_place_of_theory(edit: Edit) -> None:
     """41 points of the theoretical shapes in any scale and sign give the theoretical shapes back."""
-    model = read_apparatus(edit(BEAM, (THEORY, scanned(41)))).modal_model()
+    model = Apparatus.read(edit(BEAM, (THEORY, scanned(41)))).modal_model()
     x = np.linspace(-0.05, 0.05, 101)
     assert model.shapes(x) == pytest.approx(mode_shapes(LABELS, x, 0.1), abs=1e-6)
 
 
 def test_timoshenko_shapes_are_those_of_the_section(edit: Edit) -> None:
     """The bending modes are those of a beam of this length, thickness and Poisson's ratio."""
-    apparatus = read_apparatus(edit(BEAM, (THEORY, "theory: timoshenko\n  poissons_ratio: 0.3")))
+    apparatus = Apparatus.read(edit(BEAM, (THEORY, "theory: timoshenko\n  poissons_ratio: 0.3")))
     x = np.linspace(-0.05, 0.05, 11)
     expected = TimoshenkoBeam(0.1, 0.002, poissons_ratio=0.3).shapes([15], x)
     assert apparatus.modal_model().shapes(x)[-1] == pytest.approx(expected[0])

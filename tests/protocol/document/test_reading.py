@@ -8,9 +8,9 @@ from typing import Literal
 import pytest
 from pydantic import Field
 
-from modaltouch.protocol.document import Source, read
-from modaltouch.protocol.document.allowed import describe, number_meant
-from modaltouch.protocol.document.section import Count, Positive, Section, Text
+from modaltouch.protocol.reading import read
+from modaltouch.protocol.section import Count, Positive, Section, Text, describe, number_meant
+from modaltouch.protocol.source import Source
 
 
 class Inner(Section):

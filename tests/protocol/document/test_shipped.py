@@ -8,8 +8,9 @@ import pytest
 
 import modaltouch
 from modaltouch.cli.options import SHIPPED_APPARATUS
-from modaltouch.protocol.apparatus import read_apparatus
-from modaltouch.protocol.document import InputError, find, shipped
+from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.protocol.problems import InputError
+from modaltouch.protocol.source import Source, find
 
 
 @pytest.fixture(autouse=True)
@@ -17,7 +18,7 @@ def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
 
 
-@pytest.mark.parametrize("name", shipped("protocol"))
+@pytest.mark.parametrize("name", Source.shipped("protocol"))
 def test_every_shipped_protocol_is_sound_by_its_name_in_any_folder(name: str) -> None:
     """From Python as on the command line."""
     preflight = modaltouch.examine(name).require()
@@ -33,13 +34,13 @@ def test_a_session_is_simulated_by_name_in_any_folder() -> None:
 
 def test_the_default_apparatus_is_found_in_any_folder() -> None:
     """It is a name, no path of the repository."""
-    assert read_apparatus(SHIPPED_APPARATUS).apparatus == "beam_100x6x2"
+    assert Apparatus.read(SHIPPED_APPARATUS).apparatus == "beam_100x6x2"
 
 
 def test_a_file_that_exists_comes_before_a_name_and_a_folder_does_not(tmp_path: Path) -> None:
     """Results of a demonstration may lie in a folder that is called after it."""
     Path("demo").mkdir()
-    assert find("protocol", "demo") == shipped("protocol")["demo"]
+    assert find("protocol", "demo") == Source.shipped("protocol")["demo"]
     Path("threshold").write_text("protocol: mine\n", encoding="utf-8")
     assert find("protocol", "threshold") == Path("threshold")
     (problem, *_) = modaltouch.examine("threshold").problems
@@ -53,4 +54,4 @@ def test_what_is_neither_is_refused_with_the_names_there_are(name: str) -> None:
     with pytest.raises(InputError, match=f"^{name}:1:1: given a file that does not exist; .*, {names}"):
         find("protocol", name)
     with pytest.raises(InputError, match="or one of beam_100x6x2; check its name"):
-        read_apparatus("plate")
+        Apparatus.read("plate")

@@ -8,21 +8,22 @@ from pathlib import Path
 
 import pytest
 
-from modaltouch.protocol.document import InputError, Source, load_source
+from modaltouch.protocol.problems import InputError
+from modaltouch.protocol.source import Source
 
 
 def test_the_hash_is_that_of_the_file(tmp_path: Path) -> None:
     """`sha256sum` of the same bytes."""
     file = tmp_path / "a.yaml"
     file.write_bytes("é: 1\n".encode())
-    assert load_source(file).sha256 == hashlib.sha256(b"\xc3\xa9: 1\n").hexdigest()
+    assert Source.load(file).sha256 == hashlib.sha256(b"\xc3\xa9: 1\n").hexdigest()
 
 
 def test_a_byte_order_mark_is_left_out(tmp_path: Path) -> None:
     """Windows editors write one; YAML allows it."""
     file = tmp_path / "a.yaml"
     file.write_bytes(b"\xef\xbb\xbfa: 1\n")
-    assert load_source(file).text == "a: 1\n"
+    assert Source.load(file).text == "a: 1\n"
 
 
 def test_the_record_keeps_path_hash_and_text() -> None:
@@ -44,7 +45,7 @@ def test_what_is_no_short_text_is_refused(tmp_path: Path, content: bytes, fault:
     file = tmp_path / "a.yaml"
     file.write_bytes(content)
     with pytest.raises(InputError, match=fault):
-        load_source(file)
+        Source.load(file)
 
 
 def test_what_is_no_file_is_refused(tmp_path: Path) -> None:
@@ -58,4 +59,4 @@ def test_what_is_no_file_is_refused(tmp_path: Path) -> None:
         ("a" * 5000, "cannot be read|does not exist"),
     ):
         with pytest.raises(InputError, match=fault):
-            load_source(tmp_path / name)
+            Source.load(tmp_path / name)

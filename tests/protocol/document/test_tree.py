@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modaltouch.protocol.document import Source, parse_tree
-from modaltouch.protocol.document.tree import resolve
+from modaltouch.protocol.source import Source
+from modaltouch.protocol.tree import parse_tree, resolve
 
 
 def tree(text: str):

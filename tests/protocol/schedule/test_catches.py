@@ -2,8 +2,8 @@
 
 import pytest
 
-from modaltouch.protocol.schedule.catches import place_catches
-from modaltouch.protocol.schedule.streams import Stream
+from modaltouch.protocol.designs import place_catches
+from modaltouch.protocol.streams import Stream
 
 ORDER = [("A", "C"), ("B", "D"), ("A", "C"), ("A", "C"), ("C", "E"), ("B", "D")] * 4
 

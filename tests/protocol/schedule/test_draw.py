@@ -12,16 +12,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modaltouch.protocol import Protocol, read_protocol
-from modaltouch.protocol.schedule import Stream, draw_schedule, period_of_turns, random_generator, turn_of
-from modaltouch.protocol.schedule.catches import place_catches
-from modaltouch.protocol.schedule.designs import latin_square, order_cells, period_of_rows
-from modaltouch.protocol.schedule.draw import Turn
-from modaltouch.protocol.schedule.rejection import longest_run
+from modaltouch.protocol import Findings, Protocol
+from modaltouch.protocol.designs import latin_square, order_cells, period_of_rows, place_catches
+from modaltouch.protocol.orders import longest_run
+from modaltouch.protocol.schedule import Schedule, Turn
+from modaltouch.protocol.streams import Stream
 
 SHIPPED = Path(__file__).parents[3] / "protocols"
 ORDERS = ["shuffled", "by_pair", "by_velocity", "latin_square"]
-PAPER = read_protocol(SHIPPED / "differentiated_stimulation.yaml").protocol
+PAPER = Findings.read(SHIPPED / "differentiated_stimulation.yaml").experiment().protocol
 
 
 def changed(section: str, **values: Any) -> Protocol:
@@ -34,7 +33,7 @@ def changed(section: str, **values: Any) -> Protocol:
 @given(st.text("abcpxyz0123456789", min_size=1, max_size=8), st.integers(0, 2**70), st.integers(1, 9))
 def test_every_condition_comes_as_often_as_the_protocol_says(participant: str, seed: int, session: int) -> None:
     """3 pairs x 4 velocities x 2 finger conditions, once each, blocks by finger condition, no pair thrice."""
-    schedule = draw_schedule(PAPER, participant, seed, session)
+    schedule = Schedule.draw(PAPER, participant, seed, session)
     conditions = Counter(trial.condition for trial in schedule.trials)
     assert len(conditions) == 24
     assert set(conditions.values()) == {1}
@@ -47,7 +46,7 @@ def test_every_condition_comes_as_often_as_the_protocol_says(participant: str, s
 
 def test_repetitions_count_in_the_order_of_presentation() -> None:
     """The first time a condition is presented is its repetition 1."""
-    schedule = draw_schedule(changed("schedule", repetitions=3), "p01", 1)
+    schedule = Schedule.draw(changed("schedule", repetitions=3), "p01", 1)
     seen: Counter[Any] = Counter()
     for trial in schedule.trials:
         seen[trial.condition] += 1
@@ -57,33 +56,33 @@ def test_repetitions_count_in_the_order_of_presentation() -> None:
 
 def test_the_same_arguments_give_the_same_schedule_and_others_another() -> None:
     """Pure function of protocol, participant, seed and session."""
-    schedule = draw_schedule(PAPER, "p01", 7)
-    assert draw_schedule(PAPER, "p01", 7) == schedule
+    schedule = Schedule.draw(PAPER, "p01", 7)
+    assert Schedule.draw(PAPER, "p01", 7) == schedule
     others = [
-        draw_schedule(PAPER, "p03", 7),
-        draw_schedule(PAPER, "p01", 8),
-        draw_schedule(PAPER, "p01", 7, session=2),
-        draw_schedule(changed("schedule", repetitions=2), "p01", 7),
+        Schedule.draw(PAPER, "p03", 7),
+        Schedule.draw(PAPER, "p01", 8),
+        Schedule.draw(PAPER, "p01", 7, session=2),
+        Schedule.draw(changed("schedule", repetitions=2), "p01", 7),
     ]
     assert len({each.order_hash for each in (schedule, *others)}) == 5
 
 
 def test_an_order_drawn_by_version_1_is_drawn_for_ever() -> None:
     """A record must be verifiable years later: this hash may only change with the name of the algorithm."""
-    schedule = draw_schedule(PAPER, "p01", 1)
+    schedule = Schedule.draw(PAPER, "p01", 1)
     assert "modaltouch order 1" in schedule.seeds["algorithm"]
     assert schedule.order_hash.startswith("88743af0c42dc4a8")
 
 
 def test_each_purpose_has_a_stream_of_its_own() -> None:
     """More practice, another order of blocks or another block shifts no draw of the rest."""
-    schedule = draw_schedule(PAPER, "p01", 1)
-    more_practice = draw_schedule(changed("schedule", practice_trials=9), "p01", 1)
+    schedule = Schedule.draw(PAPER, "p01", 1)
+    more_practice = Schedule.draw(changed("schedule", practice_trials=9), "p01", 1)
     assert more_practice.trials == schedule.trials
-    one_block = draw_schedule(changed("conditions", finger_conditions=("one_hand",)), "p01", 1)
+    one_block = Schedule.draw(changed("conditions", finger_conditions=("one_hand",)), "p01", 1)
     assert one_block.trials == schedule.blocks[0].trials
-    fixed = draw_schedule(changed("schedule", counterbalance_finger_conditions=False), "p02", 1)
-    turned = draw_schedule(PAPER, "p02", 1)
+    fixed = Schedule.draw(changed("schedule", counterbalance_finger_conditions=False), "p02", 1)
+    turned = Schedule.draw(PAPER, "p02", 1)
     orders = [
         {block.finger_condition: [trial.condition for trial in block.trials] for block in each.blocks}
         for each in (fixed, turned)
@@ -94,9 +93,9 @@ def test_each_purpose_has_a_stream_of_its_own() -> None:
 
 def test_participants_with_numbers_take_turns() -> None:
     """p01 as the protocol has it, p02 the other way round; a second session turns it again."""
-    first = [draw_schedule(PAPER, f"p{n:02d}", 1).blocks[0].finger_condition for n in range(1, 5)]
+    first = [Schedule.draw(PAPER, f"p{n:02d}", 1).blocks[0].finger_condition for n in range(1, 5)]
     assert first == ["one_hand", "two_hands", "one_hand", "two_hands"]
-    again = draw_schedule(PAPER, "p01", 1, session=2)
+    again = Schedule.draw(PAPER, "p01", 1, session=2)
     assert again.blocks[0].finger_condition == "two_hands"
     assert again.finger_conditions_by == "number of the participant"
 
@@ -104,7 +103,7 @@ def test_participants_with_numbers_take_turns() -> None:
 def test_participants_without_numbers_are_divided_by_their_hash() -> None:
     """200 names: each order has at least 70, which a fair coin misses in 1 of 60,000 studies."""
     names = [f"{a}{b}" for a in "abcdefghijklmnopqrst" for b in "abcdefghij"]
-    schedules = [draw_schedule(PAPER, name, 1) for name in names]
+    schedules = [Schedule.draw(PAPER, name, 1) for name in names]
     counts = Counter(schedule.blocks[0].finger_condition for schedule in schedules)
     assert min(counts.values()) >= 70
     assert {schedule.finger_conditions_by for schedule in schedules} == {"hash of the participant"}
@@ -113,7 +112,7 @@ def test_participants_without_numbers_are_divided_by_their_hash() -> None:
 def test_the_protocols_order_holds_where_nothing_is_counterbalanced() -> None:
     """Every participant begins alike, and the record says so."""
     protocol = changed("schedule", counterbalance_finger_conditions=False)
-    schedule = draw_schedule(protocol, "p02", 1)
+    schedule = Schedule.draw(protocol, "p02", 1)
     assert [block.finger_condition for block in schedule.blocks] == ["one_hand", "two_hands"]
     assert schedule.finger_conditions_by == "protocol"
 
@@ -121,7 +120,7 @@ def test_the_protocols_order_holds_where_nothing_is_counterbalanced() -> None:
 def test_placements_take_turns_with_every_order_of_finger_conditions() -> None:
     """Four participants meet both orders in both placements; on a turned beam A and C are C and A."""
     protocol = changed("conditions", placements=("normal", "mirrored"))
-    schedules = [draw_schedule(protocol, f"p{number}", 1) for number in range(1, 5)]
+    schedules = [Schedule.draw(protocol, f"p{number}", 1) for number in range(1, 5)]
     met = [(each.blocks[0].finger_condition, each.trials[0].condition.placement) for each in schedules]
     assert met == [
         ("one_hand", "normal"),
@@ -137,7 +136,7 @@ def test_placements_take_turns_with_every_order_of_finger_conditions() -> None:
 
 def test_practice_comes_from_the_first_blocks_conditions() -> None:
     """So that the fingers need not change hands after it; no condition again before all others have come."""
-    schedule = draw_schedule(changed("schedule", practice_trials=14), "p02", 1)
+    schedule = Schedule.draw(changed("schedule", practice_trials=14), "p02", 1)
     assert all(trial.practice and trial.block == 0 for trial in schedule.practice)
     assert [trial.index for trial in schedule.practice] == list(range(1, 15))
     assert {trial.condition.finger_condition for trial in schedule.practice} == {"two_hands"}
@@ -147,7 +146,7 @@ def test_practice_comes_from_the_first_blocks_conditions() -> None:
 
 def test_the_record_holds_what_an_order_was_drawn_from() -> None:
     """Seeds, algorithm, hash and the order itself, as plain values."""
-    schedule = draw_schedule(PAPER, "p01", 5)
+    schedule = Schedule.draw(PAPER, "p01", 5)
     record = schedule.as_dict()
     assert record["order_hash"] == schedule.order_hash
     assert record["seeds"]["study_seed"] == 5
@@ -173,28 +172,30 @@ def test_the_record_holds_what_an_order_was_drawn_from() -> None:
 def test_arguments_out_of_bounds_are_refused(participant: str, seed: int, session: int, fault: str) -> None:
     """Each message says what was given."""
     with pytest.raises(ValueError, match=fault):
-        draw_schedule(PAPER, participant, seed, session)
+        Schedule.draw(PAPER, participant, seed, session)
 
 
 def test_a_limit_that_no_order_keeps_is_refused_with_its_reason() -> None:
     """Four trials of the one pair come four times running."""
     protocol = changed("conditions", zone_pairs=(("A", "C"),))
     with pytest.raises(ValueError, match=r"to 2 times running, since one pair has 4 of them; the least .* is 4"):
-        draw_schedule(protocol, "p01", 1)
+        Schedule.draw(protocol, "p01", 1)
 
 
 def test_generators_of_two_purposes_differ() -> None:
     """A simulated observer's numbers are not those of the order."""
-    one, other = (random_generator(1, "p01", 1, purpose).random(4).tolist() for purpose in ("observer", "practice"))
+    one, other = (
+        Schedule.random_generator(1, "p01", 1, purpose).random(4).tolist() for purpose in ("observer", "practice")
+    )
     assert one != other
 
 
 def test_blocked_orders_keep_pairs_or_velocities_together() -> None:
     """Three pairs by four velocities: three runs of four, or four runs of three."""
-    by_pair = draw_schedule(changed("schedule", order="by_pair", max_same_pair_running=None), "p01", 1)
+    by_pair = Schedule.draw(changed("schedule", order="by_pair", max_same_pair_running=None), "p01", 1)
     pairs = [trial.condition.pair for trial in by_pair.blocks[0].trials]
     assert [len(list(run)) for _, run in itertools.groupby(pairs)] == [4, 4, 4]
-    by_velocity = draw_schedule(changed("schedule", order="by_velocity", max_same_pair_running=None), "p01", 1)
+    by_velocity = Schedule.draw(changed("schedule", order="by_velocity", max_same_pair_running=None), "p01", 1)
     levels = [trial.condition.velocity_mm_s for trial in by_velocity.blocks[0].trials]
     assert [len(list(run)) for _, run in itertools.groupby(levels)] == [3, 3, 3, 3]
     for schedule in (by_pair, by_velocity):
@@ -206,7 +207,7 @@ def test_twelve_participants_balance_the_latin_square() -> None:
     protocol = changed("schedule", order="latin_square", max_same_pair_running=None)
     orders = []
     for number in range(1, 13):
-        blocks = draw_schedule(protocol, f"p{number:02d}", 1).blocks
+        blocks = Schedule.draw(protocol, f"p{number:02d}", 1).blocks
         (one_hand,) = [block for block in blocks if block.finger_condition == "one_hand"]
         orders.append([trial.condition for trial in one_hand.trials])
     for place in range(12):
@@ -217,7 +218,7 @@ def test_twelve_participants_balance_the_latin_square() -> None:
 def test_twenty_four_participants_meet_every_row_in_both_orders_of_finger_conditions() -> None:
     """Rows and orders both take turns; they must not go in step."""
     protocol = changed("schedule", order="latin_square", max_same_pair_running=None)
-    schedules = [draw_schedule(protocol, f"p{number:02d}", 1) for number in range(1, 25)]
+    schedules = [Schedule.draw(protocol, f"p{number:02d}", 1) for number in range(1, 25)]
     met = {(each.blocks[0].finger_condition, each.blocks[0].trials[0].condition) for each in schedules}
     assert len(met) == 24
 
@@ -241,8 +242,8 @@ def test_catch_trials_stand_where_nothing_betrays_them(n: int, limit: int | None
     """As many as asked, none first in a block, no two neighbours, no pair longer running than the limit."""
     limit = limit if order == "shuffled" else None
     protocol = changed("schedule", catch_trials=n, max_same_pair_running=limit, order=order)
-    schedule = draw_schedule(protocol, "p01", seed)
-    bare = draw_schedule(changed("schedule", max_same_pair_running=limit, order=order), "p01", seed)
+    schedule = Schedule.draw(protocol, "p01", seed)
+    bare = Schedule.draw(changed("schedule", max_same_pair_running=limit, order=order), "p01", seed)
     assert [t.index for t in schedule.trials] == list(range(1, 25 + 2 * n))
     for block, other in zip(schedule.blocks, bare.blocks, strict=True):
         catch = [trial.condition.is_catch for trial in block.trials]
@@ -260,10 +261,10 @@ def test_catch_trials_stand_where_nothing_betrays_them(n: int, limit: int | None
 def test_a_schedule_without_catch_trials_has_no_trace_of_them() -> None:
     """The record of such a protocol stays what it was: no purpose of its own, the same hash."""
     assert (
-        draw_schedule(changed("schedule", catch_trials=0), "p01", 1).as_dict()
-        == draw_schedule(PAPER, "p01", 1).as_dict()
+        Schedule.draw(changed("schedule", catch_trials=0), "p01", 1).as_dict()
+        == Schedule.draw(PAPER, "p01", 1).as_dict()
     )
-    purposes = draw_schedule(changed("schedule", catch_trials=1), "p01", 1).seeds["purposes"]
+    purposes = Schedule.draw(changed("schedule", catch_trials=1), "p01", 1).seeds["purposes"]
     assert {"catch trials within one_hand", "catch trials within two_hands"} < set(purposes)
 
 
@@ -313,7 +314,7 @@ def signature(protocol: Protocol, turn: int) -> tuple[Any, ...]:
 @pytest.mark.parametrize("name", ["differentiated_stimulation", "two_fields"])
 def test_rows_repeat_after_their_period_and_not_before(order: str, repetitions: int, name: str) -> None:
     """The least number of turns after which every row comes again, found by looking at two periods of them."""
-    protocol = read_protocol(SHIPPED / f"{name}.yaml").protocol
+    protocol = Findings.read(SHIPPED / f"{name}.yaml").experiment().protocol
     part = protocol.schedule.model_copy(update={"order": order, "repetitions": repetitions})
     protocol = protocol.model_copy(update={"schedule": part})
     period = period_of_rows(protocol)
@@ -325,24 +326,24 @@ def test_rows_repeat_after_their_period_and_not_before(order: str, repetitions: 
 
 def test_turns_repeat_when_rows_fingers_and_placements_do() -> None:
     """Two orders of finger conditions and four placements with the 36 turns of three pairs: 72; alone: 2 or 8."""
-    assert period_of_turns(PAPER) == 2 * len(PAPER.conditions.placements)
+    assert Turn.period(PAPER) == 2 * len(PAPER.conditions.placements)
     everywhere = ("normal", "mirrored", "swapped", "mirrored_swapped")
     placed = changed("conditions", placements=everywhere)
-    assert period_of_turns(placed) == 8
+    assert Turn.period(placed) == 8
     blocked = placed.model_copy(update={"schedule": placed.schedule.model_copy(update={"order": "by_pair"})})
-    assert period_of_turns(blocked) == 72
+    assert Turn.period(blocked) == 72
 
 
 def test_a_participant_without_a_number_keeps_the_turn_of_their_hash() -> None:
     """As with orders: a later version must divide participants as their records say."""
-    assert turn_of("anna", 7, 1) == Turn(6325489328891300822, "hash of the participant")
-    assert turn_of("anna", 7, 3).number == 6325489328891300824
-    assert turn_of("p012", 7, 3) == Turn(13, "number of the participant")
+    assert Turn.of("anna", 7, 1) == Turn(6325489328891300822, "hash of the participant")
+    assert Turn.of("anna", 7, 3).number == 6325489328891300824
+    assert Turn.of("p012", 7, 3) == Turn(13, "number of the participant")
 
 
 def test_the_record_says_how_many_trials_and_which() -> None:
     """Keys of the record, those of given turns and adaptive levels only where there are any."""
-    schedule = draw_schedule(PAPER, "p01", 7)
+    schedule = Schedule.draw(PAPER, "p01", 7)
     record = schedule.as_dict()
     assert list(record) == [
         "order_hash", "seeds", "finger_conditions", "finger_conditions_by", "n_trials", "n_practice_trials", "practice",
@@ -356,7 +357,7 @@ def test_the_record_says_how_many_trials_and_which() -> None:
     assert [line[0] for line in record["order"]] == [1] * 12 + [2] * 12
     assert list(record["seeds"]) == ["algorithm", "study_seed", "participant", "participant_key", "session", "purposes"]
     assert record["seeds"]["participant_key"] == hashlib.sha256(b"p01").hexdigest()
-    given = draw_schedule(PAPER, "p01", 7, given=Turn(5, "fewest filled it")).as_dict()
+    given = Schedule.draw(PAPER, "p01", 7, given=Turn(5, "fewest filled it")).as_dict()
     assert (given["turn"], given["turn_by"]) == (5, "fewest filled it")
-    adaptive = read_protocol(SHIPPED / "threshold.yaml").protocol
-    assert draw_schedule(adaptive, "p01", 7).as_dict()["levels"] == "adaptive"
+    adaptive = Findings.read(SHIPPED / "threshold.yaml").experiment().protocol
+    assert Schedule.draw(adaptive, "p01", 7).as_dict()["levels"] == "adaptive"

@@ -13,11 +13,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from modaltouch.protocol.schedule.counting import draw_counted
-from modaltouch.protocol.schedule.gaps import draw_unlike_neighbours
-from modaltouch.protocol.schedule.orders import count_orders, draw_order, least_limit
-from modaltouch.protocol.schedule.rejection import draw_by_rejection, longest_run
-from modaltouch.protocol.schedule.streams import Stream
+from modaltouch.protocol.orders import (
+    count_orders,
+    draw_by_rejection,
+    draw_counted,
+    draw_order,
+    draw_unlike_neighbours,
+    least_limit,
+    longest_run,
+)
+from modaltouch.protocol.streams import Stream
 
 Draw = Callable[[Sequence[int], int, Stream], list[int]]
 

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modaltouch.protocol.apparatus import Apparatus, TrueAmplifier
+from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.protocol.twin import TrueAmplifier
 from modaltouch.rig.simulator.channel import Playback
 from modaltouch.rig.simulator.twin import Twin
 from modaltouch.stimulus.design import design_stimulus

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modaltouch.protocol.apparatus import Apparatus, Fingers, ScopeSection, TrueAmplifier, Vibrometer
+from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.protocol.twin import Fingers, ScopeSection, TrueAmplifier, Vibrometer
 from modaltouch.rig.acquisition import Acquisition, Recording
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.interface import RigError

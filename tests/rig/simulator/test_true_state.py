@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modaltouch.protocol.apparatus import Apparatus, TrueAmplifier
+from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.protocol.twin import TrueAmplifier
 from modaltouch.rig.simulator.channel import Playback
 from modaltouch.rig.simulator.held_response import state_at
 from modaltouch.rig.simulator.motion import DriveVoltage, Motion

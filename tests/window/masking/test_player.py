@@ -13,7 +13,7 @@ import pytest
 import sounddevice
 
 from modaltouch.protocol import MaskingSection
-from modaltouch.protocol.apparatus import Sound
+from modaltouch.protocol.apparatus import Apparatus, Sound
 from modaltouch.window import masking as player
 from modaltouch.window.masking import Masking, MaskingError, NoiseMasking, amplitude_at, make_noise
 
@@ -27,14 +27,14 @@ def test_the_device_gets_the_noise_faded_in_and_out(in_a_process: Any, null_devi
     script = """
 import json
 import numpy as np
-from modaltouch.protocol.apparatus import Sound
+from modaltouch.protocol.apparatus import Apparatus, Sound
 from modaltouch.window.masking import amplitude_at, make_noise
 from modaltouch.window.masking import NoiseMasking
 from modaltouch.protocol import MaskingSection
 
 events, blocks = [], []
 section = MaskingSection(noise="pink", level_dB_FS=-20.0, fade_s=0.05)
-masking = NoiseMasking(section, Sound(), lambda event, **facts: events.append((event, facts)))
+masking = NoiseMasking(section, Apparatus.model_construct(sound=Sound()), lambda event, **facts: events.append((event, facts)))
 fill = masking._playback.fill
 def spy(out):
     fill(out)
@@ -78,7 +78,7 @@ def test_without_a_device_masking_is_refused_or_recorded_as_lacking(in_a_process
     """A protocol that demands it does not begin; one that does not goes on, its record saying why it is silent."""
     script = """
 import json
-from modaltouch.protocol.apparatus import Sound
+from modaltouch.protocol.apparatus import Apparatus, Sound
 from modaltouch.window.masking import MaskingError
 from modaltouch.window.masking import Masking
 from modaltouch.protocol import MaskingSection
@@ -86,7 +86,7 @@ said = {}
 for required in (True, False):
     section = MaskingSection(noise="white", level_dB_FS=-20.0, required=required)
     try:
-        masking = Masking.open(section, Sound(), lambda event, **facts: None)
+        masking = Masking.open(section, Apparatus.model_construct(sound=Sound()), lambda event, **facts: None)
         said[str(required)] = [masking.describe(), masking.is_on]
     except MaskingError as error:
         said[str(required)] = str(error)
@@ -154,7 +154,11 @@ def events_of(log: list[tuple[str, dict[str, Any]]]) -> list[str]:
 def make(section: MaskingSection) -> tuple[NoiseMasking, list[tuple[str, dict[str, Any]]]]:
     """Return masking and what it tells."""
     log: list[tuple[str, dict[str, Any]]] = []
-    return NoiseMasking(section, Sound(full_scale_dB_SPL=100.0), lambda event, **facts: log.append((event, facts))), log
+    return NoiseMasking(
+        section,
+        Apparatus.model_construct(sound=Sound(full_scale_dB_SPL=100.0)),
+        lambda event, **facts: log.append((event, facts)),
+    ), log
 
 
 def test_a_trial_waits_for_the_noise_to_be_at_its_level(devices: list[Any]) -> None:
@@ -255,7 +259,7 @@ def test_a_device_that_refuses_to_start_is_let_go(monkeypatch: pytest.MonkeyPatc
 
 def test_no_masking_is_wanted_where_the_protocol_has_none() -> None:
     """Nothing is opened, nothing recorded."""
-    masking = Masking.open(None, Sound(), lambda event, **facts: pytest.fail(event))
+    masking = Masking.open(None, Apparatus.model_construct(sound=Sound()), lambda event, **facts: pytest.fail(event))
     assert type(masking) is Masking
     assert masking.describe() is None
     assert masking.is_on is None

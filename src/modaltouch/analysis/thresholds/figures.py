@@ -12,7 +12,6 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from modaltouch.analysis.thresholds.psychometric import ThresholdEstimate
 from modaltouch.analysis.thresholds.runs import Run
-from modaltouch.protocol import to_dB
 from modaltouch.report import (
     CONDITION_COLOURS,
     FAINT,
@@ -75,7 +74,7 @@ def _draw_function(axes: Axes, run: Run, bounds: tuple[float, float]) -> None:
     _band(axes.axvspan, axes.axvline, run.fitted.threshold, bounds)
     axes.scatter(levels, shares, s=10 + 9 * tries, color=BLUE, alpha=0.75, edgecolor="white", linewidth=0.5, zorder=3)
     fine = np.geomspace(*bounds, 200)
-    curve = run.fitted.probability(np.array([to_dB(each) for each in fine]))
+    curve = run.fitted.probability(20 * np.log10(fine))
     if curve is not None:
         axes.plot(fine, curve, color=INK, linewidth=1.3, zorder=2)
     axes.set_xscale("log")

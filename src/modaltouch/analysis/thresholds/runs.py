@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from modaltouch.analysis.covariates import student_interval
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.thresholds.psychometric import Psychometric, ThresholdEstimate, fit_psychometric
-from modaltouch.protocol import is_success, to_dB
+from modaltouch.protocol import is_success
 
 KEYS = ("participant", "session", "finger_condition", "zone_left", "zone_right")
 
@@ -123,7 +123,7 @@ def _run(key: tuple[Any, ...], stimulus: str, part: pd.DataFrame, rule: dict[str
     level = part["velocity_mm_s"].to_numpy(dtype=float)
     driven = level > 0
     fitted = fit_psychometric(
-        [to_dB(each) for each in level[driven]],
+        [20 * math.log10(each) for each in level[driven]],
         success[driven].tolist(),
         guess_rate=rule["guess_rate"],
         most_lapse=rule["lapse_rate"],

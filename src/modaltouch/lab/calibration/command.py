@@ -11,7 +11,7 @@ from typing import Any
 from modaltouch.lab.calibration.file import calibration_of, write_calibration
 from modaltouch.lab.calibration.loop import calibrate_each
 from modaltouch.lab.laboratory import SIMULATED, MeasurementProgress, open_laboratory
-from modaltouch.preflight import DesignInputs, Preflight, at_stimulus, examine
+from modaltouch.preflight import DesignInputs, Preflight, examine
 from modaltouch.protocol import Calibration, InputError, Problem, Protocol
 from modaltouch.record import prepare_file
 
@@ -105,7 +105,7 @@ def design_inputs_of(preflight: Preflight) -> dict[str, DesignInputs]:
     """Return what each stimulus of a checked protocol is designed from, by name; one alone has none."""
     preflight.require()
     faults = {name: list(_uncorrectable(part)) for name, part in preflight.parts.items()}
-    problems = [each for name, own in faults.items() for each in at_stimulus(preflight.findings, name, own)]
+    problems = [each for name, own in faults.items() for each in preflight.findings.at_stimulus(name, own)]
     if problems:
         raise InputError(problems)
     return {name: part.sound[0] for name, part in preflight.parts.items()}

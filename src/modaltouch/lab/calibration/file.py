@@ -14,20 +14,7 @@ import numpy as np
 from modaltouch.lab.arrays import FloatArray
 from modaltouch.lab.calibration.plant import ModalState, Plant
 from modaltouch.preflight import DesignInputs
-from modaltouch.protocol import (
-    Apparatus,
-    CalibratedAmplifier,
-    CalibratedApparatus,
-    CalibratedLevel,
-    CalibratedMode,
-    Calibration,
-    CalibrationFile,
-    CalibrationOfSeveral,
-    Instruments,
-    IterationFigures,
-    MeasuringChain,
-    apparatus_hash,
-)
+from modaltouch.protocol import Apparatus, Calibration
 from modaltouch.record import prepare_file, replace_file
 from modaltouch.stimulus import Correction
 from modaltouch.system import commit, versions
@@ -239,31 +226,29 @@ def calibration_of(
         "made_by": f"modaltouch {versions()['modaltouch']}" + (f", commit {change[:12]}" if change else ""),
         "person": person,
         "protocol": protocol,
-        "apparatus": CalibratedApparatus(name=apparatus.apparatus, sha256=apparatus_hash(apparatus)),
-        "instruments": Instruments.model_validate({"generator": generator.strip(), "scope": scope, "mode": mode}),
+        "apparatus": {"name": apparatus.apparatus, "sha256": apparatus.measured_hash},
+        "instruments": {"generator": generator.strip(), "scope": scope, "mode": mode},
         **_of_rig(next(iter(outcomes.values()))),
     }
     if "" in outcomes:
-        return CalibrationFile.model_validate({**shared, **_own(outcomes[""])})
-    return CalibrationOfSeveral.model_validate(
-        {**shared, "stimuli": {name: _own(outcome) for name, outcome in outcomes.items()}}
-    )
+        return Calibration.of({**shared, **_own(outcomes[""])})
+    return Calibration.of({**shared, "stimuli": {name: _own(outcome) for name, outcome in outcomes.items()}})
 
 
 def _of_rig(outcome: CalibrationResult) -> dict[str, Any]:
     """Return what holds for the rig, whichever stimulus."""
     plant, refined = outcome.plant, outcome.refined
     return {
-        "amplifier": CalibratedAmplifier(
-            gain_V_per_V=refined.amplifier.gain_V_per_V,
-            bandwidth_kHz=refined.amplifier.bandwidth_kHz,
-            delay_us=refined.amplifier.delay_us,
-        ),
-        "measuring_chain": MeasuringChain(
-            vibrometer_delay_us=round(max(plant.vibrometer.delay, 0.0) * 1e6, 4),
-            vibrometer_lag_us=round(plant.vibrometer.lag * 1e6, 4),
-            clock_offset_ppm=round(plant.drive.clock * 1e6, 3),
-        ),
+        "amplifier": {
+            "gain_V_per_V": refined.amplifier.gain_V_per_V,
+            "bandwidth_kHz": refined.amplifier.bandwidth_kHz,
+            "delay_us": refined.amplifier.delay_us,
+        },
+        "measuring_chain": {
+            "vibrometer_delay_us": round(max(plant.vibrometer.delay, 0.0) * 1e6, 4),
+            "vibrometer_lag_us": round(plant.vibrometer.lag * 1e6, 4),
+            "clock_offset_ppm": round(plant.drive.clock * 1e6, 3),
+        },
         "unlisted_modes_Hz": tuple(sorted(round(float(abs(pole)) / (2 * np.pi), 1) for pole in plant.unlisted)),
         "positions_mm": tuple(round(float(point) * 1e3, 6) for point in outcome.points),
     }
@@ -276,30 +261,30 @@ def _own(outcome: CalibrationResult) -> dict[str, Any]:
         "focus_centre_mm": outcome.ground.centre_mm,
         "reference_mm_s": outcome.ground.reference,
         "iterations": tuple(
-            IterationFigures(
-                iteration=turn.number,
-                worst_velocity_error_mm_s=round(turn.errors[0] * 1e3, 4),
-                worst_displacement_error_mm_s=round(turn.errors[1] * 1e3, 4),
-                peak_voltage_V=round(turn.peak_voltage, 2),
-            )
+            {
+                "iteration": turn.number,
+                "worst_velocity_error_mm_s": round(turn.errors[0] * 1e3, 4),
+                "worst_displacement_error_mm_s": round(turn.errors[1] * 1e3, 4),
+                "peak_voltage_V": round(turn.peak_voltage, 2),
+            }
             for turn in outcome.turns
         ),
         "modes": tuple(_modes(outcome)),
         "levels": tuple(
-            CalibratedLevel(
-                velocity_mm_s=round(level.velocity * 1e3, 6),
-                amplitude_factor=level.factor,
-                amplitude_Vpp=level.amplitude,
-                at_focus_mm_s=round(level.at_focus * 1e3, 3),
-                uncertainty_mm_s=round(INTERVAL * level.spread * 1e3, 3),
-                highest_mm_s=round(level.highest * 1e3, 2),
-            )
+            {
+                "velocity_mm_s": round(level.velocity * 1e3, 6),
+                "amplitude_factor": level.factor,
+                "amplitude_Vpp": level.amplitude,
+                "at_focus_mm_s": round(level.at_focus * 1e3, 3),
+                "uncertainty_mm_s": round(INTERVAL * level.spread * 1e3, 3),
+                "highest_mm_s": round(level.highest * 1e3, 2),
+            }
             for level in outcome.levels
         ),
     }
 
 
-def _modes(outcome: CalibrationResult) -> list[CalibratedMode]:
+def _modes(outcome: CalibrationResult) -> list[dict[str, Any]]:
     aim, before, after = outcome.correction, outcome.turns[0].state, outcome.best.state
     rows = []
     for row, mode in enumerate(outcome.refined.modes):
@@ -309,18 +294,18 @@ def _modes(outcome: CalibrationResult) -> list[CalibratedMode]:
             for state in (before, after)
         ]
         rows.append(
-            CalibratedMode(
-                label=mode.label,
-                natural_frequency_Hz=mode.natural_frequency_Hz,
-                damping_ratio=mode.damping_ratio,
-                gain_mm_s2_per_V=mode.gain_mm_s2_per_V,
-                wished_mm_s=round(wished * 1e3, DIGITS),
-                target_mm_s=round(aim.velocity[row] * 1e3, DIGITS),
-                target_displacement_mm_s=round(aim.displacement[row] * 1e3, DIGITS),
-                error_before_mm_s=errors[0],
-                error_after_mm_s=errors[1],
-                uncertainty_mm_s=round(INTERVAL * after.spread[row] * 1e3, 4),
-            )
+            {
+                "label": mode.label,
+                "natural_frequency_Hz": mode.natural_frequency_Hz,
+                "damping_ratio": mode.damping_ratio,
+                "gain_mm_s2_per_V": mode.gain_mm_s2_per_V,
+                "wished_mm_s": round(wished * 1e3, DIGITS),
+                "target_mm_s": round(aim.velocity[row] * 1e3, DIGITS),
+                "target_displacement_mm_s": round(aim.displacement[row] * 1e3, DIGITS),
+                "error_before_mm_s": errors[0],
+                "error_after_mm_s": errors[1],
+                "uncertainty_mm_s": round(INTERVAL * after.spread[row] * 1e3, 4),
+            }
         )
     return rows
 

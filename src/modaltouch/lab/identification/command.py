@@ -35,7 +35,7 @@ from modaltouch.lab.identification.responses import FrequencyResponses, Quantity
 from modaltouch.lab.identification.shapes import check_points
 from modaltouch.lab.laboratory import SIMULATED, MeasurementProgress, open_laboratory
 from modaltouch.lab.scan import Scan, read_scan
-from modaltouch.protocol import find, load_source, read_apparatus
+from modaltouch.protocol import Apparatus, Source
 from modaltouch.report import refuse_other
 from modaltouch.system import Interrupted
 
@@ -226,8 +226,8 @@ class _Beam:
 
     def __init__(self, options: IdentifyOptions) -> None:
         self.options = options
-        self.source = load_source(find("apparatus", options.apparatus))
-        self.apparatus = read_apparatus(self.source.path)
+        self.source = Source.find("apparatus", options.apparatus)
+        self.apparatus = Apparatus.read(self.source.path)
         known = tuple(self.apparatus.actuator_sets)
         self.sets = options.sets or known
         strange = next((name for name in self.sets if name not in known), None)

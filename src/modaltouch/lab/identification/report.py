@@ -10,7 +10,7 @@ from typing import Any
 
 from modaltouch.lab.identification.estimates import Estimate, Identification, IdentifiedMode
 from modaltouch.lab.identification.shapes import recognise
-from modaltouch.protocol import InputError, Source, examine_apparatus
+from modaltouch.protocol import Apparatus, Source
 from modaltouch.report import csv_bytes, json_bytes, refuse_other, write_files
 from modaltouch.system import version
 
@@ -237,9 +237,7 @@ def identified_apparatus(
     yaml.dump(document, buffer)
     text = buffer.getvalue()
     file_name = f"{document['apparatus']}.yaml"
-    _, problems = examine_apparatus(Source(Path(file_name), text))
-    if problems:
-        raise InputError(problems)
+    Apparatus.read(Source(Path(file_name), text))
     return file_name, text
 
 

@@ -87,7 +87,7 @@ def plans(
     """
     half, timing = stimulus.model.length / 2, stimulus.timing
     places = np.round(np.linspace(-half, half, n_points), 9)
-    centres = [zone.centre_mm * 1e-3 for zone in ground.zones.values()]
+    centres = [zone.centre_mm * 1e-3 for zone in ground.apparatus.ordered_zones.values()]
     highest = float(stimulus.peak_velocity([*places[:: max(1, n_points // 20)], *centres], velocity).max())
     expected = min(highest * HEADROOM, ground.apparatus.acquisition.range_mm_s * 1e-3)
     outputs = tuple(range(1, stimulus.model.n_channels + 1))
@@ -209,5 +209,5 @@ def complete(folder: Path) -> bool:
 
 
 def _observation(ground: DesignInputs, stimulus: Stimulus, velocity: float, field: Scan, course: Scan) -> Observation:
-    zones = {name: zone.centre_mm * 1e-3 for name, zone in ground.zones.items()}
+    zones = {name: zone.centre_mm * 1e-3 for name, zone in ground.apparatus.ordered_zones.items()}
     return Observation(stimulus, velocity, zones, ground.section.focus, field, course)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from modaltouch.planning.observer.participant import Participant
 from modaltouch.planning.observer.population import Observer
-from modaltouch.protocol import InputError, ObserverFile, Protocol, find, load_source, read
+from modaltouch.protocol import ObserverFile, Protocol
 
 
 def read_observer(name: Path | str) -> Observer:
@@ -24,10 +24,7 @@ def read_observer(name: Path | str) -> Observer:
     InputError
         With every fault of the file and its place; or with the shipped names, where there is no such file.
     """
-    reading = read(load_source(find("observer", name)), ObserverFile)
-    if reading.value is None:
-        raise InputError(reading.problems)
-    return observer_of(reading.value)
+    return observer_of(ObserverFile.read(name))
 
 
 def usual_observer(protocol: Protocol) -> str:

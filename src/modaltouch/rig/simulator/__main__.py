@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from modaltouch.protocol import InputError, read_apparatus
+from modaltouch.protocol import Apparatus, InputError
 from modaltouch.rig.simulator import serve
 
 
@@ -20,7 +20,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--played", type=Path, default=None, help="file that gets a JSON line for each burst")
     options = parser.parse_args(arguments)
     try:
-        serve(read_apparatus(options.apparatus), port=options.port, seed=options.seed, played=options.played)
+        serve(Apparatus.read(options.apparatus), port=options.port, seed=options.seed, played=options.played)
     except InputError as error:
         sys.stderr.write(f"{error}\n")
         return 2

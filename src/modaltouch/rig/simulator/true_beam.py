@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from modaltouch.protocol import Apparatus, Fingers, UnlistedMode
+from modaltouch.protocol import Apparatus
 from modaltouch.stimulus import Amplifier, DiagonalSystem, ModalModel, mode_shapes
 
 FloatArray = NDArray[np.float64]
@@ -27,29 +27,26 @@ class TrueBeam:
     ----------
     table : ModalModel
         The modes of the table with their true values.
-    unlisted : tuple of UnlistedMode
-        The modes that follow them.
+    apparatus : Apparatus
+        Its section ``twin`` has the modes that follow them, and what each finger adds where it touches.
     unlisted_gain : (n_unlisted, n_channels) array
         Their modal accelerations per volt at the beam [m/s^2 per V].
     width : float
         Of the beam, across which torsion turns [m].
     mass : float
         Moving mass of the beam [kg].
-    fingers : Fingers or None
-        What each finger adds where it touches.
     """
 
     table: ModalModel
-    unlisted: tuple[UnlistedMode, ...]
+    apparatus: Apparatus
     unlisted_gain: FloatArray
     width: float
     mass: float
-    fingers: Fingers | None
 
     @property
     def n_modes(self) -> int:
         """Number of modes."""
-        return self.table.n_modes + len(self.unlisted)
+        return self.table.n_modes + len(self.apparatus.twin.unlisted_modes)
 
     @property
     def n_channels(self) -> int:
@@ -59,12 +56,14 @@ class TrueBeam:
     @cached_property
     def natural_frequency(self) -> FloatArray:
         """Undamped natural frequency of each mode, without fingers, (n_modes,) array [Hz]."""
-        return np.append(self.table.natural_frequency, [mode.natural_frequency_Hz for mode in self.unlisted])
+        return np.append(
+            self.table.natural_frequency, [mode.natural_frequency_Hz for mode in self.apparatus.twin.unlisted_modes]
+        )
 
     @cached_property
     def damping_ratio(self) -> FloatArray:
         """Damping ratio of each mode, without fingers, (n_modes,) array [1]."""
-        return np.append(self.table.damping_ratio, [mode.damping_ratio for mode in self.unlisted])
+        return np.append(self.table.damping_ratio, [mode.damping_ratio for mode in self.apparatus.twin.unlisted_modes])
 
     @cached_property
     def modal_gain(self) -> FloatArray:
@@ -84,7 +83,7 @@ class TrueBeam:
         x = np.atleast_1d(np.asarray(position, dtype=float))
         across = np.broadcast_to(np.asarray(offset, dtype=float), x.shape)
         rows = [self.table.shapes(x)]
-        for mode in self.unlisted:
+        for mode in self.apparatus.twin.unlisted_modes:
             if mode.family == "bending":
                 rows.append(mode_shapes([mode.label], x, self.table.length))
             else:
@@ -112,10 +111,11 @@ class TrueBeam:
         """
         omega = 2 * np.pi * self.natural_frequency
         damping, mass = np.diag(2 * self.damping_ratio * omega), np.eye(self.n_modes)
-        if self.fingers is not None and touched:
-            contact = sum(self._contact(place, self.fingers.contact_width_mm * 1e-3) for place in touched)
-            mass = mass + self.fingers.mass_g * 1e-3 / self.mass * contact
-            damping = damping + self.fingers.damping_N_s_per_m / self.mass * contact
+        fingers = self.apparatus.twin.fingers
+        if fingers is not None and touched:
+            contact = sum(self._contact(place, fingers.contact_width_mm * 1e-3) for place in touched)
+            mass = mass + fingers.mass_g * 1e-3 / self.mass * contact
+            damping = damping + fingers.damping_N_s_per_m / self.mass * contact
         # In the state (omega eta, eta') both halves have one unit and one size.
         lower = np.linalg.solve(mass, np.concatenate([-np.diag(omega), -damping, self.modal_gain], axis=1))
         n = self.n_modes
@@ -194,11 +194,10 @@ def true_beam(apparatus: Apparatus, seed: int) -> TrueBeam:
             row[apparatus.actuator_sets[name].channel - 1] = value * 1e-3
     return TrueBeam(
         table=table,
-        unlisted=twin.unlisted_modes,
+        apparatus=apparatus,
         unlisted_gain=unlisted_gain,
         width=apparatus.beam.width_mm * 1e-3,
         mass=twin.beam_mass_g * 1e-3,
-        fingers=twin.fingers,
     )
 
 

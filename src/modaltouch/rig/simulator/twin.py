@@ -91,7 +91,7 @@ class Twin:
         touched : sequence of float
             Centres of the contacts, origin at mid-beam [m].
         """
-        key = tuple(touched) if self.beam.fingers is not None else ()
+        key = tuple(touched) if self.beam.apparatus.twin.fingers is not None else ()
         if key not in self._systems:
             self._systems[key] = self.beam.equations(self.amplifier, key)
         return self._systems[key]
@@ -129,7 +129,11 @@ class Twin:
         for oldest in list(self._felt)[:-SETTINGS_KEPT]:
             self._felt.pop(oldest, None)
         # Fingers that weigh change the beam for each other; others feel it as it is.
-        fingers = tuple(sorted(positions if touched is None else touched)) if self.beam.fingers is not None else ()
+        fingers = (
+            tuple(sorted(positions if touched is None else touched))
+            if self.beam.apparatus.twin.fingers is not None
+            else ()
+        )
         missing = [x for x in dict.fromkeys(positions) if (x, *fingers) not in felt]
         if missing:
             self.n_computed += 1

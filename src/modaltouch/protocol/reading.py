@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import math
-import types
-import typing
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from functools import lru_cache
-from typing import Annotated, Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
-from pydantic import BaseModel, TypeAdapter, ValidationError
+from pydantic import BaseModel, ValidationError
 
-from modaltouch.protocol.document.allowed import Step, describe, keys_of, number_meant
-from modaltouch.protocol.document.problems import Problem, format_path, suggest
-from modaltouch.protocol.document.section import LARGEST, SMALLEST
-from modaltouch.protocol.document.source import Source
-from modaltouch.protocol.document.tree import Node, parse_tree
+from modaltouch.protocol.problems import Problem, format_path, suggest
+from modaltouch.protocol.section import LARGEST, SMALLEST, Step, adapter, annotation_at, describe, keys_of, number_meant
+from modaltouch.protocol.source import Source
+from modaltouch.protocol.tree import Node, parse_tree
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -60,11 +56,11 @@ class Reading(Generic[Model]):
             if child is None:
                 return _default(self.model, path, depth) if isinstance(node.content, dict) else None
             node = child
-        adapter = _adapter(self.model, path)
-        if node is None or adapter is None:
+        known = adapter(self.model, path)
+        if node is None or known is None:
             return None
         try:
-            return adapter.validate_python(node.plain())
+            return known.validate_python(node.plain())
         except ValidationError:
             return None
 
@@ -74,7 +70,7 @@ class Reading(Generic[Model]):
         A key that is probably a misspelt one of the section's own is not left out: its value is wanted.
         """
         value = self.sound(*path)
-        section, node = _annotation(self.model, path), self.find(path)
+        section, node = annotation_at(self.model, path), self.find(path)
         if value is not None or node is None or not isinstance(node.content, dict):
             return value
         if not (isinstance(section, type) and issubclass(section, BaseModel)):
@@ -107,6 +103,24 @@ class Reading(Generic[Model]):
             node = node.child(step) if node is not None else None
         return node
 
+    def keys(self, *path: Step) -> list[str] | None:
+        """Keys of the mapping at a path; None where there is no mapping."""
+        node = self.find(path)
+        return list(node.content) if node is not None and isinstance(node.content, dict) else None
+
+    def length(self, *path: Step) -> int | None:
+        """Number of entries of the list at a path; None where there is no list."""
+        node = self.find(path)
+        return len(node.content) if node is not None and isinstance(node.content, list) else None
+
+    def unknown(self, path: Iterable[Step], kind: str, known: Iterable[str], *, at_key: bool = False) -> Problem:
+        """Problem of a name, the value at a path or its last key, that is not among the known ones."""
+        *_, last = steps = tuple(path)
+        # Of several stimuli the value is that of the one looked at, and the text that of what they share.
+        name, names = str(last if at_key else self.sound(*steps)), list(known)
+        remedy = f"did you mean '{meant}'?" if (meant := suggest(name, names)) else ""
+        return self.problem(steps, f"'{name}', which is not {kind}", ", ".join(names), remedy, at_key=at_key)
+
     def problem(
         self, path: Iterable[Step], given: str, allowed: str, remedy: str = "", *, at_key: bool = False
     ) -> Problem:
@@ -114,6 +128,10 @@ class Reading(Generic[Model]):
         steps = tuple(path)
         line, column = self._place(steps, at_key=at_key)
         return Problem(str(self.source.path), line, column, format_path(steps), given, allowed, remedy)
+
+    def defaults(self) -> list[dict[str, Any]]:
+        """Keys that the file leaves out and the values taken for them, in the schema's order."""
+        return [] if self.root is None else list(_absent(self.model, self.root, ""))
 
     def _place(self, path: tuple[Step, ...], *, at_key: bool) -> tuple[int, int]:
         node = self.root
@@ -171,7 +189,7 @@ def _translate(reading: Reading[Any], details: Any) -> Problem:
     if kind == "modaltouch":
         return reading.problem(path, context["given"], context["allowed"], context["remedy"])
     if kind == "extra_forbidden":
-        return _unknown_key(reading, path)
+        return reading.unknown(path, "a key here", keys_of(reading.model, path[:-1]), at_key=True)
     if details["loc"] and details["loc"][-1] == "[key]":
         allowed = context.get("expected") or "a word of letters, digits, _ and -"
         return reading.problem(path, f"{path[-1]!r} as a key", allowed.replace(" or ", ", "), at_key=True)
@@ -210,14 +228,6 @@ def _real_path(reading: Reading[Any], details: Any) -> tuple[Step, ...]:
     return tuple(path)
 
 
-def _unknown_key(reading: Reading[Any], path: tuple[Step, ...]) -> Problem:
-    known = keys_of(reading.model, path[:-1])
-    meant = suggest(str(path[-1]), known)
-    given = f"'{path[-1]}', which is not a key here"
-    remedy = f"did you mean '{meant}'?" if meant else ""
-    return reading.problem(path, given, ", ".join(known), remedy, at_key=True)
-
-
 def _in_words(node: Node | None) -> str:
     """Return what stands at a node."""
     if node is None or node.content is None:
@@ -253,6 +263,19 @@ def _remedy(reading: Reading[Any], path: tuple[Step, ...], node: Node | None) ->
     return ""
 
 
+def _absent(section: type[BaseModel], node: Node | None, prefix: str) -> Iterator[dict[str, Any]]:
+    for name, info in section.model_fields.items():
+        child = node.child(name) if node is not None else None
+        if child is None and info.is_required():
+            continue
+        inner = info.annotation
+        if isinstance(inner, type) and issubclass(inner, BaseModel):
+            yield from _absent(inner, child, f"{prefix}{name}.")
+        elif child is None:
+            value = info.get_default(call_default_factory=True)
+            yield {"key": f"{prefix}{name}", "value": list(value) if isinstance(value, tuple) else value}
+
+
 def _descend(value: Any, path: Iterable[Step]) -> Any:
     for step in path:
         if isinstance(value, BaseModel):
@@ -268,39 +291,9 @@ def _descend(value: Any, path: Iterable[Step]) -> Any:
 
 def _default(model: type[BaseModel], path: tuple[Step, ...], depth: int) -> Any:
     """Return the default of what is absent from `path[depth]` on, or None where it has none."""
-    parent: Any = _annotation(model, path[:depth])
+    parent: Any = annotation_at(model, path[:depth])
     step = path[depth]
     if not (isinstance(parent, type) and issubclass(parent, BaseModel)) or step not in parent.model_fields:
         return None
     info = parent.model_fields[str(step)]
     return None if info.is_required() else _descend(info.get_default(call_default_factory=True), path[depth + 1 :])
-
-
-@lru_cache(maxsize=1024)
-def _adapter(model: type[BaseModel], path: tuple[Step, ...]) -> TypeAdapter[Any] | None:
-    annotation = _annotation(model, path)
-    return None if annotation is None else TypeAdapter(annotation)
-
-
-def _annotation(model: type[BaseModel], path: Iterable[Step]) -> Any:
-    """Return the annotation at a path of a model, or None."""
-    annotation: Any = model
-    for step in path:
-        annotation = _step_into(annotation, step)
-    return annotation
-
-
-def _step_into(annotation: Any, step: Step) -> Any:
-    origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
-    if origin is Annotated:
-        return _step_into(arguments[0], step)
-    if origin in (typing.Union, types.UnionType):
-        return next((found for branch in arguments if (found := _step_into(branch, step)) is not None), None)
-    if origin is tuple and isinstance(step, int):
-        return arguments[0] if arguments[-1] is Ellipsis else arguments[min(step, len(arguments) - 1)]
-    if origin is dict and isinstance(step, str):
-        return arguments[1]
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel) and step in annotation.model_fields:
-        info = annotation.model_fields[str(step)]
-        return Annotated[info.annotation, *info.metadata] if info.metadata else info.annotation
-    return None

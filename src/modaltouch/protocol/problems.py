@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from pydantic_core import PydanticCustomError
@@ -48,16 +48,7 @@ class Problem:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the problem as plain values for ``--json``."""
-        return {
-            "file": self.file,
-            "line": self.line,
-            "column": self.column,
-            "path": self.path,
-            "given": self.given,
-            "allowed": self.allowed,
-            "remedy": self.remedy,
-            "message": self.message,
-        }
+        return {**asdict(self), "message": self.message}
 
 
 class InputError(Exception):

@@ -6,17 +6,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from modaltouch.protocol.document import fault
-from modaltouch.protocol.document.section import (
-    DampingRatio,
-    Label,
-    NotNegative,
-    Number,
-    Positive,
-    Section,
-    Word,
-    described,
-)
+from modaltouch.protocol.problems import fault
+from modaltouch.protocol.section import DampingRatio, Label, NotNegative, Number, Positive, Section, Word, described
 
 
 class UnlistedMode(Section):

@@ -15,8 +15,8 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 from ruamel.yaml.reader import ReaderError
 
-from modaltouch.protocol.document.problems import Problem, format_path
-from modaltouch.protocol.document.source import Source
+from modaltouch.protocol.problems import Problem, format_path
+from modaltouch.protocol.source import Source
 
 Scalar = str | int | float | bool | None
 

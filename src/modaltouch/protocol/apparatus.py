@@ -6,15 +6,20 @@ them, and nothing else does.
 
 from __future__ import annotations
 
+import hashlib
+import itertools
+import json
+from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from pydantic import Field
 
-from modaltouch.protocol.apparatus.intervals import Identified, Intervals, Provenance
-from modaltouch.protocol.apparatus.measured_shapes import ShapeTable
-from modaltouch.protocol.apparatus.twin import TwinSection
-from modaltouch.protocol.document.section import (
+from modaltouch.protocol.identified import Identified, Intervals, Provenance, ShapeTable, check_shapes
+from modaltouch.protocol.problems import InputError, Problem
+from modaltouch.protocol.reading import Reading, read
+from modaltouch.protocol.section import (
     DampingRatio,
     FileName,
     Label,
@@ -26,10 +31,16 @@ from modaltouch.protocol.document.section import (
     Word,
     described,
 )
+from modaltouch.protocol.source import Source
+from modaltouch.protocol.twin import TwinSection
 
 if TYPE_CHECKING:
     from modaltouch.stimulus import Amplifier as AmplifierValues
     from modaltouch.stimulus import ModalModel
+
+
+_MEASURED = ("beam", "actuator_sets", "modes", "amplifier", "generator", "acquisition", "twin")
+"""Parts that a calibration holds for; names, zones and limits may change."""
 
 
 class Beam(Section):
@@ -54,6 +65,11 @@ class Zone(Section):
 
     centre_mm: Number = described("Centre of the zone [mm from mid-beam, positive to the participant's right].")
     width_mm: Positive = described("Width of the zone [mm].")
+
+    @property
+    def edges(self) -> tuple[float, float]:
+        """Left and right edge [mm from mid-beam]."""
+        return self.centre_mm - self.width_mm / 2, self.centre_mm + self.width_mm / 2
 
 
 class ActuatorSet(Section):
@@ -260,6 +276,173 @@ class Apparatus(Section):
         """Return mode label and actuator set of every gain that is assumed, not measured."""
         return tuple((mode.label, name) for mode in self.modes for name in mode.assumed)
 
-    def zone_order(self) -> tuple[str, ...]:
-        """Return the zones' names from left to right."""
-        return tuple(sorted(self.zones, key=lambda name: self.zones[name].centre_mm))
+    def offered_gains(self) -> tuple[tuple[int, str, float], ...]:
+        """Mode label, actuator set and gain [mm/s^2 per V] that patches suggest where the table knows none.
+
+        Theory gives the ratios among the bending modes (`patch_gains`). The gains that the table has give their common
+        factor: the median of what each of them says. A set without any such gain, or without patches, offers nothing.
+        """
+        from modaltouch.stimulus import patch_gains
+
+        offered = []
+        bending = [mode for mode in self.modes if mode.label > 2]
+        for name, actuators in self.actuator_sets.items():
+            if not (actuators.patches_mm and bending):
+                continue
+            ends = [(left * 1e-3, right * 1e-3) for left, right in actuators.patches_mm]
+            unit = patch_gains([mode.label for mode in bending], ends, self.beam.length_mm * 1e-3)
+            felt = np.abs(unit) > _NOTHING * np.abs(unit).max()
+            pairs = list(zip(bending, unit.tolist(), felt.tolist(), strict=True))
+            factors = [
+                mode.gain_mm_s2_per_V[name] / each
+                for mode, each, feels in pairs
+                if feels and name in mode.gain_mm_s2_per_V and name not in mode.assumed
+            ]
+            if factors:
+                factor = float(np.median(factors))
+                offered += [
+                    (mode.label, name, factor * each)
+                    for mode, each, feels in pairs
+                    if feels and (name not in mode.gain_mm_s2_per_V or name in mode.assumed)
+                ]
+        return tuple(offered)
+
+    @property
+    def ordered_zones(self) -> dict[str, Zone]:
+        """Zones by name, from left to right."""
+        return dict(sorted(self.zones.items(), key=lambda item: item[1].centre_mm))
+
+    @property
+    def measured_hash(self) -> str:
+        """SHA-256 of the values that a calibration depends on; keys at their default do not count."""
+        values = self.model_dump(mode="json", include=set(_MEASURED), exclude_defaults=True)
+        return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
+
+    @classmethod
+    def read(cls, given: Path | str | Source) -> Apparatus:
+        """Apparatus that a YAML file describes.
+
+        Parameters
+        ----------
+        given : path or Source
+            The file, the name of a shipped apparatus, or a text.
+
+        Raises
+        ------
+        InputError
+            With every fault of the file.
+        """
+        reading, problems = examine_apparatus(given if isinstance(given, Source) else Source.find("apparatus", given))
+        if problems or reading.value is None:
+            raise InputError(problems)
+        return reading.value
+
+
+def examine_apparatus(source: Source) -> tuple[Reading[Apparatus], list[Problem]]:
+    """Text of an apparatus file as far as it is sound, and its faults."""
+    reading = read(source, Apparatus)
+    return reading, [*reading.problems, *check_apparatus(reading)]
+
+
+_NOTHING = 1e-6
+"""Gain, over the largest of its set, below which a patch does not drive a mode: it lies across a node [1]."""
+
+
+def check_patches(reading: Reading[Apparatus]) -> Iterator[Problem]:
+    """Yield the patches that lie off the beam or end before they begin."""
+    length = reading.sound("beam", "length_mm")
+    for name, actuators in reading.items("actuator_sets"):
+        for index, (left, right) in enumerate(actuators.patches_mm):
+            path = ("actuator_sets", name, "patches_mm", index)
+            given = f"a patch from {left:g} to {right:g} mm"
+            if not left < right:
+                yield reading.problem(path, given, "the left end first", "exchange the two ends")
+            elif length is not None and max(-left, right) > length / 2 * (1 + 1e-9):
+                allowed = f"from {-length / 2:g} to {length / 2:g} mm, where the beam of {length:g} mm ends"
+                yield reading.problem(path, given, allowed, "measure from mid-beam")
+
+
+def check_apparatus(reading: Reading[Apparatus]) -> list[Problem]:
+    """Return the faults between the keys of an apparatus, as far as its sound parts show them."""
+    return [
+        *_check_zones(reading),
+        *_check_actuator_sets(reading),
+        *_check_modes(reading),
+        *_check_unlisted(reading),
+        *check_shapes(reading),
+        *check_patches(reading),
+        *_check_latency(reading),
+    ]
+
+
+def _check_zones(reading: Reading[Apparatus]) -> Iterator[Problem]:
+    length = reading.sound("beam", "length_mm")
+    zones: list[tuple[str, Zone]] = reading.items("zones")
+    tolerance = 1e-9 * (length or 1.0)
+    for name, zone in zones:
+        left, right = zone.edges
+        if length is not None and max(-left, right) > length / 2 + tolerance:
+            given = f"a zone from {left:g} to {right:g} mm"
+            allowed = f"from {-length / 2:g} to {length / 2:g} mm, where the beam of {length:g} mm ends"
+            yield reading.problem(("zones", name), given, allowed, "move it or make it narrower")
+    ordered = sorted(zones, key=lambda item: item[1].centre_mm)
+    for (first, one), (second, other) in itertools.pairwise(ordered):
+        if other.edges[0] < one.edges[1] - tolerance:
+            given = f"a zone that begins at {other.edges[0]:g} mm, within zone {first}"
+            allowed = f"from {one.edges[1]:g} mm on, where zone {first} ends"
+            yield reading.problem(("zones", second), given, allowed, "move one of them or make it narrower")
+
+
+def _check_actuator_sets(reading: Reading[Apparatus]) -> Iterator[Problem]:
+    taken: dict[int, str] = {}
+    for name, actuators in reading.items("actuator_sets"):
+        if actuators.channel in taken:
+            given = f"{actuators.channel}, which feeds the set {taken[actuators.channel]} already"
+            remedy = "give each set an output of its own"
+            yield reading.problem(("actuator_sets", name, "channel"), given, "a free output of 1, 2", remedy)
+        taken.setdefault(actuators.channel, name)
+
+
+def _check_modes(reading: Reading[Apparatus]) -> Iterator[Problem]:
+    sets, taken = reading.keys("actuator_sets"), dict[int, int]()
+    for index in range(reading.length("modes") or 0):
+        mode = ("modes", index)
+        label = reading.sound(*mode, "label")
+        if label in taken:
+            given = f"{label}, the label of modes[{taken[label]}] too"
+            yield reading.problem((*mode, "label"), given, "each label once", "remove one of them")
+        elif label is not None:
+            taken[label] = index
+        named = reading.keys(*mode, "gain_mm_s2_per_V") or []
+        yield from _unknown_sets(reading, (*mode, "gain_mm_s2_per_V"), named if sets is None else sets)
+        yield from _unknown_sets(reading, (*mode, "intervals_95", "gain_mm_s2_per_V"), named)
+        for position, name in reading.items(*mode, "assumed"):
+            if name not in named:
+                yield reading.unknown((*mode, "assumed", position), "a set with a gain in this mode", named)
+
+
+def _check_unlisted(reading: Reading[Apparatus]) -> Iterator[Problem]:
+    n_modes = reading.length("modes") or 0
+    taken = {("bending", reading.sound("modes", index, "label")): f"modes[{index}]" for index in range(n_modes)}
+    for index in range(reading.length("twin", "unlisted_modes") or 0):
+        mode = ("twin", "unlisted_modes", index)
+        label, family = reading.sound(*mode, "label"), reading.sound(*mode, "family")
+        if label is not None and (family, label) in taken:
+            given = f"{label}, the label of {taken[(family, label)]} too"
+            yield reading.problem((*mode, "label"), given, "each mode once", "remove one of them")
+        taken.setdefault((family, label), f"twin.unlisted_modes[{index}]")
+        yield from _unknown_sets(reading, (*mode, "gain_mm_s2_per_V"), reading.keys("actuator_sets") or [])
+
+
+def _unknown_sets(reading: Reading[Apparatus], path: tuple[str | int, ...], known: list[str]) -> Iterator[Problem]:
+    """Yield the keys of a mapping that are no known actuator sets."""
+    for name in reading.keys(*path) or ():
+        if name not in known:
+            yield reading.unknown((*path, name), "a set of actuator_sets", known, at_key=True)
+
+
+def _check_latency(reading: Reading[Apparatus]) -> Iterator[Problem]:
+    low, high = (reading.sound("generator", "trigger_latency_ms", bound) for bound in ("low", "high"))
+    if low is not None and high is not None and low > high:
+        path = ("generator", "trigger_latency_ms", "low")
+        yield reading.problem(path, f"{low:g} ms, above the longest of {high:g} ms", f"at most {high:g}", "swap them")

@@ -12,9 +12,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from modaltouch.protocol.schedule.designs import Cell, insert_catches, order_cells, period_of_rows
-from modaltouch.protocol.schedule.streams import ALGORITHM, Stream, key_of
+import numpy as np
+
+from modaltouch.protocol.designs import Cell, insert_catches, order_cells, period_of_rows
 from modaltouch.protocol.sections import Placement, Protocol
+from modaltouch.protocol.streams import ALGORITHM, Stream, key_of, seed_sequence
 from modaltouch.protocol.trial import Condition, Trial
 
 
@@ -32,6 +34,47 @@ class Turn:
 
     number: int
     reason: str
+
+    @staticmethod
+    def of(participant: str, seed: int, session: int) -> Turn:
+        """Return which of several balanced orders is a participant's by number or hash.
+
+        Sessions of one participant take turns too, so nothing is drawn anew for them.
+
+        Parameters
+        ----------
+        participant, seed, session
+            As `Schedule.draw` takes them.
+        """
+        ending = re.search(r"[0-9]+$", participant)
+        if ending is not None:
+            return Turn(int(ending.group()[-18:]) - 1 + session - 1, "number of the participant")
+        stream = Stream(seed, participant, 1, "order of finger conditions")
+        return Turn(stream.below(2**64) + session - 1, "hash of the participant")
+
+    @staticmethod
+    def recorded(start: dict[str, Any]) -> Turn | None:
+        """Return the turn that a start record keeps; None where the participant's number or hash decided.
+
+        Parameters
+        ----------
+        start : dict
+            Start record of a session.
+        """
+        schedule = start.get("schedule", {})
+        return Turn(int(schedule["turn"]), str(schedule["turn_by"])) if "turn" in schedule else None
+
+    @staticmethod
+    def period(protocol: Protocol) -> int:
+        """Return after how many turns orders of finger conditions, placements and rows repeat together.
+
+        Parameters
+        ----------
+        protocol : Protocol
+            The design.
+        """
+        n_orders = len(_orders_of_finger_conditions(protocol)) * len(protocol.conditions.placements)
+        return math.lcm(n_orders, period_of_rows(protocol))
 
 
 @dataclass(frozen=True)
@@ -133,60 +176,73 @@ class Schedule:
             "order": [_brief(trial) for trial in self.trials],
         }
 
+    @classmethod
+    def draw(
+        cls, protocol: Protocol, participant: str, seed: int, session: int = 1, *, given: Turn | None = None
+    ) -> Schedule:
+        """A participant's schedule; the same arguments give the same schedule.
 
-def draw_schedule(
-    protocol: Protocol, participant: str, seed: int, session: int = 1, *, given: Turn | None = None
-) -> Schedule:
-    """Return a participant's schedule; the same arguments give the same schedule.
+        Parameters
+        ----------
+        protocol : Protocol
+            The design.
+        participant : str
+            Identifier of the participant.
+        seed : int
+            Seed of the study, 0 or above.
+        session : int
+            Number of the session, from 1; every session has an order of its own.
+        given : Turn, optional
+            The participant's turn, where records decide it and not the participant's number.
 
-    Parameters
-    ----------
-    protocol : Protocol
-        The design.
-    participant : str
-        Identifier of the participant.
-    seed : int
-        Seed of the study, 0 or above.
-    session : int
-        Number of the session, from 1; every session has an order of its own.
-    given : Turn, optional
-        The participant's turn, where records decide it and not the participant's number.
+        Raises
+        ------
+        ValueError
+            If an argument is out of bounds or no order keeps the protocol's limit on runs.
+        """
+        _check_arguments(participant, seed, session)
+        decided = given or Turn.of(participant, seed, session)
+        turn = decided.number
+        orders = _orders_of_finger_conditions(protocol)
+        placements = protocol.conditions.placements
+        # Orders change with every participant, placements each time all orders have been had.
+        finger_conditions = orders[turn % len(orders)]
+        placement = placements[turn // len(orders) % len(placements)]
+        blocks: list[Block] = []
+        for number, finger_condition in enumerate(finger_conditions, start=1):
+            stream = Stream(seed, participant, session, _purpose_of_order(finger_condition))
+            cells = order_cells(protocol, turn, stream)
+            if protocol.schedule.catch_trials:
+                catches = Stream(seed, participant, session, _purpose_of_catches(finger_condition))
+                cells = insert_catches(protocol, cells, catches)
+            conditions = [_place(finger_condition, cell, placement) for cell in cells]
+            first = sum(len(block.trials) for block in blocks) + 1
+            blocks.append(Block(number, finger_condition, _number(conditions, block=number, first=first)))
+        stream = Stream(seed, participant, session, "practice")
+        practised = [_place(finger_conditions[0], cell, placement) for cell in _draw_practice(protocol, stream)]
+        return cls(
+            participant=participant,
+            session=session,
+            seed=seed,
+            practice=_number(practised, block=0, first=1),
+            blocks=tuple(blocks),
+            is_adaptive=protocol.adaptive is not None,
+            finger_conditions_by=decided.reason if len(orders) > 1 else "protocol",
+            turn=given,
+        )
 
-    Raises
-    ------
-    ValueError
-        If an argument is out of bounds or no order keeps the protocol's limit on runs.
-    """
-    _check_arguments(participant, seed, session)
-    decided = given or turn_of(participant, seed, session)
-    turn = decided.number
-    orders = _orders_of_finger_conditions(protocol)
-    placements = protocol.conditions.placements
-    # Orders change with every participant, placements each time all orders have been had.
-    finger_conditions = orders[turn % len(orders)]
-    placement = placements[turn // len(orders) % len(placements)]
-    blocks: list[Block] = []
-    for number, finger_condition in enumerate(finger_conditions, start=1):
-        stream = Stream(seed, participant, session, _purpose_of_order(finger_condition))
-        cells = order_cells(protocol, turn, stream)
-        if protocol.schedule.catch_trials:
-            catches = Stream(seed, participant, session, _purpose_of_catches(finger_condition))
-            cells = insert_catches(protocol, cells, catches)
-        conditions = [_place(finger_condition, cell, placement) for cell in cells]
-        first = sum(len(block.trials) for block in blocks) + 1
-        blocks.append(Block(number, finger_condition, _number(conditions, block=number, first=first)))
-    stream = Stream(seed, participant, session, "practice")
-    practised = [_place(finger_conditions[0], cell, placement) for cell in _draw_practice(protocol, stream)]
-    return Schedule(
-        participant=participant,
-        session=session,
-        seed=seed,
-        practice=_number(practised, block=0, first=1),
-        blocks=tuple(blocks),
-        is_adaptive=protocol.adaptive is not None,
-        finger_conditions_by=decided.reason if len(orders) > 1 else "protocol",
-        turn=given,
-    )
+    @staticmethod
+    def random_generator(seed: int, participant: str, session: int, purpose: str) -> np.random.Generator:
+        """Generator for what the order does not hang on, as for an observer's answers.
+
+        Parameters
+        ----------
+        seed, participant, session
+            As `draw` takes them.
+        purpose : str
+            What it is for; each purpose has chance of its own.
+        """
+        return np.random.Generator(np.random.PCG64(seed_sequence(seed, participant, session, purpose)))
 
 
 def _orders_of_finger_conditions(protocol: Protocol) -> list[tuple[str, ...]]:
@@ -198,47 +254,6 @@ def _place(finger_condition: str, cell: Cell, placement: Placement) -> Condition
     """Return a cell under a participant's fingers; on a beam turned end to end, left and right change places."""
     left, right = reversed(cell[0]) if placement.startswith("mirrored") else cell[0]
     return Condition(finger_condition, left, right, cell[1], placement, cell[2])
-
-
-def period_of_turns(protocol: Protocol) -> int:
-    """Return after how many turns orders of finger conditions, placements and rows repeat together.
-
-    Parameters
-    ----------
-    protocol : Protocol
-        The design.
-    """
-    n_orders = len(_orders_of_finger_conditions(protocol)) * len(protocol.conditions.placements)
-    return math.lcm(n_orders, period_of_rows(protocol))
-
-
-def turn_of(participant: str, seed: int, session: int) -> Turn:
-    """Return which of several balanced orders is a participant's by number or hash.
-
-    Sessions of one participant take turns too, so nothing is drawn anew for them.
-
-    Parameters
-    ----------
-    participant, seed, session
-        As `draw_schedule` takes them.
-    """
-    ending = re.search(r"[0-9]+$", participant)
-    if ending is not None:
-        return Turn(int(ending.group()[-18:]) - 1 + session - 1, "number of the participant")
-    stream = Stream(seed, participant, 1, "order of finger conditions")
-    return Turn(stream.below(2**64) + session - 1, "hash of the participant")
-
-
-def recorded_turn(start: dict[str, Any]) -> Turn | None:
-    """Return the turn that a start record keeps; None where the participant's number or hash decided.
-
-    Parameters
-    ----------
-    start : dict
-        Start record of a session.
-    """
-    schedule = start.get("schedule", {})
-    return Turn(int(schedule["turn"]), str(schedule["turn_by"])) if "turn" in schedule else None
 
 
 def _check_arguments(participant: str, seed: int, session: int) -> None:

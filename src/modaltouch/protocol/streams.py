@@ -43,11 +43,6 @@ def seed_sequence(seed: int, participant: str, session: int, purpose: str) -> np
     return np.random.SeedSequence([seed, key_of(participant), session, key_of(purpose)])
 
 
-def random_generator(seed: int, participant: str, session: int, purpose: str) -> np.random.Generator:
-    """Return numpy's generator on a stream, for purposes that need distributions (a simulated observer)."""
-    return np.random.Generator(np.random.PCG64(seed_sequence(seed, participant, session, purpose)))
-
-
 class Stream:
     """Uniform whole numbers and orders from one stream.
 

@@ -1,0 +1,366 @@
+"""Calibration file: what makes the stimuli of a protocol true on one rig, and whether it fits them."""
+
+from __future__ import annotations
+
+import re
+from abc import abstractmethod
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from datetime import UTC, datetime
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, RootModel
+
+from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.protocol.problems import Problem
+from modaltouch.protocol.reading import Reading, read
+from modaltouch.protocol.section import (
+    DampingRatio,
+    Label,
+    NotNegative,
+    Number,
+    Positive,
+    Section,
+    Text,
+    Word,
+    described,
+)
+from modaltouch.protocol.sections import Protocol
+from modaltouch.protocol.source import Source
+from modaltouch.protocol.stimulus_sections import StimulusSection
+
+Hash = Annotated[Text, Field(pattern=r"^[0-9a-f]{64}$", json_schema_extra={"x-allowed": "64 hexadecimal digits"})]
+
+
+class CalibratedApparatus(Section):
+    """Which apparatus file it was made with."""
+
+    name: Text = described("Name of the apparatus.")
+    sha256: Hash = described("Hash of its values: beam, sets, modes, amplifier, generator, acquisition, twin.")
+
+
+class Instruments(Section):
+    """Which instruments it was made with."""
+
+    generator: Text = described("Reply of the generator to *IDN?, with its serial number.")
+    scope: Text = described("Model and serial number of the scope.")
+    mode: Literal["simulated", "real"] = described("Whether any of them was simulated.")
+
+
+class CalibratedAmplifier(Section):
+    """The way from the generator to the beam, as the measured drive tells."""
+
+    gain_V_per_V: Positive = described("Voltage gain of the stronger channel [V/V].")  # noqa: N815
+    bandwidth_kHz: Positive | None = described("Corner of its first-order pole [kHz]; null if too high to tell.")  # noqa: N815
+    delay_us: NotNegative = described("Delay from generator to beam [us].")
+
+
+class MeasuringChain(Section):
+    """What the measurement itself adds, taken out of every figure."""
+
+    vibrometer_delay_us: NotNegative = described("Pure delay of the vibrometer [us].")
+    vibrometer_lag_us: NotNegative = described("Time constant of its low-pass [us].")
+    clock_offset_ppm: Number = described("How much the scope's clock runs fast against the generator's [ppm].")
+
+
+class CalibratedMode(Section):
+    """A modelled mode on this rig: refined values, corrected targets, and what was reached at the reference level."""
+
+    label: Label = described("Number of the mode.")
+    natural_frequency_Hz: Positive = described("Natural frequency [Hz].")  # noqa: N815
+    damping_ratio: DampingRatio = described("Damping ratio [1].")
+    gain_mm_s2_per_V: dict[Word, Number] = described("Modal acceleration per volt at the beam, by actuator set.")  # noqa: N815
+    wished_mm_s: Number = described("Modal velocity wished at the focusing instant [mm/s].")
+    target_mm_s: Number = described("Modal velocity aimed at [mm/s].")
+    target_displacement_mm_s: Number = described("Modal displacement times angular frequency aimed at [mm/s].")
+    error_before_mm_s: tuple[Number, Number] = described(
+        "Errors of velocity and of displacement times angular frequency before [mm/s]."
+    )
+    error_after_mm_s: tuple[Number, Number] = described("The same after [mm/s].")
+    uncertainty_mm_s: NotNegative = described("Half width of the 95 % interval of each error, from noise [mm/s].")
+
+
+class CalibratedLevel(Section):
+    """A velocity level as measured at the centre of the focus zone."""
+
+    velocity_mm_s: Positive = described("The level [mm/s].")
+    amplitude_factor: Annotated[float, Field(strict=True, gt=0.5, lt=2, allow_inf_nan=False)] = described(
+        "Factor of the amplitude that proportion would give [1]."
+    )
+    amplitude_Vpp: tuple[NotNegative, ...] = described("Amplitude of each output [V peak to peak, open circuit].")  # noqa: N815
+    at_focus_mm_s: Number = described("Velocity measured at the focusing instant [mm/s].")
+    uncertainty_mm_s: NotNegative = described("Half width of its 95 % interval, from noise [mm/s].")
+    highest_mm_s: NotNegative = described("Highest speed over the whole burst there [mm/s].")
+
+
+class IterationFigures(Section):
+    """What one turn of the loop measured, at the reference level."""
+
+    iteration: Annotated[int, Field(strict=True, ge=0)] = described("0 before the calibration.")
+    worst_velocity_error_mm_s: NotNegative = described("Largest error of a modal velocity [mm/s].")
+    worst_displacement_error_mm_s: NotNegative = described(
+        "Largest modal displacement times angular frequency, which is wished to be 0 [mm/s]."
+    )
+    peak_voltage_V: NotNegative = described("Highest voltage at the beam [V].")  # noqa: N815
+
+
+class Calibration(Section):
+    """What every calibration file holds: who made it, with what, and what holds for the rig."""
+
+    calibration: Literal[1] = described("Version of this form.")
+    made: Text = described("When, with the offset from UTC (ISO 8601).")
+    made_by: Text = described("Program, version and commit.")
+    person: Text = described("Who made it.", default="")
+    protocol: Text = described("Name of the protocol whose stimulus it is.")
+    apparatus: CalibratedApparatus = described("Which apparatus file it was made with.")
+    instruments: Instruments = described("Which instruments it was made with.")
+    amplifier: CalibratedAmplifier = described("The way from the generator to the beam.")
+    measuring_chain: MeasuringChain = described("What the measurement itself adds.")
+    unlisted_modes_Hz: tuple[Positive, ...] = described("Modes seen that the table lacks [Hz].", default=())  # noqa: N815
+    positions_mm: tuple[Number, ...] = described("Where the beam was measured [mm].")
+
+    @property
+    @abstractmethod
+    def by_stimulus(self) -> dict[str, CalibratedStimulus]:
+        """What holds for each stimulus, by its name; without a name where the protocol has one alone."""
+
+    def alone(self, name: str) -> CalibrationFile | None:
+        """Return the calibration of one stimulus alone; None where there is none of that name.
+
+        Parameters
+        ----------
+        name : str
+            The stimulus; empty for that of a protocol with a single one.
+        """
+        own = self.by_stimulus.get(name)
+        if own is None:
+            return None
+        shared = {key: getattr(self, key) for key in Calibration.model_fields}
+        return CalibrationFile.model_construct(**shared, **{key: getattr(own, key) for key in OWN_KEYS})
+
+    @staticmethod
+    def of(values: Mapping[str, Any]) -> Calibration:
+        """Calibration that plain values describe: of several stimuli where they have the key ``stimuli``.
+
+        Parameters
+        ----------
+        values : mapping
+            As the file holds them.
+        """
+        return (CalibrationOfSeveral if "stimuli" in values else CalibrationFile).model_validate(values)
+
+
+class CalibratedStimulus(Section):
+    """What a calibration holds of one stimulus: its targets on this rig, and what they reached."""
+
+    stimulus: StimulusSection = described("The stimulus section of the protocol.")
+    focus_centre_mm: Number = described("Centre of the focus zone [mm].")
+    reference_mm_s: Positive = described("Level of the targets [mm/s].")
+    iterations: tuple[IterationFigures, ...] = described("The turns of the loop.", min_length=1)
+    modes: tuple[CalibratedMode, ...] = described("The modelled modes.", min_length=1, max_length=200)
+    levels: tuple[CalibratedLevel, ...] = described("The velocity levels.", min_length=1, max_length=100)
+
+    @property
+    def worst_error_mm_s(self) -> float:
+        """Largest error, of a modal velocity or w eta, that was left at the reference level [mm/s]."""
+        return max(abs(each) for mode in self.modes for each in mode.error_after_mm_s)
+
+
+OWN_KEYS = tuple(CalibratedStimulus.model_fields)
+"""Keys that each stimulus has for itself."""
+
+
+_REFINED = {"natural_frequency_Hz", "damping_ratio", "gain_mm_s2_per_V"}
+"""What a calibration refines of a mode."""
+
+
+class CalibrationFile(CalibratedStimulus, Calibration):
+    """A calibration of one stimulus on one rig."""
+
+    @property
+    def by_stimulus(self) -> dict[str, CalibratedStimulus]:
+        """The file itself, without a name."""
+        return {"": self}
+
+    def applied(self, apparatus: Apparatus) -> Apparatus:
+        """Apparatus with modes and amplifier as the calibration found them.
+
+        Parameters
+        ----------
+        apparatus : Apparatus
+            The one it was made with, as its file gives it.
+        """
+        found = {mode.label: mode.model_dump(include=_REFINED) for mode in self.modes}
+        modes = tuple(mode.model_copy(update={**found[mode.label], "assumed": ()}) for mode in apparatus.modes)
+        amplifier = apparatus.amplifier.model_copy(update=self.amplifier.model_dump())
+        return apparatus.model_copy(update={"modes": modes, "amplifier": amplifier})
+
+
+class CalibrationOfSeveral(Calibration):
+    """A calibration of every stimulus of a protocol with several, on one rig."""
+
+    stimuli: dict[Word, CalibratedStimulus] = described(
+        "What holds for each stimulus, by the name that it has in the protocol.", min_length=1, max_length=20
+    )
+
+    @property
+    def by_stimulus(self) -> dict[str, CalibratedStimulus]:
+        """What holds for each stimulus, by its name."""
+        return self.stimuli
+
+
+class AnyCalibration(RootModel[CalibrationFile | CalibrationOfSeveral]):
+    """A calibration of one stimulus, or of several."""
+
+
+AGAIN = "calibrate again with `modaltouch calibrate`"
+
+
+def examine_calibration(source: Source) -> Reading[Calibration]:
+    """Return what the text of a calibration file, of one stimulus or of several, holds, and its faults."""
+    of_several = re.search(r"""^["']?stimuli["']?\s*:""", source.text, re.MULTILINE) is not None
+    model: type[Calibration] = CalibrationOfSeveral if of_several else CalibrationFile
+    return read(source, model)
+
+
+def check_calibration(
+    calibration: Reading[Calibration], protocol: Reading[Protocol], apparatus: Reading[Apparatus] | None
+) -> list[Problem]:
+    """Return why a calibration is not one of this stimulus on this apparatus, as far as its sound parts show it.
+
+    Where the protocol has several stimuli, whether it is of all of them and of this apparatus: what it holds of each
+    is checked with the protocol of that one alone.
+    """
+    if calibration.value is None:
+        return []
+    others = [*_check_names(calibration, calibration.value, protocol)]
+    problems = [*others]
+    if apparatus is not None and apparatus.value is not None:
+        problems += _check_apparatus(calibration, calibration.value, apparatus.value)
+    only = calibration.value.alone("")
+    if only is None or others:
+        return problems
+    return [*problems, *_check_stimulus(calibration, only, protocol, apparatus), *_check_levels(only, protocol)]
+
+
+def calibration_alone(reading: Reading[Calibration], name: str) -> Reading[Calibration]:
+    """Return the part of a calibration file that is of one stimulus, as if it were a file of that one alone.
+
+    Parameters
+    ----------
+    reading : Reading
+        A sound file of several stimuli, that one among them.
+    name : str
+        The stimulus.
+    """
+    root, own = reading.root, reading.find(("stimuli", name))
+    value = None if reading.value is None else reading.value.alone(name)
+    if root is not None and own is not None and isinstance(root.content, dict) and isinstance(own.content, dict):
+        root = replace(root, content=root.content | own.content, keys=root.keys | own.keys)
+    return Reading(reading.source, CalibrationFile, root, value)
+
+
+def _check_names(
+    reading: Reading[Calibration], calibration: Calibration, protocol: Reading[Protocol]
+) -> Iterator[Problem]:
+    """Yield a calibration of other stimuli than the protocol's."""
+    wanted, made = tuple(protocol.sound("stimuli") or ("",)), tuple(calibration.by_stimulus)
+    if set(wanted) <= set(made):
+        return
+    given = f"a calibration of the stimuli {', '.join(made)}" if made != ("",) else "a calibration of one stimulus"
+    allowed = f"one of {', '.join(wanted)}" if wanted != ("",) else "one of a single stimulus"
+    yield reading.problem(("stimuli",), given, f"{allowed}, as in {protocol.source.path}", AGAIN)
+
+
+def _check_apparatus(
+    reading: Reading[Calibration], calibration: Calibration, apparatus: Apparatus
+) -> Iterator[Problem]:
+    labels = [mode.label for mode in apparatus.modes]
+    only = calibration.alone("")
+    modes = () if only is None else only.modes
+    if apparatus.measured_hash != calibration.apparatus.sha256:
+        given = f"a calibration of another apparatus ({calibration.apparatus.name}, values changed since or others)"
+        allowed = f"one made with {apparatus.apparatus} as its file is now"
+        yield reading.problem(("apparatus", "sha256"), given, allowed, AGAIN)
+    elif modes and [mode.label for mode in modes] != labels:
+        given = f"modes {', '.join(str(mode.label) for mode in modes)}"
+        yield reading.problem(("modes",), given, ", ".join(map(str, labels)), AGAIN)
+    for index, mode in enumerate(modes):
+        if set(mode.gain_mm_s2_per_V) != set(apparatus.actuator_sets):
+            given = f"gains by {', '.join(mode.gain_mm_s2_per_V) or 'no set'}"
+            allowed = f"one by each of {', '.join(apparatus.actuator_sets)}"
+            yield reading.problem(("modes", index, "gain_mm_s2_per_V"), given, allowed, AGAIN)
+
+
+def _check_stimulus(
+    reading: Reading[Calibration],
+    calibration: CalibrationFile,
+    protocol: Reading[Protocol],
+    apparatus: Reading[Apparatus] | None,
+) -> Iterator[Problem]:
+    section = protocol.sound("stimulus")
+    if section is None:
+        return
+    made, now = calibration.stimulus.model_dump(), section.model_dump()
+    # What follows the focusing instant does not act on it.
+    different = [key for key in now if key != "release" and made[key] != now[key]]
+    for key in different:
+        given = f"{_words(made[key])}, a calibration of another stimulus"
+        yield reading.problem(("stimulus", key), given, f"{_words(now[key])}, as in {protocol.source.path}", AGAIN)
+    if "focus" in different or apparatus is None:
+        return
+    centre = apparatus.sound("zones", section.focus, "centre_mm")
+    if centre is not None and centre != calibration.focus_centre_mm:
+        given = f"{calibration.focus_centre_mm:g} mm, a calibration of another stimulus"
+        allowed = f"{centre:g} mm, the centre of zone {section.focus}"
+        yield reading.problem(("focus_centre_mm",), given, allowed, AGAIN)
+
+
+def _check_levels(calibration: CalibrationFile, protocol: Reading[Protocol]) -> Iterator[Problem]:
+    known = {level.velocity_mm_s for level in calibration.levels}
+    for index, level in protocol.items("conditions", "peak_velocities_mm_s"):
+        if level not in known:
+            given = f"{level:g} mm/s, a level that the calibration did not measure"
+            allowed = ", ".join(f"{each:g}" for each in sorted(known)) + " mm/s"
+            yield protocol.problem(("conditions", "peak_velocities_mm_s", index), given, allowed, AGAIN)
+
+
+def check_age(
+    calibration: Reading[Calibration], protocol: Reading[Protocol], now: datetime | None = None
+) -> list[Problem]:
+    """Return why a calibration is too old for a protocol, or lies in the future.
+
+    Parameters
+    ----------
+    calibration : Reading
+        The calibration file.
+    protocol : Reading
+        The protocol file, which may say ``calibration.max_age_days``.
+    now : datetime, optional
+        The present, with its offset from UTC.
+    """
+    made_text = calibration.sound("made")
+    if made_text is None:
+        return []
+    try:
+        made = datetime.fromisoformat(made_text)
+        days = ((now or datetime.now(UTC)) - made).total_seconds() / 86400
+    except (ValueError, TypeError):
+        allowed = "a date and time with its offset from UTC, as in 2026-05-04T10:30:00+00:00"
+        return [calibration.problem(("made",), f"{made_text!r}, which is no such instant", allowed, AGAIN)]
+    if days < -1 / 24:
+        given = f"{made_text}, which lies in the future"
+        return [calibration.problem(("made",), given, "a time before now", "set this machine's clock right")]
+    limit = protocol.sound("calibration", "max_age_days")
+    if limit is not None and days > limit:
+        given = f"{limit:g} days, and the calibration {calibration.source.path} is {days:.1f} days old ({made_text})"
+        return [protocol.problem(("calibration", "max_age_days"), given, "a younger calibration", AGAIN)]
+    return []
+
+
+def _words(value: object) -> str:
+    if isinstance(value, dict):
+        return " ".join(_words(each) for each in value.values() if each is not None)
+    if isinstance(value, tuple | list):
+        return ", ".join(map(str, value))
+    return f"{value:g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,322 @@
+"""A protocol with the apparatus and the texts that it names, their sources for the record, and all their faults."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from modaltouch.protocol.apparatus import Apparatus, examine_apparatus
+from modaltouch.protocol.checks import check_fit, check_protocol, check_settling, check_timing
+from modaltouch.protocol.problems import InputError, Problem
+from modaltouch.protocol.reading import Reading, read
+from modaltouch.protocol.sections import Protocol
+from modaltouch.protocol.source import YAML_FILE, Source
+from modaltouch.protocol.stimulus_sections import StimulusSection, read_points
+from modaltouch.protocol.texts import Texts, check_words
+
+if TYPE_CHECKING:
+    from modaltouch.protocol.calibration import Calibration
+
+
+@dataclass(frozen=True)
+class Sources:
+    """The files of an experiment as they were read.
+
+    Attributes
+    ----------
+    protocol, apparatus, texts : Source
+        Path, text and hash of each.
+    calibration : Source or None
+        Path, text and hash of the calibration, where there is one.
+    field : Source or None
+        The same of the points of the wished field, where they stand in a file.
+    """
+
+    protocol: Source
+    apparatus: Source
+    texts: Source
+    calibration: Source | None = None
+    field: Source | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return path, hash and text of each file for the record."""
+        named = {name: getattr(self, name) for name in ("protocol", "apparatus", "texts", "calibration", "field")}
+        return {name: source.as_dict() for name, source in named.items() if source is not None}
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> Sources:
+        """Return the sources that `as_dict` described."""
+        return cls(**{name: Source(Path(each["path"]), each["text"]) for name, each in values.items()})
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """Everything that the files of a protocol say.
+
+    Attributes
+    ----------
+    protocol : Protocol
+        What is presented, asked and repeated.
+    apparatus : Apparatus
+        What it is presented with.
+    texts : Texts
+        What the participant reads.
+    sources : Sources
+        The files, for the record.
+    """
+
+    protocol: Protocol
+    apparatus: Apparatus
+    texts: Texts
+    sources: Sources
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What the files of a protocol hold, as far as they are sound, and everything that is wrong with them.
+
+    Attributes
+    ----------
+    protocol, apparatus, texts : Reading or None
+        Each file; None where it cannot be opened.
+    problems : tuple of Problem
+        Every fault of all of them.
+    calibration : Reading or None
+        The calibration file, where there is one.
+    field : Source or None
+        The file of the wished field's points, where there is one.
+    """
+
+    protocol: Reading[Protocol] | None
+    apparatus: Reading[Apparatus] | None
+    texts: Reading[Texts] | None
+    problems: tuple[Problem, ...]
+    calibration: Reading[Calibration] | None = None
+    field: Source | None = None
+
+    def experiment(self) -> Experiment:
+        """Return the experiment.
+
+        Raises
+        ------
+        InputError
+            With every fault of all its files.
+        """
+        if self.problems or not (self.protocol and self.apparatus and self.texts):
+            raise InputError(self.problems)
+        protocol, apparatus, texts = self.protocol.value, self.apparatus.value, self.texts.value
+        if protocol is None or apparatus is None or texts is None:
+            raise InputError(self.problems)
+        calibration = None if self.calibration is None else self.calibration.source
+        sources = Sources(self.protocol.source, self.apparatus.source, self.texts.source, calibration, self.field)
+        return Experiment(protocol, apparatus, texts, sources)
+
+    def problem(self, path: Iterable[str | int], given: str, allowed: str, remedy: str = "") -> Problem:
+        """Problem at a path of the protocol, which must have been opened.
+
+        Parameters
+        ----------
+        path : iterable of str or int
+            Key within the file.
+        given, allowed, remedy : str
+            As of `Problem`.
+
+        Raises
+        ------
+        ValueError
+            If the protocol was not opened.
+        """
+        if self.protocol is None:
+            raise ValueError("there is no file in which to find the fault: open the protocol first")
+        return self.protocol.problem(path, given, allowed, remedy)
+
+    def defaults(self) -> list[dict[str, Any]]:
+        """Keys that the protocol leaves out and the values taken for them, but what each of several stimuli gives."""
+        if self.protocol is None:
+            return []
+        named = [self.protocol.find(("stimuli", name)) for name in self.protocol.sound("stimuli") or ()]
+        keys = StimulusSection.model_fields if any(named) else ()
+        own = [f"stimulus.{key}" for key in keys if all(node and node.child(key) for node in named)]
+        return [each for each in self.protocol.defaults() if ".".join(each["key"].split(".")[:2]) not in own]
+
+    def points(self) -> tuple[tuple[float, float], ...] | None:
+        """Points in the file of the wished field, positions [mm] and relative velocities; None where it is faulty."""
+        points, faults = ((), []) if self.field is None else read_points(self.field)
+        return None if faults else points
+
+    def generator_problem(self, identity: str) -> Problem | None:
+        """Why the calibration was made with another generator than the one that is open; None if it was not.
+
+        Maker, model and serial number must agree; the firmware may be another.
+
+        Parameters
+        ----------
+        identity : str
+            Reply of the open generator to ``*IDN?``.
+        """
+        made_with = None if self.calibration is None else self.calibration.sound("instruments", "generator")
+        if self.calibration is None or made_with is None or _serial(made_with) == _serial(identity):
+            return None
+        given = f"{made_with}, the generator it was made with"
+        allowed = f"{identity}, the generator that is open"
+        remedy = "open that one, or calibrate again with `modaltouch calibrate`"
+        return self.calibration.problem(("instruments", "generator"), given, allowed, remedy)
+
+    def each_stimulus(self) -> Iterator[tuple[str, Findings]]:
+        """Name of each of several stimuli, and the files as if it were the only one, with what is then wrong."""
+        if self.protocol is None or self.protocol.value is None or self.apparatus is None:
+            return
+        for name, variant in self.protocol.value.stimuli.items():
+            value = self.protocol.value.with_stimulus(name)
+            # The order is drawn and checked for all of them together.
+            eased = value.schedule.model_copy(update={"catch_trials": 0, "max_same_pair_running": None})
+            alone = replace(self.protocol, value=value.model_copy(update={"schedule": eased}))
+            problems = [*check_protocol(alone), *check_fit(alone, self.apparatus)]
+            if variant.field is not None and variant.field.file is not None:
+                path, remedy = ("stimuli", name, "field", "file"), "write the points themselves"
+                problems.append(self.problem(path, "a file of one of several stimuli", "points", remedy))
+            calibration = self.calibration
+            if calibration is not None:
+                from modaltouch.protocol.calibration import calibration_alone, check_calibration
+
+                calibration = calibration_alone(calibration, name)
+                problems += check_calibration(calibration, alone, self.apparatus)
+            yield name, replace(self, protocol=alone, problems=tuple(problems), calibration=calibration)
+
+    def at_stimulus(self, name: str, problems: Iterable[Problem]) -> Iterator[Problem]:
+        """Problems of a stimulus at its own key where it has one, and named after it elsewhere.
+
+        Parameters
+        ----------
+        name : str
+            The stimulus.
+        problems : iterable of Problem
+            What is wrong with it.
+        """
+        calibration = self.calibration
+        in_calibration = calibration is not None and calibration.find(("stimuli", name)) is not None
+        for problem in problems:
+            section, _, key = problem.path.partition(".")
+            path = ("stimuli", name, key.split(".")[0].split("[")[0])
+            given = f"{problem.given} (stimulus {name})"
+            own = calibration is not None and in_calibration and problem.file == str(calibration.source.path)
+            if section == "stimulus" and not own and self.protocol is not None and self.protocol.find(path) is not None:
+                yield self.problem(path, given, problem.allowed, problem.remedy)
+            else:
+                at = f"stimuli.{name}.{problem.path}" if own else problem.path
+                yield replace(problem, given=given, path=at)
+
+    @classmethod
+    def restored(cls, sources: Sources) -> Findings:
+        """Findings in the texts that a record keeps, whatever became of their files.
+
+        Parameters
+        ----------
+        sources : Sources
+            As `Sources.from_dict` reads them from the record.
+        """
+        protocol, texts = read(sources.protocol, Protocol), read(sources.texts, Texts)
+        apparatus, problems = examine_apparatus(sources.apparatus)
+        problems += [*protocol.problems, *check_protocol(protocol), *check_fit(protocol, apparatus)]
+        problems += [*texts.problems, *check_words(protocol, texts)]
+        calibration = None
+        if sources.calibration is not None:
+            from modaltouch.protocol.calibration import check_calibration, examine_calibration
+
+            # However old it has become since: a record keeps what it was begun with.
+            calibration = examine_calibration(sources.calibration)
+            problems += [*calibration.problems, *check_calibration(calibration, protocol, apparatus)]
+        if sources.field is not None:
+            problems += read_points(sources.field)[1]
+        return cls(protocol, apparatus, texts, tuple(problems), calibration, sources.field)
+
+    @classmethod
+    def read(cls, path: Path | str, calibration: Path | None = None, *, uncalibrated: bool = False) -> Findings:
+        """Findings in a protocol file and the files that it names.
+
+        Parameters
+        ----------
+        path : path
+            The protocol file, or the name of a shipped protocol.
+        calibration : Path, optional
+            Calibration file to use instead of the one that the protocol names.
+        uncalibrated : bool
+            Whether no calibration is read, although the protocol names or requires one: to make one, or to plan.
+        """
+        try:
+            source = Source.find("protocol", path)
+        except InputError as error:
+            return cls(None, None, None, error.problems)
+        protocol = read(source, Protocol)
+        problems = [*protocol.problems, *check_protocol(protocol), *check_settling(protocol)]
+        apparatus, texts = None, None
+        named = _load_named(protocol, ("apparatus",), problems)
+        if named is not None:
+            apparatus, found = examine_apparatus(named)
+            problems += [*found, *check_fit(protocol, apparatus)]
+        named = _load_named(protocol, ("texts",), problems)
+        if named is not None:
+            texts = read(named, Texts)
+            problems += [*texts.problems, *check_words(protocol, texts)]
+        problems += check_timing(protocol, apparatus)
+        calibrated = None if uncalibrated else _examine_calibration(protocol, apparatus, calibration, problems)
+        field = _load_named(protocol, ("stimulus", "field", "file"), problems)
+        if field is not None:
+            problems += read_points(field)[1]
+        return cls(protocol, apparatus, texts, tuple(sorted(set(problems))), calibrated, field)
+
+
+def _serial(identity: str) -> tuple[str, ...]:
+    return tuple(word.strip().upper() for word in identity.split(",")[:3])
+
+
+def _examine_calibration(
+    protocol: Reading[Protocol], apparatus: Reading[Apparatus] | None, path: Path | None, problems: list[Problem]
+) -> Reading[Calibration] | None:
+    """Return the calibration that is given, or that the protocol names; what is wrong goes to `problems`."""
+    source = None
+    if path is not None:
+        try:
+            source = Source.load(path)
+        except InputError as error:
+            problems += error.problems
+    else:
+        source = _load_named(protocol, ("calibration", "file"), problems)
+        if protocol.sound("calibration", "file") is None and protocol.sound("calibration", "required"):
+            given = "true, and no calibration is given"
+            remedy = "make one with `modaltouch calibrate` and name it under `file`, or give it with --calibration"
+            problems.append(protocol.problem(("calibration", "required"), given, "a calibration", remedy))
+    if source is None:
+        return None
+    # Most protocols name none: its forty keys are not built for them.
+    from modaltouch.protocol.calibration import check_age, check_calibration, examine_calibration
+
+    if protocol.sound("stimulus", "field", "file") is not None:
+        given = "a file, which a calibration does not hold"
+        remedy = "write the points into the protocol, under `points`"
+        problems.append(protocol.problem(("stimulus", "field", "file"), given, "points, with a calibration", remedy))
+    reading = examine_calibration(source)
+    problems += [*reading.problems, *check_calibration(reading, protocol, apparatus), *check_age(reading, protocol)]
+    return reading
+
+
+def _load_named(protocol: Reading[Protocol], key: tuple[str, ...], problems: list[Problem]) -> Source | None:
+    """Return the text of the file that a key names; what is wrong with the name goes to `problems`."""
+    name = protocol.sound(*key)
+    if name is None:
+        return None
+    path = protocol.source.path.parent / name
+    try:
+        return Source.load(path)
+    except InputError as error:
+        found = error.problems[0]
+        if found.line > 1 or found.column > 1 or "UTF-8" in found.allowed:
+            problems.append(found)
+        else:
+            wanted = YAML_FILE.replace("YAML", "CSV") if key[0] == "stimulus" else YAML_FILE
+            allowed = f"{wanted}, named as seen from this file" if found.allowed == YAML_FILE else found.allowed
+            given = f"{name!r}, {found.given} ({path})"
+            problems.append(protocol.problem(key, given, allowed, found.remedy))
+        return None

@@ -1,0 +1,220 @@
+"""The level of a trial in an adaptive run, from the record alone: killed and resumed, it is the very same.
+
+References
+----------
+Levitt, "Transformed up-down methods in psychoacoustics", J. Acoust. Soc. Am. 49 (1971) 467-477.
+Kaernbach, "Simple adaptive testing with the weighted up-down method", Perception & Psychophysics 49 (1991) 227-229.
+Watson, "QUEST+: a general multidimensional Bayesian adaptive psychometric method", Journal of Vision 17(3) (2017) 10.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from itertools import product
+from typing import Any, Self
+
+import numpy as np
+
+from modaltouch.protocol.adaptive import StaircaseSection
+from modaltouch.protocol.sections import Protocol
+from modaltouch.protocol.trial import Condition, Trial
+
+Run = tuple[str, str, str, str]
+"""A finger condition, the zones under the left and the right finger, and a stimulus."""
+
+
+class Levels:
+    """Tells the level of each trial of an adaptive protocol; trials of other protocols stay as they are.
+
+    Parameters
+    ----------
+    protocol : Protocol
+        The protocol.
+    """
+
+    def __init__(self, protocol: Protocol) -> None:
+        self._protocol = protocol
+        velocities, adaptive = protocol.conditions.peak_velocities_mm_s, protocol.adaptive
+        self._range = min(velocities), max(velocities)
+        self._bounds = to_dB(self._range[0]), to_dB(self._range[1])
+        self._quests: dict[Run, Quest] = {}
+        if adaptive is not None and adaptive.method == "quest_plus":
+            # Built now rather than at the first trial, which it would keep waiting.
+            blank = Quest(self._bounds, to_dB(adaptive.start_mm_s), adaptive.guess_rate, adaptive.lapse_rate)
+            fingers, pairs = protocol.conditions.finger_conditions, protocol.conditions.zone_pairs
+            for finger_condition, (left, right), name in product(fingers, pairs, protocol.stimulus_names):
+                for run in ((finger_condition, left, right, name), (finger_condition, right, left, name)):
+                    self._quests[run] = blank.another()
+
+    def settle(self, trial: Trial, answered: Iterable[Mapping[str, Any]]) -> Trial:
+        """Return a scheduled trial with the level that it is presented at.
+
+        Parameters
+        ----------
+        trial : Trial
+            As scheduled; practice and catch trials are left as they are.
+        answered : iterable of mapping
+            The record's trial events that count (`Session.trials`), in any order; only those before this trial in
+            the session and of its run are looked at.
+        """
+        adaptive = self._protocol.adaptive
+        if adaptive is None or trial.practice or trial.condition.is_catch:
+            return trial
+        run = run_of(trial.condition)
+        before = self._history(run, trial.index, adaptive.success, answered)
+        if adaptive.method == "staircase":
+            start, successes = to_dB(adaptive.start_mm_s), [success for _, success in before]
+            level = follow(adaptive.staircase, start, self._bounds, successes)
+        else:
+            level = self._quests[run].next_level(before)
+        return replace(trial, condition=replace(trial.condition, velocity_mm_s=from_dB(level, self._range)))
+
+    def _history(
+        self, run: Run, until: int, rule: str, answered: Iterable[Mapping[str, Any]]
+    ) -> list[tuple[float, bool]]:
+        """Return level [dB] and success of the trials of a run that the instrument confirmed before one, in order."""
+        found: list[tuple[int, float, bool]] = []
+        for event in answered:
+            condition, index = Condition(**event["trial"]["condition"]), event["trial"]["index"]
+            counts = event["confirmed"]["confirmed"] and not event["trial"]["practice"] and not condition.is_catch
+            if counts and index < until and run_of(condition) == run:
+                focus, answer = self._protocol.stimulus_of(condition.stimulus).focus, event["response"]["answer"]
+                success = is_success(rule, focus, condition.zone_left, answer)
+                found.append((index, to_dB(condition.velocity_mm_s), success))
+        return [(level, success) for _, level, success in sorted(found, key=lambda each: each[0])]
+
+
+def run_of(condition: Condition) -> Run:
+    """Return which run a condition belongs to."""
+    return (condition.finger_condition, *condition.pair, condition.stimulus)
+
+
+def to_dB(velocity_mm_s: float) -> float:  # noqa: N802
+    """Return a level in decibels re 1 mm/s."""
+    return 20 * math.log10(velocity_mm_s)
+
+
+def from_dB(level: float, bounds: tuple[float, float]) -> float:  # noqa: N802
+    """Return a level [mm/s] within its bounds, to four digits, as many as the generator's amplitude has."""
+    velocity = 10 ** (level / 20)
+    return min(max(float(f"{velocity:.4g}"), bounds[0]), bounds[1])
+
+
+def is_success(rule: str, focus: str, zone_left: str, answer: str) -> bool:
+    """Return whether an answer counts as success in an adaptive run.
+
+    ``focus_named``: the answer is the finger on the zone in focus, alone. "both" and "none" are failures like the
+    other finger: what is asked is the level from which the focus is told apart, not from which something is felt.
+    ``felt``: any answer but "none".
+
+    Parameters
+    ----------
+    rule : str
+        ``adaptive.success`` of the protocol.
+    focus : str
+        Zone in focus.
+    zone_left : str
+        Zone under the left finger.
+    answer : str
+        What was answered.
+    """
+    if rule == "felt":
+        return answer != "none"
+    return answer == ("left" if zone_left == focus else "right")
+
+
+def follow(rule: StaircaseSection, start: float, bounds: tuple[float, float], successes: Sequence[bool]) -> float:
+    """Return the next level of a staircase after some answers [dB]; a step that would pass a bound ends there.
+
+    The step shrinks at each reversal, before it is taken.
+    """
+    level, in_a_row, heading, n_reversals = start, 0, 0, 0
+    for success in successes:
+        in_a_row = in_a_row + 1 if success else 0
+        if success and in_a_row < rule.down_after:
+            continue
+        in_a_row, direction = 0, -1 if success else 1
+        n_reversals += heading == -direction
+        heading = direction
+        step = rule.steps_dB[min(n_reversals, len(rule.steps_dB) - 1)]
+        level += direction * step * (rule.up_over_down if direction > 0 else 1.0)
+        level = min(max(level, bounds[0]), bounds[1])
+    return level
+
+
+STEP = 2.0
+"""Distance of the levels that may be presented [dB]."""
+
+MARGIN = 12.0
+"""How far beyond the levels the threshold may lie [dB]."""
+
+SPREADS = (1.0, 2.0, 4.0, 8.0, 12.0)
+"""Standard deviations of the function that are thought possible [dB]."""
+
+
+class Quest:
+    """A run of QUEST+, built with the package questplus, which PsychoPy brings along.
+
+    Parameters
+    ----------
+    bounds : (float, float)
+        Lowest and highest level [dB].
+    start : float
+        Level of the first trial [dB].
+    guess_rate, lapse_rate : float
+        Asymptotes of the function, and the largest lapse rate thought possible [1].
+    """
+
+    def __init__(self, bounds: tuple[float, float], start: float, guess_rate: float, lapse_rate: float) -> None:
+        # Slow to import, so only where a run needs it.
+        from questplus import QuestPlus
+
+        low, high = bounds
+        self._start = start
+        levels = np.linspace(low, high, 1 + max(1, round((high - low) / STEP)))
+        self._quest: Any = QuestPlus(
+            stim_domain={"intensity": np.unique(np.append(levels, start))},
+            param_domain={
+                "mean": np.arange(low - MARGIN, high + MARGIN + STEP / 2, STEP / 2),
+                "sd": np.array(SPREADS),
+                "lower_asymptote": np.array([guess_rate]),
+                "lapse_rate": np.unique([0.0, lapse_rate / 2, lapse_rate]),
+            },
+            outcome_domain={"response": ["yes", "no"]},
+            func="norm_cdf",
+            stim_scale="linear",
+            stim_selection_method="min_entropy",
+            param_estimation_method="mean",
+        )
+        self._taken: list[tuple[float, bool]] = []
+
+    def another(self) -> Self:
+        """Return a run by the same rule at its beginning; it shares the likelihoods, which are slow to compute."""
+        run = copy.copy(self)
+        run._quest = copy.copy(self._quest)
+        run._begin_anew()
+        return run
+
+    def next_level(self, history: Sequence[tuple[float, bool]]) -> float:
+        """Return the level of the next trial [dB]."""
+        if list(history[: len(self._taken)]) != self._taken:
+            self._begin_anew()
+        for level, success in history[len(self._taken) :]:
+            self._quest.update(stim=self._nearest(level), outcome={"response": "yes" if success else "no"})
+            self._taken.append((level, success))
+        if not self._taken:
+            return self._start
+        return float(self._quest.next_stim["intensity"])
+
+    def _begin_anew(self) -> None:
+        self._quest.posterior = self._quest.prior.copy(deep=True)
+        self._quest.stim_history, self._quest.resp_history = [], []
+        self._taken = []
+
+    def _nearest(self, level: float) -> dict[str, float]:
+        """Return the level of the domain that was presented, which the record has to four digits."""
+        domain = self._quest.stim_domain["intensity"]
+        return {"intensity": float(domain[np.argmin(np.abs(domain - level))])}

@@ -1,0 +1,141 @@
+"""The text of a file, as it is read and as the record keeps it; the files that come with the program."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Literal
+
+from modaltouch.protocol.problems import InputError, Problem, suggest
+
+YAML_FILE = "a YAML file that exists and can be read"
+"""What may be named where a file is wanted."""
+
+SIZE_LIMIT = 256 * 1024
+"""Longest file that is read [byte]: a hundred times the shipped ones."""
+
+
+Kind = Literal["protocol", "apparatus", "observer"]
+
+_FOLDERS: dict[Kind, str] = {"protocol": ".", "apparatus": "apparatus", "observer": "observers"}
+
+
+@dataclass(frozen=True)
+class Source:
+    """A file's text and where it came from.
+
+    Attributes
+    ----------
+    path : Path
+        File as it was named.
+    text : str
+        Its text, without a byte order mark.
+    """
+
+    path: Path
+    text: str
+
+    @cached_property
+    def sha256(self) -> str:
+        """Hash of the text in UTF-8."""
+        return hashlib.sha256(self.text.encode()).hexdigest()
+
+    def as_dict(self) -> dict[str, str]:
+        """Return path, hash and text for the record."""
+        return {"path": self.path.as_posix(), "sha256": self.sha256, "text": self.text}
+
+    @classmethod
+    def load(cls, path: Path) -> Source:
+        """Return the text of a file.
+
+        Parameters
+        ----------
+        path : Path
+            File to read.
+
+        Raises
+        ------
+        InputError
+            If there is no such file, or it is no UTF-8 text of at most 256 KiB.
+        """
+
+        def refused(
+            given: str, allowed: str = YAML_FILE, remedy: str = "", place: tuple[int, int] = (1, 1)
+        ) -> InputError:
+            return InputError([Problem(str(path), *place, "", given, allowed, remedy)])
+
+        try:
+            if not path.exists():
+                raise refused("a file that does not exist", remedy="check its name")
+            if not path.is_file():
+                raise refused("a folder or device")
+            with path.open("rb") as file:
+                content = file.read(SIZE_LIMIT + 1)
+        except (OSError, ValueError) as error:  # ValueError: a null character in the name
+            reason = getattr(error, "strerror", None) or str(error)
+            raise refused(f"a file that cannot be read ({reason})") from None
+        if len(content) > SIZE_LIMIT:
+            raise refused(f"more than {SIZE_LIMIT // 1024} KiB", f"at most {SIZE_LIMIT // 1024} KiB of YAML")
+        try:
+            return cls(path, content.decode("utf-8-sig"))
+        except UnicodeDecodeError as error:
+            before = content[: error.start].decode("utf-8-sig", errors="replace")
+            place = before.count("\n") + 1, len(before) - before.rfind("\n")
+            given = f"byte 0x{content[error.start]:02x}, which is not UTF-8"
+            raise refused(given, "text in UTF-8", "save the file in the encoding UTF-8", place) from None
+
+    @classmethod
+    def find(cls, kind: Kind, name: Path | str) -> Source:
+        """Text of the file that a path, or the name of a shipped file, stands for.
+
+        Parameters
+        ----------
+        kind : str
+            ``protocol``, ``apparatus`` or ``observer``.
+        name : path
+            The file, or the name of a shipped one; a file that exists wins.
+
+        Raises
+        ------
+        InputError
+            If there is neither, with the names that there are; or if it cannot be read.
+        """
+        return cls.load(find(kind, name))
+
+    @staticmethod
+    def shipped(kind: Kind) -> dict[str, Path]:
+        """Shipped files of a kind by name.
+
+        Parameters
+        ----------
+        kind : str
+            ``protocol``, ``apparatus`` or ``observer``.
+        """
+        package = Path(__file__).parents[1]
+        # In the package once installed, beside the source in a checkout.
+        installed = package / "protocols"
+        folder = installed if installed.is_dir() else package.parents[1] / "protocols"
+        return {file.stem: file for file in sorted((folder / _FOLDERS[kind]).glob("*.yaml"))}
+
+
+def find(kind: Kind, name: Path | str) -> Path:
+    """Return the file that a path, or the name of a shipped file, stands for; a file that exists wins.
+
+    Raises
+    ------
+    InputError
+        If there is neither, with the names that there are.
+    """
+    path, known = Path(name), Source.shipped(kind)
+    try:
+        if path.is_file() or (path.exists() and str(name) not in known):
+            return path
+    except OSError:  # told by what reads it
+        return path
+    if str(name) not in known:
+        remedy = f"did you mean '{meant}'?" if (meant := suggest(path.stem, known)) else "check its name"
+        allowed = f"{YAML_FILE}, or one of {', '.join(known)}"
+        raise InputError([Problem(str(name), 1, 1, "", "a file that does not exist", allowed, remedy)])
+    return known[str(name)]
