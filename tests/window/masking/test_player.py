@@ -34,7 +34,8 @@ from modaltouch.protocol import MaskingSection
 
 events, blocks = [], []
 section = MaskingSection(noise="pink", level_dB_FS=-20.0, fade_s=0.05)
-masking = NoiseMasking(section, Apparatus.model_construct(sound=Sound()), lambda event, **facts: events.append((event, facts)))
+apparatus = Apparatus.model_construct(sound=Sound())
+masking = NoiseMasking(section, apparatus, lambda event, **facts: events.append((event, facts)))
 fill = masking._playback.fill
 def spy(out):
     fill(out)
