@@ -66,9 +66,6 @@ def design_figures(stimulus: Stimulus) -> list[dict[str, Any]]:
     stimulus : Stimulus
         The stimulus, at its highest level.
     """
-    from modaltouch.stimulus import least_norm, least_peak, trade
-
-    others = [least_norm(stimulus, 4.0), least_norm(stimulus, 8.0), least_peak(stimulus)]
     unmodelled = _supposed_mode(stimulus.model)
     return [
         {
@@ -79,7 +76,7 @@ def design_figures(stimulus: Stimulus) -> list[dict[str, Any]]:
             "unmodelled_speed_mm_s": float(row["unmodelled_speed"]) * 1e3,
             "unmodelled_frequency_Hz": float(unmodelled.natural_frequency[0]),
         }
-        for row in trade(stimulus, others, unmodelled)
+        for row in stimulus.compare_designs(unmodelled)
     ]
 
 

@@ -50,11 +50,6 @@ class Taper:
         shrink = min(1.0, 0.5 * n_samples / max(rise + fall, 1.0))
         return cls(n_samples, max(1, int(rise * shrink)), max(1, int(fall * shrink)))
 
-    @property
-    def n_free(self) -> int:
-        """Samples with a weight above zero."""
-        return max(0, self.n_samples - 2)
-
     def apply(self, voltage: FloatArray) -> None:
         """Multiply voltages by the weight, in place.
 
@@ -65,6 +60,23 @@ class Taper:
         """
         voltage[:, : self.rise] *= raised_cosine(self.rise)
         voltage[:, self.n_samples - self.fall :] *= raised_cosine(self.fall)[::-1]
+
+    def write(self, amplitude: ComplexArray, exponent: ComplexArray, hold: float, voltage: FloatArray) -> None:
+        """Write tapered sums of exponentials.
+
+        Parameters
+        ----------
+        amplitude : (n_channels, n_states) complex array
+            At the last sample, before the taper [V].
+        exponent : (n_states,) complex array
+            Exponents, real parts at most 0 [1/s].
+        hold : float
+            Length of a sample [s].
+        voltage : (n_channels, n_samples) array
+            Where they go [V]; each row contiguous.
+        """
+        synthesise(amplitude, exponent, hold, voltage)
+        self.apply(voltage)
 
     def transform(self, rate: ComplexArray) -> ComplexArray:
         """Return the sum over samples of weight * exp(rate * samples before the last), elementwise.
@@ -145,28 +157,17 @@ class ReachabilityGramian:
         gram = rows @ together @ rows.transpose(0, 2, 1) + rows @ against @ rows.conj().transpose(0, 2, 1)
         return np.asarray(0.5 * gram.real.sum(axis=0))
 
-    def amplitudes(self, weight: FloatArray) -> ComplexArray:
-        """Return the amplitudes of R^T weight, (n_channels, n_states) array.
+    def write(self, weight: FloatArray, voltage: FloatArray) -> None:
+        """Write the tapered voltages R^T weight.
 
         Parameters
         ----------
         weight : (n_conditions,) array
             Multiplier of each condition.
-        """
-        return np.asarray(np.tensordot(weight, self.row, axes=1))
-
-    def write(self, amplitude: ComplexArray, voltage: FloatArray) -> None:
-        """Write the tapered voltages of amplitudes.
-
-        Parameters
-        ----------
-        amplitude : (n_channels, n_states) complex array
-            From `amplitudes` [V].
         voltage : (n_channels, n_samples) array
             Where they go [V]; each row contiguous.
         """
-        synthesise(amplitude, self.exponent, self.hold, voltage)
-        self.taper.apply(voltage)
+        self.taper.write(np.tensordot(weight, self.row, axes=1), self.exponent, self.hold, voltage)
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,14 +189,14 @@ class GramianSolver:
     eigenvector: FloatArray
 
     @classmethod
-    def of(cls, gramian: FloatArray, label: Sequence[int] = ()) -> GramianSolver:
+    def of(cls, gramian: FloatArray, label: Sequence[int]) -> GramianSolver:
         """Return the solver of a Gramian with a positive diagonal.
 
         Parameters
         ----------
         gramian : (n, n) array
             Symmetric, from `ReachabilityGramian.gramian`.
-        label : sequence of int, optional
+        label : sequence of int
             Modes of the conditions, over and over, for the message.
 
         Raises
@@ -206,10 +207,10 @@ class GramianSolver:
         diagonal = np.diag(gramian)
         lost = np.flatnonzero(~((diagonal > 0) & np.isfinite(gramian).all(axis=1)))
         if lost.size:
-            who = f"mode {label[lost[0] % len(label)]}" if label else f"condition {lost[0] + 1}"
             raise ValueError(
-                f"{who} has {diagonal[lost[0]]:.3g} on the diagonal of the Gramian, which must be above 0: its motion "
-                f"under the drive is lost in rounding; leave the mode out, or check its frequency, damping and gain"
+                f"mode {label[lost[0] % len(label)]} has {diagonal[lost[0]]:.3g} on the diagonal of the Gramian, which "
+                f"must be above 0: its motion under the drive is lost in rounding; leave the mode out, or check its "
+                f"frequency, damping and gain"
             )
         scale = 1 / np.sqrt(diagonal)
         eigenvalue, eigenvector = np.linalg.eigh(gramian * scale[:, None] * scale)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from modaltouch.stimulus.bounds import require_positive
-from modaltouch.stimulus.design import Stimulus
+from modaltouch.stimulus.stimulus import Stimulus
 from modaltouch.stimulus.vibration import modal_history
 
 FloatArray = NDArray[np.float64]

@@ -11,9 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from modaltouch.stimulus.design import Stimulus
-from modaltouch.stimulus.dynamics import modal_system
-from modaltouch.stimulus.vibration import states_by_channel
+from modaltouch.stimulus.dynamics import DiagonalSystem
+from modaltouch.stimulus.stimulus import Stimulus
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -212,10 +211,8 @@ def scatter(
             damping_ratio=np.minimum(model.damping_ratio * factor[1] ** damping_ratio, 0.999),
             modal_gain=model.modal_gain * (factor[2] ** modal_gain)[:, None],
         )
-        system = modal_system(beam, stimulus.amplifier)
-        state = states_by_channel(system, stimulus.voltage, timing, timing.focusing_instant).sum(axis=0)
-        velocity = (system.velocity @ state).real
+        system = DiagonalSystem.of(beam, stimulus.amplifier)
+        velocity, displacement = system.read(system.state_at(stimulus.voltage, timing, timing.focusing_instant))
         field[draw] = velocity @ shapes
-        displacement = (system.displacement @ state).real
         worst[draw] = max(np.abs(velocity - stimulus.target).max(), np.abs(displacement).max())
     return Scatter(field, worst)

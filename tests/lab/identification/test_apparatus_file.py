@@ -18,7 +18,7 @@ from modaltouch.lab.identification.report import check_modes, identified_apparat
 from modaltouch.protocol.apparatus import read_apparatus
 from modaltouch.protocol.document import InputError, load_source
 from modaltouch.rig.simulator.true_beam import TrueBeam
-from modaltouch.stimulus.measured import MeasuredShapes
+from modaltouch.stimulus.modes import MeasuredShapes
 
 APPARATUS = Path(__file__).parents[3] / "protocols" / "apparatus" / "beam_100x6x2.yaml"
 LABELS = (1, 3, 5, 7, 9, 11, 13, 15, 17)
