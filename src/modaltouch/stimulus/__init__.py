@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from modaltouch.stimulus.drive import Law, Release
     from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
     from modaltouch.stimulus.modes import MeasuredShapes, ModalModel
-    from modaltouch.stimulus.quantisation import full_scale, quantise
+    from modaltouch.stimulus.quantisation import full_scale, round_to_codes, unsigned_codes
     from modaltouch.stimulus.reachability import Taper
     from modaltouch.stimulus.sample_count import cheapest_samples
     from modaltouch.stimulus.sensitivity import focus_sensitivity, scatter
@@ -39,7 +39,7 @@ else:
             "drive": "Law Release",
             "dynamics": "Amplifier DiagonalSystem",
             "modes": "MeasuredShapes ModalModel",
-            "quantisation": "full_scale quantise",
+            "quantisation": "full_scale round_to_codes unsigned_codes",
             "reachability": "Taper",
             "sample_count": "cheapest_samples",
             "sensitivity": "focus_sensitivity scatter",
@@ -76,7 +76,8 @@ __all__ = [
     "mode_shapes",
     "patch_gains",
     "peak_velocity",
-    "quantise",
     "round_amplitude",
+    "round_to_codes",
     "scatter",
+    "unsigned_codes",
 ]

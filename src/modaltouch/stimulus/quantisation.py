@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.stimulus.burst import MID_CODE, Burst, round_amplitude
-from modaltouch.stimulus.timing import Timing
+from modaltouch.stimulus.burst import MID_CODE, round_amplitude
 
 FloatArray = NDArray[np.float64]
 
@@ -105,25 +104,3 @@ def signed_codes(codes: NDArray[np.uint16]) -> FloatArray:
         Codes, 0 to 16382.
     """
     return np.subtract(codes, MID_CODE, dtype=float)
-
-
-def quantise(
-    voltage: FloatArray, amplitude: tuple[float, ...], to_beam: float, timing: Timing, velocity: float
-) -> Burst:
-    """Return voltages as the generator plays them, each code rounded by itself.
-
-    Parameters
-    ----------
-    voltage : (n_channels, n_samples) array
-        At the beam [V].
-    amplitude : tuple of float
-        Of each channel [V peak to peak, open circuit].
-    to_beam : float
-        Volts at the beam per volt of the open generator [1].
-    timing : Timing
-        Clock of the samples.
-    velocity : float
-        Level of the burst [m/s].
-    """
-    codes = round_to_codes(voltage, np.asarray(amplitude) * (to_beam / 2 / MID_CODE))
-    return Burst(unsigned_codes(codes), timing.duration, timing.repetition_rate, velocity, amplitude)

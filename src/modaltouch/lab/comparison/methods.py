@@ -42,12 +42,14 @@ import numpy as np
 from modaltouch.lab.arrays import ComplexArray, FloatArray
 from modaltouch.lab.comparison.training_data import TrainingData
 from modaltouch.stimulus import (
+    MID_CODE,
     Burst,
     Law,
     Release,
     design_stimulus,
     full_scale,
-    quantise,
+    round_to_codes,
+    unsigned_codes,
 )
 
 
@@ -338,4 +340,6 @@ def as_burst(voltage: FloatArray, known: TrainingData, load_factor: float) -> Bu
     amplitude = tuple(
         full_scale(2 * max(float(np.abs(row).max()) / to_beam, SMALLEST_AMPLITUDE / 2), (1.0,)) for row in voltage
     )
-    return quantise(voltage, amplitude, to_beam, known.timing, known.wish.velocity)
+    codes = round_to_codes(voltage, np.asarray(amplitude) * (to_beam / 2 / MID_CODE))
+    timing = known.timing
+    return Burst(unsigned_codes(codes), timing.duration, timing.repetition_rate, known.wish.velocity, amplitude)
