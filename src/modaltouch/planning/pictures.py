@@ -11,14 +11,7 @@ from matplotlib.lines import Line2D
 
 from modaltouch.planning.power import Power
 from modaltouch.planning.questions import FAMILIES
-from modaltouch.report import (
-    FAINT,
-    INK,
-    PAIR_COLOURS,
-    house_style,
-    new_figure,
-    quiet_grid,
-)
+from modaltouch.report import FAINT, INK, PAIR_COLOURS, house_style, quiet_grid
 
 _LINES = {0.5: "dotted", 0.8: "solid", 0.95: "dashed"}
 """Contours that are drawn, and how."""
@@ -43,7 +36,7 @@ def draw_power(power: Power, target: float = 0.8) -> Figure:
     families = power.study.families
     n_rows = -(-len(families) // _COLUMNS)
     with house_style():
-        figure = new_figure(3.2 * min(len(families), _COLUMNS) + 0.8, 2.7 * n_rows + 0.5)
+        figure = Figure(figsize=(3.2 * min(len(families), _COLUMNS) + 0.8, 2.7 * n_rows + 0.5))
         axes = figure.subplots(n_rows, min(len(families), _COLUMNS), squeeze=False)
         for place, panel in zip(axes.flat, (*families, *[None] * (axes.size - len(families))), strict=True):
             if panel is None:

@@ -8,15 +8,13 @@ peak is a linear programme. Either is polished by the least energy that takes th
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modaltouch.stimulus.drive import Drive, Steering, exact_drive
 from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
 from modaltouch.stimulus.modes import ModalModel
+from modaltouch.stimulus.quantities import FloatArray
 from modaltouch.stimulus.reachability import ReachabilityGramian
 from modaltouch.stimulus.synthesis import decay
-
-FloatArray = NDArray[np.float64]
 
 MAX_HELD_STEPS = 8192
 """Most steps of the linear programme: beyond, it takes minutes and gains nothing."""
@@ -28,29 +26,16 @@ _FLOOR = 1e-9
 
 
 def alternative_drive(steering: Steering, design: str) -> Drive:
-    """Return the voltages of a design, ``norm_4``, ``norm_8`` or ``least_peak``.
-
-    Parameters
-    ----------
-    steering : Steering
-        What the voltages are to do.
-    design : str
-        Name of the design.
-    """
+    """Return the voltages of a design, ``norm_4``, ``norm_8`` or ``least_peak``."""
     if design == "least_peak":
         return least_peak(steering)
     return least_norm(steering, {"norm_4": 4.0, "norm_8": 8.0}[design])
 
 
 def least_norm(steering: Steering, p: float) -> Drive:
-    """Return the voltages of least weighted p-norm that meet every modelled mode.
+    """Return the voltages of least weighted norm of order p, from 2 (the exact law) to about 8.
 
-    Parameters
-    ----------
-    steering : Steering
-        What the voltages are to do.
-    p : float
-        Order of the norm, from 2 (the exact law) to about 8; higher flattens the peaks.
+    Higher orders flatten the peaks.
 
     Raises
     ------
@@ -110,14 +95,8 @@ def _step_length(
 def least_peak(steering: Steering, held_steps: int = 1024) -> Drive:
     """Return the voltages of least peak that meet every modelled mode: a linear programme on held steps.
 
-    They jump between the peak and its negative, and excite whatever the model leaves out.
-
-    Parameters
-    ----------
-    steering : Steering
-        What the voltages are to do.
-    held_steps : int
-        Steps of equal length until the focusing instant, at most 8192; each holds several samples.
+    They jump between the peak and its negative, and excite whatever the model leaves out. Each of the `held_steps`
+    holds several samples.
 
     Raises
     ------
@@ -187,23 +166,7 @@ def _polished(steering: Steering, voltage: FloatArray) -> Drive:
 
 
 def compare_designs(steering: Steering, amplifier: Amplifier, unmodelled: ModalModel) -> list[dict[str, float | str]]:
-    """Return what each design costs, and how fast it leaves a mode that the model lacks.
-
-    Parameters
-    ----------
-    steering : Steering
-        What the voltages are to do.
-    amplifier : Amplifier
-        Between generator and beam.
-    unmodelled : ModalModel
-        Modes that the design knows nothing of, on the same channels.
-
-    Returns
-    -------
-    list of dict
-        ``name``, ``peak_voltage`` [V], ``energy`` [V^2 s], ``residual`` [m/s] and ``unmodelled_speed``, the
-        largest of |velocity| and |w eta| of those modes at the focusing instant [m/s].
-    """
+    """Return what each design costs, as `Stimulus.compare_designs`."""
     drives = {
         "exact": exact_drive(steering),
         "4-norm": least_norm(steering, 4.0),

@@ -16,10 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.stimulus.dynamics import DiagonalSystem
+from modaltouch.stimulus.quantities import ComplexArray, FloatArray
 from modaltouch.stimulus.synthesis import decay
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 SHORT = 16
 """Samples per block: the work per sample is least where a block is about as long as a product is efficient."""
@@ -113,16 +111,9 @@ class PeakBound:
         return cls(size, np.abs(mean), np.sqrt(np.maximum(energy * (1 + 1e-12) - n * mean**2, 0.0)))
 
     def of_outputs(self, output: ComplexArray, push: ComplexArray, powers: ComplexArray) -> FloatArray:
-        """Return upper bounds of the outputs in each block, (n_outputs, n_blocks) array.
+        """Return upper bounds of the outputs ``Re(output @ state)`` in each block, (n_outputs, n_blocks) array.
 
-        Parameters
-        ----------
-        output : (n_outputs, n_states) complex array
-            The outputs are the real part of ``output @ state``.
-        push : (n_states, n_inputs) complex array
-            What a unit of each input leaves in the states at the end of its sample.
-        powers : (n_states, n) complex array
-            Decays over 0 to n - 1 samples, n of them to a block [1].
+        A unit of each input leaves `push` in the states at the end of its sample; `powers` are the decays over a block.
         """
         impulse = ((output[:, None, :] * push.T) @ powers).real
         steady, worst = np.abs(impulse.cumsum(axis=2)).max(axis=2), np.sqrt((impulse**2).sum(axis=2))
@@ -172,13 +163,7 @@ class BlockKernel:
 
     @staticmethod
     def blocks(inputs: FloatArray) -> FloatArray:
-        """Return inputs as blocks, the last filled up with zeros, (n_inputs, n_blocks, BLOCK_LENGTH) array.
-
-        Parameters
-        ----------
-        inputs : (n_inputs, n_samples) array
-            Of consecutive samples.
-        """
+        """Return samples as blocks, the last filled up with zeros, (n_inputs, n_blocks, BLOCK_LENGTH) array."""
         beyond = -inputs.shape[1] % SHORT
         filled = np.pad(inputs, ((0, 0), (0, beyond))) if beyond else inputs
         return filled.reshape(len(inputs), -1, SHORT)
@@ -258,13 +243,7 @@ class BlockKernel:
         return self.scan.follow(self.pushed(blocks), state)
 
     def pushed(self, blocks: FloatArray) -> ComplexArray:
-        """Return what each block leaves in the states at its end, (n_states, n_blocks) array.
-
-        Parameters
-        ----------
-        blocks : (n_inputs, n_blocks, SHORT) array
-            Their inputs.
-        """
+        """Return what each block of inputs leaves in the states at its end, (n_states, n_blocks) array."""
         together = np.zeros((self.exponent.size, blocks.shape[1]), dtype=complex)
         for (states, column), rows in zip(self._into_state, blocks, strict=True):
             parts = np.concatenate([column.real, column.imag]) @ rows.T
@@ -305,13 +284,7 @@ class BlockKernel:
         return np.asarray(side @ table)
 
     def bounds(self, blocks: FloatArray, begin: ComplexArray) -> FloatArray:
-        """Return upper bounds of the outputs in each block, (n_outputs, n_blocks) array.
-
-        Parameters
-        ----------
-        blocks, begin
-            As for `respond`.
-        """
+        """Return upper bounds of the outputs in each block, (n_outputs, n_blocks) array, as `peak` takes them."""
         return PeakBound.of(blocks, begin).of_outputs(self.output, self.push, self.powers)
 
     def peak(self, place: int, blocks: FloatArray, begin: ComplexArray, bound: FloatArray, least: float) -> float:

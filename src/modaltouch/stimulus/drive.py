@@ -30,12 +30,11 @@ from numpy.typing import NDArray
 
 from modaltouch.stimulus.dynamics import DiagonalSystem
 from modaltouch.stimulus.modes import ModalModel
+from modaltouch.stimulus.quantities import ComplexArray, FloatArray
 from modaltouch.stimulus.reachability import GramianSolver, ReachabilityGramian, Taper
 from modaltouch.stimulus.synthesis import synthesise
 from modaltouch.stimulus.timing import Timing
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 Law = Literal["exact", "paper"]
 Release = Literal["braked", "free"]
 
@@ -78,16 +77,7 @@ class Drive:
 
 
 def check_drivable(model: ModalModel, target: FloatArray, timing: Timing) -> None:
-    """Refuse modes that cannot be driven to their targets, or whose oscillation the samples cannot follow.
-
-    Parameters
-    ----------
-    model : ModalModel
-        The modelled modes.
-    target : (n_modes,) array
-        Modal velocities at the focusing instant [m/s].
-    timing : Timing
-        Clock of the samples.
+    """Refuse modes that cannot be driven to their targets [m/s], or whose oscillation the samples cannot follow.
 
     Raises
     ------
@@ -196,26 +186,12 @@ class Steering:
         return GramianSolver.of(reach.gramian(), [self.model.label[i] for i in self.driven])
 
     def short(self, voltage: FloatArray) -> tuple[FloatArray, ComplexArray]:
-        """Return by how much voltages fall short of the goal [m/s], and the states they reach at the focusing instant.
-
-        Parameters
-        ----------
-        voltage : (n_channels, n_samples) array
-            From the start of the burst [V].
-        """
+        """Return by how much voltages from the start of the burst fall short of the goal, and the state they reach."""
         state = self.system.state_at(voltage, self.timing, self.timing.focusing_instant)
         return self.goal - (self.read @ state).real, state
 
     def released(self, before: FloatArray, state: ComplexArray) -> FloatArray:
-        """Return the voltages of the whole burst, (n_channels, n_samples) array [V].
-
-        Parameters
-        ----------
-        before : (n_channels, n_before) array
-            Voltages that act on the focusing instant [V].
-        state : (n_states,) complex array
-            At the focusing instant.
-        """
+        """Return the voltages of the whole burst, with those before the focus and the state they reach there."""
         timing, system = self.timing, self.system
         voltage = np.zeros((self.model.n_channels, timing.n_samples))
         voltage[:, : before.shape[1]] = before
@@ -229,14 +205,7 @@ class Steering:
     def brake(self, voltage: FloatArray, start: int, state: ComplexArray) -> None:
         """Write the cheapest voltages from a sample on that leave every driven mode at rest when the burst ends.
 
-        Parameters
-        ----------
-        voltage : (n_channels, n_samples) array
-            Voltages of the burst, zero from `start` on, which is overwritten [V].
-        start : int
-            First sample that brakes.
-        state : (n_states,) complex array
-            States when that sample arrives at the beam, after the amplifier's delay.
+        The state is that when the sample arrives at the beam, after the amplifier's delay.
 
         Raises
         ------
@@ -275,16 +244,6 @@ def exact_drive(steering: Steering) -> Drive:
 
     The residual is measured forward, on the voltages as written and the clock as it is, and solved for again:
     that takes the rounding of the closed-form Gramian and the unevenness of the clock out of the result.
-
-    Parameters
-    ----------
-    steering : Steering
-        What they are to do.
-
-    Raises
-    ------
-    ValueError
-        If a mode cannot be driven, or there are fewer samples than conditions.
     """
     reach, solver, goal = steering.reach, steering.solver, steering.goal
     before = np.zeros((steering.model.n_channels, reach.taper.n_samples))

@@ -23,13 +23,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.stimulus.bounds import require_positive
 from modaltouch.stimulus.modes import ModalModel
+from modaltouch.stimulus.quantities import ComplexArray, FloatArray, require_positive
 from modaltouch.stimulus.synthesis import BLOCK, CHUNK, decay, ladders
 from modaltouch.stimulus.timing import Timing
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 _SERIES_REST = 1e-12
 """Rest of the series in the lateness, over its first term: four terms for 90 kHz on 250 MHz [1]."""
@@ -131,23 +128,11 @@ class DiagonalSystem:
         return int(self.velocity.shape[0])
 
     def held_gain(self, hold: float) -> ComplexArray:
-        """Return what one volt held for a while leaves in each state, (n_states, n_channels) array.
-
-        Parameters
-        ----------
-        hold : float
-            How long the volt is held [s].
-        """
+        """Return what one volt held for a time [s] leaves in each state, (n_states, n_channels) array."""
         return np.asarray((np.expm1(self.exponent * hold) / self.exponent)[:, None] * self.input_gain)
 
     def clock_gain(self, timing: Timing) -> ComplexArray:
-        """Return what a unit of each of `clock_inputs` leaves in the states after a sample, (n_states, n_inputs) array.
-
-        Parameters
-        ----------
-        timing : Timing
-            Clock of the samples.
-        """
+        """Return what `clock_inputs` of 1 leave in the states after a sample, (n_states, n_inputs) array."""
         return np.concatenate([self.held_gain(timing.hold), *self._late_gains(timing)], axis=1)
 
     def _late_gains(self, timing: Timing) -> list[ComplexArray]:
@@ -222,36 +207,16 @@ class DiagonalSystem:
         return np.asarray(self.states_by_channel(voltage, timing, instant).sum(axis=0))
 
     def read(self, state: ComplexArray) -> tuple[FloatArray, FloatArray]:
-        """Return modal velocities, and displacements times angular frequency, of states, two (n_modes,) arrays [m/s].
-
-        Parameters
-        ----------
-        state : (n_states,) complex array
-            States.
-        """
+        """Return modal velocities, and displacements times angular frequency, two (n_modes,) arrays [m/s]."""
         return (self.velocity @ state).real, (self.displacement @ state).real
 
 
 def moments(
     voltage: FloatArray, exponent: ComplexArray, hold: float, driven: NDArray[np.bool_] | None = None
 ) -> ComplexArray:
-    """Return the sums of voltage * exp(exponent * time from the end of the sample to the end of the last).
+    """Return sums of voltage * exp(exponent * time until the end of the last sample), (n_channels, n_states) array [V].
 
-    Parameters
-    ----------
-    voltage : (n_channels, n_samples) array
-        Samples [V].
-    exponent : (n_states,) complex array
-        Exponents [1/s].
-    hold : float
-        Length of a sample [s].
-    driven : (n_channels, n_states) array of bool, optional
-        Which sums are asked for; all, if not given.
-
-    Returns
-    -------
-    (n_channels, n_states) complex array
-        The sums [V]; 0 where not asked for.
+    Where `driven`, (n_channels, n_states), is given, only its sums are computed; the others are 0.
     """
     n_samples = voltage.shape[1]
     sums = np.zeros((voltage.shape[0], exponent.size), dtype=complex)

@@ -10,11 +10,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from modaltouch.stimulus.bounds import EXTREME, require_positive
+from modaltouch.stimulus.quantities import EXTREME, FloatArray, require_positive
 from modaltouch.stimulus.shapes import mode_shapes
 from modaltouch.stimulus.timoshenko import TimoshenkoBeam
-
-FloatArray = NDArray[np.float64]
 
 _POINTS = 4096
 """Points at which the modes are added up together."""
@@ -106,13 +104,7 @@ class MeasuredShapes:
         return float(singular[0] / singular[-1]) if singular[-1] > 0 else math.inf
 
     def project(self, field: ArrayLike) -> FloatArray:
-        """Return the coefficients of a field on the shapes by least squares, (n_modes,) array.
-
-        Parameters
-        ----------
-        field : (n_points,) array_like
-            Field on the scan grid.
-        """
+        """Return the coefficients of a field on the scan grid by least squares, (n_modes,) array."""
         values = np.asarray(field, dtype=float)
         if values.shape != self.position.shape:
             raise ValueError(
@@ -121,15 +113,10 @@ class MeasuredShapes:
         return np.asarray(np.linalg.lstsq(self.shape.T, values, rcond=None)[0])
 
     def at(self, position: ArrayLike) -> FloatArray:
-        """Return the shapes between the points of the grid, (n_modes, n_positions) array [1].
+        """Return the shapes at positions between the points of the grid, (n_modes, n_positions) array [1].
 
         They are carried over by the theoretical shapes that fit them on the grid: straight lines would lose a
         third of a mode with two and a half points to the half wave.
-
-        Parameters
-        ----------
-        position : (n_positions,) array_like
-            Where, origin at mid-beam [m].
         """
         coefficient = self._fit(self.position, self.shape)
         return np.asarray(coefficient @ mode_shapes(self._fitted(self.position), position, self.length))
@@ -245,13 +232,7 @@ class ModalModel:
         return self.angular_frequency * (-self.damping_ratio + 1j * damped)
 
     def shapes(self, position: ArrayLike) -> FloatArray:
-        """Return the mode shapes at points of the beam, (n_modes, n_points) array [1].
-
-        Parameters
-        ----------
-        position : (n_points,) array_like
-            Coordinate along the beam, origin at its middle [m].
-        """
+        """Return the mode shapes at positions on the beam [m], (n_modes, n_points) array [1]."""
         if self.basis is not None:
             return self.basis.at(position)
         if self.beam is not None:
@@ -263,16 +244,9 @@ class ModalModel:
         return mode_shapes(self.label, position, self.length)
 
     def field(self, modal_velocity: FloatArray, position: ArrayLike) -> FloatArray:
-        """Return the velocity of modes at points of the beam, (n_points,) array [m/s].
+        """Return the velocity of modes [m/s] at positions on the beam [m], (n_points,) array [m/s].
 
         Many points are taken some at a time: no array of all modes at all points is made.
-
-        Parameters
-        ----------
-        modal_velocity : (n_modes,) array
-            Velocity of each mode [m/s].
-        position : (n_points,) array_like
-            Coordinate along the beam, origin at its middle [m].
         """
         place = np.atleast_1d(np.asarray(position, dtype=float))
         field = np.empty(place.size)

@@ -17,12 +17,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from modaltouch.stimulus.burst import MID_CODE
 from modaltouch.stimulus.dynamics import DiagonalSystem
+from modaltouch.stimulus.quantities import ComplexArray, FloatArray
 from modaltouch.stimulus.synthesis import decay
 from modaltouch.stimulus.timing import Timing
 from modaltouch.stimulus.vibration import BlockStates
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 GOAL = 3e-8
 """Error, as a fraction of the largest target, below which a mode is no longer urgent [1]."""
@@ -72,23 +70,11 @@ class QuantisedStimulus:
         return self.system.states_by_channel(self.codes, self.timing, end)
 
     def states_at_focus(self, unit: FloatArray) -> ComplexArray:
-        """Return the states at the focusing instant of the first burst, (n_states,) complex array.
-
-        Parameters
-        ----------
-        unit : (n_channels,) array
-            What a code is worth at the beam [V].
-        """
+        """Return the states at the focus of the first burst, (n_states,) array, for codes worth `unit` volts."""
         return np.asarray(unit @ self._states_per_volt)
 
     def states_steady(self, unit: FloatArray) -> ComplexArray:
-        """Return the states at the focusing instant once the burst has been repeated for long, (n_states,) array.
-
-        Parameters
-        ----------
-        unit : (n_channels,) array
-            What a code is worth at the beam [V].
-        """
+        """Return the states at the focusing instant once the burst has been repeated for long, (n_states,) array."""
         timing, exponent = self.timing, self.system.exponent
         end = timing.duration + self.system.delay
         left = unit @ self._left_per_volt
@@ -115,32 +101,12 @@ class QuantisedStimulus:
         return *self._responses[ratio], largest
 
     def passes(self, unit: FloatArray, shapes: FloatArray, limit: float) -> bool:
-        """Return whether the speed at any of some points of the beam passes a limit, computing no more than needed.
-
-        Parameters
-        ----------
-        unit : (n_channels,) array
-            What a code is worth at the beam [V].
-        shapes : (n_modes, n_positions) array
-            Mode shapes at the points [1].
-        limit : float
-            Speed [m/s].
-        """
+        """Return whether the speed at points with these mode shapes passes a limit; most blocks are skipped."""
         response, _, scale = self._response(unit)
         return bool((response.peak(shapes.T @ self.system.velocity, limit / scale) * scale > limit).any())
 
     def peaks(self, unit: FloatArray, positions: ArrayLike, shapes: FloatArray) -> FloatArray:
-        """Return the highest speed at points of the beam until the next burst, (n_positions,) array [m/s].
-
-        Parameters
-        ----------
-        unit : (n_channels,) array
-            What a code is worth at the beam [V].
-        positions : (n_positions,) array_like
-            Where, by which peaks are known again [m].
-        shapes : (n_modes, n_positions) array
-            Mode shapes there [1].
-        """
+        """Return the highest speed at positions with these mode shapes until the next burst [m/s]."""
         place = np.atleast_1d(np.asarray(positions, dtype=float)).tolist()
         response, known, scale = self._response(unit)
         if not all(point in known for point in place):
@@ -171,8 +137,7 @@ def settle(
     timing : Timing
         Clock of the samples.
     error : (2 n_modes,) array
-        Modal velocities, then displacements times angular frequency, that the codes leave over, target less
-        reached [m/s].
+        What the codes miss of the modal velocities, then of the displacements [m/s].
     largest : float
         Largest modal target [m/s].
     """

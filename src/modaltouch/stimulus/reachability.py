@@ -12,12 +12,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from modaltouch.stimulus.quantities import ComplexArray, FloatArray
 from modaltouch.stimulus.synthesis import synthesise
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
@@ -38,26 +35,12 @@ class Taper:
 
     @classmethod
     def fitting(cls, n_samples: int, rise: float, fall: float) -> Taper:
-        """Return the taper with the wished ends, shortened together where they would fill over half of it.
-
-        Parameters
-        ----------
-        n_samples : int
-            Samples weighted.
-        rise, fall : float
-            Wished ends [samples].
-        """
+        """Return the taper with these ends [samples], shortened together where they would fill over half."""
         shrink = min(1.0, 0.5 * n_samples / max(rise + fall, 1.0))
         return cls(n_samples, max(1, int(rise * shrink)), max(1, int(fall * shrink)))
 
     def apply(self, voltage: FloatArray) -> None:
-        """Multiply voltages by the weight, in place.
-
-        Parameters
-        ----------
-        voltage : (n_channels, n_samples) array
-            Voltages [V].
-        """
+        """Multiply voltages, (n_channels, n_samples) array, by the weight, in place."""
         voltage[:, : self.rise] *= raised_cosine(self.rise)
         voltage[:, self.n_samples - self.fall :] *= raised_cosine(self.fall)[::-1]
 
@@ -79,13 +62,7 @@ class Taper:
         self.apply(voltage)
 
     def transform(self, rate: ComplexArray) -> ComplexArray:
-        """Return the sum over samples of weight * exp(rate * samples before the last), elementwise.
-
-        Parameters
-        ----------
-        rate : complex array
-            Exponents per sample, real parts at most 0 [1].
-        """
+        """Return the sum over samples of weight * exp(rate * samples before the last), elementwise."""
         flat_for = self.n_samples - self.rise - self.fall
         step = np.expm1(rate)
         over_fall, over_flat, over_rise = (np.expm1(rate * n) for n in (self.fall, flat_for, self.rise))
@@ -96,13 +73,7 @@ class Taper:
 
 
 def raised_cosine(n: int) -> FloatArray:
-    """Return the rise of a raised cosine from 0 towards 1, (n,) array [1].
-
-    Parameters
-    ----------
-    n : int
-        Samples of the rise; sample n would be 1.
-    """
+    """Return the rise of a raised cosine from 0 towards 1, (n,) array [1]; sample n would be 1."""
     return np.asarray(np.sin(np.arange(n) * (np.pi / (2 * n))) ** 2)
 
 
@@ -158,15 +129,7 @@ class ReachabilityGramian:
         return np.asarray(0.5 * gram.real.sum(axis=0))
 
     def write(self, weight: FloatArray, voltage: FloatArray) -> None:
-        """Write the tapered voltages R^T weight.
-
-        Parameters
-        ----------
-        weight : (n_conditions,) array
-            Multiplier of each condition.
-        voltage : (n_channels, n_samples) array
-            Where they go [V]; each row contiguous.
-        """
+        """Write the tapered voltages R^T weight, one weight to each condition, into contiguous rows."""
         self.taper.write(np.tensordot(weight, self.row, axes=1), self.exponent, self.hold, voltage)
 
 
@@ -190,14 +153,7 @@ class GramianSolver:
 
     @classmethod
     def of(cls, gramian: FloatArray, label: Sequence[int]) -> GramianSolver:
-        """Return the solver of a Gramian with a positive diagonal.
-
-        Parameters
-        ----------
-        gramian : (n, n) array
-            Symmetric, from `ReachabilityGramian.gramian`.
-        label : sequence of int
-            Modes of the conditions, over and over, for the message.
+        """Return the solver of a Gramian; `label` names the modes of the conditions, over and over, for the message.
 
         Raises
         ------
@@ -223,13 +179,7 @@ class GramianSolver:
         return float(self.eigenvalue[-1]) / smallest if smallest > 0 else float("inf")
 
     def solve(self, value: FloatArray) -> FloatArray:
-        """Return the solution; directions lost in rounding are left out.
-
-        Parameters
-        ----------
-        value : (n,) array
-            Right-hand side.
-        """
+        """Return the solution for a right-hand side; directions lost in rounding are left out."""
         lost = self.eigenvalue <= self.eigenvalue.size * np.finfo(float).eps * self.eigenvalue[-1]
         inverse = np.where(lost, 0.0, 1 / np.where(lost, 1.0, self.eigenvalue))
         return np.asarray(self.scale * (self.eigenvector @ (inverse * (self.eigenvector.T @ (self.scale * value)))))

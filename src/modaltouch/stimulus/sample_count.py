@@ -11,13 +11,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from modaltouch.stimulus.bounds import require_positive
+from modaltouch.stimulus.quantities import FloatArray, require_positive
 from modaltouch.stimulus.stimulus import Stimulus
 from modaltouch.stimulus.vibration import modal_history
-
-FloatArray = NDArray[np.float64]
 
 LEAST_SAMPLES_PER_CYCLE = 2.5
 """Of the highest mode, whatever the tolerance [1]."""

@@ -9,13 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from modaltouch.stimulus.dynamics import DiagonalSystem
+from modaltouch.stimulus.quantities import ComplexArray, FloatArray
 from modaltouch.stimulus.stimulus import Stimulus
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, eq=False)

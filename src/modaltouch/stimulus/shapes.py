@@ -7,11 +7,9 @@ from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from modaltouch.stimulus.bounds import require_finite
-
-FloatArray = NDArray[np.float64]
+from modaltouch.stimulus.quantities import FloatArray, require_finite
 
 _ASIN_ITERATIONS = 12
 """The fixed point contracts by sech(4.73) = 0.018 at worst: twelve steps leave nothing in double precision."""
@@ -144,11 +142,6 @@ def patch_gains(
 
 def scaled_position(position: ArrayLike, length: float) -> FloatArray:
     """Return positions as fractions of the length, -1/2 to 1/2 [1].
-
-    Parameters
-    ----------
-    position, length
-        As for `mode_shapes`.
 
     Raises
     ------

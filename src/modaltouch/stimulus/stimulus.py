@@ -9,7 +9,6 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from modaltouch.stimulus.bounds import require_positive
 from modaltouch.stimulus.burst import MID_CODE, Burst, amplitudes_at
 from modaltouch.stimulus.correction import Correction, Trims, trimmed
 from modaltouch.stimulus.drive import Drive, Law, Release, Steering, check_drivable, exact_drive, paper_drive
@@ -17,12 +16,11 @@ from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.quantisation import full_scale, round_to_codes, signed_codes, unsigned_codes
 from modaltouch.stimulus.quantised import QuantisedStimulus, settle
+from modaltouch.stimulus.quantities import FloatArray, require_positive
 from modaltouch.stimulus.target_field import Projection, TargetField
 from modaltouch.stimulus.timing import Timing
 from modaltouch.stimulus.vibration import velocity_history
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 Rounding = Literal["settled", "plain"]
 Design = Literal["least_energy", "norm_4", "norm_8", "least_peak"]
 

@@ -9,13 +9,12 @@ from functools import cached_property, lru_cache
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from modaltouch.stimulus.bounds import require_finite, require_positive
 from modaltouch.stimulus.modes import ModalModel
+from modaltouch.stimulus.quantities import FloatArray, require_finite, require_positive
 from modaltouch.stimulus.shapes import mode_shapes
 
-FloatArray = NDArray[np.float64]
 Shape = Literal["triangle", "box", "half_cosine", "raised_cosine", "gaussian", "sampled"]
 
 _PROFILES: dict[Shape, Callable[[FloatArray], FloatArray]] = {
@@ -112,13 +111,7 @@ class TargetField:
         return (self.centre, *self.further_centres)
 
     def profile(self, position: ArrayLike) -> FloatArray:
-        """Return the wished field at unit velocity, (n_points,) array [1].
-
-        Parameters
-        ----------
-        position : (n_points,) array_like
-            Coordinate along the beam, origin at its middle [m].
-        """
+        """Return the target field at unit velocity at positions on the beam [m], (n_points,) array [1]."""
         place = np.atleast_1d(np.asarray(position, dtype=float))
         if self.shape == "sampled":
             return self._sampled(place) / self._at_centre()
@@ -140,13 +133,7 @@ class TargetField:
         return float(self._sampled(np.array([self.centre]))[0])
 
     def edges(self, length: float) -> list[float]:
-        """Return the points where the field or its slope jumps, with the ends of the beam, increasing [m].
-
-        Parameters
-        ----------
-        length : float
-            Length of the beam [m].
-        """
+        """Return the points where the field or its slope jumps, with the ends of the beam, increasing [m]."""
         half = length / 2
         if self.shape == "sampled":
             inner = [at for at, _ in self.points]
@@ -170,12 +157,7 @@ def _gauss_rule() -> tuple[FloatArray, FloatArray]:
 def quadrature(edges: list[float], phase_rate: float) -> tuple[FloatArray, FloatArray]:
     """Return nodes and weights [m] that integrate products of smooth pieces and mode shapes to rounding.
 
-    Parameters
-    ----------
-    edges : list of float
-        Ends of the smooth pieces, increasing [m].
-    phase_rate : float
-        Fastest phase of the integrand along the beam [rad/m].
+    The pieces end at `edges`, increasing [m]; `phase_rate` is the fastest phase of the integrand [rad/m].
     """
     node, weight = _gauss_rule()
     borders: list[float] = []
@@ -291,23 +273,11 @@ class Projection:
         return kept * (self.wish.velocity / at_centre)
 
     def field(self, position: ArrayLike) -> FloatArray:
-        """Return the velocity field that the selected modes make, (n_points,) array [m/s].
-
-        Parameters
-        ----------
-        position : (n_points,) array_like
-            Coordinate along the beam, origin at its middle [m].
-        """
+        """Return the velocity that the selected modes make at positions on the beam [m], (n_points,) array [m/s]."""
         return self.model.field(self.target, position)
 
     def residual(self, position: ArrayLike) -> FloatArray:
-        """Return what of the wish stays unreached, wish less field, (n_points,) array [m/s].
-
-        Parameters
-        ----------
-        position : (n_points,) array_like
-            Coordinate along the beam, origin at its middle [m].
-        """
+        """Return the target field less the field reached at positions on the beam [m], (n_points,) array [m/s]."""
         return self.wish.velocity * self.wish.profile(position) - self.field(position)
 
     @cached_property
@@ -353,15 +323,10 @@ class Projection:
     def width(self, fraction: float) -> float:
         """Return how wide the field is at a fraction of its value at the centre [m].
 
-        Parameters
-        ----------
-        fraction : float
-            Of the velocity at the centre, above 0 and below 1 [1].
-
         Raises
         ------
         ValueError
-            If the fraction lies outside.
+            If the fraction does not lie above 0 and below 1.
         """
         if not 0 < fraction < 1:
             raise ValueError(f"a width is asked at {fraction} of the centre; give a fraction above 0 and below 1")

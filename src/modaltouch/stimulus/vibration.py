@@ -19,11 +19,9 @@ from numpy.typing import ArrayLike, NDArray
 from modaltouch.stimulus.blocks import SHORT, BlockKernel, BlockRecursion, PeakBound
 from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem, clock_inputs
 from modaltouch.stimulus.modes import ModalModel
+from modaltouch.stimulus.quantities import ComplexArray, FloatArray
 from modaltouch.stimulus.synthesis import BLOCK, decay, ladders
 from modaltouch.stimulus.timing import Timing
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 _OUTPUTS = 256
 """Outputs whose peaks are sought together: bounds the memory, whatever the number of places."""
@@ -77,12 +75,8 @@ class BlockStates:
     def peak(self, output: ComplexArray, floor: float = 0.0) -> FloatArray:
         """Return the largest magnitude of each output until the next burst would begin, (n_outputs,) array.
 
-        Parameters
-        ----------
-        output : (n_outputs, n_states) complex array
-            The outputs are the real part of ``output @ state``.
-        floor : float
-            Returned for outputs that stay below it; the more it is, the less is looked into.
+        The outputs are ``Re(output @ state)``; those that stay below `floor` are returned as it. The higher it is, the
+        fewer blocks are looked into.
         """
         if len(output) > _OUTPUTS:
             starts = range(0, len(output), _OUTPUTS)
@@ -199,15 +193,7 @@ def velocity_history(
 def modal_history(
     model: ModalModel, voltage: FloatArray, timing: Timing, amplifier: Amplifier | None = None
 ) -> FloatArray:
-    """Return the modal velocities as each sample arrives, (n_modes, n_samples) array [m/s], from rest.
-
-    Parameters
-    ----------
-    model : ModalModel
-        The beam.
-    voltage, timing, amplifier
-        As for `velocity_history`.
-    """
+    """Return the modal velocities as each sample arrives, (n_modes, n_samples) array [m/s], from rest."""
     system = DiagonalSystem.of(model, amplifier)
     return _history(system, system.velocity, _checked(voltage, model), timing)
 
@@ -219,19 +205,10 @@ def peak_velocity(
     positions: ArrayLike,
     amplifier: Amplifier | None = None,
 ) -> FloatArray:
-    """Return the highest speed at points of the beam, from rest until the next burst would begin.
+    """Return the highest speed at points of the beam until the next burst would begin, (n_positions,) array [m/s].
 
-    Parameters
-    ----------
-    model, voltage, timing
-        As for `modal_history`.
-    positions, amplifier
-        As for `velocity_history`.
-
-    Returns
-    -------
-    (n_positions,) array
-        Largest magnitude of the velocity at the starts of the samples, and of the decay after them [m/s].
+    It is the largest magnitude of the velocity at the starts of the samples, and of the decay after them, from rest;
+    arguments as for `velocity_history`.
     """
     system = DiagonalSystem.of(model, amplifier)
     return BlockStates.of(system, _checked(voltage, model), timing).peak(model.shapes(positions).T @ system.velocity)

@@ -17,7 +17,7 @@ from modaltouch.lab.output import DARK, LIGHT, MIDDLE
 from modaltouch.lab.validation.evidence import Evidence
 from modaltouch.lab.validation.key_figures import coefficients, key_figures
 from modaltouch.lab.validation.recording import AROUND
-from modaltouch.report import FAINT, INK, house_style, new_figure, quiet_grid
+from modaltouch.report import FAINT, INK, house_style, quiet_grid
 
 LAW_TITLES = {"exact": "law “exact”", "paper": "law “paper”, eq. (6) and (7)"}
 
@@ -244,7 +244,7 @@ def draw_maps(evidences: Sequence[Evidence]) -> Figure:
     """Return velocity by position and time around the focus, in the form of Fig. 5."""
     highest = max(float(np.abs(each.velocity_map).max()) for each in evidences) * 1e3
     with house_style():
-        figure = new_figure(7.6, 4.4)
+        figure = Figure(figsize=(7.6, 4.4))
         panels = figure.subplots(1, len(evidences), squeeze=False, sharex=True, sharey=True)[0]
         image = None
         for axes, evidence in zip(panels, evidences, strict=True):
@@ -286,7 +286,7 @@ def draw_spectrograms(evidences: Sequence[Evidence]) -> Figure:
     found = [spectrogram_of(each) for each in evidences]
     top = 20 * np.log10(max(float(each.amplitude.max()) for each in found) * 1e3)
     with house_style():
-        figure = new_figure(7.6, 3.6)
+        figure = Figure(figsize=(7.6, 3.6))
         panels = figure.subplots(1, len(evidences), squeeze=False, sharex=True, sharey=True)[0]
         image = None
         for axes, evidence, one in zip(panels, evidences, found, strict=True):
@@ -332,7 +332,7 @@ def draw_zones(evidence: Evidence) -> Figure:
     observation, time = evidence.observation, evidence.course_time
     reach = 1.12 * float(np.abs(evidence.course).max()) * 1e3
     with house_style():
-        figure = new_figure(7.6, 0.95 * len(observation.zones) + 0.9)
+        figure = Figure(figsize=(7.6, 0.95 * len(observation.zones) + 0.9))
         shape: dict[str, Any] = {"squeeze": False, "sharex": "col", "sharey": True}
         panels = figure.subplots(len(observation.zones), 2, **shape)
         middles, envelopes = _envelope(time, evidence.course)
@@ -374,7 +374,7 @@ def draw_drives(evidences: Sequence[Evidence], limit: float) -> Figure:
     """Return the voltages measured at the beam, and the amplifier's limit [V]."""
     n_channels = evidences[0].observation.stimulus.model.n_channels
     with house_style():
-        figure = new_figure(7.6, 1.5 * n_channels + 0.6)
+        figure = Figure(figsize=(7.6, 1.5 * n_channels + 0.6))
         panels = figure.subplots(n_channels, len(evidences), squeeze=False, sharex=True, sharey=True)
         for column, evidence in zip(panels.T, evidences, strict=True):
             drive = evidence.observation.course.drive.mean(axis=(0, 1))
