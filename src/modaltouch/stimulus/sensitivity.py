@@ -109,8 +109,18 @@ def focus_sensitivity(stimulus: Stimulus) -> Sensitivity:
         share = (1 / (pole + s))[:, None]
         slope = pole * share * slope - pole * share**2 * reached + share**2 * left
         reached = pole * share * reached - share * left
-    by_channel = model.modal_gain * reached
-    return _derivatives(stimulus, by_channel, (model.modal_gain * slope).sum(axis=1))
+    by_channel, slope = model.modal_gain * reached, (model.modal_gain * slope).sum(axis=1)
+    ratio = model.damping_ratio
+    damped = np.sqrt((1 - ratio) * (1 + ratio))
+    read = np.stack([1 + 1j * ratio / damped, -1j / damped])
+    read_slope = np.stack([1j / damped**3, -1j * ratio / damped**3])
+    along_ratio = model.angular_frequency * (-1 - 1j * ratio / damped)
+    return Sensitivity(
+        label=model.label,
+        natural_frequency=(read * slope * s).real,
+        damping_ratio=(ratio * (read_slope * by_channel.sum(axis=1) + read * slope * along_ratio)).real,
+        modal_gain=(read[:, :, None] * by_channel).real,
+    )
 
 
 def _response_to_steps(step: FloatArray, ago: FloatArray, exponent: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
@@ -122,23 +132,6 @@ def _response_to_steps(step: FloatArray, ago: FloatArray, exponent: ComplexArray
         reached[k] = step @ grown
         slope[k] = step @ (ago * np.exp(s * ago) - grown) / s
     return reached, slope
-
-
-def _derivatives(stimulus: Stimulus, by_channel: ComplexArray, slope: ComplexArray) -> Sensitivity:
-    """Return the derivatives from the states by channel and their slopes along s."""
-    model = stimulus.model
-    s, ratio = model.exponent, model.damping_ratio
-    damped = np.sqrt((1 - ratio) * (1 + ratio))
-    read = np.stack([1 + 1j * ratio / damped, -1j / damped])
-    read_slope = np.stack([1j / damped**3, -1j * ratio / damped**3])
-    along_ratio = model.angular_frequency * (-1 - 1j * ratio / damped)
-    state = by_channel.sum(axis=1)
-    return Sensitivity(
-        label=model.label,
-        natural_frequency=(read * slope * s).real,
-        damping_ratio=(ratio * (read_slope * state + read * slope * along_ratio)).real,
-        modal_gain=(read[:, :, None] * by_channel).real,
-    )
 
 
 @dataclass(frozen=True, eq=False)
