@@ -161,7 +161,9 @@ def _polished(steering: Steering, voltage: FloatArray) -> Drive:
         steering.reach.write(steering.solver.solve(short), change)
         voltage = voltage + change
     short, state = steering.short(voltage)
-    whole = steering.released(voltage, state)
+    whole = np.zeros((len(voltage), steering.timing.n_samples))
+    whole[:, : voltage.shape[1]] = voltage
+    steering.end(whole, state)
     return Drive(whole, steering.solver.condition_number, float(np.abs(short).max()), voltage.shape[1])
 
 

@@ -190,17 +190,13 @@ class Steering:
         state = self.system.state_at(voltage, self.timing, self.timing.focusing_instant)
         return self.goal - (self.read @ state).real, state
 
-    def released(self, before: FloatArray, state: ComplexArray) -> FloatArray:
-        """Return the voltages of the whole burst, with those before the focus and the state they reach there."""
-        timing, system = self.timing, self.system
-        voltage = np.zeros((self.model.n_channels, timing.n_samples))
-        voltage[:, : before.shape[1]] = before
+    def end(self, voltage: FloatArray, state: ComplexArray) -> None:
+        """Write the voltages after the focus into those of the whole burst, given the state at the focus."""
         if self.release == "braked":
-            start = self.braked_from
+            start, timing = self.braked_from, self.timing
             # No sample acts between the focusing instant and the arrival of the first that brakes.
-            ahead = start * timing.hold + system.delay - timing.focusing_instant
-            self.brake(voltage, start, state * np.exp(system.exponent * ahead))
-        return voltage
+            ahead = start * timing.hold + self.system.delay - timing.focusing_instant
+            self.brake(voltage, start, state * np.exp(self.system.exponent * ahead))
 
     def brake(self, voltage: FloatArray, start: int, state: ComplexArray) -> None:
         """Write the cheapest voltages from a sample on that leave every driven mode at rest when the burst ends.
@@ -246,7 +242,8 @@ def exact_drive(steering: Steering) -> Drive:
     that takes the rounding of the closed-form Gramian and the unevenness of the clock out of the result.
     """
     reach, solver, goal = steering.reach, steering.solver, steering.goal
-    before = np.zeros((steering.model.n_channels, reach.taper.n_samples))
+    voltage = np.zeros((steering.model.n_channels, steering.timing.n_samples))
+    before = voltage[:, : reach.taper.n_samples]
     weight = np.zeros_like(goal)
     best, kept, kept_state = np.inf, weight, np.zeros(reach.exponent.size, dtype=complex)
     short = goal
@@ -262,7 +259,8 @@ def exact_drive(steering: Steering) -> Drive:
             break
     if kept is not weight:
         reach.write(kept, before)
-    return Drive(steering.released(before, kept_state), solver.condition_number, best, before.shape[1])
+    steering.end(voltage, kept_state)
+    return Drive(voltage, solver.condition_number, best, reach.taper.n_samples)
 
 
 def assigned_channel(model: ModalModel) -> NDArray[np.intp]:
