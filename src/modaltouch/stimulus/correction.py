@@ -13,7 +13,7 @@ Trims = tuple[tuple[float, float], ...]
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """Corrected targets: what the exact law is to aim at so that the real beam meets the wish.
+    """Corrected targets: what the exact law is to aim at so that the real beam reaches the target field.
 
     Attributes
     ----------

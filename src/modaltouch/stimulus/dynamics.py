@@ -29,7 +29,7 @@ from modaltouch.stimulus.synthesis import BLOCK, CHUNK, decay, ladders
 from modaltouch.stimulus.timing import Timing
 
 _SERIES_REST = 1e-12
-"""Rest of the series in the lateness, over its first term: four terms for 90 kHz on 250 MHz [1]."""
+"""Rest of the series in the delay of a step, over its first term: four terms for 90 kHz on 250 MHz [1]."""
 
 
 @dataclass(frozen=True)
@@ -247,7 +247,7 @@ def _chunk_moments(
 
 
 def clock_inputs(voltage: FloatArray, timing: Timing, start: int, stop: int, n_inputs: int) -> FloatArray:
-    """Return the voltages of some samples, and below them the inputs by which their lateness is made up.
+    """Return the voltages of some samples, and below them the inputs that stand for the delays of steps to the clock.
 
     Parameters
     ----------
@@ -263,7 +263,7 @@ def clock_inputs(voltage: FloatArray, timing: Timing, start: int, stop: int, n_i
     Returns
     -------
     (n_inputs, stop - start) array
-        Voltages, then steps times their lateness, its square, and so on.
+        Voltages, then steps times their delay to the clock, its square, and so on.
     """
     if timing.lateness is None:
         return voltage[:, start:stop]
@@ -277,7 +277,7 @@ def clock_inputs(voltage: FloatArray, timing: Timing, start: int, stop: int, n_i
 
 
 def _late_steps(voltage: FloatArray, timing: Timing, start: int, stop: int) -> Iterator[FloatArray]:
-    """Yield the steps at the starts of samples times their lateness, then its square, ...: the same array each time."""
+    """Yield the steps times their delay to the clock, then times its square, and so on: the same array each time."""
     if timing.lateness is None:
         return
     # The record ends with its last sample: what follows is silence, never late.

@@ -1,4 +1,4 @@
-r"""The cheapest voltages that take the modes from rest to a wished state: weights, Gramian, solution.
+r"""The cheapest voltages that take the modes from rest to a given state: weights, Gramian, solution.
 
 Least weighted energy :math:`\sum v^2/D` under :math:`R v = x_F` is solved by :math:`v = D R^T W^{-1} x_F` with
 the reachability Gramian :math:`W = R D R^T` (linear control). The rows of R are sums of exponentials and the

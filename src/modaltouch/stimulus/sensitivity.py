@@ -1,7 +1,7 @@
 r"""How well a lab must identify its beam: what an error of each parameter does to the field at the focus.
 
 The voltages stay as they were designed; the beam differs. Open loop is limited by identification, not by the
-codes: whoever quotes their 1e-13 must quote this table beside it.
+codes: their 1e-13 means nothing without this table.
 """
 
 from __future__ import annotations

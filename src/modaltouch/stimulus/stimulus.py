@@ -282,7 +282,7 @@ class Stimulus:
         return self._worst_error(self.achieved(velocity, steady=steady), velocity)
 
     def worst_modal_error_of(self, codes: NDArray[np.uint16], timing: Timing, velocity: float) -> float:
-        """Return the largest modal error where other codes are played on a clock of their own [m/s].
+        """Return the largest modal error where other codes are played on another clock [m/s].
 
         Parameters
         ----------

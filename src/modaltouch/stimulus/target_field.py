@@ -30,12 +30,12 @@ _PHASE_PER_PANEL = 10.0
 """A 16-node Gauss rule integrates 10 rad of a sinusoid to 1e-22 of its own amplitude."""
 
 _NOTHING = 1e-9
-"""A projection below this fraction of the wish is rounding, not vibration."""
+"""A projection below this fraction of the target field is rounding, not vibration."""
 
 
 @dataclass(frozen=True)
 class TargetField:
-    """The velocity field wished at the focusing instant.
+    """The velocity field to be reached at the focusing instant.
 
     Attributes
     ----------
@@ -49,11 +49,11 @@ class TargetField:
     velocity : float
         Velocity at the centre at the focusing instant, for the highest level [m/s].
     n_decomposed : int
-        The wish is decomposed on modes 1 to this label.
+        The field is decomposed on modes 1 to this label.
     selection : int or tuple of int
         Number of strongest modelled modes to excite, or their labels.
     further_centres : tuple of float
-        Where else the same shape is wished at the same time [m]; where shapes overlap the higher counts.
+        Where else the same shape is to be at the same time [m]; where shapes overlap the higher counts.
     points : tuple of (float, float)
         Positions [m], increasing, and velocities relative to each other of a sampled field: straight lines
         between, zero outside.
@@ -69,7 +69,7 @@ class TargetField:
     points: tuple[tuple[float, float], ...] = ()
 
     def __post_init__(self) -> None:
-        """Refuse a wish that no beam can be asked."""
+        """Refuse a field that no beam can follow."""
         if self.shape not in get_args(Shape):
             raise ValueError(f"the field shape {self.shape!r} is unknown; allowed: {', '.join(get_args(Shape))}")
         require_positive("the base of the field", self.base, "m", "the shipped field has 56 mm")
@@ -107,7 +107,7 @@ class TargetField:
 
     @property
     def centres(self) -> tuple[float, ...]:
-        """Every place where the field is wished [m]."""
+        """The centres of all its shapes [m]."""
         return (self.centre, *self.further_centres)
 
     def profile(self, position: ArrayLike) -> FloatArray:
@@ -173,21 +173,21 @@ def quadrature(edges: list[float], phase_rate: float) -> tuple[FloatArray, Float
 
 @dataclass(frozen=True, eq=False)
 class Projection:
-    """A wish as the modes of a model see it.
+    """A target field projected on the modes of a model.
 
     Attributes
     ----------
     model : ModalModel
         The modelled modes.
     wish : TargetField
-        The wished field.
+        The target field.
     """
 
     model: ModalModel
     wish: TargetField
 
     def __post_init__(self) -> None:
-        """Refuse a wish that the modelled modes cannot follow."""
+        """Refuse a field that the modelled modes cannot follow."""
         half = self.model.length / 2
         off = [centre for centre in self.wish.centres if abs(centre) > half]
         if off:
@@ -222,7 +222,7 @@ class Projection:
 
     @cached_property
     def decomposition(self) -> FloatArray:
-        """Coefficients of the wish at unit velocity on modes 1 to `n_decomposed`, (n_decomposed,) array [1]."""
+        """Coefficients of the target field at unit velocity on modes 1 to `n_decomposed`, (n_decomposed,) array [1]."""
         position, weight = self._nodes
         profile = self.wish.profile(position)
         alive = profile != 0
@@ -232,7 +232,7 @@ class Projection:
 
     @cached_property
     def coefficient(self) -> FloatArray:
-        """Coefficients of the wish at unit velocity on the modelled modes, (n_modes,) array [1]."""
+        """Coefficients of the target field at unit velocity on the modelled modes, (n_modes,) array [1]."""
         if self.model.basis is not None:
             # Few scan points: least squares, where a sum over them would err by a quarter.
             return self.model.basis.project(self.wish.profile(self.model.basis.position))
@@ -259,7 +259,7 @@ class Projection:
     def target(self) -> FloatArray:
         """Modal velocities at the focusing instant, (n_modes,) array [m/s], 0 for modes not selected.
 
-        Scaled so that they add up to the wished velocity at the centre of the field.
+        Scaled so that they add up to the velocity asked for at the centre of the field.
         """
         chosen = np.isin(self.model.label, self.selected)
         kept = np.where(chosen, self.coefficient, 0.0)
@@ -282,17 +282,17 @@ class Projection:
 
     @cached_property
     def missing(self) -> tuple[int, ...]:
-        """Labels that the wish needs and the field lacks, strongest first: over a tenth of the strongest."""
+        """Labels that the target field needs and the modes lack, strongest first: over a tenth of the strongest."""
         strength = np.abs(self.decomposition)
         order = np.argsort(-strength, kind="stable") + 1
         least = 0.1 * strength.max()
         return tuple(int(k) for k in order if strength[k - 1] > least and k not in self.selected)
 
     def unreached(self) -> str:
-        """Return in words what of the wish the selected modes do not reach, and for lack of which modes.
+        """Return a sentence on what of the target field the selected modes do not reach, and for lack of which modes.
 
         Symmetric wiring, for one, mirrors every field at mid-beam: what it adds there and lacks here is said,
-        never silently taken for the wish.
+        never silently taken for the target field.
         """
         position = np.linspace(-self.model.length / 2, self.model.length / 2, 501)
         residual = self.residual(position)
@@ -305,7 +305,7 @@ class Projection:
 
     @cached_property
     def reconstruction_error(self) -> float:
-        """Root mean square of the residual over that of the wish [1]."""
+        """Root mean square of the residual over that of the target field [1]."""
         position, weight = self._nodes
         wished = self.wish.velocity * self.wish.profile(position)
         return math.sqrt(float(weight @ self.residual(position) ** 2) / float(weight @ wished**2))

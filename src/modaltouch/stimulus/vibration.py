@@ -38,7 +38,7 @@ class BlockStates:
     timing : Timing
         Clock of the samples.
     inputs : (n_inputs, n_samples) array
-        Voltages, and what their lateness adds.
+        Voltages, and the steps times the powers of their delay to the clock.
     begin : (n_states, n_blocks + 1) complex array
         States at the starts of blocks of BLOCK samples, and after the last, which is filled up with zeros.
     """
@@ -123,7 +123,7 @@ class BlockStates:
     def _different(self, output: ComplexArray) -> tuple[ComplexArray, list[int]]:
         """Return the outputs that differ in more than their sign, and which of them stands for each output.
 
-        States that nothing drives count for nothing: symmetric zones share one course where only symmetric modes
+        States that nothing drives count for nothing: symmetric zones share one output where only symmetric modes
         are driven.
         """
         driven = output * self.system.input_gain.any(axis=1)
