@@ -15,7 +15,7 @@ import numpy as np
 from modaltouch.lab.arrays import ComplexArray, FloatArray
 from modaltouch.lab.calibration.decay import Decay
 from modaltouch.rig import Recording
-from modaltouch.stimulus import Amplifier, ModalModel, Timing, modal_system, states_by_channel
+from modaltouch.stimulus import Amplifier, DiagonalSystem, ModalModel, Timing
 
 LONGEST = 100e-6
 """Longest delay, and lag, that is looked for [s]."""

@@ -17,16 +17,7 @@ from modaltouch.lab.comparison.results import Row, criteria, paragraphs, rows_of
 from modaltouch.lab.laboratory import MeasurementProgress, TooFewPointsError
 from modaltouch.lab.output import DARK, MIDDLE, page_files, rounded
 from modaltouch.preflight import examine
-from modaltouch.report import (
-    FAINT,
-    INK,
-    csv_bytes,
-    house_style,
-    json_bytes,
-    quiet_grid,
-    refuse_other,
-    write_files,
-)
+from modaltouch.report import FAINT, INK, csv_bytes, house_style, json_bytes, quiet_grid, refuse_other, write_files
 from modaltouch.system import commit, version
 
 COMMAND = "compare"
@@ -255,7 +246,7 @@ class ComparisonReport:
             figures,
             title=f"Comparison: {self.about['title']}",
             values=values,
-            level=level_label(round(self.level, 6)),
+            level=format(round(self.level, 6), "g"),
             rows=self.rows,
             table=self.table,
             paragraphs=self.paragraphs,

@@ -39,7 +39,7 @@ def draw_decomposition(evidence: Evidence) -> Figure:
         ("not modelled", ~np.isin(labels, stimulus.model.label), {"facecolor": "white"}),
     )
     with house_style():
-        figure = new_figure(7.6, 2.7)
+        figure = Figure(figsize=(7.6, 2.7))
         axes = figure.subplots()
         for name, which, look in kinds:
             axes.bar(labels[which], wished[which], width=0.72, edgecolor=INK, linewidth=0.6, label=name, **look)
@@ -57,7 +57,7 @@ def draw_decomposition(evidence: Evidence) -> Figure:
 def draw_coefficients(evidences: Sequence[Evidence]) -> Figure:
     """Return wished and achieved coefficients of each law, in the form of Fig. 6, and their difference."""
     with house_style():
-        figure = new_figure(7.6, 2.3 * len(evidences) + 0.5)
+        figure = Figure(figsize=(7.6, 2.3 * len(evidences) + 0.5))
         panels = figure.subplots(len(evidences), 2, squeeze=False, width_ratios=(3, 2), sharex=True, sharey="col")
         for row, evidence in zip(panels, evidences, strict=True):
             lines = coefficients(evidence)
@@ -107,7 +107,7 @@ def _draw_errors(axes: Axes, lines: list[dict[str, Any]]) -> None:
 def draw_fields(evidences: Sequence[Evidence]) -> Figure:
     """Return the field at the focusing instant against the wished one, in the form of Fig. 7, and how far it is off."""
     with house_style():
-        figure = new_figure(7.6, 4.6)
+        figure = Figure(figsize=(7.6, 4.6))
         shape: dict[str, Any] = {"squeeze": False, "sharex": True, "sharey": "row", "height_ratios": (5, 2)}
         panels = figure.subplots(2, len(evidences), **shape)
         for column, evidence in zip(panels.T, evidences, strict=True):
