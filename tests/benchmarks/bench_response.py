@@ -15,9 +15,10 @@ from bars import at_least, at_most, write
 from peers import eighty_bits, forced_response, lsim, nine_lfilters, one_by_one, race, shipped_model, state_space
 from threadpoolctl import threadpool_limits
 
-from modaltouch.stimulus.design import ModalModel, Timing
-from modaltouch.stimulus.dynamics import modal_system
-from modaltouch.stimulus.vibration import modal_history, states_by_channel, velocity_history
+from modaltouch.stimulus.dynamics import DiagonalSystem
+from modaltouch.stimulus.modes import ModalModel
+from modaltouch.stimulus.timing import Timing
+from modaltouch.stimulus.vibration import modal_history, velocity_history
 
 N_SAMPLES = 65_536
 TIMING = Timing(n_samples=N_SAMPLES, clock_rate=N_SAMPLES * 20 * 190)
@@ -26,13 +27,13 @@ TIMING = Timing(n_samples=N_SAMPLES, clock_rate=N_SAMPLES * 20 * 190)
 
 def speed(model: ModalModel, voltage: Any) -> dict[str, float]:
     """Return run times and ratios."""
-    hold, system = TIMING.hold, modal_system(model)
+    hold, system = TIMING.hold, DiagonalSystem.of(model)
     whole, single = state_space(model), [state_space(each) for each in one_by_one(model)]
     whole_system, single_systems = control.ss(*whole), [control.ss(*each) for each in single]
     quick: dict[str, Callable[[], object]] = {
         "nine_modes_ms": lambda: modal_history(model, voltage, TIMING),
         "two_zones_ms": lambda: velocity_history(model, voltage, TIMING, [-0.04, 0.0]),
-        "state_at_focus_ms": lambda: states_by_channel(system, voltage, TIMING, 0.025),
+        "state_at_focus_ms": lambda: system.states_by_channel(voltage, TIMING, 0.025),
         "nine_lfilters_ms": lambda: nine_lfilters(model, voltage, hold),
     }
     slow: dict[str, Callable[[], object]] = {

@@ -16,10 +16,10 @@ from peers import design, many_modes, milliseconds, shipped_model
 from threadpoolctl import threadpool_limits
 
 from modaltouch.stimulus.blocks import BlockKernel
-from modaltouch.stimulus.design import Timing
-from modaltouch.stimulus.dynamics import modal_system
+from modaltouch.stimulus.dynamics import DiagonalSystem, moments
 from modaltouch.stimulus.synthesis import synthesise
-from modaltouch.stimulus.vibration import modal_history, moments, peak_velocity
+from modaltouch.stimulus.timing import Timing
+from modaltouch.stimulus.vibration import modal_history, peak_velocity
 
 MODES = (6, 12, 25, 50, 100, 200)
 SAMPLES = tuple(2**power for power in range(10, 23, 2))
@@ -45,11 +45,13 @@ def sample_works(n_samples: int) -> Works:
     """Return what is run for so many samples, of nine modes on two channels."""
     model = shipped_model()
     s, amplitude, out = undying(model.exponent), np.ones((2, 9), dtype=complex), np.ones((2, n_samples))
-    zones = model.shapes([-0.04, 0.0]).T @ modal_system(model).velocity
+    zones = model.shapes([-0.04, 0.0]).T @ DiagonalSystem.of(model).velocity
     voltage, velocity = np.ones((2, n_samples)), np.ones((2, n_samples))
 
     def respond() -> None:
-        BlockKernel.of(modal_system(model), zones, HOLD).write(lambda start, stop: voltage[:, start:stop], velocity)
+        BlockKernel.of(DiagonalSystem.of(model), zones, HOLD).write(
+            lambda start, stop: voltage[:, start:stop], velocity
+        )
 
     return {
         "synthesis": lambda: synthesise(amplitude, s, HOLD, out),

@@ -20,10 +20,11 @@ from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.simulator import Simulator
 from modaltouch.stimulus.burst import Burst
-from modaltouch.stimulus.design import Stimulus, Timing
 from modaltouch.stimulus.sample_count import cheapest_samples
+from modaltouch.stimulus.stimulus import Stimulus
 from modaltouch.stimulus.synthesis import synthesise
-from modaltouch.stimulus.vibration import modal_history, peak_velocity, states_by_channel, velocity_history
+from modaltouch.stimulus.timing import Timing
+from modaltouch.stimulus.vibration import modal_history, peak_velocity, velocity_history
 
 APPARATUS = Path(__file__).resolve().parents[2] / "protocols" / "apparatus" / "beam_100x6x2.yaml"
 TOLERANCE = 1e-3
@@ -69,7 +70,7 @@ def prediction_skips(stimulus: Stimulus) -> dict[str, tuple[Work, Work]]:
         ),
         "histories where the state at t_F is asked for": (
             lambda: modal_history(model, voltage, timing)[:, 62_500],
-            lambda: states_by_channel(stimulus.system, voltage, timing, 0.025),
+            lambda: stimulus.system.states_by_channel(voltage, timing, 0.025),
         ),
         "levels that only scale": (anew, lambda: stimulus.peak_velocity(ZONES, next(levels))),
     }

@@ -16,8 +16,7 @@ from bars import at_least, at_most, write
 from peers import design, plain_synthesis, race, shipped_model
 from threadpoolctl import threadpool_limits
 
-from modaltouch.stimulus.drive import steering
-from modaltouch.stimulus.reachability import GramianSolver
+from modaltouch.stimulus.drive import Steering
 from modaltouch.stimulus.synthesis import synthesise
 
 COPIES = {65_536: 8.0, 125_000: 4.0}
@@ -26,8 +25,8 @@ COPIES = {65_536: 8.0, 125_000: 4.0}
 def exact_amplitudes() -> Any:
     """Return the amplitudes of the exact law on the shipped rig, (2, 9) array [V]."""
     stimulus = design(shipped_model())
-    reach, _, wished, _ = steering(stimulus.model, stimulus.system, stimulus.timing, stimulus.target)
-    return reach.amplitudes(GramianSolver.of(reach.gramian()).solve(wished))
+    steering = Steering(stimulus.model, stimulus.system, stimulus.timing, stimulus.release, *stimulus.aim)
+    return np.tensordot(steering.solver.solve(steering.goal), steering.reach.row, axes=1)
 
 
 def undying(exponent: Any) -> Any:

@@ -28,8 +28,11 @@ from peers import (
 from threadpoolctl import threadpool_limits
 from tradeoff_figure import draw
 
-from modaltouch.stimulus.design import ModalModel, Stimulus, TargetField, Timing
-from modaltouch.stimulus.vibration import modal_history, states_by_channel
+from modaltouch.stimulus.modes import ModalModel
+from modaltouch.stimulus.stimulus import Stimulus
+from modaltouch.stimulus.target_field import TargetField
+from modaltouch.stimulus.timing import Timing
+from modaltouch.stimulus.vibration import modal_history
 
 SAMPLES = (12_500, 25_000, 62_500, 125_000)
 MODES = (3, 6, 9)
@@ -61,7 +64,7 @@ def making_error(stimulus: Stimulus, bits: str) -> float:
     if bits.startswith("14"):
         return stimulus.worst_modal_error(PEAK) / PEAK
     voltage = stimulus.voltage if bits == "before rounding" else finish(stimulus, bits)
-    state = states_by_channel(stimulus.system, voltage, stimulus.timing, 0.025).sum(axis=0)
+    state = stimulus.system.states_by_channel(voltage, stimulus.timing, 0.025).sum(axis=0)
     velocity, displacement = (stimulus.system.velocity @ state).real, (stimulus.system.displacement @ state).real
     return float(max(np.abs(velocity - stimulus.target).max(), np.abs(displacement).max())) / PEAK
 
@@ -100,7 +103,7 @@ def predicting(model: ModalModel, n_samples: int) -> list[Point]:
     voltage = np.ascontiguousarray(stimulus.voltage[:, : stimulus.drive.n_before + 1])
     quick: dict[str, Callable[[], Any]] = {
         "engine, state at t_F": lambda: (
-            (system.velocity @ states_by_channel(system, voltage, timing, 0.025).sum(axis=0)).real
+            (system.velocity @ system.states_by_channel(voltage, timing, 0.025).sum(axis=0)).real
         ),
         "engine, whole history": lambda: modal_history(model, voltage, timing)[:, -1],
         "plain NumPy": lambda: plain_prediction(model, voltage[:, :-1], hold),

@@ -9,7 +9,11 @@ import control
 import numpy as np
 from scipy import signal
 
-from modaltouch.stimulus.design import Amplifier, ModalModel, Stimulus, TargetField, Timing, design_stimulus
+from modaltouch.stimulus.dynamics import Amplifier
+from modaltouch.stimulus.modes import ModalModel
+from modaltouch.stimulus.stimulus import Stimulus, design_stimulus
+from modaltouch.stimulus.target_field import TargetField
+from modaltouch.stimulus.timing import Timing
 
 ZONES = (-0.04, -0.02, 0.0, 0.02, 0.04)
 LEVELS = (0.08, 0.1, 0.15, 0.2)

@@ -4,8 +4,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from modaltouch.stimulus.design import Timing
-from modaltouch.stimulus.vibration import states_by_channel
+from modaltouch.stimulus.timing import Timing
 
 TABLE = {1: (229, "0.0437"), 3: (2553, "0.0165"), 5: (7137, "0.0265"), 13: (58303, "0.0101")}
 
@@ -39,5 +38,5 @@ def test_printed_factor_reaches_four_per_cent(shipped_paper):
         voltage = np.zeros((2, 62_500))
         printed = 4 * a[k] ** 2 / b[k] * np.exp(a[k] * tau) * np.cos(b[k] * tau)
         voltage[0] = printed / model.modal_gain[k, 0]
-        state = states_by_channel(shipped_paper.system, voltage, timing, 0.025).sum(axis=0)
+        state = shipped_paper.system.states_by_channel(voltage, timing, 0.025).sum(axis=0)
         assert (shipped_paper.system.velocity @ state).real[k] == pytest.approx(expected, abs=0.003)

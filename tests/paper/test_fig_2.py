@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from modaltouch.stimulus.field import Projection
-from modaltouch.stimulus.target_field import TargetField
+from modaltouch.stimulus.target_field import Projection, TargetField
 
 
 def test_triangle_projects_as_its_closed_form(model):
@@ -20,7 +19,7 @@ def test_triangle_projects_as_its_closed_form(model):
 
 
 def test_six_strongest_modes_are_those_of_the_paper(model):
-    """Section II-B: 1, 3, 5, 7, 11, 13; the sixth is six times the seventh (physics.md section 2)."""
+    """Section II-B: 1, 3, 5, 7, 11, 13; the sixth is six times the seventh."""
     projection = Projection(model, TargetField())
     strength = np.sort(np.abs(projection.coefficient))[::-1]
     assert projection.selected == (1, 3, 5, 7, 11, 13)
@@ -29,19 +28,19 @@ def test_six_strongest_modes_are_those_of_the_paper(model):
 
 @pytest.mark.parametrize("base", [0.0505, 0.053, 0.056, 0.061])
 def test_selection_does_not_hang_on_the_base(model, base):
-    """physics.md section 2: the set holds for bases of 50.5 to 61 mm."""
+    """The set holds for bases of 50.5 to 61 mm."""
     assert Projection(model, TargetField(base=base)).selected == (1, 3, 5, 7, 11, 13)
 
 
 @pytest.mark.parametrize("base", [0.049, 0.063])
 def test_selection_changes_beyond(model, base):
-    """physics.md section 2: beyond 50.5 to 61 mm another six are strongest."""
+    """Beyond 50.5 to 61 mm another six are strongest."""
     assert Projection(model, TargetField(base=base)).selected != (1, 3, 5, 7, 11, 13)
 
 
 @pytest.mark.parametrize(("shape", "base"), [("half_cosine", 0.04), ("box", 0.027)])
 def test_other_fields_select_the_same_modes(model, shape, base):
-    """physics.md section 2: a half-cosine of 40 mm and a box of 27 mm select the same six."""
+    """A half-cosine of 40 mm and a box of 27 mm select the same six."""
     assert Projection(model, TargetField(shape=shape, base=base)).selected == (1, 3, 5, 7, 11, 13)
 
 
@@ -55,6 +54,6 @@ def test_even_modes_carry_nothing_of_a_centred_field(model):
 
 
 def test_all_selected_modes_add_up_at_the_focus(shipped):
-    """physics.md section 2: every selected mode moves the focus the same way."""
+    """Every selected mode moves the focus the same way."""
     share = shipped.target * shipped.model.shapes([0.0])[:, 0]
     assert (share[shipped.target != 0] > 0).all()

@@ -14,11 +14,11 @@ def history(shipped):
 
 def test_spot_measures_roughly_one_and_a_half_centimetres(shipped):
     """Section IV-A: "a spot measuring roughly 1.5 cm"; 14 mm at 80 % of the peak."""
-    assert shipped.width_80 == pytest.approx(0.015, abs=0.0015)
+    assert shipped.projection.width_80 == pytest.approx(0.015, abs=0.0015)
 
 
 def test_peak_lasts_roughly_twenty_microseconds(shipped, history):
-    """Section IV-A: kept "for roughly 20 us"; above 90 % for 16 us (physics.md section 2)."""
+    """Section IV-A: kept "for roughly 20 us"; above 90 % for 16 us."""
     centre = history[20]
     assert np.count_nonzero(centre > 0.9 * 0.2) * shipped.timing.hold == pytest.approx(16e-6, abs=3e-6)
 

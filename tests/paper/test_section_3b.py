@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from modaltouch.stimulus.design import ModalModel, Timing
+from modaltouch.stimulus.modes import ModalModel
+from modaltouch.stimulus.timing import Timing
 from modaltouch.stimulus.vibration import modal_history
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-from modaltouch.stimulus.design import ModalModel
+from modaltouch.stimulus.modes import ModalModel
 
 PRINTED = {
     1: (229, 0.0437, 114),
@@ -55,7 +55,7 @@ def test_gains_read_as_accelerations_give_plausible_speeds():
 
 
 def test_bare_beam_would_not_have_these_frequencies(model):
-    """physics.md section 1: a bare aluminium beam has its first bending mode at 1038 Hz, Table I says 2553."""
+    """A bare aluminium beam has its first bending mode at 1038 Hz, Table I says 2553."""
     young, density, thickness, length = 70e9, 2700.0, 2e-3, 0.1
     bare = 4.730040745**2 / (2 * np.pi * length**2) * np.sqrt(young * thickness**2 / (12 * density))
     assert bare == pytest.approx(1038, rel=0.02)

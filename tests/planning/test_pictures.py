@@ -6,8 +6,8 @@ import pytest
 
 from modaltouch.planning.design import Design
 from modaltouch.planning.experiments import Study
+from modaltouch.planning.files import draw_power
 from modaltouch.planning.observer import Observer, Participant
-from modaltouch.planning.pictures import draw_power
 from modaltouch.planning.power import Power, plan
 from modaltouch.planning.questions import FAMILIES
 

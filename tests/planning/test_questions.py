@@ -62,7 +62,7 @@ def test_every_test_is_that_of_the_analysis(design: Design, n_participants: int,
 
 
 def test_the_papers_design_has_twenty_one_exact_tests(design: Design) -> None:
-    """Expected: issue 7, item 5: 6 of dominance, 6 of level, 3 of hand, 6 of pair; and 24 cells, 3 of both by hand."""
+    """Tests: 6 of dominance, 6 of level, 3 of hand, 6 of pair; and 24 cells, 3 of both by hand."""
     assert {family: len(design.scopes(family)) for family in FAMILIES} == {
         "a1": 24, "a2": 6, "b": 6, "c": 3, "c both": 3, "d": 6,
     }  # fmt: skip

@@ -5,7 +5,11 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from modaltouch.stimulus.design import Amplifier, ModalModel, Stimulus, TargetField, Timing, design_stimulus
+from modaltouch.stimulus.dynamics import Amplifier
+from modaltouch.stimulus.modes import ModalModel
+from modaltouch.stimulus.stimulus import Stimulus, design_stimulus
+from modaltouch.stimulus.target_field import TargetField
+from modaltouch.stimulus.timing import Timing
 
 TABLE_I = (
     # label, Hz, damping ratio, mm/s^2 per V, channel

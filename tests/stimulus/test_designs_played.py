@@ -27,7 +27,7 @@ def test_every_design_meets_every_mode_in_the_first_and_in_every_later_burst(edi
     """Worst modal error of the rounded codes below 1e-4 of the peak, from rest and after many bursts."""
     stimulus = examine(protocol(edit, design)).stimulus
     assert stimulus.worst_modal_error(0.1) < 1e-5
-    first, steady = stimulus.achieved(0.1), stimulus.achieved_steady(0.1)
+    first, steady = stimulus.achieved(0.1), stimulus.achieved(0.1, steady=True)
     assert np.abs(np.array(first) - np.array(steady)).max() < 1e-5
 
 
@@ -39,7 +39,7 @@ def test_every_design_begins_and_ends_at_mid_scale(edit: Edit, design: str) -> N
 
 
 def test_peaks_fall_as_the_table_of_designs_says(edit: Edit) -> None:
-    """physics.md section 4: the fourth norm has about half the peak voltage, the eighth and the least peak less."""
+    """The fourth norm has about half the peak voltage, the eighth and the least peak less."""
     shipped = examine(edit("differentiated_stimulation.yaml")).stimulus
     highest = [
         float(replace(shipped, design=design).peak_voltage.max())

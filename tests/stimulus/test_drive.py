@@ -9,9 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from modaltouch.stimulus.design import Amplifier, ModalModel, TargetField, Timing, design_stimulus
-from modaltouch.stimulus.drive import FALL, RISE, exact_drive, steering
-from modaltouch.stimulus.dynamics import modal_system
+from modaltouch.stimulus.drive import FALL, RISE, Drive, Release, Steering, exact_drive
+from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
+from modaltouch.stimulus.modes import ModalModel
+from modaltouch.stimulus.stimulus import design_stimulus
+from modaltouch.stimulus.target_field import TargetField
+from modaltouch.stimulus.timing import Timing
 from modaltouch.stimulus.vibration import modal_history
 
 EPS = np.finfo(float).eps
@@ -38,9 +41,14 @@ def states_at(model, voltage, hold, n_until):
     return velocity.astype(float), displacement.astype(float)
 
 
+def driven(model: ModalModel, timing: Timing, target: np.ndarray, release: Release) -> Drive:
+    """Return the exact drive to modal velocities, without an amplifier."""
+    return exact_drive(Steering(model, DiagonalSystem.of(model), timing, release, target, np.zeros_like(target)))
+
+
 @pytest.mark.parametrize("n_samples", [125_000, 62_500, 25_000])
 def test_exact_law_meets_every_state_to_rounding(design, n_samples):
-    """Issue 3: all states at t_F within 1e-13 of the peak against an extended-precision reference."""
+    """All states at t_F within 1e-13 of the peak against an extended-precision reference."""
     stimulus = design(timing=Timing(n_samples=n_samples))
     n_before, hold = stimulus.drive.n_before, stimulus.timing.hold
     velocity, displacement = states_at(stimulus.model, stimulus.voltage, hold, n_before)
@@ -49,7 +57,7 @@ def test_exact_law_meets_every_state_to_rounding(design, n_samples):
 
 
 def test_exact_law_meets_every_state_with_all_channels_driving_all_modes(design, crossed_model):
-    """Issue 3: all channels drive all modes."""
+    """All channels drive all modes."""
     stimulus = design(crossed_model)
     n_before, hold = stimulus.drive.n_before, stimulus.timing.hold
     velocity, displacement = states_at(crossed_model, stimulus.voltage, hold, n_before)
@@ -58,8 +66,8 @@ def test_exact_law_meets_every_state_with_all_channels_driving_all_modes(design,
 
 
 def test_exact_law_is_well_conditioned(shipped):
-    """physics.md section 4: the scaled Gramian's condition number is of order one."""
-    assert 1.0 <= shipped.condition_number < 2.0
+    """The scaled Gramian's condition number is of order one."""
+    assert 1.0 <= shipped.drive.condition_number < 2.0
 
 
 def test_braked_burst_ends_at_rest(shipped):
@@ -84,9 +92,9 @@ def test_braked_burst_ends_at_rest_behind_a_delay(design, delay):
 def test_braking_begins_with_the_first_sample_after_the_focus(model, focus, delay):
     """The first that begins, behind the delay, at the focusing instant or after it."""
     timing = Timing(focusing_instant=focus)
-    system = modal_system(model, Amplifier(gain=25.0, limit=250.0, delay=delay))
-    _, _, _, braked_from = steering(model, system, timing, np.full(9, 0.01))
-    begins = braked_from * timing.hold + delay
+    system = DiagonalSystem.of(model, Amplifier(gain=25.0, limit=250.0, delay=delay))
+    steering = Steering(model, system, timing, "braked", np.full(9, 0.01), np.zeros(9))
+    begins = steering.braked_from * timing.hold + delay
     assert focus - 1e-12 <= begins < focus + timing.hold * (1 - 1e-6)
 
 
@@ -96,7 +104,7 @@ def test_samples_are_counted_against_conditions_and_channels(crossed_model):
         timing = Timing(focusing_instant=count * 4e-7)
         words = f"{count} samples are fewer than 18 conditions on 2 channels need; at least 11 must lie before"
         with pytest.raises(ValueError, match=words):
-            exact_drive(crossed_model, modal_system(crossed_model), timing, np.full(9, 0.01), "free")
+            driven(crossed_model, timing, np.full(9, 0.01), "free")
 
 
 def test_free_release_is_silent_after_the_focus(design):
@@ -143,7 +151,7 @@ def test_energy_balance_holds(shipped):
 
 
 def test_peak_voltage_and_energy_trade_as_derived(design, shipped):
-    """physics.md section 4: 184 V for the triangle with the taper."""
+    """184 V for the triangle with the taper."""
     assert shipped.peak_voltage.max() == pytest.approx(184, abs=1)
     assert design(wish=TargetField(shape="half_cosine", base=0.04)).peak_voltage.max() == pytest.approx(167, abs=2)
 
@@ -163,10 +171,10 @@ def test_scaling_the_wish_by_two_scales_every_voltage_exactly(design):
     n_samples=st.sampled_from([12_500, 62_500, 125_000]),
 )
 def test_a_single_mode_is_met_wherever_it_can_be(ratio, frequency, gain, focus, n_samples):
-    """physics.md section 6: damping 1e-6 to 0.99, gains over 1e12, t_F anywhere."""
+    """Damping 1e-6 to 0.99, gains over 1e12, t_F anywhere."""
     model = ModalModel((1,), [frequency], [ratio], [[gain]], 0.1)
     timing = Timing(n_samples=n_samples, focusing_instant=focus)
-    drive = exact_drive(model, modal_system(model), timing, np.array([0.2]), "free")
+    drive = driven(model, timing, np.array([0.2]), "free")
     whole, remainder = timing.samples_until(focus)
     assert np.isfinite(drive.voltage).all()
     # Where the weight leaves out the last samples of a fast decay, what is left must still be enough.
@@ -181,25 +189,25 @@ def test_a_single_mode_is_met_wherever_it_can_be(ratio, frequency, gain, focus, 
 
 @pytest.mark.parametrize("apart", [1e-2, 1e-4, 1e-6])
 def test_nearly_repeated_modes_are_met_and_their_condition_told(apart):
-    """physics.md section 6: modes 1e-6 apart; with condition number c the bar is 10 eps c."""
+    """Modes 1e-6 apart; with condition number c the bar is 10 eps c."""
     model = ModalModel((1, 3), [2553.0, 2553.0 * (1 + apart)], [0.0165, 0.0165], [[0.654], [0.7]], 0.1)
     timing = Timing(n_samples=12_500)
-    drive = exact_drive(model, modal_system(model), timing, np.array([0.1, 0.1]), "free")
+    drive = driven(model, timing, np.array([0.1, 0.1]), "free")
     assert drive.residual <= max(1e-13, 10 * EPS * drive.condition_number) * 0.1
     assert drive.condition_number > 0.1 / apart
 
 
 def test_gains_spanning_twelve_decades_are_met():
-    """physics.md section 6: gains spanning 1e12."""
+    """Gains spanning 1e12."""
     model = ModalModel((1, 3), [229.0, 2553.0], [0.0437, 0.0165], [[1e-9, 0], [1e-9, 1e3]], 0.1)
-    drive = exact_drive(model, modal_system(model), Timing(n_samples=25_000), np.array([0.1, 0.1]), "braked")
+    drive = driven(model, Timing(n_samples=25_000), np.array([0.1, 0.1]), "braked")
     assert drive.residual <= 1e-13
 
 
 def test_identical_modes_on_one_channel_leave_a_residual_that_is_told():
     """Two modes of the same poles on one channel move as one: what cannot be is solved as well as it can be."""
     model = ModalModel((1, 3), [2553.0, 2553.0], [0.0165, 0.0165], [[1.0], [1.0]], 0.1)
-    drive = exact_drive(model, modal_system(model), Timing(n_samples=12_500), np.array([0.1, 0.0]), "free")
+    drive = driven(model, Timing(n_samples=12_500), np.array([0.1, 0.0]), "free")
     assert drive.condition_number > 1e12
     assert np.isfinite(drive.voltage).all()
     assert drive.residual == pytest.approx(0.05, rel=1e-6)
@@ -264,10 +272,10 @@ def test_unknown_law_and_release_are_refused(model):
 
 @pytest.mark.parametrize("duration", [0.05, 12.0])
 def test_long_focus_does_not_overflow(duration):
-    """physics.md section 6: t_F up to 10 s, where e^(a t_F) overflows."""
+    """A focus at up to 10 s, where e^(a t_F) overflows."""
     model = ModalModel((1, 3), [229.0, 2553.0], [0.0437, 0.0165], [[0.114], [0.654]], 0.1)
     timing = Timing(n_samples=131_072, duration=duration, focusing_instant=duration * 10 / 12, repetition_rate=0.08)
-    drive = exact_drive(model, modal_system(model), timing, np.array([0.1, 0.1]), "braked")
+    drive = driven(model, timing, np.array([0.1, 0.1]), "braked")
     assert np.isfinite(drive.voltage).all()
     assert drive.residual <= 1e-13 * 0.2
 
@@ -278,7 +286,7 @@ def test_sixty_modes_are_met_within_their_condition(rng):
     frequency = np.geomspace(200.0, 90e3, n)
     model = ModalModel(tuple(range(1, n + 1)), frequency, np.full(n, 0.01), rng.normal(size=(n, 2)), 0.1)
     target = rng.normal(size=n) * 0.01
-    drive = exact_drive(model, modal_system(model), Timing(n_samples=25_000), target, "braked")
+    drive = driven(model, Timing(n_samples=25_000), target, "braked")
     assert drive.residual <= max(1e-13, 10 * EPS * drive.condition_number) * np.abs(target).max()
 
 

@@ -5,9 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modaltouch.stimulus.design import Amplifier, ModalModel, TargetField, Timing, design_stimulus
-from modaltouch.stimulus.field import Projection, quadrature
-from modaltouch.stimulus.modes import mode_shapes
+from modaltouch.stimulus.dynamics import Amplifier
+from modaltouch.stimulus.modes import ModalModel
+from modaltouch.stimulus.shapes import mode_shapes
+from modaltouch.stimulus.stimulus import design_stimulus
+from modaltouch.stimulus.target_field import Projection, TargetField, quadrature
+from modaltouch.stimulus.timing import Timing
 
 SHAPES = ("triangle", "box", "half_cosine", "raised_cosine", "gaussian")
 

@@ -21,8 +21,7 @@ def test_all_samples_but_the_ends_are_free(taper):
     """The weight begins and ends at 0 and nowhere else."""
     weight = weights(taper)
     assert weight[0] == weight[-1] == 0
-    assert taper.n_free == np.count_nonzero(weight)
-    assert Taper(1, 1, 1).n_free == 0
+    assert (weight[1:-1] > 0).all()
 
 
 @pytest.mark.parametrize("taper", TAPERS, ids=str)
@@ -46,16 +45,16 @@ def test_ends_are_shortened_together_where_they_fill_over_half():
 def test_a_solution_solves_and_leaves_out_what_is_lost():
     """A well scaled system is solved to rounding; along a direction lost in rounding nothing is added."""
     gramian = np.array([[4.0, 1.0], [1.0, 9.0]]) * [[1.0, 1e6], [1e6, 1e12]]
-    solver = GramianSolver.of(gramian)
+    solver = GramianSolver.of(gramian, [1])
     assert gramian @ solver.solve(np.array([2.0, 3e6])) == pytest.approx([2.0, 3e6])
     assert solver.condition_number == pytest.approx((1 + 1 / 6) / (1 - 1 / 6))
-    twice = GramianSolver.of(np.array([[4.0, 4.0], [4.0, 4.0]]))
+    twice = GramianSolver.of(np.array([[4.0, 4.0], [4.0, 4.0]]), [1])
     assert twice.solve(np.array([8.0, 8.0])) == pytest.approx([1.0, 1.0])
     assert twice.condition_number > 1e15
 
 
-@pytest.mark.parametrize(("label", "named"), [((), "condition 2"), ((3, 7), "mode 7"), ((5,), "mode 5")])
+@pytest.mark.parametrize(("label", "named"), [((3, 7), "mode 7"), ((5,), "mode 5")])
 def test_a_condition_that_no_voltage_moves_is_named(label, named):
-    """By its mode where these are known: velocities of all modes, then their displacements."""
+    """By its mode: velocities of all modes, then their displacements."""
     with pytest.raises(ValueError, match=f"{named} has 0 on the diagonal of the Gramian, which must be above 0"):
         GramianSolver.of(np.diag([1.0, 0.0]), label)

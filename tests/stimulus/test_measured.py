@@ -5,10 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modaltouch.stimulus.design import Amplifier, TargetField, Timing, design_stimulus
-from modaltouch.stimulus.field import Projection
-from modaltouch.stimulus.measured import MeasuredShapes
-from modaltouch.stimulus.modes import mode_shapes
+from modaltouch.stimulus.dynamics import Amplifier
+from modaltouch.stimulus.modes import MeasuredShapes
+from modaltouch.stimulus.shapes import mode_shapes
+from modaltouch.stimulus.stimulus import design_stimulus
+from modaltouch.stimulus.target_field import Projection, TargetField
+from modaltouch.stimulus.timing import Timing
 
 LABELS = tuple(range(1, 18, 2))
 
@@ -29,13 +31,13 @@ def test_unit_of_the_scan_drops_out(n_points):
 
 
 def test_forty_one_points_carry_label_17_between_them():
-    """physics.md section 7: 41 points suffice for the shape of label 17."""
+    """41 points suffice for the shape of label 17."""
     place = np.linspace(-0.05, 0.05, 333)
     assert scan(41).at(place) == pytest.approx(mode_shapes(LABELS, place, 0.1), abs=1e-8)
 
 
 def test_least_squares_projects_what_a_trapezoid_sum_does_not():
-    """physics.md section 1: on 21 points trapezoid inner products err by a fifth; least squares do not."""
+    """On 21 points trapezoid inner products err by a fifth; least squares do not."""
     place = np.linspace(-0.05, 0.05, 21)
     shape = mode_shapes(LABELS, place, 0.1)
     gram = np.trapezoid(shape[:, None] * shape, place, axis=2) / 0.1

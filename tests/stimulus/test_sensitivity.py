@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modaltouch.stimulus.design import Amplifier, Timing
-from modaltouch.stimulus.dynamics import modal_system
+from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
 from modaltouch.stimulus.sensitivity import focus_sensitivity, scatter
-from modaltouch.stimulus.vibration import states_by_channel
+from modaltouch.stimulus.timing import Timing
 
 PARAMETERS = ("natural_frequency", "damping_ratio", "modal_gain")
 
@@ -27,8 +26,8 @@ def stimulus(design, crossed_model, request):
 
 def state_of(stimulus, model):
     """Return velocities and displacements of another beam under the same voltages, (2, n_modes) array."""
-    system = modal_system(model, stimulus.amplifier)
-    state = states_by_channel(system, stimulus.voltage, stimulus.timing, 0.025).sum(axis=0)
+    system = DiagonalSystem.of(model, stimulus.amplifier)
+    state = system.states_by_channel(stimulus.voltage, stimulus.timing, 0.025).sum(axis=0)
     return np.stack([(system.velocity @ state).real, (system.displacement @ state).real])
 
 
@@ -63,7 +62,7 @@ def test_gain_moves_its_mode_in_proportion(shipped):
 
 
 def test_errors_of_five_per_cent_move_the_field_by_millimetres_per_second(shipped):
-    """physics.md section 4: +5 % G moves the field by about 3 mm/s, +5 % xi by 1.4, +0.1 % f by 0.5."""
+    """+5 % G moves the field by about 3 mm/s, +5 % xi by 1.4, +0.1 % f by 0.5."""
     places = np.linspace(-0.05, 0.05, 101)
     shapes = shipped.model.shapes(places)
     rows = focus_sensitivity(shipped).table(shapes)

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modaltouch.stimulus.field import quadrature
 from modaltouch.stimulus.shapes import characteristic_root, mode_shapes
+from modaltouch.stimulus.target_field import quadrature
 
 
 def textbook_shape(label, y):
@@ -32,14 +32,14 @@ def test_roots_are_those_of_the_tables(bending, root):
 
 @pytest.mark.parametrize("label", [3, 4, 5, 8, 12, 13, 14, 17, 30, 61, 100, 150, 199, 200])
 def test_shapes_match_sixty_digits(label):
-    """The textbook formula in sixty digits and more: issue 3 asks for 2e-13 up to label 200."""
+    """The textbook formula in sixty digits and more: 2e-13 up to label 200."""
     places = [-0.5, -0.4375, -0.25, -0.1, 0.0, 0.03125, 0.375, 0.5]
     expected = [float(textbook_shape(label, y)) for y in places]
     assert mode_shapes([label], np.array(places), 1.0)[0] == pytest.approx(expected, abs=2e-13)
 
 
 def test_rigid_modes_are_translation_and_rotation():
-    """physics.md section 1: 1 and sqrt(12) y, each of unit mean square."""
+    """1 and sqrt(12) y, each of unit mean square."""
     assert mode_shapes([1, 2], [-0.05, 0.0, 0.05], 0.1) == pytest.approx(
         np.array([[1, 1, 1], [-(3**0.5), 0, 3**0.5]]), abs=1e-15
     )

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from modaltouch.stimulus.dynamics import moments
 from modaltouch.stimulus.synthesis import BLOCK, CHUNK, decay, synthesise
-from modaltouch.stimulus.vibration import moments
 
 EPS = np.finfo(float).eps
 
@@ -34,7 +34,7 @@ def reference(amplitude, exponent, hold, n_samples, places):
 
 
 def test_table_i_is_synthesised_to_rounding(model, rng):
-    """Issue 3: error <= 1e-14 of the peak against mpmath for Table I."""
+    """Error <= 1e-14 of the peak against mpmath for Table I."""
     amplitude = rng.normal(size=(2, 9)) + 1j * rng.normal(size=(2, 9))
     n_samples, hold = 125_000, 4e-7
     out = np.empty((2, n_samples))
@@ -53,7 +53,7 @@ def test_table_i_is_synthesised_to_rounding(model, rng):
     seed=st.integers(0, 2**31),
 )
 def test_error_grows_with_the_phase_alone(n_samples, ratio, frequency, seed):
-    """Issue 3: <= 4 eps b|t| where the phase is longer than a few turns; damping ratio 1e-6 to 0.99."""
+    """<= 4 eps b|t| where the phase is longer than a few turns; damping ratio 1e-6 to 0.99."""
     rng = np.random.default_rng(seed)
     exponent = exponents([frequency, frequency * (1 + 1e-6)], [ratio, ratio])
     amplitude = rng.normal(size=(1, 2)) + 1j * rng.normal(size=(1, 2))
@@ -78,7 +78,7 @@ def test_blocks_and_chunks_join_without_a_seam(n_samples, model):
 
 
 def test_ten_seconds_do_not_overflow():
-    """physics.md section 6: exp(a t_F) overflows, exp(a (t - t_F)) does not."""
+    """The term exp(a t_F) overflows, exp(a (t - t_F)) does not."""
     exponent = exponents([88e3], [0.0147])
     assert -exponent.real[0] * 10.0 > np.log(np.finfo(float).max)
     decayed = decay(exponent, 4e-7, np.array([0, 25_000_000]))
@@ -108,7 +108,7 @@ def test_scaling_by_two_is_exact(factor, seed, model):
 
 
 def test_no_memory_grows_with_the_samples(model):
-    """Issue 3: no allocation that grows with N; a chunk holds the generator's longest record."""
+    """No allocation that grows with N; a chunk holds the generator's longest record."""
     amplitude = np.ones((2, 9), dtype=complex)
     peaks = []
     for n_samples in (BLOCK * CHUNK, 8 * BLOCK * CHUNK):

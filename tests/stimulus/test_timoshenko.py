@@ -9,9 +9,11 @@ from numpy.polynomial import chebyshev
 from scipy.linalg import eig
 from scipy.optimize import brentq
 
-from modaltouch.stimulus.design import Amplifier, TargetField, Timing, design_stimulus
-from modaltouch.stimulus.field import Projection
+from modaltouch.stimulus.dynamics import Amplifier
 from modaltouch.stimulus.shapes import characteristic_root, mode_shapes
+from modaltouch.stimulus.stimulus import design_stimulus
+from modaltouch.stimulus.target_field import Projection, TargetField
+from modaltouch.stimulus.timing import Timing
 from modaltouch.stimulus.timoshenko import TimoshenkoBeam
 
 SHIPPED = TimoshenkoBeam(length=0.1, thickness=2e-3)
@@ -131,7 +133,7 @@ def test_slender_beam_is_euler_bernoulli():
 
 
 def test_shear_lowers_the_shipped_beam_as_derived():
-    """physics.md section 1: -2 % at the 5th and -10 % at the 13th bending mode of a bare beam of this size."""
+    """-2 % at the 5th and -10 % at the 13th bending mode of a bare beam of this size."""
     scale = np.sqrt(SHIPPED.rotary * 70e9 / 2700) / (2 * np.pi * 0.1)
     change = {n: SHIPPED.natural_frequency(n) / (characteristic_root(n) ** 2 * scale) - 1 for n in (5, 13)}
     assert change[5] == pytest.approx(-0.02, abs=0.005)

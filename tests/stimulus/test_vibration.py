@@ -8,9 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modaltouch.stimulus.design import Amplifier, ModalModel, Timing
-from modaltouch.stimulus.dynamics import modal_system
-from modaltouch.stimulus.vibration import modal_history, peak_velocity, states_by_channel, velocity_history
+from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
+from modaltouch.stimulus.modes import ModalModel
+from modaltouch.stimulus.timing import Timing
+from modaltouch.stimulus.vibration import modal_history, peak_velocity, velocity_history
 
 PI = np.longdouble("3.14159265358979323846264338327950288")
 
@@ -33,7 +34,7 @@ def stepped(model, voltage, hold):
 
 @pytest.mark.parametrize("n_samples", [1, 31, 32, 33, 1056, 65_536])
 def test_every_mode_is_right_to_its_own_peak(model, rng, n_samples):
-    """Issue 3: error of each mode relative to its own peak <= 1e-12 for Table I, on arbitrary samples."""
+    """Error of each mode relative to its own peak <= 1e-12 for Table I, on arbitrary samples."""
     length = max(2, n_samples) * 7.6e-7
     timing = Timing(n_samples=max(2, n_samples), duration=length, focusing_instant=length)
     voltage = rng.normal(size=(2, n_samples))
@@ -43,7 +44,7 @@ def test_every_mode_is_right_to_its_own_peak(model, rng, n_samples):
 
 
 def test_light_damping_keeps_its_phase(model, rng):
-    """Issue 3: <= 1e-11 of each mode's own peak at damping 1e-6."""
+    """<= 1e-11 of each mode's own peak at damping 1e-6."""
     light = replace(model, damping_ratio=np.full(9, 1e-6))
     timing = Timing(n_samples=65_536, clock_rate=65_536 * 20 * 190)
     voltage = rng.normal(size=(2, 65_536))
@@ -60,7 +61,7 @@ def test_light_damping_keeps_its_phase(model, rng):
     seed=st.integers(0, 10_000),
 )
 def test_any_mode_is_right(frequency, ratio, n_samples, seed):
-    """Damping ratio from 1e-6 to 0.99 (physics.md section 6), against 80-bit steps."""
+    """Damping ratio from 1e-6 to 0.99, against 80-bit steps."""
     model = ModalModel((1,), [frequency], [ratio], [[1.0]], 0.1)
     timing = Timing(n_samples=n_samples, duration=n_samples * 4e-7, focusing_instant=4e-7)
     voltage = np.random.default_rng(seed).normal(size=(1, n_samples))
@@ -171,9 +172,9 @@ def test_state_between_samples_agrees_with_finer_samples(crossed_model, rng):
     fine = Timing(n_samples=10_000, duration=0.0004, focusing_instant=0.0002)
     voltage = rng.normal(size=(2, 1000))
     instant = 0.0004 * 0.5003
-    system = modal_system(crossed_model)
-    assert states_by_channel(system, voltage, timing, instant) == pytest.approx(
-        states_by_channel(system, np.repeat(voltage, 10, axis=1), fine, instant), abs=1e-15
+    system = DiagonalSystem.of(crossed_model)
+    assert system.states_by_channel(voltage, timing, instant) == pytest.approx(
+        system.states_by_channel(np.repeat(voltage, 10, axis=1), fine, instant), abs=1e-15
     )
 
 
@@ -184,14 +185,14 @@ def test_uneven_clock_is_played_as_it_is(crossed_model, rng):
     clocks = np.ceil(np.arange(131_073) * 12_500_000 / 131_072 - 1e-6)
     assert set(np.unique(np.diff(clocks))) == {95.0, 96.0}
     edge = np.minimum(clocks / 250e6, 0.025)
-    system = modal_system(crossed_model)
+    system = DiagonalSystem.of(crossed_model)
     expected = np.zeros((2, 9), dtype=complex)
     for k, s in enumerate(system.exponent):
         powers = np.exp(s * (0.025 - edge))
         expected[:, k] = voltage @ ((powers[:-1] - powers[1:]) / s) * system.input_gain[k]
-    found = states_by_channel(system, voltage, timing, 0.025)
+    found = system.states_by_channel(voltage, timing, 0.025)
     assert found == pytest.approx(expected, abs=1e-11 * np.abs(expected).max())
-    even = states_by_channel(system, voltage, replace(timing, clock_rate=131_072 * 20 * 16), 0.025)
+    even = system.states_by_channel(voltage, replace(timing, clock_rate=131_072 * 20 * 16), 0.025)
     assert np.abs(even - expected).max() > 1e-4 * np.abs(expected).max()
 
 
@@ -202,7 +203,7 @@ def test_histories_play_an_uneven_clock_as_it_is(crossed_model, rng, n_samples):
     voltage = rng.normal(size=(2, n_samples))
     history = modal_history(crossed_model, voltage, timing)
     peak = np.abs(history).max(axis=1)
-    system = modal_system(crossed_model)
+    system = DiagonalSystem.of(crossed_model)
     for sample in (1, 2, n_samples // 3, n_samples - 1):
         edge = np.minimum(np.ceil(np.arange(sample + 1) * 12_500_000 / n_samples - 1e-6) / 250e6, sample * timing.hold)
         powers = np.exp(system.exponent[:, None] * (sample * timing.hold - edge))
@@ -243,7 +244,7 @@ def test_voltages_that_do_not_fit_are_refused(model):
 
 
 def test_many_points_need_no_array_of_all_modes_at_all_points(shipped):
-    """Issue 3: memory is bounded at the large end; what is found does not depend on how many points are asked for."""
+    """Memory is bounded at the large end; what is found does not depend on how many points are asked for."""
     many = np.linspace(-0.05, 0.05, 100_001)
     few = shipped.velocity_at_focus(many[::10_000], 0.2)
     tracemalloc.start()

@@ -10,17 +10,9 @@ from numpy.typing import NDArray
 
 from modaltouch.analysis.counts import LEFT, RIGHT, AnswerCounts
 from modaltouch.analysis.covariates import ANTICIPATION, has_values, ranked_answers
+from modaltouch.analysis.figures import ANSWER_COLOURS, pair_colours
 from modaltouch.analysis.intervals import korn_graubard
-from modaltouch.report import (
-    ANSWER_COLOURS,
-    CONDITION_COLOURS,
-    FAINT,
-    INK,
-    house_style,
-    new_figure,
-    pair_colours,
-    quiet_grid,
-)
+from modaltouch.report import CONDITION_COLOURS, FAINT, INK, house_style, quiet_grid
 
 MOST_TRIALS = 40
 """Orders beyond this many are averaged in groups, so that the points stay apart."""
@@ -34,7 +26,7 @@ def draw_side(answers: AnswerCounts) -> Figure | None:
         return None
     dominant = answers.dominant().mean(axis=3) / answers.n_repetitions
     with house_style():
-        figure = new_figure(4.2, 3.6)
+        figure = Figure(figsize=(4.2, 3.6))
         axes = figure.subplots()
         axes.plot([0, 1], [0, 1], color=FAINT, linewidth=0.8)
         rng = np.random.default_rng(1)
@@ -80,7 +72,7 @@ def draw_order(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
     step = int(np.ceil(trials.max() / MOST_TRIALS))
     shares = ranked["dominant"].groupby([(trials - 1) // step * step + (step + 1) / 2, labels]).mean().unstack()
     with house_style():
-        figure = new_figure(6.4, 2.8)
+        figure = Figure(figsize=(6.4, 2.8))
         axes = figure.subplots()
         for (label, colour), marker in zip(
             pair_colours([pair.label for pair in answers.pairs]).items(),
@@ -110,7 +102,7 @@ def draw_times(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
     if kept.empty:
         return None
     with house_style():
-        figure = new_figure(6.4, 3.0)
+        figure = Figure(figsize=(6.4, 3.0))
         axes = figure.subplots()
         groups, ticks = [], []
         for pair in answers.pairs:
@@ -137,7 +129,7 @@ def draw_speeds(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
         return None
     ratio = _gathered((frame["speed_right_mm_s"] / frame["speed_left_mm_s"]).to_numpy(dtype=float))
     with house_style():
-        figure = new_figure(3.3 * len(answers.finger_conditions) + 0.6, 3.0)
+        figure = Figure(figsize=(3.3 * len(answers.finger_conditions) + 0.6, 3.0))
         panels = figure.subplots(1, len(answers.finger_conditions), sharey=True, squeeze=False)[0]
         for axes, condition in zip(panels, answers.finger_conditions, strict=True):
             own = (frame["finger_condition"].astype(str) == condition).to_numpy()

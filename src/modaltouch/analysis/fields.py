@@ -10,15 +10,7 @@ from matplotlib.figure import Figure
 
 from modaltouch.preflight import Preflight, examine_findings
 from modaltouch.protocol import Findings, InputError, Sources
-from modaltouch.report import (
-    CONDITION_COLOURS,
-    FAINT,
-    INK,
-    house_style,
-    level_label,
-    new_figure,
-    quiet_grid,
-)
+from modaltouch.report import CONDITION_COLOURS, FAINT, INK, house_style, quiet_grid
 
 POINTS = 201
 
@@ -49,7 +41,7 @@ def draw_fields(start: dict[str, Any], stimulus: str = "") -> Figure | None:
     preflight = preflight.parts[stimulus]
     stimuli = [each for each in start.get("stimulus", {}).get("stimuli", []) if each.get("stimulus", "") == stimulus]
     with house_style():
-        figure = new_figure(7.6, 2.9)
+        figure = Figure(figsize=(7.6, 2.9))
         left, right = figure.subplots(1, 2, width_ratios=(3, 2))
         own = start.get("sensation_levels")
         velocities = own["levels_mm_s"] if own else preflight.experiment.protocol.conditions.peak_velocities_mm_s
@@ -76,7 +68,7 @@ def _draw_field(axes: Axes, preflight: Preflight, level: float) -> None:
     axes.plot(place, predicted, color=CONDITION_COLOURS[0], linewidth=1.6, label="predicted")
     axes.set_ylim(min(0, 1.1 * predicted.min()), 1.16 * max(wished.max(), predicted.max()))
     axes.set_xlabel("place along the beam [mm]")
-    axes.set_ylabel(f"velocity at the focusing\ninstant [mm/s], level {level_label(level)}")
+    axes.set_ylabel(f"velocity at the focusing\ninstant [mm/s], level {level:g}")
     axes.legend(frameon=False, loc="center left", fontsize=7)
 
 
@@ -84,7 +76,7 @@ def _draw_zones(axes: Axes, stimuli: list[dict[str, Any]]) -> None:
     for i, stimulus in enumerate(stimuli):
         zones = stimulus["zone_peak_mm_s"]
         style: dict[str, Any] = {"marker": "os^Dvp"[i % 6], "color": CONDITION_COLOURS[i % len(CONDITION_COLOURS)]}
-        label = level_label(float(stimulus["velocity_mm_s"]))
+        label = format(float(stimulus["velocity_mm_s"]), "g")
         axes.plot(list(zones), list(zones.values()), linewidth=0.8, markersize=4, label=label, **style)
     axes.set_ylim(0, None)
     axes.set_xlabel("zone")

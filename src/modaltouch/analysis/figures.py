@@ -17,17 +17,15 @@ from numpy.typing import NDArray
 from modaltouch.analysis.counts import BOTH, NONE, RIGHT, AnswerCounts
 from modaltouch.analysis.intervals import clopper_pearson, korn_graubard
 from modaltouch.analysis.scale import scale_of
-from modaltouch.report import (
-    ANSWER_COLOURS,
-    CONDITION_COLOURS,
-    FAINT,
-    INK,
-    house_style,
-    level_label,
-    new_figure,
-    pair_colours,
-    quiet_grid,
-)
+from modaltouch.report import CONDITION_COLOURS, FAINT, INK, PAIR_COLOURS, house_style, quiet_grid
+
+ANSWER_COLOURS = {"dominant": "#0b3c8c", "both": "#c9ced6", "other": "#d1603d"}
+
+
+def pair_colours(labels: Sequence[str]) -> dict[str, str]:
+    """Return a colour for each zone pair, in order."""
+    return {label: PAIR_COLOURS[i % len(PAIR_COLOURS)] for i, label in enumerate(labels)}
+
 
 FINGERS = {
     "one_hand": "index and middle finger of one hand",
@@ -67,7 +65,7 @@ def draw_counts(table: pd.DataFrame, finger_condition: str, n_participants: int 
     totals = {pair: table.loc[pair].sum() for pair in pairs}
     most = int(max(total.max() for total in totals.values()))
     with house_style():
-        figure = new_figure(7.6, 0.5 + 2.9 * len(rows))
+        figure = Figure(figsize=(7.6, 0.5 + 2.9 * len(rows)))
         panels = figure.subplots(len(rows), 1, squeeze=False)[:, 0]
         for axes, row in zip(panels, rows, strict=True):
             _draw_row(axes, table, row, colours, totals, n_participants)
@@ -99,7 +97,7 @@ def _draw_row(
             _draw_group(axes, places, counts.to_numpy(), totals[pair].to_numpy(), colours[pair], n)
             for place, level in zip(places, levels, strict=True):
                 axes.text(
-                    place, -0.015, level_label(level), rotation=90, ha="center", va="top", fontsize=6.2,
+                    place, -0.015, format(level, "g"), rotation=90, ha="center", va="top", fontsize=6.2,
                     color=FAINT, transform=axes.get_xaxis_transform(),
                 )  # fmt: skip
             centre = float(places.mean())
@@ -151,7 +149,7 @@ def draw_overview(answers: AnswerCounts) -> Figure:
     markers = ("o", "s", "^", "D", "v", "P")
     lines = ("-", "--", "-.", ":")
     with house_style():
-        figure = new_figure(min(2.4 * len(answers.pairs) + 0.6, 12), 2.9)
+        figure = Figure(figsize=(min(2.4 * len(answers.pairs) + 0.6, 12), 2.9))
         panels = figure.subplots(1, len(answers.pairs), sharey=True, squeeze=False)[0]
         dominant, both = answers.dominant(), answers.counts[..., BOTH]
         places = np.arange(len(answers.levels), dtype=float)
@@ -170,7 +168,7 @@ def draw_overview(answers: AnswerCounts) -> Figure:
                 axes.plot(places + shift, equal, color=FAINT, marker=markers[f % 6], markersize=3, linewidth=0.7,
                           linestyle=lines[f % 4], markerfacecolor="white", label=f"{condition}: both")  # fmt: skip
             axes.set_title(f"{pair.dominant} of ({pair.left}, {pair.right})")
-            axes.set_xticks(places, [level_label(level) for level in answers.levels])
+            axes.set_xticks(places, [format(level, "g") for level in answers.levels])
             axes.set_ylim(-0.03, 1.03)
             quiet_grid(axes)
         panels[0].set_ylabel("share of answers")
@@ -212,7 +210,7 @@ def draw_participants(answers: AnswerCounts) -> Figure:
     with house_style():
         size = 0.22
         width = 1.0 + size * n_columns * len(answers.finger_conditions) + 0.3 * len(answers.finger_conditions)
-        figure = new_figure(max(width, 5.0), 1.7 + size * len(shown))
+        figure = Figure(figsize=(max(width, 5.0), 1.7 + size * len(shown)))
         panels = figure.subplots(1, len(answers.finger_conditions), sharey=True, squeeze=False)[0]
         for f, (axes, condition) in enumerate(zip(panels, answers.finger_conditions, strict=True)):
             _draw_strip(axes, answers, modal[:, f], shown)
@@ -257,7 +255,7 @@ def _draw_strip(axes: Axes, answers: AnswerCounts, modal: NDArray[np.int64], sho
     axes.imshow(picture, cmap=ListedColormap(STRIP_COLOURS), vmin=0, vmax=4, aspect="equal", interpolation="nearest")
     axes.set_xticks(
         range(picture.shape[1]),
-        [level_label(level) for level in answers.levels] * len(answers.pairs),
+        [format(level, "g") for level in answers.levels] * len(answers.pairs),
         rotation=90,
     )
     axes.tick_params(length=0, labelsize=6.5)

@@ -14,7 +14,7 @@ from modaltouch.analysis.outcome import Analysis, plain_row
 from modaltouch.analysis.reading import read_responses
 from modaltouch.analysis.statistics import find
 from modaltouch.analysis.tables import figure_names, zone_table
-from modaltouch.report import json_bytes, level_label, write_files
+from modaltouch.report import json_bytes, write_files
 from modaltouch.system import version
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ def render_files(analysis: Analysis) -> dict[str, bytes]:
     files = {"counts.csv": _csv(counts)}
     for condition, name in figure_names(analysis.answers.finger_conditions).items():
         table = zone_table(counts, condition, analysis.answers.focus)
-        table.columns = pd.Index([level_label(float(level)) for level in table.columns])
+        table.columns = pd.Index([format(float(level), "g") for level in table.columns])
         files[f"{name}.csv"] = _csv(table.reset_index())
     pictures = draw_all(analysis.answers, analysis.responses)
     vectors = {picture.name: render(picture.figure, "svg") for picture in pictures}

@@ -17,7 +17,7 @@ from modaltouch.analysis.gallery import ReportFigure
 from modaltouch.analysis.outcome import Analysis
 from modaltouch.analysis.scale import OWN_THRESHOLD
 from modaltouch.analysis.tables import tabulate, zone_table
-from modaltouch.report import embed_svg, level_label, render_page
+from modaltouch.report import render_page
 from modaltouch.system import commit, version, versions
 
 HEADINGS = {
@@ -252,7 +252,7 @@ def render_report(analysis: Analysis, pictures: Sequence[ReportFigure], vectors:
         source=analysis.responses.source,
         answers=answers,
         n_answers=int(answers.counts.sum()),
-        levels=[level_label(level) for level in answers.levels],
+        levels=[format(level, "g") for level in answers.levels],
         pictures=[_embed(picture, vectors[picture.name]) for picture in pictures],
         tables={condition: _zone_rows(answers, condition) for condition in answers.finger_conditions},
         paragraphs=write_paragraphs(analysis.findings, answers),
@@ -333,7 +333,7 @@ def _embed(picture: ReportFigure, svg: bytes) -> dict[str, Any]:
         "section": picture.section,
         "caption": picture.caption,
         "finger_condition": picture.finger_condition,
-        "uri": embed_svg(svg),
+        "uri": svg,
     }
 
 

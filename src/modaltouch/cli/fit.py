@@ -29,7 +29,7 @@ def fit(
     The observer that is given is the centre of the priors, and its front end is kept. Where the protocol has several
     stimuli, one observer is fitted to the answers to all of them.
     """
-    from modaltouch.planning import NOT_IDENTIFIABLE, fit_answers, read_observer, write_observer
+    from modaltouch.planning import fit_answers, read_observer, write_observer
     from modaltouch.preflight import examine
     from modaltouch.record import prepare_file, replace_file
 
@@ -55,7 +55,7 @@ def fit(
                 f"{estimate.name:44} {estimate.value:8.4g}  95 % interval {estimate.low:.4g} to {estimate.high:.4g}, "
                 f"learned {estimate.learned:.0%}{tied}"
             )
-        print(NOT_IDENTIFIABLE)
+        print(fitted.not_identifiable)
         if not fitted.fit.converged:
             typer.secho("the search did not end at a maximum; do not plan with this", err=True, fg=typer.colors.YELLOW)
         if out is not None:

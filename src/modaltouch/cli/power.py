@@ -53,7 +53,7 @@ def power(
     """
     sizes_n = parse_sizes(participants, "--participants", _MOST_PARTICIPANTS)
     sizes_r = parse_sizes(reps, "--reps", _MOST_ANSWERS) if reps is not None else None
-    from modaltouch.planning import COMMAND, Study, designs_for, plan, read_observer
+    from modaltouch.planning import Study, designs_for, plan, read_observer
     from modaltouch.preflight import examine
     from modaltouch.report import refuse_other
     from modaltouch.system import Interruption
@@ -66,7 +66,7 @@ def power(
         _refuse_too_large(max(sizes_n) * max(repetitions) * len(preflight.experiment.protocol.scheduled_levels))
         folders = {name: out / name for name in designs} if out is not None else {}
         for folder in folders.values():
-            refuse_other(folder, COMMAND)
+            refuse_other(folder, "power")
         found: list[Power] = []
         with Interruption() as interruption:
             for name, design in designs.items():
@@ -87,12 +87,14 @@ def power(
 
 def _report(plans: Sequence[Power], target: float, folders: Mapping[str, Path], *, json_output: bool) -> None:
     """Write and print the plan of each stimulus, also where the last was interrupted."""
-    from modaltouch.planning import write_power
-
     values = []
     for found in plans:
         folder = folders.get(found.study.design.stimulus)
-        files = write_power(folder, found, target) if folder is not None and found.tallies else {}
+        files: dict[str, Path] = {}
+        if folder is not None and found.tallies:
+            from modaltouch.planning import write_power
+
+            files = write_power(folder, found, target)
         values.append({**found.as_dict(target), "files": {name: str(path) for name, path in files.items()}})
         if not json_output:
             tell(found, target)

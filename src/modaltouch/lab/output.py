@@ -7,7 +7,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from modaltouch.report import embed_svg, render, render_page
+from modaltouch.report import render, render_page
 from modaltouch.system import version
 
 DARK, MIDDLE, LIGHT = "#0b3c8c", "#5bb8e8", "#dbe3ee"
@@ -41,9 +41,6 @@ def page_files(name: str, figures: Mapping[str, tuple[Figure, str]], /, **values
         What the template names besides.
     """
     files = rendered({key: figure for key, (figure, _) in figures.items()})
-    pictures = [
-        {"name": key, "caption": caption, "uri": embed_svg(files[f"{key}.svg"])}
-        for key, (_, caption) in figures.items()
-    ]
+    pictures = [{"name": key, "caption": caption, "uri": files[f"{key}.svg"]} for key, (_, caption) in figures.items()]
     page = render_page("modaltouch.lab", f"{name}.html.j2", pictures=pictures, version=version(), **values)
     return {f"{name}.html": page.encode(), **files}

@@ -1,14 +1,8 @@
 """How many participants: the very protocol, simulated by the thousand and analysed as the real data will be.
 
-``design``        the cells of a design, and what fingers feel in them
-``presented``     what a protocol presents to an observer: its design
-``significance``  the exact tests, thousands at once
-``questions``     the families of tests and the widths of intervals, as in the analysis
-``experiments``   participants and answers drawn, significant tests counted, job by job
-``power``         plan: all jobs -> Power; the fewest participants that can tell anything
-``pictures``      contours of power over participants and repetitions
-``writing``       tables and pictures into a folder
-``fitting``       an observer fitted to recorded answers
+In goes an examined protocol and an `Observer`; `designs_for` returns the cells of each of its stimuli, a `Study` says
+what is simulated in them, and `plan` returns its `Power`, which `write_power` writes as tables and a picture.
+`fit_answers` fits an observer to recorded answers.
 """
 
 from __future__ import annotations
@@ -19,8 +13,8 @@ from modaltouch.system import lazily
 
 if TYPE_CHECKING:
     from modaltouch.planning.experiments import Study
-    from modaltouch.planning.files import COMMAND, write_power
-    from modaltouch.planning.fitting import NOT_IDENTIFIABLE, fit_answers
+    from modaltouch.planning.files import write_power
+    from modaltouch.planning.fitting import fit_answers
     from modaltouch.planning.observer.felt import FeltSpeeds
     from modaltouch.planning.observer.file import read_observer, usual_observer, write_observer
     from modaltouch.planning.observer.population import Observer
@@ -32,8 +26,8 @@ else:
         __name__,
         {
             "experiments": "Study",
-            "files": "COMMAND write_power",
-            "fitting": "NOT_IDENTIFIABLE fit_answers",
+            "files": "write_power",
+            "fitting": "fit_answers",
             "observer.felt": "FeltSpeeds",
             "observer.file": "read_observer usual_observer write_observer",
             "observer.population": "Observer",
@@ -44,10 +38,8 @@ else:
     )
 
 __all__ = [
-    "COMMAND",
     "FAMILIES",
     "FeltSpeeds",
-    "NOT_IDENTIFIABLE",
     "Observer",
     "Power",
     "Study",

@@ -60,24 +60,12 @@ class Design:
         return tuple(name for name in self.finger_conditions for _ in range(n_pairs * n_levels))
 
     def facing(self, n_participants: int) -> FloatArray:
-        """Return 1 for each participant who sees the beam as it is, -1 where it is turned.
-
-        Parameters
-        ----------
-        n_participants : int
-            How many participants.
-        """
+        """Return 1 for each participant who sees the beam as it is, -1 where it is turned, (n_participants,) array."""
         turned = np.resize(np.array(self.placements), n_participants)
         return np.where(turned, -1.0, 1.0)
 
     def scopes(self, family: str) -> tuple[str, ...]:
-        """Return what each test of a family is about, worded as in the analysis.
-
-        Parameters
-        ----------
-        family : str
-            One of `modaltouch.planning.questions.FAMILIES`.
-        """
+        """Return what each test of a family, one of `FAMILIES`, is about, worded as in the analysis."""
         fingers, labels = self.finger_conditions, [pair.label for pair in self.pairs]
         if family == "a1":
             return tuple(f"{f} {q} {v:g} mm/s" for f, q, v in product(fingers, labels, self.levels))

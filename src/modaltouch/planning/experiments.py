@@ -127,17 +127,7 @@ Tallies = dict[str, Tally]
 
 
 def divide(design: Design, sizes: Iterable[tuple[int, int]], n_experiments: int) -> list[Job]:
-    """Return the jobs of a study, such that the first ones already cover every size.
-
-    Parameters
-    ----------
-    design : Design
-        The cells.
-    sizes : iterable of (int, int)
-        Participants and repetitions of each size of experiment.
-    n_experiments : int
-        Experiments of each size.
-    """
+    """Return the jobs of a study, the first of which already cover every size of participants and repetitions."""
     jobs = []
     for n_participants, n_repetitions in sizes:
         most = min(BATCH, max(1, BATCH_CELLS // (n_participants * len(design.cells))))
@@ -186,17 +176,7 @@ def simulate(design: Design, observer: Observer, job: Job, rng: np.random.Genera
 
 
 def count_significant(answers: SimulatedAnswers, family: str, alpha: float = ALPHA) -> Tally:
-    """Return how many experiments find something in a family of tests.
-
-    Parameters
-    ----------
-    answers : SimulatedAnswers
-        Simulated experiments.
-    family : str
-        One of `modaltouch.planning.questions.FAMILIES`.
-    alpha : float
-        Level of significance [1].
-    """
+    """Return in how many of the simulated experiments a family of tests finds something."""
     p = p_values(answers, family)
     single, corrected = p <= alpha * _TIES, holm_p(p) <= alpha * _TIES
     return Tally(

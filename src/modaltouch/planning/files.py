@@ -1,15 +1,36 @@
-"""A plan as files: tables, everything as JSON, the picture."""
+"""A plan as files: tables, everything as JSON, and a picture of power over participants and repetitions."""
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from modaltouch.planning.power import Power
-from modaltouch.report import csv_bytes, json_bytes, write_files
+from modaltouch.planning.questions import FAMILIES
+from modaltouch.report import (
+    FAINT,
+    INK,
+    PAIR_COLOURS,
+    csv_bytes,
+    house_style,
+    json_bytes,
+    quiet_grid,
+    render,
+    write_files,
+)
 from modaltouch.system import version
 
-COMMAND = "power"
-"""The command that owns the folder."""
+_LINES = {0.5: "dotted", 0.8: "solid", 0.95: "dashed"}
+"""Contours that are drawn, and how."""
+
+_COLUMNS = 3
+_LINE_STYLES = ("-", "--", ":", "-.")
 
 
 def write_power(folder: Path, power: Power, target: float = 0.8) -> dict[str, Path]:
@@ -29,9 +50,6 @@ def write_power(folder: Path, power: Power, target: float = 0.8) -> dict[str, Pa
     RecordError
         If the folder holds something else, or cannot be written.
     """
-    from modaltouch.planning.pictures import draw_power
-    from modaltouch.report import render
-
     values = power.as_dict(target)
     figure = draw_power(power, target)
     files = {
@@ -42,4 +60,84 @@ def write_power(folder: Path, power: Power, target: float = 0.8) -> dict[str, Pa
         "power.svg": render(figure, "svg"),
         "power.png": render(figure, "png"),
     }
-    return write_files(folder, files, {"version": version(), "seed": power.study.seed}, COMMAND)
+    return write_files(folder, files, {"version": version(), "seed": power.study.seed}, "power")
+
+
+def draw_power(power: Power, target: float = 0.8) -> Figure:
+    """Return the picture of a plan, one panel for each family of tests, with the power that is wanted marked.
+
+    Participants run along the abscissa. With several numbers of repetitions, contours of equal power show how
+    participants and repetitions stand in for each other; with one, curves with their Monte Carlo intervals.
+    """
+    families = power.study.families
+    n_rows = -(-len(families) // _COLUMNS)
+    with house_style():
+        figure = Figure(figsize=(3.2 * min(len(families), _COLUMNS) + 0.8, 2.7 * n_rows + 0.5))
+        axes = figure.subplots(n_rows, min(len(families), _COLUMNS), squeeze=False)
+        for place, panel in zip(axes.flat, (*families, *[None] * (axes.size - len(families))), strict=True):
+            if panel is None:
+                place.set_axis_off()
+                continue
+            rows = [row for row in power.families if row["family"] == panel]
+            if _is_grid(rows):
+                _draw_contours(place, rows)
+            else:
+                _draw_curves(place, rows, power.study.alpha if power.study.null else target)
+            place.set_title(textwrap.fill(f"{panel}: {FAMILIES[panel]}?", 38), fontsize=8.5)
+            place.set_xlabel("participants")
+        if any(_is_grid([row for row in power.families if row["family"] == family]) for family in families):
+            handles = [Line2D([], [], color=INK, ls=style, lw=1.0, label=f"{line:g}") for line, style in _LINES.items()]
+            figure.legend(handles=handles, title="contours", loc="outside right upper", frameon=False)
+        figure.suptitle(_headline(power), fontsize=9, color=INK)
+    return figure
+
+
+def _is_grid(rows: list[dict[str, Any]]) -> bool:
+    """Return whether every number of participants was simulated with each of two or more repetitions."""
+    n, r = ({row[key] for row in rows} for key in ("n_participants", "n_repetitions"))
+    return len(n) > 1 and len(r) > 1 and len(n) * len(r) == len(rows)
+
+
+def _draw_contours(place: Axes, rows: list[dict[str, Any]]) -> None:
+    n, r = (sorted({row[key] for row in rows}) for key in ("n_participants", "n_repetitions"))
+    found = {(row["n_participants"], row["n_repetitions"]): row["power"] for row in rows}
+    height = np.array([[found[x, y] for x in n] for y in r])
+    place.contourf(n, r, height, levels=np.linspace(0, 1, 11), cmap="Blues", vmin=0, vmax=1.15)
+    within = [line for line in _LINES if height.min() < line < height.max()]
+    if within:
+        styles = [_LINES[line] for line in within]
+        place.contour(n, r, height, levels=within, colors=INK, linewidths=1.0, linestyles=styles)
+    else:
+        middle = f"{height.min():.2g}" if np.ptp(height) < 0.005 else f"{height.min():.2g} to {height.max():.2g}"
+        place.text(0.5, 0.5, middle, ha="center", va="center", transform=place.transAxes, fontsize=8)
+    place.set_yticks(r)
+    place.set_ylabel("repetitions")
+
+
+def _draw_curves(place: Axes, rows: list[dict[str, Any]], mark: float) -> None:
+    for i, r in enumerate(sorted({row["n_repetitions"] for row in rows})):
+        own = sorted((row for row in rows if row["n_repetitions"] == r), key=lambda row: int(row["n_participants"]))
+        n = [row["n_participants"] for row in own]
+        colour = PAIR_COLOURS[i % len(PAIR_COLOURS)]
+        place.fill_between(n, [row["low"] for row in own], [row["high"] for row in own], color=colour, alpha=0.25, lw=0)
+        style = _LINE_STYLES[i % len(_LINE_STYLES)]
+        place.plot(
+            n, [row["power"] for row in own], color=colour, ls=style, marker="o", ms=2.5, label=f"{r} repetitions"
+        )
+    place.axhline(mark, color=FAINT, lw=0.8, ls=":")
+    place.set_ylim(-0.02, 1.02)
+    place.set_ylabel("power")
+    quiet_grid(place)
+    if len({row["n_repetitions"] for row in rows}) > 1:
+        place.legend(frameon=False)
+
+
+def _headline(power: Power) -> str:
+    study = power.study
+    done = min(tally.n_experiments for found in power.tallies.values() for tally in found.values())
+    kind = "false alarms where nothing is to be found" if study.null else "power"
+    return (
+        f"{study.design.title}, observer {study.observer.name or 'made in code'}: {kind}, at least one test of the "
+        f"family significant at {study.alpha:g} after Holm\n"
+        f"{done} simulated experiments of each size, seed {study.seed}"
+    )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -15,14 +15,6 @@ from modaltouch.planning.observer.fit import Fit, fit_observer
 from modaltouch.planning.observer.likelihood import RecordedAnswers
 from modaltouch.preflight import Preflight
 from modaltouch.protocol import InputError, Problem
-
-NOT_IDENTIFIABLE = (
-    "Noise, criterion, one plus suppression, side bias and its spread are known only relative to each other; their "
-    "scale is the prior's. The front end, detection speed, internal noise and near miss are taken from the given "
-    "observer, not fitted; nor are reaction times. Lapses are told from noise only where some ratios of speeds are "
-    "unmistakable."
-)
-"""What no fit to these answers can know."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +31,13 @@ class Fitted:
         How many participants gave them.
     """
 
+    not_identifiable: ClassVar[str] = (
+        "Noise, criterion, one plus suppression, side bias and its spread are known only relative to each other; their "
+        "scale is the prior's. The front end, detection speed, internal noise and near miss are taken from the given "
+        "observer, not fitted; nor are reaction times. Lapses are told from noise only where some ratios of speeds are "
+        "unmistakable."
+    )
+
     fit: Fit
     responses: tuple[Responses, ...]
     n_participants: int
@@ -49,7 +48,7 @@ class Fitted:
             "observer": self.fit.observer.as_dict(),
             "parameters": [asdict(estimate) for estimate in self.fit.parameters],
             "identified": [asdict(estimate) for estimate in self.fit.identified],
-            "not_identifiable": NOT_IDENTIFIABLE,
+            "not_identifiable": self.not_identifiable,
             "log_likelihood": self.fit.log_likelihood,
             "converged": self.fit.converged,
             "n_answers": self.fit.n_answers,

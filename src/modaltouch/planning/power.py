@@ -47,17 +47,7 @@ class Floor:
 
 
 def smallest_p(design: Design, family: str, n_participants: int, n_repetitions: int) -> float:
-    """Return the smallest p that a test of a family can give, however the answers fall [1].
-
-    Parameters
-    ----------
-    design : Design
-        The cells.
-    family : str
-        One of `modaltouch.planning.questions.FAMILIES`.
-    n_participants, n_repetitions : int
-        Size of the experiment.
-    """
+    """Return the smallest p that a test of a family can give, however the answers fall [1]."""
     if family == "a1":
         return multinomial_test([n_participants, 0, 0]).p
     if family != "b":
@@ -82,17 +72,7 @@ def _extreme_choices(levels: Sequence[float], n_repetitions: int) -> list[list[I
 
 
 def find_floor(design: Design, family: str, n_repetitions: int, alpha: float = ALPHA) -> Floor:
-    """Return how few participants can make a family's tests significant.
-
-    Parameters
-    ----------
-    design, family
-        As for `smallest_p`.
-    n_repetitions : int
-        Answers of each participant in each cell.
-    alpha : float
-        Level of significance [1].
-    """
+    """Return how few participants can make a family's tests significant."""
     n_tests = len(design.scopes(family))
     reach = (n for n in range(1, _MOST) if smallest_p(design, family, n, n_repetitions) * n_tests <= alpha)
     least = next(reach, None) if len(design.levels) > 1 or family != "b" else None
@@ -213,16 +193,8 @@ class Power:
     def needed(self, target: float) -> list[dict[str, Any]]:
         """Return how many participants reach a power, for each family and each test at each repetition.
 
-        Parameters
-        ----------
-        target : float
-            Power that is wanted [1].
-
-        Returns
-        -------
-        list of dict
-            `n_participants` is the smallest simulated number from which on every simulated number reaches the
-            target; None where none does.
+        `n_participants` is the smallest simulated number from which on every simulated number reaches the target; None
+        where none does.
         """
         rows = []
         for row in (*self.families, *self.tests):
@@ -238,13 +210,7 @@ class Power:
         return list(wanted.values())
 
     def as_dict(self, target: float = 0.8) -> dict[str, Any]:
-        """Return everything as plain values, as ``modaltouch power --json`` prints it.
-
-        Parameters
-        ----------
-        target : float
-            Power that is wanted [1].
-        """
+        """Return everything as plain values, as ``modaltouch power --json`` prints it."""
         study = self.study
         return {
             "protocol": study.design.protocol,

@@ -31,13 +31,7 @@ _EXACT_UP_TO = 40
 
 
 def sign_flip_p(scores: ArrayLike) -> FloatArray:
-    """Return the p of exact sign-flip tests, as `modaltouch.analysis.exact.sign_flip_test`, (...,) array [1].
-
-    Parameters
-    ----------
-    scores : (..., n_participants) array of int
-        Net scores; the last axis is one test.
-    """
+    """Return the p of exact sign-flip tests of net scores, (..., n_participants) array of int, as (...,) array [1]."""
     values = np.asarray(scores)
     sizes = np.abs(values)
     largest = int(sizes.max(initial=0))
@@ -80,13 +74,7 @@ def trend_p(chosen: ArrayLike, levels: Sequence[float], n_repetitions: int = 1) 
 
 
 def multinomial_p(counts: ArrayLike) -> FloatArray:
-    """Return the p of `modaltouch.analysis.exact.multinomial_test` against equal chances, (...,) array [1].
-
-    Parameters
-    ----------
-    counts : (..., 3) array of int
-        Counts of the three answers; their totals may differ.
-    """
+    """Return the p of multinomial tests of three counts, (..., 3) array, against equal chances, (...,) array [1]."""
     values = np.sort(np.asarray(counts, dtype=np.int64), axis=-1)
     totals = values.sum(axis=-1)
     p = np.ones(totals.shape)
@@ -98,13 +86,7 @@ def multinomial_p(counts: ArrayLike) -> FloatArray:
 
 
 def holm_p(p: FloatArray) -> FloatArray:
-    """Return Holm's adjusted p within families along the last axis, as `modaltouch.analysis.findings.holm`.
-
-    Parameters
-    ----------
-    p : (..., n_tests) array
-        p of the tests of one family [1].
-    """
+    """Return Holm's adjusted p within families along the last axis, (..., n_tests) array [1]."""
     order = np.argsort(p, axis=-1, kind="stable")
     steps = np.arange(p.shape[-1], 0, -1)
     rising = np.maximum.accumulate(np.minimum(np.take_along_axis(p, order, axis=-1) * steps, 1.0), axis=-1)

@@ -45,7 +45,7 @@ def field_warnings(ground: DesignInputs, stimulus: Stimulus, figures: list[dict[
                 f"at {top['velocity_mm_s']:g} mm/s the focus {focus} is not where the beam moves fastest: zone "
                 f"{focus} moves at up to {at_focus:.0f} mm/s, {others}"
             )
-    if stimulus.reconstruction_error > _UNREACHED:
+    if stimulus.projection.reconstruction_error > _UNREACHED:
         said.append(f"at {stimulus.wish.velocity * 1e3:g} mm/s {stimulus.projection.unreached()}")
     return said
 

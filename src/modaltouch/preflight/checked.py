@@ -6,8 +6,6 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Self
 
-import numpy as np
-
 from modaltouch.preflight.advice import (
     answer_warnings,
     default_warnings,
@@ -25,7 +23,7 @@ from modaltouch.preflight.figures import (
 )
 from modaltouch.protocol import Experiment, Findings, InputError, Problem, Protocol, Trial
 from modaltouch.rig import MAX_POINTS, continuous_codes
-from modaltouch.stimulus import Burst, Law, Stimulus, signed_codes, states_by_channel
+from modaltouch.stimulus import Burst, Law, Stimulus
 
 
 def continuous_figures(stimulus: Stimulus, velocity: float) -> dict[str, Any]:
@@ -37,13 +35,8 @@ def continuous_figures(stimulus: Stimulus, velocity: float) -> dict[str, Any]:
     burst, timing = stimulus.burst, stimulus.timing
     played = replace(timing, n_samples=MAX_POINTS, duration=1 / timing.repetition_rate)
     # What is played after the focusing instant does not act on it.
-    codes = signed_codes(continuous_codes(burst)[:, : int(timing.focusing_instant / played.hold) + 2])
-    state = stimulus.volts_per_code(velocity) @ states_by_channel(
-        stimulus.system, codes, played, timing.focusing_instant
-    )
-    reached = np.concatenate([stimulus.system.velocity @ state, stimulus.system.displacement @ state]).real
-    aim = np.concatenate(stimulus.aim) * (velocity / stimulus.wish.velocity)
-    error = 1e3 * float(np.abs(reached - aim).max())
+    codes = continuous_codes(burst)[:, : int(timing.focusing_instant / played.hold) + 2]
+    error = 1e3 * stimulus.worst_modal_error_of(codes, played, velocity)
     step = 1e6 * (played.hold / 2 + 1 / timing.clock_rate)
     return {
         "velocity_mm_s": velocity * 1e3,

@@ -56,10 +56,10 @@ def stimulus_figures(ground: DesignInputs, stimulus: Stimulus, level: float) -> 
         "amplitude_Vpp": _by(channels, stimulus.amplitude_for(velocity)),
         "n_samples": ground.section.n_samples,
         "sampling_rate_Hz": finite(stimulus.timing.sampling_rate),
-        "fwhm_mm": finite(stimulus.fwhm * 1e3),
-        "width_80_mm": finite(stimulus.width_80 * 1e3),
-        "reconstruction_error": finite(stimulus.reconstruction_error),
-        "condition_number": finite(stimulus.condition_number),
+        "fwhm_mm": finite(stimulus.projection.fwhm * 1e3),
+        "width_80_mm": finite(stimulus.projection.width_80 * 1e3),
+        "reconstruction_error": finite(stimulus.projection.reconstruction_error),
+        "condition_number": finite(stimulus.drive.condition_number),
         "zone_at_focus_mm_s": _by(ground.apparatus.ordered_zones, at_focus * 1e3),
         "zone_peak_mm_s": _by(ground.apparatus.ordered_zones, peaks * 1e3),
     }
@@ -146,8 +146,8 @@ def warnings(ground: DesignInputs, stimulus: Stimulus, figures: list[dict[str, A
     if offered := ground.apparatus.offered_gains():
         gains = ", ".join(f"{label} ({name}) {gain:.4g}" for label, name, gain in offered)
         said.append(f"the patches offer gains that are not measured, in mm/s^2 per V by mode and set: {gains}")
-    if stimulus.condition_number > 1e6:
-        said.append(f"the condition number is {stimulus.condition_number:.1e}: two modes are nearly alike")
+    if stimulus.drive.condition_number > 1e6:
+        said.append(f"the condition number is {stimulus.drive.condition_number:.1e}: two modes are nearly alike")
     worst = max(figures, key=lambda each: each["worst_modal_error_mm_s"] / each["velocity_mm_s"], default=None)
     if worst and worst["worst_modal_error_mm_s"] > 1e-3 * worst["velocity_mm_s"]:
         said.append(
@@ -208,9 +208,6 @@ def design_figures(stimulus: Stimulus) -> list[dict[str, Any]]:
     stimulus : Stimulus
         The stimulus, at its highest level.
     """
-    from modaltouch.stimulus import least_norm, least_peak, trade
-
-    others = [least_norm(stimulus, 4.0), least_norm(stimulus, 8.0), least_peak(stimulus)]
     unmodelled = _supposed_mode(stimulus.model)
     return [
         {
@@ -221,7 +218,7 @@ def design_figures(stimulus: Stimulus) -> list[dict[str, Any]]:
             "unmodelled_speed_mm_s": float(row["unmodelled_speed"]) * 1e3,
             "unmodelled_frequency_Hz": float(unmodelled.natural_frequency[0]),
         }
-        for row in trade(stimulus, others, unmodelled)
+        for row in stimulus.compare_designs(unmodelled)
     ]
 
 

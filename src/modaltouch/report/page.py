@@ -29,15 +29,10 @@ def render_page(package: str, template: str, **values: Any) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters["data_uri"] = _data_uri
     return environment.get_template(template).render(**values)
 
 
-def embed_svg(svg: bytes) -> str:
-    """Return a picture as an address that holds the picture itself.
-
-    Parameters
-    ----------
-    svg : bytes
-        The picture as SVG.
-    """
+def _data_uri(svg: bytes) -> str:
+    """Return an address that holds the picture itself."""
     return "data:image/svg+xml;base64," + base64.b64encode(svg).decode("ascii")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -15,7 +15,6 @@ PAIR_COLOURS = ("#0b3c8c", "#5bb8e8", "#f4c518", "#9a5b9f", "#2f9e77", "#c4c4c4"
 """Dark blue, light blue and yellow as in Fig. 10 and Fig. 11; then further pairs."""
 
 CONDITION_COLOURS = ("#0b3c8c", "#c2541b", "#2f9e77", "#9a5b9f")
-ANSWER_COLOURS = {"dominant": "#0b3c8c", "both": "#c9ced6", "other": "#d1603d"}
 INK = "#1d2530"
 FAINT = "#8a94a3"
 
@@ -35,6 +34,7 @@ _RC: dict[Any, Any] = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.linewidth": 0.8,
+    "figure.constrained_layout.use": True,
     "figure.facecolor": "white",
     "savefig.facecolor": "white",
     "hatch.linewidth": 0.6,
@@ -52,27 +52,8 @@ def house_style() -> Iterator[None]:
         yield
 
 
-def new_figure(width: float, height: float) -> Figure:
-    """Return an empty figure that belongs to no window.
-
-    Parameters
-    ----------
-    width, height : float
-        Size [inch].
-    """
-    return Figure(figsize=(width, height), layout="constrained")
-
-
 def render(figure: Figure, kind: str) -> bytes:
-    """Return a figure as the bytes of a file; the same figure always gives the same bytes.
-
-    Parameters
-    ----------
-    figure : Figure
-        What to render.
-    kind : {"svg", "png"}
-        File format.
-    """
+    """Return a figure as the bytes of an ``svg`` or ``png`` file; the same figure always gives the same bytes."""
     buffer = io.BytesIO()
     engine = figure.get_layout_engine()
     with house_style():
@@ -85,22 +66,6 @@ def render(figure: Figure, kind: str) -> bytes:
         else:
             figure.savefig(buffer, format="png", dpi=PNG_DPI, metadata={"Software": "modaltouch"})
     return buffer.getvalue()
-
-
-def pair_colours(labels: Sequence[str]) -> dict[str, str]:
-    """Return a colour for each zone pair, in order."""
-    return {label: PAIR_COLOURS[i % len(PAIR_COLOURS)] for i, label in enumerate(labels)}
-
-
-def level_label(level: float) -> str:
-    """Return a level as it is printed [mm/s].
-
-    Examples
-    --------
-    >>> level_label(80.0), level_label(92.5)
-    ('80', '92.5')
-    """
-    return f"{level:g}"
 
 
 def quiet_grid(axes: Axes) -> None:

@@ -1,4 +1,10 @@
-"""The physics of the stimulus: from a wished velocity field to a generator's codes, and back. NumPy only."""
+"""The physics of the stimulus, with NumPy alone: from a target field to a generator's codes, and forward again.
+
+In go the modes of a beam (`ModalModel`), a velocity field at an instant (`TargetField`), the clock (`Timing`) and the
+`Amplifier`. `design_stimulus` returns a `Stimulus`: voltages, codes and amplitudes (`Burst`), and what they do to the
+beam at every level. `focus_sensitivity`, `scatter` and `cheapest_samples` tell how well the beam must be identified and
+how few samples will do. `DiagonalSystem` and `BlockKernel` carry any voltages forward, for the simulated rig.
+"""
 
 from __future__ import annotations
 
@@ -7,54 +13,42 @@ from typing import TYPE_CHECKING
 from modaltouch.system import lazily
 
 if TYPE_CHECKING:
-    from modaltouch.stimulus.alternative_designs import least_norm, least_peak, trade
     from modaltouch.stimulus.blocks import BlockKernel
     from modaltouch.stimulus.burst import MID_CODE, Burst, round_amplitude
     from modaltouch.stimulus.correction import Correction
-    from modaltouch.stimulus.design import design_stimulus
-    from modaltouch.stimulus.designed import Stimulus
     from modaltouch.stimulus.drive import Law, Release
-    from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem, modal_system
-    from modaltouch.stimulus.measured import MeasuredShapes
-    from modaltouch.stimulus.modes import ModalModel
-    from modaltouch.stimulus.patches import patch_gains
-    from modaltouch.stimulus.quantisation import full_scale, round_to_codes, signed_codes, unsigned_codes
+    from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
+    from modaltouch.stimulus.modes import MeasuredShapes, ModalModel
+    from modaltouch.stimulus.quantisation import full_scale, round_to_codes, unsigned_codes
     from modaltouch.stimulus.reachability import Taper
-    from modaltouch.stimulus.recursion import SHORT
     from modaltouch.stimulus.sample_count import cheapest_samples
     from modaltouch.stimulus.sensitivity import focus_sensitivity, scatter
-    from modaltouch.stimulus.shapes import characteristic_root, mode_shapes
-    from modaltouch.stimulus.synthesis import synthesise
+    from modaltouch.stimulus.shapes import characteristic_root, mode_shapes, patch_gains
+    from modaltouch.stimulus.stimulus import Stimulus, design_stimulus
     from modaltouch.stimulus.target_field import TargetField
     from modaltouch.stimulus.timing import Timing
     from modaltouch.stimulus.timoshenko import TimoshenkoBeam
-    from modaltouch.stimulus.vibration import moments, peak_velocity, states_by_channel, velocity_history
+    from modaltouch.stimulus.vibration import peak_velocity
 else:
     __getattr__ = lazily(
         __name__,
         {
-            "alternative_designs": "least_norm least_peak trade",
             "blocks": "BlockKernel",
-            "burst": "Burst MID_CODE round_amplitude",
+            "burst": "MID_CODE Burst round_amplitude",
             "correction": "Correction",
-            "design": "design_stimulus",
-            "designed": "Stimulus",
             "drive": "Law Release",
-            "dynamics": "Amplifier DiagonalSystem modal_system",
-            "measured": "MeasuredShapes",
-            "modes": "ModalModel",
-            "patches": "patch_gains",
-            "quantisation": "full_scale round_to_codes signed_codes unsigned_codes",
+            "dynamics": "Amplifier DiagonalSystem",
+            "modes": "MeasuredShapes ModalModel",
+            "quantisation": "full_scale round_to_codes unsigned_codes",
             "reachability": "Taper",
-            "recursion": "SHORT",
             "sample_count": "cheapest_samples",
             "sensitivity": "focus_sensitivity scatter",
-            "shapes": "characteristic_root mode_shapes",
-            "synthesis": "synthesise",
+            "shapes": "characteristic_root mode_shapes patch_gains",
+            "stimulus": "Stimulus design_stimulus",
             "target_field": "TargetField",
             "timing": "Timing",
             "timoshenko": "TimoshenkoBeam",
-            "vibration": "moments peak_velocity states_by_channel velocity_history",
+            "vibration": "peak_velocity",
         },
     )
 
@@ -69,31 +63,21 @@ __all__ = [
     "MeasuredShapes",
     "ModalModel",
     "Release",
-    "SHORT",
     "Stimulus",
     "Taper",
+    "TargetField",
     "Timing",
     "TimoshenkoBeam",
-    "TargetField",
     "characteristic_root",
     "cheapest_samples",
     "design_stimulus",
     "focus_sensitivity",
     "full_scale",
-    "least_norm",
-    "least_peak",
-    "modal_system",
     "mode_shapes",
-    "moments",
     "patch_gains",
     "peak_velocity",
     "round_amplitude",
     "round_to_codes",
     "scatter",
-    "signed_codes",
-    "states_by_channel",
-    "synthesise",
-    "trade",
     "unsigned_codes",
-    "velocity_history",
 ]

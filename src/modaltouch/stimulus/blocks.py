@@ -1,7 +1,8 @@
-"""A response block by block: within a block matrix products, from block to block a scan of the states.
+"""A response block by block: within a block matrix products, from block to block a recursion of the states.
 
 Each state decays over a sample and is then pushed by the sample's inputs. A block of outputs is one product of the
 block's inputs and the states at its start; those follow from the blocks' pushes by the same method one level up.
+Most blocks of a long response need no closer look where only its peak is sought: an upper bound shows it.
 """
 
 from __future__ import annotations
@@ -9,38 +10,114 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.stimulus.dynamics import DiagonalSystem
-from modaltouch.stimulus.peak_bound import PeakBound, bound_weights
-from modaltouch.stimulus.recursion import SHORT, BlockRecursion
+from modaltouch.stimulus.quantities import ComplexArray, FloatArray
 from modaltouch.stimulus.synthesis import decay
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+SHORT = 16
+"""Samples per block: the work per sample is least where a block is about as long as a product is efficient."""
 
-__all__ = ["SHORT", "BlockKernel", "filled_blocks"]
+LEVELS = 3
+"""Blocks, groups of blocks, groups of groups: three levels step over 16^4 samples, twice the longest chunk."""
 
 _CHUNK = 32_768
 """Samples per chunk: bounds the memory, and keeps a chunk of voltages in the second-level cache."""
 
-LIKELIEST = 64
+_LIKELIEST = 64
 """Blocks looked at first where a peak is sought: what they reach spares most of the others."""
 
 
-def filled_blocks(inputs: FloatArray) -> FloatArray:
-    """Return inputs as blocks, the last filled up with zeros, (n_inputs, n_blocks, SHORT) array.
+@dataclass(frozen=True, eq=False)
+class BlockRecursion:
+    """Follows states from block to block, x[j + 1] = ratio x[j] + pushed[j], by groups of SHORT blocks.
 
-    Parameters
+    Attributes
     ----------
-    inputs : (n_inputs, n_samples) array
-        Of consecutive samples.
+    power : (n_states, LEVELS, SHORT + 1) complex array
+        Decays over 0 to SHORT blocks, groups of blocks, and so on [1].
+    triangle : (LEVELS, n_states, SHORT, SHORT) complex array
+        What each push of a group (rows) leaves in the states before the later members (columns).
     """
-    beyond = -inputs.shape[1] % SHORT
-    filled = np.pad(inputs, ((0, 0), (0, beyond))) if beyond else inputs
-    return filled.reshape(len(inputs), -1, SHORT)
+
+    power: ComplexArray
+    triangle: ComplexArray
+
+    @classmethod
+    def of(cls, exponent: ComplexArray, hold: float, length: int = SHORT) -> BlockRecursion:
+        """Return the recursion of blocks of `length` samples, each held for `hold` seconds."""
+        steps = np.outer(length * SHORT ** np.arange(LEVELS), np.arange(SHORT + 1))
+        power = decay(exponent, hold, steps.ravel()).reshape(exponent.size, LEVELS, SHORT + 1)
+        later = np.zeros((LEVELS, exponent.size, 2 * SHORT), dtype=complex)
+        later[:, :, SHORT + 1 :] = power[:, :, : SHORT - 1].transpose(1, 0, 2)
+        return cls(power, np.lib.stride_tricks.sliding_window_view(later, SHORT, axis=2)[:, :, SHORT:0:-1])
+
+    def follow(self, pushed: ComplexArray, state: ComplexArray, level: int = 0) -> tuple[ComplexArray, ComplexArray]:
+        """Return the states before each block, (n_states, n_blocks) array, and after the last, (n_states,) array.
+
+        Level 0 steps over blocks, 1 over groups of them, and so on; `state` is that before the first block.
+        """
+        n_states, n_blocks = pushed.shape
+        n_groups, rest = divmod(n_blocks, SHORT)
+        if n_groups == 0 or level == LEVELS - 1:
+            ratio = self.power[:, level, 1]
+            begin = np.empty((n_blocks, n_states), dtype=complex)
+            for row, push in zip(begin, pushed.T, strict=True):
+                row[:] = state
+                state = ratio * state + push
+            return begin.T, state
+        power = self.power[:, level]
+        groups = pushed[:, : n_groups * SHORT].reshape(n_states, n_groups, SHORT)
+        total = np.matmul(groups, power[:, SHORT - 1 :: -1, None])[:, :, 0]
+        starts, state = self.follow(total, state, level + 1)
+        begin = np.empty((n_states, n_blocks), dtype=complex)
+        within = begin[:, : n_groups * SHORT].reshape(n_states, n_groups, SHORT)
+        np.matmul(groups, self.triangle[level], out=within)
+        within += starts[:, :, None] * power[:, None, :SHORT]
+        if rest:
+            begin[:, n_groups * SHORT :], state = self.follow(pushed[:, n_groups * SHORT :], state, level)
+        return begin, state
+
+
+@dataclass(frozen=True, eq=False)
+class PeakBound:
+    """What bounds the outputs within each block: the states, the mean inputs, and the energy of what remains.
+
+    Attributes
+    ----------
+    size : (n_states, n_blocks) array
+        Magnitudes of the states at the starts.
+    mean : (n_inputs, n_blocks) array
+        Magnitude of the mean input.
+    swing : (n_inputs, n_blocks) array
+        Root of the energy of what remains.
+    """
+
+    size: FloatArray
+    mean: FloatArray
+    swing: FloatArray
+
+    @classmethod
+    def of(cls, blocks: FloatArray, begin: ComplexArray) -> PeakBound:
+        """Return the sizes of inputs, (n_inputs, n_blocks, n) array, and of the states `begin` at the starts."""
+        n = blocks.shape[2]
+        size = np.sqrt(begin.real**2 + begin.imag**2)
+        mean = blocks @ np.full(n, 1 / n)
+        energy = np.einsum("cji,cji->cj", blocks, blocks)
+        return cls(size, np.abs(mean), np.sqrt(np.maximum(energy * (1 + 1e-12) - n * mean**2, 0.0)))
+
+    def of_outputs(self, output: ComplexArray, push: ComplexArray, powers: ComplexArray) -> FloatArray:
+        """Return upper bounds of the outputs ``Re(output @ state)`` in each block, (n_outputs, n_blocks) array.
+
+        A unit of each input leaves `push` in the states at the end of its sample; `powers` are the decays over a block.
+        """
+        impulse = ((output[:, None, :] * push.T) @ powers).real
+        steady, worst = np.abs(impulse.cumsum(axis=2)).max(axis=2), np.sqrt((impulse**2).sum(axis=2))
+        return np.asarray(np.abs(output) @ self.size + steady @ self.mean + worst @ self.swing)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +138,9 @@ class BlockKernel:
         Length of a sample [s].
     """
 
+    BLOCK_LENGTH: ClassVar[int] = SHORT
+    """Samples per block."""
+
     exponent: ComplexArray
     push: ComplexArray
     output: ComplexArray
@@ -80,6 +160,13 @@ class BlockKernel:
             Length of a sample [s].
         """
         return cls(system.exponent, system.held_gain(hold), output, hold)
+
+    @staticmethod
+    def blocks(inputs: FloatArray) -> FloatArray:
+        """Return samples as blocks, the last filled up with zeros, (n_inputs, n_blocks, BLOCK_LENGTH) array."""
+        beyond = -inputs.shape[1] % SHORT
+        filled = np.pad(inputs, ((0, 0), (0, beyond))) if beyond else inputs
+        return filled.reshape(len(inputs), -1, SHORT)
 
     @cached_property
     def powers(self) -> ComplexArray:
@@ -132,7 +219,7 @@ class BlockKernel:
         state = np.zeros(self.exponent.size, dtype=complex)
         for start in range(0, out.shape[1], _CHUNK):
             stop = min(start + _CHUNK, out.shape[1])
-            blocks = filled_blocks(inputs(start, stop))
+            blocks = self.blocks(inputs(start, stop))
             begin, state = self.states(blocks, state)
             self.respond(blocks, begin, out[:, start:stop])
 
@@ -156,13 +243,7 @@ class BlockKernel:
         return self.scan.follow(self.pushed(blocks), state)
 
     def pushed(self, blocks: FloatArray) -> ComplexArray:
-        """Return what each block leaves in the states at its end, (n_states, n_blocks) array.
-
-        Parameters
-        ----------
-        blocks : (n_inputs, n_blocks, SHORT) array
-            Their inputs.
-        """
+        """Return what each block of inputs leaves in the states at its end, (n_states, n_blocks) array."""
         together = np.zeros((self.exponent.size, blocks.shape[1]), dtype=complex)
         for (states, column), rows in zip(self._into_state, blocks, strict=True):
             parts = np.concatenate([column.real, column.imag]) @ rows.T
@@ -195,41 +276,16 @@ class BlockKernel:
             if rest:
                 row[n_whole * SHORT :] = side[n_whole] @ table[:, :rest]
 
-    def respond_one(self, place: int, blocks: FloatArray, begin: ComplexArray) -> FloatArray:
-        """Return one output at the starts of the samples of some blocks, (n_blocks, SHORT) array.
-
-        Parameters
-        ----------
-        place : int
-            Which output.
-        blocks : (n_inputs, n_blocks, SHORT) array
-            Their inputs.
-        begin : (n_states, n_blocks) complex array
-            The states at their starts.
-        """
+    def _respond_one(self, place: int, blocks: FloatArray, begin: ComplexArray) -> FloatArray:
+        """Return one output at the starts of the samples of some blocks, (n_blocks, SHORT) array."""
         inputs, states, table = self._tables[place]
         side = _inputs_beside(blocks, inputs, len(states))
         _write_states(side, begin, states)
         return np.asarray(side @ table)
 
     def bounds(self, blocks: FloatArray, begin: ComplexArray) -> FloatArray:
-        """Return what each output cannot pass within each block, (n_outputs, n_blocks) array.
-
-        The states bound the free part; the forced part is bounded by the block's mean input, of which a fast mode
-        feels little, and by the energy of what remains.
-
-        Parameters
-        ----------
-        blocks, begin
-            As for `respond`.
-        """
-        steady, worst = self._bound_weights
-        effort = PeakBound.of(blocks, begin)
-        return np.asarray(np.abs(self.output) @ effort.size + steady @ effort.mean + worst @ effort.swing)
-
-    @cached_property
-    def _bound_weights(self) -> tuple[FloatArray, FloatArray]:
-        return bound_weights(self.output, self.push, self.powers)
+        """Return upper bounds of the outputs in each block, (n_outputs, n_blocks) array, as `peak` takes them."""
+        return PeakBound.of(blocks, begin).of_outputs(self.output, self.push, self.powers)
 
     def peak(self, place: int, blocks: FloatArray, begin: ComplexArray, bound: FloatArray, least: float) -> float:
         """Return the largest magnitude of one output within the blocks, or `least` where that is higher.
@@ -239,7 +295,7 @@ class BlockKernel:
         Parameters
         ----------
         place, blocks
-            As for `respond_one`.
+            As for `respond`.
         begin : (n_states, n_blocks) complex array
             From `states`.
         bound : (n_blocks,) array
@@ -250,10 +306,10 @@ class BlockKernel:
         if bound.max() <= least:
             return least
         order = np.argsort(-bound)
-        for some in (order[:LIKELIEST], order[LIKELIEST:]):
+        for some in (order[:_LIKELIEST], order[_LIKELIEST:]):
             higher = some[bound[some] > least]
             if higher.size:
-                part = self.respond_one(place, blocks[:, higher], begin[:, higher])
+                part = self._respond_one(place, blocks[:, higher], begin[:, higher])
                 least = max(least, float(part.max()), -float(part.min()))
         return least
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from modaltouch.stimulus.correction import Trims, trimmed
 
 MID_CODE = 8191
-"""Code of zero volts; codes run from 0 to 16382 (instruments.md, arbitrary waveforms of the AFG3022B)."""
+"""Code of zero volts; codes run from 0 to 16382."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,17 +5,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
+from modaltouch.stimulus.quantities import FloatArray
 
-FloatArray = NDArray[np.float64]
 Trims = tuple[tuple[float, float], ...]
 """Levels [m/s], each with the factor of its amplitude [1]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """Corrected targets: what the exact law is to aim at so that the real beam meets the wish.
+    """Corrected targets: what the exact law is to aim at so that the real beam reaches the target field.
 
     Attributes
     ----------
@@ -42,13 +40,8 @@ class Correction:
 def trimmed(velocity: float, trims: Trims) -> float:
     """Return the level to be set for a level to be reached [m/s].
 
-    Parameters
-    ----------
-    velocity : float
-        To be reached [m/s].
-    trims : tuple of (float, float)
-        Levels [m/s], each with the factor of its amplitude [1]. Between two of them, as adaptive runs play, the
-        factor runs straight over the logarithm of the level; a level beyond them all is set as it is.
+    Between two levels with factors, as adaptive runs play, the factor runs straight over the logarithm of the level; a
+    level beyond them all is set as it is.
     """
     own = next((factor for level, factor in trims if math.isclose(level, velocity)), None)
     if own is not None:

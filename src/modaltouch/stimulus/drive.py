@@ -1,14 +1,28 @@
-r"""The exact drive law: every modelled mode from rest to its target, as the generator plays it.
+r"""The drive laws: voltages that bring every modelled mode from rest to its target, as the generator plays it.
 
-The voltages are those of least weighted energy that bring all modes at the focusing instant to (velocity = target,
-displacement = 0), through the hold of the samples, the amplifier's pole and its delay, every channel driving every
-mode. After it they brake the modes to rest, or are silent.
+The exact law takes the voltages of least weighted energy that bring all modes at the focusing instant to (velocity =
+target, displacement = 0), through the hold of the samples, the amplifier's pole and its delay, every channel driving
+every mode. After it they brake the modes to rest, or are silent.
+
+The law of the paper, equations (6) and (7), is kept to show what the exact law is for. Corrected are these errata:
+
+1. the gain of section III-B is printed with :math:`\omega^2`; at resonance
+   :math:`|\dot\eta| = G|v|/(2\xi\omega)`;
+2. equation (7) is printed with the factor :math:`4a^2/b`; inserting (6) in (5) gives
+   :math:`\psi = 4a\,\dot\eta`;
+4. equation (6) has :math:`e^{ct}`, equation (7) :math:`e^{a(t-t_F)}` with the same amplitude; the latter is
+   meant;
+
+and one kept, since its miss is the reason for the exact law:
+
+3. the orbit (6) does not start at rest; begun from rest, mode 1 ends 4 % short.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -16,12 +30,11 @@ from numpy.typing import NDArray
 
 from modaltouch.stimulus.dynamics import DiagonalSystem
 from modaltouch.stimulus.modes import ModalModel
+from modaltouch.stimulus.quantities import ComplexArray, FloatArray
 from modaltouch.stimulus.reachability import GramianSolver, ReachabilityGramian, Taper
+from modaltouch.stimulus.synthesis import synthesise
 from modaltouch.stimulus.timing import Timing
-from modaltouch.stimulus.vibration import states_by_channel
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 Law = Literal["exact", "paper"]
 Release = Literal["braked", "free"]
 
@@ -57,26 +70,24 @@ class Drive:
     residual: float
     n_before: int
 
+    @property
+    def before_focus(self) -> FloatArray:
+        """Voltages that act on the focusing instant, (n_channels, n_before) array [V]."""
+        return self.voltage[:, : self.n_before]
+
 
 def check_drivable(model: ModalModel, target: FloatArray, timing: Timing) -> None:
-    """Refuse modes that cannot be driven to their targets, or whose oscillation the samples cannot follow.
-
-    Parameters
-    ----------
-    model : ModalModel
-        The modelled modes.
-    target : (n_modes,) array
-        Modal velocities at the focusing instant [m/s].
-    timing : Timing
-        Clock of the samples.
+    """Refuse modes that cannot be driven to their targets [m/s], or whose oscillation the samples cannot follow.
 
     Raises
     ------
     ValueError
         If a mode with a target has no gain, or a mode lies at or above half the sampling rate.
     """
-    for k, wished, gain, frequency in zip(model.label, target, model.modal_gain, model.natural_frequency, strict=True):
-        if wished != 0 and not gain.any():
+    for k, velocity, gain, frequency in zip(
+        model.label, target, model.modal_gain, model.natural_frequency, strict=True
+    ):
+        if velocity != 0 and not gain.any():
             raise ValueError(
                 f"mode {k} is asked for, but its gain is 0 m/s^2 per V on every channel; it must be driven by "
                 f"at least one: identify the gain, or select other modes"
@@ -89,194 +100,207 @@ def check_drivable(model: ModalModel, target: FloatArray, timing: Timing) -> Non
             )
 
 
-def exact_drive(
-    model: ModalModel,
-    system: DiagonalSystem,
-    timing: Timing,
-    target: FloatArray,
-    release: Release,
-    displacement: FloatArray | None = None,
-) -> Drive:
-    """Return the cheapest voltages from rest to (velocity = target, displacement = 0) at the focusing instant.
+@dataclass(frozen=True, eq=False)
+class Steering:
+    """What the voltages are to do to the driven modes; modes without any gain rest by themselves and are left out.
 
-    Parameters
+    Attributes
     ----------
     model : ModalModel
-        The modelled modes; all of them are steered, those with target 0 to rest.
+        The modelled modes.
     system : DiagonalSystem
         Their equations behind the amplifier.
-    timing, target
-        As for `check_drivable`.
+    timing : Timing
+        Clock of the samples.
     release : str
         ``braked`` (steered to rest at the end of the burst) or ``free`` (zero volts after the focus).
-    displacement : (n_modes,) array, optional
-        Modal displacements times angular frequency at the focusing instant, where a calibration wants others than
-        0 [m/s].
-
-    Raises
-    ------
-    ValueError
-        If a mode cannot be driven, or there are fewer samples than conditions.
+    velocity : (n_modes,) array
+        Modal velocities at the focusing instant [m/s].
+    displacement : (n_modes,) array
+        Modal displacements times angular frequency there; 0 but where a calibration wants others [m/s].
     """
-    reach, read, wished, braked_from = steering(model, system, timing, target, displacement)
-    n_before = reach.taper.n_samples
-    voltage = np.zeros((model.n_channels, timing.n_samples))
-    condition, residual, state = _steer(system, timing, reach, (read, wished), voltage[:, :n_before], _driven(model))
-    if release == "braked":
-        # No sample acts between the focusing instant and the arrival of the first that brakes.
-        ahead = braked_from * timing.hold + system.delay - timing.focusing_instant
-        brake(model, system, timing, voltage, braked_from, state * np.exp(system.exponent * ahead))
-    return Drive(voltage, condition, residual, n_before)
+
+    model: ModalModel
+    system: DiagonalSystem
+    timing: Timing
+    release: Release
+    velocity: FloatArray
+    displacement: FloatArray
+
+    @cached_property
+    def driven(self) -> NDArray[np.intp]:
+        """Indices of the modes that any channel drives."""
+        return np.flatnonzero(self.model.modal_gain.any(axis=1))
+
+    @cached_property
+    def read(self) -> ComplexArray:
+        """The conditions are the real part of ``read @ state``: velocities, then displacements [m/s]."""
+        return np.concatenate([self.system.velocity[self.driven], self.system.displacement[self.driven]])
+
+    @cached_property
+    def goal(self) -> FloatArray:
+        """Values of the conditions at the focusing instant, (n_conditions,) array [m/s]."""
+        return np.concatenate([self.velocity[self.driven], self.displacement[self.driven]])
+
+    @cached_property
+    def reach(self) -> ReachabilityGramian:
+        """How the samples before the focusing instant reach the conditions.
+
+        Raises
+        ------
+        ValueError
+            If a mode cannot be driven, or there are fewer samples than conditions.
+        """
+        check_drivable(self.model, self.velocity, self.timing)
+        n_before, remainder = self._until_focus
+        self._check_enough(n_before, "before the focusing instant")
+        return self._reach(self.read, n_before, FALL, remainder)
+
+    @property
+    def braked_from(self) -> int:
+        """First sample that does not act before the focusing instant."""
+        n_before, remainder = self._until_focus
+        return n_before + (remainder > 0)
+
+    @property
+    def _until_focus(self) -> tuple[int, float]:
+        return self.timing.samples_until(self.timing.focusing_instant - self.system.delay)
+
+    def _reach(self, read: ComplexArray, n_samples: int, fall: float, remainder: float = 0.0) -> ReachabilityGramian:
+        """Return how a stretch of samples reaches what is read some time after its end."""
+        held = self.system.held_gain(self.timing.hold) * np.exp(self.system.exponent * remainder)[:, None]
+        rate = self.timing.sampling_rate
+        return ReachabilityGramian(
+            row=read[:, None, :] * held.T,
+            exponent=self.system.exponent,
+            hold=self.timing.hold,
+            taper=Taper.fitting(n_samples, RISE * rate, fall * rate),
+        )
+
+    @cached_property
+    def solver(self) -> GramianSolver:
+        """Solves for the multipliers of the conditions."""
+        return self._solver(self.reach)
+
+    def _solver(self, reach: ReachabilityGramian) -> GramianSolver:
+        return GramianSolver.of(reach.gramian(), [self.model.label[i] for i in self.driven])
+
+    def short(self, voltage: FloatArray) -> tuple[FloatArray, ComplexArray]:
+        """Return by how much voltages from the start of the burst fall short of the goal, and the state they reach."""
+        state = self.system.state_at(voltage, self.timing, self.timing.focusing_instant)
+        return self.goal - (self.read @ state).real, state
+
+    def end(self, voltage: FloatArray, state: ComplexArray) -> None:
+        """Write the voltages after the focus into those of the whole burst, given the state at the focus."""
+        if self.release == "braked":
+            start, timing = self.braked_from, self.timing
+            # No sample acts between the focusing instant and the arrival of the first that brakes.
+            ahead = start * timing.hold + self.system.delay - timing.focusing_instant
+            self.brake(voltage, start, state * np.exp(self.system.exponent * ahead))
+
+    def brake(self, voltage: FloatArray, start: int, state: ComplexArray) -> None:
+        """Write the cheapest voltages from a sample on that leave every driven mode at rest when the burst ends.
+
+        The state is that when the sample arrives at the beam, after the amplifier's delay.
+
+        Raises
+        ------
+        ValueError
+            If there are fewer samples left than conditions.
+        """
+        timing, driven = self.timing, self.driven
+        n_left = timing.n_samples - start
+        self._check_enough(n_left, "after the focusing instant, or release it `free`")
+        # What is read at rest are the modes' own states: the amplifier's die out by themselves within the silence.
+        read = np.zeros((2 * driven.size, self.system.exponent.size), dtype=complex)
+        read[np.arange(driven.size), driven] = 1.0
+        read[np.arange(driven.size) + driven.size, driven] = -1j
+        reach = self._reach(read, n_left, RISE)
+        left = state * np.exp(self.system.exponent * (timing.duration - start * timing.hold))
+        weight = self._solver(reach).solve(-(read @ left).real)
+        reach.write(weight, voltage[:, start:])
+
+    def _check_enough(self, n_samples: int, where: str) -> None:
+        """Refuse fewer free samples than conditions; the first and the last of a stretch are not free."""
+        driving = self.model.modal_gain[self.driven] != 0
+        alone = driving & (driving.sum(axis=1, keepdims=True) == 1)
+        n_conditions = 2 * self.driven.size
+        n_channels = max(1, int(driving.any(axis=0).sum()))
+        least = 2 + max(-(-n_conditions // n_channels), 2 * int(alone.sum(axis=0).max(initial=0)))
+        if n_samples < least:
+            raise ValueError(
+                f"{n_samples} samples are fewer than {n_conditions} conditions on {n_channels} channels need; at "
+                f"least {least} must lie {where}: take more than {self.timing.n_samples} samples, or another focusing "
+                f"instant"
+            )
 
 
-def steering(
-    model: ModalModel,
-    system: DiagonalSystem,
-    timing: Timing,
-    target: FloatArray,
-    displacement: FloatArray | None = None,
-) -> tuple[ReachabilityGramian, ComplexArray, FloatArray, int]:
-    """Return how the samples before the focusing instant reach the states there, and which states are wished.
-
-    Parameters
-    ----------
-    model : ModalModel
-        The modelled modes; those without any gain rest by themselves and are left out.
-    system, timing, target
-        As for `exact_drive`.
-    displacement : (n_modes,) array, optional
-        Modal displacements times angular frequency there; 0 if not given [m/s].
-
-    Returns
-    -------
-    reach : ReachabilityGramian
-        From the samples to the conditions.
-    read : (n_conditions, n_states) complex array
-        The conditions are the real part of ``read @ state``: velocities, then displacements times angular
-        frequency.
-    wished : (n_conditions,) array
-        Their values at the focusing instant [m/s].
-    free_from : int
-        First sample that does not act before the focusing instant.
-
-    Raises
-    ------
-    ValueError
-        If a mode cannot be driven, or there are fewer samples than conditions.
-    """
-    check_drivable(model, target, timing)
-    n_before, remainder = timing.samples_until(timing.focusing_instant - system.delay)
-    driven = model.modal_gain.any(axis=1)
-    _check_enough(model.modal_gain[driven], n_before, timing, "before the focusing instant")
-    read = np.concatenate([system.velocity[driven], system.displacement[driven]])
-    held = system.held_gain(timing.hold) * np.exp(system.exponent * remainder)[:, None]
-    reach = ReachabilityGramian(
-        row=read[:, None, :] * held.T,
-        exponent=system.exponent,
-        hold=timing.hold,
-        taper=Taper.fitting(n_before, RISE * timing.sampling_rate, FALL * timing.sampling_rate),
-    )
-    resting = np.zeros(model.n_modes) if displacement is None else displacement
-    wished = np.concatenate([target[driven], resting[driven]])
-    return reach, read, wished, n_before + (remainder > 0)
-
-
-def _steer(
-    system: DiagonalSystem,
-    timing: Timing,
-    reach: ReachabilityGramian,
-    goal: tuple[ComplexArray, FloatArray],
-    voltage: FloatArray,
-    label: list[int],
-) -> tuple[float, float, ComplexArray]:
-    """Write the voltages that read the goal at the focusing instant; return condition number, residual and state.
+def exact_drive(steering: Steering) -> Drive:
+    """Return the cheapest voltages that meet every condition, from rest.
 
     The residual is measured forward, on the voltages as written and the clock as it is, and solved for again:
     that takes the rounding of the closed-form Gramian and the unevenness of the clock out of the result.
     """
-    read, wished = goal
-    solver = GramianSolver.of(reach.gramian(), label)
-    weight = np.zeros_like(wished)
-    best, kept, kept_state = np.inf, weight, np.zeros(system.exponent.size, dtype=complex)
-    short = wished
+    reach, solver, goal = steering.reach, steering.solver, steering.goal
+    voltage = np.zeros((steering.model.n_channels, steering.timing.n_samples))
+    before = voltage[:, : reach.taper.n_samples]
+    weight = np.zeros_like(goal)
+    best, kept, kept_state = np.inf, weight, np.zeros(reach.exponent.size, dtype=complex)
+    short = goal
     for _ in range(_REFINEMENTS):
         weight = weight + solver.solve(short)
-        reach.write(reach.amplitudes(weight), voltage)
-        state = states_by_channel(system, voltage, timing, timing.focusing_instant).sum(axis=0)
-        short = wished - (read @ state).real
+        reach.write(weight, before)
+        short, state = steering.short(before)
         residual = float(np.abs(short).max())
         if residual >= 0.5 * best:
             break
         best, kept, kept_state = residual, weight, state
-        if residual <= _ROUNDING * float(np.abs(wished).max()):
+        if residual <= _ROUNDING * float(np.abs(goal).max()):
             break
     if kept is not weight:
-        reach.write(reach.amplitudes(kept), voltage)
-    return solver.condition_number, best, kept_state
+        reach.write(kept, before)
+    steering.end(voltage, kept_state)
+    return Drive(voltage, solver.condition_number, best, reach.taper.n_samples)
 
 
-def brake(
-    model: ModalModel,
-    system: DiagonalSystem,
-    timing: Timing,
-    voltage: FloatArray,
-    start: int,
-    state: ComplexArray,
-) -> None:
-    """Write the cheapest voltages from a sample on that leave every driven mode at rest when the burst ends.
+def assigned_channel(model: ModalModel) -> NDArray[np.intp]:
+    """Return the channel that drives each mode best, (n_modes,) array of indices: the paper's assignment."""
+    return np.asarray(np.argmax(np.abs(model.modal_gain), axis=1))
+
+
+def paper_drive(steering: Steering) -> Drive:
+    r"""Return the voltages of the paper, :math:`v = \sum_k 4 a_k \dot\eta_k(t) / G_k` until the focus.
+
+    With :math:`\dot\eta_k = \dot\eta_k(t_F) e^{a_k (t - t_F)} \cos b_k (t - t_F)`, each mode on the channel
+    that drives it best, sampled at the middle of each hold. Sample 0 is set to 0 V, where the generator idles.
+    The amplifier is not taken into account.
 
     Parameters
     ----------
-    model : ModalModel
-        The modelled modes.
-    system, timing
-        As for `exact_drive`.
-    voltage : (n_channels, n_samples) array
-        Voltages of the burst, zero from `start` on, which is overwritten [V].
-    start : int
-        First sample that brakes.
-    state : (n_states,) complex array
-        States when that sample arrives at the beam, after the amplifier's delay.
+    steering : Steering
+        Modes with a velocity of 0 are left alone; displacements have no meaning.
 
-    Raises
-    ------
-    ValueError
-        If there are fewer samples left than conditions.
+    References
+    ----------
+    Section II-C, equations (6) and (7), errata in the docstring of this module.
     """
-    driven = np.flatnonzero(model.modal_gain.any(axis=1))
-    n_left = timing.n_samples - start
-    _check_enough(model.modal_gain[driven], n_left, timing, "after the focusing instant, or release it `free`")
-    # What is read at rest are the modes' own states: the amplifier's die out by themselves within the silence.
-    read = np.zeros((2 * driven.size, system.exponent.size), dtype=complex)
-    read[np.arange(driven.size), driven] = 1.0
-    read[np.arange(driven.size) + driven.size, driven] = -1j
-    held = system.held_gain(timing.hold)
-    reach = ReachabilityGramian(
-        row=read[:, None, :] * held.T,
-        exponent=system.exponent,
-        hold=timing.hold,
-        taper=Taper.fitting(n_left, RISE * timing.sampling_rate, RISE * timing.sampling_rate),
-    )
-    left = state * np.exp(system.exponent * (timing.duration - start * timing.hold))
-    weight = GramianSolver.of(reach.gramian(), _driven(model)).solve(-(read @ left).real)
-    reach.write(reach.amplitudes(weight), voltage[:, start:])
-
-
-def _driven(model: ModalModel) -> list[int]:
-    """Return the labels of the modes that any channel drives."""
-    return [label for label, gain in zip(model.label, model.modal_gain, strict=True) if gain.any()]
-
-
-def _check_enough(gain: FloatArray, n_samples: int, timing: Timing, where: str) -> None:
-    """Refuse fewer free samples than conditions; the first and the last of a stretch are not free."""
-    driving = gain != 0
-    alone = driving & (driving.sum(axis=1, keepdims=True) == 1)
-    n_conditions = 2 * gain.shape[0]
-    n_channels = max(1, int(driving.any(axis=0).sum()))
-    least = 2 + max(-(-n_conditions // n_channels), 2 * int(alone.sum(axis=0).max(initial=0)))
-    if n_samples < least:
-        raise ValueError(
-            f"{n_samples} samples are fewer than {n_conditions} conditions on {n_channels} channels need; at "
-            f"least {least} must lie {where}: take more than {timing.n_samples} samples, or another focusing "
-            f"instant"
-        )
+    model, system, timing, target = steering.model, steering.system, steering.timing, steering.velocity
+    check_drivable(model, target, timing)
+    asked = np.flatnonzero(target)
+    channel = assigned_channel(model)[asked]
+    exponent = model.exponent[asked]
+    n_before = min(int(timing.focusing_instant * timing.sampling_rate + 0.5), timing.n_samples - 1)
+    to_focus = timing.focusing_instant - (n_before - 0.5) * timing.hold
+    amplitude = np.zeros((model.n_channels, asked.size), dtype=complex)
+    force = -4 * exponent.real * target[asked] * np.exp(exponent * to_focus)
+    amplitude[channel, np.arange(asked.size)] = force / model.modal_gain[asked, channel]
+    voltage = np.zeros((model.n_channels, timing.n_samples))
+    synthesise(amplitude, exponent, timing.hold, voltage[:, :n_before])
+    voltage[:, 0] = 0.0
+    instant, arrival = timing.focusing_instant, n_before * timing.hold + system.delay
+    state = system.state_at(voltage, timing, instant)
+    if steering.release == "braked":
+        late = abs(arrival - instant) > 1e-9 * timing.hold
+        steering.brake(voltage, n_before, system.state_at(voltage, timing, arrival) if late else state)
+    reached, displacement = system.read(state)
+    return Drive(voltage, 1.0, float(np.abs([reached - target, displacement]).max()), n_before)

@@ -10,17 +10,116 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from modaltouch.stimulus.bounds import EXTREME, require_positive
-from modaltouch.stimulus.measured import MeasuredShapes
+from modaltouch.stimulus.quantities import EXTREME, FloatArray, require_positive
 from modaltouch.stimulus.shapes import mode_shapes
 from modaltouch.stimulus.timoshenko import TimoshenkoBeam
 
-__all__ = ["ModalModel", "mode_shapes"]
-
-FloatArray = NDArray[np.float64]
-
 _POINTS = 4096
 """Points at which the modes are added up together."""
+
+WORST_CONDITION = 1e6
+"""Condition number beyond which shapes on their grid count as linearly dependent [1]."""
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredShapes:
+    """Mode shapes sampled along the beam, each scaled to a unit mean square and positive at its right end.
+
+    Attributes
+    ----------
+    label : tuple of int
+        Label of each mode.
+    position : (n_points,) array
+        Scan grid, origin at mid-beam, increasing [m].
+    shape : (n_modes, n_points) array
+        Shapes on the grid, in any unit when given [1].
+    length : float
+        Length of the beam [m].
+    """
+
+    label: tuple[int, ...]
+    position: FloatArray
+    shape: FloatArray
+    length: float
+
+    def __post_init__(self) -> None:
+        """Refuse shapes that span no basis, and scale the others."""
+        position = np.array(self.position, dtype=float)
+        shape = np.array(self.shape, dtype=float)
+        if shape.shape != (len(self.label), position.size) or position.ndim != 1:
+            raise ValueError(
+                f"the shapes have the form {shape.shape}, but {len(self.label)} modes are labelled on "
+                f"{position.size} points: give one row to each mode and one column to each point"
+            )
+        if not (np.isfinite(shape).all() and np.isfinite(position).all()):
+            raise ValueError("a measured shape or position is not a finite number: leave out that point or mode")
+        if (np.diff(position) <= 0).any() or np.abs(position).max(initial=0.0) > self.length / 2 * (1 + 1e-9):
+            raise ValueError(
+                f"the scan grid runs from {position[0] * 1e3:g} to {position[-1] * 1e3:g} mm; it must "
+                f"increase and lie on the beam of {self.length * 1e3:g} mm: sort it, and measure from mid-beam"
+            )
+        if (np.abs(shape).max(axis=1) == 0).any():
+            still = self.label[int(np.flatnonzero(np.abs(shape).max(axis=1) == 0)[0])]
+            raise ValueError(f"mode {still} is zero at every point: measure it again, or leave it out")
+        object.__setattr__(self, "position", position)
+        object.__setattr__(self, "shape", self._scaled(position, shape))
+        self._check_rank()
+
+    def _scaled(self, position: FloatArray, shape: FloatArray) -> FloatArray:
+        """Return the shapes of unit mean square over the beam: by their smooth fit, not by a sum over few points."""
+        fit = self._fit(position, shape)
+        # The fitting shapes are orthonormal over the beam: the mean square is the sum of the squares.
+        size = np.sqrt((fit**2).sum(axis=1))
+        end = np.sign(shape[:, -1])
+        return np.asarray(shape / (size * np.where(end == 0, 1.0, end))[:, None])
+
+    def _fit(self, position: FloatArray, shape: FloatArray) -> FloatArray:
+        """Return the coefficients of the shapes on theoretical ones, (n_modes, n_fitted) array."""
+        theory = mode_shapes(self._fitted(position), position, self.length)
+        return np.asarray(np.linalg.lstsq(theory.T, shape.T, rcond=None)[0].T)
+
+    def _fitted(self, position: FloatArray) -> range:
+        """Return the labels of the theoretical shapes that the grid can tell apart."""
+        return range(1, max(2, min(max(self.label) + 4, position.size * 2 // 3)) + 1)
+
+    def _check_rank(self) -> None:
+        """Refuse modes that the grid cannot tell apart, naming the closest pair."""
+        if self.condition_number <= WORST_CONDITION:
+            return
+        size = np.linalg.norm(self.shape, axis=1)
+        likeness = np.abs(self.shape @ self.shape.T) / np.outer(size, size) - 2 * np.eye(len(self.label))
+        one, other = np.unravel_index(int(likeness.argmax()), likeness.shape)
+        raise ValueError(
+            f"{len(self.label)} shapes on {self.position.size} points are linearly dependent (condition number "
+            f"{self.condition_number:.1e}, allowed {WORST_CONDITION:.0e}); the closest are modes "
+            f"{self.label[one]} and {self.label[other]}: scan more points, or leave one out"
+        )
+
+    @cached_property
+    def condition_number(self) -> float:
+        """Condition number of the shapes on their grid, by which least squares magnify noise [1]."""
+        if self.position.size < len(self.label):
+            return math.inf
+        singular = np.linalg.svd(self.shape, compute_uv=False)
+        return float(singular[0] / singular[-1]) if singular[-1] > 0 else math.inf
+
+    def project(self, field: ArrayLike) -> FloatArray:
+        """Return the coefficients of a field on the scan grid by least squares, (n_modes,) array."""
+        values = np.asarray(field, dtype=float)
+        if values.shape != self.position.shape:
+            raise ValueError(
+                f"the field has the form {values.shape}, but the scan grid {self.position.size} points: sample it there"
+            )
+        return np.asarray(np.linalg.lstsq(self.shape.T, values, rcond=None)[0])
+
+    def at(self, position: ArrayLike) -> FloatArray:
+        """Return the shapes at positions between the points of the grid, (n_modes, n_positions) array [1].
+
+        They are carried over by the theoretical shapes that fit them on the grid: straight lines would lose a
+        third of a mode with two and a half points to the half wave.
+        """
+        coefficient = self._fit(self.position, self.shape)
+        return np.asarray(coefficient @ mode_shapes(self._fitted(self.position), position, self.length))
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,13 +165,14 @@ class ModalModel:
             values.setflags(write=False)
             object.__setattr__(self, name, values)
         require_positive("the length of the beam", self.length, "m", "measure the beam")
-        self._check_shapes()
+        self._check_labels()
+        self._check_theory()
         for k, frequency, ratio, gain in zip(
             label, self.natural_frequency, self.damping_ratio, self.modal_gain, strict=True
         ):
             _check_mode(k, float(frequency), float(ratio), gain)
 
-    def _check_shapes(self) -> None:
+    def _check_labels(self) -> None:
         n_modes = len(self.label)
         if n_modes == 0:
             raise ValueError("no mode is modelled; a stimulus needs at least one: give its parameters")
@@ -95,6 +195,7 @@ class ModalModel:
                     f"give one value (for the gain one row of at least one channel) to each mode"
                 )
 
+    def _check_theory(self) -> None:
         if (self.theory == "measured") != (self.basis is not None):
             raise ValueError(f"the shapes are {self.theory}, but a measured basis is given: {self.basis is not None}")
         if (self.theory == "timoshenko") != (self.beam is not None):
@@ -131,13 +232,7 @@ class ModalModel:
         return self.angular_frequency * (-self.damping_ratio + 1j * damped)
 
     def shapes(self, position: ArrayLike) -> FloatArray:
-        """Return the mode shapes at points of the beam, (n_modes, n_points) array [1].
-
-        Parameters
-        ----------
-        position : (n_points,) array_like
-            Coordinate along the beam, origin at its middle [m].
-        """
+        """Return the mode shapes at positions on the beam [m], (n_modes, n_points) array [1]."""
         if self.basis is not None:
             return self.basis.at(position)
         if self.beam is not None:
@@ -149,16 +244,9 @@ class ModalModel:
         return mode_shapes(self.label, position, self.length)
 
     def field(self, modal_velocity: FloatArray, position: ArrayLike) -> FloatArray:
-        """Return the velocity of modes at points of the beam, (n_points,) array [m/s].
+        """Return the velocity of modes [m/s] at positions on the beam [m], (n_points,) array [m/s].
 
         Many points are taken some at a time: no array of all modes at all points is made.
-
-        Parameters
-        ----------
-        modal_velocity : (n_modes,) array
-            Velocity of each mode [m/s].
-        position : (n_points,) array_like
-            Coordinate along the beam, origin at its middle [m].
         """
         place = np.atleast_1d(np.asarray(position, dtype=float))
         field = np.empty(place.size)

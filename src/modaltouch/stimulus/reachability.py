@@ -1,4 +1,4 @@
-r"""The cheapest voltages that take the modes from rest to a wished state: weights, Gramian, solution.
+r"""The cheapest voltages that take the modes from rest to a given state: weights, Gramian, solution.
 
 Least weighted energy :math:`\sum v^2/D` under :math:`R v = x_F` is solved by :math:`v = D R^T W^{-1} x_F` with
 the reachability Gramian :math:`W = R D R^T` (linear control). The rows of R are sums of exponentials and the
@@ -12,12 +12,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from modaltouch.stimulus.quantities import ComplexArray, FloatArray
 from modaltouch.stimulus.synthesis import synthesise
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
@@ -38,42 +35,34 @@ class Taper:
 
     @classmethod
     def fitting(cls, n_samples: int, rise: float, fall: float) -> Taper:
-        """Return the taper with the wished ends, shortened together where they would fill over half of it.
-
-        Parameters
-        ----------
-        n_samples : int
-            Samples weighted.
-        rise, fall : float
-            Wished ends [samples].
-        """
+        """Return the taper with these ends [samples], shortened together where they would fill over half."""
         shrink = min(1.0, 0.5 * n_samples / max(rise + fall, 1.0))
         return cls(n_samples, max(1, int(rise * shrink)), max(1, int(fall * shrink)))
 
-    @property
-    def n_free(self) -> int:
-        """Samples with a weight above zero."""
-        return max(0, self.n_samples - 2)
-
     def apply(self, voltage: FloatArray) -> None:
-        """Multiply voltages by the weight, in place.
-
-        Parameters
-        ----------
-        voltage : (n_channels, n_samples) array
-            Voltages [V].
-        """
+        """Multiply voltages, (n_channels, n_samples) array, by the weight, in place."""
         voltage[:, : self.rise] *= raised_cosine(self.rise)
         voltage[:, self.n_samples - self.fall :] *= raised_cosine(self.fall)[::-1]
 
-    def transform(self, rate: ComplexArray) -> ComplexArray:
-        """Return the sum over samples of weight * exp(rate * samples before the last), elementwise.
+    def write(self, amplitude: ComplexArray, exponent: ComplexArray, hold: float, voltage: FloatArray) -> None:
+        """Write tapered sums of exponentials.
 
         Parameters
         ----------
-        rate : complex array
-            Exponents per sample, real parts at most 0 [1].
+        amplitude : (n_channels, n_states) complex array
+            At the last sample, before the taper [V].
+        exponent : (n_states,) complex array
+            Exponents, real parts at most 0 [1/s].
+        hold : float
+            Length of a sample [s].
+        voltage : (n_channels, n_samples) array
+            Where they go [V]; each row contiguous.
         """
+        synthesise(amplitude, exponent, hold, voltage)
+        self.apply(voltage)
+
+    def transform(self, rate: ComplexArray) -> ComplexArray:
+        """Return the sum over samples of weight * exp(rate * samples before the last), elementwise."""
         flat_for = self.n_samples - self.rise - self.fall
         step = np.expm1(rate)
         over_fall, over_flat, over_rise = (np.expm1(rate * n) for n in (self.fall, flat_for, self.rise))
@@ -84,13 +73,7 @@ class Taper:
 
 
 def raised_cosine(n: int) -> FloatArray:
-    """Return the rise of a raised cosine from 0 towards 1, (n,) array [1].
-
-    Parameters
-    ----------
-    n : int
-        Samples of the rise; sample n would be 1.
-    """
+    """Return the rise of a raised cosine from 0 towards 1, (n,) array [1]; sample n would be 1."""
     return np.asarray(np.sin(np.arange(n) * (np.pi / (2 * n))) ** 2)
 
 
@@ -145,28 +128,9 @@ class ReachabilityGramian:
         gram = rows @ together @ rows.transpose(0, 2, 1) + rows @ against @ rows.conj().transpose(0, 2, 1)
         return np.asarray(0.5 * gram.real.sum(axis=0))
 
-    def amplitudes(self, weight: FloatArray) -> ComplexArray:
-        """Return the amplitudes of R^T weight, (n_channels, n_states) array.
-
-        Parameters
-        ----------
-        weight : (n_conditions,) array
-            Multiplier of each condition.
-        """
-        return np.asarray(np.tensordot(weight, self.row, axes=1))
-
-    def write(self, amplitude: ComplexArray, voltage: FloatArray) -> None:
-        """Write the tapered voltages of amplitudes.
-
-        Parameters
-        ----------
-        amplitude : (n_channels, n_states) complex array
-            From `amplitudes` [V].
-        voltage : (n_channels, n_samples) array
-            Where they go [V]; each row contiguous.
-        """
-        synthesise(amplitude, self.exponent, self.hold, voltage)
-        self.taper.apply(voltage)
+    def write(self, weight: FloatArray, voltage: FloatArray) -> None:
+        """Write the tapered voltages R^T weight, one weight to each condition, into contiguous rows."""
+        self.taper.write(np.tensordot(weight, self.row, axes=1), self.exponent, self.hold, voltage)
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,15 +152,8 @@ class GramianSolver:
     eigenvector: FloatArray
 
     @classmethod
-    def of(cls, gramian: FloatArray, label: Sequence[int] = ()) -> GramianSolver:
-        """Return the solver of a Gramian with a positive diagonal.
-
-        Parameters
-        ----------
-        gramian : (n, n) array
-            Symmetric, from `ReachabilityGramian.gramian`.
-        label : sequence of int, optional
-            Modes of the conditions, over and over, for the message.
+    def of(cls, gramian: FloatArray, label: Sequence[int]) -> GramianSolver:
+        """Return the solver of a Gramian; `label` names the modes of the conditions, over and over, for the message.
 
         Raises
         ------
@@ -206,10 +163,10 @@ class GramianSolver:
         diagonal = np.diag(gramian)
         lost = np.flatnonzero(~((diagonal > 0) & np.isfinite(gramian).all(axis=1)))
         if lost.size:
-            who = f"mode {label[lost[0] % len(label)]}" if label else f"condition {lost[0] + 1}"
             raise ValueError(
-                f"{who} has {diagonal[lost[0]]:.3g} on the diagonal of the Gramian, which must be above 0: its motion "
-                f"under the drive is lost in rounding; leave the mode out, or check its frequency, damping and gain"
+                f"mode {label[lost[0] % len(label)]} has {diagonal[lost[0]]:.3g} on the diagonal of the Gramian, which "
+                f"must be above 0: its motion under the drive is lost in rounding; leave the mode out, or check its "
+                f"frequency, damping and gain"
             )
         scale = 1 / np.sqrt(diagonal)
         eigenvalue, eigenvector = np.linalg.eigh(gramian * scale[:, None] * scale)
@@ -222,13 +179,7 @@ class GramianSolver:
         return float(self.eigenvalue[-1]) / smallest if smallest > 0 else float("inf")
 
     def solve(self, value: FloatArray) -> FloatArray:
-        """Return the solution; directions lost in rounding are left out.
-
-        Parameters
-        ----------
-        value : (n,) array
-            Right-hand side.
-        """
+        """Return the solution for a right-hand side; directions lost in rounding are left out."""
         lost = self.eigenvalue <= self.eigenvalue.size * np.finfo(float).eps * self.eigenvalue[-1]
         inverse = np.where(lost, 0.0, 1 / np.where(lost, 1.0, self.eigenvalue))
         return np.asarray(self.scale * (self.eigenvector @ (inverse * (self.eigenvector.T @ (self.scale * value)))))

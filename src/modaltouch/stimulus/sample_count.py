@@ -13,11 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from modaltouch.stimulus.bounds import require_positive
-from modaltouch.stimulus.design import Stimulus
+from modaltouch.stimulus.quantities import FloatArray, require_positive
+from modaltouch.stimulus.stimulus import Stimulus
+from modaltouch.stimulus.timing import Timing
 from modaltouch.stimulus.vibration import modal_history
-
-FloatArray = NDArray[np.float64]
 
 LEAST_SAMPLES_PER_CYCLE = 2.5
 """Of the highest mode, whatever the tolerance [1]."""
@@ -81,18 +80,20 @@ def cheapest_samples(finest: Stimulus, tolerance: float, positions: ArrayLike) -
         If the tolerance is not above zero.
     """
     require_positive("the tolerance on the field", tolerance, "", "1e-3 of the level is a good start")
-    shapes = finest.model.shapes(positions)
-    reference = _around_focus(finest, finest.timing.n_samples)
+    shapes, most = finest.model.shapes(positions), finest.timing.n_samples
+    reference = _history(finest)
     tried: list[tuple[int, float]] = []
     for count in _counts(finest):
         stimulus = replace(finest, timing=replace(finest.timing, n_samples=count))
-        stride = finest.timing.n_samples // count
-        change = _around_focus(stimulus, count) - reference[:, _offset(finest, stride) :: stride]
+        around = _around_focus(stimulus.timing)
+        change = _history(stimulus)[:, around] - reference[:, around * (most // count)]
         error = float(np.abs(shapes.T @ change).max()) / finest.wish.velocity
         tried.append((count, error))
         if error <= tolerance:
-            return SampleCount(stimulus, error, (*tried, (finest.timing.n_samples, 0.0)))
-    return SampleCount(finest, 0.0, (*tried, (finest.timing.n_samples, 0.0)))
+            break
+    else:
+        stimulus, error = finest, 0.0
+    return SampleCount(stimulus, error, (*tried, (most, 0.0)))
 
 
 def _counts(finest: Stimulus) -> Iterator[int]:
@@ -105,23 +106,12 @@ def _counts(finest: Stimulus) -> Iterator[int]:
             yield count
 
 
-def _window(stimulus: Stimulus) -> tuple[float, float]:
-    """Return where the compared stretch begins and ends [s]."""
-    timing = stimulus.timing
-    return max(0.0, timing.focusing_instant - _AROUND), min(timing.duration, timing.focusing_instant + _AROUND)
+def _history(stimulus: Stimulus) -> FloatArray:
+    return modal_history(stimulus.model, stimulus.voltage, stimulus.timing, stimulus.amplifier)
 
 
-def _around_focus(stimulus: Stimulus, count: int) -> FloatArray:
-    """Return the modal velocities around the focusing instant, (n_modes, n) array [m/s]."""
-    begin, end = _window(stimulus)
-    rate = count / stimulus.timing.duration
-    first, last = math.ceil(begin * rate - 1e-6), math.floor(end * rate + 1e-6)
-    history = modal_history(stimulus.model, stimulus.voltage, stimulus.timing, stimulus.amplifier)
-    return history[:, first : last + 1]
-
-
-def _offset(finest: Stimulus, stride: int) -> int:
-    """Return the first sample of the finest window that a coarser clock has too."""
-    begin, _ = _window(finest)
-    first = math.ceil(begin * finest.timing.sampling_rate - 1e-6)
-    return -first % stride
+def _around_focus(timing: Timing) -> NDArray[np.intp]:
+    """Return the samples around the focusing instant."""
+    begin, end = max(0.0, timing.focusing_instant - _AROUND), min(timing.duration, timing.focusing_instant + _AROUND)
+    rate = timing.sampling_rate
+    return np.arange(math.ceil(begin * rate - 1e-6), math.floor(end * rate + 1e-6) + 1)

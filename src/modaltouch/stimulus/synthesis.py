@@ -12,8 +12,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from modaltouch.stimulus.quantities import ComplexArray, FloatArray
 
 BLOCK = 256
 """Samples per block: rows of 2 kB keep the fine steps in the first-level cache."""
@@ -34,17 +33,7 @@ _TWO_PI = np.longdouble("6.283185307179586476925286766559005768")
 
 
 def decay(exponent: ComplexArray, hold: float, steps: NDArray[np.int64]) -> ComplexArray:
-    """Return exp(exponent * hold * steps), its phase reduced to a turn before rounding, (n, n_steps) complex array [1].
-
-    Parameters
-    ----------
-    exponent : (n,) complex array
-        Exponents [1/s].
-    hold : float
-        Length of a step [s].
-    steps : (n_steps,) array of int
-        Steps to take [1].
-    """
+    """Return exp(exponent * hold * steps), phases reduced to a turn before rounding, (n, n_steps) array [1]."""
     per_step = exponent.imag.astype(np.longdouble) * (np.longdouble(hold) / _TWO_PI)
     turns = per_step[:, None] * steps
     turns -= np.rint(turns)
@@ -59,23 +48,8 @@ def decay(exponent: ComplexArray, hold: float, steps: NDArray[np.int64]) -> Comp
 def ladders(exponent: ComplexArray, hold: float, n_blocks: int) -> tuple[ComplexArray, ComplexArray]:
     """Return the decays towards an end, by samples within a block and by blocks.
 
-    Each table is the product of two short ones: few exponentials are evaluated.
-
-    Parameters
-    ----------
-    exponent : (n,) complex array
-        Exponents [1/s].
-    hold : float
-        Length of a sample [s].
-    n_blocks : int
-        Blocks to step over.
-
-    Returns
-    -------
-    fine : (n, BLOCK) complex array
-        Over BLOCK - 1 down to 0 samples [1].
-    coarse : (n_blocks + 1, n) complex array
-        Over `n_blocks` down to 0 blocks [1].
+    They run over BLOCK - 1 down to 0 samples, (n, BLOCK) array, and over `n_blocks` down to 0 blocks, (n_blocks + 1, n)
+    array. Each table is the product of two short ones: few exponentials are evaluated.
     """
     return _ladders(exponent.tobytes(), hold, n_blocks)
 

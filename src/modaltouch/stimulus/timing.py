@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.stimulus.bounds import require_positive
+from modaltouch.stimulus.quantities import require_positive
 
 FloatArray = NDArray[np.float64]
 

@@ -18,12 +18,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from modaltouch.stimulus.bounds import require_positive
+from modaltouch.stimulus.quantities import FloatArray, require_positive
 from modaltouch.stimulus.shapes import scaled_position
-
-FloatArray = NDArray[np.float64]
 
 _STEP = 0.05
 """Phase of the trigonometric branch between two looks for a root [rad]."""
@@ -91,29 +89,17 @@ class TimoshenkoBeam:
         return b * math.sqrt(self.rotary) * wave_speed / (2 * math.pi * self.length)
 
     def natural_frequency(self, bending: int) -> float:
-        """Return the natural frequency of a bending mode [Hz].
+        """Return the natural frequency of a bending mode, from 1 [Hz].
 
-        Parameters
-        ----------
-        bending : int
-            Number of the mode, from 1; odd ones are symmetric. Above the cut-off the two kinds need not alternate.
+        Odd modes are symmetric; above the cut-off the two kinds need not alternate.
         """
         return self._hertz(self._root(bending))
 
     def shapes(self, bending: ArrayLike, position: ArrayLike) -> FloatArray:
-        """Return deflections of bending modes, of unit mean square and positive at the right end.
+        """Return deflections of bending modes at positions on the beam [m], (n_modes, n_points) array [1].
 
-        Parameters
-        ----------
-        bending : (n_modes,) array_like of int
-            Numbers of the modes, from 1.
-        position : (n_points,) array_like
-            Coordinate along the beam, origin at its middle [m].
-
-        Returns
-        -------
-        (n_modes, n_points) array
-            Shapes [1]. They are orthogonal together with the rotations of the section, not alone.
+        They have unit mean square and are positive at the right end. They are orthogonal together with the rotations of
+        the section, not alone.
         """
         y = scaled_position(position, self.length)
         node, weight = np.polynomial.legendre.leggauss(64 + 4 * int(np.max(bending)))
@@ -126,13 +112,7 @@ class TimoshenkoBeam:
         return np.asarray(shapes)
 
     def wave_numbers(self, b: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return alpha^2 and beta^2 at frequency parameters [1].
-
-        Parameters
-        ----------
-        b : (n,) array
-            Frequency parameters [1].
-        """
+        """Return alpha^2 and beta^2 at frequency parameters [1]."""
         r2, s2 = self.rotary, self.shear
         root = np.sqrt((r2 - s2) ** 2 + 4 / b**2)
         # Not half of a difference: near the cut-off it would cancel.

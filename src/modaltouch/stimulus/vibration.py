@@ -1,118 +1,161 @@
-"""The beam forward: from sampled voltages to states, velocity histories and peak speeds.
+"""The beam forward: from sampled voltages to velocity histories and peak speeds.
 
 Each state is a one-pole, x' = exponent x + input_gain v, held samples: within a short block of samples every
 output is one matrix product of the block's voltages and the state at its start; the states at the starts follow
-by a second level of blocks. Work is done chunk by chunk, so that memory does not grow with the burst.
+by a second level of blocks. Histories are written chunk by chunk, so that memory does not grow with the burst.
+Peaks are looked for only in the blocks whose upper bound passes what is already reached.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from dataclasses import astuple, dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from modaltouch.stimulus.block_states import BlockStates
-from modaltouch.stimulus.blocks import BlockKernel
-from modaltouch.stimulus.clock_quantisation import clock_inputs, clock_pushes, late_gains, late_steps
-from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem, modal_system
+from modaltouch.stimulus.blocks import SHORT, BlockKernel, BlockRecursion, PeakBound
+from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem, clock_inputs
 from modaltouch.stimulus.modes import ModalModel
-from modaltouch.stimulus.synthesis import BLOCK, CHUNK, decay, ladders
+from modaltouch.stimulus.quantities import ComplexArray, FloatArray
+from modaltouch.stimulus.synthesis import BLOCK, decay, ladders
 from modaltouch.stimulus.timing import Timing
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+_OUTPUTS = 256
+"""Outputs whose peaks are sought together: bounds the memory, whatever the number of places."""
 
 
-def moments(
-    voltage: FloatArray, exponent: ComplexArray, hold: float, driven: NDArray[np.bool_] | None = None
-) -> ComplexArray:
-    """Return the sums of voltage * exp(exponent * time from the end of the sample to the end of the last).
+@dataclass(frozen=True, eq=False)
+class BlockStates:
+    """A burst from rest, in long blocks; the short ones within are looked into only where a peak may lie.
 
-    Parameters
-    ----------
-    voltage : (n_channels, n_samples) array
-        Samples [V].
-    exponent : (n_states,) complex array
-        Exponents [1/s].
-    hold : float
-        Length of a sample [s].
-    driven : (n_channels, n_states) array of bool, optional
-        Which sums are asked for; all, if not given.
-
-    Returns
-    -------
-    (n_channels, n_states) complex array
-        The sums [V]; 0 where not asked for.
-    """
-    n_samples = voltage.shape[1]
-    sums = np.zeros((voltage.shape[0], exponent.size), dtype=complex)
-    for stop in range(n_samples, 0, -CHUNK * BLOCK):
-        part = _chunk_moments(voltage[:, max(0, stop - CHUNK * BLOCK) : stop], exponent, hold, driven)
-        sums += part if stop == n_samples else part * decay(exponent, hold, np.array([n_samples - stop]))[:, 0]
-    return sums
-
-
-def _chunk_moments(
-    voltage: FloatArray, exponent: ComplexArray, hold: float, driven: NDArray[np.bool_] | None
-) -> ComplexArray:
-    """Return the moments of so many samples that their blocks' sums may all be kept."""
-    n_blocks, head = divmod(voltage.shape[1], BLOCK)
-    fine, coarse = ladders(exponent, hold, n_blocks)
-    sums = np.zeros((voltage.shape[0], exponent.size), dtype=complex)
-    for channel, row in enumerate(voltage):
-        asked = slice(None) if driven is None else np.flatnonzero(driven[channel])
-        some = fine[asked]
-        n_some = len(some)
-        fine_real = np.concatenate([some.real, some.imag]).T
-        blocks = np.empty((n_blocks + 1, 2 * n_some))
-        blocks[0] = row[:head] @ fine_real[BLOCK - head :]
-        np.matmul(row[head:].reshape(n_blocks, BLOCK), fine_real, out=blocks[1:])
-        per_block = blocks[:, :n_some] + 1j * blocks[:, n_some:]
-        sums[channel, asked] = np.einsum("je,je->e", per_block, coarse[:, asked])
-    return sums
-
-
-def states_by_channel(system: DiagonalSystem, voltage: FloatArray, timing: Timing, instant: float) -> ComplexArray:
-    """Return the states that each channel alone leaves at an instant, from rest, on the generator's clock.
-
-    Parameters
+    Attributes
     ----------
     system : DiagonalSystem
         The beam behind its amplifier.
-    voltage : (n_channels, n_samples) array
-        Held samples at the beam from the start of the burst [V].
     timing : Timing
         Clock of the samples.
-    instant : float
-        From the start of the burst, up to its end plus the delay [s].
-
-    Returns
-    -------
-    (n_channels, n_states) complex array
-        States of `system`; their sum over the channels is the state of the beam.
+    inputs : (n_inputs, n_samples) array
+        Voltages, and the steps times the powers of their delay to the clock.
+    begin : (n_states, n_blocks + 1) complex array
+        States at the starts of blocks of BLOCK samples, and after the last, which is filled up with zeros.
     """
-    if instant <= system.delay:
-        # Nothing has arrived yet.
-        return np.zeros((voltage.shape[0], system.exponent.size), dtype=complex)
-    n_whole, remainder = timing.samples_until(instant - system.delay)
-    n_whole = min(n_whole, voltage.shape[1])
-    hold = timing.hold
-    played = voltage[:, :n_whole]
-    driven = system.input_gain.T != 0
-    states = moments(played, system.exponent, hold, driven) * system.held_gain(hold).T
-    for gain, late in zip(late_gains(system, timing), late_steps(played, timing, 0, n_whole), strict=False):
-        states += moments(late, system.exponent, hold, driven) * gain.T
-    if remainder:
-        states = states * np.exp(system.exponent * remainder)
-        if n_whole < min(voltage.shape[1], timing.n_samples):
-            wait = 0.0 if timing.lateness is None else min(float(timing.lateness[n_whole]), remainder)
-            begun = system.held_gain(remainder - wait)
-            states = states + voltage[:, n_whole, None] * begun.T
-            if wait and n_whole:
-                # Until the clock begins it, the sample before goes on.
-                states = states + voltage[:, n_whole - 1, None] * (system.held_gain(remainder) - begun).T
-    return np.asarray(states)
+
+    system: DiagonalSystem
+    timing: Timing
+    inputs: FloatArray
+    begin: ComplexArray
+
+    @classmethod
+    def of(cls, system: DiagonalSystem, voltage: FloatArray, timing: Timing) -> BlockStates:
+        """Return the states under held samples at the beam, (n_channels, n_samples) array [V]."""
+        push = system.clock_gain(timing)
+        inputs = clock_inputs(voltage, timing, 0, voltage.shape[1], push.shape[1])
+        fine, _ = ladders(system.exponent, timing.hold, 1)
+        pushed = np.zeros((system.exponent.size, -(-inputs.shape[1] // BLOCK)), dtype=complex)
+        for row, column in zip(inputs, push.T, strict=True):
+            driven = np.flatnonzero(column)
+            table = column[driven, None] * fine[driven]
+            for place, blocks in _whole_and_rest(row):
+                parts = blocks @ np.concatenate([table.real, table.imag]).T
+                pushed[driven, place] += (parts[:, : driven.size] + 1j * parts[:, driven.size :]).T
+        rest = np.zeros(system.exponent.size, dtype=complex)
+        begin, left = BlockRecursion.of(system.exponent, timing.hold, BLOCK).follow(pushed, rest)
+        return cls(system, timing, inputs, np.concatenate([begin, left[:, None]], axis=1))
+
+    @cached_property
+    def _peak_bound(self) -> PeakBound:
+        parts = []
+        for place, blocks in _whole_and_rest(self.inputs):
+            parts.append(PeakBound.of(blocks, self.begin[:, :-1][:, place]))
+        return PeakBound(*(np.concatenate(each, axis=1) for each in zip(*map(astuple, parts), strict=True)))
+
+    def peak(self, output: ComplexArray, floor: float = 0.0) -> FloatArray:
+        """Return the largest magnitude of each output until the next burst would begin, (n_outputs,) array.
+
+        The outputs are ``Re(output @ state)``; those that stay below `floor` are returned as it. The higher it is, the
+        fewer blocks are looked into.
+        """
+        if len(output) > _OUTPUTS:
+            starts = range(0, len(output), _OUTPUTS)
+            return np.concatenate([self.peak(output[start : start + _OUTPUTS], floor) for start in starts])
+        some, places = self._different(output)
+        kernel = BlockKernel(self.system.exponent, self._push, some, self.timing.hold)
+        # What the outputs reach at the starts of the blocks spares looking into most of them.
+        peak = np.maximum(np.abs((some @ self.begin).real).max(axis=1), floor)
+        bound = self._bounds(some)
+        self._look_into(np.flatnonzero((bound > peak[:, None]).any(axis=0)), kernel, peak)
+        period = int(self.timing.sampling_rate / self.timing.repetition_rate)
+        silence = max(0, period - BLOCK * bound.shape[1])
+        return self._peak_of_decay(some * self.begin[:, -1], silence, peak)[places]
+
+    @cached_property
+    def _push(self) -> ComplexArray:
+        """What a unit of each input leaves in the states at the end of its sample, (n_states, n_inputs) array."""
+        return self.system.clock_gain(self.timing)
+
+    def _bounds(self, output: ComplexArray) -> FloatArray:
+        """Return upper bounds of the outputs in each block, (n_outputs, n_blocks) array."""
+        fine, _ = ladders(self.system.exponent, self.timing.hold, 1)
+        return self._peak_bound.of_outputs(output, self._push, fine[:, ::-1])
+
+    def _look_into(self, which: NDArray[np.intp], kernel: BlockKernel, peak: FloatArray) -> None:
+        """Raise the peaks, in place, by what the outputs reach within some blocks."""
+        if which.size == 0:
+            return
+        parts = []
+        for span, long in _whole_and_rest(self.inputs):
+            parts.append(long[:, which[(which >= span.start) & (which < span.stop)] - span.start])
+        blocks = np.concatenate(parts, axis=1).reshape(len(self.inputs), -1, SHORT)
+        # All long blocks go side by side through their short ones.
+        n_states, ratio = len(self.begin), decay(self.system.exponent, self.timing.hold, np.array([SHORT]))
+        pushed = kernel.pushed(blocks).reshape(n_states, which.size, -1)
+        begin = np.empty_like(pushed)
+        begin[:, :, 0] = self.begin[:, which]
+        for step in range(1, pushed.shape[2]):
+            begin[:, :, step] = ratio * begin[:, :, step - 1] + pushed[:, :, step - 1]
+        short = begin.reshape(n_states, -1)
+        for place, bound in enumerate(kernel.bounds(blocks, short)):
+            peak[place] = kernel.peak(place, blocks, short, bound, float(peak[place]))
+
+    def _different(self, output: ComplexArray) -> tuple[ComplexArray, list[int]]:
+        """Return the outputs that differ in more than their sign, and which of them stands for each output.
+
+        States that nothing drives count for nothing: symmetric zones share one output where only symmetric modes
+        are driven.
+        """
+        driven = output * self.system.input_gain.any(axis=1)
+        first = np.take_along_axis(driven, (driven != 0).argmax(axis=1)[:, None], axis=1)
+        upright = driven * np.where(first.real < 0, -1.0, 1.0) + 0.0
+        seen: dict[bytes, int] = {}
+        places = [seen.setdefault(row.tobytes(), len(seen)) for row in upright]
+        return upright[[places.index(place) for place in range(len(seen))]], places
+
+    def _peak_of_decay(self, amplitude: ComplexArray, n_samples: int, peak: FloatArray) -> FloatArray:
+        """Return the higher of `peak` and the decay after it, which is followed only while it could be higher."""
+        exponent, hold = self.system.exponent, self.timing.hold
+        for start in range(0, n_samples, BLOCK):
+            now = amplitude * decay(exponent, hold, np.array([start]))[:, 0]
+            if (np.abs(now).sum(axis=1) <= peak).all():
+                break
+            steps = np.arange(min(BLOCK, n_samples - start))
+            speed = np.abs((now @ decay(exponent, hold, steps)).real)
+            peak = np.maximum(peak, speed.max(axis=1))
+        return peak
+
+
+def _whole_and_rest(samples: FloatArray) -> Iterator[tuple[slice, FloatArray]]:
+    """Yield places among the blocks and samples as blocks (..., n_blocks, BLOCK), the rest filled up with zeros."""
+    n_whole, rest = divmod(samples.shape[-1], BLOCK)
+    form = (*samples.shape[:-1], -1, BLOCK)
+    if n_whole:
+        yield slice(0, n_whole), samples[..., : n_whole * BLOCK].reshape(form)
+    if rest:
+        filled = np.zeros((*samples.shape[:-1], BLOCK))
+        filled[..., :rest] = samples[..., n_whole * BLOCK :]
+        yield slice(n_whole, n_whole + 1), filled.reshape(form)
 
 
 def velocity_history(
@@ -142,7 +185,7 @@ def velocity_history(
     (n_positions, n_samples) array
         Velocity at the start of each sample as it arrives, at ``n * hold + delay`` [m/s].
     """
-    system = modal_system(model, amplifier)
+    system = DiagonalSystem.of(model, amplifier)
     output = model.shapes(positions).T @ system.velocity
     return _history(system, output, _checked(voltage, model), timing)
 
@@ -150,16 +193,8 @@ def velocity_history(
 def modal_history(
     model: ModalModel, voltage: FloatArray, timing: Timing, amplifier: Amplifier | None = None
 ) -> FloatArray:
-    """Return the modal velocities as each sample arrives, (n_modes, n_samples) array [m/s], from rest.
-
-    Parameters
-    ----------
-    model : ModalModel
-        The beam.
-    voltage, timing, amplifier
-        As for `velocity_history`.
-    """
-    system = modal_system(model, amplifier)
+    """Return the modal velocities as each sample arrives, (n_modes, n_samples) array [m/s], from rest."""
+    system = DiagonalSystem.of(model, amplifier)
     return _history(system, system.velocity, _checked(voltage, model), timing)
 
 
@@ -170,21 +205,12 @@ def peak_velocity(
     positions: ArrayLike,
     amplifier: Amplifier | None = None,
 ) -> FloatArray:
-    """Return the highest speed at points of the beam, from rest until the next burst would begin.
+    """Return the highest speed at points of the beam until the next burst would begin, (n_positions,) array [m/s].
 
-    Parameters
-    ----------
-    model, voltage, timing
-        As for `modal_history`.
-    positions, amplifier
-        As for `velocity_history`.
-
-    Returns
-    -------
-    (n_positions,) array
-        Largest magnitude of the velocity at the starts of the samples, and of the decay after them [m/s].
+    It is the largest magnitude of the velocity at the starts of the samples, and of the decay after them, from rest;
+    arguments as for `velocity_history`.
     """
-    system = modal_system(model, amplifier)
+    system = DiagonalSystem.of(model, amplifier)
     return BlockStates.of(system, _checked(voltage, model), timing).peak(model.shapes(positions).T @ system.velocity)
 
 
@@ -207,7 +233,7 @@ def _checked(voltage: FloatArray, model: ModalModel) -> FloatArray:
 
 def _history(system: DiagonalSystem, output: ComplexArray, voltage: FloatArray, timing: Timing) -> FloatArray:
     """Return the outputs at the starts of the samples, (n_outputs, n_samples) array [m/s]."""
-    kernel = BlockKernel(system.exponent, clock_pushes(system, timing), output, timing.hold)
+    kernel = BlockKernel(system.exponent, system.clock_gain(timing), output, timing.hold)
     n_inputs = kernel.push.shape[1]
     history = np.empty((output.shape[0], voltage.shape[1]))
     kernel.write(lambda start, stop: clock_inputs(voltage, timing, start, stop, n_inputs), history)

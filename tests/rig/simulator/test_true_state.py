@@ -14,7 +14,7 @@ from modaltouch.rig.simulator.channel import Playback
 from modaltouch.rig.simulator.held_response import state_at
 from modaltouch.rig.simulator.motion import DriveVoltage, Motion
 from modaltouch.rig.simulator.twin import Twin
-from modaltouch.stimulus.design import design_stimulus
+from modaltouch.stimulus.stimulus import design_stimulus
 from modaltouch.stimulus.target_field import TargetField
 from modaltouch.stimulus.timing import Timing
 

@@ -12,7 +12,7 @@ import pandas as pd
 
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.thresholds.runs import Run, find_runs, in_words, over_participants
-from modaltouch.report import embed_svg, json_bytes, render_page
+from modaltouch.report import json_bytes, render_page
 from modaltouch.system import commit, version, versions
 
 MOST_FIGURES = 60
@@ -117,7 +117,7 @@ def _report(
         focus=" or ".join(sorted(set(responses.foci.values()) or {responses.focus})),
         n_participants=len({run.participant for run in analysis.runs}),
         n_sessions=n_sessions,
-        pictures=[{"name": name, "uri": embed_svg(svg)} for name, svg in vectors.items()],
+        pictures=[{"name": name, "uri": svg} for name, svg in vectors.items()],
         left_out=responses.left_out,
         record=describe_record(responses.sessions),
         version=version(),

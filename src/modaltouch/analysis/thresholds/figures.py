@@ -12,14 +12,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from modaltouch.analysis.thresholds.psychometric import ThresholdEstimate
 from modaltouch.analysis.thresholds.runs import Run
-from modaltouch.report import (
-    CONDITION_COLOURS,
-    FAINT,
-    INK,
-    house_style,
-    new_figure,
-    quiet_grid,
-)
+from modaltouch.report import CONDITION_COLOURS, FAINT, INK, house_style, quiet_grid
 
 BLUE = CONDITION_COLOURS[0]
 _ROW = 2.5
@@ -37,7 +30,7 @@ def draw_runs(runs: Sequence[Run], bounds: tuple[float, float]) -> Figure:
         Lowest and highest level that a run may reach [mm/s].
     """
     with house_style():
-        figure = new_figure(7.4, _ROW * len(runs) + 0.5)
+        figure = Figure(figsize=(7.4, _ROW * len(runs) + 0.5))
         rows = figure.subplots(len(runs), 2, squeeze=False, width_ratios=[1.35, 1])
         for (track, function), run in zip(rows, runs, strict=True):
             _draw_track(track, run, bounds)
@@ -122,7 +115,7 @@ def draw_thresholds(runs: Sequence[Run], bounds: tuple[float, float]) -> Figure:
     kinds = list(dict.fromkeys(run.kind for run in runs))
     people = list(dict.fromkeys((run.participant, run.session) for run in runs))
     with house_style():
-        figure = new_figure(6.4, min(1.4 + 0.17 * len(people) * len(kinds), 40.0))
+        figure = Figure(figsize=(6.4, min(1.4 + 0.17 * len(people) * len(kinds), 40.0)))
         axes = figure.subplots()
         for k, kind in enumerate(kinds):
             own = [run for run in runs if run.kind == kind]

@@ -20,7 +20,6 @@ from modaltouch.stimulus import (
     peak_velocity,
     round_amplitude,
     round_to_codes,
-    synthesise,
     unsigned_codes,
 )
 
@@ -61,10 +60,8 @@ def probe_voltage(model: ModalModel, timing: Timing, channel: int) -> FloatArray
     response = np.where(response > 0, response, np.median(response[response > 0]))
     # Phases by the golden angle keep the tones from peaking together.
     amplitude = (response**-0.5 * np.exp(1j * _GOLDEN * np.arange(model.n_modes)))[None, :]
-    synthesise(amplitude, model.exponent, timing.hold, voltage[channel : channel + 1, :n_before])
-    Taper.fitting(n_before, RISE * timing.sampling_rate, FALL * timing.sampling_rate).apply(
-        voltage[channel : channel + 1, :n_before]
-    )
+    taper = Taper.fitting(n_before, RISE * timing.sampling_rate, FALL * timing.sampling_rate)
+    taper.write(amplitude, model.exponent, timing.hold, voltage[channel : channel + 1, :n_before])
     return voltage
 
 

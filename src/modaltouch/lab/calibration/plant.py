@@ -15,7 +15,7 @@ import numpy as np
 from modaltouch.lab.arrays import ComplexArray, FloatArray
 from modaltouch.lab.calibration.decay import Decay
 from modaltouch.rig import Recording
-from modaltouch.stimulus import Amplifier, ModalModel, Timing, modal_system, states_by_channel
+from modaltouch.stimulus import Amplifier, DiagonalSystem, ModalModel, Timing
 
 LONGEST = 100e-6
 """Longest delay, and lag, that is looked for [s]."""
@@ -287,11 +287,11 @@ def unit_responses(model: ModalModel, drive: DriveDelay, voltage: FloatArray, ti
     """Return what a mode of unit gain would swing with after a burst, extrapolated back to the focusing instant."""
     unit = replace(model, modal_gain=np.ones_like(model.modal_gain))
     amplifier = Amplifier(gain=1.0, limit=1.0, bandwidth=drive.bandwidth, delay=drive.delay)
-    system = modal_system(unit, amplifier)
+    system = DiagonalSystem.of(unit, amplifier)
     # Late enough for the last of the drive to have passed.
     later = drive.delay + 20 * drive.lag + timing.hold
     instant = min(timing.focusing_instant + later, timing.duration)
-    state = states_by_channel(system, voltage, timing, instant)[:, : model.n_modes].T
+    state = system.states_by_channel(voltage, timing, instant)[:, : model.n_modes].T
     s = model.exponent[:, None]
     return np.asarray((1 - 1j * s.real / s.imag) * state * np.exp(-s * (instant - timing.focusing_instant)))
 

@@ -17,18 +17,7 @@ from modaltouch.lab.comparison.results import Row, criteria, paragraphs, rows_of
 from modaltouch.lab.laboratory import MeasurementProgress, TooFewPointsError
 from modaltouch.lab.output import DARK, MIDDLE, page_files, rounded
 from modaltouch.preflight import examine
-from modaltouch.report import (
-    FAINT,
-    INK,
-    csv_bytes,
-    house_style,
-    json_bytes,
-    level_label,
-    new_figure,
-    quiet_grid,
-    refuse_other,
-    write_files,
-)
+from modaltouch.report import FAINT, INK, csv_bytes, house_style, json_bytes, quiet_grid, refuse_other, write_files
 from modaltouch.system import commit, version
 
 COMMAND = "compare"
@@ -42,7 +31,7 @@ def draw_fields(contest: Contest) -> Figure:
     """Return the true field at the focusing instant of every method, and the wish."""
     n_rows = -(-len(contest.designed) // COLUMNS)
     with house_style():
-        figure = new_figure(7.6, 2.1 * n_rows + 0.5)
+        figure = Figure(figsize=(7.6, 2.1 * n_rows + 0.5))
         panels = figure.subplots(n_rows, COLUMNS, squeeze=False, sharex=True, sharey=True)
         for axes, designed, verdict in zip(panels.ravel(), contest.designed, contest.verdicts, strict=False):
             place = verdict.position * 1e3
@@ -68,7 +57,7 @@ def draw_drives(contest: Contest) -> Figure:
     every = max(1, timing.n_samples // 12_500)
     time = np.arange(timing.n_samples)[::every] * timing.hold * 1e3
     with house_style():
-        figure = new_figure(7.6, 1.05 * len(contest.designed) + 0.6)
+        figure = Figure(figsize=(7.6, 1.05 * len(contest.designed) + 0.6))
         panels = figure.subplots(len(contest.designed), n_channels, squeeze=False, sharex=True, sharey="row")
         for row, designed in zip(panels, contest.designed, strict=True):
             for axes, volts in zip(row, designed.voltage, strict=True):
@@ -90,7 +79,7 @@ def draw_price(rows: Sequence[Row], limit: float) -> Figure:
     """Return distance from the wished field against peak voltage, and contrast against energy, of every method."""
     pairs = [key for key in rows[0] if key.startswith("contrast_")]
     with house_style():
-        figure = new_figure(7.6, 3.1)
+        figure = Figure(figsize=(7.6, 3.1))
         left, right = figure.subplots(1, 2)
         for row, marker in zip(rows, MARKERS * 2, strict=False):
             look = {"marker": marker, "s": 46, "color": DARK if row["method"] == "exact" else MIDDLE, "edgecolor": INK}
@@ -118,7 +107,7 @@ def draw_robustness(contest: Contest) -> Figure:
     """Return what other beams make of every drive: each beam a dot, the learned one a line."""
     names = [each.method.name for each in contest.designed]
     with house_style():
-        figure = new_figure(7.6, 0.42 * len(names) + 1.1)
+        figure = Figure(figsize=(7.6, 0.42 * len(names) + 1.1))
         panels = figure.subplots(1, 3, sharey=True)
         pair = contest.task.pairs[0]
         columns: tuple[tuple[str, Callable[[DriveAssessment], float]], ...] = (
@@ -257,7 +246,7 @@ class ComparisonReport:
             figures,
             title=f"Comparison: {self.about['title']}",
             values=values,
-            level=level_label(round(self.level, 6)),
+            level=format(round(self.level, 6), "g"),
             rows=self.rows,
             table=self.table,
             paragraphs=self.paragraphs,

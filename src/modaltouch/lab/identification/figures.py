@@ -11,14 +11,7 @@ from numpy.typing import NDArray
 
 from modaltouch.lab.arrays import FloatArray
 from modaltouch.lab.identification.estimates import Identification, IdentifiedMode
-from modaltouch.report import (
-    CONDITION_COLOURS,
-    FAINT,
-    INK,
-    house_style,
-    new_figure,
-    quiet_grid,
-)
+from modaltouch.report import CONDITION_COLOURS, FAINT, INK, house_style, quiet_grid
 from modaltouch.stimulus import mode_shapes
 
 STYLES = ("-", "--", ":", "-.")
@@ -35,7 +28,7 @@ def draw_responses(identification: Identification) -> Figure:
     responses = identification.responses
     size = np.sqrt((np.abs(responses.response) ** 2).mean(axis=1)) * 1e3
     with house_style():
-        figure = new_figure(7.6, 4.0)
+        figure = Figure(figsize=(7.6, 4.0))
         axes = figure.subplots()
         for row, name in enumerate(responses.sets):
             kept = _thinned(responses.frequency, size[row])
@@ -77,7 +70,7 @@ def draw_coherence(identification: Identification) -> Figure:
     responses = identification.responses
     coherence = responses.coherence
     with house_style():
-        figure = new_figure(7.6, 1.2 + 1.7 * len(responses.sets))
+        figure = Figure(figsize=(7.6, 1.2 + 1.7 * len(responses.sets)))
         panels = figure.subplots(len(responses.sets), 1, sharex=True, squeeze=False)[:, 0]
         for row, (axes, name) in enumerate(zip(panels, responses.sets, strict=True)):
             if coherence is None:
@@ -106,7 +99,7 @@ def draw_shapes(identification: Identification) -> Figure:
     positions, length = identification.responses.positions, identification.length
     n_rows = math.ceil(len(modes) / PANELS_PER_ROW)
     with house_style():
-        figure = new_figure(7.6, 0.5 + 1.5 * n_rows)
+        figure = Figure(figsize=(7.6, 0.5 + 1.5 * n_rows))
         panels = figure.subplots(n_rows, PANELS_PER_ROW, sharex=True, sharey=True, squeeze=False)
         for axes in panels.ravel()[len(modes) :]:
             axes.set_axis_off()

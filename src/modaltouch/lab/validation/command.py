@@ -29,7 +29,7 @@ from modaltouch.lab.validation.figures import (
 from modaltouch.lab.validation.key_figures import coefficients, findings, key_figures, summary
 from modaltouch.lab.validation.recording import Observation, complete, read_laws, record_laws
 from modaltouch.preflight import Preflight, examine
-from modaltouch.report import csv_bytes, json_bytes, level_label, refuse_other, write_files
+from modaltouch.report import csv_bytes, json_bytes, refuse_other, write_files
 from modaltouch.system import commit, version
 
 COMMAND = "validate"
@@ -127,7 +127,7 @@ class ValidationReport:
             _draw(self.evidences, self.context["limit"]),
             title=f"Validation: {self.context['title']}",
             occasion=self.context,
-            level=level_label(round(self.evidences[0].observation.velocity * 1e3, 6)),
+            level=format(round(self.evidences[0].observation.velocity * 1e3, 6), "g"),
             laws=[each.law for each in self.evidences],
             figures=self.figures,
             lag=self.evidences[0].lag * 1e6,

@@ -12,7 +12,7 @@ import numpy as np
 from modaltouch.lab.arrays import FloatArray
 from modaltouch.lab.validation.recording import Observation
 from modaltouch.record import RecordInputError
-from modaltouch.stimulus import mode_shapes, velocity_history
+from modaltouch.stimulus import mode_shapes
 
 
 def spot_width(position: FloatArray, field: FloatArray, centre: float, fraction: float) -> float:
@@ -96,13 +96,7 @@ class Prediction:
         """Return the prediction at the positions of an observation."""
         stimulus, timing = observation.stimulus, observation.stimulus.timing
         places = observation.field.positions
-        played = velocity_history(
-            stimulus.model,
-            stimulus.voltage_played(observation.velocity),
-            timing,
-            [*places, *observation.course.positions],
-            stimulus.amplifier,
-        )
+        played = stimulus.velocity_history([*places, *observation.course.positions], observation.velocity)
         time = np.asarray(np.arange(timing.n_samples) * timing.hold + stimulus.amplifier.delay, dtype=float)
         return cls(time, played[: places.size], played[places.size :])
 

@@ -17,7 +17,7 @@ from modaltouch.lab.output import DARK, LIGHT, MIDDLE
 from modaltouch.lab.validation.evidence import Evidence
 from modaltouch.lab.validation.key_figures import coefficients, key_figures
 from modaltouch.lab.validation.recording import AROUND
-from modaltouch.report import FAINT, INK, house_style, new_figure, quiet_grid
+from modaltouch.report import FAINT, INK, house_style, quiet_grid
 
 LAW_TITLES = {"exact": "law “exact”", "paper": "law “paper”, eq. (6) and (7)"}
 
@@ -39,7 +39,7 @@ def draw_decomposition(evidence: Evidence) -> Figure:
         ("not modelled", ~np.isin(labels, stimulus.model.label), {"facecolor": "white"}),
     )
     with house_style():
-        figure = new_figure(7.6, 2.7)
+        figure = Figure(figsize=(7.6, 2.7))
         axes = figure.subplots()
         for name, which, look in kinds:
             axes.bar(labels[which], wished[which], width=0.72, edgecolor=INK, linewidth=0.6, label=name, **look)
@@ -57,7 +57,7 @@ def draw_decomposition(evidence: Evidence) -> Figure:
 def draw_coefficients(evidences: Sequence[Evidence]) -> Figure:
     """Return wished and achieved coefficients of each law, in the form of Fig. 6, and their difference."""
     with house_style():
-        figure = new_figure(7.6, 2.3 * len(evidences) + 0.5)
+        figure = Figure(figsize=(7.6, 2.3 * len(evidences) + 0.5))
         panels = figure.subplots(len(evidences), 2, squeeze=False, width_ratios=(3, 2), sharex=True, sharey="col")
         for row, evidence in zip(panels, evidences, strict=True):
             lines = coefficients(evidence)
@@ -107,7 +107,7 @@ def _draw_errors(axes: Axes, lines: list[dict[str, Any]]) -> None:
 def draw_fields(evidences: Sequence[Evidence]) -> Figure:
     """Return the field at the focusing instant against the wished one, in the form of Fig. 7, and how far it is off."""
     with house_style():
-        figure = new_figure(7.6, 4.6)
+        figure = Figure(figsize=(7.6, 4.6))
         shape: dict[str, Any] = {"squeeze": False, "sharex": True, "sharey": "row", "height_ratios": (5, 2)}
         panels = figure.subplots(2, len(evidences), **shape)
         for column, evidence in zip(panels.T, evidences, strict=True):
@@ -244,7 +244,7 @@ def draw_maps(evidences: Sequence[Evidence]) -> Figure:
     """Return velocity by position and time around the focus, in the form of Fig. 5."""
     highest = max(float(np.abs(each.velocity_map).max()) for each in evidences) * 1e3
     with house_style():
-        figure = new_figure(7.6, 4.4)
+        figure = Figure(figsize=(7.6, 4.4))
         panels = figure.subplots(1, len(evidences), squeeze=False, sharex=True, sharey=True)[0]
         image = None
         for axes, evidence in zip(panels, evidences, strict=True):
@@ -286,7 +286,7 @@ def draw_spectrograms(evidences: Sequence[Evidence]) -> Figure:
     found = [spectrogram_of(each) for each in evidences]
     top = 20 * np.log10(max(float(each.amplitude.max()) for each in found) * 1e3)
     with house_style():
-        figure = new_figure(7.6, 3.6)
+        figure = Figure(figsize=(7.6, 3.6))
         panels = figure.subplots(1, len(evidences), squeeze=False, sharex=True, sharey=True)[0]
         image = None
         for axes, evidence, one in zip(panels, evidences, found, strict=True):
@@ -332,7 +332,7 @@ def draw_zones(evidence: Evidence) -> Figure:
     observation, time = evidence.observation, evidence.course_time
     reach = 1.12 * float(np.abs(evidence.course).max()) * 1e3
     with house_style():
-        figure = new_figure(7.6, 0.95 * len(observation.zones) + 0.9)
+        figure = Figure(figsize=(7.6, 0.95 * len(observation.zones) + 0.9))
         shape: dict[str, Any] = {"squeeze": False, "sharex": "col", "sharey": True}
         panels = figure.subplots(len(observation.zones), 2, **shape)
         middles, envelopes = _envelope(time, evidence.course)
@@ -374,7 +374,7 @@ def draw_drives(evidences: Sequence[Evidence], limit: float) -> Figure:
     """Return the voltages measured at the beam, and the amplifier's limit [V]."""
     n_channels = evidences[0].observation.stimulus.model.n_channels
     with house_style():
-        figure = new_figure(7.6, 1.5 * n_channels + 0.6)
+        figure = Figure(figsize=(7.6, 1.5 * n_channels + 0.6))
         panels = figure.subplots(n_channels, len(evidences), squeeze=False, sharex=True, sharey=True)
         for column, evidence in zip(panels.T, evidences, strict=True):
             drive = evidence.observation.course.drive.mean(axis=(0, 1))

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from modaltouch.planning.observer.front_end import FrontEnd, sense
-from modaltouch.stimulus import Stimulus, velocity_history
+from modaltouch.stimulus import Stimulus
 
 
 class FeltSpeeds:
@@ -61,11 +61,7 @@ class FeltSpeeds:
         elif self._front_end == "peak_at_focus":
             values = np.abs(stimulus.velocity_at_focus(places, level))
         else:
-            played, timing = stimulus.voltage_played(level), stimulus.timing
-            n_samples = max(int(timing.sampling_rate / timing.repetition_rate), played.shape[1])
             # A whole repetition: a beam that is released free goes on after the burst.
-            voltage = np.zeros((played.shape[0], n_samples))
-            voltage[:, : played.shape[1]] = played
-            history = velocity_history(stimulus.model, voltage, timing, places, stimulus.amplifier)
+            history, timing = stimulus.velocity_history(places, level, whole_period=True), stimulus.timing
             values = sense(self._front_end, history, timing.sampling_rate, timing.focusing_instant)
         return {name: float(value) / level for name, value in zip(self._zones, values, strict=True)}

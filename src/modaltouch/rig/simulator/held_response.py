@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.stimulus import SHORT, BlockKernel, DiagonalSystem, Timing, moments, states_by_channel
+from modaltouch.stimulus import BlockKernel, DiagonalSystem, Timing
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -72,7 +72,7 @@ def start_state(system: DiagonalSystem, held: Held) -> ComplexArray:
     """Return the state in which each burst finds the beam, after many, (n_states,) array."""
     if math.isinf(held.period):
         return np.zeros(system.exponent.size, dtype=complex)
-    at_end = (moments(held.voltage, system.exponent, held.hold) * system.held_gain(held.hold).T).sum(axis=0)
+    at_end = system.held_states(held.voltage, held.hold).sum(axis=0)
     silence = held.period - held.duration
     return np.asarray(at_end * np.exp(system.exponent * silence) / -np.expm1(system.exponent * held.period))
 
@@ -97,7 +97,7 @@ def state_at(system: DiagonalSystem, held: Held, instant: float, *, first: bool)
             return np.zeros(system.exponent.size, dtype=complex)
         instant += held.period
     played = min(instant, held.duration + system.delay)
-    state = states_by_channel(system, held.voltage, held.timing, played).sum(axis=0)
+    state = system.state_at(held.voltage, held.timing, played)
     state = state * np.exp(system.exponent * (instant - played))
     since = instant - system.delay
     if first or since < 0:
@@ -122,11 +122,11 @@ def peak(system: DiagonalSystem, output: ComplexArray, held: Held) -> FloatArray
     reached = np.zeros(output.shape[0])
     state = np.zeros(system.exponent.size, dtype=complex)
     silence = min(held.period, LONGEST_SILENCE * held.duration) - held.duration
-    n_silent = max(0, int(silence / hold) // SHORT * SHORT)
+    n_silent = max(0, int(silence / hold) // BlockKernel.BLOCK_LENGTH * BlockKernel.BLOCK_LENGTH)
     for part in (voltage, np.zeros((voltage.shape[0], n_silent))):
         if part.size == 0 or (part is not voltage and (np.abs(output * state).sum(axis=1) <= reached).all()):
             break
-        blocks = blocks_of(part)
+        blocks = BlockKernel.blocks(part)
         begin, state = kernel.states(blocks, state)
         bounds = kernel.bounds(blocks, begin)
         for place, bound in enumerate(bounds):
@@ -138,9 +138,3 @@ def refined(system: DiagonalSystem, held: Held) -> tuple[FloatArray, float]:
     """Return the same voltages on a grid on which no mode turns by more than FINEST_TURN, and its step."""
     times = max(1, math.ceil(float(np.abs(system.exponent.imag).max()) * held.hold / FINEST_TURN))
     return held.voltage if times == 1 else np.repeat(held.voltage, times, axis=1), held.hold / times
-
-
-def blocks_of(voltage: FloatArray) -> FloatArray:
-    """Return voltages in blocks of SHORT samples, filled up with zeros, (n_channels, n_blocks, SHORT) array."""
-    missing = -voltage.shape[1] % SHORT
-    return np.pad(voltage, ((0, 0), (0, missing))).reshape(voltage.shape[0], -1, SHORT)

@@ -8,8 +8,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.rig.simulator.held_response import Held, blocks_of, refined, start_state
-from modaltouch.stimulus import BlockKernel, DiagonalSystem, moments
+from modaltouch.rig.simulator.held_response import Held, refined, start_state
+from modaltouch.stimulus import BlockKernel, DiagonalSystem
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -73,11 +73,11 @@ class Motion:
         rows = np.stack([output, output * system.exponent])
         kernel = BlockKernel.of(system, rows, hold)
         # One sample more than is played, so that the last instant is the end of the burst.
-        blocks = blocks_of(np.pad(voltage[:, :n_needed], ((0, 0), (0, 1))))
+        blocks = BlockKernel.blocks(np.pad(voltage[:, :n_needed], ((0, 0), (0, 1))))
         begin, _ = kernel.states(blocks, state)
         course = np.empty((2, n_needed + 1))
         kernel.respond(blocks, begin, course)
-        at_end = moments(held.voltage, system.exponent, held.hold) * system.held_gain(held.hold).T
+        at_end = system.held_states(held.voltage, held.hold)
         last = at_end.sum(axis=0) + state * np.exp(system.exponent * held.duration)
         push = (output @ system.input_gain).real @ voltage[:, :n_needed]
         return cls(held, hold, course[0], course[1], push, system.exponent, output * last)
@@ -149,7 +149,7 @@ class DriveVoltage:
         system = DiagonalSystem(exponent, np.asarray(pole * one), one, one, 0.0)
         kernel = BlockKernel.of(system, one, held.hold)
         alone = Held(held.voltage[channel : channel + 1], held.rest[:1], held.duration, held.period)
-        blocks = blocks_of(voltage[None])
+        blocks = BlockKernel.blocks(voltage[None])
         begin, _ = kernel.states(blocks, start_state(system, alone))
         before = np.empty((1, voltage.size))
         kernel.respond(blocks, begin, before)

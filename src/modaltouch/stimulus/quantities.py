@@ -1,8 +1,14 @@
-"""What the engine refuses: numbers outside their bounds, each with value, bound and remedy."""
+"""Arrays of physical quantities, and the bounds of single ones."""
 
 from __future__ import annotations
 
 import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
 
 EXTREME = 1e30
 """Beyond it, or below its inverse, no quantity lies in SI units; within, nothing overflows where it is squared."""

@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modaltouch.stimulus.design import Amplifier, TargetField, Timing
-from modaltouch.stimulus.rounding import _changes, _Walk
-from modaltouch.stimulus.vibration import states_by_channel
+from modaltouch.stimulus.dynamics import Amplifier
+from modaltouch.stimulus.quantised import _changes, _Walk
+from modaltouch.stimulus.target_field import TargetField
+from modaltouch.stimulus.timing import Timing
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +35,7 @@ def test_plain_rounding_costs_what_its_noise_predicts(plain):
 
 
 def test_settled_codes_differ_by_one_at_most(plain, shipped):
-    """Issue 3: single-code changes."""
+    """Single-code changes."""
     change = shipped.burst.codes.astype(int) - plain.burst.codes.astype(int)
     assert set(np.unique(change)) == {-1, 0, 1}
     assert np.count_nonzero(change) < 2000
@@ -55,7 +56,7 @@ def test_settled_codes_differ_by_one_at_most(plain, shipped):
     ids=str,
 )
 def test_settled_rounding_costs_a_millionth_of_the_peak_at_most(design, options):
-    """Issue 3: corrected rounding <= 1e-6 of the peak, codes in range."""
+    """Corrected rounding <= 1e-6 of the peak, codes in range."""
     stimulus = design(**options)
     assert stimulus.worst_modal_error(0.2) <= 1e-6 * 0.2
     assert stimulus.burst.codes.max() <= 16382
@@ -96,7 +97,7 @@ def test_a_code_moves_the_states_by_what_is_reckoned(design, n_samples):
     for visit in (0, 1, 40, 41, 300):
         voltage = np.zeros((2, n_samples))
         voltage[walk.channel[visit], walk.sample[visit]] = unit[walk.channel[visit]]
-        state = states_by_channel(system, voltage, timing, timing.focusing_instant).sum(axis=0)
+        state = system.states_by_channel(voltage, timing, timing.focusing_instant).sum(axis=0)
         moved = (read @ state).real
         assert walk.move[visit] == pytest.approx(moved, rel=1e-6, abs=1e-9 * np.abs(moved).max())
 

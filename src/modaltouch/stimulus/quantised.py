@@ -1,23 +1,26 @@
-"""Single-code changes that take the error of rounding out of the states at the focusing instant.
+"""Codes as the generator plays them: what they do to the beam, and how single ones are changed for the focus.
 
-Which codes to change is a lattice problem: small integer steps whose effects add up to what rounding left over. It is
-solved backwards in time. One code moves a fast mode by much just before the focus and by ever less before that, so
-samples are visited from the focus back, and a code is changed wherever that lessens the error, each mode's error
-counted in what a code can still do to it. The error of every mode then shrinks with the steps that are left.
+Rounding leaves an error in the states at the focusing instant. Which codes to change against it is a lattice problem:
+small integer steps whose effects add up to what rounding left over. It is solved backwards in time. One code moves a
+fast mode by much just before the focus and by ever less before that, so samples are visited from the focus back, and a
+code is changed wherever that lessens the error, each mode's error counted in what a code can still do to it. The error
+of every mode then shrinks with the steps that are left.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+from functools import cached_property
+
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from modaltouch.stimulus.burst import MID_CODE
 from modaltouch.stimulus.dynamics import DiagonalSystem
+from modaltouch.stimulus.quantities import ComplexArray, FloatArray
 from modaltouch.stimulus.synthesis import decay
 from modaltouch.stimulus.timing import Timing
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from modaltouch.stimulus.vibration import BlockStates
 
 GOAL = 3e-8
 """Error, as a fraction of the largest target, below which a mode is no longer urgent [1]."""
@@ -30,6 +33,85 @@ _SETTLED = 3e-7
 
 _TOGETHER = 64
 """Moves whose effects on each other are computed at once."""
+
+
+@dataclass(frozen=True, eq=False)
+class QuantisedStimulus:
+    """A record in the generator before a beam. What is linear in the level is computed once.
+
+    Attributes
+    ----------
+    system : DiagonalSystem
+        The beam behind its amplifier.
+    timing : Timing
+        Clock of the samples.
+    codes : (n_channels, n_samples) array
+        Signed codes, -8191 to 8191 [1].
+    """
+
+    system: DiagonalSystem
+    timing: Timing
+    codes: FloatArray
+
+    @cached_property
+    def highest(self) -> FloatArray:
+        """Largest magnitude of each channel's codes, (n_channels,) array [1]."""
+        return np.asarray(np.maximum(self.codes.max(axis=1), -self.codes.min(axis=1)))
+
+    @cached_property
+    def _states_per_volt(self) -> ComplexArray:
+        """States at the focusing instant for codes worth a volt each, (n_channels, n_states) array."""
+        return self.system.states_by_channel(self.codes, self.timing, self.timing.focusing_instant)
+
+    @cached_property
+    def _left_per_volt(self) -> ComplexArray:
+        """States when the burst's end has arrived, for codes worth a volt each, (n_channels, n_states) array."""
+        end = self.timing.duration + self.system.delay
+        return self.system.states_by_channel(self.codes, self.timing, end)
+
+    def states_at_focus(self, unit: FloatArray) -> ComplexArray:
+        """Return the states at the focus of the first burst, (n_states,) array, for codes worth `unit` volts."""
+        return np.asarray(unit @ self._states_per_volt)
+
+    def states_steady(self, unit: FloatArray) -> ComplexArray:
+        """Return the states at the focusing instant once the burst has been repeated for long, (n_states,) array."""
+        timing, exponent = self.timing, self.system.exponent
+        end = timing.duration + self.system.delay
+        left = unit @ self._left_per_volt
+        period = 1 / timing.repetition_rate
+        carried = np.exp(exponent * (period - end + timing.focusing_instant)) / -np.expm1(exponent * period)
+        return np.asarray(self.states_at_focus(unit) + left * carried)
+
+    @cached_property
+    def _responses(self) -> dict[tuple[float, ...], tuple[BlockStates, dict[float, float]]]:
+        """States already computed, and peaks by position, by the ratio of the channels."""
+        return {}
+
+    def _response(self, unit: FloatArray) -> tuple[BlockStates, dict[float, float], float]:
+        """Return the states under the codes, known peaks by position, and the factor of both.
+
+        Levels that keep the channels' ratio only scale: one response serves them all.
+        """
+        largest = float(unit.max()) or 1.0
+        ratio = tuple(round(float(u), 12) for u in unit / largest)
+        if ratio not in self._responses:
+            # Codes for volts: what a code is worth goes into the gains, and no voltages are written out.
+            gain = self.system.input_gain * (unit / largest)
+            self._responses[ratio] = BlockStates.of(replace(self.system, input_gain=gain), self.codes, self.timing), {}
+        return *self._responses[ratio], largest
+
+    def passes(self, unit: FloatArray, shapes: FloatArray, limit: float) -> bool:
+        """Return whether the speed at points with these mode shapes passes a limit; most blocks are skipped."""
+        response, _, scale = self._response(unit)
+        return bool((response.peak(shapes.T @ self.system.velocity, limit / scale) * scale > limit).any())
+
+    def peaks(self, unit: FloatArray, positions: ArrayLike, shapes: FloatArray) -> FloatArray:
+        """Return the highest speed at positions with these mode shapes until the next burst [m/s]."""
+        place = np.atleast_1d(np.asarray(positions, dtype=float)).tolist()
+        response, known, scale = self._response(unit)
+        if not all(point in known for point in place):
+            known.update(zip(place, response.peak(shapes.T @ self.system.velocity).tolist(), strict=True))
+        return np.array([known[point] for point in place]) * scale
 
 
 def settle(
@@ -55,8 +137,7 @@ def settle(
     timing : Timing
         Clock of the samples.
     error : (2 n_modes,) array
-        Modal velocities, then displacements times angular frequency, that the codes leave over, wished less
-        reached [m/s].
+        What the codes miss of the modal velocities, then of the displacements [m/s].
     largest : float
         Largest modal target [m/s].
     """

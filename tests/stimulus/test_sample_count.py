@@ -11,7 +11,7 @@ PLACES = np.linspace(-0.05, 0.05, 21)
 
 @pytest.mark.parametrize("tolerance", [1e-1, 3e-3, 1e-3])
 def test_cheapest_count_keeps_the_tolerance_and_the_next_cheaper_does_not(shipped, tolerance):
-    """Issue 3: the engine picks the cheapest sample count that keeps the tolerance, and says so."""
+    """The engine picks the cheapest sample count that keeps the tolerance, and says so."""
     economy = cheapest_samples(shipped, tolerance, PLACES)
     assert economy.error <= tolerance
     cheaper = [error for count, error in economy.tried if count < economy.n_samples]

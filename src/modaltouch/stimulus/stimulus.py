@@ -1,0 +1,445 @@
+"""A stimulus: from a target field to voltages, their codes, and the beam's response at every level."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from modaltouch.stimulus.burst import MID_CODE, Burst, amplitudes_at
+from modaltouch.stimulus.correction import Correction, Trims, trimmed
+from modaltouch.stimulus.drive import Drive, Law, Release, Steering, check_drivable, exact_drive, paper_drive
+from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
+from modaltouch.stimulus.modes import ModalModel
+from modaltouch.stimulus.quantisation import full_scale, round_to_codes, signed_codes, unsigned_codes
+from modaltouch.stimulus.quantised import QuantisedStimulus, settle
+from modaltouch.stimulus.quantities import FloatArray, require_positive
+from modaltouch.stimulus.target_field import Projection, TargetField
+from modaltouch.stimulus.timing import Timing
+from modaltouch.stimulus.vibration import velocity_history
+
+Rounding = Literal["settled", "plain"]
+Design = Literal["least_energy", "norm_4", "norm_8", "least_peak"]
+
+_FEW = 1024
+"""Points up to which mode shapes are kept for the next question."""
+
+_SHARED = ("projection", "system", "_shapes")
+"""What is computed and does not depend on the drive law."""
+
+_MEANT = "the paper has 0.08 to 0.2 m/s"
+
+
+@dataclass(frozen=True, eq=False)
+class Stimulus:
+    """Voltages for a target field, their codes, and the beam's response at every level.
+
+    Everything is computed when first asked for, and only then.
+
+    Attributes
+    ----------
+    model : ModalModel
+        The identified beam.
+    wish : TargetField
+        The target field; its velocity is the reference level, the highest.
+    timing : Timing
+        Samples, clock and focusing instant.
+    amplifier : Amplifier
+        Between generator and beam.
+    law : str
+        ``exact`` (every modelled mode meets its target) or ``paper`` (equations 6 and 7).
+    release : str
+        ``braked`` (at rest when the burst ends) or ``free`` (zero volts after the focus).
+    levels : tuple of float
+        Levels whose amplitudes shall lie on the generator's grid [m/s].
+    load_factor : float
+        Share of the generator's open-circuit voltage that reaches the amplifier's input: 1 into high impedance,
+        0.5 into 50 ohm [1].
+    rounding : str
+        ``settled`` (single codes changed so that rounding costs next to nothing at the focus; the paper's law,
+        which misses by far more, is left alone) or ``plain``.
+    correction : Correction, optional
+        What a calibration makes of the targets of the exact law and of the amplitudes.
+    design : str
+        Of the exact law: ``least_energy``; ``norm_4`` or ``norm_8``, of less peak voltage for more energy; or
+        ``least_peak``, which jumps from end to end and excites what is not modelled.
+    """
+
+    model: ModalModel
+    wish: TargetField
+    timing: Timing
+    amplifier: Amplifier
+    law: Law
+    release: Release
+    levels: tuple[float, ...]
+    load_factor: float
+    rounding: Rounding = "settled"
+    correction: Correction | None = None
+    design: Design = "least_energy"
+
+    @cached_property
+    def projection(self) -> Projection:
+        """The target field as the modelled modes see it."""
+        return Projection(self.model, self.wish)
+
+    @property
+    def selected(self) -> tuple[int, ...]:
+        """Labels of the modes that are excited, increasing."""
+        return self.projection.selected
+
+    @property
+    def target(self) -> FloatArray:
+        """Modal velocities at the focusing instant at the reference level, (n_modes,) array [m/s]."""
+        return self.projection.target
+
+    @cached_property
+    def system(self) -> DiagonalSystem:
+        """The modal equations behind the amplifier."""
+        return DiagonalSystem.of(self.model, self.amplifier)
+
+    @cached_property
+    def aim(self) -> tuple[FloatArray, FloatArray]:
+        """What the law steers the model to at the reference level: the targets, or what a calibration makes of them.
+
+        Modal velocities, and displacements times angular frequency, two (n_modes,) arrays [m/s].
+        """
+        if self._correction is None:
+            return self.target, np.zeros_like(self.target)
+        return self._correction.at(self.wish.velocity)
+
+    @property
+    def _correction(self) -> Correction | None:
+        return self.correction if self.law == "exact" else None
+
+    @property
+    def _trims(self) -> Trims:
+        return self._correction.trims if self._correction is not None else ()
+
+    @cached_property
+    def _steering(self) -> Steering:
+        return Steering(self.model, self.system, self.timing, self.release, *self.aim)
+
+    @cached_property
+    def drive(self) -> Drive:
+        """Voltages before rounding, and how well they were solved for."""
+        if self.law == "paper":
+            return paper_drive(self._steering)
+        if self.design == "least_energy":
+            return exact_drive(self._steering)
+        from modaltouch.stimulus.alternative_designs import alternative_drive
+
+        return alternative_drive(self._steering, self.design)
+
+    @property
+    def voltage(self) -> FloatArray:
+        """Voltages at the beam before rounding, at the reference level, (n_channels, n_samples) array [V]."""
+        return self.drive.voltage
+
+    @cached_property
+    def peak_voltage(self) -> FloatArray:
+        """Highest voltage at the beam at the reference level, either sign, (n_channels,) array [V]."""
+        return np.asarray(np.maximum(self.voltage.max(axis=1), -self.voltage.min(axis=1)))
+
+    def compare_designs(self, unmodelled: ModalModel) -> list[dict[str, float | str]]:
+        """Return what each design of the exact law costs, and how fast it leaves a mode that the model lacks.
+
+        Parameters
+        ----------
+        unmodelled : ModalModel
+            Modes that the design knows nothing of, on the same channels.
+
+        Returns
+        -------
+        list of dict
+            ``name``, ``peak_voltage`` [V], ``energy`` [V^2 s], ``residual`` [m/s] and ``unmodelled_speed``, the
+            largest of |velocity| and |w eta| of those modes at the focusing instant [m/s].
+        """
+        from modaltouch.stimulus.alternative_designs import compare_designs
+
+        return compare_designs(self._steering, self.amplifier, unmodelled)
+
+    @cached_property
+    def burst(self) -> Burst:
+        """The codes, common to all levels, and each channel's amplitude at the reference level."""
+        return Burst(
+            codes=unsigned_codes(self._played.codes),
+            duration=self.timing.duration,
+            repetition_rate=self.timing.repetition_rate,
+            velocity=self.wish.velocity,
+            amplitude=self._amplitude,
+            trims=self._trims,
+        )
+
+    @property
+    def _to_beam(self) -> float:
+        """Volts at the beam for a volt of the open generator [1]."""
+        return self.amplifier.gain * self.load_factor
+
+    @cached_property
+    def _amplitude(self) -> tuple[float, ...]:
+        """Amplitude of each channel at the reference level [V peak to peak, open circuit]."""
+        shares = tuple(v / self.wish.velocity for v in self.levels)
+        return tuple(full_scale(2 * float(v) / self._to_beam, shares) for v in self.peak_voltage)
+
+    @cached_property
+    def _played(self) -> QuantisedStimulus:
+        """The codes, and what they do to the beam."""
+        volts_per_code = np.asarray(self._amplitude) * (self._to_beam / 2 / MID_CODE)
+        codes = round_to_codes(self.voltage, volts_per_code)
+        if self.law == "exact" and self.rounding == "settled":
+            states = volts_per_code @ self.system.states_by_channel(codes, self.timing, self.timing.focusing_instant)
+            error = np.concatenate(self.aim) - np.concatenate(self.system.read(states))
+            codes = settle(codes, volts_per_code, self.system, self.timing, error, float(np.abs(self.target).max()))
+        return QuantisedStimulus(self.system, self.timing, codes)
+
+    def peak_drive(self, velocity: float) -> FloatArray:
+        """Return the highest magnitude of each channel's voltage as played at a level, (n_channels,) array [V].
+
+        Parameters
+        ----------
+        velocity : float
+            Level [m/s].
+        """
+        return self._played.highest * self.volts_per_code(velocity)
+
+    def under_law(self, law: Law) -> Stimulus:
+        """Return the same stimulus under another drive law; what does not depend on the law is not computed again.
+
+        Parameters
+        ----------
+        law : str
+            ``exact`` or ``paper``.
+        """
+        other = replace(self, law=law, design=self.design if law == "exact" else "least_energy")
+        vars(other).update({name: getattr(self, name) for name in _SHARED})
+        return other
+
+    def volts_per_code(self, velocity: float) -> FloatArray:
+        """Return what a code is worth at the beam at a level as the generator plays, (n_channels,) array [V].
+
+        Parameters
+        ----------
+        velocity : float
+            Level [m/s].
+        """
+        require_positive("the velocity level", velocity, "m/s", _MEANT)
+        # A level is trimmed so that the generator, as measured, really gives what proportion asks of it.
+        proportional = amplitudes_at(self._amplitude, velocity, self.wish.velocity)
+        return np.asarray(proportional) * (self._to_beam / 2 / MID_CODE)
+
+    def amplitude_for(self, velocity: float) -> tuple[float, ...]:
+        """Return the amplitude of each channel at a level, as that of `burst` [V peak to peak, open circuit].
+
+        Parameters
+        ----------
+        velocity : float
+            Level [m/s].
+        """
+        require_positive("the velocity level", velocity, "m/s", _MEANT)
+        return amplitudes_at(self._amplitude, trimmed(velocity, self._trims), self.wish.velocity)
+
+    def voltage_played(self, velocity: float) -> FloatArray:
+        """Return the voltages at the beam of the codes as played at a level, (n_channels, n_samples) array [V].
+
+        Parameters
+        ----------
+        velocity : float
+            Level [m/s].
+        """
+        return self._played.codes * self.volts_per_code(velocity)[:, None]
+
+    def achieved(self, velocity: float, *, steady: bool = False) -> tuple[FloatArray, FloatArray]:
+        """Return what the rounded codes do to the modes at the focusing instant.
+
+        Parameters
+        ----------
+        velocity : float
+            Level [m/s].
+        steady : bool
+            Once the burst has been repeated for long; of the first burst, if not.
+
+        Returns
+        -------
+        velocity : (n_modes,) array
+            Modal velocities [m/s].
+        displacement : (n_modes,) array
+            Modal displacements times angular frequency [m/s].
+        """
+        unit = self.volts_per_code(velocity)
+        return self.system.read(self._played.states_steady(unit) if steady else self._played.states_at_focus(unit))
+
+    def worst_modal_error(self, velocity: float, *, steady: bool = False) -> float:
+        """Return the largest of |velocity - aim| and |w eta - aim| over the modes [m/s].
+
+        Parameters
+        ----------
+        velocity, steady
+            As for `achieved`.
+        """
+        return self._worst_error(self.achieved(velocity, steady=steady), velocity)
+
+    def worst_modal_error_of(self, codes: NDArray[np.uint16], timing: Timing, velocity: float) -> float:
+        """Return the largest modal error where other codes are played on another clock [m/s].
+
+        Parameters
+        ----------
+        codes : (n_channels, n_samples) array of uint16
+            Codes from the start of the burst, at least until the focusing instant.
+        timing : Timing
+            Their clock.
+        velocity : float
+            Level [m/s].
+        """
+        states = self.system.states_by_channel(signed_codes(codes), timing, self.timing.focusing_instant)
+        return self._worst_error(self.system.read(self.volts_per_code(velocity) @ states), velocity)
+
+    def _worst_error(self, achieved: tuple[FloatArray, FloatArray], velocity: float) -> float:
+        aim = np.concatenate(self.aim) * (velocity / self.wish.velocity)
+        return float(np.abs(np.concatenate(achieved) - aim).max())
+
+    def velocity_at_focus(self, positions: ArrayLike, velocity: float) -> FloatArray:
+        """Return the velocity at points of the beam at the focusing instant, (n_positions,) array [m/s].
+
+        Parameters
+        ----------
+        positions : (n_positions,) array_like
+            Where, origin at mid-beam [m].
+        velocity : float
+            Level [m/s].
+        """
+        reached, _ = self.achieved(velocity)
+        if np.size(positions) > _FEW:
+            return self.model.field(reached, positions)
+        return np.asarray(reached @ self._shapes_at(positions))
+
+    def _shapes_at(self, positions: ArrayLike) -> FloatArray:
+        """Return the mode shapes at points asked for before, or again at others, (n_modes, n_positions) array."""
+        place = tuple(np.atleast_1d(np.asarray(positions, dtype=float)).tolist())
+        if place not in self._shapes:
+            self._shapes[place] = self.model.shapes(place)
+        return self._shapes[place]
+
+    @cached_property
+    def _shapes(self) -> dict[tuple[float, ...], FloatArray]:
+        """Mode shapes already computed, by the positions."""
+        return {}
+
+    def passes(self, positions: ArrayLike, velocity: float, limit: float) -> bool:
+        """Return whether the speed at any of some points of the beam passes a limit.
+
+        No more is computed than it takes to know: far below the limit, an upper bound is enough.
+
+        Parameters
+        ----------
+        positions, velocity
+            As for `velocity_at_focus`.
+        limit : float
+            Speed [m/s].
+        """
+        return self._played.passes(self.volts_per_code(velocity), self._shapes_at(positions), limit)
+
+    def velocity_history(self, positions: ArrayLike, velocity: float, *, whole_period: bool = False) -> FloatArray:
+        """Return the velocity at points of the beam during the first burst as played, (n_positions, n_samples) array.
+
+        Parameters
+        ----------
+        positions, velocity
+            As for `velocity_at_focus`.
+        whole_period : bool
+            Until the next burst would begin, with nothing played after this one; else to the end of the burst.
+
+        Returns
+        -------
+        (n_positions, n_samples) array
+            Velocity at the start of each sample as it arrives, at ``n * hold + delay`` [m/s].
+        """
+        voltage = self.voltage_played(velocity)
+        if whole_period:
+            n_silent = int(self.timing.sampling_rate / self.timing.repetition_rate) - voltage.shape[1]
+            voltage = np.pad(voltage, ((0, 0), (0, max(0, n_silent))))
+        return velocity_history(self.model, voltage, self.timing, positions, self.amplifier)
+
+    def peak_velocity(self, positions: ArrayLike, velocity: float) -> FloatArray:
+        """Return the highest speed at points of the beam until the next burst, (n_positions,) array [m/s].
+
+        Parameters
+        ----------
+        positions, velocity
+            As for `velocity_at_focus`.
+        """
+        return self._played.peaks(self.volts_per_code(velocity), positions, self._shapes_at(positions))
+
+
+def design_stimulus(
+    model: ModalModel,
+    wish: TargetField,
+    timing: Timing,
+    amplifier: Amplifier,
+    *,
+    law: Law = "exact",
+    release: Release = "braked",
+    levels: tuple[float, ...] | None = None,
+    load_factor: float = 1.0,
+    rounding: Rounding = "settled",
+    design: Design = "least_energy",
+    correction: Correction | None = None,
+) -> Stimulus:
+    """Return the stimulus that makes a target field at the focusing instant.
+
+    Parameters
+    ----------
+    model, wish, timing, amplifier, law, release, load_factor, rounding, design, correction
+        As for `Stimulus`.
+    levels : tuple of float, optional
+        Every level that will be played [m/s]; the target field's own if not given.
+
+    Raises
+    ------
+    ValueError
+        If a mode, the field, the timing or a level is out of bounds; the message names it, its bound and the
+        remedy.
+    """
+    played = (wish.velocity,) if levels is None else tuple(levels)
+    _check_options(law, release, rounding, design)
+    _check_levels(played, wish.velocity)
+    require_positive("the load factor", load_factor, "", "1 into high impedance, 0.5 into 50 ohm")
+    if amplifier.delay >= timing.focusing_instant:
+        raise ValueError(
+            f"the delay of the amplifier is {amplifier.delay:g} s, past the focusing instant of "
+            f"{timing.focusing_instant:g} s; it must be shorter: focus later, or check the delay"
+        )
+    stimulus = Stimulus(
+        model, wish, timing, amplifier, law, release, played, load_factor, rounding, correction, design=design
+    )
+    check_drivable(model, stimulus.target, timing)
+    return stimulus
+
+
+def _check_options(law: str, release: str, rounding: str, design: str) -> None:
+    """Refuse words that mean nothing here."""
+    for name, given, kind in (
+        ("drive law", law, Law),
+        ("release", release, Release),
+        ("rounding", rounding, Rounding),
+        ("design", design, Design),
+    ):
+        if given not in get_args(kind):
+            raise ValueError(f"the {name} {given!r} is unknown; allowed: {', '.join(get_args(kind))}")
+    if law == "paper" and design != "least_energy":
+        raise ValueError(f"the paper's law has no design of {design!r}; allowed: least_energy, or the law exact")
+
+
+def _check_levels(levels: tuple[float, ...], reference: float) -> None:
+    """Refuse levels that cannot be played by codes that fill the generator's range at the reference [m/s]."""
+    if not levels:
+        raise ValueError("no velocity level is given; give at least one")
+    for level in levels:
+        require_positive("the velocity level", level, "m/s", _MEANT)
+        if level > reference * (1 + 1e-12):
+            raise ValueError(
+                f"the level of {level * 1e3:g} mm/s passes the reference of {reference * 1e3:g} mm/s, for "
+                f"which the codes fill the generator's range: design for the highest level"
+            )
