@@ -41,7 +41,7 @@ def staircase(threshold: float, seed: int, n_trials: int = 40) -> Psychometric:
     rng, rule = np.random.default_rng(seed), StaircaseSection(steps_dB=(8.0, 4.0, 2.0))
     levels, successes = [], list[bool]()
     for _ in range(n_trials):
-        levels.append(follow(rule, to_dB(60), BOUNDS, successes).next_dB)
+        levels.append(follow(rule, to_dB(60), BOUNDS, successes))
         successes.append(bool(rng.random() < chance(levels[-1], threshold, 4.0, 0.03, 0.02)))
     catches = (rng.random(5) < 0.03).tolist()
     return fit_psychometric(levels, successes, guess_rate=0.02, most_lapse=0.06, catches=catches)
