@@ -16,7 +16,7 @@ from modaltouch.analysis.exact import multinomial_test
 from modaltouch.analysis.pipeline import analyse
 from modaltouch.analysis.reading import read_responses
 from modaltouch.analysis.statistics import chance_findings, dominance_findings
-from modaltouch.analysis.tables import count_responses, zone_table
+from modaltouch.analysis.tables import tabulate, zone_table
 from modaltouch.protocol.problems import InputError
 
 HEADER = "participant,finger_condition,zone_left,zone_right,velocity_mm_s,response,catch"
@@ -52,9 +52,10 @@ def test_catch_trials_are_in_no_cell(table: Path) -> None:
 
 def test_none_has_a_column_and_a_row_of_its_own(table: Path) -> None:
     """Expected counts by hand: none twice at 80 mm/s, once at 100 mm/s, never at 120 mm/s."""
-    counts = count_responses(read_responses(table).frame, "C")
+    answers = count_answers(read_responses(table).frame, "C")
+    counts = tabulate(answers)
     assert counts["none"].tolist() == [2, 1, 0]
-    zones = zone_table(counts, "one_hand", "C")
+    zones = zone_table(answers, "one_hand")
     assert zones.loc[("A-C", "none")].tolist() == [2, 1, 0]
     assert zones.sum().tolist() == [4, 4, 4]
 
@@ -64,7 +65,7 @@ def test_a_table_without_none_keeps_its_three_answers(tmp_path: Path) -> None:
     path = write(tmp_path / "answers.csv", {"p1": "rrb", "p2": "lrr"}, {})
     answers = count_answers(read_responses(path).frame)
     assert answers.counts.shape[-1] == 3
-    assert "none" not in count_responses(read_responses(path).frame).columns
+    assert "none" not in tabulate(count_answers(read_responses(path).frame)).columns
     assert catch_rows(answers, {}) == ()
     assert list(catch_findings(answers, {})) == []
 

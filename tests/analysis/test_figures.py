@@ -7,7 +7,7 @@ from matplotlib.colors import to_hex, to_rgb
 from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.covariate_figures import draw_order, draw_side, draw_speeds, draw_times
 from modaltouch.analysis.figures import draw_counts, draw_overview, draw_participants
-from modaltouch.analysis.tables import count_responses, zone_table
+from modaltouch.analysis.tables import zone_table
 from modaltouch.report.style import PAIR_COLOURS, render
 
 
@@ -26,7 +26,7 @@ def luminance(colour: str) -> float:
 @pytest.fixture
 def table(paper_frame):
     """Fig. 10's table of the synthetic set."""
-    return zone_table(count_responses(paper_frame), "one_hand")
+    return zone_table(count_answers(paper_frame), "one_hand")
 
 
 def test_every_bar_is_as_high_as_its_count(table) -> None:
@@ -58,7 +58,7 @@ def test_error_bars_are_clopper_pearson(table) -> None:
 def test_repetitions_do_not_narrow_the_bars(build) -> None:
     """Two answers of each of five participants: as wide as five answers, scaled to ten."""
     frame = build["tidy"]([{**row, "repetition": r} for row in build["constant"](5, "left") for r in (1, 2)])
-    table = zone_table(count_responses(frame), "one_hand")
+    table = zone_table(count_answers(frame), "one_hand")
     axes = draw_counts(table, "one_hand", 5).axes[0]
     segments = [segment[:, 1] for collection in axes.collections for segment in collection.get_segments()]
     full = next(segment for segment in segments if segment[1] == pytest.approx(10))
@@ -88,7 +88,7 @@ def test_five_pairs_of_seven_levels_fit_in_two_rows(build) -> None:
          "velocity_mm_s": level, "response": "left"}
         for i in range(3) for left, right in ("AC", "BD", "CE", "AE", "BE") for level in range(50, 400, 50)
     ]  # fmt: skip
-    figure = draw_counts(zone_table(count_responses(build["tidy"](rows)), "one_hand"), "one_hand")
+    figure = draw_counts(zone_table(count_answers(build["tidy"](rows)), "one_hand"), "one_hand")
     assert len(figure.axes) == 2
     assert len(bars(figure)[0]) == 5 * 3 * 7
 

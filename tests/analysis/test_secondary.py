@@ -22,7 +22,7 @@ def test_detection_uses_the_log_linear_correction() -> None:
     """Hautus (1995): rates (k + 0.5) / (n + 1); 40 of 40 hits and 0 of 38 false alarms."""
     z = NormalDist().inv_cdf
     hit, false_alarm = 40.5 / 41, 0.5 / 39
-    sensitivity, criterion = detection(np.array([[0, 0, 40]]), np.array([[38, 2, 0]]))
+    sensitivity, criterion = detection(np.array([[0, 40]]), np.array([[38, 0]]))
     assert sensitivity == pytest.approx(z(hit) - z(false_alarm))
     assert criterion == pytest.approx(-(z(hit) + z(false_alarm)) / 2)
 

@@ -5,8 +5,14 @@ import math
 import numpy as np
 import pytest
 
-from modaltouch.analysis.findings import holm
-from modaltouch.analysis.statistics import run_tests
+from modaltouch.analysis.counts import count_answers
+from modaltouch.analysis.findings import holm, to_frame
+from modaltouch.analysis.statistics import find
+
+
+def run_tests(frame):
+    """Return the statistics of tidy answers as one table."""
+    return to_frame(find(count_answers(frame), frame))
 
 
 def rows(tests, question: str, name: str = "", scope: str = ""):

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from modaltouch.analysis.counts import count_answers, find_focus
-from modaltouch.analysis.tables import count_responses, figure_names, zone_table
+from modaltouch.analysis.tables import figure_names, tabulate, zone_table
 
 
 def test_every_cell_is_counted_and_present(paper_frame) -> None:
     """Design: 2 finger conditions, 3 pairs, 4 levels, 10 answers each."""
-    counts = count_responses(paper_frame)
+    counts = tabulate(count_answers(paper_frame))
     assert len(counts) == 24
     assert (counts["n"] == 10).all()
     assert (counts[["left", "both", "right"]].sum(axis=1) == counts["n"]).all()
@@ -17,7 +17,7 @@ def test_every_cell_is_counted_and_present(paper_frame) -> None:
 
 def test_a_cell_without_one_kind_of_answer_shows_zero(build) -> None:
     """All answers "both": left and right are 0 everywhere, not missing."""
-    counts = count_responses(build["tidy"](build["constant"]()))
+    counts = tabulate(count_answers(build["tidy"](build["constant"]())))
     assert counts[["left", "right"]].to_numpy().sum() == 0
     assert (counts["both"] == 10).all()
 
@@ -25,33 +25,33 @@ def test_a_cell_without_one_kind_of_answer_shows_zero(build) -> None:
 def test_a_column_of_counts_weighs_the_rows(build) -> None:
     """Column n: every row stands for three answers."""
     frame = build["tidy"](build["paper"]())
-    assert (count_responses(frame.assign(n=3))["n"] == 30).all()
+    assert (tabulate(count_answers(frame.assign(n=3)))["n"] == 30).all()
 
 
 def test_rows_stand_in_the_papers_order(paper_frame) -> None:
     """Fig. 10: C, A, C & A; B, D, B & D; C, E, C & E."""
-    table = zone_table(count_responses(paper_frame), "one_hand")
+    table = zone_table(count_answers(paper_frame), "one_hand")
     assert [answer for _, answer in table.index] == ["C", "A", "C & A", "B", "D", "B & D", "C", "E", "C & E"]
     assert table.columns.tolist() == [80, 100, 150, 200]
 
 
 def test_each_pair_adds_up_to_all_participants(paper_frame) -> None:
     """Every participant gives one of three answers."""
-    table = zone_table(count_responses(paper_frame), "two_hands")
+    table = zone_table(count_answers(paper_frame), "two_hands")
     assert (table.groupby(level="pair").sum() == 10).to_numpy().all()
 
 
 def test_other_zones_put_left_first_where_no_focus_is_known(paper_frame) -> None:
     """Without a zone that most pairs share: left, right, both."""
     frame = paper_frame[paper_frame["zone_left"] == "B"].assign(zone_left="P", zone_right="Q")
-    table = zone_table(count_responses(frame), "one_hand")
+    table = zone_table(count_answers(frame), "one_hand")
     assert [answer for _, answer in table.index] == ["P", "Q", "P & Q"]
 
 
 def test_an_unknown_finger_condition_is_refused_with_those_there_are(paper_frame) -> None:
     """House rule: what is allowed."""
     with pytest.raises(ValueError, match="'feet' is not in the counts; there are one_hand, two_hands"):
-        zone_table(count_responses(paper_frame), "feet")
+        zone_table(count_answers(paper_frame), "feet")
 
 
 def test_a_participant_without_a_cell_is_refused(paper_frame) -> None:
@@ -117,8 +117,9 @@ def test_a_turned_beam_keeps_the_zones(build) -> None:
         response=frame["response"].where(~half, frame["response"].map(exchanged)),
         placement=np.where(half, "mirrored", "normal"),
     )
-    from modaltouch.analysis.mirroring import unmirror
+    from modaltouch.analysis.responses import unmirror
+    from modaltouch.protocol import AnswerList
 
-    answers = count_answers(unmirror(turned))
+    answers = count_answers(unmirror(turned, AnswerList.of({})))
     assert (answers.counts == count_answers(frame).counts).all()
     assert answers.facing.tolist() == [1] * 5 + [-1] * 5

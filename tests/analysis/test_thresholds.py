@@ -190,7 +190,7 @@ def model_threshold(preflight: Preflight) -> float:
     from modaltouch.protocol.trial import Condition, Trial
 
     protocol: Protocol = preflight.experiment.protocol
-    rng, answers = np.random.default_rng(1), ("left", "right", "both", "none")
+    rng, answers = np.random.default_rng(1), protocol.answers.offered
     levels = np.geomspace(*protocol.conditions.peak_velocities_mm_s, 30)
     shares = []
     for level in levels:

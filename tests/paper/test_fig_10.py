@@ -9,9 +9,15 @@ import pytest
 
 from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.exact import multinomial_test, sign_flip_test
+from modaltouch.analysis.findings import to_frame
 from modaltouch.analysis.intervals import clopper_pearson, korn_graubard, wilson
-from modaltouch.analysis.statistics import run_tests
-from modaltouch.analysis.tables import count_responses, zone_table
+from modaltouch.analysis.statistics import find
+from modaltouch.analysis.tables import zone_table
+
+
+def run_tests(frame):
+    """Return the statistics of tidy answers as one table."""
+    return to_frame(find(count_answers(frame), frame))
 
 
 @pytest.fixture
@@ -39,7 +45,7 @@ def section_v() -> Callable[[str], pd.DataFrame]:
 
 def test_the_text_gives_39_and_38_of_40_answers_for_c(section_v) -> None:
     """Section V-C: all C but one at 150 mm/s in (A, C); all C but one each at 80 and 100 mm/s in (C, E)."""
-    table = zone_table(count_responses(section_v("one_hand")), "one_hand")
+    table = zone_table(count_answers(section_v("one_hand")), "one_hand")
     assert table.loc[("A-C", "C")].tolist() == [10, 10, 9, 10]
     assert table.loc[("A-C", "C & A")].tolist() == [0, 0, 1, 0]
     assert table.loc[("C-E", "C")].tolist() == [9, 9, 10, 10]

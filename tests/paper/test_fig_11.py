@@ -5,6 +5,7 @@ from __future__ import annotations
 import pandas as pd
 import pytest
 
+from modaltouch.analysis.counts import AnswerCounts, count_answers
 from modaltouch.analysis.figures import draw_counts
 from modaltouch.analysis.intervals import tango
 from modaltouch.analysis.tables import figure_names, zone_table
@@ -12,12 +13,12 @@ from modaltouch.report.style import PAIR_COLOURS
 
 
 @pytest.fixture
-def empty_counts() -> pd.DataFrame:
+def empty_counts() -> AnswerCounts:
     """Counts of the paper's design, ten answers a cell; their heights are in no text, so all are "both" here."""
     pairs, levels = (("A", "C"), ("B", "D"), ("C", "E")), (80.0, 100.0, 150.0, 200.0)
-    rows = [("two_hands", f"{a}-{b}", a, b, level, 0, 10, 0, 10) for a, b in pairs for level in levels]
-    names = ["finger_condition", "pair", "zone_left", "zone_right", "velocity_mm_s", "left", "both", "right", "n"]
-    return pd.DataFrame(rows, columns=names)
+    rows = [(f"p{i}", "two_hands", a, b, level, "both") for i in range(10) for a, b in pairs for level in levels]
+    names = ["participant", "finger_condition", "zone_left", "zone_right", "velocity_mm_s", "response"]
+    return count_answers(pd.DataFrame(rows, columns=names))
 
 
 def test_it_has_the_form_of_fig_10(empty_counts) -> None:

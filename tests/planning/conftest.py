@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from modaltouch.analysis.counts import orient
+from modaltouch.analysis.counts import Pair
 from modaltouch.planning.design import Design
 
 PAIRS = (("A", "C"), ("B", "D"), ("C", "E"))
@@ -23,7 +23,7 @@ def make_design(
 ) -> Design:
     """Return a design with the speeds of the shipped stimulus."""
     one = [[[PEAKS[left] * v * 1e-3, PEAKS[right] * v * 1e-3] for v in levels] for left, right in pairs]
-    oriented = tuple(orient(left, right, "C") for left, right in pairs)
+    oriented = tuple(Pair.of(left, right, "C") for left, right in pairs)
     return Design("paper", conditions, oriented, levels, np.array([one] * len(conditions)), placements)
 
 

@@ -73,10 +73,10 @@ def test_a_turned_beam_cancels_a_shared_side_bias() -> None:
 
 
 def _bd_design(pairs: tuple[tuple[str, str], ...], placements: tuple[bool, ...]) -> Design:
-    from modaltouch.analysis.counts import orient
+    from modaltouch.analysis.counts import Pair
 
     speeds = np.full((1, 1, 4, 2), 0.1)
-    oriented = tuple(orient(left, right, "C") for left, right in pairs)
+    oriented = tuple(Pair.of(left, right, "C") for left, right in pairs)
     return Design("bd", ("one_hand",), oriented, (80.0, 100.0, 150.0, 200.0), speeds, placements)
 
 

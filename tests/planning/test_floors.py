@@ -7,7 +7,7 @@ from itertools import combinations_with_replacement, product
 import numpy as np
 import pytest
 
-from modaltouch.analysis.counts import orient
+from modaltouch.analysis.counts import Pair
 from modaltouch.analysis.trend import trend_test
 from modaltouch.planning.design import Design
 from modaltouch.planning.experiments import Job, Study, run_job
@@ -32,7 +32,7 @@ def test_no_answers_at_all_give_a_smaller_trend_p(design: Design, n_participants
 
 def test_repetitions_do_not_hide_a_smaller_trend_p() -> None:
     """Expected: the smallest p over all answers of two participants to three levels twice, counted here."""
-    design = Design("x", ("one_hand",), (orient("A", "C", "C"),), (80.0, 100.0, 200.0), np.ones((1, 1, 3, 2)))
+    design = Design("x", ("one_hand",), (Pair.of("A", "C", "C"),), (80.0, 100.0, 200.0), np.ones((1, 1, 3, 2)))
     ways = np.array(list(product(range(3), repeat=3)))
     smallest = min(trend_test(ways[[i, j]], design.levels, 2).p for i in range(27) for j in range(i, 27))
     assert smallest_p(design, "b", 2, 2) == pytest.approx(smallest, rel=1e-9)

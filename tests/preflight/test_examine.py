@@ -215,13 +215,13 @@ def test_a_zone_faster_than_the_safety_limit_is_refused(
 
 
 def test_faults_of_form_do_not_hide_those_of_physics(edit: Edit) -> None:
-    """A foreign key in the stimulus, a misspelt one elsewhere, a wrong level, a missing answer; and 400 mm/s."""
+    """A foreign key in the stimulus, a misspelt one elsewhere, a wrong level, one answer alone; and 400 mm/s."""
     file = edit(
         FILE,
         ("  focus: C", "  colour: red\n  focus: C"),
         ("hand: right ", "hnad: right "),
         (LEVELS, "[x, 400]"),
-        ("    left: [left, num_4]\n", ""),
+        ("    left: [left, num_4]\n    both: [up, down, num_8]\n", ""),
     )
     found = faults(file)
     assert len(found) == 5

@@ -9,7 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from modaltouch.protocol.answers import AnswerList
 from modaltouch.protocol.practice import Round, expected_answer, judge_round
+
+PAPER = AnswerList.of({})
 
 
 @pytest.mark.parametrize(
@@ -26,25 +29,32 @@ from modaltouch.protocol.practice import Round, expected_answer, judge_round
 )
 def test_the_stronger_finger_is_expected_where_it_is_clear(left: float, right: float, answer: str | None) -> None:
     """Expected: the side from a ratio of 1.25 on, both up to 1.1, and no verdict between (Craig 1972: 0.1 to 0.2)."""
-    assert expected_answer(left, right) == answer
+    assert expected_answer(PAPER, left, right) == answer
 
 
 @given(st.floats(0, 10), st.floats(0, 10), st.floats(0.1, 1000))
 def test_the_expectation_depends_on_the_ratio_alone_and_mirrors(left: float, right: float, unit: float) -> None:
     """Expected: the same in any unit but at the borders, and left for right when the fingers change places."""
     mirror = {"left": "right", "right": "left", "both": "both", None: None}
-    assert expected_answer(right, left) == mirror[expected_answer(left, right)]
+    assert expected_answer(PAPER, right, left) == mirror[expected_answer(PAPER, left, right)]
     low, high = sorted((left, right))
     at_border = low > 0 and min(abs(high / low - border) for border in (1.1, 1.25)) < 1e-9
     if not at_border and min(low, low * unit) > 1e-300:
-        assert expected_answer(left * unit, right * unit) == expected_answer(left, right)
+        assert expected_answer(PAPER, left * unit, right * unit) == expected_answer(PAPER, left, right)
+
+
+def test_nothing_is_expected_that_is_no_answer() -> None:
+    """Expected: no verdict on equal speeds without an answer for both, and none at all where no finger is named."""
+    sides, grades = AnswerList.of({"keys": ["left", "right"]}), AnswerList.of({"keys": ["weaker", "stronger"]})
+    assert [expected_answer(sides, 0.1, speed) for speed in (0.1, 0.2)] == [None, "right"]
+    assert [expected_answer(grades, 0.1, speed) for speed in (0.1, 0.2)] == [None, None]
 
 
 @pytest.mark.parametrize("speed", [-1.0, math.nan, math.inf])
 def test_a_speed_without_meaning_is_refused(speed: float) -> None:
     """Expected: the message shows both speeds."""
     with pytest.raises(ValueError, match="allowed: finite speeds, 0 or more"):
-        expected_answer(0.1, speed)
+        expected_answer(PAPER, 0.1, speed)
 
 
 def event(index: int, answer: str, left: float, right: float, *, practice: bool = True) -> dict[str, Any]:
@@ -67,13 +77,13 @@ def test_a_round_counts_its_own_trials_and_those_that_can_be_judged() -> None:
         event(6, "left", 100, 118),
         event(4, "left", 200, 100, practice=False),
     ]
-    assert judge_round(events, 2, 3) == Round(2, n_judged=2, n_agreed=1)
+    assert judge_round(events, 2, 3, PAPER) == Round(2, n_judged=2, n_agreed=1)
 
 
 def test_a_trial_answered_again_counts_by_its_last_answer() -> None:
     """Expected: a trial that was offered again supersedes the first."""
     events = [event(1, "left", 100, 200), event(1, "right", 100, 200)]
-    assert judge_round(events, 1, 1) == Round(1, 1, 1)
+    assert judge_round(events, 1, 1, PAPER) == Round(1, 1, 1)
 
 
 @pytest.mark.parametrize(

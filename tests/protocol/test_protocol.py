@@ -137,11 +137,12 @@ def test_an_experiment_is_restored_from_its_record_alone(edit: Edit) -> None:
         ("left: [left, num_4]", "left: [return]", "given 'return', which is no key's name; allowed: left, right, up"),
         ("left: [left, num_4]", "left: [up]", "answers.keys.both[0]: given 'up', which answers left already"),
         ("left: [left, num_4]", "left: []", "answers.keys.left: given an empty list"),
-        ("    left: [left, num_4]\n", "", "answers.keys.left: given nothing; allowed: a list of keys; add the missing"),
+        ("    left: [left, num_4]\n    both: [up, down, num_8]\n", "", "answers.keys: given 1 answer; allowed: 2 to 7"),
         (
             "    left: [left",
             "    lift: [left",
-            "answers.keys.lift: given 'lift' as a key; allowed: 'left', 'both', 'right'",
+            "answers.keys.lift: given 'lift', which has no label in english.yaml; allowed: left, both, right, none, or "
+            "a label; did you mean 'left'?",
         ),
         (
             "texts/english.yaml",

@@ -138,9 +138,11 @@ def test_catch_trials_and_the_answer_none_are_described_where_there_are_any(sess
     write_view(place, with_both, {"lines": 2, "check": "0" * 64})
     side = json.loads(place.table.with_suffix(".json").read_text())
     assert side["catch"]["Levels"] == {"0": "no", "1": "yes"}
-    assert "none" in side["response"]["Levels"]
+    assert set(side["response"]["Levels"]) == {"left", "none"}
     assert "catch" not in table_text(session).splitlines()[0].split("\t")
-    assert "none" not in COLUMNS["response"]["Levels"]
+    write_view(place, session, {"lines": 2, "check": "0" * 64})
+    plain = json.loads(place.table.with_suffix(".json").read_text())
+    assert plain["response"]["Levels"] == {"left": "left finger", "right": "right finger", "both": "both fingers"}
 
 
 def test_the_side_file_says_what_the_table_is_of(place, session):
@@ -161,7 +163,6 @@ LEVELS = {
     "practice": {"0", "1"},
     "finger_condition": {"one_hand", "two_hands"},
     "placement": {"normal", "mirrored", "swapped", "mirrored_swapped"},
-    "response": {"left", "right", "both"},
     "response_onset": {"first_burst", "question"},
     "confirmed": {"0", "1"},
 }

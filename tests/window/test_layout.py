@@ -8,11 +8,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from modaltouch.protocol import AnswerList
 from modaltouch.window.layout import Layout, lay_out
 from modaltouch.window.shapes import Box
 
 SIZES = [(800, 600), (1280, 800), (1920, 1080), (768, 1024), (3840, 2160)]
 ZONES = tuple("ABCDE")
+PAPER = AnswerList.of({})
+WITH_NONE = AnswerList.of({"keys": ["left", "both", "right", "none"]})
+GRADES = AnswerList.of({"keys": ["a", "b", "c", "d", "e", "unsure", "nowhere"], "below": ["unsure", "nowhere"]})
 
 
 def boxes(layout: Layout) -> dict[str, Box]:
@@ -37,7 +41,7 @@ def overlap(first: Box, second: Box) -> bool:
 @given(st.integers(320, 8000), st.integers(320, 8000), st.integers(2, 9))
 def test_everything_lies_inside_any_window(width_px: int, height_px: int, n_zones: int) -> None:
     """Expected bounds: half the window's width and height in units of its height."""
-    layout = lay_out(width_px, height_px, tuple("ABCDEFGHI"[:n_zones]))
+    layout = lay_out(width_px, height_px, tuple("ABCDEFGHI"[:n_zones]), PAPER)
     half_width = width_px / height_px / 2
     everything = [*boxes(layout).values(), *layout.zones.values(), layout.body, layout.page, layout.go_on]
     for box in everything:
@@ -47,11 +51,11 @@ def test_everything_lies_inside_any_window(width_px: int, height_px: int, n_zone
         assert box.top <= 0.5
 
 
-@pytest.mark.parametrize("offers_none", [False, True])
+@pytest.mark.parametrize("answers", [PAPER, WITH_NONE, GRADES], ids=len)
 @pytest.mark.parametrize("size", [*SIZES, (1080, 1920)])
-def test_nothing_on_the_question_screen_overlaps(size: tuple[int, int], offers_none: bool) -> None:
+def test_nothing_on_the_question_screen_overlaps(size: tuple[int, int], answers: AnswerList) -> None:
     """Expected: each part of the question has its own place at every size of the design notes."""
-    layout = lay_out(*size, ZONES, offers_none=offers_none)
+    layout = lay_out(*size, ZONES, answers)
     for (name, first), (other, second) in itertools.combinations(boxes(layout).items(), 2):
         assert not overlap(first, second), (name, other)
     assert layout.go_on.top < min(box.bottom for box in layout.buttons.values())
@@ -60,33 +64,33 @@ def test_nothing_on_the_question_screen_overlaps(size: tuple[int, int], offers_n
 @pytest.mark.parametrize("size", SIZES)
 def test_the_answer_none_lies_below_the_others_on_nobodys_side(size: tuple[int, int]) -> None:
     """Expected: centred, no smaller than the 44 pixels of touch guidelines, and hit where it is drawn."""
-    layout = lay_out(*size, ZONES, offers_none=True)
+    layout = lay_out(*size, ZONES, WITH_NONE)
     none = layout.buttons["none"]
     assert none.x == 0
     assert none.top < min(box.bottom for answer, box in layout.buttons.items() if answer != "none")
     assert none.height * size[1] >= 44
     assert layout.answer_at(none.left + 0.01, none.y) == "none"
-    assert "none" not in lay_out(*size, ZONES).buttons
+    assert "none" not in lay_out(*size, ZONES, PAPER).buttons
 
 
 @pytest.mark.parametrize("size", SIZES)
 def test_the_way_on_lies_below_the_answers(size: tuple[int, int]) -> None:
     """Expected: the screen that explains the answers shows buttons and the way on, apart."""
-    layout = lay_out(*size, ZONES)
+    layout = lay_out(*size, ZONES, PAPER)
     assert layout.go_on.top < min(box.bottom for box in layout.buttons.values())
 
 
 @pytest.mark.parametrize("size", SIZES)
 def test_buttons_are_large(size: tuple[int, int]) -> None:
     """Expected size: more than twice the 44 pixels that touch guidelines ask for, at every size."""
-    for box in lay_out(*size, ZONES).buttons.values():
+    for box in lay_out(*size, ZONES, PAPER).buttons.values():
         assert min(box.width, box.height) * size[1] > 88
 
 
 @pytest.mark.parametrize("size", SIZES)
 def test_a_click_in_the_middle_of_a_button_gives_its_answer(size: tuple[int, int]) -> None:
     """Expected: left, both and right stand in this order from the left."""
-    layout = lay_out(*size, ZONES)
+    layout = lay_out(*size, ZONES, PAPER)
     middles = sorted((box.x, box.y, answer) for answer, box in layout.buttons.items())
     assert [answer for _, _, answer in middles] == ["left", "both", "right"]
     assert [layout.answer_at(x, y) for x, y, _ in middles] == ["left", "both", "right"]
@@ -95,7 +99,7 @@ def test_a_click_in_the_middle_of_a_button_gives_its_answer(size: tuple[int, int
 @given(st.floats(-1, 1), st.floats(-0.5, 0.5))
 def test_a_click_hits_a_button_exactly_where_it_is_drawn(x: float, y: float) -> None:
     """Expected: the inequalities that define a rectangle, edges included."""
-    layout = lay_out(1280, 800, ZONES)
+    layout = lay_out(1280, 800, ZONES, PAPER)
     hit = [
         answer
         for answer, box in layout.buttons.items()
@@ -107,7 +111,7 @@ def test_a_click_hits_a_button_exactly_where_it_is_drawn(x: float, y: float) -> 
 @pytest.mark.parametrize("n_zones", [2, 3, 5, 8])
 def test_zones_stand_in_order_and_touch_each_other(n_zones: int) -> None:
     """Expected: zones of equal width from the left, centred on the screen, whatever their number."""
-    layout = lay_out(1280, 800, tuple("ABCDEFGH"[:n_zones]))
+    layout = lay_out(1280, 800, tuple("ABCDEFGH"[:n_zones]), PAPER)
     places = list(layout.zones.values())
     assert layout.beam().x == pytest.approx(0)
     for left, right in itertools.pairwise(places):
@@ -118,10 +122,10 @@ def test_zones_stand_in_order_and_touch_each_other(n_zones: int) -> None:
 def test_a_window_without_area_is_refused(width: int, height: int) -> None:
     """Expected: the message names what was given."""
     with pytest.raises(ValueError, match=f"given a window of {width} x {height} pixels"):
-        lay_out(width, height, ZONES)
+        lay_out(width, height, ZONES, PAPER)
 
 
 def test_a_beam_without_zones_is_refused() -> None:
     """Expected: the message names what is allowed."""
     with pytest.raises(ValueError, match="at least one of each"):
-        lay_out(800, 600, ())
+        lay_out(800, 600, (), PAPER)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modaltouch.protocol import Experiment
+from modaltouch.protocol import AnswerList, Experiment
 from modaltouch.protocol.trial import FINGERS, Condition, Trial
 from modaltouch.window.interface import Progress
 from modaltouch.window.layout import lay_out
@@ -29,7 +29,7 @@ def make_trial(pair: str = "AC", finger_condition: str = "one_hand", velocity: f
 def illustrate(experiment: Experiment, hand: str = "right", **changes: Any) -> Illustrator:
     """Return the pictures of the demonstration in a window of 1280 x 800 pixels."""
     answers = experiment.protocol.answers.model_copy(update=changes)
-    layout = lay_out(1280, 800, tuple(experiment.apparatus.zones))
+    layout = lay_out(1280, 800, tuple(experiment.apparatus.zones), AnswerList.of({}))
     return Illustrator(layout, DARK, experiment.texts, answers, hand)
 
 
@@ -297,12 +297,18 @@ def test_feedback_says_where_it_was_stronger(experiment: Experiment, expected: s
 def test_a_finger_that_never_touches_is_refused(experiment: Experiment) -> None:
     """Expected: the message names the finger and those that can touch."""
     with pytest.raises(ValueError, match="given the finger 'left thumb'; allowed: left or right, then index"):
-        draw_hands(lay_out(800, 600, ("A", "B")), DARK, ("A", "B"), ("left thumb", "right index"), ("x", "y"))
+        draw_hands(
+            lay_out(800, 600, ("A", "B"), AnswerList.of({})),
+            DARK,
+            ("A", "B"),
+            ("left thumb", "right index"),
+            ("x", "y"),
+        )
 
 
 def test_an_unknown_pair_of_fingers_has_no_picture(experiment: Experiment, trial: Trial) -> None:
     """Expected: three zones draw as well as five, and the middle pair has the name of its zones."""
-    layout = lay_out(1280, 800, ("X", "Y", "Z"))
+    layout = lay_out(1280, 800, ("X", "Y", "Z"), AnswerList.of({}))
     pictures = Illustrator(layout, DARK, experiment.texts, experiment.protocol.answers, "right")
     assert pictures.feel(make_trial("XZ"), PROGRESS).name == "feel_one_hand_XZ"
 
@@ -311,7 +317,7 @@ def test_four_answers_are_shown_with_their_words_and_keys(experiment: Experiment
     """Expected: the texts' own words; the instruction that names four answers; a key cap on each button."""
     keys = {**experiment.protocol.answers.keys, "both": ("up",), "none": ("down",)}
     answers = experiment.protocol.answers.model_copy(update={"keys": keys})
-    layout = lay_out(800, 600, tuple(experiment.apparatus.zones), offers_none=True)
+    layout = lay_out(800, 600, tuple(experiment.apparatus.zones), answers.offered)
     pictures = Illustrator(layout, DARK, experiment.texts, answers, "right")
     question = pictures.question(make_trial(), PROGRESS)
     for answer, word in (("left", "Left"), ("both", "Both"), ("right", "Right"), ("none", "Nowhere")):
@@ -323,6 +329,24 @@ def test_four_answers_are_shown_with_their_words_and_keys(experiment: Experiment
     assert texts[0] == "Each time, choose one of these four answers."
     chosen = pictures.question(make_trial(), PROGRESS, chosen="none")
     assert find_words(chosen, "Nowhere").fill == DARK.pressed_text
+
+
+def test_answers_of_any_names_are_shown_in_the_order_of_the_file(experiment: Experiment) -> None:
+    """Expected: labels from the texts, in boxes of one row, no colour or arrow of a finger; and what is below."""
+    names = ("stronger", "alike", "weaker", "unsure")
+    keys = {name: (key,) for name, key in zip(names, ("up", "space", "down", "0"), strict=True)}
+    answers = experiment.protocol.answers.model_copy(update={"keys": keys, "below": ("unsure",)})
+    texts = experiment.texts.model_copy(update={"answers": {name: name.title() for name in names}})
+    layout = lay_out(800, 600, tuple(experiment.apparatus.zones), answers.offered)
+    pictures = Illustrator(layout, DARK, texts, answers, "right")
+    question = pictures.question(make_trial(), PROGRESS, chosen="alike")
+    row = [find_words(question, name.title()).box.x for name in names[:3]]
+    assert row == sorted(row)
+    assert find_words(question, "Unsure").box.top < layout.buttons["alike"].bottom
+    assert find_words(question, "Alike").fill == DARK.pressed_text
+    assert layout.answer_at(layout.buttons["weaker"].x, layout.buttons["weaker"].y) == "weaker"
+    side = pictures.question(make_trial(), PROGRESS).marks
+    assert not {DARK.left, DARK.right} & {getattr(mark, "fill", "") for mark in side if getattr(mark, "y", 0) < 0}
 
 
 def test_a_catch_trial_looks_like_any_other(experiment: Experiment) -> None:

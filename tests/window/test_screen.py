@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from modaltouch.protocol import Experiment, Texts
+from modaltouch.protocol import AnswerList, Experiment, Texts
 from modaltouch.protocol.trial import Condition, Trial
 from modaltouch.window.environment import virtual_display
 from modaltouch.window.interface import Progress, WindowError
@@ -118,7 +118,7 @@ def every_picture(pictures: Illustrator) -> list[Picture]:
 @pytest.mark.parametrize("size", [(800, 600), (768, 1024), (1080, 1920), (3840, 2160)])
 def test_every_text_fits_its_place(screen: Any, experiment: Experiment, language: str, size: tuple[int, int]) -> None:
     """Expected: no text of a shipped language leaves its box, nor shrinks below 60 % of its size."""
-    layout = lay_out(*size, tuple(experiment.apparatus.zones))
+    layout = lay_out(*size, tuple(experiment.apparatus.zones), AnswerList.of({}))
     texts = make_experiment_texts(language)
     pictures = Illustrator(layout, DARK, texts, experiment.protocol.answers, "right")
     for picture in every_picture(pictures):

@@ -1,21 +1,24 @@
 """Catch trials, in which nothing was driven, and the answer none: false alarms, misses, and detection.
 
-A false alarm is a catch trial answered with a finger; a miss is a trial with a stimulus answered with none.
+A false alarm is a catch trial in which something was felt; a miss is a trial with a stimulus in which nothing was.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from statistics import NormalDist
+from typing import Any
 
 import numpy as np
 
-from modaltouch.analysis.counts import NONE, AnswerCounts
+from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.findings import Finding
 from modaltouch.analysis.intervals import Interval, clopper_pearson, korn_graubard
-from modaltouch.protocol import ANSWERS_WITH_NONE
+
+_ABSENT = "none"
+"""Stands for the answer that nothing was felt where none says it."""
 
 Catches = Mapping[str, Counter[str]]
 """Answers to catch trials by participant."""
@@ -34,7 +37,9 @@ class CatchRow:
     answers : dict of str to int
         Answers to them, by word.
     n_driven, n_missed : int
-        Answers to trials with a stimulus, and those of them that were none.
+        Answers to trials with a stimulus, and those of them that nothing was felt.
+    nothing : str
+        Name of that answer.
     """
 
     participant: str
@@ -42,31 +47,40 @@ class CatchRow:
     answers: dict[str, int]
     n_driven: int
     n_missed: int
+    nothing: str
 
     @property
     def n_false_alarms(self) -> int:
         """Catch trials answered with a finger."""
-        return self.n_catch - self.answers["none"]
+        return self.n_catch - self.answers[self.nothing]
 
     @property
     def false_alarms(self) -> str:
         """Number and share of the false alarms, in words."""
         return f"{self.n_false_alarms} of {self.n_catch}" if self.n_catch else "–"
 
+    def as_dict(self) -> dict[str, Any]:
+        """Return the row as plain values."""
+        values = asdict(self)
+        del values["nothing"]
+        return values
+
 
 def catch_rows(answers: AnswerCounts, catches: Catches) -> tuple[CatchRow, ...]:
     """Return a row for each participant and one for all; empty where there is neither catch trial nor answer none."""
     if not catches and not answers.offers_none:
         return ()
-    missed = _missed(answers)
+    missed, nothing = _missed(answers), answers.answers.naming()
+    words = [answer.name for answer in answers.answers.ranked] + ([] if nothing else [_ABSENT])
+    name_of_nothing = nothing.name if nothing else _ABSENT
     n_driven = answers.n_answers * len(answers.pairs) * len(answers.finger_conditions)
     rows = []
     for name, n_missed in zip(answers.participants, missed, strict=True):
         own = catches.get(name, Counter())
-        given: dict[str, int] = {word: own[word] for word in ANSWERS_WITH_NONE}
-        rows.append(CatchRow(name, sum(given.values()), given, n_driven, n_missed))
-    total: dict[str, int] = {word: sum(row.answers[word] for row in rows) for word in ANSWERS_WITH_NONE}
-    rows.append(CatchRow("all", sum(total.values()), total, n_driven * len(rows), sum(missed)))
+        given = {word: own[word] for word in words}
+        rows.append(CatchRow(name, sum(given.values()), given, n_driven, n_missed, name_of_nothing))
+    total = {word: sum(row.answers[word] for row in rows) for word in words}
+    rows.append(CatchRow("all", sum(total.values()), total, n_driven * len(rows), sum(missed), name_of_nothing))
     return tuple(rows)
 
 
@@ -84,11 +98,11 @@ def catch_findings(answers: AnswerCounts, catches: Catches) -> Iterator[Finding]
     n = len(rows)
     if total.n_catch:
         alarms = [row.n_false_alarms for row in rows if row is not None]
-        words = ", ".join(f"{total.answers[word]} {word}" for word in ANSWERS_WITH_NONE)
-        yield _rate("false alarms", alarms, [row.n_catch for row in rows if row is not None], words)
+        words = ", ".join(f"{n_given} {word}" for word, n_given in total.answers.items())
+        yield _rate("false alarms", alarms, [row.n_catch for row in rows if row is not None], words, total)
     misses = [row.n_missed for row in rows if row is not None]
     note = f"{total.n_missed} of {total.n_driven} answers"
-    yield _rate("misses", misses, [row.n_driven for row in rows if row is not None], note)
+    yield _rate("misses", misses, [row.n_driven for row in rows if row is not None], note, total)
     if total.n_catch:
         hit = (total.n_driven - total.n_missed + 0.5) / (total.n_driven + 1)
         alarm = (total.n_false_alarms + 0.5) / (total.n_catch + 1)
@@ -101,14 +115,15 @@ def catch_findings(answers: AnswerCounts, catches: Catches) -> Iterator[Finding]
 
 
 def _missed(answers: AnswerCounts) -> list[int]:
-    if not answers.offers_none:
+    nothing = answers.answers.naming()
+    if nothing is None:
         return [0] * answers.n_participants
-    missed: list[int] = answers.counts[..., NONE].sum(axis=(1, 2, 3)).tolist()
+    missed: list[int] = answers.counts[..., answers.answers.index(nothing)].sum(axis=(1, 2, 3)).tolist()
     return missed
 
 
-def _rate(name: str, counts: list[int], totals: list[int], note: str) -> Finding:
-    quantity = "P(a finger | nothing driven)" if name == "false alarms" else "P(none | stimulus)"
+def _rate(name: str, counts: list[int], totals: list[int], note: str, total: CatchRow) -> Finding:
+    quantity = "P(a finger | nothing driven)" if name == "false alarms" else f"P({total.nothing} | stimulus)"
     interval: Interval
     if len(set(totals)) == 1:
         interval = korn_graubard(np.array(counts), totals[0])

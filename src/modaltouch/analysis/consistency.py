@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.analysis.agreement import ac1_interval, pairwise_agreement, prevalence
-from modaltouch.analysis.counts import RIGHT, AnswerCounts
+from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.exact import sign_flip_test
 from modaltouch.analysis.findings import ALPHA, Finding, finding_of
 from modaltouch.analysis.intervals import (
@@ -34,7 +34,8 @@ def consistency_findings(answers: AnswerCounts) -> Iterator[Finding]:
         pair = answers.pairs[q]
         own = answers.counts[:, f, q]
         scope = f"{answers.finger_conditions[f]} {pair.label}"
-        first, second = own[..., pair.dominant_index], own[..., RIGHT - pair.dominant_index]
+        first = own[..., answers.effects(pair)[0][1]]
+        second = own[..., answers.other_place(pair)] if answers.compares else own.sum(axis=-1) - first
         shuffled = participant_heterogeneity(first - second)
         agreement = pairwise_agreement(own.sum(axis=0))
         notes = ["" if math.isnan(agreement) else f"pairwise agreement {agreement:.2f}", shuffled.note]
@@ -42,7 +43,8 @@ def consistency_findings(answers: AnswerCounts) -> Iterator[Finding]:
             "e", "agreement, and shuffle test of differences between participants", scope, shuffled.test,
             "Gwet AC1", ac1_interval(own), n, notes=notes,
         )  # fmt: skip
-        yield _prevalence(answers, first.sum(axis=1), second.sum(axis=1), scope, pair.dominant)
+        if answers.compares:
+            yield _prevalence(answers, first.sum(axis=1), second.sum(axis=1), scope, pair.dominant)
 
 
 def association_findings(answers: AnswerCounts) -> Iterator[Finding]:
@@ -74,7 +76,7 @@ def effect_findings(answers: AnswerCounts) -> Iterator[Finding]:
     """Yield question f, every proportion over levels, and every paired difference cell by cell."""
     n = answers.n_participants
     for f, q in product(range(len(answers.finger_conditions)), range(len(answers.pairs))):
-        for label, place in answers.answers_of(answers.pairs[q]):
+        for label, place in answers.labelled(answers.pairs[q]):
             share = korn_graubard(answers.counts[:, f, q, :, place].sum(axis=1), answers.n_answers)
             scope = f"{answers.finger_conditions[f]} {answers.pairs[q].label}"
             worth = f"worth {share.n_effective:.1f} independent answers of {n * answers.n_answers}"
@@ -87,20 +89,21 @@ def _paired_cells(answers: AnswerCounts) -> Iterator[Finding]:
     places = combinations(range(len(answers.finger_conditions)), 2)
     for (f, g), q, v in product(places, range(len(answers.pairs)), range(len(answers.levels))):
         pair = answers.pairs[q]
+        shown, place = answers.effects(pair)[0]
         known = (modal[:, f, q, v] >= 0) & (modal[:, g, q, v] >= 0)
-        first = modal[known, f, q, v] == pair.dominant_index
-        second = modal[known, g, q, v] == pair.dominant_index
+        first = modal[known, f, q, v] == place
+        second = modal[known, g, q, v] == place
         b, c, m = int((first & ~second).sum()), int((second & ~first).sum()), int(known.sum())
         both = f"{answers.finger_conditions[f]} - {answers.finger_conditions[g]}"
         scope = f"{both} {pair.label} {answers.scale.say(answers.levels[v])}"
-        note = f"{b} chose {pair.dominant} only in the first, {c} only in the second" + (
+        note = f"{b} chose {shown} only in the first, {c} only in the second" + (
             f"; {n - m} participants tied and left out" if m < n else ""
         )
         difference = tango(b, c, m) if m else _NO_INTERVAL
-        quantity = f"difference of P({pair.dominant})"
+        quantity = f"difference of P({shown})"
         yield _estimate("f", "Tango interval of the paired difference", scope, quantity, difference, m, note)
         yield _estimate(
-            "f", "matched odds ratio, exact", scope, f"odds ratio of {pair.dominant}", matched_odds_ratio(b, c),
+            "f", "matched odds ratio, exact", scope, f"odds ratio of {shown}", matched_odds_ratio(b, c),
             m, note if b + c else f"no information: no discordant pair; {note}",
         )  # fmt: skip
 

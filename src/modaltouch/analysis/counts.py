@@ -4,23 +4,17 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TypeVar
+from dataclasses import dataclass, field
+from typing import Literal, TypeVar
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
 from modaltouch.analysis.scale import VELOCITY, LevelScale, scale_of
-from modaltouch.protocol import ANSWERS_WITH_NONE
+from modaltouch.protocol import AnswerList
 
 T = TypeVar("T")
-
-LEFT, BOTH, RIGHT, NONE = 0, 1, 2, 3
-"""Places of the answers in the last axis of `AnswerCounts.counts`; it ends before none where that is no answer."""
-
-WORDS = ("left", "both", "right", "none")
-"""Answers in that order."""
 
 PAPER_CONDITIONS = ("one_hand", "two_hands")
 
@@ -44,6 +38,11 @@ class Pair:
     dominant: str
     focused: bool
 
+    @classmethod
+    def of(cls, left: str, right: str, focus: str) -> Pair:
+        """Return the pair of zones under the left and the right finger; the focus may be empty."""
+        return cls(left, right, focus if focus in (left, right) else left, focus in (left, right))
+
     @property
     def label(self) -> str:
         """Both zones, as in ``A-C``."""
@@ -55,16 +54,23 @@ class Pair:
         return self.right if self.dominant == self.left else self.left
 
     @property
-    def dominant_index(self) -> int:
-        """Place of the dominant answer in the last axis of the counts."""
-        return LEFT if self.dominant == self.left else RIGHT
+    def dominant_side(self) -> Literal["left", "right"]:
+        """Finger on the dominant zone."""
+        return "left" if self.dominant == self.left else "right"
 
     @property
-    def answers(self) -> tuple[tuple[str, int], ...]:
-        """Labels of the paper's three answers in its order, and their places in the counts."""
-        first = self.dominant_index
-        both = f"{self.right} & {self.left}" if self.focused and first == RIGHT else f"{self.left} & {self.right}"
-        return ((self.dominant, first), (self.other, RIGHT - first), (both, BOTH))
+    def other_side(self) -> Literal["left", "right"]:
+        """Finger on the other zone."""
+        return "right" if self.dominant == self.left else "left"
+
+    @property
+    def both(self) -> str:
+        """Both zones as the paper writes them, the focus first."""
+        return (
+            f"{self.right} & {self.left}"
+            if self.focused and self.dominant == self.right
+            else f"{self.left} & {self.right}"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,8 +85,8 @@ class AnswerCounts:
         Zone pairs along the third axis.
     levels : tuple of float
         Levels along the fourth axis, on `scale`: peak velocities [mm/s] or multiples of the own threshold.
-    counts : (n_participants, n_finger_conditions, n_pairs, n_levels, 3 or 4) array of int
-        Counts of left, both and right, and of none where that is an answer.
+    counts : (n_participants, n_finger_conditions, n_pairs, n_levels, n_answers) array of int
+        Counts of the `answers`.
     n_repetitions : int
         Answers of each participant in each cell.
     focus : str
@@ -89,6 +95,8 @@ class AnswerCounts:
         What the levels are.
     mirrored : frozenset of str
         Participants who sat at the beam turned end to end: what is left here was on their right.
+    answers : AnswerList
+        What could be answered.
     """
 
     participants: tuple[str, ...]
@@ -100,21 +108,84 @@ class AnswerCounts:
     focus: str = ""
     mirrored: frozenset[str] = frozenset()
     scale: LevelScale = VELOCITY
+    answers: AnswerList = field(default_factory=lambda: AnswerList.of({}))
 
     @property
     def offers_none(self) -> bool:
-        """Whether none was one of the answers."""
-        return bool(self.counts.shape[-1] > NONE)
+        """Whether one of the answers was that nothing was felt."""
+        return self.answers.naming() is not None
 
-    def answers_of(self, pair: Pair) -> tuple[tuple[str, int], ...]:
-        """Return the labels of all answers to a pair, and their places in the counts.
+    @property
+    def compares(self) -> bool:
+        """Whether each finger could be named alone: then a pair has a dominant zone."""
+        return self.answers.compares
+
+    @property
+    def felt(self) -> list[int]:
+        """Places of the answers other than that nothing was felt."""
+        return [place for place, answer in enumerate(self.answers) if not answer.says_nothing_felt]
+
+    @property
+    def both_place(self) -> int | None:
+        """Place of the answer that names both fingers, if any."""
+        return self._place("left", "right")
+
+    def labelled(self, pair: Pair) -> tuple[tuple[str, int], ...]:
+        """Return the labels of all answers to a pair and their places in the counts, in the order of the paper.
 
         Parameters
         ----------
         pair : Pair
             One of `pairs`.
         """
-        return (*pair.answers, ("none", NONE)) if self.offers_none else pair.answers
+        if not self.compares:
+            return tuple((answer.name, place) for place, answer in enumerate(self.answers))
+        zones: dict[tuple[str, ...] | None, str] = {
+            (pair.dominant_side,): pair.dominant,
+            (pair.other_side,): pair.other,
+            ("left", "right"): pair.both,
+        }
+        own = [
+            (label, self.answers.index(answer))
+            for fingers, label in zones.items()
+            for answer in self.answers
+            if answer.fingers == fingers
+        ]
+        rest = [(answer.name, place) for place, answer in enumerate(self.answers) if answer.fingers not in zones]
+        return (*own, *rest)
+
+    def effects(self, pair: Pair) -> tuple[tuple[str, int], ...]:
+        """Return the answers whose share is the effect, with their places: the dominant zone, then "both" if offered.
+
+        Where no zone is dominant, all answers but the last, whose share is what the others leave.
+
+        Parameters
+        ----------
+        pair : Pair
+            One of `pairs`.
+        """
+        if not self.compares:
+            return tuple((answer.name, place) for place, answer in enumerate(self.answers[:-1]))
+        both = [("both", self.both_place)] if self.both_place is not None else []
+        return ((pair.dominant, self.dominant_place(pair)), *both)
+
+    def dominant_place(self, pair: Pair) -> int:
+        """Return the place of the answer that names the dominant zone of a pair."""
+        return self._found(pair.dominant_side)
+
+    def other_place(self, pair: Pair) -> int:
+        """Return the place of the answer that names the other zone of a pair."""
+        return self._found(pair.other_side)
+
+    def _found(self, side: Literal["left", "right"]) -> int:
+        place = self._place(side)
+        if place is None:
+            raise ValueError(f"no answer names the {side} finger alone: there are {', '.join(self.answers.names)}")
+        return place
+
+    def _place(self, *fingers: Literal["left", "right"]) -> int | None:
+        answer = self.answers.naming(*fingers)
+        return None if answer is None else self.answers.index(answer)
 
     @property
     def n_participants(self) -> int:
@@ -133,13 +204,29 @@ class AnswerCounts:
 
     def dominant(self) -> NDArray[np.int64]:
         """Return the counts of the dominant zone, without the last axis."""
-        return np.stack([self.counts[:, :, i, :, pair.dominant_index] for i, pair in enumerate(self.pairs)], axis=2)
+        return np.stack(
+            [self.counts[:, :, i, :, self.dominant_place(pair)] for i, pair in enumerate(self.pairs)], axis=2
+        )
 
     def other(self) -> NDArray[np.int64]:
         """Return the counts of the other zone, without the last axis."""
-        return np.stack(
-            [self.counts[:, :, i, :, RIGHT - pair.dominant_index] for i, pair in enumerate(self.pairs)], axis=2
-        )
+        return np.stack([self.counts[:, :, i, :, self.other_place(pair)] for i, pair in enumerate(self.pairs)], axis=2)
+
+    def sided(self) -> NDArray[np.int64]:
+        """Return the counts of left and right alone, along the last axis."""
+        return self.counts[..., [self._found("left"), self._found("right")]]
+
+    def compared(self) -> NDArray[np.int64]:
+        """Return the counts of left, both and right, along the last axis.
+
+        Raises
+        ------
+        ValueError
+            If one of these three was no answer.
+        """
+        if self.both_place is None:
+            raise ValueError(f"no answer names both fingers: there are {', '.join(self.answers.names)}")
+        return self.counts[..., [self._found("left"), self.both_place, self._found("right")]]
 
     def modal(self) -> NDArray[np.int64]:
         """Return each participant's most frequent answer per cell; -1 where two answers tie."""
@@ -148,7 +235,7 @@ class AnswerCounts:
         return np.where(tied, -1, self.counts.argmax(axis=-1))
 
 
-def count_answers(frame: pd.DataFrame, focus: str = "") -> AnswerCounts:
+def count_answers(frame: pd.DataFrame, focus: str = "", offered: AnswerList | None = None) -> AnswerCounts:
     """Return the answers of a tidy table as one array.
 
     Parameters
@@ -157,6 +244,8 @@ def count_answers(frame: pd.DataFrame, focus: str = "") -> AnswerCounts:
         Tidy answers; a column ``n`` counts equal ones.
     focus : str
         Zone of the focus; guessed by `find_focus` if empty.
+    offered : AnswerList, optional
+        What could be answered; by default the paper's answers, with none where the table knows that word.
 
     Returns
     -------
@@ -175,16 +264,17 @@ def count_answers(frame: pd.DataFrame, focus: str = "") -> AnswerCounts:
     levels, level = np.unique(frame[scale.column].to_numpy(dtype=float), return_inverse=True)
     focus = focus or find_focus(zones)
     given, words = _coded(frame["response"])
-    unknown = sorted(set(words) - set(ANSWERS_WITH_NONE))
+    if offered is None:
+        offered = AnswerList.of_words(("none",) if "none" in (*words, *_categories(frame["response"])) else ())
+    unknown = sorted(set(words) - set(offered.names))
     if unknown:
-        raise ValueError(f"response {unknown[0]!r} is not an answer: allowed are {', '.join(ANSWERS_WITH_NONE)}")
-    answer = np.array([WORDS.index(word) for word in words], dtype=np.int64)[given]
-    n_kinds = len(WORDS) if "none" in words or "none" in _categories(frame["response"]) else NONE
+        raise ValueError(f"response {unknown[0]!r} is not an answer: allowed are {', '.join(offered.ranked.names)}")
+    answer = np.array([offered.names.index(word) for word in words], dtype=np.int64)[given]
     participants, who = _reordered(participants, who, sorted(participants, key=_natural))
     conditions, fingers = _reordered(conditions, fingers, _ordered_conditions(conditions))
     zones, pairing = _reordered(zones, pairing, sorted(zones))
-    pairs = tuple(orient(*pair, focus) for pair in zones)
-    counts = np.zeros((len(participants), len(conditions), len(zones), len(levels), n_kinds), dtype=np.int64)
+    pairs = tuple(Pair.of(*pair, focus) for pair in zones)
+    counts = np.zeros((len(participants), len(conditions), len(zones), len(levels), len(offered)), dtype=np.int64)
     weights = frame["n"].to_numpy() if "n" in frame.columns else np.ones(len(frame), dtype=np.int64)
     np.add.at(counts, (who, fingers, pairing, level, answer), weights)
     said = [scale.say(each) for each in levels.tolist()]
@@ -199,6 +289,7 @@ def count_answers(frame: pd.DataFrame, focus: str = "") -> AnswerCounts:
         focus,
         _mirrored(frame),
         scale,
+        offered,
     )
 
 
@@ -214,19 +305,6 @@ def find_focus(zones: Sequence[tuple[str, str]]) -> str:
     if touched[0][1] > 1 and (len(touched) == 1 or touched[1][1] < touched[0][1]):
         return touched[0][0]
     return "C" if any(zone == "C" for zone, _ in touched) else ""
-
-
-def orient(left: str, right: str, focus: str) -> Pair:
-    """Return a pair with its dominant zone: the focus where it is touched, else the left one.
-
-    Parameters
-    ----------
-    left, right : str
-        Zones under the left and the right finger.
-    focus : str
-        Zone of the focus; may be empty.
-    """
-    return Pair(left, right, focus if focus in (left, right) else left, focus in (left, right))
 
 
 def _ordered_conditions(names: list[str]) -> list[str]:

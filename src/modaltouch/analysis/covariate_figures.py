@@ -8,10 +8,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from modaltouch.analysis.counts import LEFT, RIGHT, AnswerCounts
-from modaltouch.analysis.covariates import ANTICIPATION, has_values, ranked_answers
+from modaltouch.analysis.counts import AnswerCounts
+from modaltouch.analysis.covariates import ANTICIPATION, focused_pairs, has_values, ranked_answers
 from modaltouch.analysis.figures import ANSWER_COLOURS, pair_colours
 from modaltouch.analysis.intervals import korn_graubard
+from modaltouch.protocol import AnswerList
 from modaltouch.report import CONDITION_COLOURS, FAINT, INK, house_style, quiet_grid
 
 MOST_TRIALS = 40
@@ -20,8 +21,7 @@ MOST_TRIALS = 40
 
 def draw_side(answers: AnswerCounts) -> Figure | None:
     """Return each choice of the focus when it lies right against when it lies left; None where it never does both."""
-    right = [q for q, pair in enumerate(answers.pairs) if pair.focused and pair.dominant_index == RIGHT]
-    left = [q for q, pair in enumerate(answers.pairs) if pair.focused and pair.dominant_index == LEFT]
+    left, right = focused_pairs(answers)
     if not (right and left):
         return None
     dominant = answers.dominant().mean(axis=3) / answers.n_repetitions
@@ -133,7 +133,7 @@ def draw_speeds(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
         panels = figure.subplots(1, len(answers.finger_conditions), sharey=True, squeeze=False)[0]
         for axes, condition in zip(panels, answers.finger_conditions, strict=True):
             own = (frame["finger_condition"].astype(str) == condition).to_numpy()
-            _draw_ratios(axes, frame[own].assign(ratio=ratio[own]))
+            _draw_ratios(axes, frame[own].assign(ratio=ratio[own]), answers.answers)
             axes.set_title(condition)
             axes.set_xlabel("predicted peak speed, right / left finger")
         panels[0].set_ylabel("share of answers")
@@ -151,20 +151,26 @@ def _gathered(ratios: NDArray[np.float64]) -> NDArray[np.float64]:
     return gathered
 
 
-def _draw_ratios(axes: Axes, frame: pd.DataFrame) -> None:
-    colours = {"left": ANSWER_COLOURS["other"], "both": FAINT, "right": ANSWER_COLOURS["dominant"]}
-    for answer, marker in zip(colours, "<o>", strict=True):
+def _draw_ratios(axes: Axes, frame: pd.DataFrame, answers: AnswerList) -> None:
+    styles = {-1: (ANSWER_COLOURS["other"], "<"), 0: (FAINT, "o"), 1: (ANSWER_COLOURS["dominant"], ">")}
+    for answer in answers:
+        if not answer.fingers:
+            continue
         points = []
-        shift = {"left": 0.97, "both": 1.0, "right": 1.03}[answer]
+        (colour, marker), shift = styles[answer.side], 1 + 0.03 * answer.side
         for ratio, own in frame.groupby("ratio"):
-            hits = (own["response"].astype(str) == answer).groupby(own["participant"].astype(str)).agg(["sum", "size"])
+            hits = (
+                (own["response"].astype(str) == answer.name)
+                .groupby(own["participant"].astype(str))
+                .agg(["sum", "size"])
+            )
             share = korn_graubard(hits["sum"].to_numpy(), int(hits["size"].iloc[0]))
             points.append(
                 (float(str(ratio)) * shift, share.estimate, share.estimate - share.low, share.high - share.estimate)
             )
         x, y, below, above = np.array(points).T
         axes.errorbar(
-            x, y, yerr=np.maximum([below, above], 0), marker=marker, color=colours[answer], label=answer, capsize=2,
+            x, y, yerr=np.maximum([below, above], 0), marker=marker, color=colour, label=answer.name, capsize=2,
             markersize=5, linewidth=0.9, elinewidth=0.7,
         )  # fmt: skip
     axes.set_xscale("log", base=2)

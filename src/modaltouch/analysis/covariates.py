@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
-from modaltouch.analysis.counts import LEFT, NONE, RIGHT, AnswerCounts
+from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.exact import sign_flip_test
 from modaltouch.analysis.findings import Finding, finding_of
 from modaltouch.analysis.intervals import CONFIDENCE, Interval, paired_mean
@@ -129,12 +129,13 @@ def secondary_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[F
         Tidy answers; columns ``trial`` (order), ``response_time`` [s], ``speed_left_mm_s`` and
         ``speed_right_mm_s`` (predicted peak speeds under the fingers) are used where they are there.
     """
-    yield from side_findings(answers)
-    if has_values(frame, "trial"):
+    if answers.compares:
+        yield from side_findings(answers)
+    if answers.compares and has_values(frame, "trial"):
         yield from order_findings(answers, frame)
     if has_values(frame, "response_time"):
         yield from time_findings(answers, frame)
-    if has_values(frame, "speed_left_mm_s") and has_values(frame, "speed_right_mm_s"):
+    if answers.compares and has_values(frame, "speed_left_mm_s") and has_values(frame, "speed_right_mm_s"):
         yield from speed_findings(answers, frame)
 
 
@@ -147,8 +148,7 @@ def has_values(frame: pd.DataFrame, column: str) -> bool:
 def side_findings(answers: AnswerCounts) -> Iterator[Finding]:
     """Yield whether the focus is chosen more often when it lies on the right than on the left."""
     yield from _aliased_side_findings(answers)
-    right = [q for q, pair in enumerate(answers.pairs) if pair.focused and pair.dominant_index == RIGHT]
-    left = [q for q, pair in enumerate(answers.pairs) if pair.focused and pair.dominant_index == LEFT]
+    left, right = focused_pairs(answers)
     if not (right and left):
         return
     dominant = answers.dominant().sum(axis=3)
@@ -167,13 +167,22 @@ def side_findings(answers: AnswerCounts) -> Iterator[Finding]:
         )  # fmt: skip
 
 
+def focused_pairs(answers: AnswerCounts) -> tuple[list[int], list[int]]:
+    """Return the places of the pairs with the focus under the left finger, and under the right one."""
+    sides = ("left", "right")
+    left, right = (
+        [q for q, pair in enumerate(answers.pairs) if pair.focused and pair.dominant_side == side] for side in sides
+    )
+    return left, right
+
+
 def _seen(answers: AnswerCounts, f: int, right: list[int], left: list[int]) -> tuple[IntArray, IntArray]:
-    """Return the counts with the focus on the right and on the left, both as the participants saw the beam."""
+    """Return counts of left and right, the focus on the right and on the left, as the participants saw the beam."""
     turned = answers.facing < 0
-    own = answers.counts[:, f][..., :NONE]
+    own = answers.sided()[:, f]
     exchanged = own[..., ::-1]
-    on_right = np.concatenate([own[~turned][:, right].reshape(-1, 3), exchanged[turned][:, left].reshape(-1, 3)])
-    on_left = np.concatenate([own[~turned][:, left].reshape(-1, 3), exchanged[turned][:, right].reshape(-1, 3)])
+    on_right = np.concatenate([own[~turned][:, right].reshape(-1, 2), exchanged[turned][:, left].reshape(-1, 2)])
+    on_left = np.concatenate([own[~turned][:, left].reshape(-1, 2), exchanged[turned][:, right].reshape(-1, 2)])
     return on_right, on_left
 
 
@@ -185,8 +194,8 @@ def _aliased_side_findings(answers: AnswerCounts) -> Iterator[Finding]:
         pair = answers.pairs[q]
         if pair.focused:
             continue
-        own = answers.counts[:, f, q].sum(axis=1)
-        score = (own[:, RIGHT] - own[:, LEFT]) * answers.facing
+        on_left, on_right = answers.sided()[:, f, q].sum(axis=1).T
+        score = (on_right - on_left) * answers.facing
         yield finding_of(
             "side", "exact sign-flip test of side preference", f"{answers.finger_conditions[f]} {pair.label}",
             sign_flip_test(score), "P(right) - P(left), as the participant sees the beam",
@@ -200,17 +209,15 @@ def detection(on_right: NDArray[np.int64], on_left: NDArray[np.int64]) -> tuple[
 
     Parameters
     ----------
-    on_right, on_left : (..., 3) array of int
-        Counts of left, both, right where the focus was on the right, and where it was on the left.
+    on_right, on_left : (..., 2) array of int
+        Counts of left and right where the focus was on the right, and where it was on the left.
 
     References
     ----------
     Hautus, Behavior Research Methods 27 (1995) 46-51 (log-linear correction).
     """
-    signal = on_right.reshape(-1, 3).sum(axis=0)
-    noise = on_left.reshape(-1, 3).sum(axis=0)
-    hit = (signal[RIGHT] + 0.5) / (signal[RIGHT] + signal[LEFT] + 1)
-    false_alarm = (noise[RIGHT] + 0.5) / (noise[RIGHT] + noise[LEFT] + 1)
+    signal, noise = (counts.reshape(-1, 2).sum(axis=0) for counts in (on_right, on_left))
+    hit, false_alarm = ((right + 0.5) / (right + left + 1) for left, right in (signal, noise))
     z = NormalDist().inv_cdf
     return z(hit) - z(false_alarm), -(z(hit) + z(false_alarm)) / 2
 
@@ -280,12 +287,13 @@ def _rounded(interval: Interval, known: float) -> Interval:
 
 
 def speed_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Finding]:
-    """Yield ordered probit fits of left < both < right on the ratio of predicted speeds; estimates, no p."""
+    """Yield ordered probit fits on the ratio of predicted speeds: left, both, right in this order; estimates, no p."""
     ratio = np.log2((frame["speed_right_mm_s"] / frame["speed_left_mm_s"]).to_numpy())
-    places = frame["response"].astype(str).map({"left": 0, "both": 1, "right": 2, "none": 3}).to_numpy()
+    order = {answer.name: answer.side + 1 for answer in answers.answers if answer.fingers}
+    places = frame["response"].astype(str).map(lambda word: order.get(word, -1)).to_numpy()
     for condition in answers.finger_conditions:
-        # None lies outside the order left < both < right.
-        own = (frame["finger_condition"].astype(str) == condition).to_numpy() & (places != NONE)
+        # What names no finger lies outside that order.
+        own = (frame["finger_condition"].astype(str) == condition).to_numpy() & (places >= 0)
         groups = frame["participant"].astype(str).to_numpy()[own]
         fit = fit_ordered_probit(ratio[own], places[own], groups)
         yield Finding(
@@ -334,8 +342,8 @@ def ranked_answers(answers: AnswerCounts, frame: pd.DataFrame) -> pd.DataFrame:
     named = np.zeros(len(table), dtype=bool)
     for pair in answers.pairs:
         own = (table["zone_left"] == pair.left) & (table["zone_right"] == pair.right)
-        side = "right" if pair.dominant == pair.right else "left"
-        named |= (own & (frame["response"] == side)).to_numpy(dtype=bool)
+        word = answers.answers[answers.dominant_place(pair)].name
+        named |= (own & (frame["response"] == word)).to_numpy(dtype=bool)
     table["dominant"] = named.astype(int)
     ranks = table.groupby(keys)["trial"].rank(method="first").astype(int)
     centred = 2 * ranks - (answers.n_answers + 1)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -14,7 +16,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from modaltouch.analysis.counts import BOTH, NONE, RIGHT, AnswerCounts
+from modaltouch.analysis.counts import AnswerCounts, Pair
 from modaltouch.analysis.intervals import clopper_pearson, korn_graubard
 from modaltouch.analysis.scale import scale_of
 from modaltouch.report import CONDITION_COLOURS, FAINT, INK, PAIR_COLOURS, house_style, quiet_grid
@@ -32,9 +34,13 @@ FINGERS = {
     "two_hands": "index fingers of both hands",
 }
 PAIRS_PER_ROW = 3
-STRIP_COLOURS = (ANSWER_COLOURS["dominant"], ANSWER_COLOURS["both"], ANSWER_COLOURS["other"], "white", FAINT)
+ZONE_COLOURS = (ANSWER_COLOURS["dominant"], ANSWER_COLOURS["both"], ANSWER_COLOURS["other"])
+TIED, NOTHING = "white", FAINT
+"""Colours of cells where repetitions tie, and where nothing was felt."""
 STRIP_PARTICIPANTS = 40
 """Participants that one figure of strips can show."""
+
+_TIE = "tie between repetitions (?)"
 
 LETTER_PARTICIPANTS = 24
 """Participants up to whom every answer also carries its letter."""
@@ -145,18 +151,17 @@ def _draw_group(
 
 
 def draw_overview(answers: AnswerCounts) -> Figure:
-    """Return the share of the dominant zone over level, every pair and finger condition in one row."""
+    """Return the share of the dominant zone, or of the first answer, over level, a panel for each pair."""
     markers = ("o", "s", "^", "D", "v", "P")
     lines = ("-", "--", "-.", ":")
     with house_style():
         figure = Figure(figsize=(min(2.4 * len(answers.pairs) + 0.6, 12), 2.9))
         panels = figure.subplots(1, len(answers.pairs), sharey=True, squeeze=False)[0]
-        dominant, both = answers.dominant(), answers.counts[..., BOTH]
         places = np.arange(len(answers.levels), dtype=float)
         for q, (axes, pair) in enumerate(zip(panels, answers.pairs, strict=True)):
             for f, condition in enumerate(answers.finger_conditions):
                 shift = 0.16 * (f - (len(answers.finger_conditions) - 1) / 2)
-                equal = both[:, f, q].mean(axis=0) / answers.n_repetitions
+                (_, main), *others = answers.effects(pair)
                 colour = CONDITION_COLOURS[f % len(CONDITION_COLOURS)]
                 style = {
                     "marker": markers[f % 6],
@@ -164,10 +169,16 @@ def draw_overview(answers: AnswerCounts) -> Figure:
                     "markersize": 4.5,
                     "linewidth": 1.1,
                 }
-                _draw_shares(axes, places + shift, dominant[:, f, q], answers.n_repetitions, colour, condition, style)
-                axes.plot(places + shift, equal, color=FAINT, marker=markers[f % 6], markersize=3, linewidth=0.7,
-                          linestyle=lines[f % 4], markerfacecolor="white", label=f"{condition}: both")  # fmt: skip
-            axes.set_title(f"{pair.dominant} of ({pair.left}, {pair.right})")
+                chosen = answers.counts[:, f, q, :, main]
+                _draw_shares(axes, places + shift, chosen, answers.n_repetitions, colour, condition, style)
+                for label, place in others:
+                    share = answers.counts[:, f, q, :, place].mean(axis=0) / answers.n_repetitions
+                    axes.plot(
+                        places + shift, share, color=FAINT, marker=markers[f % 6], markersize=3, linewidth=0.7,
+                        linestyle=lines[f % 4], markerfacecolor="white", label=f"{condition}: {label}",
+                    )  # fmt: skip
+            zones = f"({pair.left}, {pair.right})"
+            axes.set_title(f"{pair.dominant} of {zones}" if answers.compares else zones)
             axes.set_xticks(places, [format(level, "g") for level in answers.levels])
             axes.set_ylim(-0.03, 1.03)
             quiet_grid(axes)
@@ -175,8 +186,16 @@ def draw_overview(answers: AnswerCounts) -> Figure:
         panels[(len(panels) - 1) // 2].set_xlabel(answers.scale.quantity, x=0.5 if len(panels) % 2 else 1.04)
         handles, labels = panels[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 4), frameon=False)
-        figure.suptitle(f"Dominant zone (filled, 95 % intervals) and “both” (open), {_sample(answers)}", fontsize=9)
+        figure.suptitle(f"{describe_effects(answers)}, {_sample(answers)}", fontsize=9)
     return figure
+
+
+def describe_effects(answers: AnswerCounts) -> str:
+    """Return which shares the overview shows, as its title says it."""
+    (first, _), *others = answers.effects(answers.pairs[0])
+    main = "Dominant zone" if answers.compares else f"“{first}”"
+    named = " and ".join(f"“{label}”" for label, _ in others)
+    return f"{main} (filled, 95 % intervals)" + (f" and {named} (open)" if named else "")
 
 
 def _draw_shares(
@@ -218,13 +237,10 @@ def draw_participants(answers: AnswerCounts) -> Figure:
         panels[0].set_yticks(range(len(shown)), list(shown))
         panels[0].set_ylabel("participant")
         more = "" if len(shown) == answers.n_participants else f", first {len(shown)} of {answers.n_participants} shown"
-        names = {0: "dominant zone", 1: "both (&)", 2: "other zone"}
-        names |= {3: "tie between repetitions (?)"} if (modal < 0).any() else {}
-        names |= {4: "none (–)"} if answers.offers_none else {}
-        patches = [
-            Patch(facecolor=STRIP_COLOURS[kind], edgecolor=INK, linewidth=0.5, label=name)
-            for kind, name in names.items()
-        ]
+        names = {kind.name: kind.colour for kind in _kinds(answers, answers.pairs[0])}
+        if not (modal < 0).any():
+            del names[_TIE]
+        patches = [Patch(facecolor=colour, edgecolor=INK, linewidth=0.5, label=name) for name, colour in names.items()]
         n_columns = len(names) if figure.get_figwidth() > 1.4 * len(names) else 3
         figure.legend(handles=patches, loc="outside lower center", ncols=n_columns, frameon=False)
         figure.suptitle(f"Every participant's answer in every cell{more}", fontsize=9)
@@ -232,19 +248,45 @@ def draw_participants(answers: AnswerCounts) -> Figure:
     return figure
 
 
+@dataclass(frozen=True)
+class _Kind:
+    """What a cell of a strip can hold: an answer, or a tie; with its letter, colour and ink."""
+
+    place: int
+    name: str
+    letter: str
+    colour: str
+    ink: str = INK
+
+
+def _kinds(answers: AnswerCounts, pair: Pair) -> list[_Kind]:
+    """Return what the cells of a pair can hold, in the order of the legend."""
+    tie = _Kind(-1, _TIE, "?", TIED)
+    nothing = [_Kind(p, f"{a.name} (–)", "–", NOTHING) for p, a in enumerate(answers.answers) if a.says_nothing_felt]
+    kinds = []
+    if answers.compares:
+        dominant, both, other = ZONE_COLOURS
+        kinds = [_Kind(answers.dominant_place(pair), "dominant zone", pair.dominant, dominant, "white")]
+        kinds += [] if answers.both_place is None else [_Kind(answers.both_place, "both (&)", "&", both)]
+        kinds += [_Kind(answers.other_place(pair), "other zone", pair.other, other, "white")]
+    rest = [place for place in answers.felt if place not in {kind.place for kind in kinds}]
+    for place, colour in zip(rest, cycle(PAIR_COLOURS[1:]), strict=False):
+        kinds.append(_Kind(place, answers.answers[place].name, answers.answers[place].name, colour))
+    return [*kinds, tie, *nothing]
+
+
 def _draw_strip(axes: Axes, answers: AnswerCounts, modal: NDArray[np.int64], shown: Sequence[str]) -> None:
     n_levels = len(answers.levels)
-    picture = np.full((len(shown), len(answers.pairs) * n_levels), 3)
+    picture = np.zeros((len(shown), len(answers.pairs) * n_levels), dtype=np.int64)
     for q, pair in enumerate(answers.pairs):
-        own = modal[:, q]
-        kinds = [own == pair.dominant_index, own == BOTH, own == RIGHT - pair.dominant_index, own == NONE]
-        kind = np.select(kinds, [0, 1, 2, 4], 3)
+        kinds = _kinds(answers, pair)
+        place_of = {kind.place: place for place, kind in enumerate(kinds)}
+        kind = np.vectorize(place_of.__getitem__)(modal[:, q])
         picture[:, q * n_levels : (q + 1) * n_levels] = kind
-        letters = (pair.dominant, "&", pair.other, "?", "–")
         for (row, column), value in np.ndenumerate(kind) if len(shown) <= LETTER_PARTICIPANTS else ():
             axes.text(
-                q * n_levels + column, row, letters[value][:2], ha="center", va="center", fontsize=6,
-                color="white" if value in (0, 2) else INK,
+                q * n_levels + column, row, kinds[value].letter[:2], ha="center", va="center", fontsize=6,
+                color=kinds[value].ink,
             )  # fmt: skip
         if q:
             axes.axvline(q * n_levels - 0.5, color=INK, linewidth=1.2)
@@ -252,7 +294,8 @@ def _draw_strip(axes: Axes, answers: AnswerCounts, modal: NDArray[np.int64], sho
             (q + 0.5) * n_levels - 0.5, 1.0, pair.label, ha="center", va="bottom", fontsize=7, color=FAINT,
             transform=axes.get_xaxis_transform(),
         )  # fmt: skip
-    axes.imshow(picture, cmap=ListedColormap(STRIP_COLOURS), vmin=0, vmax=4, aspect="equal", interpolation="nearest")
+    colours = ListedColormap([kind.colour for kind in kinds])
+    axes.imshow(picture, cmap=colours, vmin=0, vmax=len(kinds) - 1, aspect="equal", interpolation="nearest")
     axes.set_xticks(
         range(picture.shape[1]),
         [format(level, "g") for level in answers.levels] * len(answers.pairs),

@@ -12,7 +12,7 @@ from modaltouch.analysis.covariate_figures import draw_order, draw_side, draw_sp
 from modaltouch.analysis.covariates import known_to
 from modaltouch.analysis.figures import draw_counts, draw_overview, draw_participants
 from modaltouch.analysis.responses import Responses
-from modaltouch.analysis.tables import figure_names, tabulate, zone_table
+from modaltouch.analysis.tables import figure_names, zone_table
 
 FIELDS = (
     "Left: the velocity field wished along the beam, and the field predicted at the focusing instant from the codes "
@@ -54,8 +54,7 @@ def draw_all(answers: AnswerCounts, responses: Responses) -> tuple[ReportFigure,
             "overview",
             "answers",
             draw_overview(answers),
-            "Share of the dominant zone and of “both” over the level, all finger conditions. "
-            "Error bars: 95 % intervals over participants.",
+            f"{_shares(answers)} over the level, all finger conditions. Error bars: 95 % intervals over participants.",
         )
     )
     pictures.append(
@@ -63,8 +62,16 @@ def draw_all(answers: AnswerCounts, responses: Responses) -> tuple[ReportFigure,
     )
     frame = responses.frame
     further = (
-        ("side_bias", draw_side(answers), "Each point is a participant, shaken a little so that equal ones show."),
-        ("order", draw_order(answers, frame), "Share of the dominant zone against the place in the session."),
+        (
+            "side_bias",
+            draw_side(answers) if answers.compares else None,
+            "Each point is a participant, shaken a little so that equal ones show.",
+        ),
+        (
+            "order",
+            draw_order(answers, frame) if answers.compares else None,
+            "Share of the dominant zone against the place in the session.",
+        ),
         (
             "reaction_times",
             draw_times(answers, frame),
@@ -73,7 +80,7 @@ def draw_all(answers: AnswerCounts, responses: Responses) -> tuple[ReportFigure,
         ),
         (
             "speed_ratio",
-            draw_speeds(answers, frame),
+            draw_speeds(answers, frame) if answers.compares else None,
             "Predicted peak speeds come from the identified modes of the beam, not from a measurement.",
         ),
     )
@@ -86,6 +93,11 @@ def draw_all(answers: AnswerCounts, responses: Responses) -> tuple[ReportFigure,
         ReportFigure(name, "further", figure, caption) for name, figure, caption in further if figure is not None
     ]
     return tuple(pictures)
+
+
+def _shares(answers: AnswerCounts) -> str:
+    first, *others = [f"“{label}”" for label, _ in answers.effects(answers.pairs[0])]
+    return "Share of " + " and of ".join(["the dominant zone" if answers.compares else first, *others])
 
 
 def _rhythm(responses: Responses) -> str:
@@ -101,10 +113,9 @@ def _known(frame: pd.DataFrame) -> str:
 
 
 def _bars(answers: AnswerCounts) -> list[ReportFigure]:
-    counts = tabulate(answers)
     pictures = []
     for condition, name in figure_names(answers.finger_conditions).items():
-        table = zone_table(counts, condition, answers.focus)
+        table = zone_table(answers, condition)
         n = answers.n_participants
         figure = draw_counts(table, condition, n if answers.n_repetitions > 1 else None)
         number = {"fig_10": "Fig. 10. ", "fig_11": "Fig. 11. "}.get(name, "")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -39,12 +39,12 @@ class Analysis:
 
     @property
     def counts(self) -> pd.DataFrame:
-        """Counts of every cell, as `count_responses` returns them."""
+        """Counts of every cell, one row each."""
         return tabulate(self.answers)
 
     @property
     def tests(self) -> pd.DataFrame:
-        """The statistics, as `run_tests` returns them."""
+        """The statistics, one row each."""
         return to_frame(self.findings)
 
     def as_dict(self) -> dict[str, Any]:
@@ -52,7 +52,7 @@ class Analysis:
         return {
             "counts": [plain_row(row) for row in self.counts.to_dict("records")],
             "tests": [plain_row(row) for row in self.tests.to_dict("records")],
-            "catch_trials": [asdict(row) for row in catch_rows(self.answers, self.responses.catches)],
+            "catch_trials": [row.as_dict() for row in catch_rows(self.answers, self.responses.catches)],
             "files": {name: str(path) for name, path in self.files.items()},
             "n_participants": self.answers.n_participants,
             "n_responses": int(self.answers.counts.sum()),

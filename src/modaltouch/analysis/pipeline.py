@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.outcome import Analysis, plain_row
 from modaltouch.analysis.reading import read_responses
 from modaltouch.analysis.statistics import find
 from modaltouch.analysis.tables import figure_names, zone_table
+from modaltouch.protocol import AnswerList
 from modaltouch.report import json_bytes, write_files
 from modaltouch.system import version
 
@@ -22,7 +22,12 @@ if TYPE_CHECKING:
 
 
 def analyse(
-    path: Path | str, out: Path | str | None = None, *, mode: str | None = None, stimulus: str | None = None
+    path: Path | str,
+    out: Path | str | None = None,
+    *,
+    mode: str | None = None,
+    stimulus: str | None = None,
+    answers: AnswerList | None = None,
 ) -> Analysis | ThresholdAnalysis:
     """Analyse answers and write tables, figures, statistics and a report.
 
@@ -36,6 +41,8 @@ def analyse(
         Which sessions of a tree to take.
     stimulus : str, optional
         Whose trials to take, of sessions with several stimuli and fixed levels.
+    answers : AnswerList, optional
+        What could be answered, for a CSV; by default the paper's answers. Sessions tell it themselves.
 
     Returns
     -------
@@ -49,7 +56,7 @@ def analyse(
     RecordError
         If a file would be overwritten that this command did not write, or cannot be written.
     """
-    responses = read_responses(path, mode=mode, stimulus=stimulus)
+    responses = read_responses(path, mode=mode, stimulus=stimulus, answers=answers)
     folder = Path(out) if out is not None else default_folder(Path(path), responses.stimulus)
     about = {
         "version": version(),
@@ -62,9 +69,9 @@ def analyse(
 
         runs = analyse_runs(responses)
         return replace(runs, files=write_files(folder, render_runs(runs), about))
-    answers = count_answers(responses.frame, responses.focus)
-    findings = tuple(find(answers, responses.frame, responses.catches))
-    analysis = Analysis(responses, answers, findings, {})
+    counts = responses.count()
+    findings = tuple(find(counts, responses.frame, responses.catches))
+    analysis = Analysis(responses, counts, findings, {})
     return replace(analysis, files=write_files(folder, render_files(analysis), about))
 
 
@@ -90,7 +97,7 @@ def render_files(analysis: Analysis) -> dict[str, bytes]:
     counts, tests = analysis.counts, analysis.tests
     files = {"counts.csv": _csv(counts)}
     for condition, name in figure_names(analysis.answers.finger_conditions).items():
-        table = zone_table(counts, condition, analysis.answers.focus)
+        table = zone_table(analysis.answers, condition)
         table.columns = pd.Index([format(float(level), "g") for level in table.columns])
         files[f"{name}.csv"] = _csv(table.reset_index())
     pictures = draw_all(analysis.answers, analysis.responses)

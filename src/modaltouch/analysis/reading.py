@@ -5,10 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from modaltouch.analysis.responses import Responses
-from modaltouch.protocol import InputError, Problem
+from modaltouch.protocol import AnswerList, InputError, Problem
 
 
-def read_responses(path: Path | str, *, mode: str | None = None, stimulus: str | None = None) -> Responses:
+def read_responses(
+    path: Path | str, *, mode: str | None = None, stimulus: str | None = None, answers: AnswerList | None = None
+) -> Responses:
     """Return the answers in a CSV file, a session log, or a tree of sessions.
 
     Parameters
@@ -20,6 +22,8 @@ def read_responses(path: Path | str, *, mode: str | None = None, stimulus: str |
         there is.
     stimulus : str, optional
         Whose trials to take, of sessions with several stimuli.
+    answers : AnswerList, optional
+        What could be answered, for a CSV; by default the paper's answers. Sessions tell it themselves.
 
     Raises
     ------
@@ -33,7 +37,11 @@ def read_responses(path: Path | str, *, mode: str | None = None, stimulus: str |
         raise InputError(
             [Problem(str(place), 0, 0, "", "no such file or folder", "a CSV file or a results folder", remedy)]
         )
-    if place.is_dir() or place.suffix == ".jsonl":
+    is_recorded = place.is_dir() or place.suffix == ".jsonl"
+    if is_recorded and answers is not None:
+        given, remedy = "a protocol with recorded sessions, which hold their own", "leave the option out"
+        raise InputError([Problem(str(place), 0, 0, "", given, "a protocol only with a CSV file", remedy)])
+    if is_recorded:
         from modaltouch.analysis.results_tree import read_tree
 
         return read_tree(place, mode, stimulus)
@@ -45,4 +53,4 @@ def read_responses(path: Path | str, *, mode: str | None = None, stimulus: str |
         raise InputError([Problem(str(place), 0, 0, "", given, "a mode only with recorded sessions", remedy)])
     from modaltouch.analysis.tidy import read_csv
 
-    return read_csv(place)
+    return read_csv(place, answers)

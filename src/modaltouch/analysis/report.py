@@ -16,7 +16,7 @@ from modaltouch.analysis.findings import ALPHA, Finding
 from modaltouch.analysis.gallery import ReportFigure
 from modaltouch.analysis.outcome import Analysis
 from modaltouch.analysis.scale import OWN_THRESHOLD
-from modaltouch.analysis.tables import tabulate, zone_table
+from modaltouch.analysis.tables import zone_table
 from modaltouch.report import render_page
 from modaltouch.system import commit, version, versions
 
@@ -35,6 +35,10 @@ HEADINGS = {
     "speed": "Do the answers follow the speeds under the fingers?",
 }
 """Questions of the analysis plan, then the further ones."""
+
+
+_OF_ANSWERS = {"d": "Do the pairs of zones differ?"}
+"""Headings where "both" is no answer."""
 
 
 @dataclass(frozen=True)
@@ -61,9 +65,14 @@ def write_paragraphs(findings: Sequence[Finding], answers: AnswerCounts) -> tupl
     for question, heading in HEADINGS.items():
         own = [finding for finding in findings if finding.question == question]
         if own:
-            text = writers[question](own, answers) if question in writers else _plain(question, own)
+            text = writers[question](own, answers) if question in writers else _plain(question, own, answers)
+            heading = _OF_ANSWERS.get(question, heading) if _lacks_both(answers) else heading
             paragraphs.append(Paragraph(question, heading, text))
     return tuple(paragraphs)
+
+
+def _lacks_both(answers: AnswerCounts) -> bool:
+    return not answers.compares or answers.both_place is None
 
 
 def say_p(p: float) -> str:
@@ -106,15 +115,19 @@ def say_interval(finding: Finding) -> str:
 
 
 def _chance(own: Sequence[Finding], answers: AnswerCounts) -> str:
+    nothing, felt = answers.answers.naming(), _join([answers.answers[place].name for place in answers.felt])
     beyond = [finding for finding in own if finding.p_holm <= ALPHA]
     rest = [finding.scope for finding in own if finding.p_holm > ALPHA]
     text = (
         f"In {len(beyond)} of {len(own)} cells the answers of the {answers.n_participants} participants differ from "
-        f"an even split over left, both and right (exact multinomial test ordered by likelihood ratio, Holm-corrected "
+        f"an even split over {felt} (exact multinomial test ordered by likelihood ratio, Holm-corrected "
         f"over {len(own)} cells, p ≤ {ALPHA:g})."
     )
-    if answers.offers_none:
-        text += " “None” is left out of this test, which asks where something was felt; it counts in every share."
+    if nothing is not None:
+        text += (
+            f" “{nothing.name.capitalize()}” is left out of this test, which asks where something was felt; it counts "
+            "in every share."
+        )
     if rest and beyond:
         text += f" They do not in {_join(rest)}."
     least = own[0].p_min
@@ -128,13 +141,14 @@ def _chance(own: Sequence[Finding], answers: AnswerCounts) -> str:
 
 def _dominance(own: Sequence[Finding], answers: AnswerCounts) -> str:
     sentences = []
+    equal = ", “both” counting zero" if answers.both_place is not None else ""
     for finding in (f for f in own if f.family):
         counts, leaning = finding.note.split("; ")[-2:]
         sentences.append(
             f"{finding.scope}: {counts}, {leaning}; net dominance {say_interval(finding)}, {_verdict(finding)}."
         )
     return (
-        "Net dominance over all levels (dominant less other answers, “both” counting zero), exact sign flips over "
+        f"Net dominance over all levels (dominant less other answers{equal}), exact sign flips over "
         f"participants, Holm over {_family(own)}. " + " ".join(sentences)
     )
 
@@ -142,17 +156,22 @@ def _dominance(own: Sequence[Finding], answers: AnswerCounts) -> str:
 def _level(own: Sequence[Finding], answers: AnswerCounts) -> str:
     if len(answers.levels) < 2:
         return "Only one level was presented, so nothing can be said about the level."
+    trend_of = "the dominant answer" if answers.compares else "each answer"
     tested = [f for f in own if f.family]
     open_ones = [f for f in tested if f.p_min > ALPHA]
     text = (
-        f"Trend of the dominant answer over {answers.levels[0]:g} to {answers.scale.say(answers.levels[-1])}, levels "
+        f"Trend of {trend_of} over {answers.levels[0]:g} to {answers.scale.say(answers.levels[-1])}, levels "
         f"shuffled within participants (exact), Holm over {_family(own)}. "
     )
-    step = answers.scale.step_in_words
-    text += " ".join(f"{f.scope}: {say_interval(f)} per {step}, {_verdict(f)}." for f in tested if f not in open_ones)
+    step, several = answers.scale.step_in_words, len({f.quantity for f in tested}) > 1 and not answers.compares
+
+    def _of(finding: Finding) -> str:
+        return f"{finding.scope}, {finding.quantity}" if several else finding.scope
+
+    text += " ".join(f"{_of(f)}: {say_interval(f)} per {step}, {_verdict(f)}." for f in tested if f not in open_ones)
     if open_ones:
         text += (
-            f" No information on {_join([f.scope for f in open_ones])}: too few participants changed their answer "
+            f" No information on {_join([_of(f) for f in open_ones])}: too few participants changed their answer "
             "between levels for any trend to show. This is not evidence that the level does not matter."
         )
     return text
@@ -169,8 +188,15 @@ def _conditions(own: Sequence[Finding], answers: AnswerCounts) -> str:
 
 
 def _pairs(own: Sequence[Finding], answers: AnswerCounts) -> str:
-    text = f"Share of “both”, compared between pairs within participants (exact sign flips), Holm over {_family(own)}. "
-    return text + _sum_up([f for f in own if f.family])
+    shares = [label for label, _ in answers.effects(answers.pairs[0])][1 if answers.compares else 0 :]
+    if not shares:
+        told = " ".join(f"{finding.scope}: {_verdict(finding)}." for finding in own)
+        return f"Any association of pair and answer (answers shuffled, Monte Carlo). {told}"
+    named = " and of ".join(f"“{label}”" for label in shares)
+    text = (
+        f"Share of {named}, compared between pairs within participants (exact sign flips), Holm over {_family(own)}. "
+    )
+    return text + _sum_up([f for f in own if f.family], quantity=len(shares) > 1)
 
 
 def _agreement(own: Sequence[Finding], answers: AnswerCounts) -> str:
@@ -183,7 +209,7 @@ def _agreement(own: Sequence[Finding], answers: AnswerCounts) -> str:
     return text + _sum_up([f for f in own if f.quantity == "Gwet AC1"])
 
 
-def _plain(question: str, own: Sequence[Finding]) -> str:
+def _plain(question: str, own: Sequence[Finding], answers: AnswerCounts) -> str:
     if question == "f":
         shares = [f for f in own if f.name.startswith("Korn")]
         return (
@@ -194,9 +220,11 @@ def _plain(question: str, own: Sequence[Finding]) -> str:
     estimates = [f for f in own if math.isnan(f.p)]
     text = _sum_up([f for f in own if f not in estimates], quantity=True)
     text += " ".join(f"{f.scope}: {f.quantity} {say_interval(f)} ({f.note})." for f in estimates)
+    nothing = answers.answers.naming()
     caution = {
-        "catch": " Catch trials are in no other table or test; in those, “none” on a trial with a stimulus counts "
-        "for neither zone and not for both, and shares are of all answers.",
+        "catch": " Catch trials are in no other table or test; in those, "
+        f"“{nothing.name if nothing else ''}” on a trial with a stimulus counts for neither zone and not for "
+        "both, and shares are of all answers.",
         "time": " Bursts repeat at a fixed rate, so reaction times come in steps of one burst period.",
         "order": " In the paper the order of the two finger conditions is not told.",
     }
@@ -245,6 +273,7 @@ def render_report(analysis: Analysis, pictures: Sequence[ReportFigure], vectors:
     from modaltouch.analysis.provenance import describe_record
 
     answers = analysis.answers
+    felt = [answers.answers[place].name for place in answers.felt]
     return render_page(
         "modaltouch.analysis",
         TEMPLATE,
@@ -256,8 +285,11 @@ def render_report(analysis: Analysis, pictures: Sequence[ReportFigure], vectors:
         pictures=[_embed(picture, vectors[picture.name]) for picture in pictures],
         tables={condition: _zone_rows(answers, condition) for condition in answers.finger_conditions},
         paragraphs=write_paragraphs(analysis.findings, answers),
-        tests=_test_tables(analysis.findings),
+        tests=_test_tables(analysis.findings, answers),
         catches=catch_rows(answers, analysis.responses.catches),
+        catch_words=[*(answer.name for answer in answers.answers if answer.says_nothing_felt), *felt]
+        if answers.offers_none
+        else ["none", *felt],
         limits=design_limits(analysis),
         left_out=analysis.responses.left_out,
         record=describe_record(analysis.responses.sessions),
@@ -274,7 +306,13 @@ def design_limits(analysis: Analysis) -> list[str]:
     answers = analysis.answers
     pairs = {(pair.left, pair.right) for pair in answers.pairs}
     limits = []
-    for pair in answers.pairs:
+    if not answers.compares:
+        limits.append(
+            f"The answers ({', '.join(answers.answers.names)}) do not name each finger alone, so no zone is dominant: "
+            "there is no net dominance (a2), no prevalence of it, no side bias, no drift of it and no fit to the ratio "
+            "of speeds. Cells are tested against an even split, and each answer by itself."
+        )
+    for pair in answers.pairs if answers.compares else ():
         if not pair.focused and (pair.right, pair.left) not in pairs and not answers.mirrored:
             limits.append(
                 f"In ({pair.left}, {pair.right}) zone, side and finger go together: {pair.left} lies on the left "
@@ -287,16 +325,22 @@ def design_limits(analysis: Analysis) -> list[str]:
             "Levels are multiples of each participant's own threshold as a session before found it. How uncertain "
             "those thresholds are is in the reports of those sessions; no interval or test here takes it in."
         )
-    limits.append(
-        "“Both” mixes two things, feeling both fingers alike and being unable to tell; the question does not part them."
-    )
-    if not answers.offers_none:
+    if answers.both_place is not None:
+        limits.append(
+            f"“{answers.answers[answers.both_place].name.capitalize()}” mixes two things, feeling both fingers alike "
+            "and being unable to tell; the question does not part them."
+        )
+    nothing = answers.answers.naming()
+    if nothing is None:
         limits.append(
             "There is no answer “none”, so a trial without a stimulus cannot be answered correctly: lapses and "
             "guessing stay unknown."
         )
     elif not analysis.responses.catches:
-        limits.append("“None” was an answer, but no trial was without a stimulus, so false alarms stay unknown.")
+        limits.append(
+            f"“{nothing.name.capitalize()}” was an answer, but no trial was without a stimulus, so false alarms stay "
+            "unknown."
+        )
     n = answers.n_participants
     if n < 8:
         limits.append(
@@ -338,7 +382,7 @@ def _embed(picture: ReportFigure, svg: bytes) -> dict[str, Any]:
 
 
 def _zone_rows(answers: AnswerCounts, condition: str) -> list[dict[str, Any]]:
-    table: pd.DataFrame = zone_table(tabulate(answers), condition, answers.focus)
+    table: pd.DataFrame = zone_table(answers, condition)
     total = answers.n_participants * answers.n_repetitions
     return [
         {"pair": pair, "answer": answer, "cells": [f"{int(k)}" for k in row], "of": total}
@@ -346,10 +390,11 @@ def _zone_rows(answers: AnswerCounts, condition: str) -> list[dict[str, Any]]:
     ]
 
 
-def _test_tables(findings: Sequence[Finding]) -> list[dict[str, Any]]:
+def _test_tables(findings: Sequence[Finding], answers: AnswerCounts) -> list[dict[str, Any]]:
     """Return the statistics question by question, each test or estimate a table of its own."""
     tables = []
-    for question, heading in HEADINGS.items():
+    headings = {**HEADINGS, **_OF_ANSWERS} if _lacks_both(answers) else HEADINGS
+    for question, heading in headings.items():
         groups: dict[str, list[dict[str, Any]]] = {}
         for finding in (finding for finding in findings if finding.question == question):
             groups.setdefault(finding.name, []).append(_test_row(finding))

@@ -14,15 +14,19 @@ from collections.abc import Container
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from modaltouch.analysis.scale import scale_of
+from modaltouch.analysis.scale import OWN_THRESHOLD, scale_of
+from modaltouch.protocol import AnswerList
 
 if TYPE_CHECKING:
     import pandas as pd
 
+    from modaltouch.analysis.counts import AnswerCounts
     from modaltouch.analysis.provenance import SessionFacts
 
 REQUIRED = ("participant", "finger_condition", "zone_left", "zone_right", "velocity_mm_s", "response")
 CELL = ("finger_condition", "zone_left", "zone_right", "velocity_mm_s")
+
+_SIDES = (("zone_left", "zone_right"), ("speed_left_mm_s", "speed_right_mm_s"))
 
 
 def cell_of(columns: Container[str]) -> tuple[str, ...]:
@@ -97,6 +101,8 @@ class Responses:
         Which of several stimuli the answers are to; empty where there is one.
     foci : dict of str to str
         Zone in focus of each of several stimuli.
+    answers : AnswerList
+        What could be answered.
     """
 
     frame: pd.DataFrame
@@ -108,8 +114,63 @@ class Responses:
     catches: dict[str, Counter[str]] = field(default_factory=dict)
     stimulus: str = ""
     foci: dict[str, str] = field(default_factory=dict)
+    answers: AnswerList = field(default_factory=lambda: AnswerList.of({}))
+
+    def count(self, focus: str = "") -> AnswerCounts:
+        """Return the answers as one array.
+
+        Parameters
+        ----------
+        focus : str
+            Zone of the focus where the answers do not tell it; guessed if empty.
+
+        Raises
+        ------
+        ValueError
+            If a participant lacks a cell, or has more answers in one cell than in another.
+        """
+        from modaltouch.analysis.counts import count_answers
+
+        return count_answers(self.frame, self.focus or focus, self.answers)
+
+    @property
+    def in_multiples(self) -> bool:
+        """Whether its levels are multiples of the participant's own threshold."""
+        return scale_of(self.frame.columns) == OWN_THRESHOLD
 
     @property
     def is_adaptive(self) -> bool:
         """Whether the levels followed from the answers, so that there are runs and no table of counts."""
         return bool(self.start.get("design", {}).get("adaptive"))
+
+
+def unmirror(frame: pd.DataFrame, answers: AnswerList) -> pd.DataFrame:
+    """Return a tidy table with the zones of mirrored rows, and their answers, in the order of the beam.
+
+    Someone who felt zone C at the left end of a turned beam answered "left"; beside those who felt it on the right,
+    the answer is C all the same. The column ``placement`` stays and tells the side.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Tidy answers; rows whose column ``placement`` begins with "mirrored" are turned.
+    answers : AnswerList
+        What could be answered; an answer whose opposite is not among them stays.
+    """
+    if "placement" not in frame.columns:
+        return frame
+    turned = frame["placement"].astype(str).str.startswith("mirrored").to_numpy()
+    if not turned.any():
+        return frame
+    words = frame["response"].astype(str)
+    opposite = {
+        answer.name: next((a.name for a in answers if a.fingers == answer.mirrored), answer.name)
+        for answer in answers
+        if answer.fingers
+    }
+    changed = {"response": words.where(~turned, words.map(lambda word: opposite.get(word, word)))}
+    for left, right in _SIDES:
+        if left in frame.columns and right in frame.columns:
+            changed[left] = frame[left].where(~turned, frame[right])
+            changed[right] = frame[right].where(~turned, frame[left])
+    return frame.assign(**changed)

@@ -19,11 +19,10 @@ from typing import Any
 import pandas as pd
 
 from modaltouch.analysis.balance import answers_per_cell, describe_cell
-from modaltouch.analysis.mirroring import unmirror
 from modaltouch.analysis.provenance import SessionFacts, take_facts
-from modaltouch.analysis.responses import AnswerSource, ExcludedSource, Responses
+from modaltouch.analysis.responses import AnswerSource, ExcludedSource, Responses, unmirror
 from modaltouch.analysis.scale import OWN_THRESHOLD, VELOCITY, scale_of
-from modaltouch.protocol import ANSWERS, ANSWERS_WITH_NONE, TIME_OUT, InputError, Problem
+from modaltouch.protocol import TIME_OUT, AnswerList, InputError, Problem
 from modaltouch.record import RecordError, Session, SessionFolder, audit_session, read_session
 
 
@@ -55,8 +54,8 @@ class SessionAnswers:
         Whether its levels are told as multiples of the participant's own threshold.
     is_adaptive : bool
         Whether its levels followed from the answers; its rows then hold the catch trials too, at 0 mm/s.
-    offers_none : bool
-        Whether none was an answer.
+    answers : AnswerList
+        What could be answered.
     catches : Counter
         Its answers to catch trials.
     """
@@ -71,7 +70,7 @@ class SessionAnswers:
     rows: tuple[tuple[Any, ...], ...] = ()
     facts: SessionFacts | None = None
     focus: str = ""
-    offers_none: bool = False
+    answers: AnswerList = field(default_factory=lambda: AnswerList.of({}))
     catches: Counter[str] = field(default_factory=Counter)
     is_adaptive: bool = False
     in_multiples: bool = False
@@ -80,10 +79,15 @@ class SessionAnswers:
 
 def _rows(session: Session) -> tuple[tuple[Any, ...], ...]:
     """Return the answers of a session that count, in the order of `COLUMNS`; catch trials only of adaptive ones."""
-    counted = (event for event in session.trials if not event["trial"]["practice"])
-    with_catches, who, number = is_adaptive(session), session.participant, session.start.get("session", 1)
-    multiples = session.multiples
-    return tuple(_row(who, number, event, multiples) for event in counted if with_catches or not event.get("catch"))
+    rows, with_catches = [], is_adaptive(session)
+    for row in session.table():
+        if row["practice"] or (row["catch"] and not with_catches):
+            continue
+        row |= {"velocity_mm_s": row["multiple_of_threshold"] or row["velocity_mm_s"], "n": 1}
+        values = (row[name] for name in COLUMNS)
+        # One copy of a word that comes in every row.
+        rows.append(tuple(sys.intern(value) if isinstance(value, str) else value for value in values))
+    return tuple(rows)
 
 
 def is_adaptive(session: Session) -> bool:
@@ -116,49 +120,7 @@ COLUMNS = (
 )
 """Columns of the tidy table of recorded answers; of levels calibrated by participant the multiple is told instead."""
 
-
-def _row(participant: str, session: int, event: dict[str, Any], multiples: dict[float, float]) -> tuple[Any, ...]:
-    trial, response, planned = event["trial"], event["response"], event.get("planned", {})
-    condition = trial["condition"]
-    velocity = float(condition["velocity_mm_s"])
-    return (
-        participant,
-        _one(condition["finger_condition"]),
-        _one(condition["zone_left"]),
-        _one(condition["zone_right"]),
-        multiples.get(velocity, velocity),
-        _one(condition.get("placement", "normal")),
-        _one(condition.get("stimulus", "")),
-        _one(response["answer"]),
-        1,
-        trial["repetition"],
-        session,
-        float(trial["index"]),
-        float(trial["block"]),
-        float(response["reaction_time"]),
-        _one(response.get("onset", "")),
-        _uncertainty(event),
-        _one(response.get("answered_by", "")),
-        bool(response.get("double", False)),
-        float(planned.get("speed_left_mm_s", float("nan"))),
-        float(planned.get("speed_right_mm_s", float("nan"))),
-        bool(event.get("confirmed", {}).get("confirmed", False)),
-    )
-
-
-def _uncertainty(event: dict[str, Any]) -> float:
-    """Return how far off a reaction time can be: by the first burst, where it counts from that, and by the answer."""
-    response, onset = event["response"], event.get("confirmed", {}).get("onset_uncertainty")
-    from_burst = response.get("onset") == "first_burst"
-    if from_burst and onset is None:
-        return float("nan")
-    start = onset if from_burst else response.get("question_uncertainty", 0.0)
-    return float(start) + float(response.get("time_uncertainty", 0.0))
-
-
-def _one(word: object) -> str:
-    """Return the one copy of a word that comes in every row."""
-    return sys.intern(str(word))
+_NUMBERS = ("trial", "block", "response_uncertainty", "speed_left_mm_s", "speed_right_mm_s")
 
 
 def open_log(path: Path) -> SessionAnswers:
@@ -180,14 +142,14 @@ def open_log(path: Path) -> SessionAnswers:
         rows=_rows(session),
         facts=take_facts(session),
         focus=str(design.get("stimulus", {}).get("focus", "")),
-        offers_none="none" in design.get("answers", {}).get("keys", {}),
+        answers=AnswerList.of(design.get("answers", {})),
         is_adaptive=is_adaptive(session),
         in_multiples=bool(session.multiples),
         foci={
             name: str(own.get("focus") or design.get("stimulus", {}).get("focus", ""))
             for name, own in design.get("stimuli", {}).items()
         },
-        catches=Counter(_one(event["response"]["answer"]) for event in session.trials if event.get("catch")),
+        catches=Counter(row["response"] for row in session.table() if row["catch"]),
     )
 
 
@@ -253,7 +215,9 @@ def read_tree(place: Path, mode: str | None = None, stimulus: str | None = None)
         listed = "; ".join(f"{n} {reason}" for reason, n in counted.most_common(5))
         remedy = "finish one with `modaltouch resume`, or choose another mode or folder"
         _refuse(place, f"no session that can be analysed ({listed})", "at least one complete session", remedy)
-    frame = unmirror(pd.DataFrame([row for item in taken for row in item.rows], columns=list(COLUMNS)))
+    answers = _one_list(place, taken)
+    frame = pd.DataFrame([row for item in taken for row in item.rows], columns=list(COLUMNS))
+    frame = unmirror(frame.astype(dict.fromkeys(_NUMBERS, float)), answers)
     if kind == _IN_MULTIPLES:
         frame = frame.rename(columns={VELOCITY.column: OWN_THRESHOLD.column})
     foci = taken[0].foci
@@ -263,14 +227,24 @@ def read_tree(place: Path, mode: str | None = None, stimulus: str | None = None)
     if not is_adaptive:
         frame = _choose_stimulus(place, frame, stimulus)
         _refuse_designs(place, frame)
-    words = ANSWERS_WITH_NONE if any(item.offers_none for item in taken) else ANSWERS
-    frame["response"] = pd.Categorical(frame["response"], categories=list(words))
+    frame["response"] = pd.Categorical(frame["response"], categories=list(answers.ranked.names))
     digest = hashlib.sha256("".join(item.digest for item in taken).encode()).hexdigest()
     facts = tuple(item.facts for item in taken if item.facts is not None)
     start = read_session(taken[0].path).start
     source = AnswerSource(str(place), "results", digest, chosen)
     focus = foci.get(stimulus or "", taken[0].focus)
-    return Responses(frame, facts, left_out, source, focus, start, _sum_catches(taken), stimulus or "", foci)
+    return Responses(frame, facts, left_out, source, focus, start, _sum_catches(taken), stimulus or "", foci, answers)
+
+
+def _one_list(place: Path, taken: Sequence[SessionAnswers]) -> AnswerList:
+    """Return what could be answered in all sessions: some may lack an answer that others offer."""
+    longest = max((item.answers for item in taken), key=len)
+    for item in taken:
+        if not set(item.answers) <= set(longest):
+            given = f"sessions with the answers {', '.join(longest.names)}, and with {', '.join(item.answers.names)}"
+            remedy = "give the folder of one of them; name the other protocol anew"
+            _refuse(place, given, "the same answers under the name of one protocol", remedy)
+    return longest
 
 
 def _sum_catches(found: Sequence[SessionAnswers]) -> dict[str, Counter[str]]:

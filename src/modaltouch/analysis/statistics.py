@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from modaltouch.analysis.catches import Catches, catch_findings
 from modaltouch.analysis.consistency import association_findings, consistency_findings, effect_findings
-from modaltouch.analysis.counts import BOTH, NONE, AnswerCounts, Pair, count_answers
+from modaltouch.analysis.counts import AnswerCounts, Pair
 from modaltouch.analysis.covariates import secondary_findings
 from modaltouch.analysis.exact import ExactTest, multinomial_tests, sign_flip_test, sign_test
-from modaltouch.analysis.findings import Finding, correct, finding_of, to_frame
+from modaltouch.analysis.findings import Finding, correct, finding_of
 from modaltouch.analysis.intervals import Interval, clopper_pearson, clustered_difference, paired_mean
 from modaltouch.analysis.trend import trend_test
 
@@ -26,35 +26,38 @@ IntArray = NDArray[np.int64]
 
 
 def chance_findings(answers: AnswerCounts) -> Iterator[Finding]:
-    """Yield question a1, whether a cell differs from guessing among left, both and right.
+    """Yield question a1, whether a cell differs from guessing, all answers alike.
 
     One answer of each participant enters a cell: the one given, or with repetitions the most frequent; ties are
-    left out and counted in the note. Where none is an answer too, the test is of those who felt something (given
-    how many they are, guesses are even over the three whatever the chance of none), the share of all.
+    left out and counted in the note. Where "felt nowhere" is an answer too, the test is of those who felt something
+    (given how many they are, guesses are even over the others whatever the chance of that one), the share of all.
     """
+    felt = answers.felt
+    if len(felt) < 2:
+        return
     modal = answers.modal()
     cells = list(product(range(len(answers.finger_conditions)), range(len(answers.pairs)), range(len(answers.levels))))
     size = answers.counts.shape[-1]
     kinds = np.array([np.bincount(modal[:, f, q, v][modal[:, f, q, v] >= 0], minlength=size) for f, q, v in cells])
-    counts, everyone = kinds[:, :NONE], kinds.sum(axis=1)
+    counts, everyone = kinds[:, felt], kinds.sum(axis=1)
     totals = counts.sum(axis=1)
-    tests: dict[int, ExactTest] = {}
+    nothing, tests = answers.answers.naming(), dict[int, ExactTest]()
     for total in np.unique(totals):
         rows = np.flatnonzero(totals == total)
         tests.update(zip(rows.tolist(), multinomial_tests(counts[rows]), strict=True))
     for row, (f, q, v) in enumerate(cells):
         pair, n = answers.pairs[q], int(everyone[row])
-        left, both, right = counts[row].tolist()
         ties = answers.n_participants - n
-        notes = [f"left {left}, both {both}, right {right}"]
-        if answers.offers_none:
-            notes.append(f"none {n - int(totals[row])}, left out of the test")
+        notes = [", ".join(f"{answers.answers[place].name} {kinds[row, place]}" for place in felt)]
+        if nothing is not None:
+            notes.append(f"{nothing.name} {n - int(totals[row])}, left out of the test")
         if answers.n_repetitions > 1:
             notes.append(f"most frequent answer of each participant, {ties} tied and left out")
-        interval = clopper_pearson(float(counts[row, pair.dominant_index]), n)
+        shown, place = answers.effects(pair)[0]
+        interval = clopper_pearson(float(kinds[row, place]), n)
         scope = f"{_scope(answers, f, pair)} {answers.scale.say(answers.levels[v])}"
         name = "exact multinomial test against chance"
-        yield finding_of("a1", name, scope, tests[row], f"P({pair.dominant})", interval, n, family="a1", notes=notes)
+        yield finding_of("a1", name, scope, tests[row], f"P({shown})", interval, n, family="a1", notes=notes)
 
 
 def dominance_findings(answers: AnswerCounts) -> Iterator[Finding]:
@@ -67,10 +70,11 @@ def dominance_findings(answers: AnswerCounts) -> Iterator[Finding]:
         index = clustered_difference(first, second, answers.n_answers)
         leaning = clopper_pearson(int((score > 0).sum()), n)
         total = n * answers.n_answers
-        none = int(answers.counts[:, f, q, :, NONE:].sum())
-        both = total - int(first.sum()) - int(second.sum()) - none
-        silent = f" and {none} none" if answers.offers_none else ""
-        chosen = f"{int(first.sum())} {pair.dominant}, {int(second.sum())} {pair.other}, {both} both{silent}"
+        *given, last = [
+            f"{int(answers.counts[:, f, q, :, place].sum())} {'both' if place == answers.both_place else label}"
+            for label, place in answers.labelled(pair)
+        ]
+        chosen = ", ".join(given) + (f" and {last}" if answers.offers_none else f", {last}")
         shared = [
             f"{chosen} of {total} answers",
             f"{int((score > 0).sum())} of {n} participants lean to {pair.dominant}",
@@ -88,32 +92,36 @@ def dominance_findings(answers: AnswerCounts) -> Iterator[Finding]:
 
 
 def level_findings(answers: AnswerCounts) -> Iterator[Finding]:
-    """Yield question b, whether the choice of the dominant zone changes with the level."""
-    dominant = answers.dominant()
-    levels = np.asarray(answers.levels)
+    """Yield question b, whether the choice of the dominant zone changes with the level; else that of each answer."""
     for f, q in product(range(len(answers.finger_conditions)), range(len(answers.pairs))):
         pair = answers.pairs[q]
-        chosen = dominant[:, f, q]
-        test = trend_test(chosen, answers.levels, answers.n_repetitions)
-        notes = [f"{test.n_informative} of {answers.n_participants} participants changed their answer"]
-        if len(levels) > 1:
-            interval = _slope(chosen / answers.n_repetitions, levels, answers.scale.step)
-        else:
-            interval = Interval(np.nan, np.nan, np.nan, 0.0)
-            notes.append("one level only: a trend needs two")
-        quantity = f"change of P({pair.dominant}) per {answers.scale.step_in_words}"
-        name = "exact trend test, levels shuffled within participants"
-        scope, n = _scope(answers, f, pair), answers.n_participants
-        yield finding_of("b", name, scope, test, quantity, interval, n, family="b", notes=notes)
+        for label, place in answers.effects(pair)[: 1 if answers.compares else None]:
+            yield _trend(answers, f, pair, label, answers.counts[:, f, q, :, place])
+
+
+def _trend(answers: AnswerCounts, f: int, pair: Pair, label: str, chosen: IntArray) -> Finding:
+    """Return whether the choice of one answer changes with the level."""
+    levels = np.asarray(answers.levels)
+    test = trend_test(chosen, answers.levels, answers.n_repetitions)
+    notes = [f"{test.n_informative} of {answers.n_participants} participants changed their answer"]
+    if len(levels) > 1:
+        interval = _slope(chosen / answers.n_repetitions, levels, answers.scale.step)
+    else:
+        interval = Interval(np.nan, np.nan, np.nan, 0.0)
+        notes.append("one level only: a trend needs two")
+    quantity = f"change of P({label}) per {answers.scale.step_in_words}"
+    name = "exact trend test, levels shuffled within participants"
+    scope, n = _scope(answers, f, pair), answers.n_participants
+    return finding_of("b", name, scope, test, quantity, interval, n, family="b", notes=notes)
 
 
 def condition_findings(answers: AnswerCounts) -> Iterator[Finding]:
     """Yield question c, whether finger conditions differ, in the dominant zone and in "both"."""
-    chosen = {"c": answers.dominant(), "c both": answers.counts[..., BOTH]}
-    for family, counts in chosen.items():
+    for nth, family in enumerate(_families(answers, "c")):
         for (f, g), q in product(combinations(range(len(answers.finger_conditions)), 2), range(len(answers.pairs))):
             pair = answers.pairs[q]
-            what = f"P({pair.dominant})" if family == "c" else "P(both)"
+            label, place = answers.effects(pair)[nth]
+            counts, what = answers.counts[..., place], f"P({label})"
             first, second = answers.finger_conditions[f], answers.finger_conditions[g]
             only_first, only_second = _discordant(counts[:, f, q], counts[:, g, q], answers.n_repetitions)
             interval = clustered_difference(only_first, only_second, answers.n_answers)
@@ -127,18 +135,30 @@ def condition_findings(answers: AnswerCounts) -> Iterator[Finding]:
 
 
 def pair_findings(answers: AnswerCounts) -> Iterator[Finding]:
-    """Yield question d, whether "both" is answered more often for one pair of zones than for another."""
-    both = answers.counts[..., BOTH]
-    for f in range(len(answers.finger_conditions)):
-        for q, r in combinations(range(len(answers.pairs)), 2):
-            only_first, only_second = _discordant(both[:, f, q], both[:, f, r], answers.n_repetitions)
+    """Yield question d, whether "both" is answered more often for one pair of zones than for another.
+
+    Without a dominant zone the same is asked of each answer.
+    """
+    asked = answers.effects(answers.pairs[0])[1 if answers.compares else 0 :]
+    for label, place in asked:
+        chosen = answers.counts[..., place]
+        for f, (q, r) in product(
+            range(len(answers.finger_conditions)), list(combinations(range(len(answers.pairs)), 2))
+        ):
+            only_first, only_second = _discordant(chosen[:, f, q], chosen[:, f, r], answers.n_repetitions)
             interval = clustered_difference(only_first, only_second, answers.n_answers)
-            test = sign_flip_test((both[:, f, q] - both[:, f, r]).sum(axis=1))
+            test = sign_flip_test((chosen[:, f, q] - chosen[:, f, r]).sum(axis=1))
             labels = f"{answers.pairs[q].label} - {answers.pairs[r].label}"
             scope = f"{answers.finger_conditions[f]} {labels}"
             name = "exact sign-flip test between pairs"
             n = answers.n_participants
-            yield finding_of("d", name, scope, test, "difference of P(both)", interval, n, family="d")
+            yield finding_of("d", name, scope, test, f"difference of P({label})", interval, n, family="d")
+
+
+def _families(answers: AnswerCounts, question: str) -> list[str]:
+    """Return the family of tests of each effect: the dominant zone and both apart, else all answers together."""
+    labels = [label for label, _ in answers.effects(answers.pairs[0])]
+    return [question, *(f"{question} {label}" if answers.compares else question for label in labels[1:])]
 
 
 def _scope(answers: AnswerCounts, f: int, pair: Pair) -> str:
@@ -166,27 +186,8 @@ def _slope(shares: NDArray[np.float64], levels: NDArray[np.float64], step: float
     return Interval(unit.estimate * steepest, unit.low * steepest, unit.high * steepest, unit.n_effective)
 
 
-def run_tests(frame: pd.DataFrame, focus: str = "") -> pd.DataFrame:
-    """Return the statistics of tidy answers.
-
-    Parameters
-    ----------
-    frame : DataFrame
-        Tidy answers, every participant in every cell equally often.
-    focus : str
-        Zone of the focus; guessed if empty.
-
-    Returns
-    -------
-    DataFrame
-        One row for each test or estimate, with the columns question, name, scope, statistic, p, p_min, p_holm,
-        estimate, low, high, n, quantity, family, note. Estimates without a test have no p.
-    """
-    return to_frame(find(count_answers(frame, focus), frame))
-
-
 def find(answers: AnswerCounts, frame: pd.DataFrame, catches: Catches | None = None) -> list[Finding]:
-    """Return the findings behind `run_tests`, in the order of the questions.
+    """Return the statistics of the answers, in the order of the questions.
 
     Parameters
     ----------
@@ -199,7 +200,7 @@ def find(answers: AnswerCounts, frame: pd.DataFrame, catches: Catches | None = N
     """
     findings = [
         *chance_findings(answers),
-        *dominance_findings(answers),
+        *(dominance_findings(answers) if answers.compares else ()),
         *level_findings(answers),
         *condition_findings(answers),
         *pair_findings(answers),

@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 
 from modaltouch.analysis.balance import check_balance
 from modaltouch.analysis.csv_table import MOST_LISTED, Column, Table, read_table
-from modaltouch.analysis.mirroring import unmirror
-from modaltouch.analysis.responses import REQUIRED, AnswerSource, ExcludedSource, Responses
+from modaltouch.analysis.responses import REQUIRED, AnswerSource, ExcludedSource, Responses, unmirror
 from modaltouch.analysis.scale import OWN_THRESHOLD, VELOCITY, scale_of
-from modaltouch.protocol import ANSWERS, ANSWERS_WITH_NONE, InputError, Problem, suggest
+from modaltouch.protocol import AnswerList, InputError, Problem, suggest
 
 FINGER_CONDITIONS = ("one_hand", "two_hands")
 
@@ -27,7 +26,7 @@ NUMBERS = ("trial", "block", "response_time", "speed_left_mm_s", "speed_right_mm
 _TRUTH = {"0": False, "false": False, "no": False, "": False, "1": True, "true": True, "yes": True}
 
 
-def read_csv(path: Path) -> Responses:
+def read_csv(path: Path, answers: AnswerList | None = None) -> Responses:
     """Return the answers in a tidy CSV file.
 
     Parameters
@@ -35,8 +34,11 @@ def read_csv(path: Path) -> Responses:
     path : Path
         A table with the six columns, and optionally ``n`` (count of equal answers), ``repetition``, ``practice``,
         ``catch`` (1 where nothing was driven, whatever the velocity) and any others, which are kept. Where any
-        response is ``none``, that is taken to have been an answer. Where ``multiple_of_threshold`` is filled in, as
-        in the record's own table, that is the level in place of the velocity.
+        response is ``none``, that is taken to have been an answer, unless `answers` tells. Where
+        ``multiple_of_threshold`` is filled in, as in the record's own table, that is the level in place of the
+        velocity.
+    answers : AnswerList, optional
+        What could be answered.
 
     Raises
     ------
@@ -54,7 +56,9 @@ def read_csv(path: Path) -> Responses:
     multiples = _multiples(table, problems, caught)
     level = VELOCITY.column if multiples is None else OWN_THRESHOLD.column
     frame[level] = velocities if multiples is None else multiples
-    frame["response"] = _answers(table, problems)
+    if answers is None:
+        answers = AnswerList.of_words(("none",) if "none" in table.columns["response"].words else ())
+    frame["response"] = _answers(table, problems, answers.ranked.names)
     frame["n"] = _whole_numbers(table, "n", problems, 0) if "n" in table.columns else 1
     if "repetition" in table.columns:
         frame["repetition"] = _whole_numbers(table, "repetition", problems, 1)
@@ -70,14 +74,16 @@ def read_csv(path: Path) -> Responses:
     problems += practice_problems
     catches = _count_catches(frame[caught & ~practised])
     practice, caught = practised, caught & ~practised
-    frame = unmirror(frame[~practice & ~caught])
+    frame = unmirror(frame[~practice & ~caught], answers)
     if len(problems) == n_problems:
         problems += check_balance(table, frame, None if unread is None else unread.loc[frame.index])
     if problems:
         raise InputError(problems)
     apart = ((practice, "practice trials"), (caught, "catch trials, counted apart"))
     left_out = tuple(ExcludedSource(f"{table.file}: {rows.sum()} rows", why) for rows, why in apart if rows.any())
-    return Responses(frame, (), left_out, AnswerSource(table.file, "csv", table.sha256), catches=catches)
+    return Responses(
+        frame, (), left_out, AnswerSource(table.file, "csv", table.sha256), catches=catches, answers=answers
+    )
 
 
 def _count_catches(frame: pd.DataFrame) -> dict[str, Counter[str]]:
@@ -169,9 +175,8 @@ def _categorical(codes: NDArray[np.int64], words: Sequence[str]) -> pd.Categoric
     return values
 
 
-def _answers(table: Table, problems: list[Problem]) -> pd.Categorical:
+def _answers(table: Table, problems: list[Problem], words: tuple[str, ...]) -> pd.Categorical:
     column = table.columns["response"]
-    words = ANSWERS_WITH_NONE if "none" in column.words else ANSWERS
     unknown = [code for code, word in enumerate(column.words) if word not in words]
 
     def say(word: str) -> tuple[str, str]:

@@ -31,13 +31,19 @@ def analyse(
     stimulus: Annotated[
         str | None, typer.Option(help="Whose trials to take, of sessions with several stimuli.")
     ] = None,
+    protocol: Annotated[
+        str | None,
+        typer.Option(help="Protocol that a CSV's answers were given in, where they are not left, both, right, none."),
+    ] = None,
     json_output: JSON = False,
 ) -> None:
     """Write the tables and bars of Fig. 10 and Fig. 11, exact statistics, and an HTML report."""
     from modaltouch.analysis import analyse as run_analysis
+    from modaltouch.protocol import Findings
 
     with reporting(json_output=json_output):
-        analysis = run_analysis(source, out, mode=mode, stimulus=stimulus)
+        answers = None if protocol is None else Findings.read(protocol).experiment().protocol.answers.offered
+        analysis = run_analysis(source, out, mode=mode, stimulus=stimulus, answers=answers)
         if json_output:
             print_json(analysis.as_dict())
         else:

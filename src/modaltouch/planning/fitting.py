@@ -8,11 +8,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from modaltouch.analysis import NONE, OWN_THRESHOLD, AnswerCounts, Responses, count_answers, read_responses, scale_of
+from modaltouch.analysis import AnswerCounts, Responses, read_responses
 from modaltouch.planning.observer import Observer
 from modaltouch.planning.observer.felt import FeltSpeeds
 from modaltouch.planning.observer.fit import Fit, fit_observer
 from modaltouch.planning.observer.likelihood import RecordedAnswers
+from modaltouch.planning.presented import refuse_answers
 from modaltouch.preflight import Preflight
 from modaltouch.protocol import InputError, Problem
 
@@ -78,8 +79,14 @@ def fit_answers(preflight: Preflight, path: Path, prior: Observer, *, mode: str 
         If the protocol or the answers cannot be used, or the answers name a zone that the beam has not.
     """
     _refuse_adaptive(path, is_adaptive=preflight.experiment.protocol.adaptive is not None)
+    refuse_answers(preflight)
     _refuse_unnamed(path, tuple(preflight.variants))
-    taken = {name: read_responses(path, mode=mode, stimulus=name or None) for name in preflight.parts}
+    is_table = path.is_file() and path.suffix != ".jsonl"
+    offered = preflight.experiment.protocol.answers.offered
+    taken = {
+        name: read_responses(path, mode=mode, stimulus=name or None, answers=offered if is_table else None)
+        for name in preflight.parts
+    }
     recorded = []
     for name, part in preflight.parts.items():
         zones = {zone: each.centre_mm * 1e-3 for zone, each in part.experiment.apparatus.zones.items()}
@@ -106,10 +113,10 @@ def _count(preflight: Preflight, path: Path, responses: Responses) -> AnswerCoun
     """Return the counts of answers to one stimulus, every zone of them one of the beam."""
     experiment, remedy = preflight.experiment, "give the protocol in which these answers were given"
     _refuse_adaptive(path, is_adaptive=responses.is_adaptive)
-    if scale_of(responses.frame.columns) == OWN_THRESHOLD:
+    if responses.in_multiples:
         given = "sessions with levels calibrated by participant, who felt each a velocity of their own"
         raise InputError([Problem(str(path), 1, 1, "", given, "sessions with the same levels for all", "")])
-    answers = count_answers(responses.frame, responses.focus or experiment.protocol.stimulus.focus)
+    answers = responses.count(experiment.protocol.stimulus.focus)
     zones = experiment.apparatus.zones
     for zone in dict.fromkeys(zone for pair in answers.pairs for zone in (pair.left, pair.right)):
         if zone not in zones:
@@ -119,7 +126,7 @@ def _count(preflight: Preflight, path: Path, responses: Responses) -> AnswerCoun
 
 
 def _record(answers: AnswerCounts, felt: FeltSpeeds) -> RecordedAnswers:
-    """Return counts as a fit takes them: answers of none tell nothing of left against right and are left out."""
+    """Return counts as a fit takes them: answers that name no finger tell nothing of left against right."""
     speeds = [
         [felt.at(zone, level * 1e-3) for zone in (pair.left, pair.right)]
         for _ in answers.finger_conditions
@@ -128,7 +135,7 @@ def _record(answers: AnswerCounts, felt: FeltSpeeds) -> RecordedAnswers:
     ]
     n_each = len(answers.pairs) * len(answers.levels)
     return RecordedAnswers(
-        counts=answers.counts[..., :NONE].reshape(answers.n_participants, -1, NONE),
+        counts=answers.compared().reshape(answers.n_participants, -1, 3),
         speeds=np.array(speeds),
         finger_conditions=tuple(name for name in answers.finger_conditions for _ in range(n_each)),
         facing=answers.facing.astype(float),

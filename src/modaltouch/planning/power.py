@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.analysis import ALPHA, draws_without_replacement, level_scores, multinomial_test, wilson
+from modaltouch.analysis import ALPHA, draws_without_replacement, level_scores, multinomial_tests, wilson
 from modaltouch.planning.design import Design
 from modaltouch.planning.experiments import Job, Study, Tallies, divide, run_job
 from modaltouch.planning.significance import trend_p
@@ -49,7 +49,7 @@ class Floor:
 def smallest_p(design: Design, family: str, n_participants: int, n_repetitions: int) -> float:
     """Return the smallest p that a test of a family can give, however the answers fall [1]."""
     if family == "a1":
-        return multinomial_test([n_participants, 0, 0]).p
+        return multinomial_tests([[n_participants, 0, 0]])[0].p
     if family != "b":
         return 2.0 ** (1 - n_participants)
     extremes = _extreme_choices(design.levels, n_repetitions)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from modaltouch.analysis import PAPER_CONDITIONS, orient
+from modaltouch.analysis import Pair
 from modaltouch.planning.design import Design
 from modaltouch.planning.observer import Observer
 from modaltouch.planning.observer.felt import FeltSpeeds
@@ -38,8 +38,26 @@ def designs_for(preflight: Preflight, observer: Observer) -> dict[str, Design]:
         given = "levels calibrated by participant, which depend on thresholds not yet known"
         remedy = "plan with peak velocities as you expect them"
         raise InputError([reading.problem(("conditions", "sensation_levels"), given, "fixed levels", remedy)])
+    refuse_answers(preflight)
     placements = _placements(preflight.experiment.protocol)
     return {name: _design(name, part, observer, placements) for name, part in preflight.parts.items()}
+
+
+def refuse_answers(preflight: Preflight) -> None:
+    """Refuse a protocol whose answers the observer's comparison of two fingers does not give.
+
+    Raises
+    ------
+    InputError
+        If each finger cannot be named alone, or both together.
+    """
+    offered = preflight.experiment.protocol.answers.offered
+    odd = [answer.name for answer in offered if answer.fingers is None]
+    if odd or not offered.compares or offered.naming("left", "right") is None:
+        given = f"the answers {', '.join(offered.names)}, which an observer that compares two fingers does not give"
+        allowed = "an answer for each finger and one for both, with or without one for neither"
+        remedy = "simulate sessions and analyse those"
+        raise InputError([preflight.findings.problem(("answers", "keys"), given, allowed, remedy)])
 
 
 def _design(name: str, preflight: Preflight, observer: Observer, placements: tuple[bool, ...]) -> Design:
@@ -48,8 +66,8 @@ def _design(name: str, preflight: Preflight, observer: Observer, placements: tup
     zones = {zone: each.centre_mm * 1e-3 for zone, each in apparatus.zones.items()}
     felt = FeltSpeeds(preflight.stimulus, zones, observer.front_end)
     conditions = protocol.conditions
-    fingers = tuple(sorted(conditions.finger_conditions, key=PAPER_CONDITIONS.index))
-    pairs = tuple(orient(left, right, protocol.stimulus.focus) for left, right in sorted(conditions.zone_pairs))
+    fingers = tuple(sorted(conditions.finger_conditions))
+    pairs = tuple(Pair.of(left, right, protocol.stimulus.focus) for left, right in sorted(conditions.zone_pairs))
     levels = tuple(sorted(conditions.peak_velocities_mm_s))
     by_pair = np.array(
         [[[felt.at(zone, level * 1e-3) for zone in (pair.left, pair.right)] for level in levels] for pair in pairs]

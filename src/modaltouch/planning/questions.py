@@ -14,7 +14,7 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from modaltouch.analysis import CONFIDENCE, LEFT
+from modaltouch.analysis import CONFIDENCE
 from modaltouch.planning.design import Design
 from modaltouch.planning.significance import multinomial_p, sign_flip_p, trend_p
 
@@ -172,7 +172,7 @@ class SimulatedAnswers:
 
     def _of_pairs(self, *, dominant: bool) -> IntArray:
         left, right = np.moveaxis(self.left, 1, 3), np.moveaxis(self.right, 1, 3)
-        is_left = [(pair.dominant_index == LEFT) == dominant for pair in self.design.pairs]
+        is_left = [(pair.dominant == pair.left) == dominant for pair in self.design.pairs]
         return np.where(np.array(is_left)[:, None, None], left, right)
 
     @cached_property

@@ -70,14 +70,20 @@ def repetition_warnings(apparatus: Apparatus) -> list[str]:
 
 
 def answer_warnings(protocol: Protocol) -> list[str]:
-    """Return what catch trials and the answer none cannot do for lack of each other."""
-    n_catches = protocol.schedule.catch_trials
+    """Return what catch trials cannot tell without the answer none, and simulated answers that name no finger."""
+    n_catches, offered = protocol.schedule.catch_trials, protocol.answers.offered
+    warnings = []
     if n_catches and not protocol.answers.offers_none:
-        return [
+        warnings.append(
             f"the {n_catches} catch trials of a block cannot be answered rightly, as there is no answer none: they "
             "tell what is guessed, not how often; give answers.keys the keys of `none`"
-        ]
-    return []
+        )
+    if not any(answer.fingers for answer in offered):
+        warnings.append(
+            f"no answer names a finger ({', '.join(offered.names)}): a simulated participant answers at random, "
+            "whatever it feels"
+        )
+    return warnings
 
 
 def default_warnings(taken: list[dict[str, Any]]) -> list[str]:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from modaltouch.system import lazily
 
 if TYPE_CHECKING:
+    from modaltouch.protocol.answers import Answer, AnswerList
     from modaltouch.protocol.apparatus import Apparatus
     from modaltouch.protocol.calibration import Calibration
     from modaltouch.protocol.findings import Experiment, Findings, Sources
@@ -25,11 +26,12 @@ if TYPE_CHECKING:
     from modaltouch.protocol.source import Source
     from modaltouch.protocol.stimulus_sections import StimulusSection
     from modaltouch.protocol.texts import Texts
-    from modaltouch.protocol.trial import ANSWERS, ANSWERS_WITH_NONE, TIME_OUT, Answer, Response, Trial
+    from modaltouch.protocol.trial import TIME_OUT, Response, Trial
 else:
     __getattr__ = lazily(
         __name__,
         {
+            "answers": "Answer AnswerList",
             "apparatus": "Apparatus",
             "calibration": "Calibration",
             "findings": "Experiment Findings Sources",
@@ -43,14 +45,13 @@ else:
             "source": "Source",
             "stimulus_sections": "StimulusSection",
             "texts": "Texts",
-            "trial": "ANSWERS ANSWERS_WITH_NONE Answer Response TIME_OUT Trial",
+            "trial": "Response TIME_OUT Trial",
         },
     )
 
 __all__ = [
-    "ANSWERS",
-    "ANSWERS_WITH_NONE",
     "Answer",
+    "AnswerList",
     "AnswersSection",
     "Apparatus",
     "Calibration",

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from modaltouch.protocol.answers import AnswerList
 from modaltouch.protocol.problems import Problem
 from modaltouch.protocol.reading import Reading
 from modaltouch.protocol.section import Count, FileName, Positive, Section, described
@@ -213,6 +214,17 @@ def _check_success(reading: Reading[Any]) -> Iterator[Problem]:
                 given = f"[{pair[0]}, {pair[1]}], neither of which is in focus, where success is naming the focus"
                 path = ("conditions", "zone_pairs", index)
                 yield reading.problem(path, given, f"a pair with {focus}", "remove it, or count `felt` as success")
-    if success == "felt" and "none" not in (reading.keys("answers", "keys") or ()):
+    offered = offered_answers(reading)
+    if success == "felt" and offered.naming() is None:
         given = "felt, where no answer says that nothing was felt"
         yield reading.problem(("adaptive", "success"), given, "focus_named, or keys for `none`", "give the keys")
+    if success == "focus_named" and not offered.compares:
+        given = "focus_named, where no answer names each finger alone"
+        allowed = "keys for `left` and `right`, or other answers for these fingers under answers.fingers"
+        yield reading.problem(("adaptive", "success"), given, allowed, "give them, or count `felt` as success")
+
+
+def offered_answers(reading: Reading[Any]) -> AnswerList:
+    """Return the answers that a protocol offers, as far as its sound parts tell."""
+    fingers, below = dict(reading.items("answers", "fingers")), [name for _, name in reading.items("answers", "below")]
+    return AnswerList.of({"keys": reading.keys("answers", "keys") or (), "fingers": fingers, "below": below})

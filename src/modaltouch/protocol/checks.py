@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from modaltouch.protocol.adaptive import check_adaptive, check_sensation_levels, is_adaptive
+from modaltouch.protocol.adaptive import check_adaptive, check_sensation_levels, is_adaptive, offered_answers
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.keys import END_KEY, KEY_ALIASES, KEY_NAMES, RESERVED_KEYS
 from modaltouch.protocol.masking import check_masking
@@ -14,9 +14,13 @@ from modaltouch.protocol.problems import Problem, suggest
 from modaltouch.protocol.reading import Reading
 from modaltouch.protocol.sections import AnswersSection, Protocol, whole_bursts
 from modaltouch.protocol.stimulus_sections import check_wished
+from modaltouch.protocol.trial import TIME_OUT
 
 TRIAL_LIMIT = 10_000
 """Most trials of a session: a day of them."""
+
+MOST_ANSWERS = 7
+"""Most answers that a screen has room for, and a console digits."""
 
 CLOCK_RATE = 250e6
 """Sampling rate of the generator [Hz]."""
@@ -163,15 +167,11 @@ def _check_schedule(reading: Reading[Protocol]) -> Iterator[Problem]:
 
 
 def _check_keys(reading: Reading[Protocol]) -> Iterator[Problem]:
-    given_answers = reading.keys("answers", "keys")
-    for answer in ("left", "both", "right"):
-        if given_answers is not None and answer not in given_answers:
-            path = ("answers", "keys", answer)
-            yield reading.problem(path, "nothing", "a list of keys", f"add the missing key `{answer}`")
+    names = reading.keys("answers", "keys")
+    yield from _check_answers(reading, names)
     taken: dict[str, str] = {}
     places: dict[str, tuple[str | int, ...]] = {}
-    paths = [("answers", "keys", answer) for answer in ("left", "both", "right", "none")]
-    for path in paths:
+    for path in [("answers", "keys", name) for name in offered_answers(reading).names]:
         for index, name in reading.items(*path):
             yield from _check_key(reading, (*path, index), name)
             if name in taken:
@@ -195,6 +195,50 @@ def _check_keys(reading: Reading[Protocol]) -> Iterator[Problem]:
         elif name in taken or name == END_KEY:
             given = f"'{name}', which is needed otherwise"
             yield reading.problem(path, given, "a key with no other meaning, such as f12", "choose another")
+
+
+def _check_answers(reading: Reading[Protocol], names: list[str] | None) -> Iterator[Problem]:
+    """Yield answers that are too few or too many, have no keys, or name the same fingers."""
+    path = ("answers", "keys")
+    if names is not None and not 2 <= len(names) <= MOST_ANSWERS:
+        given = f"{len(names)} answer{'s' * (len(names) != 1)}"
+        remedy = "add a key, such as `left`, `both` or `right`" if len(names) < 2 else "offer fewer"
+        yield reading.problem(path, given, f"2 to {MOST_ANSWERS} answers", remedy)
+    if TIME_OUT in (names or ()):
+        given = f"{TIME_OUT}, which is recorded where no answer came in time"
+        yield reading.problem((*path, TIME_OUT), given, "any other name", "choose another")
+    for section in ("fingers", "below"):
+        for step, value in reading.items("answers", section):
+            name = step if section == "fingers" else value
+            if names is not None and name not in names:
+                meant = suggest(name, names)
+                remedy = f"did you mean '{meant}'?" if meant else "give it keys, or remove it"
+                yield reading.problem(
+                    ("answers", section, step), f"'{name}', which has no keys", ", ".join(names), remedy
+                )
+    offered, seen = offered_answers(reading), dict[object, str]()
+    for answer in offered:
+        if answer.fingers is not None and answer.fingers in seen:
+            given = f"'{answer.name}', which names the same fingers as '{seen[answer.fingers]}'"
+            place = ("answers", "fingers", answer.name)
+            at = place if reading.find(place) is not None else (*path, answer.name)
+            yield reading.problem(
+                at, given, "one answer for each finger, for both and for neither", "remove one of them"
+            )
+        seen.setdefault(answer.fingers, answer.name)
+    turned = any("mirrored" in str(name) for _, name in reading.items("conditions", "placements"))
+    one_sided = next((a.name for a in offered if a.side and not offered.compares), None)
+    if turned and one_sided is not None:
+        given = f"a beam that is turned, where '{one_sided}' has no answer on the other side"
+        remedy = "name the other finger, too, or leave the beam as it is"
+        yield reading.problem(("conditions", "placements"), given, "answers for both sides", remedy)
+    if any(answer.fingers for answer in offered):
+        return
+    for key in ("practice_feedback", "practice_criterion"):
+        if value := reading.sound("schedule", key):
+            given = f"{str(value).lower()}, where no answer names a finger"
+            remedy = "remove it: nothing tells which answer is right"
+            yield reading.problem(("schedule", key), given, "answers that name fingers", remedy)
 
 
 def _check_key(reading: Reading[Protocol], path: tuple[str | int, ...], name: str) -> Iterator[Problem]:

@@ -19,6 +19,7 @@ from typing import Any, Self
 import numpy as np
 
 from modaltouch.protocol.adaptive import StaircaseSection
+from modaltouch.protocol.answers import Fingers
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.trial import Condition, Trial
 
@@ -77,12 +78,13 @@ class Levels:
     ) -> list[tuple[float, bool]]:
         """Return level [dB] and success of the trials of a run that the instrument confirmed before one, in order."""
         found: list[tuple[int, float, bool]] = []
+        offered = self._protocol.answers.offered
         for event in answered:
             condition, index = Condition(**event["trial"]["condition"]), event["trial"]["index"]
             counts = event["confirmed"]["confirmed"] and not event["trial"]["practice"] and not condition.is_catch
             if counts and index < until and run_of(condition) == run:
                 focus, answer = self._protocol.stimulus_of(condition.stimulus).focus, event["response"]["answer"]
-                success = is_success(rule, focus, condition.zone_left, answer)
+                success = is_success(rule, focus, condition.zone_left, offered.fingers_of(answer))
                 found.append((index, to_dB(condition.velocity_mm_s), success))
         return [(level, success) for _, level, success in sorted(found, key=lambda each: each[0])]
 
@@ -103,12 +105,12 @@ def from_dB(level: float, bounds: tuple[float, float]) -> float:  # noqa: N802
     return min(max(float(f"{velocity:.4g}"), bounds[0]), bounds[1])
 
 
-def is_success(rule: str, focus: str, zone_left: str, answer: str) -> bool:
+def is_success(rule: str, focus: str, zone_left: str, named: Fingers | None) -> bool:
     """Return whether an answer counts as success in an adaptive run.
 
-    ``focus_named``: the answer is the finger on the zone in focus, alone. "both" and "none" are failures like the
-    other finger: what is asked is the level from which the focus is told apart, not from which something is felt.
-    ``felt``: any answer but "none".
+    ``focus_named``: the answer names the finger on the zone in focus, alone. Naming both fingers or none is a failure
+    like naming the other: what is asked is the level from which the focus is told apart, not from which something is
+    felt. ``felt``: any answer but that nothing was felt.
 
     Parameters
     ----------
@@ -118,12 +120,12 @@ def is_success(rule: str, focus: str, zone_left: str, answer: str) -> bool:
         Zone in focus.
     zone_left : str
         Zone under the left finger.
-    answer : str
-        What was answered.
+    named : tuple of str or None
+        Fingers that the answer names.
     """
     if rule == "felt":
-        return answer != "none"
-    return answer == ("left" if zone_left == focus else "right")
+        return named != ()
+    return named == (("left",) if zone_left == focus else ("right",))
 
 
 def follow(rule: StaircaseSection, start: float, bounds: tuple[float, float], successes: Sequence[bool]) -> float:

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from modaltouch.protocol.trial import Answer
+from modaltouch.protocol.answers import AnswerList
 
 CLEAR_RATIO = 1.25
 """Speeds this far apart are told apart with ease: twice the difference threshold of vibration (Craig 1972)."""
@@ -46,11 +46,13 @@ class Round:
         return self.n_agreed >= criterion * self.n_judged - 1e-9
 
 
-def expected_answer(speed_left: float, speed_right: float) -> Answer | None:
-    """Return what somebody who feels well should answer, or None where it may be either.
+def expected_answer(answers: AnswerList, speed_left: float, speed_right: float) -> str | None:
+    """Return what somebody who feels well should answer; None where it may be either, or no answer says it.
 
     Parameters
     ----------
+    answers : AnswerList
+        Answers that are offered.
     speed_left, speed_right : float
         Predicted peak speeds under the two fingers, in one unit.
 
@@ -63,14 +65,15 @@ def expected_answer(speed_left: float, speed_right: float) -> Answer | None:
         if not (math.isfinite(speed) and speed >= 0):
             raise ValueError(f"given speeds {speed_left} and {speed_right}; allowed: finite speeds, 0 or more")
     low, high = sorted((speed_left, speed_right))
+    expected = None
     if high <= EQUAL_RATIO * low or high == 0:
-        return "both"
-    if high >= CLEAR_RATIO * low:
-        return "left" if speed_left > speed_right else "right"
-    return None
+        expected = answers.naming("left", "right")
+    elif high >= CLEAR_RATIO * low:
+        expected = answers.naming("left" if speed_left > speed_right else "right")
+    return expected.name if expected is not None else None
 
 
-def judge_round(events: Iterable[Mapping[str, Any]], number: int, n_trials: int) -> Round:
+def judge_round(events: Iterable[Mapping[str, Any]], number: int, n_trials: int, answers: AnswerList) -> Round:
     """Return how a round of practice went, from the session's log.
 
     Parameters
@@ -81,6 +84,8 @@ def judge_round(events: Iterable[Mapping[str, Any]], number: int, n_trials: int)
         Which round, from 1.
     n_trials : int
         Practice trials of a round.
+    answers : AnswerList
+        Answers that are offered.
     """
     first, last = (number - 1) * n_trials + 1, number * n_trials
     judged: dict[int, bool] = {}
@@ -88,7 +93,7 @@ def judge_round(events: Iterable[Mapping[str, Any]], number: int, n_trials: int)
         if event.get("event") != "trial" or not event["trial"]["practice"]:
             continue
         index, planned = event["trial"]["index"], event["planned"]
-        expected = expected_answer(planned["speed_left_mm_s"], planned["speed_right_mm_s"])
+        expected = expected_answer(answers, planned["speed_left_mm_s"], planned["speed_right_mm_s"])
         if first <= index <= last and expected is not None:
             judged[index] = event["response"]["answer"] == expected
     return Round(number, len(judged), sum(judged.values()))

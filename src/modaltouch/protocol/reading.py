@@ -266,7 +266,7 @@ def _remedy(reading: Reading[Any], path: tuple[Step, ...], node: Node | None) ->
 def _absent(section: type[BaseModel], node: Node | None, prefix: str) -> Iterator[dict[str, Any]]:
     for name, info in section.model_fields.items():
         child = node.child(name) if node is not None else None
-        if child is None and info.is_required():
+        if child is None and (info.is_required() or info.exclude_if is not None):
             continue
         inner = info.annotation
         if isinstance(inner, type) and issubclass(inner, BaseModel):

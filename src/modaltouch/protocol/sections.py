@@ -7,6 +7,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field
 
 from modaltouch.protocol.adaptive import AdaptiveSection, SensationLevelsSection
+from modaltouch.protocol.answers import AnswerList, Side
 from modaltouch.protocol.keys import END_KEY, KEY_ALIASES, PAUSE_KEY
 from modaltouch.protocol.masking import MaskingSection
 from modaltouch.protocol.section import Count, FileName, NotNegative, Positive, Section, Text, Word, described
@@ -15,7 +16,6 @@ from modaltouch.protocol.stimulus_sections import StimulusSection, StimulusVaria
 FingerCondition = Literal["one_hand", "two_hands"]
 AnswerWay = Literal["free_hand", "lifting", "foot_switch", "experimenter"]
 Placement = Literal["normal", "mirrored", "swapped", "mirrored_swapped"]
-OfferedAnswer = Literal["left", "both", "right", "none"]
 ZonePair = tuple[ZoneName, ZoneName]
 KeyName = Annotated[Text, Field(json_schema_extra={"x-allowed": "the name of a key"})]
 
@@ -189,9 +189,20 @@ class AnswersSection(Section):
         "experimenter, and in lifting [s]; the participant sees a countdown.",
         default=1.5,
     )
-    keys: dict[OfferedAnswer, Annotated[tuple[KeyName, ...], Field(min_length=1)]] = described(
-        "Keys of each answer; with keys for `none`, felt nowhere, that answer is offered too.",
-        json_schema_extra={"required": ["left", "both", "right"]},
+    keys: dict[Word, Annotated[tuple[KeyName, ...], Field(min_length=1)]] = described(
+        "Keys of each answer, two answers or more: left, both and right as in the paper, with `none`, felt nowhere, or "
+        "without; or answers of other names, which stand in this order and have their labels in the texts.",
+    )
+    fingers: dict[Word, tuple[Side, ...]] = described(
+        "Fingers that answers of other names stand for: [left], [right], [left, right], or [] for felt nowhere. An "
+        "answer without an entry says nothing of the fingers.",
+        default={},
+        exclude_if=lambda given: not given,
+    )
+    below: tuple[Word, ...] = described(
+        "Answers whose buttons stand below the others; felt nowhere always does.",
+        default=(),
+        exclude_if=lambda given: not given,
     )
     continue_keys: tuple[KeyName, ...] = described(
         "Keys that go on from a screen that waits.", default=("space", "enter", "num_enter"), min_length=1
@@ -202,9 +213,14 @@ class AnswersSection(Section):
     )
 
     @property
+    def offered(self) -> AnswerList:
+        """The answers as they stand on the screen."""
+        return AnswerList.of({"keys": self.keys, "fingers": self.fingers, "below": self.below})
+
+    @property
     def offers_none(self) -> bool:
         """Whether "felt nowhere" is one of the answers."""
-        return "none" in self.keys
+        return self.offered.naming() is not None
 
     def n_bursts(self, rate: float) -> int:
         """Return how many bursts a stimulus has, or may have until the answer, at a rate [Hz]."""

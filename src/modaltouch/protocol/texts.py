@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import string
+from typing import Annotated
 
-from pydantic import ValidationInfo, field_validator
+from pydantic import Field, ValidationInfo, field_validator
 
-from modaltouch.protocol.problems import Problem, fault
+from modaltouch.protocol.adaptive import offered_answers
+from modaltouch.protocol.answers import SHIPPED
+from modaltouch.protocol.problems import Problem, fault, suggest
 from modaltouch.protocol.reading import Reading
-from modaltouch.protocol.section import Section, Text, described
+from modaltouch.protocol.section import Section, Text, Word, described
 from modaltouch.protocol.sections import Protocol
 
 _PLACEHOLDERS: dict[str, frozenset[str]] = {
@@ -52,6 +55,9 @@ class Texts(Section):
     both: Text = described("The answer both.")
     right: Text = described("The answer right.")
     none: Text | None = described("The answer none, where the protocol offers it.", default=None)
+    answers: dict[Word, Annotated[Text, Field(min_length=1)]] = described(
+        "Labels of answers of other names, by the name that the protocol gives them.", default={}
+    )
     trial_of: Text = described("Progress; holds {number} and {total}.")
     practice_of: Text = described("Progress in practice; holds {number} and {total}.")
     rest: Text = described("Shown in a break.")
@@ -118,16 +124,31 @@ class Texts(Section):
             raise fault(f"{given} in {text!r}", f"exactly {needed}", "write each of them once")
         return text
 
+    def label(self, answer: str) -> str:
+        """Return what the participant calls an answer."""
+        return self.answers.get(answer) or str(getattr(self, answer))
+
 
 def check_words(protocol: Reading[Protocol], texts: Reading[Texts]) -> list[Problem]:
     """Return the texts that a protocol needs and its language file lacks."""
     problems: list[Problem] = []
-    if "none" not in (protocol.keys("answers", "keys") or ()):
-        return problems
-    file = protocol.source.path.name
-    for name in ("none", "how_to_answer_or_none"):
-        node = texts.find((name,))
-        if node is None or node.content is None:
-            allowed = f"a text, as {file} offers the answer none"
-            problems.append(texts.problem((name,), "nothing", allowed, f"add the missing key `{name}`"))
+    file, offered = protocol.source.path.name, offered_answers(protocol)
+    absent = [name for name in SHIPPED if name not in offered.names]
+    for answer in offered:
+        needed = [(answer.name,) if answer.name in SHIPPED else ("answers", answer.name)]
+        needed += [("how_to_answer_or_none",)] if answer.says_nothing_felt else []
+        for path in needed:
+            field, node = Texts.model_fields[path[0]], texts.find(path)
+            # What every file must hold is missed without a protocol, too.
+            if field.is_required() or (node is not None and node.content is not None):
+                continue
+            meant = suggest(answer.name, absent) if path[0] == "answers" else ""
+            if meant:
+                given, allowed = f"'{answer.name}', which has no label in {texts.source.path.name}", ", ".join(SHIPPED)
+                place = ("answers", "keys", answer.name)
+                remedy = f"did you mean '{meant}'? Else add `{'.'.join(path)}` to the texts"
+                problems.append(protocol.problem(place, given, f"{allowed}, or a label", remedy))
+                continue
+            allowed = f"a text, as {file} offers the answer {answer.name}"
+            problems.append(texts.problem(path, "nothing", allowed, f"add the missing key `{'.'.join(path)}`"))
     return problems

@@ -3,14 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from typing import Any
 
-Answer = Literal["left", "right", "both", "none"]
-ANSWERS: tuple[Answer, ...] = ("left", "right", "both")
-"""The paper's answers."""
-ANSWERS_WITH_NONE: tuple[Answer, ...] = (*ANSWERS, "none")
-"""The same with "felt nowhere", where a protocol offers it."""
-TIME_OUT: Literal["time_out"] = "time_out"
+TIME_OUT = "time_out"
 """What is recorded where no answer came in time; never offered."""
 
 FINGERS: dict[tuple[str, str], tuple[str, str]] = {
@@ -124,8 +119,7 @@ class Response:
     Attributes
     ----------
     answer : str
-        ``left``, ``right`` or ``both``, as the participant sees the beam, or ``none`` where the protocol offers it;
-        ``time_out`` where none came in time.
+        Name of one of the protocol's answers; ``time_out`` where none came in time.
     reaction_time : float
         From the onset named by `onset` to the answer event, or to the end of the time [s].
     onset : str
@@ -150,7 +144,7 @@ class Response:
         Longest time the answer event may have waited before it was stamped [s].
     """
 
-    answer: Answer | Literal["time_out"]
+    answer: str
     reaction_time: float
     onset: str = "first_burst"
     answered_by: str = "participant"

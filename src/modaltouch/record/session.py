@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -229,6 +229,55 @@ class Session:
             event for event in self.events if event.get("event") in ("trial", "answered") and event["n"] not in gone
         )
 
+    def table(self) -> Iterator[dict[str, Any]]:
+        """Yield the answers that count as rows of one table, values by column; None where something is not known.
+
+        The columns are those of the BIDS table (`modaltouch.record.view`), which the analysis reads too, and those that
+        tell the sessions apart: ``participant``, ``session``, ``double`` and ``response_uncertainty`` [s].
+        """
+        about = {"participant": self.participant, "session": self.start.get("session", 1)}
+        multiples = self.multiples
+        for event in self.trials:
+            trial, response, condition = event["trial"], event["response"], event["trial"]["condition"]
+            bursts, planned, confirmed = (event.get(name) or {} for name in ("bursts", "planned", "confirmed"))
+            velocity = float(condition["velocity_mm_s"])
+            left, right = event.get("fingers") or (None, None)
+            yield about | {
+                "trial": trial["index"],
+                "block": trial["block"],
+                "practice": bool(trial["practice"]),
+                "finger_condition": condition["finger_condition"],
+                "zone_left": condition["zone_left"],
+                "zone_right": condition["zone_right"],
+                "finger_left": left,
+                "finger_right": right,
+                "placement": condition.get("placement", "normal"),
+                "velocity_mm_s": velocity,
+                "multiple_of_threshold": multiples.get(velocity),
+                "masked": bool(event.get("masked")),
+                "catch": velocity == 0,
+                "stimulus": condition.get("stimulus", ""),
+                "repetition": trial["repetition"],
+                "response": response["answer"],
+                "response_time": float(response["reaction_time"]),
+                "response_onset": response.get("onset", ""),
+                "response_uncertainty": _uncertainty(event),
+                "answered_by": response.get("answered_by", ""),
+                "way": response.get("way", ""),
+                "double": bool(response.get("double", False)),
+                "confirmed": bool(confirmed.get("confirmed", False)),
+                "onset": bursts.get("first_s"),
+                "onset_uncertainty": bursts.get("uncertainty_s"),
+                "n_bursts": bursts.get("whole"),
+                "n_bursts_dropped": bursts.get("dropped"),
+                "repetition_by": confirmed.get("repetition"),
+                "presentation": event.get("presentation"),
+                "device": response.get("device"),
+                "speed_left_mm_s": planned.get("speed_left_mm_s"),
+                "speed_right_mm_s": planned.get("speed_right_mm_s"),
+                "log_line": event["n"],
+            }
+
     @cached_property
     def answered(self) -> frozenset[tuple[bool, int]]:
         """Which trials are done, as (practice, index): answered, and the stimulus confirmed by the instrument."""
@@ -247,6 +296,14 @@ class Session:
     def complete(self) -> bool:
         """Whether every scheduled trial is answered, practice not counted."""
         return bool(self.start) and self.n_answered >= self.start["schedule"]["n_trials"]
+
+
+def _uncertainty(event: dict[str, Any]) -> float | None:
+    """Return how far off a reaction time can be: by the first burst, where it counts from that, and by the answer."""
+    response, onset = event["response"], event.get("confirmed", {}).get("onset_uncertainty")
+    if response.get("onset") != "first_burst":
+        onset = response.get("question_uncertainty", 0.0)
+    return None if onset is None else float(onset) + float(response.get("time_uncertainty", 0.0))
 
 
 def read_session(path: Path) -> Session:

@@ -14,6 +14,7 @@ import json
 from dataclasses import dataclass
 from typing import Any
 
+from modaltouch.protocol import TIME_OUT, AnswerList
 from modaltouch.record.folders import LOG_NAME, SessionFolder, replace_text
 from modaltouch.record.session import Session
 
@@ -46,10 +47,7 @@ COLUMNS: dict[str, dict[str, Any]] = {
     },
     "velocity_mm_s": {"Description": "Peak velocity asked at the focus", "Units": "mm/s"},
     "repetition": {"Description": "Which presentation of this condition it is, from 1"},
-    "response": {
-        "Description": "Where the participant felt the stimulation",
-        "Levels": {"left": "left finger", "right": "right finger", "both": "both fingers"},
-    },
+    "response": {"Description": "Where the participant felt the stimulation"},
     "response_time": {"Description": "From the onset named beside it to the answer", "Units": "s"},
     "response_onset": {
         "Description": "What the response time counts from",
@@ -94,6 +92,11 @@ COUNTED: dict[str, dict[str, Any]] = {
 }
 """Columns of sessions whose bursts are counted, since format 2 of the log."""
 
+_FORMATS = {
+    **dict.fromkeys(("velocity_mm_s", "multiple_of_threshold", "speed_left_mm_s", "speed_right_mm_s"), "g"),
+    **dict.fromkeys(("response_time", "onset", "onset_uncertainty"), ".4f"),
+}
+
 CATCH: dict[str, Any] = {
     "Description": "Catch trial: nothing was driven, the velocity is 0",
     "Levels": {"0": "no", "1": "yes"},
@@ -102,6 +105,13 @@ CATCH: dict[str, Any] = {
 MASKED: dict[str, Any] = {
     "Description": "Masking noise was on and at its level during the whole trial",
     "Levels": {"0": "no", "1": "yes"},
+}
+
+_FINGERS: dict[tuple[str, ...] | None, str] = {
+    ("left",): "left finger",
+    ("right",): "right finger",
+    ("left", "right"): "both fingers",
+    (): "neither finger",
 }
 
 MULTIPLE: dict[str, Any] = {
@@ -143,8 +153,8 @@ def write_view(place: SessionFolder, session: Session, head: dict[str, Any]) -> 
 def table_text(session: Session) -> str:
     """Return the BIDS table of a session: one row for each answer that counts."""
     columns = _columns(session)
-    rows = [_row(event, columns, session.multiples) for event in session.trials]
-    return "\n".join(["\t".join(columns), *("\t".join(row) for row in rows)]) + "\n"
+    rows = ("\t".join(_text(name, row[name]) for name in columns) for row in session.table())
+    return "\n".join(["\t".join(columns), *rows]) + "\n"
 
 
 def _columns(session: Session) -> dict[str, dict[str, Any]]:
@@ -162,58 +172,26 @@ def _columns(session: Session) -> dict[str, dict[str, Any]]:
         columns["masked"] = MASKED
     if design.get("stimuli"):
         columns["stimulus"] = STIMULUS
-    if "none" in design.get("answers", {}).get("keys", {}):
-        response = columns["response"]
-        columns["response"] = {**response, "Levels": {**response["Levels"], "none": "neither finger"}}
-    if design.get("answers", {}).get("after_longest") == "time_out":
-        response = columns["response"]
-        columns["response"] = {**response, "Levels": {**response["Levels"], "time_out": "no answer in time"}}
+    columns["response"] = _describe_answers(design.get("answers", {}))
     return columns
 
 
-def _row(event: dict[str, Any], columns: dict[str, dict[str, Any]], multiples: dict[float, float]) -> list[str]:
-    trial, response = event["trial"], event["response"]
-    condition = trial["condition"]
-    multiple = multiples.get(condition["velocity_mm_s"])
-    bursts, planned = event.get("bursts") or {}, event.get("planned") or {}
-    values = {
-        "trial": trial["index"],
-        "block": trial["block"],
-        "practice": int(trial["practice"]),
-        "finger_condition": condition["finger_condition"],
-        "zone_left": condition["zone_left"],
-        "zone_right": condition["zone_right"],
-        "finger_left": event["fingers"][0],
-        "finger_right": event["fingers"][1],
-        "placement": condition["placement"],
-        "velocity_mm_s": f"{condition['velocity_mm_s']:g}",
-        "multiple_of_threshold": f"{multiple:g}" if multiple else "n/a",
-        "masked": int(bool(event.get("masked"))),
-        "catch": int(condition["velocity_mm_s"] == 0),
-        "stimulus": condition.get("stimulus") or "n/a",
-        "repetition": trial["repetition"],
-        "response": response["answer"],
-        "response_time": f"{response['reaction_time']:.4f}",
-        "response_onset": response["onset"],
-        "answered_by": response["answered_by"],
-        "way": response["way"] or "n/a",
-        "confirmed": int(event["confirmed"]["confirmed"]),
-        "onset": _number(bursts.get("first_s"), ".4f"),
-        "onset_uncertainty": _number(bursts.get("uncertainty_s"), ".4f"),
-        "n_bursts": _number(bursts.get("whole"), "d"),
-        "n_bursts_dropped": _number(bursts.get("dropped"), "d"),
-        "repetition_by": event["confirmed"].get("repetition", "n/a"),
-        "presentation": event.get("presentation", "n/a"),
-        "device": response.get("device", "n/a"),
-        "speed_left_mm_s": _number(planned.get("speed_left_mm_s"), "g"),
-        "speed_right_mm_s": _number(planned.get("speed_right_mm_s"), "g"),
-        "log_line": event["n"],
-    }
-    return [str(values[column]).replace("\t", " ").replace("\n", " ") for column in columns]
+def _describe_answers(section: dict[str, Any]) -> dict[str, Any]:
+    """Return the description of the column of answers, from the section of the protocol."""
+    answers = AnswerList.of(section).ranked
+    levels = {answer.name: _FINGERS.get(answer.fingers, f"the answer {answer.name}") for answer in answers}
+    if section.get("after_longest") == "time_out":
+        levels[TIME_OUT] = "no answer in time"
+    asked = COLUMNS["response"] if any(answer.fingers for answer in answers) else {"Description": "The answer"}
+    return {**asked, "Levels": levels}
 
 
-def _number(value: float | None, form: str) -> str:
-    return "n/a" if value is None else format(value, form)
+def _text(name: str, value: Any) -> str:
+    """Return a value as it stands in the table."""
+    if value is None or value == "":
+        return "n/a"
+    text = str(int(value)) if isinstance(value, bool) else format(value, _FORMATS.get(name, ""))
+    return text.replace("\t", " ").replace("\n", " ")
 
 
 @dataclass(frozen=True)

@@ -170,7 +170,7 @@ def _comment(sitting: SessionRun, trial: Trial, response: Response) -> None:
     """Tell a participant who practises what was to be felt, where the protocol wants it and there is no doubt."""
     if not (trial.practice and sitting.protocol.schedule.practice_feedback):
         return
-    expected = expected_answer(*sitting.speeds(trial))
+    expected = expected_answer(sitting.protocol.answers.offered, *sitting.speeds(trial))
     if expected is not None:
         sitting.window.give_feedback(response, expected)
 
@@ -190,7 +190,7 @@ def _close_rounds(sitting: SessionRun) -> None:
     for number in range(1, schedule.practice_rounds + 1):
         last = number * schedule.practice_trials
         if number not in judged and done.issuperset(range(last - schedule.practice_trials + 1, last + 1)):
-            outcome = judge_round(counted, number, schedule.practice_trials)
+            outcome = judge_round(counted, number, schedule.practice_trials, sitting.protocol.answers.offered)
             sitting.log.append(
                 "practice_round",
                 round=number,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from modaltouch.planning import FeltSpeeds, Observer, read_observer, usual_observer
 from modaltouch.preflight import Preflight, examine, examine_findings
-from modaltouch.protocol import ANSWERS, ANSWERS_WITH_NONE, Findings, Protocol, Schedule, Sources, Trial, Turn
+from modaltouch.protocol import Findings, Protocol, Schedule, Sources, Trial, Turn
 from modaltouch.record import RecordError, RecordInputError, Session, SessionFolder, SessionLog, audit_session
 from modaltouch.rig import Rig, open_rig, same_process, start_simulator
 from modaltouch.session.assignment import next_session
@@ -253,8 +253,7 @@ class SessionParts:
     def _answerer(self) -> Answerer:
         who = self.seed, self.place.participant, self.place.session
         person = self.observer.draw(Schedule.random_generator(*who, "observer"))
-        offers_none = self.preflight.experiment.protocol.answers.offers_none
-        answers = ANSWERS_WITH_NONE if offers_none else ANSWERS
+        answers = self.preflight.experiment.protocol.answers.offered
         return Answerer(person, self._felt, Schedule.random_generator(*who, "answers"), answers)
 
     def _felt(self, trial: Trial) -> tuple[float, float]:

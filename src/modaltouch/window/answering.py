@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NoReturn
 
-from modaltouch.protocol import Answer, Trial
+from modaltouch.protocol import Trial
 from modaltouch.window.display_loop import DisplayLoop, Moment
 from modaltouch.window.events import Event
 from modaltouch.window.interface import Progress, SessionStopped
@@ -72,7 +72,7 @@ class AnswerTaker:
 
     def await_answer(
         self, trial: Trial, interrupt: Callable[[Event], NoReturn], times_out: Callable[[], bool] | None = None
-    ) -> tuple[Answer, Event] | None:
+    ) -> tuple[str, Event] | None:
         """Return the first answer and its event, or None once time is up; what came after it is left to be read.
 
         Parameters
@@ -106,10 +106,10 @@ class AnswerTaker:
         self,
         trial: Trial,
         progress: Progress,
-        answer: Answer,
+        answer: str,
         event: Event,
         interrupt: Callable[[Event], NoReturn],
-    ) -> tuple[Answer, Event]:
+    ) -> tuple[str, Event]:
         """Return the answer that is chosen a second time, with the event that chose it first.
 
         Parameters
@@ -137,7 +137,7 @@ class AnswerTaker:
             self._loop.note("changed", trial=trial.index, first=answer, to=again, after_s=press.time - event.time)
             answer, event = again, press
 
-    def watch_double(self, answer: Answer, event: Event) -> bool:
+    def watch_double(self, answer: str, event: Event) -> bool:
         """Return whether a different answer comes within `DOUBLE_WINDOW`; nothing here may raise."""
         is_double = False
         rest: list[Event] = []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 from modaltouch.protocol import Answer, AnswersSection, Texts
 from modaltouch.window.layout import Layout
@@ -35,11 +36,15 @@ class Buttons:
     texts: Texts
     answers: AnswersSection
 
+    @cached_property
+    def _offered(self) -> dict[str, Answer]:
+        return {answer.name: answer for answer in self.answers.offered}
+
     def draw(self, chosen: str | None, *, with_keys: bool) -> tuple[Mark, ...]:
         """Return all buttons, the one of the `chosen` answer pressed, with the keys that give each or without."""
         marks: list[Mark] = []
         for answer, box in self.layout.buttons.items():
-            if answer == "none":
+            if self._offered[answer].is_below:
                 marks += self._low_button(answer, box, pressed=answer == chosen, with_keys=with_keys)
                 continue
             marks += self._button(answer, pressed=answer == chosen, with_keys=with_keys)
@@ -48,11 +53,11 @@ class Buttons:
                 marks += self._key_caps(answer, below)
         return tuple(marks)
 
-    def _low_button(self, answer: Answer, box: Box, *, pressed: bool, with_keys: bool) -> tuple[Mark, ...]:
+    def _low_button(self, answer: str, box: Box, *, pressed: bool, with_keys: bool) -> tuple[Mark, ...]:
         """Return a button too low for two lines: its word in the middle, its key beside it."""
         theme, unit = self.theme, self.layout.unit
         fill, ink = (theme.pressed, theme.pressed_text) if pressed else (theme.button, theme.text)
-        size = min(self._answer_size(self.layout.buttons["left"].width * 0.68), 0.5 * box.height)
+        size = min(self._answer_size(self.layout.answer_width * 0.68), 0.5 * box.height)
         words = Words(self._word(answer), Box(box.x, box.y, box.width * 0.5, box.height * 0.9), size, ink, bold=True)
         beside = Box(box.x + 0.36 * box.width, box.y, box.width * 0.2, 0.6 * box.height)
         return (
@@ -61,10 +66,11 @@ class Buttons:
             *(self._key_caps(answer, beside) if with_keys else ()),
         )
 
-    def _button(self, answer: Answer, *, pressed: bool, with_keys: bool) -> tuple[Mark, ...]:
+    def _button(self, answer: str, *, pressed: bool, with_keys: bool) -> tuple[Mark, ...]:
         """Return a button with its word above the keys, or in the middle where there are none."""
         theme, box, unit = self.theme, self.layout.buttons[answer], self.layout.unit
-        edge = {"left": theme.left, "right": theme.right}.get(answer, theme.button_edge)
+        own = self._offered[answer]
+        edge = {-1: theme.left, 1: theme.right}.get(own.side, theme.button_edge)
         fill, ink = (theme.pressed, theme.pressed_text) if pressed else (theme.button, theme.text)
         lift = 0.18 * box.height if with_keys else 0.0
         upper = Box(box.x, box.y + lift, box.width * 0.68, 0.52 * box.height)
@@ -72,7 +78,7 @@ class Buttons:
         arrows = [
             triangle(way, box.x + sign * at, upper.y - 0.004 * unit, 0.018 * unit, ink if pressed else edge)
             for way, sign in (("left", -1), ("right", 1))
-            if answer in (way, "both")
+            if way in (own.fingers or ())
         ]
         return (
             *framed(box, 0.022 * unit, edge, fill, 0.006 * unit),
@@ -80,15 +86,15 @@ class Buttons:
             *arrows,
         )
 
-    def _word(self, answer: Answer) -> str:
-        return str(getattr(self.texts, answer))
+    def _word(self, answer: str) -> str:
+        return self.texts.label(answer)
 
     def _answer_size(self, width: float) -> float:
         """Return one size of type at which the longest answer fits its button [window heights]."""
         longest = max(len(self._word(answer)) for answer in self.layout.buttons)
         return min(0.062 * self.layout.type_scale, width / (_BOLD_LETTER * longest))
 
-    def _key_caps(self, answer: Answer, box: Box) -> tuple[Mark, ...]:
+    def _key_caps(self, answer: str, box: Box) -> tuple[Mark, ...]:
         """Return the keys that give an answer: arrows where there are any, else the first two."""
         keys = self.answers.keys[answer]
         shown = [key for key in keys if key in _ARROWS] or list(keys[:2])

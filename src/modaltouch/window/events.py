@@ -12,7 +12,7 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from modaltouch.protocol import Answer, AnswersSection
+from modaltouch.protocol import AnswersSection
 from modaltouch.system import SYSTEM_CLOCK, Clock
 
 EventKind = Literal["key", "release", "click", "close", "focus", "blur", "expose", "pause", "continue", "answer"]
@@ -55,7 +55,7 @@ class Event:
     x: float = 0.0
     y: float = 0.0
     digit: str = ""
-    answer: Answer | None = None
+    answer: str | None = None
 
 
 def canonical_key(name: str) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Self
 
-from modaltouch.protocol import Answer, Response, Trial
+from modaltouch.protocol import Response, Trial
 from modaltouch.window.events import Event
 
 
@@ -141,7 +141,7 @@ class AnswerWindow:
     def confirm(self, response: Response) -> None:
         """Show which answer was taken; it is on the disk."""
 
-    def give_feedback(self, response: Response, expected: Answer) -> None:
+    def give_feedback(self, response: Response, expected: str) -> None:
         """Show for a moment where the vibration was stronger, after a practice trial."""
 
     def wait(self, seconds: float) -> None:

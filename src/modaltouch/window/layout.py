@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from typing import Any
 
-from modaltouch.protocol import Answer
+from modaltouch.protocol import AnswerList
 from modaltouch.window.shapes import Box
-
-SHOWN_ANSWERS: tuple[Answer, ...] = ("left", "both", "right")
-"""Answers in the order of their buttons, from the left; the answer none lies below them all, on no finger's side."""
 
 _FULL_ASPECT = 1.32
 """Windows at least this much wider than high show everything at full size; narrower ones shrink it to fit."""
-
-Name = TypeVar("Name", bound=str)
-"""Of a zone, or an answer."""
 
 
 @dataclass(frozen=True)
@@ -32,8 +26,10 @@ class Layout:
         Size of the type, relative to a wide window [1].
     zones : dict of str to Box
         Zones of the beam from the left, by name.
-    buttons : dict of Answer to Box
+    buttons : dict of str to Box
         Answer buttons, by answer.
+    answer_width : float
+        Width of those in the row.
     headline, body, page, go_on, label, bar, note : Box
         The question or title; the text under a title; the text of a screen without a beam; the button to go
         on; progress in words; progress as a bar; the line under the answer buttons.
@@ -43,7 +39,8 @@ class Layout:
     unit: float
     type_scale: float
     zones: dict[str, Box]
-    buttons: dict[Answer, Box]
+    buttons: dict[str, Box]
+    answer_width: float
     headline: Box
     body: Box
     page: Box
@@ -52,7 +49,7 @@ class Layout:
     bar: Box
     note: Box
 
-    def answer_at(self, x: float, y: float) -> Answer | None:
+    def answer_at(self, x: float, y: float) -> str | None:
         """Return the answer whose button lies at a point, or None.
 
         Parameters
@@ -77,9 +74,7 @@ def lay_out(
     width_px: int,
     height_px: int,
     zones: tuple[str, ...],
-    answers: tuple[Answer, ...] = SHOWN_ANSWERS,
-    *,
-    offers_none: bool = False,
+    answers: AnswerList,
 ) -> Layout:
     """Return where everything stands in a window.
 
@@ -89,10 +84,8 @@ def lay_out(
         Size of the window [pixels].
     zones : tuple of str
         Names of the zones from the left.
-    answers : tuple of Answer
-        Answers in the order of their buttons, from the left.
-    offers_none : bool
-        Whether the answer none has a button too, below the others.
+    answers : AnswerList
+        Answers that are offered.
 
     Raises
     ------
@@ -113,7 +106,7 @@ def lay_out(
         unit=unit,
         type_scale=type_scale,
         zones=_row(zones, Box(0, 0.16, zone_width, 0.105 * unit)),
-        buttons=_answer_buttons(answers, across, unit, offers_none=offers_none),
+        **_answer_buttons(answers, across, unit),
         headline=Box(0, 0.405, 1.24 * unit, 0.14),
         body=Box(0, 0.24 - 0.06 * (1 - unit), 1.18 * unit, 0.21),
         page=Box(0, 0.06, 1.14 * unit, 0.6),
@@ -124,17 +117,20 @@ def lay_out(
     )
 
 
-def _answer_buttons(answers: tuple[Answer, ...], across: float, unit: float, *, offers_none: bool) -> dict[Answer, Box]:
-    """Return the answer buttons; with none below them, they are lower and stand higher."""
+def _answer_buttons(answers: AnswerList, across: float, unit: float) -> dict[str, Any]:
+    """Return the answer buttons, and the width of those in the row; with others below, they stand higher."""
     gap = 0.045 * unit
-    width = min(0.4 * unit, (across - gap * (len(answers) - 1)) / len(answers))
-    if not offers_none:
-        return _row(answers, Box(0, -0.275, width, 0.175 * max(unit, 0.8)), gap)
-    above = _row(answers, Box(0, -0.21, width, 0.14 * max(unit, 0.8)), gap)
-    return {**above, "none": Box(0, -0.3285, across, 0.075)}
+    row = tuple(answer.name for answer in answers if not answer.is_below)
+    below = tuple(answer.name for answer in answers if answer.is_below)
+    width, low = ((across - gap * (len(names) - 1)) / max(len(names), 1) for names in (row, below))
+    width = min(0.4 * unit, width)
+    if not below:
+        return {"buttons": _row(row, Box(0, -0.275, width, 0.175 * max(unit, 0.8)), gap), "answer_width": width}
+    above = _row(row, Box(0, -0.21, width, 0.14 * max(unit, 0.8)), gap)
+    return {"buttons": {**above, **_row(below, Box(0, -0.3285, low, 0.075), gap)}, "answer_width": width}
 
 
-def _row(names: tuple[Name, ...], middle: Box, gap: float = 0.0) -> dict[Name, Box]:
+def _row(names: tuple[str, ...], middle: Box, gap: float = 0.0) -> dict[str, Box]:
     """Return boxes side by side, from the left, the row's middle where the `middle` one's is."""
     step, centre = middle.width + gap, (len(names) - 1) / 2
     return {name: replace(middle, x=middle.x + (place - centre) * step) for place, name in enumerate(names)}

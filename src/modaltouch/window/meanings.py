@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Self
 
-from modaltouch.protocol import Answer, AnswersSection
+from modaltouch.protocol import AnswersSection
 from modaltouch.window.events import Event, canonical_key
 from modaltouch.window.layout import Layout
 
@@ -21,7 +21,7 @@ class Reader:
     ----------
     layout : Layout
         Where the answer buttons are.
-    keys : dict of str to Answer
+    keys : dict of str to str
         Answer by key.
     continue_keys : frozenset of str
         Keys that go on from one screen to the next.
@@ -30,7 +30,7 @@ class Reader:
     """
 
     layout: Layout
-    keys: dict[str, Answer]
+    keys: dict[str, str]
     continue_keys: frozenset[str]
     needs_focus: bool = True
 
@@ -42,7 +42,7 @@ class Reader:
             layout, keys, frozenset(map(canonical_key, answers.continue_keys)), answers.given_by == "participant"
         )
 
-    def answer(self, event: Event) -> Answer | None:
+    def answer(self, event: Event) -> str | None:
         """Return the answer that a key press, a click or the experimenter gives, or None."""
         if event.kind == "key":
             return self.keys.get(event.key) or self.keys.get(event.digit)

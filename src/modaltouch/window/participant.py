@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from modaltouch.protocol import TIME_OUT, Answer, Protocol, Response, Texts, Trial
+from modaltouch.protocol import TIME_OUT, Protocol, Response, Texts, Trial
 from modaltouch.system import SYSTEM_CLOCK, Clock
 from modaltouch.window.answering import SETTLE, AnswerTaker
 from modaltouch.window.display_loop import POLL_INTERVAL, DisplayLoop, Moment, Sitter
@@ -84,7 +84,7 @@ class ParticipantWindow(AnswerWindow):
         self._n_practice = protocol.schedule.practice_trials
         self._texts = texts
         self._theme = next((name for name, known in THEMES.items() if known == theme), "")
-        layout = lay_out(*display.size, zones, offers_none=protocol.answers.offers_none)
+        layout = lay_out(*display.size, zones, protocol.answers.offered)
         self._pictures = Illustrator(layout, theme, texts, protocol.answers, protocol.conditions.hand)
         self._loop = DisplayLoop(
             display,
@@ -217,7 +217,7 @@ class ParticipantWindow(AnswerWindow):
             self._loop.show(self._pictures.question(*self._current, chosen=response.answer), Moment())
         self._loop.write_notes()
 
-    def give_feedback(self, response: Response, expected: Answer) -> None:
+    def give_feedback(self, response: Response, expected: str) -> None:
         """Show for a moment where the vibration was stronger, after a practice trial."""
         if self._current is not None and response.answer != TIME_OUT:
             picture = self._pictures.feedback(*self._current, response.answer, expected)

@@ -212,7 +212,7 @@ class Illustrator:
         if not count:
             return Picture(f"ready_{_tag(trial)}", marks)
         # Where the answers will be, so that the eyes need not move; in the colour of what is of second rank.
-        number = Words(str(count), self.layout.buttons["both"], 0.13 * self.layout.type_scale, self.theme.dim)
+        number = Words(str(count), self._answers_box(), 0.13 * self.layout.type_scale, self.theme.dim)
         return Picture(f"ready_{_tag(trial)}_{count}", (self._headline(self.texts.fingers_back, 0.056), *marks, number))
 
     def feel(self, trial: Trial, progress: Progress) -> Picture:
@@ -258,11 +258,12 @@ class Illustrator:
         """Return where the vibration was stronger, after a practice trial."""
         texts = self.texts
         said = {
-            "left": texts.practice_was_left,
-            "both": texts.practice_was_both,
-            "right": texts.practice_was_right,
+            ("left",): texts.practice_was_left,
+            ("left", "right"): texts.practice_was_both,
+            ("right",): texts.practice_was_right,
         }
-        words = texts.practice_agreed if answer == expected else said[expected]
+        felt = self.answers.offered.fingers_of(expected)
+        words = texts.practice_agreed if answer == expected or felt is None else said[felt]
         name = "feedback_agreed" if answer == expected else f"feedback_{expected}"
         marks = (self._headline(words, 0.05), *self._beam(trial), *self._progress(trial, progress))
         return Picture(name, marks)
@@ -354,6 +355,11 @@ class Illustrator:
     @property
     def _buttons(self) -> Buttons:
         return Buttons(self.layout, self.theme, self.texts, self.answers)
+
+    def _answers_box(self) -> Box:
+        """Return the middle of the row of answers."""
+        row = self.layout.buttons[next(answer.name for answer in self.answers.offered)]
+        return Box(0, row.y, row.width, row.height)
 
     def _beam(self, trial: Trial) -> tuple[Mark, ...]:
         condition = trial.condition

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from modaltouch.protocol import Answer, AnswersSection
+from modaltouch.protocol import AnswersSection
 from modaltouch.window.display_loop import Moment, Sitter
 from modaltouch.window.events import canonical_key
 from modaltouch.window.interface import WindowError
@@ -43,7 +43,7 @@ class Robot(Sitter):
         self._continue_key = canonical_key(answers.continue_keys[0])
         self._counts_from_question = answers.stimulus_until == "question"
         self._patience = patience
-        self._felt: tuple[Answer, float] = ("both", 0.0)
+        self._felt: tuple[str, float] = ("", 0.0)
         self._seen: tuple[Moment, str] = (Moment(), "")
         self._wanted, self._due, self._tries = "", 0.0, 0
         self._down, self._moved = "", 0.0

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
 
-from modaltouch.protocol import ANSWERS, TIME_OUT, Answer, Response, Trial
+from modaltouch.protocol import TIME_OUT, AnswerList, Response, Trial
 from modaltouch.system import SYSTEM_CLOCK, Clock
 from modaltouch.window.interface import AnswerWindow, Log, Presentation, Tick, TrialInterrupted
 
@@ -24,8 +24,8 @@ class Observing(Protocol):
         speed_right: float,
         finger_condition: str,
         rng: np.random.Generator,
-        answers: Sequence[Answer],
-    ) -> tuple[Answer, float]:
+        answers: AnswerList,
+    ) -> tuple[str, float]:
         """Return the answer to two peak speeds [m/s] and its reaction time [s]."""
         ...
 
@@ -43,16 +43,16 @@ class Answerer:
     generator : numpy.random.Generator
         Source of chance. It is never advanced: each trial has a stream of its own, so that a resumed session
         and a repeated trial get the same answers as an uninterrupted one.
-    answers : tuple of Answer
+    answers : AnswerList
         Answers that the protocol offers.
     """
 
     participant: Observing
     felt: Callable[[Trial], tuple[float, float]]
     generator: np.random.Generator
-    answers: tuple[Answer, ...] = ANSWERS
+    answers: AnswerList = field(default_factory=lambda: AnswerList.of({}))
 
-    def answer(self, trial: Trial) -> tuple[Answer, float]:
+    def answer(self, trial: Trial) -> tuple[str, float]:
         """Return the answer to a trial and its reaction time [s].
 
         Raises

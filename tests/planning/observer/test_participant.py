@@ -14,9 +14,11 @@ from hypothesis import strategies as st
 
 from modaltouch.planning.observer import Observer, Participant
 from modaltouch.planning.observer.file import read_observer
-from modaltouch.protocol.trial import ANSWERS, ANSWERS_WITH_NONE
+from modaltouch.protocol import AnswerList
 
 N = 4000
+PAPER = AnswerList.of({})
+WITH_NONE = AnswerList.of({"keys": ["left", "both", "right", "none"]})
 
 
 def answers(participant: Participant, left: float, right: float, condition: str = "one_hand") -> Counter[str]:
@@ -70,7 +72,7 @@ def test_shares_follow_the_normal_distribution(left: float, right: float) -> Non
 
 def test_without_internal_noise_nothing_is_drawn_for_it() -> None:
     """Simulated data stay as they were: the same draws for every answer, the same answers from them."""
-    for answers, n_normal in ((ANSWERS, 2), (ANSWERS_WITH_NONE, 3)):
+    for answers, n_normal in ((PAPER, 2), (WITH_NONE, 3)):
         rng, expected = np.random.default_rng(5), np.random.default_rng(5)
         Participant().answer(0.1, 0.12, "one_hand", rng, answers)
         drawn = [expected.standard_normal(), expected.random(), expected.random()]
@@ -92,7 +94,7 @@ def test_internal_noise_hides_what_is_faint_and_feels_what_is_not_there() -> Non
     person = read_observer("fingertip").typical
     sharp = replace(person, noise=1e-9, lapse_rate=0.0)
     rng = np.random.default_rng(7)
-    given = Counter(sharp.answer(0.0, 0.0, "one_hand", rng, ANSWERS_WITH_NONE)[0] for _ in range(20_000))
+    given = Counter(sharp.answer(0.0, 0.0, "one_hand", rng, WITH_NONE)[0] for _ in range(20_000))
     expected = 1 - NormalDist().cdf(2.5) ** 2
     assert 1 - given["none"] / 20_000 == pytest.approx(expected, abs=4 * math.sqrt(expected / 20_000))
     loud, without = answers(person, 0.123, 0.2), answers(replace(person, internal_noise=0.0), 0.123, 0.2)
@@ -200,7 +202,7 @@ def test_who_feels_nothing_says_none_where_that_is_an_answer() -> None:
     rng = np.random.default_rng(3)
 
     def share(speed: float) -> float:
-        given = [participant.answer(speed, 0.0, "one_hand", rng, ANSWERS_WITH_NONE)[0] for _ in range(N)]
+        given = [participant.answer(speed, 0.0, "one_hand", rng, WITH_NONE)[0] for _ in range(N)]
         return given.count("none") / N
 
     # A lapse says none in a quarter of the cases.

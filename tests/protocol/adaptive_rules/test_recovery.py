@@ -22,8 +22,9 @@ from modaltouch.planning.observer import Participant
 from modaltouch.planning.observer.file import read_observer
 from modaltouch.preflight import examine
 from modaltouch.protocol.adaptive import AdaptiveSection
+from modaltouch.protocol.answers import AnswerList
 from modaltouch.protocol.levels import Quest, follow, from_dB, to_dB
-from modaltouch.protocol.trial import ANSWERS_WITH_NONE, Condition, Trial
+from modaltouch.protocol.trial import Condition, Trial
 
 PROTOCOL = Path(__file__).parents[3] / "protocols" / "threshold.yaml"
 BOUNDS = (2.0, 200.0)
@@ -95,7 +96,12 @@ def recover(
 
         def is_c(level: float, person: Participant = person, rng: np.random.Generator = rng) -> bool:
             left, right = (speed * level * 1e-3 for speed in speeds)
-            return person.answer(left, right, "one_hand", rng, ANSWERS_WITH_NONE)[0] == "right"
+            return (
+                person.answer(left, right, "one_hand", rng, AnswerList.of({"keys": ["left", "both", "right", "none"]}))[
+                    0
+                ]
+                == "right"
+            )
 
         for _ in range(section.trials):
             level = from_dB(next_level(levels, successes), BOUNDS)

@@ -27,6 +27,8 @@ TRIAL = {
     "zone_right": "C", "finger_left": "right index", "finger_right": "right middle",
 }  # fmt: skip
 
+SHOWN = ("left", "both", "right", "none")
+
 
 def start() -> dict[str, Any]:
     """Return a start record, as far as the console looks at it."""
@@ -79,17 +81,17 @@ def asked(way: str = "experimenter") -> list[dict[str, Any]]:
 
 def test_every_answer_has_a_key_that_is_not_the_consoles_own() -> None:
     """`p`, `r`, `n`, `b`, `q` and `x` keep their meaning; the screen's order numbers the answers."""
-    keys = typed_keys({"left": ["p"], "both": ["q"], "right": ["1"], "none": ["x", "num_enter"]})
+    keys = typed_keys({"left": ["p"], "both": ["q"], "right": ["1"], "none": ["x", "num_enter"]}, SHOWN)
     assert keys == {"left": ["5"], "both": ["2"], "right": ["1", "3"], "none": ["4"]}
-    own = typed_keys({answer: ["n", "b", "r"] for answer in ("left", "both", "right")})
+    own = typed_keys({answer: ["n", "b", "r"] for answer in SHOWN[:3]}, SHOWN[:3])
     assert own == {"left": ["1"], "both": ["2"], "right": ["3"]}
 
 
 @given(st.permutations(["p", "q", "1", "2", "3", "4", "left", "num_4", "f5", "space"]))
 def test_no_key_answers_twice_and_none_lacks_a_key(names: list[str]) -> None:
     """Whatever keys a protocol gives its answers."""
-    given = {answer: names[place : place + 2] for place, answer in enumerate(["left", "both", "right", "none"])}
-    keys = typed_keys(given)
+    given = {answer: names[place : place + 2] for place, answer in enumerate(SHOWN)}
+    keys = typed_keys(given, SHOWN)
     typed = [key for named in keys.values() for key in named]
     assert len(typed) == len(set(typed)) and all(keys.values())
     assert not OWN_KEYS.intersection(typed)

@@ -119,7 +119,8 @@ def find_runs(responses: Responses) -> tuple[Run, ...]:
 def _run(key: tuple[Any, ...], stimulus: str, part: pd.DataFrame, rule: dict[str, Any], responses: Responses) -> Run:
     participant, session, finger_condition, left, right = key
     focus = responses.foci.get(stimulus, responses.focus)
-    success = np.array([is_success(rule["success"], focus, left, str(answer)) for answer in part["response"]])
+    named = responses.answers.fingers_of
+    success = np.array([is_success(rule["success"], focus, left, named(str(answer))) for answer in part["response"]])
     level = part["velocity_mm_s"].to_numpy(dtype=float)
     driven = level > 0
     fitted = fit_psychometric(

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
 
-from modaltouch.protocol import ANSWERS, Answer
+from modaltouch.protocol import AnswerList
 
 SAME_HAND = "one_hand"
 """The finger condition whose two fingers belong to one hand."""
@@ -28,10 +27,11 @@ class Participant:
 
     .. math:: d = (1 + s) \ln\frac{v_r + v_0}{v_l + v_0} + b + \sigma z, \qquad z \sim N(0, 1)
 
-    The answer is ``both`` where :math:`|d| < c`, else the side of the stronger finger. In a share of trials
-    (lapses) the answer is any of those offered. Where ``none`` is offered, it is given where the stronger finger
-    feels less than :math:`v_0 e^{\sigma z'}`, with a normal z' of its own. What a finger feels, v, is a speed: the
-    front end of the observer says which.
+    Both fingers are named where :math:`|d| < c`, else the stronger one; where no answer names both, always the
+    stronger one; where none names it, the answer that is left. In a share of trials (lapses) the answer is any of
+    those offered. Where one of them says that nothing was felt, it is given where the stronger finger feels less than
+    :math:`v_0 e^{\sigma z'}`, with a normal z' of its own. Answers that name no finger are given at random, all alike.
+    What a finger feels, v, is a speed: the front end of the observer says which.
 
     Where the participant has internal noise, each finger feels :math:`\max(v + \sigma_0 n, 0)` instead of v, with a
     normal n of its own in every trial: noise that is there without a stimulus, so that ratios cease to be told near
@@ -163,8 +163,8 @@ class Participant:
         speed_right: float,
         finger_condition: str,
         rng: np.random.Generator,
-        answers: Sequence[Answer] = ANSWERS,
-    ) -> tuple[Answer, float]:
+        answers: AnswerList | None = None,
+    ) -> tuple[str, float]:
         """Return an answer and its reaction time from the first burst [s].
 
         Parameters
@@ -173,16 +173,18 @@ class Participant:
             As for `difference`.
         rng : numpy.random.Generator
             Source of chance; the same number of draws is taken for every answer.
-        answers : sequence of Answer
-            Answers that are offered.
+        answers : AnswerList, optional
+            Answers that are offered; by default those of the paper.
 
         Raises
         ------
         ValueError
             If a speed is negative or not finite.
         """
+        answers = AnswerList.of({}) if answers is None else answers
+        nothing = answers.naming()
         draw, lapse, guess, pace = rng.standard_normal(), rng.random(), rng.random(), rng.standard_normal()
-        doubt = rng.standard_normal() if "none" in answers else 0.0
+        doubt = rng.standard_normal() if nothing is not None else 0.0
         _refuse_speeds(speed_left, speed_right)
         if self.internal_noise:
             speed_left, speed_right = (
@@ -197,12 +199,23 @@ class Participant:
         median = self.decision_time * (1 + self.hesitation * difficulty)
         reaction_time = self.quickest + median * math.exp(self.decision_spread * pace)
         if lapse < self.lapse_rate:
-            return answers[int(guess * len(answers))], reaction_time
-        if "none" in answers and max(speed_left, speed_right) < self.detection_speed * math.exp(noise * doubt):
-            return "none", reaction_time
-        if abs(felt) < self.criterion:
-            return "both", reaction_time
-        return ("right" if felt > 0 else "left"), reaction_time
+            return answers.ranked[int(guess * len(answers))].name, reaction_time
+        threshold = self.detection_speed * math.exp(noise * doubt)
+        if nothing is not None and max(speed_left, speed_right) < threshold:
+            return nothing.name, reaction_time
+        return _name(answers, felt, self.criterion, guess), reaction_time
+
+
+def _name(answers: AnswerList, felt: float, criterion: float, guess: float) -> str:
+    """Return the answer to a difference between the fingers; any, by chance, where no answer names a finger."""
+    others = [answer for answer in answers if not answer.says_nothing_felt]
+    naming = {answer.side: answer.name for answer in others if answer.fingers}
+    if not naming:
+        return others[int(guess * len(others))].name
+    if abs(felt) < criterion and 0 in naming:
+        return naming[0]
+    side = 1 if felt > 0 else -1
+    return naming.get(side) or naming.get(0) or naming[-side]
 
 
 def _refuse_speeds(speed_left: float, speed_right: float) -> None:

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from modaltouch.protocol import Answer
+from modaltouch.protocol import AnswerList
 from modaltouch.session.console.interface import Facts
 from modaltouch.session.console.keyboard import OWN_KEYS
 
@@ -16,9 +16,9 @@ HASTY = 0.1
 """Nobody feels, decides and presses within this time: such an answer was ready before its question [s]."""
 
 
-def read_signs(trials: Sequence[dict[str, Any]], *, offers_none: bool = False) -> list[str]:
+def read_signs(trials: Sequence[dict[str, Any]], nothing: str | None = None) -> list[str]:
     """Return what is worth a look, in words; empty where nothing is."""
-    missed = _count_missed(trials) if offers_none else ""
+    missed = _count_missed(trials, nothing) if nothing is not None else ""
     signs = [_count_hasty(trials), missed, _count_doubles(trials)]
     return [sign for sign in signs if sign]
 
@@ -44,9 +44,9 @@ def _count_hasty(trials: Sequence[dict[str, Any]]) -> str:
     return f"{_times(len(hasty))} answered within {HASTY * 1e3:.0f} ms of the question, last in trial {hasty[-1]}"
 
 
-def _count_missed(trials: Sequence[dict[str, Any]]) -> str:
+def _count_missed(trials: Sequence[dict[str, Any]], nothing: str) -> str:
     caught = [event for event in trials if is_catch(event)]
-    missed = [event["trial"]["index"] for event in caught if event["response"]["answer"] != "none"]
+    missed = [event["trial"]["index"] for event in caught if event["response"]["answer"] != nothing]
     if not missed:
         return ""
     return f"{len(missed)} of {len(caught)} catch trials felt as real, last trial {missed[-1]}"
@@ -61,12 +61,8 @@ def _times(count: int) -> str:
     return "once" if count == 1 else f"{count} times"
 
 
-_ORDER = ("left", "both", "right", "none")
-"""Answers as they stand on the screen, which numbers them from 1."""
-
-
-def typed_keys(keys: Mapping[str, Sequence[str]]) -> dict[str, list[str]]:
-    """Return the keys of each answer at a console, those of the protocol first.
+def typed_keys(keys: Mapping[str, Sequence[str]], answers: Sequence[str]) -> dict[str, list[str]]:
+    """Return the keys of each of the `answers`, as they stand on the screen, at a console: the protocol's first.
 
     The console's own keys keep their meaning at every moment, so an answer never has one of them. A terminal sends the
     keypad's digits as any others. Each answer also has the number of its place on the screen, unless that is a key of
@@ -74,10 +70,9 @@ def typed_keys(keys: Mapping[str, Sequence[str]]) -> dict[str, list[str]]:
 
     Examples
     --------
-    >>> typed_keys({"left": ["left", "num_4"], "both": ["n"], "right": ["right", "2"]})
+    >>> typed_keys({"left": ["left", "num_4"], "both": ["n"], "right": ["right", "2"]}, ("left", "both", "right"))
     {'left': ['left', '4', '1'], 'both': ['5'], 'right': ['right', '2', '3']}
     """
-    answers = [answer for answer in _ORDER if answer in keys]
     taken: dict[str, str] = {}
     for answer in answers:
         for name in keys[answer]:
@@ -143,7 +138,7 @@ class Status:
             "n_notes": 0,
         }
         self._total = 0
-        self._offers_none = False
+        self._nothing: str | None = None
         self._trials: dict[int, dict[str, Any]] = {}
         self._durations: list[float] = []
         self._answered_at: float | None = None
@@ -171,7 +166,7 @@ class Status:
         self._facts |= {"event": name, "line": event.get("n"), "replayed": replayed}
         return True
 
-    def answer_by(self, key: str) -> Answer | None:
+    def answer_by(self, key: str) -> str | None:
         """Return the answer that a key of the console gives now, if any."""
         question = self._facts["question"]
         keys = question["keys"].items() if question is not None and question["open"] else ()
@@ -196,7 +191,7 @@ class Status:
             "time_left_s": round(left * self._pace(), 1),
             "warnings": [
                 *([self._unmasked] if self._unmasked else []),
-                *read_signs(list(self._trials.values()), offers_none=self._offers_none),
+                *read_signs(list(self._trials.values()), self._nothing),
             ],
         }
 
@@ -209,9 +204,10 @@ class Status:
         facts |= {name: event.get(name, facts[name]) for name in ("participant", "session", "mode", "protocol")}
         self._total = event["schedule"]["n_trials"]
         answers = event.get("design", {}).get("answers", {})
-        self._offers_none = "none" in answers.get("keys", {})
+        offered = AnswerList.of(answers)
+        self._nothing = next((answer.name for answer in offered if answer.says_nothing_felt), None)
         if "experimenter" in (answers.get("given_by"), *answers.get("ways", {}).values()):
-            facts["question"] = {"open": False, "keys": typed_keys(answers["keys"])}
+            facts["question"] = {"open": False, "keys": typed_keys(answers["keys"], offered.names)}
         self._on_resume(event)
 
     def _on_resume(self, event: dict[str, Any]) -> None:

@@ -1,0 +1,116 @@
+"""The answers of a protocol: what each is called, where it stands on the screen, and which fingers it names."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+Side = Literal["left", "right"]
+Fingers = tuple[Side, ...]
+"""Fingers by the side on which they lie, as the participant sees the beam."""
+
+SHIPPED: dict[str, Fingers] = {"left": ("left",), "both": ("left", "right"), "right": ("right",), "none": ()}
+"""The paper's three answers, and the one for "felt nowhere", with the fingers that they name."""
+
+_RANKS = {1: 0, 2: 1, 0: 2}
+
+
+@dataclass(frozen=True)
+class Answer:
+    """One answer that may be given.
+
+    Attributes
+    ----------
+    name : str
+        Name in the protocol, the record and every table.
+    fingers : tuple of str or None
+        Fingers that it names, ``left``, ``right`` or both; empty where it says that nothing was felt; None where it
+        says nothing of the fingers.
+    is_below : bool
+        Whether its button stands below the others.
+    """
+
+    name: str
+    fingers: Fingers | None = None
+    is_below: bool = False
+
+    @property
+    def side(self) -> int:
+        """Place of the fingers that it names: -1 on the left, 1 on the right, 0 for all else."""
+        sides: dict[Fingers, int] = {("left",): -1, ("right",): 1}
+        return sides.get(self.fingers or (), 0)
+
+    @property
+    def mirrored(self) -> Fingers | None:
+        """The fingers that it names where the beam is turned end to end."""
+        other: dict[Side, Side] = {"left": "right", "right": "left"}
+        return None if self.fingers is None else tuple(sorted(other[finger] for finger in self.fingers))
+
+    @property
+    def says_nothing_felt(self) -> bool:
+        """Whether it says that nothing was felt."""
+        return self.fingers == ()
+
+
+class AnswerList(tuple[Answer, ...]):
+    """The answers of a protocol, as they stand on the screen: those of the row from the left, then those below."""
+
+    __slots__ = ()
+
+    @classmethod
+    def of(cls, section: Mapping[str, Any]) -> AnswerList:
+        """Return the answers of a protocol's section ``answers``, also as a record keeps it.
+
+        Parameters
+        ----------
+        section : mapping
+            ``keys`` by answer, and where they are given ``fingers`` and ``below``; the paper's answers without any.
+
+        Returns
+        -------
+        AnswerList
+            In the order of the file; where all of a row name fingers, each on the side of its finger.
+        """
+        fingers = {**SHIPPED, **section.get("fingers", {})}
+        placed = section.get("below", ())
+        row: list[Answer] = []
+        below: list[Answer] = []
+        for name in section.get("keys") or ("left", "both", "right"):
+            named = fingers.get(name)
+            own = None if named is None else tuple(sorted(named))
+            answer = Answer(name, own, own == () or name in placed)
+            (below if answer.is_below else row).append(answer)
+        if all(answer.fingers for answer in row):
+            row.sort(key=lambda answer: answer.side)
+        return cls((*row, *below))
+
+    @classmethod
+    def of_words(cls, words: tuple[str, ...]) -> AnswerList:
+        """Return the list that words from a table belong to: the paper's where all are of it, else they alone."""
+        if not set(words) <= set(SHIPPED):
+            return cls.of({"keys": words})
+        return cls.of({"keys": [name for name, fingers in SHIPPED.items() if fingers or name in words]})
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the answers, as they stand on the screen."""
+        return tuple(answer.name for answer in self)
+
+    @property
+    def ranked(self) -> AnswerList:
+        """The answers of one finger first, then that of both, then that of nothing felt."""
+        return AnswerList(sorted(self, key=lambda answer: 0 if answer.fingers is None else _RANKS[len(answer.fingers)]))
+
+    @property
+    def compares(self) -> bool:
+        """Whether each finger can be named alone, so that one zone can be preferred to the other."""
+        return self.naming("left") is not None and self.naming("right") is not None
+
+    def naming(self, *fingers: Side) -> Answer | None:
+        """Return the answer that names these very fingers; without any, the one that nothing was felt."""
+        return next((answer for answer in self if answer.fingers == fingers), None)
+
+    def fingers_of(self, name: str) -> Fingers | None:
+        """Return the fingers that the answer of a name stands for; None also for a time-out."""
+        return next((answer.fingers for answer in self if answer.name == name), None)

@@ -1,0 +1,122 @@
+"""Lists of answers: their order on the screen, what they name, and what a protocol must not say of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from modaltouch.protocol import AnswerList, Findings, InputError
+
+Edit = Callable[..., Path]
+
+FILE = "demo.yaml"
+BOTH = "    both: [up, down, num_8]\n"
+
+
+def test_the_papers_answers_stand_on_the_side_of_their_fingers() -> None:
+    """Whatever their order in the file; felt nowhere lies below them."""
+    answers = AnswerList.of({"keys": ["none", "right", "both", "left"]})
+    assert answers.names == ("left", "both", "right", "none")
+    assert [answer.is_below for answer in answers] == [False, False, False, True]
+    assert answers.ranked.names == ("left", "right", "both", "none")
+    assert AnswerList.of({}).names == ("left", "both", "right")
+
+
+def test_other_answers_stand_as_in_the_file() -> None:
+    """Unless all of a row name fingers; those told to lie below do."""
+    grades = AnswerList.of({"keys": ["stronger", "unsure", "weaker"], "below": ["unsure"]})
+    assert grades.names == ("stronger", "weaker", "unsure")
+    assert not grades.compares
+    fingers = {"rechts": ["right"], "links": ["left"], "beide": ["right", "left"]}
+    german = AnswerList.of({"keys": ["rechts", "links", "beide"], "fingers": fingers})
+    assert german.names == ("links", "beide", "rechts")
+    assert german.compares
+    both = german.naming("left", "right")
+    assert both is not None and both.name == "beide"
+    assert (german.fingers_of("rechts"), german.fingers_of("time_out")) == (("right",), None)
+
+
+def test_words_of_a_table_are_the_papers_or_stand_alone() -> None:
+    """A table of the paper in which nobody said both had that answer all the same."""
+    assert AnswerList.of_words(("left",)).names == ("left", "both", "right")
+    assert AnswerList.of_words(("none",)).names == ("left", "both", "right", "none")
+    assert AnswerList.of_words(("more", "less")).names == ("more", "less")
+
+
+def test_a_record_of_the_papers_answers_says_no_more_than_before(shipped) -> None:
+    """The design in the log has no key for what is not given."""
+    written = Findings.read(shipped / FILE).experiment().protocol.answers.model_dump(mode="json")
+    assert not {"fingers", "below"} & set(written)
+    assert written["keys"]["left"] == ["left", "num_4"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "fault"),
+    [
+        ("    left: [left, num_4]\n" + BOTH, "", "answers.keys: given 1 answer; allowed: 2 to 7 answers"),
+        (BOTH, "    time_out: [up]\n", "answers.keys.time_out: given time_out, which is recorded where no answer came"),
+        (
+            "  keys:\n",
+            "  fingers: {links: [left]}\n  keys:\n",
+            "answers.fingers.links: given 'links', which has no keys",
+        ),
+        ("  keys:\n", "  below: [bath]\n  keys:\n", "answers.below[0]: given 'bath', which has no keys"),
+        (
+            BOTH,
+            "    rechts: [up]\n",
+            "answers.rechts: given nothing; allowed: a text, as demo.yaml offers the answer rechts",
+        ),
+    ],
+)
+def test_what_is_wrong_with_a_list_is_said_at_its_place(edit: Edit, old: str, new: str, fault: str) -> None:
+    """Two answers at least, each with keys and a label."""
+    with pytest.raises(InputError) as caught:
+        Findings.read(edit(FILE, (old, new))).experiment()
+    assert any(fault in str(problem) for problem in caught.value.problems), caught.value.problems
+
+
+def test_two_answers_for_one_finger_are_refused(edit: Edit) -> None:
+    """Counts would not know which one is meant."""
+    change = ("  keys:\n", "  fingers: {links: [left]}\n  keys:\n    links: [l]\n")
+    with pytest.raises(InputError, match="names the same fingers as"):
+        Findings.read(edit(FILE, change)).experiment()
+
+
+@pytest.mark.parametrize(
+    ("changes", "fault"),
+    [
+        (
+            [("practice_trials: 1", "practice_trials: 1\n  practice_feedback: true")],
+            "schedule.practice_feedback: given true",
+        ),
+        (
+            [("practice_trials: 1", "practice_trials: 1\n  practice_criterion: 0.5")],
+            "schedule.practice_criterion: given 0.5",
+        ),
+    ],
+)
+def test_practice_cannot_be_judged_where_no_finger_is_named(edit: Edit, changes, fault: str) -> None:
+    """Which answer is right follows from the speeds under the fingers."""
+    keys = ("    left: [left, num_4]\n" + BOTH + "    right: [right, num_6]\n", "    more: [up]\n    less: [down]\n")
+    with pytest.raises(InputError, match=f"{fault}, where no answer names a finger"):
+        Findings.read(edit(FILE, keys, *changes)).experiment()
+
+
+def test_a_turned_beam_needs_answers_for_both_sides(edit: Edit) -> None:
+    """Left on a turned beam is the right zone, for which there must be an answer, too."""
+    changes = [
+        ("    right: [right, num_6]\n", ""),
+        ("  hand: right", "  placements: [normal, mirrored]\n  hand: right"),
+    ]
+    with pytest.raises(InputError, match="a beam that is turned, where 'left' has no answer on the other side"):
+        Findings.read(edit(FILE, *changes)).experiment()
+
+
+def test_adaptive_runs_need_the_answers_that_they_judge_by(edit: Edit) -> None:
+    """Naming the focus needs an answer for each finger."""
+    text = (edit("threshold.yaml")).read_text(encoding="utf-8")
+    keys = text[text.index("    left:") :]
+    with pytest.raises(InputError, match="focus_named, where no answer names each finger alone"):
+        Findings.read(edit("threshold.yaml", (keys, "    more: [up]\n    less: [down]\n"))).experiment()
