@@ -15,7 +15,7 @@ from modaltouch.rig.connection import Patience
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.local_client import LocalClient
 from modaltouch.rig.simulator import Simulator
-from modaltouch.rig.simulator.behaviour import Behaviour
+from modaltouch.rig.simulator.afg import Behaviour
 from modaltouch.rig.visa import VisaSession
 from modaltouch.stimulus.burst import Burst
 from modaltouch.system.clock import VirtualClock

@@ -19,8 +19,8 @@ from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.connection import Patience
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.interface import RigError
+from modaltouch.rig.link import LinkError
 from modaltouch.rig.simulator import Simulator
-from modaltouch.rig.transport import LinkError
 from modaltouch.rig.watchdog_client import WatchdogClient
 from modaltouch.rig.watchdog_process import LIMIT
 from modaltouch.stimulus.burst import Burst

@@ -9,8 +9,7 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from modaltouch.rig.link import Link, describe_block, split_reply
-from modaltouch.rig.transport import InUse, LinkError
+from modaltouch.rig.link import InUse, Link, LinkError, describe_block, split_reply
 
 
 class Transport:

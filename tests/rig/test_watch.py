@@ -17,8 +17,8 @@ from typing import Any
 import pytest
 
 from modaltouch.rig import watchdog_process as watchdog
+from modaltouch.rig.link import InUse
 from modaltouch.rig.pacing import Order, Pacer
-from modaltouch.rig.transport import InUse
 from modaltouch.rig.watchdog_process import (
     ARM,
     BEAT,

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
         record_peaks,
     )
     from modaltouch.rig.simulator import Simulator, serve
-    from modaltouch.rig.simulator.channel import Playback
+    from modaltouch.rig.simulator.timeline import Playback
     from modaltouch.rig.simulator.twin import Twin
     from modaltouch.rig.visa import find_instruments
 else:
@@ -54,7 +54,7 @@ else:
                 "continuous_codes highest_level level_setting record_peaks"
             ),
             "simulator": "Simulator serve",
-            "simulator.channel": "Playback",
+            "simulator.timeline": "Playback",
             "simulator.twin": "Twin",
             "visa": "find_instruments",
         },

@@ -5,17 +5,296 @@ Nothing is played: the outputs are off whenever a burst starts, and the amplitud
 
 from __future__ import annotations
 
+import socket
+import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, Literal
 
 from modaltouch.protocol import Apparatus
 from modaltouch.rig.connection import Connection, Patience
-from modaltouch.rig.controls import Unconfirmed
-from modaltouch.rig.link import Log
-from modaltouch.rig.open_questions import QUESTIONS, Finding, QuestionedInstrument, State
-from modaltouch.rig.transport import LinkError
+from modaltouch.rig.controls import CHANNELS, Unconfirmed
+from modaltouch.rig.link import InUse, Link, LinkError, Log, describe_error, split_reply
+from modaltouch.rig.settings import STOPPED, Setting, level_setting, quiet_level, quiet_settings
+from modaltouch.rig.visa import VisaSession
 from modaltouch.rig.watchdog_client import WatchdogClient
+
+REPETITION_PERIOD = 1 / 7
+RAW_PORTS = (4000, 5025)
+N_POINTS = 125_000
+STEPS = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
+N_CHANGES = 3
+N_ERRORS = 40
+N_TRIGGERS, BURST_LENGTH = 50, 0.05
+
+State = Literal["found", "person", "unanswered"]
+
+
+@dataclass(frozen=True)
+class QuestionedInstrument:
+    """What a question may use."""
+
+    connection: Connection
+    patience: Patience
+
+    @property
+    def link(self) -> Link:
+        """The session."""
+        return self.connection.link
+
+    def ask(self, message: str) -> str:
+        """Return a reply; a copy may take its time."""
+        return self.link.ask(message, timeout=self.patience.copy)
+
+    def errors(self) -> list[str]:
+        """Empty the error queue."""
+        return self.connection.controls.pending_errors()
+
+
+Finding = tuple[State, str, str]
+"""State, answer and advice."""
+
+
+def _settings(bench: QuestionedInstrument) -> Finding:
+    identity = bench.connection.identity
+    return (
+        "found",
+        f"{identity}; outputs off; takes its settings and reads them back",
+        "it is fit for a session as far as its settings go",
+    )
+
+
+def _idle_level(bench: QuestionedInstrument) -> Finding:
+    return (
+        "person",
+        "cannot be seen from the bus",
+        "every burst of this project begins and ends at 0 V, so that it does not matter; to know it, play a record "
+        "with unequal ends and look at an oscilloscope between two bursts",
+    )
+
+
+def _timer(bench: QuestionedInstrument) -> Finding:
+    bench.ask(f":TRIG:TIM {REPETITION_PERIOD:.12g}S;:TRIG:TIM?")
+    period = float(bench.ask("TRIG:TIM?"))
+    off = period / REPETITION_PERIOD - 1
+    return (
+        "found",
+        f"142.857142857 ms asked for, {period * 1e3:.9g} ms kept ({off * 1e6:+.2g} ppm)",
+        "bursts come at this period" if abs(off) < 5e-4 else "the driver will refuse it: the timer is too coarse",
+    )
+
+
+def _copy_time(bench: QuestionedInstrument) -> Finding:
+    filled = bench.ask("DATA:CAT?")
+    kept = "USER4" in filled
+    if kept:
+        bench.ask("DATA:COPY EMEM,USER4;*OPC?")
+    else:
+        bench.ask(f"DATA:DEF EMEM,{N_POINTS};*OPC?")
+    n_points = bench.ask("DATA:POIN? EMEM")
+    started = time.perf_counter()
+    bench.ask("DATA:COPY USER4,EMEM;*OPC?")
+    took = time.perf_counter() - started
+    if not kept:
+        bench.ask("DATA:DEL USER4;*OPC?")
+    errors = bench.errors()
+    if errors:
+        return "unanswered", ", ".join(errors), "unlock USER4 at the instrument (Edit menu) and ask again"
+    enough = took < bench.patience.copy / 2
+    return (
+        "found",
+        f"{took * 1e3:.1f} ms for {n_points} points into USER4 (whose content was kept)",
+        f"{'well' if enough else 'BARELY'} within the {bench.patience.copy:g} s that the driver waits",
+    )
+
+
+def _second_edit_memory(bench: QuestionedInstrument) -> Finding:
+    bench.ask("*CLS;*OPC?")
+    try:
+        reply = bench.link.ask("DATA:POIN? EMEM2")
+    except LinkError:
+        bench.connection.restore("question 4", (), lambda: None)
+        return "found", "no: it does not answer to EMEM2", "the driver uses one edit memory in any case"
+    errors = bench.errors()
+    answer = f"no: {', '.join(errors)}" if errors else f"yes: it has {reply} points"
+    return "found", answer, "the driver uses one edit memory in any case"
+
+
+def _raw_socket(bench: QuestionedInstrument) -> Finding:
+    host = (bench.connection.address.split("::") + [""])[1]
+    if not bench.connection.address.upper().startswith("TCPIP") or "," in host:
+        return "unanswered", "not reached over its network address", "ask again over TCPIP::<address>::INSTR"
+    open_ports = [str(port) for port in RAW_PORTS if _answers(host, port)]
+    answer = f"yes, on port {' and '.join(open_ports)}" if open_ports else f"no, neither on port {RAW_PORTS}"
+    return "found", answer, "use ::INSTR in any case: raw sockets lose replies after a timeout"
+
+
+def _answers(host: str, port: int) -> bool:
+    try:
+        with socket.create_connection((host, port), timeout=1) as connection:
+            connection.sendall(b"*IDN?\n")
+            return b"," in connection.recv(200)
+    except OSError:
+        return False
+
+
+def _ranges(bench: QuestionedInstrument) -> Finding:
+    took = {}
+    for amplitude in STEPS:
+        if amplitude / 2 > bench.connection.limits.level:
+            break
+        took[amplitude] = min(_time_of_change(bench, amplitude) for _ in range(N_CHANGES))
+    bench.connection.controls.apply([level_setting(1, quiet_level(bench.connection.limits))])
+    slowest = max(took, key=lambda amplitude: took[amplitude])
+    usual = sorted(took.values())[len(took) // 2]
+    where = f"passes {slowest:g} Vpp, which took longest" if took[slowest] > 3 * usual else "goes through all of these"
+    steps = ", ".join(f"{amplitude:g} Vpp {seconds * 1e3:.1f} ms" for amplitude, seconds in took.items())
+    return (
+        "person",
+        f"changes took {steps}",
+        f"listen while the level {where}: a relay that clicks tells the participant the level; the masking noise "
+        "must cover it",
+    )
+
+
+def _time_of_change(bench: QuestionedInstrument, amplitude: float) -> float:
+    """Return how long going from the lowest level to another takes [s]."""
+    bench.connection.controls.apply([level_setting(1, STEPS[0])])
+    started = time.perf_counter()
+    bench.connection.controls.apply([level_setting(1, amplitude)])
+    return time.perf_counter() - started
+
+
+def _limits(bench: QuestionedInstrument) -> Finding:
+    controls, level = bench.connection.controls, bench.connection.limits.level
+    source = "SOUR1:VOLT"
+    controls.apply([Setting(f"{source}:LIM:HIGH", 1.0, "V"), Setting(f"{source}:LIM:LOW", -1.0, "V")])
+    bench.ask("*CLS;*OPC?")
+    reply = float(split_reply(bench.ask(f":{source} 4VPP;:{source}?"))[-1])
+    errors = bench.errors()
+    controls.apply([level_setting(1, quiet_level(bench.connection.limits))])
+    controls.apply([Setting(f"{source}:LIM:HIGH", level, "V"), Setting(f"{source}:LIM:LOW", -level, "V")])
+    if reply > 2.001:
+        return "found", f"4 Vpp is accepted beyond a limit of 1 V (reads {reply:g})", "DO NOT rely on VOLTage:LIMit"
+    how = f"refused with {', '.join(errors)}" if errors else "cut without an error"
+    return "found", f"4 Vpp beyond a limit of 1 V is {how}; the level reads {reply:g} Vpp", "the limit holds"
+
+
+def _error_queue(bench: QuestionedInstrument) -> Finding:
+    bench.ask("*CLS;*OPC?")
+    for _ in range(N_ERRORS):
+        bench.link.ask("*OPC?;:NONSENSE:HEADER")
+    errors = bench.errors()
+    if not errors:
+        return "found", "no error after an undefined header", "errors go unseen: rely on what is read back"
+    depth = f"{len(errors)} entries" if len(errors) < N_ERRORS else f"at least {N_ERRORS} entries"
+    return "found", f"first {errors[0]}, last {errors[-1]}; {depth}", "the driver empties it after every setting"
+
+
+def _block_end(bench: QuestionedInstrument) -> Finding:
+    bench.ask("DATA:DEF EMEM,1000;*OPC?")
+    reply = bench.link.ask_raw("DATA:DATA? EMEM", timeout=bench.patience.copy)
+    n_digits = int(reply[1:2])
+    end = 2 + n_digits + int(reply[2 : 2 + n_digits])
+    return (
+        "found",
+        f"{reply[end:]!r} after a block of {end} bytes",
+        "records can be read back" if reply[end:] in (b"", b"\n") else "records are verified by single points",
+    )
+
+
+def _skew(bench: QuestionedInstrument) -> Finding:
+    return (
+        "person",
+        "cannot be seen from the bus",
+        "play the same record on both channels and measure the time between their edges on an oscilloscope; a skew "
+        "below 0.1 us turns the fastest mode, 88 kHz, by less than 4 degrees",
+    )
+
+
+def _sessions(bench: QuestionedInstrument) -> Finding:
+    second = VisaSession(bench.connection.address, shares=True)
+    try:
+        second.open()
+        second.exchange(b"*IDN?\n", timeout=bench.patience.reply, reply=True)
+    except InUse as error:
+        return (
+            "found",
+            f"no: {error}",
+            "a second program is refused while a session runs, and the first goes on",
+        )
+    # Backends raise VisaIOError, OSError, ValueError and plain Exception.
+    except Exception as error:
+        return "found", f"no: {describe_error(error)}", "a second program is refused while a session runs"
+    finally:
+        second.close(broken=False)
+    return (
+        "found",
+        "yes: a second session is answered",
+        "a second program can disturb a session; the driver notices at each trial's end, and offers the trial again",
+    )
+
+
+def _trigger(bench: QuestionedInstrument) -> Finding:
+    controls = bench.connection.controls
+    controls.apply([STOPPED])
+    for channel in CHANNELS:
+        source = f"SOUR{channel}"
+        controls.apply_each([Setting(f"{source}:FREQ", 20.0, "HZ"), Setting(f"{source}:BURS:STAT", "ON")])
+    command = controls.trigger_command()
+    took = []
+    for _ in range(N_TRIGGERS):
+        started = time.perf_counter()
+        bench.link.send(command)
+        took.append((time.perf_counter() - started) * 1e3)
+        time.sleep(BURST_LENGTH)
+    took.sort()
+    return (
+        "person",
+        f"{command} is taken after {took[len(took) // 2]:.2f} ms, {took[-1]:.2f} ms at most; when the first sample "
+        "leaves cannot be seen from the bus",
+        "raise a line that an oscilloscope sees (RTS of a serial port) right before the command, measure from its edge "
+        "to the first sample of 50 bursts, and write the least and the greatest as generator.trigger_latency_ms {low, "
+        "high}; without it no instant is claimed to less than a millisecond",
+    )
+
+
+def _after_link_loss(bench: QuestionedInstrument) -> Finding:
+    controls = bench.connection.controls
+    controls.apply([STOPPED])
+    for channel in CHANNELS:
+        controls.apply_each(quiet_settings(channel, bench.connection.limits))
+        # In burst, with a trigger that never comes, the output rests.
+        controls.apply_each([Setting(f"SOUR{channel}:FREQ", 20.0, "HZ"), Setting(f"SOUR{channel}:BURS:STAT", "ON")])
+    controls.outputs_on()
+    bench.link.close(broken=True)
+    found = bench.connection.restore("question 12", (), lambda: None)
+    state = "still on" if any(found.outputs) else "off"
+    return (
+        "found",
+        f"{state} when the session was opened again (at rest, the level low)",
+        "a lost link does not switch them off: that is what the watchdog is for"
+        if any(found.outputs)
+        else "the instrument switches them off by itself",
+    )
+
+
+QUESTIONS: tuple[tuple[int, str, Callable[[QuestionedInstrument], Finding]], ...] = (
+    (0, "Does it take the driver's settings?", _settings),
+    (1, "Where does the output rest between bursts?", _idle_level),
+    (2, "What does the trigger timer make of 1/7 s?", _timer),
+    (3, "How long does storing a record take?", _copy_time),
+    (4, "Is there a second edit memory?", _second_edit_memory),
+    (5, "Does it answer on a raw socket?", _raw_socket),
+    (6, "Does a change of amplitude click or glitch?", _ranges),
+    (7, "Is a level beyond VOLTage:LIMit refused or cut?", _limits),
+    (8, "What does the error queue say, and how much does it hold?", _error_queue),
+    (9, "How does a block reply end?", _block_end),
+    (10, "How far apart do the channels start?", _skew),
+    (11, "Does it admit a second session?", _sessions),
+    (12, "What do the outputs do when the link is lost?", _after_link_loss),
+    (13, "How soon after its command does a burst begin?", _trigger),
+)
 
 
 @dataclass(frozen=True)

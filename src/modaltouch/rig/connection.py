@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from modaltouch.protocol import Apparatus
 from modaltouch.rig.controls import CHANNELS, Controls, Unconfirmed
 from modaltouch.rig.interface import RigError
-from modaltouch.rig.link import Link, Log
+from modaltouch.rig.link import InUse, Link, LinkError, Log
 from modaltouch.rig.settings import KNOWN_MODELS, STOPPED, Limits, Setting, quiet_settings
-from modaltouch.rig.transport import InUse, LinkError
 from modaltouch.rig.watchdog_client import BurstPlayer
 from modaltouch.system import SYSTEM_CLOCK, Clock
 

@@ -8,9 +8,8 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.rig.link import Link, Log, split_reply
+from modaltouch.rig.link import Link, LinkError, Log, split_reply
 from modaltouch.rig.settings import MAX_POINTS, Setting, lock_setting
-from modaltouch.rig.transport import LinkError
 
 NO_ERROR, UNDEFINED_HEADER = 0, -113
 IMMEDIATE, COMMON_TRIGGER = "TRIG:SEQ:IMM", "*TRG"

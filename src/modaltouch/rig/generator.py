@@ -18,10 +18,9 @@ from modaltouch.protocol import Apparatus
 from modaltouch.rig.connection import Connection, OutputState, Patience
 from modaltouch.rig.controls import CHANNELS, Unconfirmed
 from modaltouch.rig.interface import MANY, Bursts, Firing, RigError, StimulusLost
-from modaltouch.rig.link import Log
+from modaltouch.rig.link import LinkError, Log
 from modaltouch.rig.pacing import Report
 from modaltouch.rig.player import RELAYS_SETTLE, Player, Repetition, numbers
-from modaltouch.rig.transport import LinkError
 from modaltouch.rig.watchdog_client import HELD_UP, BurstPlayer, WatchdogClient
 from modaltouch.rig.watchdog_process import LIMIT
 from modaltouch.stimulus import Burst

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
-from modaltouch.rig.transport import describe_error
+from modaltouch.rig.link import describe_error
 from modaltouch.system import Clock
 
 LATEST = 0.05

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from modaltouch.rig.interface import RigError
-from modaltouch.rig.transport import InUse, block_bounds
+from modaltouch.rig.link import InUse, block_bounds
 from modaltouch.system import lock
 
 KNOCKED = 2.0

@@ -14,8 +14,8 @@ import typing
 from typing import Any
 
 from modaltouch.rig.interface import RigError
+from modaltouch.rig.link import InUse, LinkError, Transport, TransportError
 from modaltouch.rig.pacing import LEASE, Order, Report
-from modaltouch.rig.transport import InUse, LinkError, Transport, TransportError
 from modaltouch.rig.watchdog_process import (
     ARM,
     BEAT,

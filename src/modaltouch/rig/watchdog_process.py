@@ -26,8 +26,8 @@ import threading
 import typing
 from collections.abc import Callable, Iterator
 
+from modaltouch.rig.link import InUse, Transport, describe_error
 from modaltouch.rig.pacing import PATIENCE, Order, Pacer
-from modaltouch.rig.transport import InUse, Transport, describe_error
 from modaltouch.rig.visa import VisaSession
 from modaltouch.system import SYSTEM_CLOCK, Clock
 

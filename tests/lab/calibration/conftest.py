@@ -15,8 +15,8 @@ from modaltouch.preflight.examination import design_to_fit
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.twin import TrueAmplifier
 from modaltouch.rig.acquisition import Acquisition, Recording
-from modaltouch.rig.simulator.channel import Playback
 from modaltouch.rig.simulator.scope import SimulatedScope
+from modaltouch.rig.simulator.timeline import Playback
 from modaltouch.rig.simulator.twin import TrueState, Twin
 from modaltouch.stimulus.burst import Burst
 

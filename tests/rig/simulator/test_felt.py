@@ -10,7 +10,7 @@ import pytest
 
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.simulator import Simulator
-from modaltouch.rig.simulator.channel import Playback
+from modaltouch.rig.simulator.timeline import Playback
 from modaltouch.rig.simulator.twin import Twin
 
 

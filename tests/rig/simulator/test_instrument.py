@@ -6,10 +6,8 @@ import math
 
 import pytest
 
-from modaltouch.rig.simulator.afg import Afg
-from modaltouch.rig.simulator.behaviour import Behaviour
-from modaltouch.rig.simulator.faults import Faults
-from modaltouch.rig.simulator.instrument import Instrument
+from modaltouch.rig.simulator.afg import Afg, Behaviour
+from modaltouch.rig.simulator.instrument import Faults, Instrument
 from modaltouch.system.clock import VirtualClock
 
 NO_ERROR = '0,"No error"'

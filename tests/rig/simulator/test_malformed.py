@@ -18,8 +18,7 @@ import pyvisa
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.simulator import Simulator
 from modaltouch.rig.simulator.afg import Afg
-from modaltouch.rig.simulator.faults import Faults
-from modaltouch.rig.simulator.instrument import Instrument
+from modaltouch.rig.simulator.instrument import Faults, Instrument
 from modaltouch.rig.simulator.scpi import TEXTS
 
 NUMERIC = {

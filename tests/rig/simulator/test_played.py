@@ -18,7 +18,7 @@ import pyvisa
 
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.simulator import Simulator
-from modaltouch.rig.simulator.channel import Playback
+from modaltouch.rig.simulator.timeline import Playback
 from modaltouch.system.clock import VirtualClock
 
 SETTINGS = "SOUR{n}:FUNC USER1;FREQ 20;:SOUR{n}:BURS:STAT ON;NCYC 1;:OUTP{n}:IMP INF;:SOUR{n}:VOLT {n}VPP;:OUTP{n} ON"

@@ -14,8 +14,8 @@ from modaltouch.rig.acquisition import Acquisition, Recording
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.simulator import Simulator
-from modaltouch.rig.simulator.channel import Playback
 from modaltouch.rig.simulator.scope import _moved
+from modaltouch.rig.simulator.timeline import Playback
 from modaltouch.stimulus.burst import Burst
 
 QUIET_SCOPE = ScopeSection(

@@ -6,9 +6,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modaltouch.rig.simulator.arguments import read_boolean, read_choice, read_number
-from modaltouch.rig.simulator.command_table import Command, CommandTable
-from modaltouch.rig.simulator.scpi import MessageUnit, ScpiError, read_message
+from modaltouch.rig.simulator.scpi import (
+    Command,
+    CommandTable,
+    MessageUnit,
+    ScpiError,
+    read_boolean,
+    read_choice,
+    read_message,
+    read_number,
+)
 
 VOLTS = {"V": 1.0, "VPP": 1.0}
 

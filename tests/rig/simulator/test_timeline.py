@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from modaltouch.rig.simulator.afg import Afg
-from modaltouch.rig.simulator.behaviour import Behaviour
-from modaltouch.rig.simulator.faults import Faults
-from modaltouch.rig.simulator.instrument import Instrument
+from modaltouch.rig.simulator.afg import Afg, Behaviour
+from modaltouch.rig.simulator.instrument import Faults, Instrument
 from modaltouch.rig.simulator.timeline import FINEST, Delays, PlayedBurst
 from modaltouch.system.clock import VirtualClock
 

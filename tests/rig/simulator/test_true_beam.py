@@ -9,7 +9,7 @@ import pytest
 
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.twin import Fingers, TrueAmplifier, UnlistedMode
-from modaltouch.rig.simulator.channel import Playback
+from modaltouch.rig.simulator.timeline import Playback
 from modaltouch.rig.simulator.true_beam import generator_gains, true_beam
 from modaltouch.rig.simulator.twin import Twin
 

@@ -18,14 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.protocol import Apparatus
-from modaltouch.rig.simulator.afg import Afg
-from modaltouch.rig.simulator.behaviour import Behaviour
-from modaltouch.rig.simulator.channel import Playback
-from modaltouch.rig.simulator.faults import Faults
-from modaltouch.rig.simulator.instrument import Instrument
+from modaltouch.rig.simulator.afg import Afg, Behaviour
+from modaltouch.rig.simulator.instrument import Faults, Instrument
 from modaltouch.rig.simulator.played import PlayedLog
 from modaltouch.rig.simulator.scope import SimulatedScope
-from modaltouch.rig.simulator.timeline import Delays
+from modaltouch.rig.simulator.timeline import Delays, Playback
 from modaltouch.rig.simulator.twin import TrueState, Twin
 from modaltouch.rig.simulator.vxi11 import Vxi11Server
 from modaltouch.system import SYSTEM_CLOCK, Clock

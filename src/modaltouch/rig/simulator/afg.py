@@ -8,14 +8,93 @@ import threading
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 
-from modaltouch.rig.simulator.behaviour import Behaviour
-from modaltouch.rig.simulator.channel import MID_CODE, Channel, Playback
 from modaltouch.rig.simulator.scpi import ScpiError
-from modaltouch.rig.simulator.timeline import Delays, Situation, Timeline
+from modaltouch.rig.simulator.timeline import MID_CODE, Delays, Playback, Retrigger, Situation, Timeline
 from modaltouch.system import SYSTEM_CLOCK, Clock
+
+
+@dataclass(frozen=True)
+class Behaviour:
+    """What is not publicly known of the real instrument, or differs between units.
+
+    Attributes
+    ----------
+    identity : str
+        Reply to ``*IDN?``.
+    idle_level : str
+        Where the output rests between bursts: at the ``first`` or ``last`` point, or at the ``offset``.
+    timer_digits : int
+        Significant digits that the trigger timer keeps.
+    copy_time : float
+        How long storing a record in a USER memory takes [s].
+    amplitude_ranges : tuple of float
+        Amplitudes at which a range relay switches [V peak to peak, open circuit].
+    limit_violation : str
+        Whether a level beyond VOLTage:LIMit is refused (``error``) or cut (``clip``).
+    block_end : bytes
+        What follows a block reply.
+    max_sessions : int
+        Links accepted at the same time.
+    queue_depth : int
+        Errors kept.
+    retrigger : str
+        Whether a trigger inside a running burst is ``ignored``, without an error, or ``restarts`` the burst.
+    """
+
+    identity: str = "TEKTRONIX,AFG3022B,SIMULATED,SCPI:99.0 FV:3.2.2"
+    idle_level: Literal["first", "last", "offset"] = "first"
+    timer_digits: int = 9
+    copy_time: float = 0.0
+    amplitude_ranges: tuple[float, ...] = (0.2, 2.0)
+    limit_violation: Literal["error", "clip"] = "error"
+    block_end: bytes = b"\n"
+    max_sessions: int = 16
+    queue_depth: int = 32
+    retrigger: Retrigger = "ignored"
+
+
+OPEN = math.inf
+"""Load impedance of an open circuit [ohm]."""
+
+SOURCE_IMPEDANCE = 50.0
+"""Output impedance of every channel [ohm]."""
+
+
+@dataclass
+class Channel:
+    """Settings of one output; levels are kept as open-circuit volts, whatever load is configured."""
+
+    function: str = "SIN"
+    frequency: float = 1e6
+    phase: float = 0.0
+    amplitude: float = 2.0
+    offset: float = 0.0
+    unit: str = "VPP"
+    limit_high: float = 10.0
+    limit_low: float = -10.0
+    load: float = SOURCE_IMPEDANCE
+    polarity: str = "NORM"
+    output: bool = False
+    burst: bool = False
+    burst_mode: str = "TRIG"
+    n_cycles: float = 5.0
+    delay: float = 0.0
+    range_switches: int = 0
+
+    @property
+    def load_factor(self) -> float:
+        """Volts at the configured load per open-circuit volt [1]."""
+        return 1.0 if math.isinf(self.load) else self.load / (self.load + SOURCE_IMPEDANCE)
+
+    @property
+    def burst_length(self) -> float:
+        """Time from a trigger to the end of its burst [s]."""
+        return self.delay + self.n_cycles / self.frequency
+
 
 MAX_CODE = 16382
 """Highest code of a point."""

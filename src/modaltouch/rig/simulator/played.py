@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 
 from modaltouch.protocol import InputError, Problem
-from modaltouch.rig.simulator.channel import Playback
-from modaltouch.rig.simulator.timeline import PlayedBurst
+from modaltouch.rig.simulator.timeline import Playback, PlayedBurst
 from modaltouch.rig.simulator.twin import MOST_SAMPLES, Twin
 
 TICK = 2e-3

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from modaltouch.rig.acquisition import Acquisition, Inputs, Recording
 from modaltouch.rig.interface import RigError
-from modaltouch.rig.simulator.channel import Playback
 from modaltouch.rig.simulator.motion import DriveVoltage, Motion
+from modaltouch.rig.simulator.timeline import Playback
 from modaltouch.rig.simulator.twin import Twin
 
 FloatArray = NDArray[np.float64]

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 
 Argument = str | bytes
 """A text argument as it was sent, or the content of a definite block."""
@@ -140,3 +140,265 @@ def _read_argument(message: bytes, at: int) -> tuple[Argument, int]:
 
 def _show(text: bytes) -> str:
     return text.decode("latin1").encode("ascii", "backslashreplace").decode()
+
+
+Arguments = tuple[Argument, ...]
+
+_NUMBER = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:\s*[eE]\s*[+-]?\d+)?)\s*([A-Za-z]*)$")
+_MULTIPLIERS = {"G": 1e9, "MA": 1e6, "K": 1e3, "": 1.0, "M": 1e-3, "U": 1e-6, "N": 1e-9, "P": 1e-12}
+
+
+def read_number(
+    argument: Argument,
+    *,
+    units: Mapping[str, float],
+    minimum: float,
+    maximum: float,
+    default: float | None = None,
+) -> float:
+    """Return a numeric argument in the first unit of `units`.
+
+    Parameters
+    ----------
+    argument : str or bytes
+        As sent: ``1.5``, ``15E-1``, ``1500 mVPP``, ``MIN``, ``MAXimum``, ``DEFault``.
+    units : mapping of str to float
+        Upper-case unit -> factor; ``M`` is milli, save before HZ and OHM, where it is mega.
+    minimum, maximum, default : float
+        Range, ends included, and what ``DEF`` means.
+
+    Raises
+    ------
+    ScpiError
+        -104 for what is not a number, -131 for a foreign unit, -222 for a value out of range.
+    """
+    if isinstance(argument, bytes):
+        raise ScpiError(-104, "a block where a number belongs")
+    if len(argument) > LONGEST_TEXT:
+        raise ScpiError(-124, argument[:20])
+    word = argument.upper()
+    if is_word(word, "MINimum"):
+        return minimum
+    if is_word(word, "MAXimum"):
+        return maximum
+    if is_word(word, "DEFault") and default is not None:
+        return default
+    if is_word(word, "INFinity"):
+        value, unit = 9.9e37, ""
+    else:
+        found = _NUMBER.match(argument)
+        if found is None:
+            raise ScpiError(-104, argument)
+        value, unit = float(re.sub(r"\s", "", found[1])), found[2].upper()
+    value *= _factor(unit, units)
+    if not minimum <= value <= maximum:
+        raise ScpiError(-222, f"{argument}: allowed {minimum:g} to {maximum:g}")
+    return value
+
+
+def _factor(unit: str, units: Mapping[str, float]) -> float:
+    if unit == "" or unit in units:
+        return units.get(unit, 1.0)
+    for name, factor in units.items():
+        prefix = unit.removesuffix(name)
+        if name and prefix != unit and prefix in _MULTIPLIERS:
+            mega = prefix == "M" and name in ("HZ", "OHM")
+            return factor * (1e6 if mega else _MULTIPLIERS[prefix])
+    raise ScpiError(-131, unit)
+
+
+def read_boolean(argument: Argument) -> bool:
+    """Return ON, OFF or a number as a truth value."""
+    word = argument.upper() if isinstance(argument, str) else ""
+    if word in ("ON", "OFF"):
+        return word == "ON"
+    return round(read_number(argument, units={}, minimum=-9.9e37, maximum=9.9e37)) != 0
+
+
+def read_choice(argument: Argument, choices: tuple[str, ...]) -> str:
+    """Return the short form of a keyword, given in its short or long form."""
+    for choice in choices:
+        if isinstance(argument, str) and is_word(argument.upper(), choice):
+            return short_form(choice)
+    raise ScpiError(-224, str(argument)[:40])
+
+
+def short_form(mnemonic: str) -> str:
+    """Return the capitals and digits of a mnemonic: ``EXT`` of ``EXTernal``."""
+    return "".join(letter for letter in mnemonic if not letter.islower())
+
+
+def is_word(word: str, mnemonic: str) -> bool:
+    """Return whether an upper-case word is the short or the long form of a mnemonic."""
+    return word in (short_form(mnemonic), mnemonic.upper())
+
+
+def exactly(arguments: Arguments, n: int) -> Arguments:
+    """Return the arguments if there are `n` of them."""
+    if len(arguments) < n:
+        raise ScpiError(-109)
+    if len(arguments) > n:
+        raise ScpiError(-108)
+    return arguments
+
+
+def one(arguments: Arguments) -> Argument:
+    """Return the only argument."""
+    return exactly(arguments, 1)[0]
+
+
+def whole(arguments: Arguments, low: int, high: int) -> int:
+    """Return the only argument as a whole number."""
+    return round(read_number(one(arguments), units={}, minimum=low, maximum=high))
+
+
+def quantity(arguments: Arguments, units: dict[str, float], low: float, high: float, default: float | None) -> float:
+    """Return the only argument as a number in the first of its units."""
+    return read_number(one(arguments), units=units, minimum=low, maximum=high, default=default)
+
+
+def asked(arguments: Arguments, value: float, low: float, high: float) -> float:
+    """Return the value of a query, or the limit that ``MIN`` or ``MAX`` asks for."""
+    if not arguments:
+        return value
+    return low if read_choice(one(arguments), ("MINimum", "MAXimum")) == short_form("MINimum") else high
+
+
+def flag(state: bool) -> str:
+    """Return a truth value as a reply."""
+    return "1" if state else "0"
+
+
+LARGEST_REPLY = 1 << 20
+"""Bytes that the output queue holds: four records."""
+
+QUERY_DEADLOCKED = -430
+
+Handler = Callable[[int, tuple[Argument, ...]], "str | bytes | None"]
+"""Called with the channel (header suffix, 1 without one) and the arguments; a query returns its reply."""
+
+
+@dataclass(frozen=True)
+class Command:
+    """What one header does: `set` for the command, `get` for the query; None where the form does not exist."""
+
+    set: Handler | None = None
+    get: Handler | None = None
+
+
+@dataclass
+class CommandTable:
+    """SCPI headers and what they do.
+
+    Headers are written as in manuals: ``[SOURce#]:VOLTage[:LEVel]``, brackets around what may be left out,
+    ``#`` for a channel suffix, ``|`` between synonyms of one node.
+    """
+
+    commands: Mapping[str, Command]
+    n_channels: int
+    _patterns: list[tuple[re.Pattern[str], Command]] = field(init=False)
+    _known: dict[str, tuple[Command, int]] = field(default_factory=dict, init=False)
+
+    def __post_init__(self) -> None:
+        self._patterns = [(re.compile(_pattern(header)), command) for header, command in self.commands.items()]
+
+    def find(self, header: str) -> tuple[Command, int]:
+        """Return the command and channel that a complete header names.
+
+        Raises
+        ------
+        ScpiError
+            -113 where there is no such header, -114 where there is no such channel.
+        """
+        name = header.upper().lstrip(":")
+        found = self._known.get(name) or self._search(name)
+        if found is None:
+            raise ScpiError(-113, header)
+        # What does not exist is not remembered: there is no end to it.
+        self._known[name] = found
+        if not 1 <= found[1] <= self.n_channels:
+            raise ScpiError(-114, header)
+        return found
+
+    def _search(self, name: str) -> tuple[Command, int] | None:
+        for pattern, command in self._patterns:
+            match = pattern.fullmatch(name)
+            if match:
+                suffix = next((group for group in match.groups() if group), "1").lstrip("0")
+                return command, int(suffix) if len(suffix) == 1 else 0
+        return None
+
+    def run(self, message: bytes, *, fail: Callable[[ScpiError], None]) -> list[bytes]:
+        """Carry out a message and return the replies of its queries.
+
+        After a command error the rest of the message is dropped, after an execution error it goes on.
+
+        Parameters
+        ----------
+        message : bytes
+            One complete program message.
+        fail : callable
+            Takes each error, for the queue and the status registers.
+        """
+        replies: list[bytes] = []
+        path, size = "", 0
+        try:
+            for unit in read_message(message):
+                command, channel, path = self._resolve(unit.header, path)
+                try:
+                    reply = _call(command, channel, unit)
+                except ScpiError as error:
+                    fail(error)
+                    if -200 < error.code <= -100:
+                        return replies
+                    continue
+                if reply is not None:
+                    replies.append(reply if isinstance(reply, bytes) else reply.encode("ascii"))
+                    size += len(replies[-1])
+                    if size > LARGEST_REPLY:
+                        raise ScpiError(QUERY_DEADLOCKED, f"more than {LARGEST_REPLY} bytes were asked for")
+        except ScpiError as error:
+            fail(error)
+            if error.code == QUERY_DEADLOCKED:
+                return []
+        return replies
+
+    def _resolve(self, header: str, path: str) -> tuple[Command, int, str]:
+        """Return command, channel and the path that the next unit starts from."""
+        if header.startswith("*"):
+            return (*self.find(header), path)
+        full = header if header.startswith(":") or not path else f"{path}:{header}"
+        full = full.lstrip(":")
+        return (*self.find(full), full.rpartition(":")[0])
+
+
+def _call(command: Command, channel: int, unit: MessageUnit) -> str | bytes | None:
+    handler = command.get if unit.query else command.set
+    if handler is None:
+        raise ScpiError(-113, unit.header + ("?" if unit.query else ""))
+    return handler(channel, unit.arguments)
+
+
+def _pattern(header: str) -> str:
+    """Return the regular expression of a header as manuals write it, for upper-case names."""
+    # A first node that may be left out takes its colon with it.
+    header = re.sub(r"^\[([^\]]*)\]:", r"[\1:]", header)
+    pattern = ""
+    for token in re.findall(r"\[|\]|:|#|\||\*?[A-Za-z]+\d*", header):
+        if token == "[":
+            pattern += "(?:"
+        elif token == "]":
+            pattern += ")?"
+        elif token == "#":
+            pattern += r"(\d*)"
+        elif token in (":", "|"):
+            pattern += token
+        else:
+            pattern += f"(?:{re.escape(short_form(token))}|{re.escape(token.upper())})"
+    return _group_synonyms(pattern)
+
+
+def _group_synonyms(pattern: str) -> str:
+    """Put brackets around ``A|B`` so that each stands for one node."""
+    node = r"\(\?:[^()]*\)"
+    return re.sub(rf"{node}(?:\|{node})+", lambda found: f"(?:{found[0]})", pattern)

@@ -8,7 +8,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Literal
 
-from modaltouch.rig.simulator.channel import Playback
+MID_CODE = 8191
+"""Code of zero volts."""
 
 FINEST = 1e-3
 """Of bursts that come by themselves and follow each other faster, one in this time is counted [s]."""
@@ -18,6 +19,38 @@ ROUNDING = 1e-9
 
 Retrigger = Literal["ignored", "restarts"]
 """What a trigger inside a running burst does."""
+
+
+@dataclass(frozen=True)
+class Playback:
+    """What one output is sending.
+
+    Attributes
+    ----------
+    record : bytes
+        Codes of one cycle, two bytes each, big-endian.
+    amplitude, offset : float
+        Of the record's full scale, open circuit [V peak to peak, V].
+    duration : float
+        Length of one cycle [s].
+    period : float
+        Time from one trigger to the next [s], or one cycle without; infinite for a single trigger.
+    idle_code : int
+        Code at which the output rests between bursts.
+    n_cycles : int
+        Cycles of one burst.
+    delay : float
+        From a trigger to its burst [s].
+    """
+
+    record: bytes
+    amplitude: float
+    offset: float
+    duration: float
+    period: float
+    idle_code: int
+    n_cycles: int = 1
+    delay: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.protocol import Apparatus
-from modaltouch.rig.simulator.channel import MID_CODE, Playback
-from modaltouch.rig.simulator.held_response import LONGEST_SILENCE, Held, peak, refined, state_at
-from modaltouch.rig.simulator.motion import DriveVoltage, Motion, low_passed
+from modaltouch.rig.simulator.motion import (
+    LONGEST_SILENCE,
+    DriveVoltage,
+    Held,
+    Motion,
+    low_passed,
+    peak,
+    refined,
+    state_at,
+)
+from modaltouch.rig.simulator.timeline import MID_CODE, Playback
 from modaltouch.rig.simulator.true_beam import generator_gains, true_amplifier, true_beam
 from modaltouch.stimulus import DiagonalSystem
 

@@ -7,6 +7,7 @@ the port in their address, ``TCPIP::127.0.0.1,<port>::inst0::INSTR``.
 from __future__ import annotations
 
 import contextlib
+import io
 import itertools
 import socket
 import struct
@@ -16,9 +17,82 @@ import time
 import typing
 from dataclasses import dataclass, field
 
-from modaltouch.rig.simulator.device import Device
-from modaltouch.rig.simulator.rpc import PROGRAM_UNAVAILABLE, HangUp, accept, as_record, opaque, read_call, read_record
+from modaltouch.rig.simulator.instrument import Instrument
 from modaltouch.rig.simulator.scpi import ScpiError
+
+SUCCESS, PROGRAM_UNAVAILABLE = 0, 1
+"""How an accepted call went."""
+
+_LAST_FRAGMENT = 0x80000000
+
+
+class HangUp(Exception):  # noqa: N818
+    """The connection is to be reset."""
+
+
+def read_record(stream: io.BufferedIOBase, limit: int) -> bytes:
+    """Return one record, its fragments joined.
+
+    Parameters
+    ----------
+    stream : binary stream
+        The connection.
+    limit : int
+        Longest record [bytes].
+
+    Raises
+    ------
+    EOFError
+        If the connection ends.
+    HangUp
+        If the record is longer than `limit`: whoever sends it speaks another protocol.
+    """
+    record = bytearray()
+    while True:
+        (word,) = struct.unpack(">I", _exactly(stream, 4))
+        length = word & ~_LAST_FRAGMENT
+        if len(record) + length > limit:
+            raise HangUp
+        record += _exactly(stream, length)
+        if word & _LAST_FRAGMENT:
+            return bytes(record)
+
+
+def _exactly(stream: io.BufferedIOBase, length: int) -> bytes:
+    data = stream.read(length)
+    if len(data) < length:
+        raise EOFError
+    return data
+
+
+def as_record(body: bytes) -> bytes:
+    """Return a message as a record of one fragment."""
+    return struct.pack(">I", _LAST_FRAGMENT | len(body)) + body
+
+
+def read_call(call: bytes) -> tuple[int, int, int, bytes]:
+    """Return transaction, program, procedure and parameters of a call; credentials are not looked at."""
+    transaction, _, _, program, _, procedure = struct.unpack_from(">6I", call)
+    at = 24
+    for _ in ("credentials", "verifier"):
+        (length,) = struct.unpack_from(">I", call, at + 4)
+        at += 8 + _padded(length)
+    return transaction, program, procedure, call[at:]
+
+
+def accept(transaction: int, status: int = SUCCESS) -> bytes:
+    """Return the header of an accepted reply."""
+    return struct.pack(">6I", transaction, 1, 0, 0, 0, status)
+
+
+def opaque(data: bytes) -> bytes:
+    """Return data with its length before it and padding after it."""
+    return struct.pack(">I", len(data)) + data + bytes(_padded(len(data)) - len(data))
+
+
+def _padded(length: int) -> int:
+    return (length + 3) // 4 * 4
+
 
 LARGEST_MESSAGE = 1 << 20
 """Bytes accepted in one write, announced to the client, and in one program message."""
@@ -54,13 +128,13 @@ class Links:
 
     Parameters
     ----------
-    device : Device
+    device : Instrument
         The instrument.
     closing : threading.Event
         Set when the server ends: nothing is waited for any longer.
     """
 
-    def __init__(self, device: Device, closing: threading.Event) -> None:
+    def __init__(self, device: Instrument, closing: threading.Event) -> None:
         self._device = device
         self._closing = closing
         self._links: dict[int, _Link] = {}
@@ -262,13 +336,13 @@ class Vxi11Server:
 
     Parameters
     ----------
-    device : Device
+    device : Instrument
         The instrument.
     port : int
         TCP port on 127.0.0.1; 0 takes a free one.
     """
 
-    def __init__(self, device: Device, port: int = 0) -> None:
+    def __init__(self, device: Instrument, port: int = 0) -> None:
         self.device = device
         self._connections: set[socket.socket] = set()
         self._guard = threading.RLock()
