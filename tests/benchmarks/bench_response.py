@@ -15,13 +15,14 @@ from bars import at_least, at_most, write
 from peers import eighty_bits, forced_response, lsim, nine_lfilters, one_by_one, race, shipped_model, state_space
 from threadpoolctl import threadpool_limits
 
+from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.stimulus.dynamics import DiagonalSystem
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.timing import Timing
 from modaltouch.stimulus.vibration import modal_history, velocity_history
 
 N_SAMPLES = 65_536
-TIMING = Timing(n_samples=N_SAMPLES, clock_rate=N_SAMPLES * 20 * 190)
+TIMING = Timing(replace(AFG3022B.converter, clock_rate=N_SAMPLES * 20 * 190), n_samples=N_SAMPLES)
 """A clock that holds every sample equally long, as the peers assume."""
 
 

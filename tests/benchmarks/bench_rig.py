@@ -18,6 +18,7 @@ import numpy as np
 import pyvisa
 
 from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.simulator import Simulator
 from modaltouch.rig.watchdog_client import WatchdogClient
@@ -57,7 +58,7 @@ def make_burst(seed: int, n_samples: int = 131_072) -> Burst:
     """Return a burst of random codes, at rest at both ends."""
     codes = np.random.default_rng(seed).integers(0, 16383, (2, n_samples)).astype(np.uint16)
     codes[:, [0, -1]] = 8191
-    return Burst(codes, 0.05, 7.0, 0.2, (12.0, 8.0))
+    return Burst(codes, 0.05, 7.0, 0.2, (12.0, 8.0), AFG3022B.converter)
 
 
 def measure_pyvisa(simulator: Simulator) -> dict[str, tuple[float, float]]:
@@ -110,7 +111,7 @@ def measure_driver(simulator: Simulator, rig: Generator) -> dict[str, tuple[floa
     rig.load(burst)
     results["loading a record that is there"] = median_ms(lambda: rig.load(burst), 20)
     levels = iter(np.linspace(1, 2, 1000))
-    results[LEVELS] = median_ms(lambda: rig.set_levels((round(float(next(levels)), 3), 2.0)), 200)
+    results[LEVELS] = median_ms(lambda: rig._player.set_levels((round(float(next(levels)), 3), 2.0)), 200)
 
     def trial() -> None:
         rig.fire(0.1)

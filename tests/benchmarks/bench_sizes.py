@@ -15,6 +15,7 @@ from bench_synthesis import undying
 from peers import design, many_modes, milliseconds, shipped_model
 from threadpoolctl import threadpool_limits
 
+from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.stimulus.blocks import BlockKernel
 from modaltouch.stimulus.dynamics import DiagonalSystem, moments
 from modaltouch.stimulus.synthesis import synthesise
@@ -31,7 +32,7 @@ Works = dict[str, Callable[[], object]]
 
 def mode_works(n_modes: int) -> Works:
     """Return what is run for so many modes, each on both channels."""
-    model, timing = many_modes(n_modes), Timing(n_samples=65_536)
+    model, timing = many_modes(n_modes), Timing(AFG3022B.converter, n_samples=65_536)
     amplitude, s = np.ones((2, n_modes), dtype=complex), undying(model.exponent)
     out, voltage = np.empty((2, 65_536)), np.ones((2, 65_536))
     return {

@@ -17,6 +17,7 @@ from peers import ZONES, design, milliseconds, race, shipped_model
 from threadpoolctl import threadpool_limits
 
 from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.simulator import Simulator
 from modaltouch.stimulus.burst import Burst
@@ -79,7 +80,7 @@ def prediction_skips(stimulus: Stimulus) -> dict[str, tuple[Work, Work]]:
 def sample_skip(stimulus: Stimulus) -> tuple[str, tuple[Work, Work]]:
     """Return the cheapest count of samples for a tolerance, and designs with all and with as many."""
     economy = cheapest_samples(stimulus, TOLERANCE, ZONES)
-    few = Timing(n_samples=economy.n_samples)
+    few = Timing(AFG3022B.converter, n_samples=economy.n_samples)
     work = (lambda: design(stimulus.model).burst, lambda: design(stimulus.model, timing=few).burst)
     return str(economy), work
 

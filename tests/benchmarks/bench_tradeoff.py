@@ -28,6 +28,7 @@ from peers import (
 from threadpoolctl import threadpool_limits
 from tradeoff_figure import draw
 
+from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.stimulus import Stimulus
 from modaltouch.stimulus.target_field import TargetField
@@ -44,7 +45,7 @@ Point = dict[str, Any]
 def made(model: ModalModel, n_samples: int, n_modes: int, law: str, bits: str) -> Stimulus:
     """Return a stimulus, of which nothing but its design is computed yet."""
     rounding = "settled" if bits == "14 bits, settled" else "plain"
-    timing, wish = Timing(n_samples=n_samples), TargetField(selection=n_modes)
+    timing, wish = Timing(AFG3022B.converter, n_samples=n_samples), TargetField(selection=n_modes)
     return design(model, timing=timing, wish=wish, law=law, rounding=rounding)
 
 
@@ -96,7 +97,7 @@ def making(model: ModalModel) -> list[Point]:
 
 def predicting(model: ModalModel, n_samples: int) -> list[Point]:
     """Return time and error of predicting the modal velocities at t_F from the voltages, by every means."""
-    timing, whole = Timing(n_samples=n_samples), state_space(model)
+    timing, whole = Timing(AFG3022B.converter, n_samples=n_samples), state_space(model)
     whole_system, stimulus = control.ss(*whole), design(model, timing=timing)
     system, hold = stimulus.system, timing.hold
     # A sample more, whose start is the focusing instant: histories are read there.

@@ -9,6 +9,7 @@ import control
 import numpy as np
 from scipy import signal
 
+from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.stimulus.dynamics import Amplifier
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.stimulus import Stimulus, design_stimulus
@@ -40,7 +41,7 @@ def many_modes(n_modes: int) -> ModalModel:
 
 def design(model: ModalModel, **options: Any) -> Stimulus:
     """Return the shipped stimulus but for the options."""
-    timing = options.pop("timing", Timing())
+    timing = options.pop("timing", Timing(AFG3022B.converter))
     return design_stimulus(model, options.pop("wish", TargetField()), timing, AMPLIFIER, levels=LEVELS, **options)
 
 

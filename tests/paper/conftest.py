@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.stimulus.dynamics import Amplifier
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.stimulus import Stimulus, design_stimulus
@@ -26,10 +27,14 @@ def model() -> ModalModel:
 def shipped(model: ModalModel) -> Stimulus:
     """Return the shipped stimulus by the exact law."""
     levels = (0.08, 0.1, 0.15, 0.2)
-    return design_stimulus(model, TargetField(), Timing(), Amplifier(gain=25.0, limit=250.0), levels=levels)
+    return design_stimulus(
+        model, TargetField(), Timing(AFG3022B.converter), Amplifier(gain=25.0, limit=250.0), levels=levels
+    )
 
 
 @pytest.fixture(scope="session")
 def shipped_paper(model: ModalModel) -> Stimulus:
     """Return the shipped stimulus by the paper's law."""
-    return design_stimulus(model, TargetField(), Timing(), Amplifier(gain=25.0, limit=250.0), law="paper")
+    return design_stimulus(
+        model, TargetField(), Timing(AFG3022B.converter), Amplifier(gain=25.0, limit=250.0), law="paper"
+    )

@@ -4,6 +4,7 @@ import mpmath
 import numpy as np
 import pytest
 
+from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.stimulus.timing import Timing
 
 TABLE = {1: (229, "0.0437"), 3: (2553, "0.0165"), 5: (7137, "0.0265"), 13: (58303, "0.0101")}
@@ -30,7 +31,7 @@ def test_force_of_the_orbit_is_4a_times_its_velocity(label):
 
 def test_printed_factor_reaches_four_per_cent(shipped_paper):
     """Erratum 2 in figures: driven by 4 a^2/b, mode 1 reaches a/b = 4 % of its wished speed, mode 3 1.7 %."""
-    model, timing = shipped_paper.model, Timing()
+    model, timing = shipped_paper.model, Timing(AFG3022B.converter)
     a = model.damping_ratio * model.angular_frequency
     b = model.angular_frequency * np.sqrt(1 - model.damping_ratio**2)
     for k, expected in ((0, 0.04), (1, 0.017)):

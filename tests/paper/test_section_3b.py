@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.timing import Timing
 from modaltouch.stimulus.vibration import modal_history
@@ -12,7 +13,7 @@ from modaltouch.stimulus.vibration import modal_history
 def resonance():
     """Return (speed per volt, G, xi, w) of mode 3, driven at resonance until it is steady."""
     model = ModalModel((3,), [2553.0], [0.0165], [[0.654]], 0.1)
-    timing = Timing(n_samples=125_000, duration=0.05, focusing_instant=0.025)
+    timing = Timing(AFG3022B.converter, n_samples=125_000, duration=0.05, focusing_instant=0.025)
     time = np.arange(timing.n_samples) * timing.hold
     velocity = modal_history(model, np.sin(2 * np.pi * 2553 * time)[None], timing)[0]
     return np.abs(velocity[-5000:]).max(), 0.654, 0.0165, 2 * np.pi * 2553

@@ -16,7 +16,7 @@ from modaltouch.preflight.figures import estimated_duration
 from modaltouch.protocol.problems import InputError
 from modaltouch.protocol.schedule import Schedule
 from modaltouch.protocol.trial import Condition, Trial
-from modaltouch.rig.settings import Limits, amplitudes, record_peaks
+from modaltouch.rig import instrument_of
 
 Edit = Callable[..., Path]
 FILE = "differentiated_stimulation.yaml"
@@ -143,10 +143,11 @@ def test_what_passes_the_check_passes_the_rig(edit: Edit, level: int) -> None:
     """The rig refuses by itself what exceeds its limits; no session may find that out."""
     preflight = examine(edit(FILE, (LEVELS, f"[80.5, {level}]")))
     assert preflight.problems == ()
-    limits = Limits.of(preflight.experiment.apparatus)
+    apparatus = preflight.experiment.apparatus
+    limits = instrument_of(apparatus).limits(apparatus)
     burst = preflight.stimulus.burst
     for velocity in (0.0805, level * 1e-3):
-        assert all(value > 0 for value in amplitudes(burst, record_peaks(burst), velocity, limits))
+        assert all(value > 0 for value in limits.amplitudes(burst, velocity))
 
 
 def test_a_lower_amplifier_limit_is_kept(edit: Edit) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from modaltouch.preflight import Preflight, examine
-from modaltouch.rig.settings import continuous_codes
+from modaltouch.rig.afg3022b import AFG3022B
 
 PROTOCOLS = Path(__file__).parents[2] / "protocols"
 
@@ -22,7 +22,7 @@ def preflight() -> Preflight:
 def test_the_continuous_record_misses_as_its_real_edges_do(preflight: Preflight) -> None:
     """Sum over the edges of a 250 MHz clock at 7 Hz, 272 or 273 clocks to a point, up to 25 ms."""
     stimulus = preflight.stimulus
-    volts = (continuous_codes(stimulus.burst).astype(float) - 8191) * stimulus.volts_per_code(0.2)[:, None]
+    volts = (AFG3022B.continuous_codes(stimulus.burst).astype(float) - 8191) * stimulus.volts_per_code(0.2)[:, None]
     clocks = np.ceil(np.arange(131_073) * (250e6 / 7 / 131_072) - 1e-6)
     assert set(np.unique(np.diff(clocks))) == {272.0, 273.0}
     edge = np.minimum(clocks / 250e6, 0.025)

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.rig.connection import Patience
 from modaltouch.rig.generator import Generator
-from modaltouch.rig.local_client import LocalClient
+from modaltouch.rig.opening import LocalClient
 from modaltouch.rig.simulator import Simulator
 from modaltouch.rig.simulator.afg import Behaviour
 from modaltouch.rig.visa import VisaSession
@@ -167,7 +168,7 @@ def make_burst(n_samples: int = 2500, seed: int = 0, amplitude: tuple[float, ...
     waves = waves / np.abs(waves).max(axis=1, keepdims=True)
     codes = np.round(8191 + 8191 * waves).astype(np.uint16)
     codes[:, [0, -1]] = 8191
-    return Burst(codes, 0.05, 7.0, 0.2, amplitude)
+    return Burst(codes, 0.05, 7.0, 0.2, amplitude, AFG3022B.converter)
 
 
 @pytest.fixture

@@ -55,6 +55,7 @@ SITTING = """
 import os, sys, time
 import numpy as np
 from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.rig import open_rig
 from modaltouch.rig.interface import RigError, StimulusLost
 from modaltouch.stimulus.burst import Burst
@@ -63,7 +64,7 @@ def sit(address):
     codes = np.full((2, 1000), 8191, dtype=np.uint16)
     codes[:, 500] = 12000
     with open_rig(address, apparatus, log=lambda event, **facts: None) as rig:
-        rig.load(Burst(codes, 0.05, 7.0, 0.2, (10.0, 10.0)))
+        rig.load(Burst(codes, 0.05, 7.0, 0.2, (10.0, 10.0), AFG3022B.converter))
         rig.fire(0.1)
         print(rig._connection.guard._process.pid, flush=True)
         while True:
@@ -137,7 +138,8 @@ class Bench:
         self._folder = folder
         self._numbers = itertools.count()
         self.played = folder / "played.jsonl"
-        command = [sys.executable, "-m", "modaltouch.rig.simulator", "--played", str(self.played), str(APPARATUS)]
+        command = [sys.executable, "-m", "modaltouch", "rig", "simulate", "--played", str(self.played)]
+        command += ["--apparatus", str(APPARATUS)]
         self.twin = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         assert self.twin.stdout is not None
         self.port = int(self.twin.stdout.readline().split(",")[1].split(":")[0])

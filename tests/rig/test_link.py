@@ -60,7 +60,7 @@ def link(heard: Any) -> Callable[[object], tuple[Link, Transport]]:
     ],
 )
 def test_every_exception_of_a_backend_is_one_error(link: Callable[..., Any], heard: Any, fault: Exception) -> None:
-    """The kinds seen in practice (instruments.md, faults): each poisons the session and is logged."""
+    """The kinds seen in practice: each poisons the session and is logged."""
     opened, transport = link(fault)
     with pytest.raises(LinkError, match=rf"'\*IDN\?' failed \({type(fault).__name__}"):
         opened.ask("*IDN?")

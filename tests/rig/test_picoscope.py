@@ -13,9 +13,8 @@ import numpy as np
 import pytest
 
 from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.rig.acquisition import Acquisition
+from modaltouch.rig.acquisition import Acquisition, PicoScope
 from modaltouch.rig.interface import RigError
-from modaltouch.rig.picoscope import PicoScope
 
 FULL_SCALE = 32512
 HANDLE = 16384

@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.interface import RigError
-from modaltouch.rig.settings import continuous_codes
 from modaltouch.rig.simulator import Simulator
 from modaltouch.stimulus.burst import Burst
 
 
 def test_memories_hold_the_codes(loaded: Generator, simulator: Simulator, burst: Burst) -> None:
-    """USER1 and USER2 hold the burst's codes, two bytes each, big-endian (instruments.md, arbitrary waveforms)."""
+    """USER1 and USER2 hold the burst's codes, two bytes each, big-endian."""
     for number, codes in enumerate(burst.codes, start=1):
         assert simulator.afg.user[number] == codes.astype(">u2").tobytes()
 
@@ -25,7 +25,7 @@ def test_memories_hold_the_codes(loaded: Generator, simulator: Simulator, burst:
 def test_record_already_there_is_not_sent_again(
     open_generator: Callable[..., Generator], burst: Burst, heard: Any
 ) -> None:
-    """A second session reads the memories back, finds the record right and sends none (promise list)."""
+    """A second session reads the memories back, finds the record right and sends none."""
     with open_generator() as first:
         first.load(burst)
     assert len(heard.of("record_sent")) == 2
@@ -121,7 +121,7 @@ def test_memories_are_locked_while_they_are_needed(
 
 def test_continuous_codes_hold_the_burst_and_then_rest(burst: Burst) -> None:
     """Point n of 131072 lies at (n + 1/2) / (7 Hz * 131072): the burst's sample of that instant, else 0 V."""
-    codes = continuous_codes(burst)
+    codes = AFG3022B.continuous_codes(burst)
     n_points = 131_072
     assert codes.shape == (2, n_points)
     middles = (2 * np.arange(45_875) + 1) / (14 * n_points)

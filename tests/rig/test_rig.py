@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.rig import open_rig, start_simulator
+from modaltouch.rig import Simulator, open_rig
 from modaltouch.stimulus.burst import Burst
 
 APPARATUS = Path(__file__).parents[2] / "protocols" / "apparatus" / "beam_100x6x2.yaml"
@@ -17,7 +17,7 @@ APPARATUS = Path(__file__).parents[2] / "protocols" / "apparatus" / "beam_100x6x
 def test_front_door_leads_to_driver_and_simulator(apparatus: Apparatus, burst: Burst, heard: Any, guard: Any) -> None:
     """A session wires the two by the simulator's address alone."""
     with (
-        start_simulator(apparatus) as simulator,
+        Simulator(apparatus) as simulator,
         open_rig(simulator.address, apparatus, log=heard, start_guard=guard) as rig,
     ):
         rig.load(burst)
@@ -47,7 +47,7 @@ def test_interface_does_not_load_pyvisa() -> None:
 
 def test_simulator_runs_in_a_process_of_its_own(burst: Burst, apparatus: Apparatus, heard: Any, guard: Any) -> None:
     """Its first line is its address; SIGTERM ends it with status 0."""
-    command = [sys.executable, "-m", "modaltouch.rig.simulator", "--port", "0", str(APPARATUS)]
+    command = [sys.executable, "-m", "modaltouch", "rig", "simulate", "--port", "0", "--apparatus", str(APPARATUS)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         address = process.stdout.readline().strip()
@@ -62,7 +62,7 @@ def test_simulator_reports_a_faulty_apparatus(tmp_path: Path) -> None:
     """Status 2 and the place of the fault, no traceback."""
     faulty = tmp_path / "faulty.yaml"
     faulty.write_text("apparatus: x\nbeem: 1\n")
-    command = [sys.executable, "-m", "modaltouch.rig.simulator", str(faulty)]
+    command = [sys.executable, "-m", "modaltouch", "rig", "simulate", "--apparatus", str(faulty)]
     result = subprocess.run(command, capture_output=True, text=True, check=False)
     assert result.returncode == 2
     assert "beem" in result.stderr

@@ -28,6 +28,7 @@ SESSIONS = textwrap.dedent(
     import numpy as np
     from modaltouch.protocol.apparatus import Apparatus
     from modaltouch.rig import open_rig
+    from modaltouch.rig.afg3022b import AFG3022B
     from modaltouch.rig.generator import Generator
     from modaltouch.stimulus.burst import Burst
 
@@ -42,7 +43,7 @@ SESSIONS = textwrap.dedent(
         codes = np.full((2, 1000), 8191, dtype=np.uint16)
         codes[:, 500] = 12000
         with open_rig(address, apparatus, log=lambda event, **facts: None) as rig:
-            rig.load(Burst(codes, 0.05, 7.0, 0.2, (10.0, 10.0)))
+            rig.load(Burst(codes, 0.05, 7.0, 0.2, (10.0, 10.0), AFG3022B.converter))
             rig.fire(0.1)
             print("firing", flush=True)
             ends = time.monotonic() + float(seconds)

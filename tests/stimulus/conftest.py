@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.stimulus.dynamics import Amplifier
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.stimulus import Stimulus, design_stimulus
@@ -75,7 +76,7 @@ def design() -> Callable[..., Stimulus]:
         return design_stimulus(
             shipped_model() if model is None else model,
             TargetField() if wish is None else wish,
-            Timing() if timing is None else timing,
+            Timing(AFG3022B.converter) if timing is None else timing,
             Amplifier(gain=25.0, limit=250.0) if amplifier is None else amplifier,
             **{"levels": LEVELS if wish is None else None, **options},
         )

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.stimulus.alternative_designs import least_norm, least_peak
 from modaltouch.stimulus.drive import Steering
 from modaltouch.stimulus.modes import ModalModel
@@ -14,7 +15,7 @@ UNMODELLED = ModalModel((19,), [120e3], [0.015], [[50.0, 50.0]], 0.1)
 @pytest.fixture(scope="module")
 def small(design):
     """Return the shipped stimulus on few samples, which keeps the linear programme short."""
-    return design(timing=Timing(n_samples=12_500))
+    return design(timing=Timing(AFG3022B.converter, n_samples=12_500))
 
 
 @pytest.fixture(scope="module")

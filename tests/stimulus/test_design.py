@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.stimulus.dynamics import Amplifier
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.stimulus import design_stimulus
@@ -135,13 +136,16 @@ def test_impossible_modes_are_refused(change, message):
         ({"focusing_instant": float("nan")}, r"focusing instant is nan s"),
         ({"duration": 0.2}, r"burst of 200 ms does not fit the period of 142\.857 ms"),
         ({"repetition_rate": 0.0}, r"repetition rate is 0\.0 Hz"),
-        ({"clock_rate": 1e6}, r"125000 samples in 0\.05 s pass the clock of 1e\+06 Hz: take at most 50000"),
+        (
+            {"converter": replace(AFG3022B.converter, clock_rate=1e6)},
+            r"125000 samples in 0\.05 s pass the clock of 1e\+06 Hz: take at most 50000",
+        ),
     ],
 )
 def test_impossible_timings_are_refused(change, message):
     """Value, bound and remedy."""
     with pytest.raises(ValueError, match=message):
-        Timing(**change)
+        Timing(**{"converter": AFG3022B.converter, **change})
 
 
 @pytest.mark.parametrize(
@@ -175,7 +179,7 @@ def test_impossible_wishes_are_refused(change, message):
 def test_wishes_beyond_the_model_are_refused(model, wish, message):
     """Value, bound and remedy."""
     with pytest.raises(ValueError, match=message):
-        design_stimulus(model, wish, Timing(), Amplifier(gain=25.0, limit=250.0))
+        design_stimulus(model, wish, Timing(AFG3022B.converter), Amplifier(gain=25.0, limit=250.0))
 
 
 def test_mode_without_a_gain_is_refused_only_where_it_is_asked_for(model, design):
@@ -191,12 +195,12 @@ def test_mode_without_a_gain_is_refused_only_where_it_is_asked_for(model, design
 def test_mode_above_half_the_sampling_rate_is_refused(design):
     """2 x 87.855 kHz x 50 ms = 8785.5 samples are too few."""
     with pytest.raises(ValueError, match=r"mode 17 at 87855 Hz .* take more than 8786 samples"):
-        design(timing=Timing(n_samples=8000))
+        design(timing=Timing(AFG3022B.converter, n_samples=8000))
 
 
 def test_fewer_samples_than_conditions_are_refused(design):
     """Nine modes have 18 conditions, ten of them on channel 2 alone; two samples of a stretch are not free."""
-    timing = Timing(n_samples=125_000, focusing_instant=11 * 4e-7)
+    timing = Timing(AFG3022B.converter, n_samples=125_000, focusing_instant=11 * 4e-7)
     with pytest.raises(ValueError, match=r"11 samples are fewer than 18 conditions .* at least 12"):
         _ = design(timing=timing).voltage
 

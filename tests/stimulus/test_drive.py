@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
+from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.stimulus.drive import FALL, RISE, Drive, Release, Steering, exact_drive
 from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
 from modaltouch.stimulus.modes import ModalModel
@@ -49,7 +50,7 @@ def driven(model: ModalModel, timing: Timing, target: np.ndarray, release: Relea
 @pytest.mark.parametrize("n_samples", [125_000, 62_500, 25_000])
 def test_exact_law_meets_every_state_to_rounding(design, n_samples):
     """All states at t_F within 1e-13 of the peak against an extended-precision reference."""
-    stimulus = design(timing=Timing(n_samples=n_samples))
+    stimulus = design(timing=Timing(AFG3022B.converter, n_samples=n_samples))
     n_before, hold = stimulus.drive.n_before, stimulus.timing.hold
     velocity, displacement = states_at(stimulus.model, stimulus.voltage, hold, n_before)
     assert np.abs(velocity - stimulus.target).max() <= 1e-13 * 0.2
@@ -91,7 +92,7 @@ def test_braked_burst_ends_at_rest_behind_a_delay(design, delay):
 @pytest.mark.parametrize(("focus", "delay"), [(0.025, 0.0), (0.0123456, 0.0), (0.025, 7.1e-6)])
 def test_braking_begins_with_the_first_sample_after_the_focus(model, focus, delay):
     """The first that begins, behind the delay, at the focusing instant or after it."""
-    timing = Timing(focusing_instant=focus)
+    timing = Timing(AFG3022B.converter, focusing_instant=focus)
     system = DiagonalSystem.of(model, Amplifier(gain=25.0, limit=250.0, delay=delay))
     steering = Steering(model, system, timing, "braked", np.full(9, 0.01), np.zeros(9))
     begins = steering.braked_from * timing.hold + delay
@@ -101,7 +102,7 @@ def test_braking_begins_with_the_first_sample_after_the_focus(model, focus, dela
 def test_samples_are_counted_against_conditions_and_channels(crossed_model):
     """Two channels drive nine modes: eighteen conditions take nine free samples, and the ends are not free."""
     for count in (10, 4):
-        timing = Timing(focusing_instant=count * 4e-7)
+        timing = Timing(AFG3022B.converter, focusing_instant=count * 4e-7)
         words = f"{count} samples are fewer than 18 conditions on 2 channels need; at least 11 must lie before"
         with pytest.raises(ValueError, match=words):
             driven(crossed_model, timing, np.full(9, 0.01), "free")
@@ -136,7 +137,7 @@ def test_exact_law_is_the_least_energy(shipped, rng):
 
 def test_energy_balance_holds(shipped):
     """Work of the modal force = energy stored + dissipated, by (eta'^2 + w^2 eta^2)/2."""
-    model, timing = shipped.model, Timing(n_samples=130_000, duration=0.013, focusing_instant=0.012)
+    model, timing = shipped.model, Timing(AFG3022B.converter, n_samples=130_000, duration=0.013, focusing_instant=0.012)
     stimulus = replace(shipped, timing=timing)
     history = modal_history(model, stimulus.voltage, timing)[:, : stimulus.drive.n_before]
     force = model.modal_gain @ stimulus.voltage[:, : stimulus.drive.n_before]
@@ -173,7 +174,7 @@ def test_scaling_the_wish_by_two_scales_every_voltage_exactly(design):
 def test_a_single_mode_is_met_wherever_it_can_be(ratio, frequency, gain, focus, n_samples):
     """Damping 1e-6 to 0.99, gains over 1e12, t_F anywhere."""
     model = ModalModel((1,), [frequency], [ratio], [[gain]], 0.1)
-    timing = Timing(n_samples=n_samples, focusing_instant=focus)
+    timing = Timing(AFG3022B.converter, n_samples=n_samples, focusing_instant=focus)
     drive = driven(model, timing, np.array([0.2]), "free")
     whole, remainder = timing.samples_until(focus)
     assert np.isfinite(drive.voltage).all()
@@ -191,7 +192,7 @@ def test_a_single_mode_is_met_wherever_it_can_be(ratio, frequency, gain, focus, 
 def test_nearly_repeated_modes_are_met_and_their_condition_told(apart):
     """Modes 1e-6 apart; with condition number c the bar is 10 eps c."""
     model = ModalModel((1, 3), [2553.0, 2553.0 * (1 + apart)], [0.0165, 0.0165], [[0.654], [0.7]], 0.1)
-    timing = Timing(n_samples=12_500)
+    timing = Timing(AFG3022B.converter, n_samples=12_500)
     drive = driven(model, timing, np.array([0.1, 0.1]), "free")
     assert drive.residual <= max(1e-13, 10 * EPS * drive.condition_number) * 0.1
     assert drive.condition_number > 0.1 / apart
@@ -200,14 +201,14 @@ def test_nearly_repeated_modes_are_met_and_their_condition_told(apart):
 def test_gains_spanning_twelve_decades_are_met():
     """Gains spanning 1e12."""
     model = ModalModel((1, 3), [229.0, 2553.0], [0.0437, 0.0165], [[1e-9, 0], [1e-9, 1e3]], 0.1)
-    drive = driven(model, Timing(n_samples=25_000), np.array([0.1, 0.1]), "braked")
+    drive = driven(model, Timing(AFG3022B.converter, n_samples=25_000), np.array([0.1, 0.1]), "braked")
     assert drive.residual <= 1e-13
 
 
 def test_identical_modes_on_one_channel_leave_a_residual_that_is_told():
     """Two modes of the same poles on one channel move as one: what cannot be is solved as well as it can be."""
     model = ModalModel((1, 3), [2553.0, 2553.0], [0.0165, 0.0165], [[1.0], [1.0]], 0.1)
-    drive = driven(model, Timing(n_samples=12_500), np.array([0.1, 0.0]), "free")
+    drive = driven(model, Timing(AFG3022B.converter, n_samples=12_500), np.array([0.1, 0.0]), "free")
     assert drive.condition_number > 1e12
     assert np.isfinite(drive.voltage).all()
     assert drive.residual == pytest.approx(0.05, rel=1e-6)
@@ -235,7 +236,9 @@ def test_paper_law_is_equation_7_with_the_errata(shipped_paper):
 def test_amplifier_pole_is_counted_in(design):
     """Integrating pole and modes step by step (matrix exponential) gives the wished states."""
     amplifier = Amplifier(gain=25.0, limit=250.0, bandwidth=20e3)
-    stimulus = design(timing=Timing(n_samples=12_500), amplifier=amplifier, wish=TargetField(selection=(1, 3)))
+    stimulus = design(
+        timing=Timing(AFG3022B.converter, n_samples=12_500), amplifier=amplifier, wish=TargetField(selection=(1, 3))
+    )
     model, hold = stimulus.model, stimulus.timing.hold
     for k in (0, 1, 5):
         w, a = model.angular_frequency[k], model.damping_ratio[k] * model.angular_frequency[k]
@@ -255,7 +258,7 @@ def test_amplifier_pole_is_counted_in(design):
 
 def test_focus_on_the_last_sample_cannot_be_braked(design):
     """No sample is left to brake with: the remedy is `free`."""
-    timing = Timing(focusing_instant=0.05)
+    timing = Timing(AFG3022B.converter, focusing_instant=0.05)
     with pytest.raises(ValueError, match=r"0 samples are fewer than 18 conditions .* or release it `free`"):
         _ = design(timing=timing).voltage
     assert design(timing=timing, release="free").worst_modal_error(0.2) < 1e-5
@@ -263,7 +266,7 @@ def test_focus_on_the_last_sample_cannot_be_braked(design):
 
 def test_unknown_law_and_release_are_refused(model):
     """Two of each are on offer."""
-    arguments = (model, TargetField(), Timing(), Amplifier(gain=25.0, limit=250.0))
+    arguments = (model, TargetField(), Timing(AFG3022B.converter), Amplifier(gain=25.0, limit=250.0))
     with pytest.raises(ValueError, match=r"drive law 'best' is unknown; allowed: exact, paper"):
         design_stimulus(*arguments, law="best")
     with pytest.raises(ValueError, match=r"release 'slow' is unknown; allowed: braked, free"):
@@ -274,7 +277,13 @@ def test_unknown_law_and_release_are_refused(model):
 def test_long_focus_does_not_overflow(duration):
     """A focus at up to 10 s, where e^(a t_F) overflows."""
     model = ModalModel((1, 3), [229.0, 2553.0], [0.0437, 0.0165], [[0.114], [0.654]], 0.1)
-    timing = Timing(n_samples=131_072, duration=duration, focusing_instant=duration * 10 / 12, repetition_rate=0.08)
+    timing = Timing(
+        AFG3022B.converter,
+        n_samples=131_072,
+        duration=duration,
+        focusing_instant=duration * 10 / 12,
+        repetition_rate=0.08,
+    )
     drive = driven(model, timing, np.array([0.1, 0.1]), "braked")
     assert np.isfinite(drive.voltage).all()
     assert drive.residual <= 1e-13 * 0.2
@@ -286,7 +295,7 @@ def test_sixty_modes_are_met_within_their_condition(rng):
     frequency = np.geomspace(200.0, 90e3, n)
     model = ModalModel(tuple(range(1, n + 1)), frequency, np.full(n, 0.01), rng.normal(size=(n, 2)), 0.1)
     target = rng.normal(size=n) * 0.01
-    drive = driven(model, Timing(n_samples=25_000), target, "braked")
+    drive = driven(model, Timing(AFG3022B.converter, n_samples=25_000), target, "braked")
     assert drive.residual <= max(1e-13, 10 * EPS * drive.condition_number) * np.abs(target).max()
 
 

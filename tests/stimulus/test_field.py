@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.stimulus.dynamics import Amplifier
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.shapes import mode_shapes
@@ -102,7 +103,9 @@ def test_symmetric_wiring_mirrors_the_field_and_says_so(model):
 def test_two_zones_at_once_are_reached_by_symmetric_wiring(model):
     """B and D together are a symmetric field: both reach the level, and every state is met."""
     wish = TargetField(base=0.03, centre=-0.02, further_centres=(0.02,), selection=7)
-    stimulus = design_stimulus(model, wish, Timing(n_samples=25_000), Amplifier(gain=25.0, limit=1e3))
+    stimulus = design_stimulus(
+        model, wish, Timing(AFG3022B.converter, n_samples=25_000), Amplifier(gain=25.0, limit=1e3)
+    )
     assert stimulus.velocity_at_focus([-0.02, 0.02], 0.2) == pytest.approx(0.2, rel=1e-4)
     assert stimulus.worst_modal_error(0.2) < 1e-6
     assert not [k for k in stimulus.projection.missing if k % 2 == 0]

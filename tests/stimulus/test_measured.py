@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.stimulus.dynamics import Amplifier
 from modaltouch.stimulus.modes import MeasuredShapes
 from modaltouch.stimulus.shapes import mode_shapes
@@ -62,7 +63,9 @@ def test_model_with_measured_shapes_designs_as_theory_does(model):
     """On a fine scan of theoretical shapes the measured basis gives the theoretical stimulus."""
     measured = replace(model, theory="measured", basis=scan(401))
     assert Projection(measured, TargetField()).selected == (1, 3, 5, 7, 11, 13)
-    stimulus = design_stimulus(measured, TargetField(), Timing(n_samples=25_000), Amplifier(gain=25.0, limit=250.0))
+    stimulus = design_stimulus(
+        measured, TargetField(), Timing(AFG3022B.converter, n_samples=25_000), Amplifier(gain=25.0, limit=250.0)
+    )
     assert stimulus.target == pytest.approx(Projection(model, TargetField()).target, abs=3e-3)
     assert stimulus.velocity_at_focus([0.0], 0.2)[0] == pytest.approx(0.2, rel=1e-5)
 

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from modaltouch.stimulus.burst import MID_CODE, round_amplitude
-from modaltouch.stimulus.quantisation import full_scale, round_to_codes, signed_codes, unsigned_codes
+from modaltouch.rig.afg3022b import AFG3022B
 
+AFG = AFG3022B.converter
 SHIPPED_SHARES = (0.4, 0.5, 0.75, 1.0)
 
 
@@ -17,43 +17,43 @@ def test_shipped_levels_always_find_a_common_grid(least):
 
     From 50 mV on: below it the lowest level would need less than the generator's smallest amplitude, 20 mV.
     """
-    amplitude = full_scale(least, SHIPPED_SHARES)
+    amplitude = AFG.full_scale(least, SHIPPED_SHARES)
     assert least * (1 - 1e-12) <= amplitude <= 1.051 * least + 2e-4
     for share in SHIPPED_SHARES:
-        assert round_amplitude(amplitude * share) == pytest.approx(amplitude * share, rel=1e-9)
+        assert AFG.round_amplitude(amplitude * share) == pytest.approx(amplitude * share, rel=1e-9)
 
 
 @given(least=st.floats(0.02, 20.0), share=st.floats(0.05, 1.0))
 @example(least=9.921875, share=0.772456531187997)
 def test_any_level_is_met_within_the_grid(least, share):
     """Whatever the level, the amplitude is off by half a step of four digits or of 0.1 mV at most."""
-    amplitude = full_scale(least, (share, 1.0))
+    amplitude = AFG.full_scale(least, (share, 1.0))
     assert least * (1 - 1e-12) <= amplitude <= max(1.05 * least, least + 1e-4, 1.001 * least) * (1 + 1e-12)
-    miss = abs(round_amplitude(amplitude * share) - amplitude * share)
+    miss = abs(AFG.round_amplitude(amplitude * share) - amplitude * share)
     assert miss <= max(5.1e-4 * amplitude * share, 5.1e-5)
 
 
 def test_silent_channel_has_no_amplitude():
     """Nothing to hold."""
-    assert full_scale(0.0, SHIPPED_SHARES) == 0.0
+    assert AFG.full_scale(0.0, SHIPPED_SHARES) == 0.0
 
 
 def test_codes_are_the_nearest_and_mid_scale_at_both_ends():
     """Uniform rounding to signed 14 bits about 8191; a silent channel stays at mid-scale."""
     voltage = np.array([[0.0, 1.0, -1.0, 0.49 / 8191, 0.51 / 8191, 0.5], [0.0] * 6])
-    codes = unsigned_codes(round_to_codes(voltage, np.array([1 / 8191, 0.0])))
-    assert codes[0].tolist() == [8191, 16382, 0, 8191, 8192, MID_CODE]
-    assert (codes[1] == MID_CODE).all()
-    assert signed_codes(codes)[0, 1:3].tolist() == [8191.0, -8191.0]
+    codes = AFG.unsigned(AFG.round_to_codes(voltage, np.array([1 / 8191, 0.0])))
+    assert codes[0].tolist() == [8191, 16382, 0, 8191, 8192, AFG.mid_code]
+    assert (codes[1] == AFG.mid_code).all()
+    assert AFG.signed(codes)[0, 1:3].tolist() == [8191.0, -8191.0]
 
 
 def test_voltage_beyond_the_full_scale_is_refused():
     """Never clipped."""
     with pytest.raises(ValueError, match=r"channel 1 peaks at 2 V, beyond its full scale of 1 V"):
-        round_to_codes(np.array([[0.0, 2.0, 0.0]]), np.array([1 / 8191]))
+        AFG.round_to_codes(np.array([[0.0, 2.0, 0.0]]), np.array([1 / 8191]))
 
 
 def test_every_channel_needs_its_unit():
     """Nothing is left unrounded."""
     with pytest.raises(ValueError, match="shorter"):
-        round_to_codes(np.zeros((2, 5)), np.array([1 / 8191]))
+        AFG.round_to_codes(np.zeros((2, 5)), np.array([1 / 8191]))

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.stimulus.dynamics import Amplifier
 from modaltouch.stimulus.quantised import _changes, _Walk
 from modaltouch.stimulus.target_field import TargetField
@@ -46,9 +47,9 @@ def test_settled_codes_differ_by_one_at_most(plain, shipped):
     [
         {},
         {"release": "free"},
-        {"timing": Timing(n_samples=131_072)},
-        {"timing": Timing(n_samples=16_384)},
-        {"timing": Timing(focusing_instant=0.0123456)},
+        {"timing": Timing(AFG3022B.converter, n_samples=131_072)},
+        {"timing": Timing(AFG3022B.converter, n_samples=16_384)},
+        {"timing": Timing(AFG3022B.converter, focusing_instant=0.0123456)},
         {"amplifier": Amplifier(gain=25.0, limit=250.0, bandwidth=30e3, delay=7e-6)},
         {"wish": TargetField(centre=0.02)},
         {"wish": TargetField(shape="box", base=0.027)},
@@ -89,7 +90,7 @@ def test_unknown_rounding_is_refused(design, shipped):
 @pytest.mark.parametrize("n_samples", [125_000, 131_072])
 def test_a_code_moves_the_states_by_what_is_reckoned(design, n_samples):
     """Change one code, play both on an even and an uneven clock: the states at the focus differ by the move."""
-    stimulus = design(timing=Timing(n_samples=n_samples))
+    stimulus = design(timing=Timing(AFG3022B.converter, n_samples=n_samples))
     system, timing, unit = stimulus.system, stimulus.timing, stimulus.volts_per_code(0.2)
     assert (timing.lateness is None) == (n_samples == 125_000)
     walk = _Walk(np.zeros((2, n_samples)), unit, system, timing, 1e-9, 300)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
 from modaltouch.stimulus.sensitivity import focus_sensitivity, scatter
 from modaltouch.stimulus.timing import Timing
@@ -21,7 +22,7 @@ def stimulus(design, crossed_model, request):
     """Return a design in which every mode hangs on both channels."""
     bandwidth, n_samples = request.param
     amplifier = Amplifier(gain=25.0, limit=250.0, bandwidth=bandwidth, delay=1.1e-6)
-    return design(crossed_model, timing=Timing(n_samples=n_samples), amplifier=amplifier)
+    return design(crossed_model, timing=Timing(AFG3022B.converter, n_samples=n_samples), amplifier=amplifier)
 
 
 def state_of(stimulus, model):

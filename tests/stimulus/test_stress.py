@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.stimulus import design_stimulus
@@ -28,7 +29,7 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(24)
 def test_work_is_stored_or_dissipated(frequency, ratio, gain, seed):
     """Work of a held force is force times path; (eta'^2 + w^2 eta^2)/2 is stored, 2 a eta'^2 dissipated."""
     model = ModalModel((1,), [frequency], [ratio], [[gain]], 0.1)
-    timing = Timing(n_samples=40, duration=40 * 4e-7, focusing_instant=4e-7)
+    timing = Timing(AFG3022B.converter, n_samples=40, duration=40 * 4e-7, focusing_instant=4e-7)
     voltage = np.random.default_rng(seed).normal(size=(1, 40))
     system, w, a = DiagonalSystem.of(model), model.angular_frequency[0], ratio * model.angular_frequency[0]
 
@@ -55,7 +56,7 @@ def test_work_is_stored_or_dissipated(frequency, ratio, gain, seed):
 def test_time_reversal_swaps_drive_and_reading(seed, n_samples, crossed_model):
     """The velocity at the end is the impulse response against the drive reversed in time, for any drive."""
     duration = n_samples * 4e-7
-    timing = Timing(n_samples=n_samples, duration=duration, focusing_instant=duration)
+    timing = Timing(AFG3022B.converter, n_samples=n_samples, duration=duration, focusing_instant=duration)
     one, impulse = np.zeros((2, 2, n_samples))
     one[1] = np.random.default_rng(seed).normal(size=n_samples)
     impulse[1, 0] = 1.0
@@ -72,7 +73,7 @@ def test_a_thousand_modes_keep_to_their_own_peak(rng):
     ratio = 10 ** rng.uniform(-6, math.log10(0.99), n_modes)
     gain = 10 ** rng.uniform(-6, 6, (n_modes, 1))
     model = ModalModel(tuple(range(1, n_modes + 1)), frequency, ratio, gain, 0.1)
-    timing = Timing(n_samples=500, duration=500 * hold, focusing_instant=hold)
+    timing = Timing(AFG3022B.converter, n_samples=500, duration=500 * hold, focusing_instant=hold)
     voltage = rng.normal(size=(1, 500))
     wide = 2 * np.longdouble("3.14159265358979323846264338327950288") * frequency.astype(np.longdouble)
     xi = ratio.astype(np.longdouble)
@@ -96,7 +97,7 @@ def test_nearly_repeated_modes_are_met_within_their_condition(apart, ratio):
     stimulus = design_stimulus(
         model,
         TargetField(selection=(1, 3)),
-        Timing(n_samples=12_500),
+        Timing(AFG3022B.converter, n_samples=12_500),
         Amplifier(gain=25.0, limit=1e9),
         rounding="plain",
     )
@@ -108,7 +109,7 @@ def test_nearly_repeated_modes_are_met_within_their_condition(apart, ratio):
 @given(levels=st.lists(st.sampled_from([0.01, 0.05, 0.08, 0.1, 0.125, 0.15, 0.2]), min_size=1, max_size=4, unique=True))
 def test_one_record_serves_every_level(levels, design):
     """Codes are the same bits whichever levels are asked about, in whichever order; only amplitudes differ."""
-    stimulus = design(timing=Timing(n_samples=12_500), levels=(0.2,))
+    stimulus = design(timing=Timing(AFG3022B.converter, n_samples=12_500), levels=(0.2,))
     first = stimulus.burst.codes.tobytes()
     for level in levels:
         stimulus.achieved(level)
@@ -120,7 +121,7 @@ def test_one_record_serves_every_level(levels, design):
 @pytest.mark.parametrize("n_samples", [131_072, 65_536, 100_000, 44_100])
 def test_any_clock_is_met_at_the_focus(design, n_samples):
     """Held unequally long or not, every state is met within 1e-6 of the peak by the codes, first and steady burst."""
-    stimulus = design(timing=Timing(n_samples=n_samples))
+    stimulus = design(timing=Timing(AFG3022B.converter, n_samples=n_samples))
     assert stimulus.worst_modal_error(0.2) <= 1e-6 * 0.2
     steady, displacement = stimulus.achieved(0.2, steady=True)
     assert max(np.abs(steady - stimulus.target).max(), np.abs(displacement).max()) <= 1e-5 * 0.2
@@ -129,7 +130,8 @@ def test_any_clock_is_met_at_the_focus(design, n_samples):
 PARTS = {
     "model": ("natural_frequency", "damping_ratio", "modal_gain", "length"),
     "wish": ("base", "centre", "velocity", "further_centres"),
-    "timing": ("duration", "focusing_instant", "repetition_rate", "clock_rate"),
+    "timing": ("duration", "focusing_instant", "repetition_rate"),
+    "converter": ("clock_rate",),
     "amplifier": ("gain", "limit", "bandwidth", "delay"),
     "option": ("levels", "load_factor"),
 }
@@ -142,7 +144,7 @@ def test_no_number_that_is_none_gets_into_the_engine(model, part, name, bad):
     parts = {
         "model": model,
         "wish": TargetField(),
-        "timing": Timing(n_samples=12_500),
+        "timing": Timing(AFG3022B.converter, n_samples=12_500),
         "amplifier": Amplifier(gain=25.0, limit=250.0),
     }
     options = {"levels": (0.1, 0.2), "load_factor": 1.0}
@@ -150,6 +152,8 @@ def test_no_number_that_is_none_gets_into_the_engine(model, part, name, bad):
     def design():
         if part == "option":
             options[name] = (0.1, bad) if name == "levels" else bad
+        elif part == "converter":
+            parts["timing"] = replace(parts["timing"], converter=replace(AFG3022B.converter, clock_rate=bad))
         else:
             before = getattr(parts[part], name)
             value = (bad,) if name == "further_centres" else bad
@@ -183,7 +187,9 @@ def test_whatever_is_asked_is_finite_or_a_clear_error(data, law, release):
     try:
         model = ModalModel((1, 3, 5), several[:3], several[3:6], **beam)
         timing = Timing(
-            data.draw(st.sampled_from([2, 20, 1000])), **{k: data.draw(mostly(v)) for k, v in times.items()}
+            AFG3022B.converter,
+            data.draw(st.sampled_from([2, 20, 1000])),
+            **{k: data.draw(mostly(v)) for k, v in times.items()},
         )
         wish = TargetField(selection=2, **{k: data.draw(mostly(v)) for k, v in wished.items()})
         amplifier = Amplifier(**{k: data.draw(mostly(v)) for k, v in behind.items()})
@@ -208,13 +214,15 @@ def test_a_gain_lost_in_rounding_is_named():
         ModalModel((1, 3), [229.0, 2553.0], [0.02, 0.02], [[0.1], [1e-40]], 0.1)
     model = ModalModel((1, 3), [1e-20, 2553.0], [0.02, 0.02], [[0.1], [0.1]], 0.1)
     with pytest.raises(ValueError, match=r"mode 1 has .* on the diagonal of the Gramian, which must be above 0"):
-        _ = design_stimulus(model, TargetField(selection=2), Timing(1000), Amplifier(gain=25.0, limit=250.0)).voltage
+        _ = design_stimulus(
+            model, TargetField(selection=2), Timing(AFG3022B.converter, 1000), Amplifier(gain=25.0, limit=250.0)
+        ).voltage
 
 
 @pytest.mark.parametrize("factor", [0.5, 2.0, 1024.0])
 def test_scaling_a_field_by_two_scales_every_state_exactly(design, factor):
     """Powers of two pass through every product and sum without rounding."""
-    one = design(timing=Timing(n_samples=12_500))
-    other = design(timing=Timing(n_samples=12_500), wish=TargetField(velocity=0.2 * factor))
+    one = design(timing=Timing(AFG3022B.converter, n_samples=12_500))
+    other = design(timing=Timing(AFG3022B.converter, n_samples=12_500), wish=TargetField(velocity=0.2 * factor))
     assert (other.voltage == factor * one.voltage).all()
     assert other.drive.condition_number == one.drive.condition_number

@@ -9,6 +9,7 @@ from numpy.polynomial import chebyshev
 from scipy.linalg import eig
 from scipy.optimize import brentq
 
+from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.stimulus.dynamics import Amplifier
 from modaltouch.stimulus.shapes import characteristic_root, mode_shapes
 from modaltouch.stimulus.stimulus import design_stimulus
@@ -163,7 +164,9 @@ def test_impossible_beams_are_refused():
 def test_model_takes_timoshenko_shapes(model):
     """On the slender shipped beam the design hardly moves, but it moves; every state is met."""
     bent = replace(model, theory="timoshenko", beam=SHIPPED)
-    stimulus = design_stimulus(bent, TargetField(), Timing(n_samples=25_000), Amplifier(gain=25.0, limit=250.0))
+    stimulus = design_stimulus(
+        bent, TargetField(), Timing(AFG3022B.converter, n_samples=25_000), Amplifier(gain=25.0, limit=250.0)
+    )
     assert stimulus.selected == (1, 3, 5, 7, 11, 13)
     change = np.abs(stimulus.target - Projection(model, TargetField()).target).max()
     assert 1e-5 < change < 5e-3

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from modaltouch.cli.exit_status import RECORD_AT_RISK, RIG_FAILED, print_json, reporting
 from modaltouch.cli.options import APPARATUS, JSON, SESSION, SHIPPED_APPARATUS
-
-if TYPE_CHECKING:
-    from modaltouch.rig import CommandLatency
 
 MARKS = {"ok": ("ok", "green"), "warning": ("warning", "yellow"), "fault": ("FAULT", "red")}
 
@@ -147,11 +144,11 @@ def _measure(rig: str, apparatus: Path, *, json_output: bool) -> None:
         raise typer.Exit(RIG_FAILED)
 
 
-def _measure_generator(rig: str, apparatus: Path) -> CommandLatency:
+def _measure_generator(rig: str, apparatus: Path) -> Any:
     from modaltouch.protocol import Apparatus
-    from modaltouch.rig import measure_latency, start_simulator
+    from modaltouch.rig import Simulator, open_rig
 
     parts = Apparatus.read(apparatus)
     with ExitStack() as stack:
-        address = stack.enter_context(start_simulator(parts)).address if rig == "simulated" else rig
-        return measure_latency(address, parts)
+        address = stack.enter_context(Simulator(parts)).address if rig == "simulated" else rig
+        return stack.enter_context(open_rig(address, parts)).command_latency()

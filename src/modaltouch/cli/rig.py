@@ -43,12 +43,12 @@ def check(
     from contextlib import ExitStack
 
     from modaltouch.protocol import Apparatus
-    from modaltouch.rig import check_rig, start_simulator
+    from modaltouch.rig import Simulator, check_rig
 
     with reporting(json_output=json_output), ExitStack() as stack:
         parts = Apparatus.read(apparatus)
         if address == "simulated":
-            address = stack.enter_context(start_simulator(parts)).address
+            address = stack.enter_context(Simulator(parts)).address
         rows = check_rig(address, parts)
         if json_output:
             print_json({"address": address, "rows": [row.as_dict() for row in rows]})
@@ -75,7 +75,7 @@ def simulate(
     burst that came by itself.
     """
     from modaltouch.protocol import Apparatus
-    from modaltouch.rig import serve
+    from modaltouch.rig import Simulator
 
     with reporting():
-        serve(Apparatus.read(apparatus), port=port, seed=seed, played=played)
+        Simulator(Apparatus.read(apparatus), seed, port=port, played=played).serve()

@@ -18,16 +18,14 @@ from modaltouch.rig import (
     RigError,
     Scope,
     StimulusLost,
-    is_simulated,
+    instrument_of,
     open_rig,
-    same_process,
-    start_simulator,
 )
 from modaltouch.stimulus import Burst
 from modaltouch.system import SYSTEM_CLOCK, Interruption, VirtualClock
 
 if TYPE_CHECKING:
-    from modaltouch.rig import Repetition, Simulator
+    from modaltouch.rig import Simulator
 
 
 Mode = Literal["simulated", "real"]
@@ -210,7 +208,7 @@ def open_laboratory(
     address: str = SIMULATED,
     *,
     seed: int | None = None,
-    repetition: Repetition | None = None,
+    repetition: Literal["single", "timer", "continuous", "wired"] | None = None,
     aim: Callable[[float], None] = quiet,
     log: Callable[..., None] = quiet,
     **options: Any,
@@ -233,7 +231,7 @@ def open_laboratory(
     log : callable
         ``log(event, **facts)`` takes every exchange with the generator.
     **options
-        Further arguments of `modaltouch.rig.generator.Generator`.
+        Further arguments of `modaltouch.rig.open_rig`.
 
     Raises
     ------
@@ -247,17 +245,17 @@ def open_laboratory(
             return stack.enter_context(open_rig(where, apparatus, log=log, **how))
 
         if address == SIMULATED:
+            from modaltouch.rig import Simulator
+
             # The twin's beam is computed in this very process, which would keep a real clock waiting.
             clock = VirtualClock(SYSTEM_CLOCK.now())
-            simulator = stack.enter_context(start_simulator(apparatus, seed, clock=clock))
+            simulator = stack.enter_context(Simulator(apparatus, seed, clock=clock))
             scope: Scope = stack.enter_context(simulator.scope())
-            rig = open_generator(simulator.address, clock=clock, start_guard=same_process(clock))
+            rig = open_generator(simulator.address, clock=clock)
             yield Laboratory(apparatus, rig, scope, "simulated", simulator=simulator)
             return
-        from modaltouch.rig import PicoScope
-
         # The scope first: without it there is nothing to play for.
-        scope = stack.enter_context(PicoScope(apparatus, quiet))
+        scope = stack.enter_context(Scope.open(apparatus, quiet))
         rig = open_generator(address)
-        mode: Mode = "simulated" if is_simulated(rig.identity) else "real"
+        mode: Mode = "simulated" if instrument_of(apparatus).is_simulated(rig.identity) else "real"
         yield Laboratory(apparatus, rig, scope, mode, aim, SETTLING_TIME)

@@ -21,26 +21,26 @@ from modaltouch.preflight.figures import (
     warnings,
     zone_centres,
 )
-from modaltouch.protocol import Experiment, Findings, InputError, Problem, Protocol, Trial
-from modaltouch.rig import MAX_POINTS, continuous_codes
+from modaltouch.protocol import Apparatus, Experiment, Findings, InputError, Problem, Protocol, Trial
+from modaltouch.rig import instrument_of
 from modaltouch.stimulus import Burst, Law, Stimulus
 
 
-def continuous_figures(stimulus: Stimulus, velocity: float) -> dict[str, Any]:
+def continuous_figures(apparatus: Apparatus, stimulus: Stimulus, velocity: float) -> dict[str, Any]:
     """Return what the repetition ``continuous`` of the generator misses at the focusing instant of the first burst.
 
     A record of a whole period has fewer points for the burst: its steps come late or early by up to half a point,
     on top of the clock's own jitter.
     """
     burst, timing = stimulus.burst, stimulus.timing
-    played = replace(timing, n_samples=MAX_POINTS, duration=1 / timing.repetition_rate)
+    played = replace(timing, n_samples=timing.converter.max_points, duration=1 / timing.repetition_rate)
     # What is played after the focusing instant does not act on it.
-    codes = continuous_codes(burst)[:, : int(timing.focusing_instant / played.hold) + 2]
+    codes = instrument_of(apparatus).continuous_codes(burst)[:, : int(timing.focusing_instant / played.hold) + 2]
     error = 1e3 * stimulus.worst_modal_error_of(codes, played, velocity)
     step = 1e6 * (played.hold / 2 + 1 / timing.clock_rate)
     return {
         "velocity_mm_s": velocity * 1e3,
-        "n_samples": MAX_POINTS,
+        "n_samples": played.n_samples,
         "step_error_us": step,
         "worst_modal_error_mm_s": error,
         "warning": (
@@ -213,7 +213,7 @@ class Preflight:
         if self.problems:
             return None
         ground, stimulus = self.sound
-        return continuous_figures(stimulus, max(ground.levels.values()) * 1e-3)
+        return continuous_figures(ground.apparatus, stimulus, max(ground.levels.values()) * 1e-3)
 
     def as_dict(self, *, compare: bool = False) -> dict[str, Any]:
         """Return everything as plain values, as ``modaltouch check --json`` prints it.

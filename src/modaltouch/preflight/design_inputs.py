@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modaltouch.protocol import Apparatus, Findings, Problem, StimulusSection
+from modaltouch.rig import instrument_of
 from modaltouch.stimulus import Correction, Law, Release, Stimulus, TargetField, Timing, design_stimulus
 
 _NEEDED = ("stimulus", "beam", "actuator_sets", "modes", "amplifier", "generator")
@@ -137,6 +138,7 @@ def design(
         points=tuple((position * 1e-3, velocity) for position, velocity in ground.points),
     )
     timing = Timing(
+        instrument_of(ground.apparatus).converter,
         n_samples=section.n_samples,
         duration=section.duration_ms * 1e-3,
         focusing_instant=section.focusing_instant_ms * 1e-3,

@@ -13,16 +13,13 @@ from numpy.typing import NDArray
 
 from modaltouch.preflight.checked import Preflight
 from modaltouch.preflight.design_inputs import DesignInputs, design, find_ground
-from modaltouch.protocol import Findings, Problem, Schedule
-from modaltouch.rig import LOWEST_AMPLITUDE, highest_level
+from modaltouch.protocol import Apparatus, Findings, Problem, Schedule
+from modaltouch.rig import instrument_of
 from modaltouch.stimulus import Burst, Release, Stimulus
 from modaltouch.window import Masking
 
 _POINTS_PER_ZONE = 5
 """Points at which a zone's speed is looked at: a quarter of the shortest wavelength of Table I apart."""
-
-MEMORIES = 4
-"""Records that an AFG3022B holds."""
 
 _LEVELS = ("conditions", "peak_velocities_mm_s")
 
@@ -42,7 +39,7 @@ def check_levels(ground: DesignInputs, stimulus: Stimulus, findings: Findings) -
 
 def _highest_amplitude(ground: DesignInputs) -> float:
     """Return what the generator may be set to without its full scale passing the amplifier's limit [Vpp]."""
-    return 2 * highest_level(ground.apparatus)
+    return 2 * instrument_of(ground.apparatus).highest_level(ground.apparatus)
 
 
 def _check_amplifier(
@@ -61,7 +58,7 @@ def _check_amplifier(
 def _check_generator(
     ground: DesignInputs, stimulus: Stimulus, findings: Findings, index: int, level: float
 ) -> Iterator[Problem]:
-    smallest, largest = LOWEST_AMPLITUDE, _highest_amplitude(ground)
+    smallest, largest = instrument_of(ground.apparatus).lowest_amplitude, _highest_amplitude(ground)
     path, sounding = (*_LEVELS, index), _sounding(stimulus, level)
     if not sounding:
         return
@@ -98,7 +95,7 @@ def _check_range(ground: DesignInputs, stimulus: Stimulus, findings: Findings) -
         limit / float(stimulus.peak_voltage.max()), _highest_amplitude(ground) / max(sounding.values())
     )
     weak = min(sounding, key=sounding.__getitem__)
-    least = level * LOWEST_AMPLITUDE / sounding[weak]
+    least = level * instrument_of(ground.apparatus).lowest_amplitude / sounding[weak]
     if least <= highest:
         return []
     length, base = ground.apparatus.beam.length_mm, ground.section.field.base_mm
@@ -250,18 +247,19 @@ def _examine_several(findings: Findings) -> Preflight:
     problems = {problem for name, part in variants.items() for problem in findings.at_stimulus(name, part.problems)}
     first = next(iter(variants.values()))
     together = Preflight(findings, (), first.ground, first.designed, variants)
-    if not problems:
-        problems.update(_check_memories(findings, together.bursts))
+    if not problems and first.ground is not None:
+        problems.update(_check_memories(findings, first.ground.apparatus, together.bursts))
     problems.update([*_check_schedule(findings), *_check_masking_level(findings)])
     return replace(together, problems=tuple(sorted(problems)))
 
 
-def _check_memories(findings: Findings, bursts: Sequence[Burst]) -> Iterator[Problem]:
+def _check_memories(findings: Findings, apparatus: Apparatus, bursts: Sequence[Burst]) -> Iterator[Problem]:
     """Yield more records than the generator has memories."""
+    n_memories = len(instrument_of(apparatus).memories)
     n_records = len({record.tobytes() for burst in bursts for record in burst.codes})
-    if n_records > MEMORIES:
+    if n_records > n_memories:
         given = f"{len(bursts)} stimuli with {n_records} different records"
-        allowed = f"at most {MEMORIES}, as many as the generator has memories: two stimuli on two outputs"
+        allowed = f"at most {n_memories}, as many as the generator has memories: two stimuli on two outputs"
         yield findings.problem(("stimuli",), given, allowed, "take fewer, or make protocols of them")
 
 

@@ -15,7 +15,6 @@ from modaltouch.record.restored import UNTOLD, RestoredExperiment, restore
 from modaltouch.record.sequence import EventSequence, TrialExpectation
 from modaltouch.record.session import Session, check_shape
 from modaltouch.record.view import check_view
-from modaltouch.rig import is_simulated
 
 Checked = Iterator[tuple[bool, str]]
 """Whether something holds, and which words say so; empty words where there is nothing to say."""
@@ -124,7 +123,7 @@ def check_beginning(session: Session, restored: RestoredExperiment, protocol: Pr
     """Yield for each part of the start record whether it holds, and in which words."""
     place = f"{session.path}:1:"
     yield _check_texts(session.start, protocol, place)
-    yield _check_mode(session.start, place)
+    yield _check_mode(session.start, restored, place)
     seed = session.start["seed"]
     if schedule.as_dict() == session.start["schedule"]:
         yield True, f"order of {len(schedule.trials)} trials drawn again from seed {seed}: the same"
@@ -170,9 +169,9 @@ def _first_difference(recorded: dict[str, Any], given: dict[str, Any], schema: i
     return ""
 
 
-def _check_mode(start: dict[str, Any], place: str) -> tuple[bool, str]:
+def _check_mode(start: dict[str, Any], restored: RestoredExperiment, place: str) -> tuple[bool, str]:
     real = start["rig_choice"] != "simulated" and start["answers_choice"] == "window"
-    if start["mode"] == "simulated" or (real and not is_simulated(str(start["rig"]["identity"]))):
+    if start["mode"] == "simulated" or (real and not restored.instrument.is_simulated(str(start["rig"]["identity"]))):
         return True, ""
     return False, f"{place} is called a {start['mode']} session, and its rig or its answers were simulated"
 

@@ -6,7 +6,7 @@ from functools import cached_property, lru_cache
 
 from modaltouch.preflight import examine_findings
 from modaltouch.protocol import Findings, Levels, Sources, Trial
-from modaltouch.rig import Limits, RigError, amplitudes, record_peaks
+from modaltouch.rig import RigError, instrument_of
 
 UNTOLD = (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError, RigError)
 """What a line raises that does not say what is asked of it."""
@@ -29,7 +29,9 @@ class RestoredExperiment:
     def __init__(self, sources: Sources) -> None:
         self.preflight = examine_findings(Findings.restored(sources)).require()
         self.protocol = self.preflight.experiment.protocol
-        self._limits = Limits.of(self.preflight.experiment.apparatus)
+        apparatus = self.preflight.experiment.apparatus
+        self.instrument = instrument_of(apparatus)
+        self._limits = self.instrument.limits(apparatus)
         self._speeds: dict[object, tuple[float, float]] = {}
         self.agreed: set[tuple[str, float, tuple[float, ...], tuple[float, ...]]] = set()
         """Stimulus, level, commanded and read back amplitudes that were found to agree."""
@@ -71,8 +73,7 @@ class RestoredExperiment:
         which = names.index(stimulus) if stimulus in names else 0
         key = names[which], level_mm_s
         if key not in self._amplitudes:
-            burst = self.preflight.bursts[which]
-            self._amplitudes[key] = amplitudes(burst, record_peaks(burst), level_mm_s * 1e-3, self._limits)
+            self._amplitudes[key] = self._limits.amplitudes(self.preflight.bursts[which], level_mm_s * 1e-3)
         return self._amplitudes[key]
 
 

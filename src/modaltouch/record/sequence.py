@@ -15,7 +15,6 @@ from typing import Any
 from modaltouch.protocol import Protocol, Schedule, Trial, judge_round
 from modaltouch.record.restored import UNTOLD, RestoredExperiment
 from modaltouch.record.session import Session
-from modaltouch.rig import level_setting
 
 Event = dict[str, Any]
 
@@ -73,8 +72,8 @@ def check_amplitudes(event: Event, trial: Trial, given: TrialExpectation) -> Ite
         if amplitude != needed:
             yield f"{level:g} mm/s takes {_listed(needed)} Vpp, {_listed(amplitude)} Vpp were commanded"
             return
-    pairs = zip(needed, back, strict=False)
-    agree = len(back) == len(needed) and all(level_setting(1, a).confirmed_by(str(b)) for a, b in pairs)
+    instrument, pairs = given.restored.instrument, zip(needed, back, strict=False)
+    agree = len(back) == len(needed) and all(instrument.level(1, a).confirmed_by(str(b)) for a, b in pairs)
     if (confirmed["confirmed"] or event["event"] == "fired") and not agree:
         yield f"{level:g} mm/s takes {_listed(needed)} Vpp, {_listed(back)} Vpp were read back"
     if agree:

@@ -1,13 +1,14 @@
-"""Plays the burst: the generator over PyVISA, and its simulated twin behind the same driver.
+"""Plays bursts and measures the beam: in go a `Burst` and a level, out come a `Firing` or a `Recording`.
 
 A session opens the driver at an address; the simulator is one more address::
 
-    with start_simulator(apparatus) as simulator, open_rig(simulator.address, apparatus, log=log) as rig:
+    with Simulator(apparatus) as simulator, open_rig(simulator.address, apparatus, log=log) as rig:
         rig.load(burst)
         rig.fire(velocity)
         speeds = simulator.felt_velocity(["A", "C"])
 
-What measures the beam (`acquisition`) is an instrument of its own: ``simulator.scope()``, or `picoscope`.
+What a generator is and can play is a value, `instrument_of` an apparatus. What measures the beam is an instrument of
+its own: ``simulator.scope()``, or ``Scope.open(apparatus, aim)``.
 """
 
 from __future__ import annotations
@@ -18,77 +19,37 @@ from modaltouch.system import lazily
 
 if TYPE_CHECKING:
     from modaltouch.rig.acquisition import Acquisition, Recording, Scope
+    from modaltouch.rig.catalogue import instrument_of
     from modaltouch.rig.checklist import check_rig
-    from modaltouch.rig.interface import Bursts, Firing, Rig, RigError, StimulusLost, is_simulated
-    from modaltouch.rig.latency import CommandLatency, measure_latency
-    from modaltouch.rig.opening import open_rig, same_process, start_simulator
-    from modaltouch.rig.picoscope import PicoScope
-    from modaltouch.rig.player import Repetition
-    from modaltouch.rig.settings import (
-        LOWEST_AMPLITUDE,
-        MAX_POINTS,
-        Limits,
-        amplitudes,
-        continuous_codes,
-        highest_level,
-        level_setting,
-        record_peaks,
-    )
-    from modaltouch.rig.simulator import Simulator, serve
-    from modaltouch.rig.simulator.timeline import Playback
-    from modaltouch.rig.simulator.twin import Twin
+    from modaltouch.rig.interface import Firing, Rig, RigError, StimulusLost
+    from modaltouch.rig.opening import open_rig
+    from modaltouch.rig.simulator import Simulator
     from modaltouch.rig.visa import find_instruments
 else:
     __getattr__ = lazily(
         __name__,
         {
-            "opening": "open_rig same_process start_simulator",
             "acquisition": "Acquisition Recording Scope",
+            "catalogue": "instrument_of",
             "checklist": "check_rig",
-            "interface": "Bursts Firing Rig RigError StimulusLost is_simulated",
-            "latency": "CommandLatency measure_latency",
-            "picoscope": "PicoScope",
-            "player": "Repetition",
-            "settings": (
-                "LOWEST_AMPLITUDE Limits MAX_POINTS amplitudes "
-                "continuous_codes highest_level level_setting record_peaks"
-            ),
-            "simulator": "Simulator serve",
-            "simulator.timeline": "Playback",
-            "simulator.twin": "Twin",
+            "interface": "Firing Rig RigError StimulusLost",
+            "opening": "open_rig",
+            "simulator": "Simulator",
             "visa": "find_instruments",
         },
     )
 
 __all__ = [
     "Acquisition",
-    "Bursts",
-    "CommandLatency",
     "Firing",
-    "LOWEST_AMPLITUDE",
-    "Limits",
-    "MAX_POINTS",
-    "PicoScope",
-    "Playback",
     "Recording",
-    "Repetition",
     "Rig",
     "RigError",
     "Scope",
     "Simulator",
     "StimulusLost",
-    "Twin",
-    "amplitudes",
     "check_rig",
-    "continuous_codes",
     "find_instruments",
-    "highest_level",
-    "is_simulated",
-    "level_setting",
-    "measure_latency",
+    "instrument_of",
     "open_rig",
-    "record_peaks",
-    "same_process",
-    "serve",
-    "start_simulator",
 ]

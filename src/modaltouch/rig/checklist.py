@@ -13,9 +13,9 @@ from typing import Any, Literal
 
 from modaltouch.protocol import Apparatus
 from modaltouch.rig.connection import Connection, Patience
-from modaltouch.rig.controls import CHANNELS, Unconfirmed
+from modaltouch.rig.controls import Unconfirmed
+from modaltouch.rig.instrument import Setting
 from modaltouch.rig.link import InUse, Link, LinkError, Log, describe_error, split_reply
-from modaltouch.rig.settings import STOPPED, Setting, level_setting, quiet_level, quiet_settings
 from modaltouch.rig.visa import VisaSession
 from modaltouch.rig.watchdog_client import WatchdogClient
 
@@ -46,6 +46,10 @@ class QuestionedInstrument:
         """Return a reply; a copy may take its time."""
         return self.link.ask(message, timeout=self.patience.copy)
 
+    def level(self, amplitude: float) -> Setting:
+        """Return the setting of an amplitude of output 1 [V peak to peak]."""
+        return self.connection.instrument.level(1, amplitude)
+
     def errors(self) -> list[str]:
         """Empty the error queue."""
         return self.connection.controls.pending_errors()
@@ -64,13 +68,18 @@ def _settings(bench: QuestionedInstrument) -> Finding:
     )
 
 
-def _idle_level(bench: QuestionedInstrument) -> Finding:
-    return (
-        "person",
-        "cannot be seen from the bus",
-        "every burst of this project begins and ends at 0 V, so that it does not matter; to know it, play a record "
-        "with unequal ends and look at an oscilloscope between two bursts",
-    )
+IDLE_LEVEL: Finding = (
+    "person",
+    "cannot be seen from the bus",
+    "every burst of this project begins and ends at 0 V, so that it does not matter; to know it, play a record with "
+    "unequal ends and look at an oscilloscope between two bursts",
+)
+SKEW: Finding = (
+    "person",
+    "cannot be seen from the bus",
+    "play the same record on both channels and measure the time between their edges on an oscilloscope; a skew below "
+    "0.1 us turns the fastest mode, 88 kHz, by less than 4 degrees",
+)
 
 
 def _timer(bench: QuestionedInstrument) -> Finding:
@@ -144,7 +153,7 @@ def _ranges(bench: QuestionedInstrument) -> Finding:
         if amplitude / 2 > bench.connection.limits.level:
             break
         took[amplitude] = min(_time_of_change(bench, amplitude) for _ in range(N_CHANGES))
-    bench.connection.controls.apply([level_setting(1, quiet_level(bench.connection.limits))])
+    bench.connection.controls.apply([bench.level(bench.connection.limits.quiet_amplitude)])
     slowest = max(took, key=lambda amplitude: took[amplitude])
     usual = sorted(took.values())[len(took) // 2]
     where = f"passes {slowest:g} Vpp, which took longest" if took[slowest] > 3 * usual else "goes through all of these"
@@ -159,9 +168,9 @@ def _ranges(bench: QuestionedInstrument) -> Finding:
 
 def _time_of_change(bench: QuestionedInstrument, amplitude: float) -> float:
     """Return how long going from the lowest level to another takes [s]."""
-    bench.connection.controls.apply([level_setting(1, STEPS[0])])
+    bench.connection.controls.apply([bench.level(STEPS[0])])
     started = time.perf_counter()
-    bench.connection.controls.apply([level_setting(1, amplitude)])
+    bench.connection.controls.apply([bench.level(amplitude)])
     return time.perf_counter() - started
 
 
@@ -172,7 +181,7 @@ def _limits(bench: QuestionedInstrument) -> Finding:
     bench.ask("*CLS;*OPC?")
     reply = float(split_reply(bench.ask(f":{source} 4VPP;:{source}?"))[-1])
     errors = bench.errors()
-    controls.apply([level_setting(1, quiet_level(bench.connection.limits))])
+    controls.apply([bench.level(bench.connection.limits.quiet_amplitude)])
     controls.apply([Setting(f"{source}:LIM:HIGH", level, "V"), Setting(f"{source}:LIM:LOW", -level, "V")])
     if reply > 2.001:
         return "found", f"4 Vpp is accepted beyond a limit of 1 V (reads {reply:g})", "DO NOT rely on VOLTage:LIMit"
@@ -203,15 +212,6 @@ def _block_end(bench: QuestionedInstrument) -> Finding:
     )
 
 
-def _skew(bench: QuestionedInstrument) -> Finding:
-    return (
-        "person",
-        "cannot be seen from the bus",
-        "play the same record on both channels and measure the time between their edges on an oscilloscope; a skew "
-        "below 0.1 us turns the fastest mode, 88 kHz, by less than 4 degrees",
-    )
-
-
 def _sessions(bench: QuestionedInstrument) -> Finding:
     second = VisaSession(bench.connection.address, shares=True)
     try:
@@ -237,8 +237,8 @@ def _sessions(bench: QuestionedInstrument) -> Finding:
 
 def _trigger(bench: QuestionedInstrument) -> Finding:
     controls = bench.connection.controls
-    controls.apply([STOPPED])
-    for channel in CHANNELS:
+    controls.apply([bench.connection.instrument.commands.stopped])
+    for channel in bench.connection.instrument.channels:
         source = f"SOUR{channel}"
         controls.apply_each([Setting(f"{source}:FREQ", 20.0, "HZ"), Setting(f"{source}:BURS:STAT", "ON")])
     command = controls.trigger_command()
@@ -261,9 +261,9 @@ def _trigger(bench: QuestionedInstrument) -> Finding:
 
 def _after_link_loss(bench: QuestionedInstrument) -> Finding:
     controls = bench.connection.controls
-    controls.apply([STOPPED])
-    for channel in CHANNELS:
-        controls.apply_each(quiet_settings(channel, bench.connection.limits))
+    controls.apply([bench.connection.instrument.commands.stopped])
+    for channel in bench.connection.instrument.channels:
+        controls.apply_each(bench.connection.limits.quiet_settings(channel))
         # In burst, with a trigger that never comes, the output rests.
         controls.apply_each([Setting(f"SOUR{channel}:FREQ", 20.0, "HZ"), Setting(f"SOUR{channel}:BURS:STAT", "ON")])
     controls.outputs_on()
@@ -281,7 +281,7 @@ def _after_link_loss(bench: QuestionedInstrument) -> Finding:
 
 QUESTIONS: tuple[tuple[int, str, Callable[[QuestionedInstrument], Finding]], ...] = (
     (0, "Does it take the driver's settings?", _settings),
-    (1, "Where does the output rest between bursts?", _idle_level),
+    (1, "Where does the output rest between bursts?", lambda bench: IDLE_LEVEL),
     (2, "What does the trigger timer make of 1/7 s?", _timer),
     (3, "How long does storing a record take?", _copy_time),
     (4, "Is there a second edit memory?", _second_edit_memory),
@@ -290,7 +290,7 @@ QUESTIONS: tuple[tuple[int, str, Callable[[QuestionedInstrument], Finding]], ...
     (7, "Is a level beyond VOLTage:LIMit refused or cut?", _limits),
     (8, "What does the error queue say, and how much does it hold?", _error_queue),
     (9, "How does a block reply end?", _block_end),
-    (10, "How far apart do the channels start?", _skew),
+    (10, "How far apart do the channels start?", lambda bench: SKEW),
     (11, "Does it admit a second session?", _sessions),
     (12, "What do the outputs do when the link is lost?", _after_link_loss),
     (13, "How soon after its command does a burst begin?", _trigger),

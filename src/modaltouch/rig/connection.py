@@ -7,10 +7,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from modaltouch.protocol import Apparatus
-from modaltouch.rig.controls import CHANNELS, Controls, Unconfirmed
+from modaltouch.rig.catalogue import KNOWN_MODELS, instrument_of
+from modaltouch.rig.controls import Controls, Unconfirmed
+from modaltouch.rig.instrument import Setting
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.link import InUse, Link, LinkError, Log
-from modaltouch.rig.settings import KNOWN_MODELS, STOPPED, Limits, Setting, quiet_settings
 from modaltouch.rig.watchdog_client import BurstPlayer
 from modaltouch.system import SYSTEM_CLOCK, Clock
 
@@ -26,7 +27,7 @@ class Patience:
     trigger : float
         Longest wait for the instrument to take a trigger [s]; PyVISA-py grants one second more.
     copy : float
-        Longest wait for an upload or a copy into a USER memory [s].
+        Longest wait for an upload or a copy into a memory [s].
     tries : int
         How often a lost connection is opened again.
     pause : float
@@ -67,7 +68,7 @@ class OutputState:
     @property
     def faults(self) -> tuple[str, ...]:
         """Why what was played until then cannot be vouched for; empty if it can."""
-        silent = [f"output {n} was off" for n, on in zip(CHANNELS, self.outputs, strict=True) if not on]
+        silent = [f"output {n} was off" for n, on in enumerate(self.outputs, start=1) if not on]
         reported = [f"the generator reports {error}" for error in self.errors]
         return (*silent, *self.differences, *reported)
 
@@ -103,14 +104,15 @@ class Connection:
     ) -> None:
         self.address = address
         self.identity = ""
-        self.limits = Limits.of(apparatus)
+        self.instrument = instrument_of(apparatus)
+        self.limits = self.instrument.limits(apparatus)
         self.guard = guard
         self._expected_model = apparatus.generator.model
         self._log = log
         self._patience = patience
         self._clock = clock
         self.link = Link(guard, log=log, timeout=patience.reply)
-        self.controls = Controls(self.link, revive=self._revive, log=log, copy_timeout=patience.copy)
+        self.controls = Controls(self.link, self.instrument, revive=self._revive, log=log, copy_timeout=patience.copy)
 
     def open(self) -> None:
         """Reach the instrument, see that it is the right one, and bring it to a known state, outputs off.
@@ -240,9 +242,9 @@ class Connection:
     def _prepare(self) -> None:
         """Bring the instrument from any state to the one that is common to all bursts, outputs off."""
         self.controls.reset()
-        for channel in CHANNELS:
-            self.controls.apply_each(quiet_settings(channel, self.limits))
-        self.controls.apply([STOPPED])
+        for channel in self.instrument.channels:
+            self.controls.apply_each(self.limits.quiet_settings(channel))
+        self.controls.apply([self.instrument.commands.stopped])
 
     def _refuse_stranger(self) -> None:
         fields = self.identity.split(",")

@@ -8,16 +8,13 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from modaltouch.rig.instrument import Instrument, Setting
 from modaltouch.rig.link import Link, LinkError, Log, split_reply
-from modaltouch.rig.settings import MAX_POINTS, Setting, lock_setting
 
 NO_ERROR, UNDEFINED_HEADER = 0, -113
-IMMEDIATE, COMMON_TRIGGER = "TRIG:SEQ:IMM", "*TRG"
 QUERIES_PER_MESSAGE = 12
 MOST_ERRORS = 64
 N_SPOTS = 64
-USER_MEMORIES = (1, 2, 3, 4)
-CHANNELS = (1, 2)
 
 
 class Unconfirmed(Exception):  # noqa: N818
@@ -35,12 +32,14 @@ class Unconfirmed(Exception):  # noqa: N818
 
 
 class Controls:
-    """Sets, reads back and uploads over one link.
+    """Sets, reads back and uploads over one link; raises LinkError or Unconfirmed where that is not confirmed.
 
     Parameters
     ----------
     link : Link
         An open session.
+    instrument : Instrument
+        At its other end.
     revive : callable
         Opens the session anew after a failed exchange, to the same instrument, outputs off.
     log : callable
@@ -49,8 +48,12 @@ class Controls:
         Longest wait for an upload, a copy between memories or ``*OPC?`` [s].
     """
 
-    def __init__(self, link: Link, *, revive: Callable[[], object], log: Log, copy_timeout: float) -> None:
+    def __init__(
+        self, link: Link, instrument: Instrument, *, revive: Callable[[], object], log: Log, copy_timeout: float
+    ) -> None:
         self._link = link
+        self._instrument = instrument
+        self._table = instrument.commands
         self._revive = revive
         self._log = log
         self._copy_timeout = copy_timeout
@@ -65,23 +68,18 @@ class Controls:
         self._link.ask("*CLS;*OPC?")
 
     def reset(self) -> None:
-        """Restore the defaults, outputs off; USER memories stay, but are to be read before they are trusted."""
+        """Restore the defaults, outputs off; memories stay, but are to be read before they are trusted."""
         self._stored.clear()
         self._link.ask("*RST;*OPC?", timeout=self._copy_timeout)
         self._refuse_errors("*RST", self.pending_errors())
 
     def outputs_off(self) -> tuple[tuple[bool, ...], tuple[str, ...]]:
-        """Switch both outputs off, confirm it, and return which were on and which errors were reported.
-
-        Raises
-        ------
-        Unconfirmed
-            If an output is still on.
-        """
-        asked = ";".join(f":OUTP{n}?" for n in CHANNELS)
-        off = ";".join(f":OUTP{n} OFF" for n in CHANNELS)
+        """Switch both outputs off, confirm it, and return which were on and which errors were reported."""
+        outputs = [self._table.output.filled(channel=channel) for channel in self._instrument.channels]
+        asked = ";".join(f":{output.query}" for output in outputs)
+        off = ";".join(f":{output.off.command}" for output in outputs)
         replies = split_reply(self._link.ask(f"{asked};{off};{asked};:SYST:ERR?"))
-        n = len(CHANNELS)
+        n = len(outputs)
         if len(replies) != 2 * n + 1 or any(reply != "0" for reply in replies[n : 2 * n]):
             raise Unconfirmed(f"asked whether its outputs are off, the generator says {replies[n : 2 * n]}")
         errors: list[str] = []
@@ -90,34 +88,26 @@ class Controls:
         return tuple(reply != "0" for reply in replies[:n]), tuple(errors)
 
     def trigger_command(self) -> str:
-        """Return what triggers a burst here: the trigger subsystem's command, or the common one.
+        """Return what triggers a burst here: the first of the table's commands that is not undefined.
 
         To be called with the outputs off: what it tries is a trigger.
         """
-        reply = self._link.ask(f":{IMMEDIATE};:SYST:ERR?")
-        if _error_number(reply) == NO_ERROR:
-            return IMMEDIATE
-        self.clear_errors()
-        return COMMON_TRIGGER if _error_number(reply) == UNDEFINED_HEADER else IMMEDIATE
+        *first, last = self._table.triggers
+        for command in first:
+            reply = self._link.ask(f":{command};:SYST:ERR?")
+            if _error_number(reply) == NO_ERROR:
+                return command
+            self.clear_errors()
+            if _error_number(reply) != UNDEFINED_HEADER:
+                return command
+        return last
 
     def outputs_on(self) -> None:
-        """Switch both outputs on in one message.
-
-        Raises
-        ------
-        Unconfirmed
-            If one stays off.
-        """
-        self.apply([Setting(f"OUTP{n}", "ON") for n in CHANNELS])
+        """Switch both outputs on in one message."""
+        self.apply([self._table.output.filled(channel=channel) for channel in self._instrument.channels])
 
     def apply(self, settings: Sequence[Setting]) -> tuple[str, ...]:
-        """Make settings in one message, read each back, read the error queue, and return what was read back.
-
-        Raises
-        ------
-        Unconfirmed
-            If the queue holds an error or a setting reads back differently.
-        """
+        """Make settings in one message, read each back, read the error queue, and return what was read back."""
         commands = ";:".join(setting.command for setting in settings)
         queries = ";:".join(setting.query for setting in settings)
         replies = split_reply(self._link.ask(f":{commands};:{queries};:SYST:ERR?"))
@@ -151,7 +141,7 @@ class Controls:
         self._refuse_errors(command, [self._link.ask(f":{command};:SYST:ERR?")])
 
     def store(self, codes: NDArray[np.uint16], wanted: int, in_use: Sequence[int]) -> int:
-        """Have a record in a USER memory, verified, and return the memory's number.
+        """Have a record in a memory, verified, and return the memory's number.
 
         A record that is there already, remembered from this session or read back, is not sent again.
 
@@ -175,18 +165,18 @@ class Controls:
         if known:
             return known[0]
         if wanted in in_use:
-            wanted = next(slot for slot in reversed(USER_MEMORIES) if slot not in in_use)
+            wanted = next(slot for slot in reversed(self._instrument.memories) if slot not in in_use)
         if wanted not in self._stored and self._holds(wanted, codes):
-            self._log("record_found", memory=f"USER{wanted}", sha256=digest, n_points=codes.size)
+            self._log("record_found", memory=self._name(wanted), sha256=digest, n_points=codes.size)
         else:
             self._upload(wanted, codes, block)
-            self._log("record_sent", memory=f"USER{wanted}", sha256=digest, n_points=codes.size)
+            self._log("record_sent", memory=self._name(wanted), sha256=digest, n_points=codes.size)
         self._stored[wanted] = digest
         return wanted
 
     def _holds(self, slot: int, codes: NDArray[np.uint16]) -> bool:
         """Return whether a memory holds a record already."""
-        if f"USER{slot}" not in self._link.ask("DATA:CAT?"):
+        if self._name(slot) not in self._link.ask(self._table.catalogue):
             return False
         try:
             return bool(np.array_equal(self._read_back(slot), codes))
@@ -197,24 +187,25 @@ class Controls:
             return False
 
     def _upload(self, slot: int, codes: NDArray[np.uint16], block: bytes) -> None:
-        if not 2 <= codes.size <= MAX_POINTS:
-            raise Unconfirmed(f"a record of {codes.size} points: the generator holds 2 to {MAX_POINTS}")
+        most = self._instrument.converter.max_points
+        if not 2 <= codes.size <= most:
+            raise Unconfirmed(f"a record of {codes.size} points: the generator holds 2 to {most}")
         self._stored.pop(slot, None)
-        self.apply([lock_setting(slot, "OFF")])
+        self.apply([self._table.locked.filled(memory=slot).off])
         try:
             self._upload_once(slot, codes, block)
         except Unconfirmed as error:
-            self._log("upload_repeated", memory=f"USER{slot}", reason=str(error))
+            self._log("upload_repeated", memory=self._name(slot), reason=str(error))
             self._upload_once(slot, codes, block)
 
     def _upload_once(self, slot: int, codes: NDArray[np.uint16], block: bytes) -> None:
-        self._link.send_block("DATA:DATA EMEM", block, timeout=self._copy_timeout)
-        (n_points,) = self._complete("the upload", "*OPC?", "DATA:POIN? EMEM")
+        self._link.send_block(self._table.upload, block, timeout=self._copy_timeout)
+        (n_points,) = self._complete("the upload", "*OPC?", self._table.count)
         if n_points != str(codes.size):
             raise Unconfirmed(f"{codes.size} points were sent, the generator counts {n_points}")
-        self._copy(f"USER{slot},EMEM")
+        self._copy(self._table.store, slot)
         if not self._verified(slot, codes):
-            raise Unconfirmed(f"USER{slot} does not hold the record that was sent, after two uploads")
+            raise Unconfirmed(f"{self._name(slot)} does not hold the record that was sent, after two uploads")
 
     def _verified(self, slot: int, codes: NDArray[np.uint16]) -> bool:
         """Return whether a memory reads back right; by samples of it where whole blocks cannot be read."""
@@ -226,20 +217,26 @@ class Controls:
         return self._spots_agree(codes)
 
     def _read_back(self, slot: int) -> NDArray[np.uint16]:
-        self._copy(f"EMEM,USER{slot}")
-        return self._link.read_codes("DATA:DATA? EMEM", timeout=self._copy_timeout)
+        self._copy(self._table.recall, slot)
+        return self._link.read_codes(self._table.read, timeout=self._copy_timeout)
 
     def _spots_agree(self, codes: NDArray[np.uint16]) -> bool:
         """Return whether count and a spread of single points agree with a record in the edit memory."""
         self._log("record_spot_check", n_spots=N_SPOTS, why="its blocks cannot be read back")
-        if self._link.ask("DATA:POIN? EMEM") != str(codes.size):
+        if self._link.ask(self._table.count) != str(codes.size):
             return False
         strongest = np.argsort(np.abs(codes.astype(int) - int(np.median(codes))))[-N_SPOTS // 2 :]
         spread = np.linspace(0, codes.size - 1, N_SPOTS // 2).astype(int)
-        return all(self._link.ask(f"DATA:DATA:VAL? EMEM,{at + 1}") == str(codes[at]) for at in {*strongest, *spread})
+        return all(
+            self._link.ask(self._table.point.format(place=at + 1)) == str(codes[at]) for at in {*strongest, *spread}
+        )
 
-    def _copy(self, what: str) -> None:
-        self._complete(f"DATA:COPY {what}", f":DATA:COPY {what};*OPC?")
+    def _name(self, slot: int) -> str:
+        return self._table.memory.format(memory=slot)
+
+    def _copy(self, command: str, slot: int) -> None:
+        command = command.format(memory=slot)
+        self._complete(command, f":{command};*OPC?")
 
     def _complete(self, what: str, message: str, *queries: str) -> list[str]:
         """Wait in one message until all is done, read the error queue, and return the replies to further queries."""

@@ -1,4 +1,4 @@
-"""The arbitrary function generator over PyVISA: AFG3022B and its relatives.
+"""The arbitrary function generator over PyVISA: any that is in the catalogue.
 
 The outputs are off whenever no stimulus is wanted, whatever happens: after every failure they are switched off
 and asked whether they are, and the watchdog process, which holds the VISA session, does it where this one cannot.
@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import contextlib
 import math
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from modaltouch.protocol import Apparatus
 from modaltouch.rig.connection import Connection, OutputState, Patience
-from modaltouch.rig.controls import CHANNELS, Unconfirmed
+from modaltouch.rig.controls import Unconfirmed
 from modaltouch.rig.interface import MANY, Bursts, Firing, RigError, StimulusLost
 from modaltouch.rig.link import LinkError, Log
 from modaltouch.rig.pacing import Report
@@ -25,6 +26,9 @@ from modaltouch.rig.watchdog_client import HELD_UP, BurstPlayer, WatchdogClient
 from modaltouch.rig.watchdog_process import LIMIT
 from modaltouch.stimulus import Burst
 from modaltouch.system import SYSTEM_CLOCK, Clock
+
+if TYPE_CHECKING:
+    from modaltouch.rig.latency import CommandLatency
 
 UNMEASURED = 1e-3
 """Taken as the longest time from trigger to first sample, where that has not been measured [s]."""
@@ -78,6 +82,7 @@ class Generator:
         start_guard: Callable[[str], BurstPlayer] = WatchdogClient,
         clock: Clock = SYSTEM_CLOCK,
     ) -> None:
+        began = time.perf_counter()
         self._log = log
         self._clock = clock
         self._patience = patience or Patience()
@@ -103,6 +108,7 @@ class Generator:
             # No output was ever on, so the watchdog has nothing to do.
             self._connection.close(clean=True)
             raise
+        self._opened_in = time.perf_counter() - began
 
     @property
     def identity(self) -> str:
@@ -119,20 +125,19 @@ class Generator:
         """The latest firing; unconfirmed if `stop` found settings or outputs no longer as set."""
         return self._firing
 
-    def set_levels(self, amplitudes: tuple[float, ...]) -> tuple[str, ...]:
-        """Set both amplitudes, read them and the error queue back: all that a change of level is.
+    def command_latency(self, n: int = 50) -> CommandLatency:
+        """Return how soon the instrument does as it is told, from `n` commands of each kind; nothing is played.
 
-        Parameters
-        ----------
-        amplitudes : tuple of float
-            Of each channel, open circuit [V peak to peak].
-
-        Returns
-        -------
-        tuple of str
-            What was read back.
+        Raises
+        ------
+        RigError
+            If the instrument is lost.
+        ValueError
+            If fewer than 10 commands are asked for.
         """
-        return self._player.set_levels(amplitudes)
+        from modaltouch.rig.latency import measure
+
+        return measure(self, self._player.set_levels, self._opened_in, n=n)
 
     def load(self, burst: Burst, *further: Burst) -> None:
         """Have both channels' records in the instrument, verified, and set everything but the level.
@@ -150,10 +155,11 @@ class Generator:
             If the instrument does not confirm it; the outputs are off.
         """
         bursts = (burst, *further)
-        odd = next((each for each in bursts if each.codes.shape[0] != len(CHANNELS)), None)
+        n_channels = len(self._connection.instrument.channels)
+        odd = next((each for each in bursts if each.codes.shape[0] != n_channels), None)
         if odd is not None:
             raise RigError(
-                f"the burst has {odd.codes.shape[0]} channels: the generator has {len(CHANNELS)}; the "
+                f"the burst has {odd.codes.shape[0]} channels: the generator has {n_channels}; the "
                 "outputs are off; give each output an actuator set in the apparatus file"
             )
         self.stop()
@@ -236,13 +242,7 @@ class Generator:
             self._connection.restore("starting the stimulus", (), self._player.replay)
 
     def _begin(self, n_bursts: int, *, silent: bool) -> None:
-        """Switch the outputs on and let the first burst go, and keep when that was.
-
-        Raises
-        ------
-        LinkError, Unconfirmed
-            If the instrument does not confirm a step, or the first burst is not played.
-        """
+        """Switch the outputs on and let the first burst go, and keep when that was."""
         firing, clock = self._firing, self._clock
         if firing is None:
             raise RigError("a stimulus was begun before it was prepared; the outputs are off; report this")

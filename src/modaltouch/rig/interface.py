@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import typing
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any, Self
 
 if TYPE_CHECKING:
@@ -96,6 +96,10 @@ class Firing:
     trigger_latency: str = "unknown"
     bursts: Bursts = Bursts()
 
+    def pending(self, reason: str) -> Firing:
+        """Return the firing as it is recorded before its end, without counts; `reason` says so."""
+        return replace(self, reason=reason, bursts=Bursts())
+
     def as_dict(self) -> dict[str, Any]:
         """Return the firing as plain values for the record, the bursts left out."""
         values = asdict(self)
@@ -153,8 +157,3 @@ class Rig(typing.Protocol):
     def __enter__(self) -> Self: ...
 
     def __exit__(self, *exc: object) -> None: ...
-
-
-def is_simulated(identity: str) -> bool:
-    """Return whether a reply to ``*IDN?`` is the simulator's: it bears the word where others have their number."""
-    return "SIMULATED" in identity.split(",")

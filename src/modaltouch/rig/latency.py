@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
-from modaltouch.protocol import Apparatus
+from modaltouch.rig.interface import Rig
 
 _AMPLITUDES = (0.02, 0.03)
 """Amplitudes between which the level goes to and fro, the lowest there are [V peak to peak]."""
@@ -71,44 +72,39 @@ class CommandLatency:
         )
 
 
-def measure_latency(address: str, apparatus: Apparatus, *, n: int = 50) -> CommandLatency:
-    """Return how soon the generator at an address does as it is told.
+def measure(rig: Rig, set_levels: Callable[[tuple[float, ...]], object], opened: float, *, n: int) -> CommandLatency:
+    """Return how soon a generator does as it is told.
 
     Parameters
     ----------
-    address : str
-        VISA address, of an instrument or of a simulator.
-    apparatus : Apparatus
-        Expected model, and limits.
+    rig : Rig
+        The generator, its outputs off.
+    set_levels : callable
+        Sets both amplitudes and confirms them.
+    opened : float
+        How long opening it took [s].
     n : int
         Commands of each kind.
 
     Raises
     ------
-    RigError
-        If there is no such instrument at the address.
     ValueError
         If fewer than 10 commands are asked for.
     """
     if n < 10:
         raise ValueError(f"given {n} commands; allowed: 10 or more, or no 95th percentile can be told")
-    from modaltouch.rig.generator import Generator
-
-    began = time.perf_counter()
-    with Generator(address, apparatus) as generator:
-        opened = time.perf_counter() - began
-        levels, offs = np.empty(n), np.empty(n)
-        for k in range(n):
-            started = time.perf_counter()
-            generator.set_levels((_AMPLITUDES[k % 2],) * 2)
-            levels[k] = time.perf_counter() - started
-            generator.heartbeat()
-        for k in range(n):
-            started = time.perf_counter()
-            generator.stop()
-            offs[k] = time.perf_counter() - started
-            generator.heartbeat()
-        return CommandLatency(address, generator.identity, n, opened, *_summarise(levels), *_summarise(offs))
+    levels, offs = np.empty(n), np.empty(n)
+    for k in range(n):
+        started = time.perf_counter()
+        set_levels((_AMPLITUDES[k % 2],) * 2)
+        levels[k] = time.perf_counter() - started
+        rig.heartbeat()
+    for k in range(n):
+        started = time.perf_counter()
+        rig.stop()
+        offs[k] = time.perf_counter() - started
+        rig.heartbeat()
+    return CommandLatency(rig.address, rig.identity, n, opened, *_summarise(levels), *_summarise(offs))
 
 
 def _summarise(times: np.ndarray[Any, np.dtype[np.float64]]) -> tuple[float, float, float]:

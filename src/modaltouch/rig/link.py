@@ -75,7 +75,7 @@ T = typing.TypeVar("T")
 
 
 class Link:
-    """Exchanges messages with one instrument.
+    """Exchanges messages with one instrument; an exchange that fails, or takes too long, raises LinkError.
 
     Parameters
     ----------
@@ -130,13 +130,7 @@ class Link:
                 self._transport.close(broken=broken)
 
     def ask(self, message: str, *, timeout: float | None = None) -> str:
-        """Send a message that contains a query and return the reply.
-
-        Raises
-        ------
-        LinkError
-            If no reply comes in time, or it is not text.
-        """
+        """Send a message that contains a query and return the reply."""
 
         def read(reply: bytes, facts: dict[str, str]) -> str:
             text = reply.decode("ascii").strip()
@@ -148,35 +142,17 @@ class Link:
         return self._exchange(message, message.encode("ascii"), timeout, read)
 
     def send(self, message: str) -> None:
-        """Send a message that asks nothing; return once the instrument has taken it.
-
-        Raises
-        ------
-        LinkError
-            If it cannot be sent.
-        """
+        """Send a message that asks nothing; return once the instrument has taken it."""
         self._exchange(message, message.encode("ascii"), None, None)
 
     def send_block(self, command: str, block: bytes, *, timeout: float) -> None:
-        """Send a command whose last argument is a definite block.
-
-        Raises
-        ------
-        LinkError
-            If it cannot be sent.
-        """
+        """Send a command whose last argument is a definite block."""
         length = str(len(block))
         message = f"{command},#{len(length)}{length}".encode("ascii") + block
         self._exchange(f"{command},{describe_block(block)}", message, timeout, None)
 
     def ask_raw(self, query: str, *, timeout: float) -> bytes:
-        """Ask for a reply and return it as it comes, terminator and all.
-
-        Raises
-        ------
-        LinkError
-            If no reply comes in time.
-        """
+        """Ask for a reply and return it as it comes, terminator and all."""
 
         def read(reply: bytes, facts: dict[str, str]) -> bytes:
             facts["reply"] = describe_block(reply)
@@ -185,13 +161,7 @@ class Link:
         return self._exchange(query, query.encode("ascii"), timeout, read)
 
     def read_codes(self, query: str, *, timeout: float) -> NDArray[np.uint16]:
-        """Ask for a block of codes of two bytes, big-endian, and return them.
-
-        Raises
-        ------
-        LinkError
-            If the reply is no such block.
-        """
+        """Ask for a block of codes of two bytes, big-endian, and return them."""
         import numpy as np  # the watchdog process does without it
 
         def read(reply: bytes, facts: dict[str, str]) -> NDArray[np.uint16]:

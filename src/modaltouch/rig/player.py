@@ -3,31 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.rig.controls import CHANNELS, USER_MEMORIES, Controls, Unconfirmed
+from modaltouch.rig.controls import Controls, Unconfirmed
+from modaltouch.rig.instrument import Limits, Setting
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.pacing import Order
-from modaltouch.rig.settings import (
-    ARMED,
-    STOPPED,
-    Limits,
-    Setting,
-    amplitudes,
-    burst_settings,
-    continuous_codes,
-    continuous_settings,
-    guarded_settings,
-    level_setting,
-    lock_setting,
-    record_peaks,
-    refuse_steps,
-    timer_setting,
-)
 from modaltouch.stimulus import Burst
 from modaltouch.system import Clock
 
@@ -35,12 +19,17 @@ Repetition = Literal["single", "timer", "continuous", "wired"]
 """``single``: each burst is triggered by itself; ``timer``: by the free timer of the generator; ``wired``: by pulses at
 its trigger input; ``continuous``: one record of a whole period plays on and on."""
 
+LARGEST_STEP = 0.01
+"""How far from zero a record may begin and end, as a part of its full scale [1]."""
+
 RELAYS_SETTLE = 0.05
 """From switching the outputs on to the first burst [s]: relays close and bounce in a few milliseconds."""
 
 
 class Player:
     """Plays one burst at a time, of those whose records lie in the instrument.
+
+    What talks to the instrument raises LinkError or Unconfirmed if it does not confirm a step.
 
     Parameters
     ----------
@@ -58,15 +47,16 @@ class Player:
         self._clock = clock
         self._controls = controls
         self._limits = limits
+        self._instrument = limits.instrument
+        self._table = limits.instrument.commands
         self.repetition: Repetition = repetition
         self._continuous = repetition == "continuous"
         self._trigger_command = ""
         self._bursts: tuple[Burst, ...] = ()
-        self._peaks: tuple[tuple[float, ...], ...] = ()
         self._chosen = 0
         self._by_burst: tuple[tuple[Setting, ...], ...] = ()
         self._settings: tuple[Setting, ...] = ()
-        self._let_go = STOPPED
+        self._let_go = self._table.stopped
         self._levels: tuple[Setting, ...] = ()
 
     @property
@@ -99,54 +89,41 @@ class Player:
         """
         self._bursts, self._settings, self._levels = (), (), ()
         for burst in bursts:
-            refuse_steps(burst)
+            _refuse_steps(burst)
         records = {codes.tobytes() for burst in bursts for codes in self._records(burst)}
-        if len(records) > len(USER_MEMORIES):
+        n_memories = len(self._instrument.memories)
+        if len(records) > n_memories:
             raise RigError(
-                f"the bursts have {len(records)} records: the generator has {len(USER_MEMORIES)} memories; the outputs "
-                "are off; load fewer bursts"
+                f"the bursts have {len(records)} records: the generator has {n_memories} memories; the outputs are "
+                "off; load fewer bursts"
             )
         self._bursts, self._chosen = tuple(bursts), 0
-        self._peaks = tuple(record_peaks(burst) for burst in bursts)
 
     def replay(self) -> None:
-        """Have the records in the instrument and make every setting but the level.
-
-        Raises
-        ------
-        LinkError, Unconfirmed
-            If the instrument does not confirm it.
-        """
+        """Have the records in the instrument and make every setting but the level."""
         self._settings = self._levels = ()
         if not self._bursts:
             return
-        make = continuous_settings if self._continuous else burst_settings
         slots: list[int] = []
         by_burst: list[list[Setting]] = []
         for burst in self._bursts:
             by_burst.append([])
-            for channel, record in zip(CHANNELS, self._records(burst), strict=True):
+            for channel, record in zip(self._instrument.channels, self._records(burst), strict=True):
                 slots.append(self._controls.store(record, channel, slots))
-                by_burst[-1] += make(channel, slots[-1], burst)
-            by_burst[-1] += [timer_setting(burst)] if self.repetition == "timer" else []
-        locks = [lock_setting(slot, "ON") for slot in dict.fromkeys(slots)]
+                by_burst[-1] += self._instrument.burst_settings(channel, slots[-1], burst, continuous=self._continuous)
+            by_burst[-1] += [self._instrument.timer(burst)] if self.repetition == "timer" else []
+        locks = [self._table.locked.filled(memory=slot) for slot in dict.fromkeys(slots)]
         self._controls.apply_each([*by_burst[self._chosen], *locks])
         if self.repetition == "single" and not self._trigger_command:
             self._trigger_command = self._controls.trigger_command()
             # What that has triggered, behind outputs that are off, is over before the first burst is due.
             self._clock.sleep(2 * max(burst.duration for burst in self._bursts))
-        guarded = guarded_settings(self._limits)
+        guarded = self._limits.guarded_settings()
         self._by_burst = tuple((*guarded, *settings, *locks) for settings in by_burst)
         self._settings = self._by_burst[self._chosen]
 
     def choose(self, which: int) -> None:
-        """Play one of the bursts from now on; its records are there, so that settings alone change.
-
-        Raises
-        ------
-        LinkError, Unconfirmed
-            If the instrument does not confirm it.
-        """
+        """Play one of the bursts from now on; its records are there, so that settings alone change."""
         if which == self._chosen or not self._settings:
             self._chosen = which
             return
@@ -156,7 +133,7 @@ class Player:
         self._controls.apply_each([setting for setting in self._settings if setting not in before])
 
     def _records(self, burst: Burst) -> NDArray[np.uint16]:
-        return continuous_codes(burst) if self._continuous else burst.codes
+        return self._instrument.continuous_codes(burst) if self._continuous else burst.codes
 
     def amplitudes(self, velocity: float, which: int = 0) -> tuple[float, ...]:
         """Return the amplitude of each channel at a level [m/s] of a burst, open circuit [V peak to peak].
@@ -176,7 +153,7 @@ class Player:
                 f"burst {which} was asked for: 0 to {len(self._bursts) - 1} are loaded; the outputs are off; load it "
                 "with the others"
             )
-        return amplitudes(self._bursts[which], self._peaks[which], velocity, self._limits)
+        return self._limits.amplitudes(self._bursts[which], velocity)
 
     def prepare(self, commanded: tuple[float, ...], *, silent: bool = False) -> tuple[str, ...]:
         """Set both levels with the trigger stopped, see that nothing else changed, and return what was read back.
@@ -195,26 +172,20 @@ class Player:
                 f"a catch trial needs the repetition `single`: with `{self.repetition}` the beam moves as soon as the "
                 "outputs are on; the outputs are off; leave out schedule.catch_trials"
             )
-        self._let_go = ARMED if self.repetition == "timer" and not silent else STOPPED
+        self._let_go = self._table.armed if self.repetition == "timer" and not silent else self._table.stopped
         read_back = self.set_levels(commanded)
-        changed = self._controls.differences([*self._settings, *self._trigger(STOPPED)])
+        changed = self._controls.differences([*self._settings, *self._trigger(self._table.stopped)])
         if changed:
             raise Unconfirmed("; ".join(changed), read_back)
         return read_back
 
     def switch_on(self) -> None:
-        """Switch the outputs on; a timer is let go, and a continuous record begins with its first sample.
-
-        Raises
-        ------
-        LinkError, Unconfirmed
-            If the instrument does not confirm a step.
-        """
+        """Switch the outputs on; a timer is let go, and a continuous record begins with its first sample."""
         if self._continuous:
-            self._controls.command("SOUR1:PHAS:INIT")
+            self._controls.command(self._table.align)
         self._controls.outputs_on()
-        if self._let_go is ARMED:
-            self._controls.apply([ARMED])
+        if self._let_go is self._table.armed:
+            self._controls.apply([self._let_go])
 
     def order(self, n_bursts: int, first: float, timeout: float) -> Order:
         """Return what is asked of a pacer.
@@ -231,41 +202,34 @@ class Player:
         return Order(self._trigger_command, n_bursts, first, self.period, self.duration, timeout)
 
     def set_levels(self, commanded: tuple[float, ...]) -> tuple[str, ...]:
-        """Set both amplitudes in one message, and return what was read back.
-
-        Raises
-        ------
-        LinkError, Unconfirmed
-            If the instrument does not confirm it.
-        """
-        channels = zip(CHANNELS, commanded, strict=True)
-        self._levels = tuple(level_setting(channel, amplitude) for channel, amplitude in channels)
+        """Set both amplitudes in one message, and return what was read back."""
+        channels = zip(self._instrument.channels, commanded, strict=True)
+        self._levels = tuple(self._instrument.level(channel, amplitude) for channel, amplitude in channels)
         return self._controls.apply(self._levels)
 
     def stop_trigger(self) -> None:
-        """Let the trigger wait for an input that nothing is wired to.
-
-        Raises
-        ------
-        LinkError, Unconfirmed
-            If the instrument does not confirm it.
-        """
+        """Let the trigger wait for an input that nothing is wired to."""
         if self.repetition == "timer":
-            self._controls.apply([STOPPED])
+            self._controls.apply([self._table.stopped])
 
     def unlock(self) -> None:
-        """Leave the memories to whoever comes next.
-
-        Raises
-        ------
-        LinkError, Unconfirmed
-            If the instrument does not confirm it.
-        """
+        """Leave the memories to whoever comes next."""
         locks = [setting for setting in self._settings if setting.of]
-        self._controls.apply_each([replace(setting, value="OFF") for setting in locks])
+        self._controls.apply_each([setting.off for setting in locks])
 
     def _trigger(self, setting: Setting) -> tuple[Setting, ...]:
         return () if self._continuous else (setting,)
+
+
+def _refuse_steps(burst: Burst) -> None:
+    """Refuse a burst that does not rise from zero and fall back to it."""
+    for number, end in enumerate(burst.ends, start=1):
+        if end > LARGEST_STEP:
+            raise RigError(
+                f"the record of output {number} begins or ends at {end:.1%} of its full scale: at most "
+                f"{LARGEST_STEP:.0%} is allowed, for the outputs rest there between bursts; the outputs are off; "
+                "ramp it on and off"
+            )
 
 
 def numbers(replies: tuple[str, ...]) -> tuple[float, ...]:

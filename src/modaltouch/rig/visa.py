@@ -22,13 +22,7 @@ KNOCKED = 2.0
 
 
 def knock(address: str) -> None:
-    """See whether anybody listens, where a VISA address names a port: a refused socket would be leaked.
-
-    Raises
-    ------
-    OSError
-        If nobody does.
-    """
+    """See whether anybody listens, where a VISA address names a port: a refused socket would be leaked."""
     host, _, port = (address.split("::") + [""])[1].partition(",")
     if address.upper().startswith("TCPIP") and port.isdigit():
         socket.create_connection((host, int(port)), timeout=KNOCKED).close()
@@ -97,7 +91,7 @@ NO_MORE_SESSIONS = "error creating link: 9"
 
 
 class VisaSession:
-    """A VISA session with one instrument, as a `modaltouch.rig.transport.Transport`.
+    """A VISA session with one instrument, as a `modaltouch.rig.link.Transport`.
 
     One program of a machine at a time has an instrument, by a lock of the machine. The instrument's own lock (VXI-11)
     is left alone: one that a dead link holds would keep out whoever comes to switch the outputs off. A program on
@@ -190,13 +184,7 @@ class VisaSession:
 
 
 def _take_instrument(address: str) -> int:
-    """Return a descriptor that keeps other programs of this machine from an instrument until this process ends.
-
-    Raises
-    ------
-    InUse
-        If another program has it.
-    """
+    """Return a descriptor that keeps other programs of this machine from an instrument until this process ends."""
     name = hashlib.sha256(address.upper().encode()).hexdigest()[:16]
     path = Path(tempfile.gettempdir()) / f"modaltouch-{name}.lock"
     # A file of another user's in a shared folder may be opened, but not with the wish to make it.
@@ -227,13 +215,7 @@ def find_instruments() -> tuple[str, ...]:
 
 
 def find_by(visa_library: str) -> tuple[str, ...]:
-    """Return the VISA addresses of the instruments that one backend finds.
-
-    Raises
-    ------
-    RigError
-        If the backend cannot list them.
-    """
+    """Return the VISA addresses of the instruments that one backend finds."""
     import pyvisa
 
     try:

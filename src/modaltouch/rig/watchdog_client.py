@@ -92,7 +92,8 @@ class BurstPlayer(Transport, typing.Protocol):
 class WatchdogClient:
     """A process that holds the VISA session, and switches the outputs off when this one dies or stalls.
 
-    One that dies or gets stuck itself is replaced by the next `open`.
+    One that dies or gets stuck itself is replaced by the next `open`. A request raises TransportError if it fails, and
+    LinkError if the process is gone.
 
     Parameters
     ----------
@@ -138,13 +139,7 @@ class WatchdogClient:
         return self._request(OPEN, b"", OPEN_LIMIT).decode()
 
     def exchange(self, message: bytes, *, timeout: float, reply: bool) -> bytes:
-        """Send a message, and return the reply if one is expected, within a time for each [s].
-
-        Raises
-        ------
-        TransportError
-            If it fails.
-        """
+        """Send a message, and return the reply if one is expected, within a time for each [s]."""
         return self._request(EXCHANGE, TERMS.pack(timeout, reply, False) + message, 2 * timeout + OVERHEAD)
 
     def close(self, *, broken: bool) -> None:
@@ -152,35 +147,16 @@ class WatchdogClient:
         self._request(CLOSE, TERMS.pack(0.0, False, broken), 2 * OVERHEAD)
 
     def arm(self, *, plays_by_itself: bool) -> None:
-        """Tell it that outputs may go on.
-
-        Parameters
-        ----------
-        plays_by_itself : bool
-            Whether what they play does not end without a command.
-
-        Raises
-        ------
-        LinkError
-            If it is gone.
-        """
+        """Tell it that outputs may go on, and whether what they play does not end without a command."""
         self._send(frame(ARM, 0, FLAG.pack(plays_by_itself)))
         self._lost, self._broken, self._held_up = "", None, 0.0
         self._came_round = time.monotonic()
         self._armed.set()
 
     def beat(self) -> str:
-        """Say that the session comes round; as long as it does, a thread tells the watchdog so.
+        """Say that the session comes round, and return why the bursts ended that nobody ended; empty while all is well.
 
-        Returns
-        -------
-        str
-            Why the bursts ended that nobody ended; empty while all is well.
-
-        Raises
-        ------
-        LinkError
-            If the watchdog is gone while outputs may be on.
+        As long as it comes round, a thread tells the watchdog so.
         """
         self._came_round = time.monotonic()
         if self._armed.is_set() and self._broken is not None:
@@ -202,24 +178,12 @@ class WatchdogClient:
                 self._lost = self._lost or lost
 
     def play(self, order: Order) -> Report:
-        """Have bursts played; return the report as it stands after the first.
-
-        Raises
-        ------
-        LinkError
-            If the process is gone.
-        """
+        """Have bursts played; return the report as it stands after the first."""
         limit = max(order.first - time.perf_counter(), 0.0) + order.timeout + OVERHEAD
         return _report(self._request(PLAY, json.dumps(order.as_dict()).encode(), limit))
 
     def look(self) -> Report:
-        """Return what was played so far.
-
-        Raises
-        ------
-        LinkError
-            If the process is gone.
-        """
+        """Return what was played so far."""
         return _report(self._request(LOOK, b"", OVERHEAD))
 
     def end(self) -> None:
@@ -228,13 +192,7 @@ class WatchdogClient:
             self._send(frame(END, 0))
 
     def report(self, *, wait: bool) -> Report:
-        """Let no further burst go, and return what was played; with `wait`, once the last burst is over.
-
-        Raises
-        ------
-        LinkError
-            If the process is gone.
-        """
+        """Let no further burst go, and return what was played; with `wait`, once the last burst is over."""
         return _report(self._request(REPORT, FLAG.pack(wait), 2 * OVERHEAD))
 
     def held_up(self) -> float:

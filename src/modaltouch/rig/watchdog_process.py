@@ -64,21 +64,7 @@ OFF = b":OUTP1 OFF;:OUTP2 OFF;:OUTP1?;:OUTP2?\n"
 
 
 class WatchdogProcess:
-    """Carries out the requests of one master over one transport, and watches over it.
-
-    Parameters
-    ----------
-    transport : Transport
-        The way to the instrument, not open yet.
-    limit : float
-        Longest silence while armed [s].
-    persistence, long_persistence : float
-        How long the instrument is tried to be reached, and the same where it plays on by itself [s].
-    say : callable
-        Takes a sentence for whoever is at the terminal.
-    clock : Clock
-        That of the orders.
-    """
+    """Carries out the requests of one master over one transport, and watches over it."""
 
     def __init__(
         self,
@@ -106,15 +92,7 @@ class WatchdogProcess:
         self._pacing = threading.Thread()
 
     def serve(self, requests: typing.BinaryIO, answer: Callable[[bytes], object]) -> None:
-        """Carry out requests until the pipe ends; the outputs are off then.
-
-        Parameters
-        ----------
-        requests : binary stream
-            From the master.
-        answer : callable
-            Takes each answer.
-        """
+        """Carry out requests until the pipe ends; the outputs are off then."""
 
         def reply(letter: bytes, number: int, content: bytes) -> None:
             # If nobody takes it, the requests end as well.

@@ -9,7 +9,7 @@ from typing import Any
 
 from modaltouch.protocol import Levels, Protocol, Response, Trial, expected_answer, judge_round
 from modaltouch.record import RecordError, SessionLog
-from modaltouch.rig import Bursts, Firing, Rig, RigError, StimulusLost
+from modaltouch.rig import Firing, Rig, RigError, StimulusLost
 from modaltouch.session.console.experimenter import Experimenter
 from modaltouch.session.events import describe_answer, describe_ending, describe_placement, describe_trial
 from modaltouch.system import SYSTEM_CLOCK, Clock
@@ -275,7 +275,7 @@ def present(sitting: SessionRun, trial: Trial) -> tuple[Response | None, Firing]
             # Whatever ends the session now, the record knows that this stimulus had begun.
             sitting.log.append("fired", trial=trial.as_dict(), confirmed=firing.as_dict())
             response = sitting.window.ask(trial, (trial.index, sitting.total), presentation)
-            line = _write_down(sitting, "answered", trial, response, replace(firing, reason=NOT_OVER, bursts=Bursts()))
+            line = _write_down(sitting, "answered", trial, response, firing.pending(NOT_OVER))
             sitting.window.confirm(response)
         except (TrialInterrupted, StimulusLost) as cut:
             stop()

@@ -17,7 +17,7 @@ from modaltouch.record import (
     SessionLog,
     read_session,
 )
-from modaltouch.rig import Rig, is_simulated
+from modaltouch.rig import Rig, instrument_of
 from modaltouch.session.assignment import assign_turn
 from modaltouch.session.console.experimenter import Experimenter, Tick, Wish
 from modaltouch.session.console.interface import Console
@@ -198,7 +198,8 @@ def _sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessi
     with Interruption() as interruption, ExitStack() as stack:
         rig = stack.enter_context(setup.open_rig(buffer.exchange))
         _refuse_other_generator(setup.preflight, rig)
-        if is_simulated(rig.identity) and setup.place.mode != "simulated":
+        instrument = instrument_of(setup.preflight.experiment.apparatus)
+        if instrument.is_simulated(rig.identity) and setup.place.mode != "simulated":
             # An address may lead to a simulator; its data never land among real ones.
             setup = replace(setup, place=replace(setup.place, mode="simulated"))
             setup.place.refuse_existing()

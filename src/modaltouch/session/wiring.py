@@ -13,7 +13,7 @@ from modaltouch.planning import FeltSpeeds, Observer, read_observer, usual_obser
 from modaltouch.preflight import Preflight, examine, examine_findings
 from modaltouch.protocol import Findings, Protocol, Schedule, Sources, Trial, Turn
 from modaltouch.record import RecordError, RecordInputError, Session, SessionFolder, SessionLog, audit_session
-from modaltouch.rig import Rig, open_rig, same_process, start_simulator
+from modaltouch.rig import Rig, open_rig
 from modaltouch.session.assignment import next_session
 from modaltouch.session.console.experimenter import Tick
 from modaltouch.session.sensation_level import at_own_levels, recorded_levels
@@ -220,13 +220,12 @@ class SessionParts:
         """Open the driver, on the twin's address where no other is given."""
         apparatus, address = self.preflight.experiment.apparatus, self.rig
         with ExitStack() as stack:
-            options: dict[str, Any] = {}
             if self.rig == SIMULATED:
-                self.simulator = stack.enter_context(start_simulator(apparatus, clock=self.clock))
+                from modaltouch.rig import Simulator
+
+                self.simulator = stack.enter_context(Simulator(apparatus, clock=self.clock))
                 address = self.simulator.address
-            if isinstance(self.clock, VirtualClock):
-                options = {"clock": self.clock, "start_guard": same_process(self.clock)}
-            yield stack.enter_context(open_rig(address, apparatus, log=log, **options))
+            yield stack.enter_context(open_rig(address, apparatus, log=log, clock=self.clock))
 
     def open_window(self, tick: Tick, log: Callable[..., None]) -> AnswerWindow:
         """Open the answer window, with a simulated participant where no person answers."""

@@ -14,12 +14,12 @@ from modaltouch.system import lazily
 
 if TYPE_CHECKING:
     from modaltouch.stimulus.blocks import BlockKernel
-    from modaltouch.stimulus.burst import MID_CODE, Burst, round_amplitude
+    from modaltouch.stimulus.burst import Burst
     from modaltouch.stimulus.correction import Correction
     from modaltouch.stimulus.drive import Law, Release
     from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
     from modaltouch.stimulus.modes import MeasuredShapes, ModalModel
-    from modaltouch.stimulus.quantisation import full_scale, round_to_codes, unsigned_codes
+    from modaltouch.stimulus.quantisation import Converter
     from modaltouch.stimulus.reachability import Taper
     from modaltouch.stimulus.sample_count import cheapest_samples
     from modaltouch.stimulus.sensitivity import focus_sensitivity, scatter
@@ -34,12 +34,12 @@ else:
         __name__,
         {
             "blocks": "BlockKernel",
-            "burst": "MID_CODE Burst round_amplitude",
+            "burst": "Burst",
             "correction": "Correction",
             "drive": "Law Release",
             "dynamics": "Amplifier DiagonalSystem",
             "modes": "MeasuredShapes ModalModel",
-            "quantisation": "full_scale round_to_codes unsigned_codes",
+            "quantisation": "Converter",
             "reachability": "Taper",
             "sample_count": "cheapest_samples",
             "sensitivity": "focus_sensitivity scatter",
@@ -56,10 +56,10 @@ __all__ = [
     "Amplifier",
     "BlockKernel",
     "Burst",
+    "Converter",
     "Correction",
     "DiagonalSystem",
     "Law",
-    "MID_CODE",
     "MeasuredShapes",
     "ModalModel",
     "Release",
@@ -72,12 +72,8 @@ __all__ = [
     "cheapest_samples",
     "design_stimulus",
     "focus_sensitivity",
-    "full_scale",
     "mode_shapes",
     "patch_gains",
     "peak_velocity",
-    "round_amplitude",
-    "round_to_codes",
     "scatter",
-    "unsigned_codes",
 ]

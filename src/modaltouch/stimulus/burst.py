@@ -10,21 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.stimulus.correction import Trims, trimmed
-
-MID_CODE = 8191
-"""Code of zero volts; codes run from 0 to 16382."""
+from modaltouch.stimulus.quantisation import Converter
 
 
 @dataclass(frozen=True, eq=False)
 class Burst:
     """Codes common to all levels; a level changes the amplitude alone.
 
-    The generator plays ``(code - 8191) / 8191 * amplitude / 2`` volts into an open circuit.
-
     Attributes
     ----------
     codes : (n_channels, n_samples) array of uint16
-        Unsigned 14-bit codes, 0 to 16382; first and last are 8191.
+        Codes of `converter`; the first and the last are its zero volts.
     duration : float
         Length of one burst [s].
     repetition_rate : float
@@ -33,6 +29,8 @@ class Burst:
         Level for which `amplitude` holds [m/s].
     amplitude : tuple of float
         Amplitude of each channel at `velocity` [V peak to peak, open circuit].
+    converter : Converter
+        What makes voltages of them.
     trims : tuple of (float, float)
         Levels [m/s], each with the factor of its amplitude that a calibration measured [1].
     """
@@ -42,12 +40,27 @@ class Burst:
     repetition_rate: float
     velocity: float
     amplitude: tuple[float, ...]
+    converter: Converter
     trims: Trims = ()
 
     @cached_property
     def content_hash(self) -> str:
         """SHA-256 of the codes as they travel: big-endian, channel after channel."""
         return hashlib.sha256(self.codes.astype(">u2").tobytes()).hexdigest()
+
+    @cached_property
+    def peaks(self) -> tuple[float, ...]:
+        """Highest value of each channel's record, as a part of half its amplitude [1]."""
+        return self._highest(self.codes)
+
+    @cached_property
+    def ends(self) -> tuple[float, ...]:
+        """How far from zero each channel's record begins or ends, as a part of half its amplitude [1]."""
+        return self._highest(self.codes[:, [0, -1]])
+
+    def _highest(self, codes: NDArray[np.uint16]) -> tuple[float, ...]:
+        zero = self.converter.mid_code
+        return tuple(float(code) for code in np.abs(codes.astype(np.int32) - zero).max(axis=1) / zero)
 
     def amplitude_for(self, velocity: float) -> tuple[float, ...]:
         """Return the amplitude of each channel at a level, on the instrument's grid [V peak to peak].
@@ -57,22 +70,4 @@ class Burst:
         velocity : float
             Peak velocity at the focus [m/s].
         """
-        return amplitudes_at(self.amplitude, trimmed(velocity, self.trims), self.velocity)
-
-
-def amplitudes_at(amplitude: tuple[float, ...], velocity: float, reference: float) -> tuple[float, ...]:
-    """Return amplitudes at a level, on the instrument's grid [V peak to peak].
-
-    Parameters
-    ----------
-    amplitude : tuple of float
-        Of each channel at the reference level [V peak to peak].
-    velocity, reference : float
-        The level, and that for which the amplitudes hold [m/s].
-    """
-    return tuple(round_amplitude(a * velocity / reference) for a in amplitude)
-
-
-def round_amplitude(amplitude: float) -> float:
-    """Return an amplitude on the generator's grid: four digits, never finer than 0.1 mV [V peak to peak]."""
-    return max(round(float(f"{amplitude:.4g}"), 4), 0.0)
+        return self.converter.amplitudes_at(self.amplitude, trimmed(velocity, self.trims), self.velocity)

@@ -15,7 +15,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from modaltouch.stimulus.burst import MID_CODE
 from modaltouch.stimulus.dynamics import DiagonalSystem
 from modaltouch.stimulus.quantities import ComplexArray, FloatArray
 from modaltouch.stimulus.synthesis import decay
@@ -46,7 +45,7 @@ class QuantisedStimulus:
     timing : Timing
         Clock of the samples.
     codes : (n_channels, n_samples) array
-        Signed codes, -8191 to 8191 [1].
+        Codes counted from mid-scale [1].
     """
 
     system: DiagonalSystem
@@ -129,7 +128,7 @@ def settle(
     Parameters
     ----------
     codes : (n_channels, n_samples) array
-        Rounded codes, -8191 to 8191 [1].
+        Rounded codes, counted from mid-scale [1].
     volts_per_code : (n_channels,) array
         At the beam [V]; 0 for a silent channel.
     system : DiagonalSystem
@@ -188,6 +187,7 @@ class _Walk:
             move[:, place] = (read @ (_on_clock(effect[:, channel], system, timing, n_before - 1 - ago) * faded)).real.T
         reach = np.maximum(step * np.exp(-rate * ago[:, None]), goal)
         self.codes = codes
+        self.highest = timing.converter.mid_code
         self.channel = np.tile(channels, ago.size)
         self.sample = np.repeat(n_before - 1 - ago, channels.size)
         self.move = move.reshape(-1, read.shape[0])
@@ -198,7 +198,7 @@ class _Walk:
         """Return the change of each code visited, and the largest error that they leave over [m/s]."""
         left = error.copy()
         change = np.zeros(self.half.size)
-        at_limit = np.abs(self.codes[self.channel, self.sample]) >= MID_CODE
+        at_limit = np.abs(self.codes[self.channel, self.sample]) >= self.highest
         half = np.where(at_limit, np.inf, self.half)
         for start in range(0, half.size, _TOGETHER):
             some = slice(start, start + _TOGETHER)

@@ -9,12 +9,11 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from modaltouch.stimulus.burst import MID_CODE, Burst, amplitudes_at
+from modaltouch.stimulus.burst import Burst
 from modaltouch.stimulus.correction import Correction, Trims, trimmed
 from modaltouch.stimulus.drive import Drive, Law, Release, Steering, check_drivable, exact_drive, paper_drive
 from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
 from modaltouch.stimulus.modes import ModalModel
-from modaltouch.stimulus.quantisation import full_scale, round_to_codes, signed_codes, unsigned_codes
 from modaltouch.stimulus.quantised import QuantisedStimulus, settle
 from modaltouch.stimulus.quantities import FloatArray, require_positive
 from modaltouch.stimulus.target_field import Projection, TargetField
@@ -165,11 +164,12 @@ class Stimulus:
     def burst(self) -> Burst:
         """The codes, common to all levels, and each channel's amplitude at the reference level."""
         return Burst(
-            codes=unsigned_codes(self._played.codes),
+            codes=self.timing.converter.unsigned(self._played.codes),
             duration=self.timing.duration,
             repetition_rate=self.timing.repetition_rate,
             velocity=self.wish.velocity,
             amplitude=self._amplitude,
+            converter=self.timing.converter,
             trims=self._trims,
         )
 
@@ -182,13 +182,14 @@ class Stimulus:
     def _amplitude(self) -> tuple[float, ...]:
         """Amplitude of each channel at the reference level [V peak to peak, open circuit]."""
         shares = tuple(v / self.wish.velocity for v in self.levels)
-        return tuple(full_scale(2 * float(v) / self._to_beam, shares) for v in self.peak_voltage)
+        return tuple(self.timing.converter.full_scale(2 * float(v) / self._to_beam, shares) for v in self.peak_voltage)
 
     @cached_property
     def _played(self) -> QuantisedStimulus:
         """The codes, and what they do to the beam."""
-        volts_per_code = np.asarray(self._amplitude) * (self._to_beam / 2 / MID_CODE)
-        codes = round_to_codes(self.voltage, volts_per_code)
+        converter = self.timing.converter
+        volts_per_code = np.asarray(self._amplitude) * (self._to_beam / 2 / converter.mid_code)
+        codes = converter.round_to_codes(self.voltage, volts_per_code)
         if self.law == "exact" and self.rounding == "settled":
             states = volts_per_code @ self.system.states_by_channel(codes, self.timing, self.timing.focusing_instant)
             error = np.concatenate(self.aim) - np.concatenate(self.system.read(states))
@@ -227,8 +228,8 @@ class Stimulus:
         """
         require_positive("the velocity level", velocity, "m/s", _MEANT)
         # A level is trimmed so that the generator, as measured, really gives what proportion asks of it.
-        proportional = amplitudes_at(self._amplitude, velocity, self.wish.velocity)
-        return np.asarray(proportional) * (self._to_beam / 2 / MID_CODE)
+        proportional = self.timing.converter.amplitudes_at(self._amplitude, velocity, self.wish.velocity)
+        return np.asarray(proportional) * (self._to_beam / 2 / self.timing.converter.mid_code)
 
     def amplitude_for(self, velocity: float) -> tuple[float, ...]:
         """Return the amplitude of each channel at a level, as that of `burst` [V peak to peak, open circuit].
@@ -239,7 +240,7 @@ class Stimulus:
             Level [m/s].
         """
         require_positive("the velocity level", velocity, "m/s", _MEANT)
-        return amplitudes_at(self._amplitude, trimmed(velocity, self._trims), self.wish.velocity)
+        return self.timing.converter.amplitudes_at(self._amplitude, trimmed(velocity, self._trims), self.wish.velocity)
 
     def voltage_played(self, velocity: float) -> FloatArray:
         """Return the voltages at the beam of the codes as played at a level, (n_channels, n_samples) array [V].
@@ -293,7 +294,7 @@ class Stimulus:
         velocity : float
             Level [m/s].
         """
-        states = self.system.states_by_channel(signed_codes(codes), timing, self.timing.focusing_instant)
+        states = self.system.states_by_channel(timing.converter.signed(codes), timing, self.timing.focusing_instant)
         return self._worst_error(self.system.read(self.volts_per_code(velocity) @ states), velocity)
 
     def _worst_error(self, achieved: tuple[FloatArray, FloatArray], velocity: float) -> float:

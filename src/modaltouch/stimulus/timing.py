@@ -8,12 +8,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from modaltouch.stimulus.quantisation import Converter
 from modaltouch.stimulus.quantities import require_positive
 
 FloatArray = NDArray[np.float64]
-
-MAX_SAMPLES = 131_072
-"""Longest record of the AFG3022B [samples]."""
 
 _ON_GRID = 1e-6
 """Fraction of a sample below which an instant counts as lying on the sample grid."""
@@ -25,34 +23,34 @@ class Timing:
 
     Attributes
     ----------
+    converter : Converter
+        Of the generator: its clock, and the points of its longest record.
     n_samples : int
-        Samples of each channel, 2 to 131,072; 125,000 over 50 ms are held exactly 100 clocks each.
+        Samples of each channel, 2 at least.
     duration : float
         Length of the burst [s].
     focusing_instant : float
         When the wished field is reached, from the start of the burst [s].
     repetition_rate : float
         Bursts per second [Hz].
-    clock_rate : float
-        Clock of the generator [Hz].
     """
 
+    converter: Converter
     n_samples: int = 125_000
     duration: float = 0.05
     focusing_instant: float = 0.025
     repetition_rate: float = 7.0
-    clock_rate: float = 250e6
 
     def __post_init__(self) -> None:
         """Refuse a burst that the generator cannot play."""
-        if not 2 <= self.n_samples <= MAX_SAMPLES:
+        if not 2 <= self.n_samples <= self.converter.max_points:
             raise ValueError(
                 f"a burst of {self.n_samples} samples does not fit the generator, which holds 2 to "
-                f"{MAX_SAMPLES}: take 125000 over 50 ms, which it holds exactly 100 clocks each"
+                f"{self.converter.max_points}: take 125000 over 50 ms, which it holds exactly 100 clocks each"
             )
         require_positive("the duration of the burst", self.duration, "s", "50 ms is the paper's")
         require_positive("the repetition rate", self.repetition_rate, "Hz", "7 Hz is the paper's")
-        require_positive("the clock rate", self.clock_rate, "Hz", "250 MHz is the AFG3022B's")
+        require_positive("the clock rate", self.clock_rate, "Hz", "the generator's data sheet states it")
         require_positive("the focusing instant", self.focusing_instant, "s", "25 ms is the paper's")
         if self.duration * self.repetition_rate > 1 + 1e-12:
             raise ValueError(
@@ -75,6 +73,11 @@ class Timing:
                 f"{self.n_samples} samples in {self.duration:g} s pass the clock of {self.clock_rate:g} Hz: "
                 f"take at most {int(self.duration * self.clock_rate)}"
             )
+
+    @property
+    def clock_rate(self) -> float:
+        """Clock of the generator [Hz]."""
+        return self.converter.clock_rate
 
     @property
     def hold(self) -> float:

@@ -14,7 +14,7 @@ from modaltouch.cli.app import app
 from modaltouch.lab.comparison.command import ComparisonReport
 from modaltouch.lab.comparison.contest import contend, true_lag, without_mismatch
 from modaltouch.lab.comparison.results import Criterion, criteria, paragraphs, rows_of
-from modaltouch.rig.simulator.twin import Twin
+from modaltouch.rig import Simulator
 
 SHIPPED = Path(__file__).parents[3] / "protocols" / "differentiated_stimulation.yaml"
 ABOUT = {"title": "A <title>", "protocol": "p.yaml", "apparatus": "beam", "seed": 1, "n_records": 2, "commit": ""}
@@ -51,14 +51,14 @@ def test_judge_reads_the_true_state(found, preflight):
     assert found.designed[0].method.key == "exact"
     assert verdict.at_focus == pytest.approx(0.2, abs=2e-3)
     assert verdict.rms_from_selected < 2e-3
-    twin = Twin(without_mismatch(preflight.experiment.apparatus), 1)
-    assert true_lag(twin) == pytest.approx(1e-6 + 1 / (2 * np.pi * 300e3))
+    rig = Simulator(without_mismatch(preflight.experiment.apparatus), 1)
+    assert true_lag(rig) == pytest.approx(1e-6 + 1 / (2 * np.pi * 300e3))
 
 
 def test_other_beams_differ_and_the_learned_one_does_not_depend_on_a_seed(found, preflight):
     """Mismatch left out, two seeds are one beam; with it they are two."""
     centre = without_mismatch(preflight.experiment.apparatus)
-    one, other = Twin(centre, 1).beam.table, Twin(centre, 2).beam.table
+    one, other = Simulator(centre, 1).twin.beam.table, Simulator(centre, 2).twin.beam.table
     assert (one.natural_frequency == other.natural_frequency).all()
     assert (one.modal_gain == other.modal_gain).all()
     first, second = found.changed[0]

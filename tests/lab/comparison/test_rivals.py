@@ -16,6 +16,7 @@ from modaltouch.lab.comparison.methods import (
     time_reversal,
 )
 from modaltouch.lab.comparison.training_data import TrainingData, TransferFunctions
+from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.stimulus.dynamics import Amplifier
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.target_field import TargetField
@@ -39,7 +40,7 @@ def lossless(source: float = 0.031) -> tuple[ModalModel, TrainingData]:
     frequency = 180.0 * (np.arange(12) + 1.7) ** 1.6
     bare = ModalModel(label, frequency, np.full(12, 1e-9), np.zeros((12, 1)), 0.1)
     model = replace(bare, modal_gain=bare.shapes([source]) * 1.0)
-    timing = Timing(n_samples=12_500, duration=0.05, focusing_instant=0.05, repetition_rate=7.0)
+    timing = Timing(AFG3022B.converter, n_samples=12_500, duration=0.05, focusing_instant=0.05, repetition_rate=7.0)
     places = np.linspace(-0.05, 0.05, 41)
     ago = (np.arange(12_500) + 0.5) * timing.hold
     # Undamped: eta' after an impulse is G cos(w t).

@@ -18,6 +18,7 @@ from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.source import Source
 from modaltouch.record.chain import RecordError, RecordInputError
 from modaltouch.rig.acquisition import Acquisition
+from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.rig.interface import RigError
 from modaltouch.stimulus.burst import Burst
 
@@ -48,7 +49,7 @@ def smooth_burst() -> Burst:
     wave = np.sin(np.pi * time_) ** 2 * np.sin(2 * np.pi * 128 * time_)
     codes = np.round(8191 + 8191 * np.stack([wave, -wave])).astype(np.uint16)
     codes[:, [0, -1]] = 8191
-    return Burst(codes, 0.05, 7.0, 0.2, (8.0, 4.0))
+    return Burst(codes, 0.05, 7.0, 0.2, (8.0, 4.0), AFG3022B.converter)
 
 
 def plan(**changes: Any) -> ScanPlan:

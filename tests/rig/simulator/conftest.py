@@ -10,6 +10,7 @@ import pytest
 
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.twin import TrueAmplifier
+from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.rig.simulator.timeline import Playback
 from modaltouch.rig.simulator.twin import Twin
 from modaltouch.stimulus.stimulus import design_stimulus
@@ -53,7 +54,9 @@ def twin(apparatus: Apparatus) -> Twin:
 @pytest.fixture(scope="session")
 def shipped_burst(apparatus: Apparatus) -> list[Playback]:
     """Return what both channels send for the shipped stimulus at 200 mm/s."""
-    design = design_stimulus(apparatus.modal_model(), TargetField(), Timing(), apparatus.amplifier_values())
+    design = design_stimulus(
+        apparatus.modal_model(), TargetField(), Timing(AFG3022B.converter), apparatus.amplifier_values()
+    )
     burst = design.burst
     return [
         Playback(codes.astype(">u2").tobytes(), amplitude, 0.0, burst.duration, 1 / 7, 8191)

@@ -18,7 +18,7 @@ import pyvisa
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.simulator import Simulator
 from modaltouch.rig.simulator.afg import Afg
-from modaltouch.rig.simulator.instrument import Faults, Instrument
+from modaltouch.rig.simulator.instrument import Faults, SimulatedInstrument
 from modaltouch.rig.simulator.scpi import TEXTS
 
 NUMERIC = {
@@ -45,9 +45,9 @@ KEYWORD = {
 """Commands with one keyword, and one that they know."""
 
 
-def fresh() -> Instrument:
+def fresh() -> SimulatedInstrument:
     """Return a generator with nothing behind it."""
-    return Instrument(Afg(), Faults())
+    return SimulatedInstrument(Afg(), Faults())
 
 
 def broken(rng: random.Random) -> tuple[str, int]:
@@ -108,7 +108,7 @@ def mutated(rng: random.Random) -> bytes:
     return bytes(message)
 
 
-def errors_of(instrument: Instrument) -> list[str]:
+def errors_of(instrument: SimulatedInstrument) -> list[str]:
     """Empty the error queue, as a program would."""
     errors = []
     while not (entry := instrument.execute(b"SYST:ERR?\n").data.decode("ascii").strip()).startswith("0,"):

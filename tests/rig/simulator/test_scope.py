@@ -11,6 +11,7 @@ import pytest
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.twin import Fingers, ScopeSection, TrueAmplifier, Vibrometer
 from modaltouch.rig.acquisition import Acquisition, Recording
+from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.simulator import Simulator
@@ -65,7 +66,7 @@ def chirp_burst(n: int = 131_072, rate: float = 500e3, highest: float = 110e3, v
     codes = np.full((2, n), 8191, dtype=np.uint16)
     codes[0] = np.round(8191 + 8191 * np.sin(phase))
     codes[0, [0, -1]] = 8191
-    return Burst(codes, duration, 1 / duration, 0.1, (volts, 0.02))
+    return Burst(codes, duration, 1 / duration, 0.1, (volts, 0.02), AFG3022B.converter)
 
 
 def test_chirp_through_the_driver_gives_the_true_transfer_function(

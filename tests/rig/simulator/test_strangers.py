@@ -81,7 +81,7 @@ def test_pymeasure_sets_a_whole_waveform(stranger: AFG3152C, simulator: Simulato
 
 
 def test_pymeasure_finds_its_own_error_in_the_queue(stranger: AFG3152C) -> None:
-    """Its channel asks SOURce1:OUTPut:IMPedance, which no AFG3000 knows: -113, undefined header (instruments.md, 2)."""
+    """Its channel asks SOURce1:OUTPut:IMPedance, which no AFG3000 knows: -113, undefined header."""
     stranger.write("source1:output:impedance 50")
     errors = stranger.check_errors()
     assert [int(error[0]) for error in errors] == [-113]

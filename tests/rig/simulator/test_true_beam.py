@@ -66,7 +66,7 @@ def test_cross_gain_fills_what_the_table_leaves_empty(
 def test_true_shapes_have_unit_mean_square_and_are_orthogonal(
     with_twin: Callable[..., Apparatus], apparatus: Apparatus
 ) -> None:
-    """Gram matrix over the area by Gauss-Legendre: the identity, bending and torsion alike (physics.md, 1)."""
+    """Gram matrix over the area by Gauss-Legendre: the identity, bending and torsion alike."""
     beam = true_beam(with_twin(apparatus, unlisted_modes=(EVEN, TWIST)), 1)
     along, weight = np.polynomial.legendre.leggauss(120)
     x, z = np.meshgrid(0.05 * along, 0.003 / np.sqrt(3) * np.array([-1.0, 1.0]))

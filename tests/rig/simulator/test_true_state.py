@@ -10,6 +10,7 @@ import pytest
 
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.twin import TrueAmplifier
+from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.rig.simulator.motion import DriveVoltage, Motion, state_at
 from modaltouch.rig.simulator.timeline import Playback
 from modaltouch.rig.simulator.twin import Twin
@@ -22,7 +23,9 @@ def test_twin_without_differences_does_what_the_design_predicts(
     with_twin: Callable[..., Apparatus], apparatus: Apparatus, shipped_burst: list[Playback]
 ) -> None:
     """True state at the focusing instant: the targets and w eta = 0, to the 1e-3 mm/s that 14 bits leave."""
-    design = design_stimulus(apparatus.modal_model(), TargetField(), Timing(), apparatus.amplifier_values())
+    design = design_stimulus(
+        apparatus.modal_model(), TargetField(), Timing(AFG3022B.converter), apparatus.amplifier_values()
+    )
     state = Twin(with_twin(apparatus), 1).true_state(shipped_burst, 0.025, first=True)
     np.testing.assert_allclose(state.velocity, design.target, atol=1e-6)
     np.testing.assert_allclose(state.displacement, 0.0, atol=1e-6)
@@ -30,7 +33,9 @@ def test_twin_without_differences_does_what_the_design_predicts(
 
 def test_shipped_twin_misses_like_the_paper(apparatus: Apparatus, shipped_burst: list[Playback]) -> None:
     """Section IV of the paper: worst modal coefficient off by 6 mm/s; here 1 to 12 mm/s of 200 over five seeds."""
-    design = design_stimulus(apparatus.modal_model(), TargetField(), Timing(), apparatus.amplifier_values())
+    design = design_stimulus(
+        apparatus.modal_model(), TargetField(), Timing(AFG3022B.converter), apparatus.amplifier_values()
+    )
     for seed in range(5):
         twin = Twin(apparatus, seed)
         state = twin.true_state(shipped_burst, 0.025 + twin.amplifier.delay)

@@ -272,7 +272,7 @@ def test_shortened_block_is_an_error_and_not_a_wait(visa: Any) -> None:
 
 
 def test_late_reply_is_not_taken_for_the_next(visa: Any, simulator: Simulator) -> None:
-    """After a timeout the next question gets its own reply (instruments.md, faults over VXI-11)."""
+    """After a timeout the next question gets its own reply."""
     visa.timeout = 100
     simulator.faults.inject("delayed_reply", when="IDN", value=0.4)
     with pytest.raises(pyvisa.VisaIOError, match="Timeout"):

@@ -11,16 +11,12 @@ from modaltouch.lab.calibration.plant import DriveDelay
 from modaltouch.lab.laboratory import Laboratory, MeasurementProgress
 from modaltouch.rig import Acquisition, Recording, RigError
 from modaltouch.stimulus import (
-    MID_CODE,
     Amplifier,
     Burst,
     ModalModel,
     Taper,
     Timing,
     peak_velocity,
-    round_amplitude,
-    round_to_codes,
-    unsigned_codes,
 )
 
 SHARE = 0.6
@@ -123,17 +119,18 @@ def identifying_burst(
     highest = np.abs(voltage).max(axis=1)
     scale = SHARE * min(amplifier.limit / highest.max(), velocity_limit / max(speed, 1e-30))
     to_beam = amplifier.gain * load_factor
-    amplitude = [round_amplitude(2 * float(volts) * scale / to_beam) for volts in highest]
+    amplitude = [timing.converter.round_amplitude(2 * float(volts) * scale / to_beam) for volts in highest]
     # Amplitudes are rounded to the instrument's grid: codes are made for what it then plays.
-    unit = np.array(amplitude) * to_beam / 2 / MID_CODE
-    fitted = np.where(highest > 0, unit * MID_CODE / np.where(highest > 0, highest, 1.0), 0.0)
-    codes = round_to_codes(voltage * fitted[:, None], unit)
+    unit = np.array(amplitude) * to_beam / 2 / timing.converter.mid_code
+    fitted = np.where(highest > 0, unit * timing.converter.mid_code / np.where(highest > 0, highest, 1.0), 0.0)
+    codes = timing.converter.round_to_codes(voltage * fitted[:, None], unit)
     return Burst(
-        codes=unsigned_codes(codes),
+        codes=timing.converter.unsigned(codes),
         duration=timing.duration,
         repetition_rate=timing.repetition_rate,
         velocity=speed * scale,
         amplitude=tuple(amplitude),
+        converter=timing.converter,
     )
 
 
@@ -150,8 +147,8 @@ def commanded_voltage(burst: Burst, to_beam: float, velocity: float | None = Non
         Level [m/s]; the burst's own if not given.
     """
     amplitude = burst.amplitude if velocity is None else burst.amplitude_for(velocity)
-    unit = np.array(amplitude) * (to_beam / 2 / MID_CODE)
-    return np.asarray((burst.codes.astype(float) - MID_CODE) * unit[:, None])
+    unit = np.array(amplitude) * (to_beam / 2 / burst.converter.mid_code)
+    return np.asarray(burst.converter.signed(burst.codes) * unit[:, None])
 
 
 MARGIN = 40e-6

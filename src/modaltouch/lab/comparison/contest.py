@@ -6,7 +6,7 @@ No method sees what the judge reads.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -24,10 +24,8 @@ from modaltouch.lab.laboratory import MeasurementProgress, open_laboratory
 from modaltouch.lab.validation.evidence import contrast, root_mean_square, spot_width
 from modaltouch.preflight import Preflight
 from modaltouch.protocol import Apparatus
-from modaltouch.rig import Playback, RigError, Twin
+from modaltouch.rig import RigError, Simulator
 from modaltouch.stimulus import ModalModel, TargetField
-
-Playbacks = Sequence[Playback | None]
 
 POINTS = 201
 """Points along the beam at which a field is judged."""
@@ -113,7 +111,7 @@ class DriveAssessment:
     highest: float | None
 
 
-def judge(twin: Twin, playbacks: Playbacks, task: Task, *, everywhere: bool = True) -> DriveAssessment:
+def judge(rig: Simulator, task: Task, *, everywhere: bool = True) -> DriveAssessment:
     """Return what a beam does under what a generator sends, repeated for long.
 
     The focusing instant is that at which what was sent by then has passed the amplifier: its true lag, which no
@@ -121,18 +119,17 @@ def judge(twin: Twin, playbacks: Playbacks, task: Task, *, everywhere: bool = Tr
 
     Parameters
     ----------
-    twin : Twin
-        Amplifier and true beam.
-    playbacks : sequence of Playback or None
-        What each output sends.
+    rig : Simulator
+        True beam, amplifier, and what the generator sends.
     task : Task
         What was asked for.
     everywhere : bool
         Whether the highest speed is looked for along the whole beam, which takes longest.
     """
+    twin, playbacks = rig.twin, rig.playbacks
     half = twin.beam.table.length / 2
     position = np.linspace(-half, half, POINTS)
-    state = twin.true_state(playbacks, task.instant + true_lag(twin))
+    state = twin.true_state(playbacks, task.instant + true_lag(rig))
     velocity = np.concatenate([state.velocity, state.unlisted_velocity])
     field = velocity @ twin.beam.shapes(position)
     miss = field - task.wish.velocity * task.wish.profile(position)
@@ -150,23 +147,23 @@ def judge(twin: Twin, playbacks: Playbacks, task: Task, *, everywhere: bool = Tr
         width_80=spot_width(position, field, task.wish.centre, 0.8),
         zone_peak=zone_peak,
         contrasts={(a, b): contrast(zone_peak[a], zone_peak[b]) for a, b in task.pairs},
-        finger_contrasts=_finger_contrasts(twin, playbacks, task) if everywhere else {},
+        finger_contrasts=_finger_contrasts(rig, task) if everywhere else {},
         highest=float(twin.felt(playbacks, places).max()) if everywhere else None,
     )
 
 
-def true_lag(twin: Twin) -> float:
+def true_lag(rig: Simulator) -> float:
     """Return by how much the amplifier holds a drive back: its delay, and that of its pole [s]."""
-    bandwidth = twin.amplifier.bandwidth
-    return twin.amplifier.delay + (0.0 if bandwidth is None else 1 / (2 * math.pi * bandwidth))
+    bandwidth = rig.twin.amplifier.bandwidth
+    return rig.twin.amplifier.delay + (0.0 if bandwidth is None else 1 / (2 * math.pi * bandwidth))
 
 
-def _finger_contrasts(twin: Twin, playbacks: Playbacks, task: Task) -> dict[tuple[str, str], float]:
+def _finger_contrasts(rig: Simulator, task: Task) -> dict[tuple[str, str], float]:
     """Return the contrasts of what whole fingers meet, by the pair's zones [1]."""
-    half = twin.beam.table.length / 2
+    half = rig.twin.beam.table.length / 2
     under = np.linspace(-FINGER / 2, FINGER / 2, FINGER_POINTS)
     places = np.clip([centre + under for centre in task.zones.values()], -half, half)
-    speeds = twin.felt(playbacks, places.ravel().tolist()).reshape(places.shape).max(axis=1)
+    speeds = rig.twin.felt(rig.playbacks, places.ravel().tolist()).reshape(places.shape).max(axis=1)
     peak = dict(zip(task.zones, speeds.tolist(), strict=True))
     return {(left, right): contrast(peak[left], peak[right]) for left, right in task.pairs}
 
@@ -267,13 +264,12 @@ def contend(
     task = Task(stimulus.wish, stimulus.timing.focusing_instant, zones, pairs, stimulus.projection.field)
     heard = progress or MeasurementProgress()
     sent = _play(centre, designed, stimulus.wish.velocity, heard)
-    verdicts = [judge(Twin(centre, seed), each, task) for each in sent]
+    verdicts = [judge(each.on_beam(centre, seed), task) for each in sent]
     changed: list[list[DriveAssessment]] = [[] for _ in designed]
     for number in range(n_beams):
         heard.check()
-        twin = Twin(apparatus, seed + number)
         for own, each in zip(changed, sent, strict=True):
-            own.append(judge(twin, each, task, everywhere=False))
+            own.append(judge(each.on_beam(apparatus, seed + number), task, everywhere=False))
         heard.show("other beams", number + 1, n_beams)
     return Contest(task, known, delay, tuple(designed), tuple(verdicts), tuple(map(tuple, changed)))
 
@@ -365,9 +361,9 @@ def for_rivals(responses: FrequencyResponses, delay: float, apparatus: Apparatus
 
 def _play(
     apparatus: Apparatus, designed: list[MethodDrive], velocity: float, progress: MeasurementProgress
-) -> list[Playbacks]:
-    """Return what the generator sends of every drive, played through its driver at the level."""
-    sent: list[Playbacks] = []
+) -> list[Simulator]:
+    """Return a rig that sends every drive as the generator did, played through its driver at the level."""
+    sent: list[Simulator] = []
     with open_laboratory(apparatus) as laboratory:
         if laboratory.simulator is None:
             raise RigError("a comparison needs the twin, whose true beam judges; the outputs are off")
@@ -377,7 +373,7 @@ def _play(
             firing = laboratory.rig.fire(velocity)
             if not firing.started:
                 raise RigError(f"the generator does not confirm the drive of {each.method.name}: {firing.reason}")
-            sent.append(laboratory.simulator.playbacks)
+            sent.append(laboratory.simulator.on_beam(apparatus))
             laboratory.rig.stop()
             progress.show("drives played", number, len(designed))
     return sent

@@ -42,14 +42,10 @@ import numpy as np
 from modaltouch.lab.arrays import ComplexArray, FloatArray
 from modaltouch.lab.comparison.training_data import TrainingData
 from modaltouch.stimulus import (
-    MID_CODE,
     Burst,
     Law,
     Release,
     design_stimulus,
-    full_scale,
-    round_to_codes,
-    unsigned_codes,
 )
 
 
@@ -336,10 +332,11 @@ def design_all(known: TrainingData, release: Release, load_factor: float) -> lis
 
 def as_burst(voltage: FloatArray, known: TrainingData, load_factor: float) -> Burst:
     """Return voltages as the generator plays them."""
-    to_beam = known.amplifier.gain * load_factor
-    amplitude = tuple(
-        full_scale(2 * max(float(np.abs(row).max()) / to_beam, SMALLEST_AMPLITUDE / 2), (1.0,)) for row in voltage
-    )
-    codes = round_to_codes(voltage, np.asarray(amplitude) * (to_beam / 2 / MID_CODE))
+    to_beam, converter = known.amplifier.gain * load_factor, known.timing.converter
+    least = (2 * max(float(np.abs(row).max()) / to_beam, SMALLEST_AMPLITUDE / 2) for row in voltage)
+    amplitude = tuple(converter.full_scale(each, (1.0,)) for each in least)
+    codes = converter.round_to_codes(voltage, np.asarray(amplitude) * (to_beam / 2 / converter.mid_code))
     timing = known.timing
-    return Burst(unsigned_codes(codes), timing.duration, timing.repetition_rate, known.wish.velocity, amplitude)
+    return Burst(
+        converter.unsigned(codes), timing.duration, timing.repetition_rate, known.wish.velocity, amplitude, converter
+    )

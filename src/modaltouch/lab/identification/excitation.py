@@ -20,8 +20,8 @@ from modaltouch.lab.identification.responses import Spectra
 from modaltouch.lab.laboratory import Laboratory
 from modaltouch.lab.scan import DESCRIPTION, Scan, ScanPlan, read_facts, take_scan
 from modaltouch.protocol import Apparatus, Source
-from modaltouch.rig import Acquisition, RigError
-from modaltouch.stimulus import MID_CODE, Burst
+from modaltouch.rig import Acquisition, RigError, instrument_of
+from modaltouch.stimulus import Burst
 
 N_SAMPLES = 131_072
 """Samples of the chirp: a whole memory of the generator."""
@@ -91,14 +91,15 @@ def excite(apparatus: Apparatus, set_name: str, voltage: float, highest: float, 
         )
     duration = N_SAMPLES / RATE
     wave = chirp(highest) if kind == "chirp" else multisine(highest)
-    codes = np.full((2, N_SAMPLES), MID_CODE, dtype=np.uint16)
+    converter = instrument_of(apparatus).converter
+    codes = np.full((2, N_SAMPLES), converter.mid_code, dtype=np.uint16)
     channel = apparatus.actuator_sets[set_name].channel
-    codes[channel - 1] = np.round(MID_CODE + MID_CODE * wave)
-    codes[:, [0, -1]] = MID_CODE
+    codes[channel - 1] = np.round(converter.mid_code + converter.mid_code * wave)
+    codes[:, [0, -1]] = converter.mid_code
     peak = 2 * voltage / (apparatus.amplifier.gain_V_per_V * apparatus.generator.load_factor)
     amplitude = tuple(peak if number == channel else 0.02 for number in (1, 2))
     level = min(LEVEL, apparatus.safety.velocity_limit_mm_s * 1e-3)
-    return Burst(codes, duration, 1 / duration, level, amplitude)
+    return Burst(codes, duration, 1 / duration, level, amplitude, converter)
 
 
 def chirp(highest: float) -> NDArray[np.float64]:
@@ -229,7 +230,7 @@ def _with_range(laboratory: Laboratory, plan: ScanPlan, name: str, voltage: floa
     laboratory.load(plan.burst)
     end = max(plan.positions, key=abs)
     seen = laboratory.record(end, plan.velocity, replace(asked, n_records=1))
-    wave = (plan.burst.codes.astype(float) - MID_CODE) / MID_CODE
+    wave = plan.burst.converter.signed(plan.burst.codes) / plan.burst.converter.mid_code
     measured = float(np.sqrt((seen.drive**2).mean() / (wave**2).sum(axis=0).mean()))
     if not 0.5 * voltage <= measured <= 2 * voltage:
         raise RigError(

@@ -1,6 +1,6 @@
 """A whole rig on the loopback interface: generator behind a VXI-11 server, amplifier, beam, fingers.
 
-``python -m modaltouch.rig.simulator --port 0 APPARATUS.yaml`` runs one in a process of its own. Beside the
+``modaltouch rig simulate`` runs one in a process of its own. Beside the
 instrument, ``inst0`` of its address, others reach its front panel, ``panel0``: past the lock of whoever uses the
 instrument, as a person who stands before it.
 """
@@ -11,6 +11,7 @@ import signal
 import sys
 import threading
 from collections.abc import Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Self
 
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 
 from modaltouch.protocol import Apparatus
 from modaltouch.rig.simulator.afg import Afg, Behaviour
-from modaltouch.rig.simulator.instrument import Faults, Instrument
+from modaltouch.rig.simulator.instrument import Faults, SimulatedInstrument
 from modaltouch.rig.simulator.played import PlayedLog
 from modaltouch.rig.simulator.scope import SimulatedScope
 from modaltouch.rig.simulator.timeline import Delays, Playback
@@ -45,6 +46,8 @@ class Simulator:
         By which it plays; its transport waits in real time.
     played : Path, optional
         File that gets a line for each burst when it ends; times are those of `clock`.
+    sends : tuple of Playback or None, optional
+        What the outputs send, instead of what the generator is told.
 
     Raises
     ------
@@ -72,6 +75,7 @@ class Simulator:
         behaviour: Behaviour | None = None,
         clock: Clock = SYSTEM_CLOCK,
         played: Path | None = None,
+        sends: tuple[Playback | None, ...] | None = None,
     ) -> None:
         self.apparatus = apparatus
         true, seed = apparatus.twin.generator, apparatus.twin.seed if seed is None else seed
@@ -85,12 +89,17 @@ class Simulator:
         if played is not None:
             self._played = PlayedLog(played, self.twin, self.afg.settle, lambda: self.touched)
             self.afg.timeline.told = self._played.take
-        self._instrument = Instrument(self.afg, self.faults)
-        self._server = Vxi11Server(self._instrument, port)
+        self._instrument = SimulatedInstrument(self.afg, self.faults)
+        self._port = port
+        self._sends = sends
+
+    @cached_property
+    def _server(self) -> Vxi11Server:
+        return Vxi11Server(self._instrument, self._port)
 
     @property
     def address(self) -> str:
-        """VISA address."""
+        """VISA address; it is served from when it is first asked for."""
         return self._server.address
 
     @property
@@ -137,26 +146,20 @@ class Simulator:
     @property
     def playbacks(self) -> tuple[Playback | None, ...]:
         """What each output sends now."""
+        if self._sends is not None:
+            return self._sends
         return tuple(self.afg.playback(number) for number in self.afg.channels)
 
-    def touch(self, places: Sequence[str | float]) -> None:
-        """Lay fingers on the beam for whatever is measured from now on; nowhere for an empty sequence.
+    def on_beam(self, apparatus: Apparatus, seed: int | None = None) -> Simulator:
+        """Return another beam under what this generator sends now; equal seeds give equal beams."""
+        return Simulator(apparatus, seed, sends=self.playbacks)
 
-        Parameters
-        ----------
-        places : sequence of str or float
-            Names of zones or positions, origin at mid-beam [m].
-        """
+    def touch(self, places: Sequence[str | float]) -> None:
+        """Lay fingers on the beam for whatever is measured from now on; nowhere for an empty sequence."""
         self.touched = tuple(self.position(place) for place in places)
 
     def position(self, place: str | float) -> float:
-        """Return the centre of a zone, or the position that is given [m].
-
-        Raises
-        ------
-        ValueError
-            If there is no such zone.
-        """
+        """Return the centre of a zone, or the position that is given [m]."""
         if not isinstance(place, str):
             return float(place)
         zone = self.apparatus.zones.get(place)
@@ -196,41 +199,26 @@ class Simulator:
 
     def close(self) -> None:
         """Stop serving, and switch the generator off."""
-        self._server.close()
+        if "_server" in vars(self):
+            self._server.close()
         self.afg.power_off()
         if self._played is not None:
             self._played.close()
             self._played = None
+
+    def serve(self) -> None:
+        """Serve until SIGINT or SIGTERM, and close; the address is the first line on standard output."""
+        ended = threading.Event()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda *_: ended.set())
+        with self:
+            sys.stdout.write(self.address + "\n")
+            sys.stdout.flush()
+            while not ended.wait(0.5):  # Windows hears of Ctrl-C between two waits alone
+                pass
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *exc: object) -> None:
         self.close()
-
-
-def serve(apparatus: Apparatus, *, port: int = 0, seed: int | None = None, played: Path | None = None) -> None:
-    """Run a simulator until SIGINT or SIGTERM; its address is the first line on standard output.
-
-    Parameters
-    ----------
-    apparatus : Apparatus
-        What is on the table.
-    port, seed
-        As for `Simulator`.
-    played : Path, optional
-        File that gets a line for each burst when it ends.
-
-    Raises
-    ------
-    InputError
-        If that file cannot be written.
-    """
-    ended = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: ended.set())
-    with Simulator(apparatus, seed, port=port, played=played) as simulator:
-        sys.stdout.write(simulator.address + "\n")
-        sys.stdout.flush()
-        while not ended.wait(0.5):  # Windows hears of Ctrl-C between two waits alone
-            pass

@@ -40,20 +40,7 @@ MILLIWATT = 1e-3
 
 
 def amplitude_in_vpp(argument: Argument, channel: Channel) -> float:
-    """Return an amplitude that was sent, at the configured load [V peak to peak].
-
-    Parameters
-    ----------
-    argument : str or bytes
-        A number with or without unit; without one it is in the channel's.
-    channel : Channel
-        Its unit, waveform and load.
-
-    Raises
-    ------
-    ScpiError
-        -131 for a foreign unit, -221 where the waveform or load has no such unit, -222 out of range.
-    """
+    """Return an amplitude that was sent, at the configured load [V peak to peak]."""
     factor = channel.load_factor
     low, high = LOWEST * factor, HIGHEST * factor
     named = re.search(r"(VPP|VRMS|DBM)\s*$", argument, re.IGNORECASE) if isinstance(argument, str) else None
@@ -90,19 +77,7 @@ def _per_rms(channel: Channel, unit: str) -> float:
     return PEAK_TO_PEAK_PER_RMS[channel.function]
 
 
-SHAPES = (
-    "SINusoid",
-    "SQUare",
-    "PULSe",
-    "RAMP",
-    "PRNoise",
-    "DC",
-    "SINC",
-    "GAUSsian",
-    "LORentz",
-    "ERISe",
-    "EDECay",
-)
+SHAPES = ("SINusoid", "SQUare", "PULSe", "RAMP", "PRNoise", "DC", "SINC", "GAUSsian", "LORentz", "ERISe", "EDECay")
 HIGHEST_BURST_FREQUENCY = 6.25e6
 
 FORCED = ("*TRG", "TRIGger[:SEQuence][:IMMediate]")

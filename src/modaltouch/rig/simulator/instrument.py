@@ -125,7 +125,7 @@ class Faults:
         return met
 
 
-class Instrument:
+class SimulatedInstrument:
     """Carries out program messages, one at a time whichever link they come from.
 
     Parameters

@@ -9,6 +9,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from modaltouch.rig.simulator.timeline import CONVERTER
 from modaltouch.stimulus import BlockKernel, DiagonalSystem, Timing
 
 FloatArray = NDArray[np.float64]
@@ -54,6 +55,7 @@ class Held:
     def timing(self) -> Timing:
         """Clock of one burst."""
         return Timing(
+            CONVERTER,
             n_samples=self.voltage.shape[1],
             duration=self.duration,
             focusing_instant=self.duration / 2,

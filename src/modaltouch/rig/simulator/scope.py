@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.rig.acquisition import Acquisition, Inputs, Recording
+from modaltouch.rig.acquisition import Acquisition, Inputs, Recording, Scope
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.simulator.motion import DriveVoltage, Motion
 from modaltouch.rig.simulator.timeline import Playback
@@ -23,7 +22,7 @@ SMALL_TURN = 0.01
 """Phase of the fastest mode within the trigger's jitter up to which a record is moved along its slope [rad]."""
 
 
-class SimulatedScope:
+class SimulatedScope(Scope):
     """Velocity and drive of a twin, sampled, with noise; computes only the position asked for.
 
     Parameters
@@ -61,18 +60,7 @@ class SimulatedScope:
         return f"simulated scope, seed {self._twin.seed}"
 
     def configure(self, acquisition: Acquisition) -> Acquisition:
-        """Make the settings, and return them with the sampling rate that the scope has.
-
-        Parameters
-        ----------
-        acquisition : Acquisition
-            What is asked.
-
-        Raises
-        ------
-        RigError
-            If the scope cannot do it.
-        """
+        """Make the settings, and return them."""
         scope = self._twin.apparatus.twin.scope
         clock = scope.clock_MHz * 1e6
         if acquisition.sampling_rate > clock * (1 + 1e-9):
@@ -145,12 +133,6 @@ class SimulatedScope:
 
     def close(self) -> None:
         """Release the scope, which holds nothing."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
     def _velocity(self, exact: FloatArray) -> tuple[FloatArray, bool]:
         """Return the velocity as the scope has it [m/s], and whether its range was passed."""

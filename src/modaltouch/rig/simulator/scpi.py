@@ -72,13 +72,7 @@ class MessageUnit:
 
 
 def read_message(message: bytes) -> Iterator[MessageUnit]:
-    """Yield the units of a complete message, semicolons, strings and definite blocks understood.
-
-    Raises
-    ------
-    ScpiError
-        At the first unit that is not IEEE 488.2; the units before it have been yielded.
-    """
+    """Yield the units of a complete message, semicolons, strings and definite blocks understood."""
     at = 0
     while at < len(message):
         if message[at] in b" \t\r\n;":
@@ -303,13 +297,7 @@ class CommandTable:
         self._patterns = [(re.compile(_pattern(header)), command) for header, command in self.commands.items()]
 
     def find(self, header: str) -> tuple[Command, int]:
-        """Return the command and channel that a complete header names.
-
-        Raises
-        ------
-        ScpiError
-            -113 where there is no such header, -114 where there is no such channel.
-        """
+        """Return the command and channel that a complete header names."""
         name = header.upper().lstrip(":")
         found = self._known.get(name) or self._search(name)
         if found is None:

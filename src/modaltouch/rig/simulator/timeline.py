@@ -8,7 +8,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Literal
 
-MID_CODE = 8191
+from modaltouch.stimulus import Converter
+
+CONVERTER = Converter(mid_code=8191, max_points=1 << 22, clock_rate=250e6, amplitude_digits=4, amplitude_decimals=4)
+"""That of the twin's generator, apart from what the driver knows of it; many cycles of a record may be one burst."""
+
+MID_CODE = CONVERTER.mid_code
 """Code of zero volts."""
 
 FINEST = 1e-3

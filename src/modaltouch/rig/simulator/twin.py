@@ -92,13 +92,7 @@ class Twin:
         )
 
     def system(self, touched: Sequence[float] = ()) -> DiagonalSystem:
-        """Return the equations of the beam with fingers at some places, behind its amplifier.
-
-        Parameters
-        ----------
-        touched : sequence of float
-            Centres of the contacts, origin at mid-beam [m].
-        """
+        """Return the equations of the beam with fingers at some places, behind its amplifier."""
         key = tuple(touched) if self.beam.apparatus.twin.fingers is not None else ()
         if key not in self._systems:
             self._systems[key] = self.beam.equations(self.amplifier, key)
@@ -229,13 +223,7 @@ class Twin:
         )
 
     def held_of(self, playbacks: Sequence[Playback | None]) -> list[Held]:
-        """Return what the amplifier is to give, saturated at its limit: one entry to each clock.
-
-        Parameters
-        ----------
-        playbacks : sequence of Playback or None
-            What each channel sends.
-        """
+        """Return what the amplifier is to give, saturated at its limit: one entry to each clock."""
         clocks = dict.fromkeys(_clock(playback) for playback in playbacks if playback is not None)
         return [
             self._held([p if p is not None and _clock(p) == clock else None for p in playbacks]) for clock in clocks

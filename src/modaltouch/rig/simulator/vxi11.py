@@ -17,7 +17,7 @@ import time
 import typing
 from dataclasses import dataclass, field
 
-from modaltouch.rig.simulator.instrument import Instrument
+from modaltouch.rig.simulator.instrument import SimulatedInstrument
 from modaltouch.rig.simulator.scpi import ScpiError
 
 SUCCESS, PROGRAM_UNAVAILABLE = 0, 1
@@ -31,22 +31,7 @@ class HangUp(Exception):  # noqa: N818
 
 
 def read_record(stream: io.BufferedIOBase, limit: int) -> bytes:
-    """Return one record, its fragments joined.
-
-    Parameters
-    ----------
-    stream : binary stream
-        The connection.
-    limit : int
-        Longest record [bytes].
-
-    Raises
-    ------
-    EOFError
-        If the connection ends.
-    HangUp
-        If the record is longer than `limit`: whoever sends it speaks another protocol.
-    """
+    """Return one record, its fragments joined."""
     record = bytearray()
     while True:
         (word,) = struct.unpack(">I", _exactly(stream, 4))
@@ -128,13 +113,13 @@ class Links:
 
     Parameters
     ----------
-    device : Instrument
+    device : SimulatedInstrument
         The instrument.
     closing : threading.Event
         Set when the server ends: nothing is waited for any longer.
     """
 
-    def __init__(self, device: Instrument, closing: threading.Event) -> None:
+    def __init__(self, device: SimulatedInstrument, closing: threading.Event) -> None:
         self._device = device
         self._closing = closing
         self._links: dict[int, _Link] = {}
@@ -146,22 +131,7 @@ class Links:
         return len(self._links)
 
     def call(self, procedure: int, parameters: bytes, own: set[int]) -> bytes:
-        """Return the results of a procedure.
-
-        Parameters
-        ----------
-        procedure : int
-            Number of the procedure.
-        parameters : bytes
-            Its parameters, as they came.
-        own : set of int
-            Links of the connection that calls; kept up to date.
-
-        Raises
-        ------
-        struct.error, HangUp
-            If the parameters are none, or the connection is to be reset.
-        """
+        """Return the results of a procedure."""
         handler = self._procedures().get(procedure)
         return handler(parameters, own) if handler else struct.pack(">i", _NOT_SUPPORTED)
 
@@ -336,13 +306,13 @@ class Vxi11Server:
 
     Parameters
     ----------
-    device : Instrument
+    device : SimulatedInstrument
         The instrument.
     port : int
         TCP port on 127.0.0.1; 0 takes a free one.
     """
 
-    def __init__(self, device: Instrument, port: int = 0) -> None:
+    def __init__(self, device: SimulatedInstrument, port: int = 0) -> None:
         self.device = device
         self._connections: set[socket.socket] = set()
         self._guard = threading.RLock()

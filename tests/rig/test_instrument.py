@@ -3,30 +3,27 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import modaltouch.rig
 from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.rig.afg3022b import AFG3022B
+from modaltouch.rig.catalogue import KNOWN_MODELS, instrument_of
+from modaltouch.rig.instrument import Limits, Setting
 from modaltouch.rig.interface import RigError
-from modaltouch.rig.settings import (
-    KNOWN_MODELS,
-    MAX_POINTS,
-    Limits,
-    Setting,
-    amplitudes,
-    burst_settings,
-    continuous_settings,
-    guarded_settings,
-    level_setting,
-    lock_setting,
-    quiet_settings,
-    record_peaks,
-    refuse_steps,
-    timer_setting,
-)
+from modaltouch.rig.player import _refuse_steps as refuse_steps
 from modaltouch.stimulus.burst import Burst
+
+TABLE = AFG3022B.commands
+ON = TABLE.output.filled(channel=1)
+OFF = ON.off
+QUIET = [entry.filled(channel=1) for entry in TABLE.quiet]
+BURST = [entry.filled(channel=1, memory=1) for entry in TABLE.burst]
 
 
 @pytest.mark.parametrize(
@@ -57,21 +54,21 @@ def test_command_carries_value_and_unit(setting: Setting, command: str) -> None:
         (Setting("SOUR1:VOLT:OFFS", 0.0, "V"), "0.9E-04", True),
         (Setting("OUTP1:IMP", "INF"), "9.9E+37", True),
         (Setting("OUTP1:IMP", "INF"), "5.0E+01", False),
-        (Setting("OUTP1", "ON"), "1", True),
-        (Setting("OUTP1", "ON"), "0", False),
-        (Setting("OUTP1", "ON"), "on", True),
-        (Setting("OUTP1", "OFF"), "0", True),
-        (Setting("OUTP1", "OFF"), "1", False),
-        (Setting("OUTP1:POL", "NORM"), "NORMAL", True),
-        (Setting("OUTP1:POL", "NORM"), "INV", False),
-        (Setting("SOUR1:BURS:MODE", "TRIG"), "TRIGGERED", True),
-        (Setting("SOUR1:BURS:MODE", "TRIG"), "GATED", False),
-        (Setting("TRIG:SOUR", "TIM"), "TIMER", True),
-        (Setting("TRIG:SOUR", "TIM"), "EXTERNAL", False),
+        (ON, "1", True),
+        (ON, "0", False),
+        (ON, "on", True),
+        (OFF, "0", True),
+        (OFF, "1", False),
+        (QUIET[1], "NORMAL", True),
+        (QUIET[1], "INV", False),
+        (BURST[2], "TRIGGERED", True),
+        (BURST[2], "GATED", False),
+        (TABLE.armed, "TIMER", True),
+        (TABLE.armed, "EXTERNAL", False),
         (Setting("OUTP1:IMP", "INF"), "8.0E+37", False),
-        (Setting("SOUR1:FUNC", "USER1"), "USER", True),
-        (Setting("SOUR1:FUNC", "USER2"), "USER", False),
-        (Setting("TRIG:SOUR", "EXT"), "EXTERNAL", True),
+        (BURST[1], "USER", True),
+        (replace(BURST[1], value="USER2"), "USER", False),
+        (TABLE.stopped, "EXTERNAL", True),
         (Setting("TRIG:TIM", 1 / 7, "S", tolerance=5e-4), "1.429E-01", True),
         (Setting("TRIG:TIM", 1 / 7, "S", tolerance=5e-4), "1.43E-01", False),
         (Setting("SOUR1:FREQ", 20.0, "HZ", tolerance=1e-6), "20.0001", False),
@@ -80,6 +77,11 @@ def test_command_carries_value_and_unit(setting: Setting, command: str) -> None:
 def test_reply_confirms_or_does_not(setting: Setting, reply: str, confirmed: bool) -> None:
     """Tolerances: 1e-4 for levels on a grid of four digits, 5e-4 for a timer of four digits, 1e-6 for the rate."""
     assert setting.confirmed_by(reply) is confirmed
+
+
+def limits_of(apparatus: Apparatus) -> Limits:
+    """Return what an apparatus lets leave its generator."""
+    return instrument_of(apparatus).limits(apparatus)
 
 
 @pytest.mark.parametrize(
@@ -91,23 +93,30 @@ def test_level_limit_is_what_the_amplifier_allows(
 ) -> None:
     """Volts at the beam over the gain, rounded down to 10 mV, at most the instrument's own 10 V."""
     amplifier = apparatus.amplifier.model_copy(update={"limit_V": limit, "gain_V_per_V": gain})
-    assert Limits.of(apparatus.model_copy(update={"amplifier": amplifier})).level == pytest.approx(level)
+    assert limits_of(apparatus.model_copy(update={"amplifier": amplifier})).level == pytest.approx(level)
 
 
 def test_amplifier_and_file_set_the_limits(apparatus: Apparatus) -> None:
     """The shipped apparatus: 250 V at the beam by a gain of 25, 500 mm/s; into 50 ohm half the volts arrive."""
-    assert Limits.of(apparatus) == Limits(level=10.0, beam=250.0, gain=25.0, velocity=0.5)
+    assert limits_of(apparatus) == Limits(AFG3022B, level=10.0, beam=250.0, gain=25.0, velocity=0.5)
     terminated = apparatus.model_copy(update={"generator": apparatus.generator.model_copy(update={"load": "50_ohm"})})
-    assert Limits.of(terminated) == Limits(level=10.0, beam=250.0, gain=12.5, velocity=0.5)
+    assert limits_of(terminated) == Limits(AFG3022B, level=10.0, beam=250.0, gain=12.5, velocity=0.5)
 
 
-WIDE = Limits(level=10.0, beam=1000.0, gain=25.0, velocity=0.5)
+WIDE = Limits(AFG3022B, level=10.0, beam=1000.0, gain=25.0, velocity=0.5)
 """The generator's own limits alone."""
 
 
-def strong(burst: Burst, amplitude: float, limits: Limits = WIDE, peak: float = 1.0) -> tuple[float, ...]:
+def strong(burst: Burst, amplitude: float, limits: Limits = WIDE) -> tuple[float, ...]:
     """Return the amplitudes at 200 mm/s of a burst whose first channel needs one of its own."""
-    return amplitudes(replace(burst, amplitude=(amplitude, 8.0)), (peak, 1.0), 0.2, limits)
+    return limits.amplitudes(full(burst, (amplitude, 8.0)), 0.2)
+
+
+def full(burst: Burst, amplitude: tuple[float, float]) -> Burst:
+    """Return a burst whose records use all codes."""
+    codes = burst.codes.copy()
+    codes[:, 1] = 16382
+    return replace(burst, codes=codes, amplitude=amplitude)
 
 
 @pytest.mark.parametrize(
@@ -145,18 +154,19 @@ def test_second_output_is_judged_like_the_first(burst: Burst) -> None:
 @pytest.mark.parametrize("velocity", [0.0, -0.1, 0.5001, 1.0, math.nan, math.inf])
 def test_no_velocity_beyond_the_safety_limit_is_played(burst: Burst, velocity: float) -> None:
     """Above 0, up to 500 mm/s, whatever generator and amplifier could do."""
-    low = replace(burst, amplitude=(1.0, 1.0))
-    assert amplitudes(low, (1.0, 1.0), 0.5, WIDE) == (2.5, 2.5)
+    low = full(burst, (1.0, 1.0))
+    assert WIDE.amplitudes(low, 0.5) == (2.5, 2.5)
     with pytest.raises(RigError, match="allowed above 0, up to the safety limit of 500 mm/s; the outputs stay off"):
-        amplitudes(low, (1.0, 1.0), velocity, WIDE)
+        WIDE.amplitudes(low, velocity)
 
 
 @pytest.mark.parametrize(("level", "quiet"), [(10.0, 0.1), (0.05, 0.1), (0.03, 0.06)])
 def test_channel_without_drive_waits_at_a_quiet_level(burst: Burst, level: float, quiet: float) -> None:
     """0.1 V peak to peak, or twice the level where that is less."""
-    least = replace(burst, amplitude=(0.0, 0.0))
-    assert amplitudes(least, (0.0, 0.0), 0.2, replace(WIDE, level=level)) == pytest.approx((quiet, quiet))
-    setting = next(each for each in quiet_settings(1, replace(WIDE, level=level)) if each.header == "SOUR1:VOLT")
+    silent = replace(burst, codes=np.full_like(burst.codes, 8191), amplitude=(0.0, 0.0))
+    limits = replace(WIDE, level=level)
+    assert limits.amplitudes(silent, 0.2) == pytest.approx((quiet, quiet))
+    setting = next(each for each in limits.quiet_settings(1) if each.header == "SOUR1:VOLT")
     assert setting.value == pytest.approx(quiet)
 
 
@@ -175,7 +185,7 @@ def test_peaks_are_parts_of_full_scale(burst: Burst) -> None:
     """(16382 - 8191) / 8191 = 1 of the first channel; the second goes furthest down, to (8191 - 4096) / 8191."""
     codes = np.full_like(burst.codes, 8191)
     codes[0, 7], codes[0, 9], codes[1, 7], codes[1, 9] = 16382, 8000, 9000, 4096
-    assert record_peaks(replace(burst, codes=codes)) == (1.0, pytest.approx(4095 / 8191))
+    assert replace(burst, codes=codes).peaks == (1.0, pytest.approx(4095 / 8191))
 
 
 def commands(*settings: Setting) -> str:
@@ -190,16 +200,16 @@ def test_outputs_are_quiet_and_bounded_before_anything_is_loaded() -> None:
         "SOUR{0}:VOLT:LIM:HIGH 4V;SOUR{0}:VOLT:LIM:LOW -4V"
     )
     limits = replace(WIDE, level=4.0)
-    assert commands(*quiet_settings(2, limits)) == quiet.format(2)
+    assert commands(*limits.quiet_settings(2)) == quiet.format(2)
     both = f"{quiet.format(1)};{quiet.format(2)}"
-    assert commands(*guarded_settings(limits)) == both.replace("SOUR1:VOLT 0.1VPP;", "").replace(
+    assert commands(*limits.guarded_settings()) == both.replace("SOUR1:VOLT 0.1VPP;", "").replace(
         "SOUR2:VOLT 0.1VPP;", ""
     )
 
 
 def test_burst_is_played_once_at_each_trigger(burst: Burst) -> None:
     """One cycle of 50 ms from the first point, at once; the rate to a millionth, as 11 digits are kept of it."""
-    settings = burst_settings(2, 3, burst)
+    settings = AFG3022B.burst_settings(2, 3, burst, continuous=False)
     assert commands(*settings) == (
         "SOUR2:FREQ 20HZ;SOUR2:FUNC USER3;SOUR2:BURS:MODE TRIG;SOUR2:BURS:NCYC 1;SOUR2:BURS:TDEL 0S;SOUR2:PHAS 0RAD;"
         "SOUR2:BURS:STAT ON"
@@ -210,7 +220,7 @@ def test_burst_is_played_once_at_each_trigger(burst: Burst) -> None:
 
 def test_record_that_repeats_by_itself_needs_no_trigger(burst: Burst) -> None:
     """A whole period of 1/7 s from the first point on, burst mode off."""
-    settings = continuous_settings(1, 4, burst)
+    settings = AFG3022B.burst_settings(1, 4, burst, continuous=True)
     assert commands(*settings) == "SOUR1:FREQ 7HZ;SOUR1:FUNC USER4;SOUR1:PHAS 0RAD;SOUR1:BURS:STAT OFF"
     assert settings[0].confirmed_by("7.000006")
     assert not settings[0].confirmed_by("7.00001")
@@ -218,23 +228,46 @@ def test_record_that_repeats_by_itself_needs_no_trigger(burst: Burst) -> None:
 
 def test_timer_level_and_lock(burst: Burst) -> None:
     """1/7 s, of which the instrument may keep four digits; an amplitude; a memory that nobody overwrites."""
-    assert commands(timer_setting(burst), level_setting(2, 1.5)) == "TRIG:TIM 0.142857142857S;SOUR2:VOLT 1.5VPP"
-    assert timer_setting(burst).confirmed_by("0.1429")
-    assert not timer_setting(burst).confirmed_by("0.14298")
-    lock = lock_setting(3, "ON")
+    assert commands(AFG3022B.timer(burst), AFG3022B.level(2, 1.5)) == "TRIG:TIM 0.142857142857S;SOUR2:VOLT 1.5VPP"
+    assert AFG3022B.timer(burst).confirmed_by("0.1429")
+    assert not AFG3022B.timer(burst).confirmed_by("0.14298")
+    lock = TABLE.locked.filled(memory=3)
     assert (lock.command, lock.query) == ("DATA:LOCK:STAT USER3,ON", "DATA:LOCK:STAT? USER3")
+    assert lock.off.command == "DATA:LOCK:STAT USER3,OFF"
 
 
 def test_data_sheet() -> None:
     """AFG3022B: 131,072 points a record; its successor takes the same commands."""
-    assert MAX_POINTS == 131_072
+    assert AFG3022B.converter.max_points == 131_072
     assert KNOWN_MODELS == ("AFG3022B", "AFG3022C")
+
+
+def test_simulator_says_what_it_is_where_others_have_their_number() -> None:
+    """`*IDN?`: maker, model, serial number, firmware (IEEE 488.2, 10.14); the word elsewhere is somebody's name."""
+    assert AFG3022B.is_simulated("TEKTRONIX,AFG3022B,SIMULATED,SCPI:99.0 FV:3.2.2")
+    assert not AFG3022B.is_simulated("TEKTRONIX,AFG3022B,C012345,SCPI:99.0 FV:3.2.2")
+    assert not AFG3022B.is_simulated("SIMULATED INSTRUMENTS,AFG3022B,C012345,1")
+
+
+def test_model_that_is_not_known_is_taken_for_the_first_one(apparatus: Apparatus) -> None:
+    """A relative's name in the apparatus file: the AFG3022B's figures and commands."""
+    other = apparatus.model_copy(update={"generator": apparatus.generator.model_copy(update={"model": "AFG31022"})})
+    assert instrument_of(other) is instrument_of(apparatus) is AFG3022B
 
 
 def test_peak_of_the_record_counts_at_the_beam(apparatus: Apparatus, burst: Burst) -> None:
     """A record that uses half the codes reaches half the volts: allowed where a full one is not."""
-    limits = replace(Limits.of(apparatus), beam=100.0, level=10.0)
+    limits = replace(limits_of(apparatus), beam=100.0, level=10.0)
     half = replace(burst, codes=((burst.codes.astype(int) - 8191) // 2 + 8191).astype("uint16"))
     with pytest.raises(RigError, match="150.0 V at the beam: allowed at most 100 V"):
-        amplitudes(burst, record_peaks(burst), 0.2, limits)
-    assert amplitudes(half, record_peaks(half), 0.2, limits) == (12.0, 8.0)
+        limits.amplitudes(burst, 0.2)
+    assert limits.amplitudes(half, 0.2) == (12.0, 8.0)
+
+
+@pytest.mark.parametrize(
+    "module", ["generator", "connection", "controls", "player", "pacing", "link", "watchdog_client"]
+)
+def test_promises_are_kept_without_the_commands_of_one_instrument(module: str) -> None:
+    """Headers and memories of the AFG3022B stand in its table alone."""
+    text = (Path(modaltouch.rig.__file__).parent / f"{module}.py").read_text(encoding="utf-8")
+    assert not re.findall(r"SOUR|EMEM|USER|TRIG:|OUTP|BURS:|AFG3", text)

@@ -1,0 +1,307 @@
+"""A generator as a value: its figures, its table of commands, and what an apparatus lets it play.
+
+The promises (outputs off on every way out, settings read back, watchdog, replay) are kept by `generator` and what it
+uses, for every instrument alike; what differs between instruments stands in one file each, such as `afg3022b`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modaltouch.protocol import Apparatus
+from modaltouch.rig.interface import RigError
+from modaltouch.stimulus import Burst, Converter
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One setting of an instrument: what sets it, what asks for it, and which replies confirm it.
+
+    In a table of commands, braces stand for a channel or a memory, and a value in lower case names a quantity.
+
+    Attributes
+    ----------
+    header : str
+        SCPI header.
+    value : float or str
+        A number, or a keyword in its short form.
+    unit : str
+        Sent with a number.
+    tolerance : float
+        Relative difference that a number may have when it is read back [1].
+    of : str
+        What it is a setting of, where the header does not say.
+    replies : tuple of str
+        How a keyword may read when it is asked for; as it was sent, or a truth value as 0 or 1, where nothing is said.
+    """
+
+    header: str
+    value: float | str
+    unit: str = ""
+    tolerance: float = 1e-4
+    of: str = ""
+    replies: tuple[str, ...] = ()
+
+    @property
+    def off(self) -> Setting:
+        """The same, switched off."""
+        return replace(self, value="OFF")
+
+    @property
+    def command(self) -> str:
+        """What sets it."""
+        if isinstance(self.value, str):
+            return f"{self.header} {self.of},{self.value}" if self.of else f"{self.header} {self.value}"
+        return f"{self.header} {self.value:.12g}{self.unit}"
+
+    @property
+    def query(self) -> str:
+        """What asks for it."""
+        return f"{self.header}? {self.of}" if self.of else f"{self.header}?"
+
+    def confirmed_by(self, reply: str) -> bool:
+        """Return whether a reply says what was set."""
+        if isinstance(self.value, str) and self.value != "INF":
+            # A suffix of 1 may be left out (SCPI-99, volume 1, 6.2.5.2).
+            shown = {"ON": "1", "OFF": "0"}.get(self.value, self.value.removesuffix("1"))
+            return reply.upper() in (self.replies or (self.value, shown))
+        try:
+            number = float(reply)
+        except ValueError:
+            return False
+        if isinstance(self.value, str):
+            return number >= 9.9e37
+        return math.isclose(number, self.value, rel_tol=self.tolerance, abs_tol=0.0 if self.value else 1e-4)
+
+    def filled(self, **quantities: float) -> Setting:
+        """Return an entry of a table with its channel, its memory and its value filled in."""
+        value = quantities.get(self.value, self.value.format(**quantities)) if isinstance(self.value, str) else None
+        return replace(
+            self,
+            header=self.header.format(**quantities),
+            value=self.value if value is None else value,
+            of=self.of.format(**quantities),
+            replies=tuple(reply.format(**quantities) for reply in self.replies),
+        )
+
+
+@dataclass(frozen=True)
+class Commands:
+    """What a generator is told: entries of settings, and texts in which braces stand for memory and point.
+
+    Attributes
+    ----------
+    output, level : Setting
+        Of a ``{channel}``: on; its ``amplitude``.
+    quiet : tuple of Setting
+        Of a ``{channel}``, before anything is loaded: scale of the numbers, lowest level (``quiet_amplitude``), limits
+        (``highest``, ``lowest``).
+    burst, continuous : tuple of Setting
+        What makes a ``{channel}`` play a ``{memory}`` once at each trigger, at a ``burst_rate``; or repeat it without
+        trigger, at a ``repetition_rate``.
+    timer, armed, stopped : Setting
+        Time between triggers (``period``); triggers from the timer; from an input that nothing is wired to.
+    locked : Setting
+        No ``{memory}`` can be overwritten, nor at the front panel.
+    triggers : tuple of str
+        What triggers a burst: the first that the instrument knows.
+    align : str
+        Begins what repeats without trigger with its first sample, on all channels.
+    memory : str
+        Name of a ``{memory}``.
+    upload, count, read, point : str
+        Of the edit memory: takes a record, tells the number of its points, returns it, returns the code at ``{place}``.
+    store, recall, catalogue : str
+        From the edit memory into a ``{memory}`` and back; which of them hold a record.
+    """
+
+    output: Setting
+    level: Setting
+    quiet: tuple[Setting, ...]
+    burst: tuple[Setting, ...]
+    continuous: tuple[Setting, ...]
+    timer: Setting
+    armed: Setting
+    stopped: Setting
+    locked: Setting
+    triggers: tuple[str, ...]
+    align: str
+    memory: str
+    upload: str
+    count: str
+    read: str
+    point: str
+    store: str
+    recall: str
+    catalogue: str
+
+
+@dataclass(frozen=True)
+class Instrument:
+    """A generator of two channels.
+
+    Attributes
+    ----------
+    models : tuple of str
+        As ``*IDN?`` names them; the figures are the first one's.
+    converter : Converter
+        Codes, points, clock and grid of amplitudes.
+    channels, memories : tuple of int
+        Numbers of its outputs, and of the memories that hold a record.
+    lowest_amplitude, quiet_amplitude : float
+        Smallest amplitude, and that at which a level waits, into an open circuit [V peak to peak].
+    highest_output : float
+        Highest output, either sign, into an open circuit [V].
+    commands : Commands
+        What it is told.
+    """
+
+    models: tuple[str, ...]
+    converter: Converter
+    channels: tuple[int, ...]
+    memories: tuple[int, ...]
+    lowest_amplitude: float
+    quiet_amplitude: float
+    highest_output: float
+    commands: Commands
+
+    def is_simulated(self, identity: str) -> bool:
+        """Return whether a reply to ``*IDN?`` is the simulator's: it bears the word where others have their number."""
+        return "SIMULATED" in identity.split(",")
+
+    def limits(self, apparatus: Apparatus) -> Limits:
+        """Return what an apparatus lets leave it."""
+        gain, velocity = _gain(apparatus), apparatus.safety.velocity_limit_mm_s * 1e-3
+        return Limits(self, self.highest_level(apparatus), apparatus.amplifier.limit_V, gain, velocity)
+
+    def highest_level(self, apparatus: Apparatus) -> float:
+        """Return the highest output, either sign, that amplifier and generator allow, open circuit [V]."""
+        # Rounded down to 10 mV, so that the instrument's own rounding cannot lift it.
+        return min(math.floor(apparatus.amplifier.limit_V / _gain(apparatus) * 100 + 1e-6) / 100, self.highest_output)
+
+    def level(self, channel: int, amplitude: float) -> Setting:
+        """Return the setting of an amplitude, open circuit [V peak to peak]."""
+        return self.commands.level.filled(channel=channel, amplitude=amplitude)
+
+    def burst_settings(self, channel: int, memory: int, burst: Burst, *, continuous: bool) -> tuple[Setting, ...]:
+        """Return what makes a channel play a memory once at each trigger, or repeat it without."""
+        table = self.commands.continuous if continuous else self.commands.burst
+        rates = {"burst_rate": 1 / burst.duration, "repetition_rate": burst.repetition_rate}
+        return tuple(entry.filled(channel=channel, memory=memory, **rates) for entry in table)
+
+    def timer(self, burst: Burst) -> Setting:
+        """Return the time between triggers."""
+        return self.commands.timer.filled(period=1 / burst.repetition_rate)
+
+    def continuous_codes(self, burst: Burst) -> NDArray[np.uint16]:
+        """Return one record that holds a whole repetition, burst and silence, for a generator without burst mode.
+
+        The burst's steps fall on the nearest point of the longest record, so that it cannot be exact: at 7 Hz on
+        131,072 points a step is late or early by up to 0.55 us, and of the shipped stimulus a mode is missed by
+        0.014 mm/s in 200, where the burst itself misses 1e-5 mm/s (`modaltouch.preflight.checked` computes it).
+
+        Returns
+        -------
+        (n_channels, max_points) array of uint16
+            Codes.
+        """
+        n_channels, n_samples = burst.codes.shape
+        n_points = self.converter.max_points
+        middles = (np.arange(n_points) + 0.5) / (n_points * burst.repetition_rate)
+        held = np.floor(middles / burst.duration * n_samples).astype(int)
+        codes = np.full((n_channels, n_points), self.converter.mid_code, dtype=np.uint16)
+        playing = held < n_samples
+        codes[:, playing] = burst.codes[:, held[playing]]
+        return codes
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What may leave the generator.
+
+    Attributes
+    ----------
+    instrument : Instrument
+        The generator.
+    level : float
+        Highest output voltage, either sign, open circuit [V].
+    beam : float
+        Highest voltage at the beam [V].
+    gain : float
+        Volts at the beam per open-circuit volt of the generator [1].
+    velocity : float
+        Highest peak velocity [m/s].
+    """
+
+    instrument: Instrument
+    level: float
+    beam: float
+    gain: float
+    velocity: float
+
+    @property
+    def quiet_amplitude(self) -> float:
+        """Amplitude of a channel that plays nothing [V peak to peak]."""
+        return min(self.instrument.quiet_amplitude, 2 * self.level)
+
+    def quiet_settings(self, channel: int) -> tuple[Setting, ...]:
+        """Return what is set once, before anything is loaded: scale of the numbers, lowest level, limits."""
+        bounds = {"highest": self.level, "lowest": -self.level, "quiet_amplitude": self.quiet_amplitude}
+        return tuple(entry.filled(channel=channel, **bounds) for entry in self.instrument.commands.quiet)
+
+    def guarded_settings(self) -> tuple[Setting, ...]:
+        """Return the quiet settings of all channels that still hold at every firing: all but the level."""
+        level = self.instrument.commands.level
+        levels = [level.filled(channel=channel).header for channel in self.instrument.channels]
+        quiet = [setting for channel in self.instrument.channels for setting in self.quiet_settings(channel)]
+        return tuple(setting for setting in quiet if setting.header not in levels)
+
+    def amplitudes(self, burst: Burst, velocity: float) -> tuple[float, ...]:
+        """Return the amplitude of each channel at a level, or refuse it.
+
+        Parameters
+        ----------
+        burst : Burst
+            The records.
+        velocity : float
+            Peak velocity at the focus [m/s].
+
+        Returns
+        -------
+        tuple of float
+            Amplitude of each channel, open circuit [V peak to peak].
+
+        Raises
+        ------
+        RigError
+            If the level cannot be played, or must not.
+        """
+        if not (math.isfinite(velocity) and 0 < velocity <= self.velocity):
+            raise RigError(
+                f"a peak velocity of {velocity * 1e3:g} mm/s was asked for: allowed above 0, up to the safety "
+                f"limit of {self.velocity * 1e3:g} mm/s; the outputs stay off; change the protocol, or the "
+                "limit in the apparatus file"
+            )
+        channels = enumerate(zip(burst.amplitude_for(velocity), burst.peaks, strict=True), start=1)
+        return tuple(self._playable(number, amplitude, peak, velocity) for number, (amplitude, peak) in channels)
+
+    def _playable(self, number: int, amplitude: float, peak: float, velocity: float) -> float:
+        where = f"{velocity * 1e3:g} mm/s needs {amplitude:g} V peak to peak of output {number}"
+        remedy = "the outputs stay off; lower the velocity, or correct the apparatus file"
+        if peak == 0:
+            return self.quiet_amplitude
+        beam = amplitude / 2 * peak * self.gain
+        if not beam <= self.beam * (1 + 1e-9):
+            raise RigError(f"{where}, {beam:.1f} V at the beam: allowed at most {self.beam:g} V; {remedy}")
+        lowest = self.instrument.lowest_amplitude
+        if not lowest <= amplitude <= 2 * self.level:
+            raise RigError(f"{where}: allowed {lowest:g} to {2 * self.level:g} V; {remedy}")
+        return amplitude
+
+
+def _gain(apparatus: Apparatus) -> float:
+    return apparatus.amplifier.gain_V_per_V * apparatus.generator.load_factor
