@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from modaltouch.protocol.answers import AnswerList
-from modaltouch.protocol.practice import Round, expected_answer, judge_round
+from modaltouch.protocol.practice import Round, judge_round
 
 PAPER = AnswerList.of({})
 
@@ -29,32 +29,32 @@ PAPER = AnswerList.of({})
 )
 def test_the_stronger_finger_is_expected_where_it_is_clear(left: float, right: float, answer: str | None) -> None:
     """Expected: the side from a ratio of 1.25 on, both up to 1.1, and no verdict between (Craig 1972: 0.1 to 0.2)."""
-    assert expected_answer(PAPER, left, right) == answer
+    assert PAPER.expected(left, right) == answer
 
 
 @given(st.floats(0, 10), st.floats(0, 10), st.floats(0.1, 1000))
 def test_the_expectation_depends_on_the_ratio_alone_and_mirrors(left: float, right: float, unit: float) -> None:
     """Expected: the same in any unit but at the borders, and left for right when the fingers change places."""
     mirror = {"left": "right", "right": "left", "both": "both", None: None}
-    assert expected_answer(PAPER, right, left) == mirror[expected_answer(PAPER, left, right)]
+    assert PAPER.expected(right, left) == mirror[PAPER.expected(left, right)]
     low, high = sorted((left, right))
     at_border = low > 0 and min(abs(high / low - border) for border in (1.1, 1.25)) < 1e-9
     if not at_border and min(low, low * unit) > 1e-300:
-        assert expected_answer(PAPER, left * unit, right * unit) == expected_answer(PAPER, left, right)
+        assert PAPER.expected(left * unit, right * unit) == PAPER.expected(left, right)
 
 
 def test_nothing_is_expected_that_is_no_answer() -> None:
     """Expected: no verdict on equal speeds without an answer for both, and none at all where no finger is named."""
     sides, grades = AnswerList.of({"keys": ["left", "right"]}), AnswerList.of({"keys": ["weaker", "stronger"]})
-    assert [expected_answer(sides, 0.1, speed) for speed in (0.1, 0.2)] == [None, "right"]
-    assert [expected_answer(grades, 0.1, speed) for speed in (0.1, 0.2)] == [None, None]
+    assert [sides.expected(0.1, speed) for speed in (0.1, 0.2)] == [None, "right"]
+    assert [grades.expected(0.1, speed) for speed in (0.1, 0.2)] == [None, None]
 
 
 @pytest.mark.parametrize("speed", [-1.0, math.nan, math.inf])
 def test_a_speed_without_meaning_is_refused(speed: float) -> None:
     """Expected: the message shows both speeds."""
     with pytest.raises(ValueError, match="allowed: finite speeds, 0 or more"):
-        expected_answer(PAPER, 0.1, speed)
+        PAPER.expected(0.1, speed)
 
 
 def event(index: int, answer: str, left: float, right: float, *, practice: bool = True) -> dict[str, Any]:

@@ -10,7 +10,6 @@ from modaltouch.preflight import examine
 from modaltouch.preflight.examination import design_to_fit
 from modaltouch.rig.pacing import LATEST
 from modaltouch.stimulus.drive import Release
-from modaltouch.stimulus.quantisation import signed_codes
 
 PROTOCOL = Path(__file__).parents[2] / "protocols" / "differentiated_stimulation.yaml"
 
@@ -23,7 +22,7 @@ def left_at_the_next_focus(release: Release) -> float:
     ground, _ = examine(PROTOCOL).require().sound
     stimulus = design_to_fit(ground, release=release)
     velocity, timing, system = 0.2, stimulus.timing, stimulus.system
-    by_channel = system.states_by_channel(signed_codes(stimulus.burst.codes), timing, timing.duration)
+    by_channel = system.states_by_channel(timing.converter.signed(stimulus.burst.codes), timing, timing.duration)
     at_end = stimulus.volts_per_code(velocity) @ by_channel
     shortest = (1 - LATEST) / timing.repetition_rate
     left = at_end * np.exp(system.exponent * (shortest - timing.duration + timing.focusing_instant))

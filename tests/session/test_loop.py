@@ -12,7 +12,7 @@ import pytest
 from modaltouch.protocol import Experiment, Findings, Protocol
 from modaltouch.protocol.levels import Levels
 from modaltouch.protocol.schedule import Schedule
-from modaltouch.protocol.trial import Answer, Response, Trial
+from modaltouch.protocol.trial import Response, Trial
 from modaltouch.record.log import SessionLog
 from modaltouch.record.session import Session
 from modaltouch.rig.interface import Bursts, Firing, RigError, StimulusLost
@@ -70,7 +70,7 @@ class PaperRig:
 class Person:
     """Answers by a rule, and notes every screen."""
 
-    rule: Callable[[Trial], Answer]
+    rule: Callable[[Trial], str]
     seen: list[str] = field(default_factory=list)
     cut: list[str | Exception] = field(default_factory=list)
 
@@ -94,7 +94,7 @@ class Person:
     def confirm(self, response: Response) -> None:
         self.seen.append(response.answer)
 
-    def give_feedback(self, response: Response, expected: Answer) -> None:
+    def give_feedback(self, response: Response, expected: str) -> None:
         self.seen.append(f"feedback {response.answer} {expected}")
 
     def wait(self, seconds: float) -> None:
@@ -124,13 +124,13 @@ class Keys(Console):
         return asked
 
 
-def right_answer(trial: Trial) -> Answer:
+def right_answer(trial: Trial) -> str:
     """Say what somebody says who feels the speeds of SPEEDS without noise."""
     left, right = (SPEEDS[zone] for zone in trial.condition.pair)
     return "both" if left == right else ("left" if left > right else "right")
 
 
-def wrong_answer(trial: Trial) -> Answer:
+def wrong_answer(trial: Trial) -> str:
     """Say anything else."""
     return "left" if right_answer(trial) == "both" else "both"
 
@@ -146,7 +146,7 @@ def sit(experiment: Experiment, tmp_path: Path) -> Iterator[Callable[..., Sessio
     """Give sittings whose logs are closed in the end."""
     logs: list[SessionLog] = []
 
-    def make(rule: Callable[[Trial], Answer] = right_answer, **schedule: Any) -> SessionRun:
+    def make(rule: Callable[[Trial], str] = right_answer, **schedule: Any) -> SessionRun:
         protocol = change(experiment.protocol, **schedule)
         drawn = Schedule.draw(protocol, "p01", 1)
         log = SessionLog.create(tmp_path / f"session{len(logs)}.jsonl", "start")
@@ -266,7 +266,7 @@ def test_a_round_is_judged_by_the_repeated_answer(sit: Callable[..., SessionRun]
     """The last trial of a round, answered wrongly and repeated before the round is judged: passed by the second."""
     given: list[Trial] = []
 
-    def rule(trial: Trial) -> Answer:
+    def rule(trial: Trial) -> str:
         first = trial.practice and trial.index == 3 and trial not in given
         given.append(trial)
         return wrong_answer(trial) if first else right_answer(trial)
@@ -429,7 +429,7 @@ def test_an_emergency_stop_cuts_the_burst_and_is_recorded_as_cut(sit: Callable[.
 @pytest.mark.parametrize(("rule", "passed"), [(right_answer, True), (wrong_answer, False)])
 def test_practice_is_judged_by_its_criterion(
     sit: Callable[..., SessionRun],
-    rule: Callable[[Trial], Answer],
+    rule: Callable[[Trial], str],
     passed: bool,
 ) -> None:
     """Expected: one round where it is passed, all rounds where it is not, and then the session goes on."""
@@ -490,7 +490,7 @@ def test_breaks_come_by_time(sit: Callable[..., SessionRun]) -> None:
     """Expected: at the first trial after five minutes, where each answer takes 70 s: after every fifth of twelve."""
     clock = VirtualClock()
 
-    def slowly(trial: Trial) -> Answer:
+    def slowly(trial: Trial) -> str:
         clock.sleep(70.0)
         return right_answer(trial)
 

@@ -16,10 +16,10 @@ if TYPE_CHECKING:
     from modaltouch.protocol.apparatus import Apparatus
     from modaltouch.protocol.calibration import Calibration
     from modaltouch.protocol.findings import Experiment, Findings, Sources
-    from modaltouch.protocol.levels import Levels, is_success
+    from modaltouch.protocol.levels import Levels
     from modaltouch.protocol.masking import MaskingSection
     from modaltouch.protocol.observers import ObserverFile
-    from modaltouch.protocol.practice import expected_answer, judge_round
+    from modaltouch.protocol.practice import judge_round
     from modaltouch.protocol.problems import InputError, Problem, suggest
     from modaltouch.protocol.schedule import Schedule, Turn
     from modaltouch.protocol.sections import AnswersSection, Protocol
@@ -35,10 +35,10 @@ else:
             "apparatus": "Apparatus",
             "calibration": "Calibration",
             "findings": "Experiment Findings Sources",
-            "levels": "Levels is_success",
+            "levels": "Levels",
             "masking": "MaskingSection",
             "observers": "ObserverFile",
-            "practice": "expected_answer judge_round",
+            "practice": "judge_round",
             "problems": "InputError Problem suggest",
             "schedule": "Schedule Turn",
             "sections": "AnswersSection Protocol",
@@ -72,8 +72,6 @@ __all__ = [
     "Texts",
     "Trial",
     "Turn",
-    "expected_answer",
-    "is_success",
     "judge_round",
     "suggest",
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -14,6 +15,12 @@ SHIPPED: dict[str, Fingers] = {"left": ("left",), "both": ("left", "right"), "ri
 """The paper's three answers, and the one for "felt nowhere", with the fingers that they name."""
 
 _RANKS = {1: 0, 2: 1, 0: 2}
+
+
+CLEAR_RATIO = 1.25
+"""Speeds this far apart are told apart with ease: twice the difference threshold of vibration (Craig 1972)."""
+EQUAL_RATIO = 1.1
+"""Speeds this near are below the difference threshold [1]."""
 
 
 @dataclass(frozen=True)
@@ -114,3 +121,50 @@ class AnswerList(tuple[Answer, ...]):
     def fingers_of(self, name: str) -> Fingers | None:
         """Return the fingers that the answer of a name stands for; None also for a time-out."""
         return next((answer.fingers for answer in self if answer.name == name), None)
+
+    def expected(self, speed_left: float, speed_right: float) -> str | None:
+        """Name of the answer of somebody who feels well; None where it may be either, or no answer says it.
+
+        Parameters
+        ----------
+        speed_left, speed_right : float
+            Predicted peak speeds under the two fingers, in one unit.
+
+        Raises
+        ------
+        ValueError
+            If a speed is negative or not finite.
+        """
+        for speed in (speed_left, speed_right):
+            if not (math.isfinite(speed) and speed >= 0):
+                raise ValueError(f"given speeds {speed_left} and {speed_right}; allowed: finite speeds, 0 or more")
+        low, high = sorted((speed_left, speed_right))
+        expected = None
+        if high <= EQUAL_RATIO * low or high == 0:
+            expected = self.naming("left", "right")
+        elif high >= CLEAR_RATIO * low:
+            expected = self.naming("left" if speed_left > speed_right else "right")
+        return expected.name if expected is not None else None
+
+    def is_success(self, name: str, rule: str, focus: str, zone_left: str) -> bool:
+        """Whether an answer counts as success in an adaptive run.
+
+        ``focus_named``: the answer names the finger on the zone in focus, alone. Naming both fingers or none is a
+        failure like naming the other: what is asked is the level from which the focus is told apart, not from which
+        something is felt. ``felt``: any answer but that nothing was felt.
+
+        Parameters
+        ----------
+        name : str
+            The answer.
+        rule : str
+            ``adaptive.success`` of the protocol.
+        focus : str
+            Zone in focus.
+        zone_left : str
+            Zone under the left finger.
+        """
+        named = self.fingers_of(name)
+        if rule == "felt":
+            return named != ()
+        return named == (("left",) if zone_left == focus else ("right",))

@@ -19,7 +19,6 @@ from typing import Any, Self
 import numpy as np
 
 from modaltouch.protocol.adaptive import StaircaseSection
-from modaltouch.protocol.answers import Fingers
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.trial import Condition, Trial
 
@@ -84,7 +83,7 @@ class Levels:
             counts = event["confirmed"]["confirmed"] and not event["trial"]["practice"] and not condition.is_catch
             if counts and index < until and run_of(condition) == run:
                 focus, answer = self._protocol.stimulus_of(condition.stimulus).focus, event["response"]["answer"]
-                success = is_success(rule, focus, condition.zone_left, offered.fingers_of(answer))
+                success = offered.is_success(answer, rule, focus, condition.zone_left)
                 found.append((index, to_dB(condition.velocity_mm_s), success))
         return [(level, success) for _, level, success in sorted(found, key=lambda each: each[0])]
 
@@ -103,29 +102,6 @@ def from_dB(level: float, bounds: tuple[float, float]) -> float:  # noqa: N802
     """Return a level [mm/s] within its bounds, to four digits, as many as the generator's amplitude has."""
     velocity = 10 ** (level / 20)
     return min(max(float(f"{velocity:.4g}"), bounds[0]), bounds[1])
-
-
-def is_success(rule: str, focus: str, zone_left: str, named: Fingers | None) -> bool:
-    """Return whether an answer counts as success in an adaptive run.
-
-    ``focus_named``: the answer names the finger on the zone in focus, alone. Naming both fingers or none is a failure
-    like naming the other: what is asked is the level from which the focus is told apart, not from which something is
-    felt. ``felt``: any answer but that nothing was felt.
-
-    Parameters
-    ----------
-    rule : str
-        ``adaptive.success`` of the protocol.
-    focus : str
-        Zone in focus.
-    zone_left : str
-        Zone under the left finger.
-    named : tuple of str or None
-        Fingers that the answer names.
-    """
-    if rule == "felt":
-        return named != ()
-    return named == (("left",) if zone_left == focus else ("right",))
 
 
 def follow(rule: StaircaseSection, start: float, bounds: tuple[float, float], successes: Sequence[bool]) -> float:

@@ -1,18 +1,12 @@
-"""Practice: which answer a practice trial should get, and whether a round of practice was passed."""
+"""Whether a round of practice was passed."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from modaltouch.protocol.answers import AnswerList
-
-CLEAR_RATIO = 1.25
-"""Speeds this far apart are told apart with ease: twice the difference threshold of vibration (Craig 1972)."""
-EQUAL_RATIO = 1.1
-"""Speeds this near are below the difference threshold [1]."""
 
 
 @dataclass(frozen=True)
@@ -46,33 +40,6 @@ class Round:
         return self.n_agreed >= criterion * self.n_judged - 1e-9
 
 
-def expected_answer(answers: AnswerList, speed_left: float, speed_right: float) -> str | None:
-    """Return what somebody who feels well should answer; None where it may be either, or no answer says it.
-
-    Parameters
-    ----------
-    answers : AnswerList
-        Answers that are offered.
-    speed_left, speed_right : float
-        Predicted peak speeds under the two fingers, in one unit.
-
-    Raises
-    ------
-    ValueError
-        If a speed is negative or not finite.
-    """
-    for speed in (speed_left, speed_right):
-        if not (math.isfinite(speed) and speed >= 0):
-            raise ValueError(f"given speeds {speed_left} and {speed_right}; allowed: finite speeds, 0 or more")
-    low, high = sorted((speed_left, speed_right))
-    expected = None
-    if high <= EQUAL_RATIO * low or high == 0:
-        expected = answers.naming("left", "right")
-    elif high >= CLEAR_RATIO * low:
-        expected = answers.naming("left" if speed_left > speed_right else "right")
-    return expected.name if expected is not None else None
-
-
 def judge_round(events: Iterable[Mapping[str, Any]], number: int, n_trials: int, answers: AnswerList) -> Round:
     """Return how a round of practice went, from the session's log.
 
@@ -93,7 +60,7 @@ def judge_round(events: Iterable[Mapping[str, Any]], number: int, n_trials: int,
         if event.get("event") != "trial" or not event["trial"]["practice"]:
             continue
         index, planned = event["trial"]["index"], event["planned"]
-        expected = expected_answer(answers, planned["speed_left_mm_s"], planned["speed_right_mm_s"])
+        expected = answers.expected(planned["speed_left_mm_s"], planned["speed_right_mm_s"])
         if first <= index <= last and expected is not None:
             judged[index] = event["response"]["answer"] == expected
     return Round(number, len(judged), sum(judged.values()))

@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from modaltouch.protocol import Levels, Protocol, Response, Trial, expected_answer, judge_round
+from modaltouch.protocol import Levels, Protocol, Response, Trial, judge_round
 from modaltouch.record import RecordError, SessionLog
 from modaltouch.rig import Firing, Rig, RigError, StimulusLost
 from modaltouch.session.console.experimenter import Experimenter
@@ -170,7 +170,7 @@ def _comment(sitting: SessionRun, trial: Trial, response: Response) -> None:
     """Tell a participant who practises what was to be felt, where the protocol wants it and there is no doubt."""
     if not (trial.practice and sitting.protocol.schedule.practice_feedback):
         return
-    expected = expected_answer(sitting.protocol.answers.offered, *sitting.speeds(trial))
+    expected = sitting.protocol.answers.offered.expected(*sitting.speeds(trial))
     if expected is not None:
         sitting.window.give_feedback(response, expected)
 

@@ -11,7 +11,7 @@ from scipy.stats import norm
 from modaltouch.protocol import Findings, Protocol
 from modaltouch.protocol.adaptive import StaircaseSection
 from modaltouch.protocol.answers import AnswerList
-from modaltouch.protocol.levels import Levels, from_dB, is_success, to_dB
+from modaltouch.protocol.levels import Levels, from_dB, to_dB
 from modaltouch.protocol.schedule import Schedule
 from modaltouch.protocol.trial import Trial
 
@@ -113,8 +113,8 @@ def test_practice_and_catch_trials_and_fixed_levels_stay_as_they_are(protocol: P
 )
 def test_success_is_what_the_protocol_says(rule: str, zones: tuple[str, str], answer: str, success: bool) -> None:
     """Definition, also on a beam that is turned end to end (C left of A)."""
-    named = AnswerList.of({"keys": ["left", "both", "right", "none"]}).fingers_of(answer)
-    assert is_success(rule, "C", zones[0], named) is success
+    answers = AnswerList.of({"keys": ["left", "both", "right", "none"]})
+    assert answers.is_success(answer, rule, "C", zones[0]) is success
 
 
 def test_levels_have_four_digits_and_keep_their_bounds() -> None:

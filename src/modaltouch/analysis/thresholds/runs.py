@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from modaltouch.analysis.covariates import student_interval
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.thresholds.psychometric import Psychometric, ThresholdEstimate, fit_psychometric
-from modaltouch.protocol import is_success
 
 KEYS = ("participant", "session", "finger_condition", "zone_left", "zone_right")
 
@@ -119,8 +118,8 @@ def find_runs(responses: Responses) -> tuple[Run, ...]:
 def _run(key: tuple[Any, ...], stimulus: str, part: pd.DataFrame, rule: dict[str, Any], responses: Responses) -> Run:
     participant, session, finger_condition, left, right = key
     focus = responses.foci.get(stimulus, responses.focus)
-    named = responses.answers.fingers_of
-    success = np.array([is_success(rule["success"], focus, left, named(str(answer))) for answer in part["response"]])
+    succeeds = responses.answers.is_success
+    success = np.array([succeeds(str(answer), rule["success"], focus, left) for answer in part["response"]])
     level = part["velocity_mm_s"].to_numpy(dtype=float)
     driven = level > 0
     fitted = fit_psychometric(
