@@ -79,3 +79,11 @@ def test_a_decision_says_what_why_and_what_follows_on_a_page(page):
     assert text.startswith(f"# {int(page.stem[:4])}. ")
     for part in ("**Decision.**", "**Why.**", "**What follows.**"):
         assert part in text
+
+
+def test_the_tour_passes_files_that_are_there():
+    """At most 25 files from a level to its volts, and 16 from a key to the figure."""
+    tour = TEXT.partition("## A tour of the house")[2].partition("\n## ")[0]
+    walks = [re.findall(r"`(\w+/\w+\.py)`", walk) for walk in tour.split("**An answer")]
+    assert all((ROOT / "src" / "modaltouch" / file).is_file() for walk in walks for file in walk)
+    assert [len(set(walk)) <= most for walk, most in zip(walks, (25, 16), strict=True)] == [True, True]

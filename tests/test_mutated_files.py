@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.reading import read_responses
 from modaltouch.analysis.statistics import find
-from modaltouch.cli.app import app
+from modaltouch.cli.commands import app
 from modaltouch.planning.observer.file import read_observer
 from modaltouch.preflight import examine
 from modaltouch.protocol import InputError

@@ -1,4 +1,4 @@
-"""What the README says is so: its commands and code run, what it names exists (issue: the doorstep)."""
+"""What the README says is so: its commands and code run, what it names exists."""
 
 import os
 import re

@@ -1,4 +1,4 @@
-"""What a lab trusts without looking: no code in data, no shell, a lock with hashes (issue: privacy and trust)."""
+"""What a lab trusts without looking: no code in data, no shell, a lock with hashes."""
 
 import ast
 import re

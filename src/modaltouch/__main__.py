@@ -18,8 +18,7 @@ def _leave() -> NoReturn:
 try:
     import typer
 
-    from modaltouch.cli.app import app
-    from modaltouch.cli.exit_status import BAD_INPUT, INTERRUPTED, print_json
+    from modaltouch.cli import BAD_INPUT, INTERRUPTED, app, print_json
 except KeyboardInterrupt:
     _leave()
 

@@ -96,7 +96,7 @@ def loss_at(loss: object, threshold: float | None, start: float) -> float:
     ],
 )
 def test_flat_answers_tell_no_threshold(levels: list[float], successes: list[bool], words: str) -> None:
-    """Guard of the issue: no number is invented where the answers hold none, and the reason is said."""
+    """No number is invented where the answers hold none, and the reason is said."""
     fit = fit_psychometric(levels, successes, guess_rate=0.0, most_lapse=0.06)
     assert fit.threshold is None
     assert fit.spread is None
@@ -163,7 +163,7 @@ def results(preflight: Preflight, tmp_path_factory: pytest.TempPathFactory) -> P
 def test_a_session_ends_in_thresholds_that_the_observer_has(
     preflight: Preflight, results: Path, tmp_path: Path
 ) -> None:
-    """Issue 6, item 6: the whole way, rig and record with it; reference: the model's share of C."""
+    """The whole way, rig and record with it; reference: the model's share of C."""
     found = analyse(results, tmp_path / "out")
     assert isinstance(found, ThresholdAnalysis)
     values = json.loads((tmp_path / "out" / "thresholds.json").read_text(encoding="utf-8"))

@@ -1,6 +1,6 @@
 """How long the rig takes: queries, uploads, a change of level, a whole session, beside bare PyVISA in the same run.
 
-Writes ``results/benchmarks/rig.json``. The bounds are those of the issue and the figures of the planning experiments,
+Writes ``results/benchmarks/rig.json``. The bounds are the figures of the planning experiments,
 taken with throwaway code over VXI-11; bare PyVISA on the same simulator is what this machine gives in this run. The
 driver reaches the simulator as a session does: through the watchdog's process, which holds the VISA session.
 """

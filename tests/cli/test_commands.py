@@ -62,7 +62,7 @@ def checked():
 
 
 def test_help_names_every_command_and_loads_nothing_heavy():
-    """Issue: ``--help`` never imports psychopy; it needs neither numpy nor pandas either."""
+    """``--help`` never imports psychopy; it needs neither numpy nor pandas either."""
     done = run_in_a_process("--help")
     assert done.returncode == 0
     for command in (*COMMANDS, "rig"):
@@ -109,7 +109,7 @@ def test_the_sessions_of_another_user_are_not_for_this_one(monkeypatch, tmp_path
     """Folders of sessions are their owner's alone: even to ask for a file in them is refused by the system."""
     from typer.testing import CliRunner
 
-    from modaltouch.cli.app import app
+    from modaltouch.cli.commands import app
 
     look = os.stat
 
@@ -158,7 +158,7 @@ def test_the_version_is_told_without_a_command():
 
 
 def test_check_loads_neither_window_nor_instrument():
-    """Issue: ``check`` never imports psychopy (3.7 s), nor pandas, PyVISA or matplotlib."""
+    """``check`` never imports psychopy (3.7 s), nor pandas, PyVISA or matplotlib."""
     loaded = loaded_modules("check", PROTOCOL, "--json")
     assert not loaded & {"psychopy", "pandas", "pyvisa", "matplotlib", "scipy.signal", "statsmodels"}
 
@@ -175,7 +175,7 @@ def test_analyse_loads_neither_window_nor_instrument(tmp_path):
 
 
 def test_check_json_carries_what_the_issue_asks(checked):
-    """Issue, item 8: the keys of ``check --json``."""
+    """The keys of ``check --json``."""
     assert checked["n_trials"] == 24
     assert checked["estimated_duration_min"] > 0
     assert checked["problems"] == []
@@ -194,7 +194,7 @@ def test_check_json_carries_what_the_issue_asks(checked):
 
 
 def test_the_modal_error_covers_every_difference_between_target_and_achieved(checked):
-    """Issue: worst modal error = max over modes of |velocity - target| and |w eta|."""
+    """Worst modal error = max over modes of |velocity - target| and |w eta|."""
     for stimulus in checked["stimuli"]:
         differences = [abs(stimulus["target_mm_s"][k] - stimulus["achieved_mm_s"][k]) for k in stimulus["target_mm_s"]]
         assert max(differences) <= stimulus["worst_modal_error_mm_s"] * (1 + 1e-9)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from modaltouch.cli.app import app
+from modaltouch.cli.commands import app
 from modaltouch.lab.identification.excitation import Campaign
 from modaltouch.system.interruption import Interrupted
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from modaltouch.cli.app import app
+from modaltouch.cli.commands import app
 from modaltouch.cli.study import write_study
 from modaltouch.protocol.problems import InputError
 from modaltouch.protocol.source import Source

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner, Result
 
-from modaltouch.cli.app import app
+from modaltouch.cli.commands import app
 from modaltouch.planning import power as planning_power
 from modaltouch.planning.experiments import Job, Study, run_job
 
@@ -27,7 +27,7 @@ def run(*words: object) -> Result:
 
 
 def test_power_json_is_one_object_with_everything(tmp_path: Path) -> None:
-    """Issue 7, item 5: power with its interval, widths, floors, contour plot, seed; progress on standard error."""
+    """Power with its interval, widths, floors, contour plot, seed; progress on standard error."""
     done = run(
         "power", PROTOCOL, "--participants", "6:10:2", "--reps", "1,2", "--observer", "near_miss",
         "--experiments", 40, "--seed", 3, "--out", tmp_path / "plan", "--json",
@@ -79,7 +79,7 @@ def test_bad_options_end_with_status_2_and_no_traceback(words: list[str], said: 
 
 
 def test_ctrl_c_keeps_what_is_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Issue 7, item 5: exit status 130, and the two jobs done until then in JSON and in files."""
+    """Exit status 130, and the two jobs done until then in JSON and in files."""
     ran: list[Job] = []
 
     def interrupted_in_the_second(study: Study, job: Job) -> object:

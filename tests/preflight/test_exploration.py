@@ -1,4 +1,4 @@
-"""What a lab may ask of its stimulus besides the check (issue: sensitivity, other designs, fewest samples)."""
+"""What a lab may ask of its stimulus besides the check."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ from modaltouch.analysis.pipeline import analyse
 from modaltouch.analysis.reading import read_responses
 from modaltouch.analysis.thresholds import ThresholdAnalysis
 from modaltouch.analysis.thresholds.runs import over_participants
-from modaltouch.cli.app import app
+from modaltouch.cli.commands import app
 from modaltouch.planning.experiments import Study
 from modaltouch.planning.observer import Observer
 from modaltouch.planning.power import plan

@@ -28,7 +28,7 @@ SHIPPED = Path(__file__).parents[2] / "protocols" / "threshold.yaml"
     ],
 )
 def test_each_fault_is_told_in_its_place(tmp_path: Path, old: str, new: str, place: str, words: str) -> None:
-    """Issue: what was given, what is allowed, with file, line and column."""
+    """What was given, what is allowed, with file, line and column."""
     text = SHIPPED.read_text(encoding="utf-8").replace(old, new)
     for name in ("apparatus/", "texts/"):
         text = text.replace(f": {name}", f": {SHIPPED.parent / name}/")

@@ -29,7 +29,7 @@ NAME = "sensation_levels.yaml"
     ],
 )
 def test_each_fault_is_told_in_its_place(edit, old: str, new: str, place: str, words: str) -> None:
-    """Issue: what was given, what is allowed, with file, line and column."""
+    """What was given, what is allowed, with file, line and column."""
     changes = [(old, new)]
     if place == "conditions.sensation_levels":
         changes += [("  repetitions: 5\n", ""), ("  max_same_pair_running: 3\n", "")]

@@ -1,4 +1,4 @@
-"""Any achievable focus: two zones at once, points, or a CSV, with every fault in its place (issue: any focus)."""
+"""Any achievable focus: two zones at once, points, or a CSV, with every fault in its place."""
 
 from __future__ import annotations
 

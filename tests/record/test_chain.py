@@ -30,7 +30,7 @@ def test_a_sound_log_gives_back_its_events_and_no_problem():
 
 
 def test_every_single_byte_change_is_found():
-    """Issue: every single-byte change of a session log is found."""
+    """Every single-byte change of a session log is found."""
     data = chain_of(*EVENTS)
     for place in range(len(data)):
         for change in (1, 0x20, 0x80):

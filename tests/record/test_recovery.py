@@ -1,4 +1,4 @@
-"""What a damaged log still proves, and the new log of it (issue: ``doctor SESSION`` recovers into a new file only)."""
+"""What a damaged log still proves, and the new log of it."""
 
 import hashlib
 import json
@@ -7,7 +7,7 @@ import random
 import pytest
 from typer.testing import CliRunner
 
-from modaltouch.cli.app import app
+from modaltouch.cli.commands import app
 from modaltouch.record.audit import audit_session
 from modaltouch.record.chain import GENESIS, RecordError, encode_line
 from modaltouch.record.log import SessionLog

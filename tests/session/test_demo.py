@@ -12,7 +12,7 @@ from modaltouch.record.session import read_session
 
 @pytest.mark.window
 def test_the_demonstration_needs_no_screen_and_leaves_record_screenshots_and_report(tmp_path):
-    """Issue: a whole short session; prints where the report and the screenshots are."""
+    """A whole short session; prints where the report and the screenshots are."""
     environment = {name: value for name, value in os.environ.items() if name != "DISPLAY"}
     command = [sys.executable, "-m", "modaltouch", "demo", "--results", str(tmp_path / "results")]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=170)

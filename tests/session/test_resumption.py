@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from modaltouch.cli.app import app
+from modaltouch.cli.commands import app
 from modaltouch.planning.observer import Observer
 from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol.schedule import Schedule
@@ -349,7 +349,7 @@ def test_only_a_block_is_asked_again(edit: Edit) -> None:
 
 
 def test_the_record_says_when_everything_happened_and_how_surely(edit: Edit, tmp_path: Path) -> None:
-    """Issue, item 7: first burst and answer of each trial as intervals, in their order."""
+    """First burst and answer of each trial as intervals, in their order."""
     preflight = with_policy(edit, "{at: trial}")
     done = begin(on_paper(wire_run(preflight, "p01", answers="simulated", results=tmp_path)))
     for event in done.trials:

@@ -1,4 +1,4 @@
-"""No wrong stimulus is ever recorded as right (issue: fault x phase)."""
+"""No wrong stimulus is ever recorded as right."""
 
 from dataclasses import replace
 

@@ -373,7 +373,7 @@ def test_goodbye_ends_by_itself_or_by_a_key(paper_room: Callable[..., Any]) -> N
 
 
 def test_an_experimenters_answer_is_recorded_as_such(paper_room: Callable[..., Any], trial: Trial) -> None:
-    """Expected: answered_by says who typed (issue, item 5)."""
+    """Expected: answered_by says who typed."""
     room = paper_room(answers={"given_by": "experimenter"})
     room.script = [("question", 0.05, send(room, "key", "right"))]
     assert ask(room, trial).answered_by == "experimenter"

@@ -91,7 +91,7 @@ def test_a_click_on_a_button_answers_and_one_beside_it_does_not(
 def test_presses_before_the_question_are_discarded_and_logged(
     room: Callable[..., Any], hands: Any, trial: Trial
 ) -> None:
-    """Expected: the design's rule that a press before the question never counts (issue, item 5)."""
+    """Expected: the design's rule that a press before the question never counts."""
     made = room()
     made.script = [
         ("feel", 0.05, lambda: hands.key("Left")),
@@ -134,7 +134,7 @@ def test_a_held_key_that_comes_up_and_down_between_two_polls_is_pressed_anew(
 
 
 def test_two_keys_at_once_give_the_first_and_flag_the_trial(room: Callable[..., Any], hands: Any, trial: Trial) -> None:
-    """Expected: the first answer counts, a different one within 50 ms flags the trial (issue, item 5)."""
+    """Expected: the first answer counts, a different one within 50 ms flags the trial."""
     made = room()
 
     def press_both() -> None:
@@ -162,7 +162,7 @@ def test_escape_stops_the_stimulus_and_space_offers_the_trial_again(
 
 
 def test_q_in_the_pause_ends_the_session(room: Callable[..., Any], hands: Any, trial: Trial) -> None:
-    """Expected: Escape asks before it ends the session (issue, item 5)."""
+    """Expected: Escape asks before it ends the session."""
     made = room()
     made.script = [("feel", 0.05, lambda: hands.key("Escape")), ("pause", 0.4, lambda: hands.key("q"))]
     with pytest.raises(SessionStopped, match="escape"):

@@ -1,1 +1,18 @@
-"""The command line: all that is printed, every exit status, and nothing else."""
+"""The command line: all that is printed, every exit status, and nothing else.
+
+In come words, out come lines, JSON and a status; what there is to do is done by the other rooms.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from modaltouch.system import lazily
+
+if TYPE_CHECKING:
+    from modaltouch.cli.commands import app
+    from modaltouch.cli.exit_status import BAD_INPUT, INTERRUPTED, print_json
+else:
+    __getattr__ = lazily(__name__, {"commands": "app", "exit_status": "BAD_INPUT INTERRUPTED print_json"})
+
+__all__ = ["BAD_INPUT", "INTERRUPTED", "app", "print_json"]

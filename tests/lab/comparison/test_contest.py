@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from modaltouch.cli.app import app
+from modaltouch.cli.commands import app
 from modaltouch.lab.comparison.command import ComparisonReport
 from modaltouch.lab.comparison.contest import contend, true_lag, without_mismatch
 from modaltouch.lab.comparison.results import Criterion, criteria, paragraphs, rows_of

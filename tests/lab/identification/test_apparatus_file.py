@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from modaltouch.cli.app import app
+from modaltouch.cli.commands import app
 from modaltouch.lab.identification.estimates import Estimate, Identification
 from modaltouch.lab.identification.report import check_modes, identified_apparatus, write_identification
 from modaltouch.protocol import InputError

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from modaltouch.cli.app import app
+from modaltouch.cli.commands import app
 from modaltouch.lab.validation.command import ValidationReport
 from modaltouch.lab.validation.key_figures import findings
 from modaltouch.record.chain import RecordError

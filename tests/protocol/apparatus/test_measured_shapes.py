@@ -1,4 +1,4 @@
-"""Where mode shapes come from: a theory or a scan (issue: Timoshenko as an option, measured bases)."""
+"""Where mode shapes come from: a theory or a scan."""
 
 from __future__ import annotations
 

@@ -58,7 +58,7 @@ def console_of(process: int) -> int:
 def test_the_keys_pause_note_repeat_and_stop_a_session(
     run: Callable[..., Any], tmp_path: Path, events_of: Callable[[Path], list[dict[str, Any]]]
 ) -> None:
-    """Issue, item 4: each key does what it says, each is in the record, and the terminal is as it was."""
+    """Each key does what it says, each is in the record, and the terminal is as it was."""
     console = run()
     picture = "\n".join(console.picture)
     for words in (

@@ -6,42 +6,18 @@ from typing import Annotated
 
 import typer
 
-from modaltouch.cli import (
-    analyse as analysing,
-)
-from modaltouch.cli import (
-    calibrate as calibrating,
-)
-from modaltouch.cli import (
-    check as checking,
-)
-from modaltouch.cli import (
-    compare as comparing,
-)
-from modaltouch.cli import (
-    fit as fitting,
-)
-from modaltouch.cli import (
-    identify as identifying,
-)
-from modaltouch.cli import (
-    new as beginning,
-)
-from modaltouch.cli import (
-    power as planning,
-)
-from modaltouch.cli import (
-    records as looking,
-)
-from modaltouch.cli import (
-    rig as rigs,
-)
-from modaltouch.cli import (
-    run as running,
-)
-from modaltouch.cli import (
-    validate as validating,
-)
+from modaltouch.cli.analyse import analyse
+from modaltouch.cli.calibrate import calibrate
+from modaltouch.cli.check import check
+from modaltouch.cli.compare import compare
+from modaltouch.cli.fit import fit
+from modaltouch.cli.identify import identify
+from modaltouch.cli.new import new
+from modaltouch.cli.power import power
+from modaltouch.cli.records import doctor, verify
+from modaltouch.cli.rig import app as rig_commands
+from modaltouch.cli.run import demo, resume, run, simulate
+from modaltouch.cli.validate import validate
 
 app = typer.Typer(
     name="modaltouch",
@@ -78,23 +54,23 @@ def version(
     """Print the version where it is asked for."""
 
 
-app.command("demo")(running.demo)
-app.command("new")(beginning.new)
-app.command("check")(checking.check)
-app.command("calibrate")(calibrating.calibrate)
-app.command("run")(running.run)
-app.command("resume")(running.resume)
-app.command("simulate")(running.simulate)
-app.command("analyse")(analysing.analyse)
-app.command("power")(planning.power)
-app.command("fit")(fitting.fit)
-app.command("identify")(identifying.identify)
-app.command("validate")(validating.validate)
-app.command("compare")(comparing.compare)
-app.command("verify")(looking.verify)
-app.command("doctor")(looking.doctor)
-app.add_typer(rigs.app, name="rig")
+app.command("demo")(demo)
+app.command("new")(new)
+app.command("check")(check)
+app.command("calibrate")(calibrate)
+app.command("run")(run)
+app.command("resume")(resume)
+app.command("simulate")(simulate)
+app.command("analyse")(analyse)
+app.command("power")(power)
+app.command("fit")(fit)
+app.command("identify")(identify)
+app.command("validate")(validate)
+app.command("compare")(compare)
+app.command("verify")(verify)
+app.command("doctor")(doctor)
+app.add_typer(rig_commands, name="rig")
 
-for each in (*app.registered_commands, *rigs.app.registered_commands):
+for each in (*app.registered_commands, *rig_commands.registered_commands):
     # The whole first line in lists of commands, where the library would cut it.
     each.short_help = (getattr(each.callback, "__doc__", None) or "").partition("\n")[0]
