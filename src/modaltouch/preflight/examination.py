@@ -16,7 +16,6 @@ from modaltouch.preflight.design_inputs import DesignInputs, design, find_ground
 from modaltouch.protocol import Apparatus, Findings, Problem, Schedule
 from modaltouch.rig import instrument_of
 from modaltouch.stimulus import Burst, Release, Stimulus
-from modaltouch.window import Masking
 
 _POINTS_PER_ZONE = 5
 """Points at which a zone's speed is looked at: a quarter of the shortest wavelength of Table I apart."""
@@ -300,11 +299,12 @@ def _check_masking_level(findings: Findings) -> Iterator[Problem]:
     experiment = findings.experiment()
     section, sound = experiment.protocol.masking, experiment.apparatus.sound
     level = None if section is None else section.level(sound)
-    if (
-        section is None
-        or level is None
-        or level <= (highest := Masking.highest_level(section.noise, sound.sampling_rate_Hz))
-    ):
+    if section is None or level is None:
+        return
+    from modaltouch.window import Masking
+
+    highest = Masking.highest_level(section.noise, sound.sampling_rate_Hz)
+    if level <= highest:
         return
     unit = section.level_key.removeprefix("level_").replace("_", " ")
     shift = 0.0 if section.level_dB_FS is not None else sound.full_scale_dB_SPL or 0.0
