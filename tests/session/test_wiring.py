@@ -98,4 +98,4 @@ def test_a_window_opens_again_as_it_was_unless_told_otherwise(preflight, tmp_pat
     with pytest.raises(SessionStopped):
         begin(replace(setup, open_window=open_window))
     again = wire_resume(setup.place.log, window=given)
-    assert again.open_window.__self__._window_options == opened
+    assert again.open_window.__self__.window_options == opened
