@@ -5,14 +5,16 @@ from __future__ import annotations
 import csv
 import json
 import shutil
-import subprocess
-import sys
 from collections import Counter
+from contextlib import chdir
 from pathlib import Path
 
 import pytest
+from click.testing import Result
+from typer.testing import CliRunner
 
 from modaltouch.analysis.exact import multinomial_test
+from modaltouch.cli import app
 
 SHIPPED = Path(__file__).parents[2] / "protocols"
 GRADES, SIDES = ("stronger", "weaker"), ("left", "right")
@@ -24,11 +26,16 @@ KEYS = {
 }
 
 
+def call(*words: object, cwd: Path) -> Result:
+    """Return what ``modaltouch`` comes to in a folder."""
+    with chdir(cwd):
+        return CliRunner().invoke(app, [*map(str, words)], catch_exceptions=False)
+
+
 def run(*words: object, cwd: Path) -> str:
-    """Return what ``python -m modaltouch`` prints; it must succeed."""
-    command = [sys.executable, "-m", "modaltouch", *map(str, words)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, cwd=cwd, check=False)
-    assert done.returncode == 0, done.stderr
+    """Return what ``modaltouch`` prints; it must succeed."""
+    done = call(*words, cwd=cwd)
+    assert done.exit_code == 0, done.output
     return done.stdout
 
 
@@ -148,9 +155,8 @@ def test_a_table_is_read_with_the_protocol_of_its_answers(study, found) -> None:
     from_table = json.loads(run("analyse", "table.csv", *protocol, "--out", "t", "--json", cwd=folder))
     assert from_table["counts"] == found["counts"]
     if names == GRADES:
-        command = [sys.executable, "-m", "modaltouch", "analyse", "table.csv", "--out", "u"]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=120, cwd=folder, check=False)
-        assert done.returncode == 2
+        done = call("analyse", "table.csv", "--out", "u", cwd=folder)
+        assert done.exit_code == 2
         assert "response: given 'weaker'" in done.stderr
 
 
@@ -179,11 +185,10 @@ def test_a_missing_label_is_named_with_its_place(tmp_path) -> None:
     """Expected: file, line and column of the texts; a typing error is told in the protocol."""
     keys = "  keys:\n    stronger: [up]\n    weaker: [down]\n    lfet: [left]\n"
     write_protocol(tmp_path / "protocols", "demo", "grades", keys, {"stronger": "Stronger"})
-    command = [sys.executable, "-m", "modaltouch", "check", "protocols/grades.yaml"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, cwd=tmp_path, check=False)
+    done = call("check", "protocols/grades.yaml", cwd=tmp_path)
     texts = (tmp_path / "protocols" / "texts" / "english.yaml").read_text(encoding="utf-8").splitlines()
     line = texts.index("answers:") + 1
-    assert done.returncode == 2
+    assert done.exit_code == 2
     assert f"english.yaml:{line}:" in done.stderr and "answers.weaker: given nothing; allowed: a text" in done.stderr
     assert "answers.keys.lfet: given 'lfet', which has no label in english.yaml" in done.stderr
     assert "did you mean 'left'?" in done.stderr
@@ -192,9 +197,8 @@ def test_a_missing_label_is_named_with_its_place(tmp_path) -> None:
 def test_what_compares_two_fingers_refuses_other_answers(study) -> None:
     """Power simulates the comparison of two fingers with its three outcomes; without them it has no meaning."""
     names, folder = study
-    command = [sys.executable, "-m", "modaltouch", "power", "protocols/two_answers.yaml", "--participants", "6"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, cwd=folder, check=False)
-    assert done.returncode == 2
+    done = call("power", "protocols/two_answers.yaml", "--participants", "6", cwd=folder)
+    assert done.exit_code == 2
     assert f"answers.keys: given the answers {', '.join(names)}, which an observer" in done.stderr
 
 
