@@ -128,23 +128,14 @@ def run(
         mode = mode_of(rig, answers.value, pilot=pilot)
         design = preflight.experiment.protocol
         dataset = SessionFolder.dataset_of(results, mode, design.protocol)
-        if participant is None:
-            participant = ask_participant(dataset)
+        participant = ask_participant(dataset) if participant is None else participant
         SessionFolder.check_participant(participant)
-        if session is None:
-            session = None if yes or json_output else ask_session(dataset, participant, design.schedule.sessions)
+        if session is None and not (yes or json_output):
+            session = ask_session(dataset, participant, design.schedule.sessions)
         setup = wire_run(
-            preflight,
-            participant,
-            session=session,
-            rig=rig,
-            answers=answers.value,
-            pilot=pilot,
-            seed=seed,
-            results=results,
-            window_options=window_options,
-            threshold_mm_s=threshold,
-        )
+            preflight, participant, session=session, rig=rig, answers=answers.value, pilot=pilot, seed=seed,
+            results=results, window_options=window_options, threshold_mm_s=threshold,
+        )  # fmt: skip
         setup.place.refuse_existing()
         _try_masking(setup)
         if can_ask() and not yes and not json_output:
