@@ -5,7 +5,7 @@ import json
 import pytest
 
 from modaltouch.record.chain import RecordError
-from modaltouch.report.output import MANIFEST, write_files
+from modaltouch.report.output import MANIFEST, refuse_other, write_files
 
 
 def test_files_are_written_with_a_manifest_of_their_hashes(tmp_path) -> None:
@@ -91,5 +91,8 @@ def test_an_interruption_between_two_files_leaves_a_folder_that_can_be_written_a
 def test_a_file_where_the_folder_should_be_is_refused(tmp_path) -> None:
     """House rule: what to do."""
     (tmp_path / "out").write_text("mine")
+    for place in (tmp_path / "out", tmp_path / "out" / "below"):
+        with pytest.raises(RecordError, match="out: is a file, but a folder is needed"):
+            refuse_other(place, "validate")
     with pytest.raises(RecordError, match="is a file, but a folder is needed"):
         write_files(tmp_path / "out", {"a.txt": b"1"}, {})

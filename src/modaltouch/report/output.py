@@ -95,7 +95,7 @@ def csv_bytes(rows: Sequence[Mapping[str, Any]]) -> bytes:
 
 
 def refuse_other(folder: Path, command: str) -> None:
-    """Refuse a folder that holds what another command made, before long work rather than after it.
+    """Refuse a file in place of a folder, and what another command made, before long work rather than after it.
 
     Parameters
     ----------
@@ -107,8 +107,11 @@ def refuse_other(folder: Path, command: str) -> None:
     Raises
     ------
     RecordError
-        If another command made what it holds.
+        If another command made what it holds, or a file stands in its place.
     """
+    standing = next((path for path in (folder, *folder.parents) if path.exists()), folder)
+    if standing.exists() and not standing.is_dir():
+        raise RecordError(f"{standing}: is a file, but a folder is needed; give another one with --out")
     maker = str(_manifest_of(folder).get("generated_by", ""))
     if maker.startswith(_MAKER) and maker != _MAKER + command:
         raise RecordError(
@@ -131,8 +134,6 @@ def _manifest(about: dict[str, Any], hashes: dict[str, list[str]]) -> str:
 
 
 def _read_manifest(folder: Path) -> dict[str, list[str]]:
-    if folder.exists() and not folder.is_dir():
-        raise RecordError(f"{folder}: is a file, but a folder is needed; give another one with --out")
     values = _manifest_of(folder)
     if not str(values.get("generated_by", "")).startswith(_MAKER):
         return {}
