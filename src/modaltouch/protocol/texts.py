@@ -5,7 +5,7 @@ from __future__ import annotations
 import string
 from typing import Annotated
 
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
 from modaltouch.protocol.adaptive import offered_answers
 from modaltouch.protocol.answers import SHIPPED
@@ -33,6 +33,22 @@ _OPTIONAL: dict[str, frozenset[str]] = {"lift_to_answer": frozenset({"hand"})}
 """Words in braces that a text may contain: files were written before the window could fill them in."""
 
 
+def _check_text(text: str, wanted: frozenset[str] = frozenset(), optional: frozenset[str] = frozenset()) -> str:
+    """Return a text that has words, and of those in braces all that are wanted and none beyond the optional ones."""
+    if not text.strip():
+        raise fault("an empty text", "at least one word", "write what the participant reads")
+    needed = ", ".join(f"{{{name}}}" for name in sorted(wanted)) or "no words in braces"
+    try:
+        fields = [field for field in string.Formatter().parse(text) if field[1] is not None]
+    except ValueError as error:
+        raise fault(f"{text!r} ({error})", needed, "close every brace") from None
+    found = {str(name) for _, name, _, _ in fields}
+    if found - optional != wanted or any(spec or conversion for _, _, spec, conversion in fields):
+        given = ", ".join(f"{{{name}}}" for name in sorted(found)) or "no words in braces"
+        raise fault(f"{given} in {text!r}", f"exactly {needed}", "write each of them once")
+    return text
+
+
 class Texts(Section):
     """Every word the participant reads, in one language."""
 
@@ -55,7 +71,7 @@ class Texts(Section):
     both: Text = described("The answer both.")
     right: Text = described("The answer right.")
     none: Text | None = described("The answer none, where the protocol offers it.", default=None)
-    answers: dict[Word, Annotated[Text, Field(min_length=1)]] = described(
+    answers: dict[Word, Annotated[Text, Field(min_length=1), AfterValidator(_check_text)]] = described(
         "Labels of answers of other names, by the name that the protocol gives them.", default={}
     )
     trial_of: Text = described("Progress; holds {number} and {total}.")
@@ -107,21 +123,9 @@ class Texts(Section):
     @classmethod
     def _holds_its_placeholders(cls, text: object, info: ValidationInfo) -> object:
         """Refuse an empty text, and one whose words in braces differ from what the window fills in."""
-        if not isinstance(text, str):
-            return text
-        if not text.strip():
-            raise fault("an empty text", "at least one word", "write what the participant reads")
-        wanted = _PLACEHOLDERS.get(str(info.field_name), frozenset())
-        optional = _OPTIONAL.get(str(info.field_name), frozenset())
-        needed = ", ".join(f"{{{name}}}" for name in sorted(wanted)) or "no words in braces"
-        try:
-            fields = [field for field in string.Formatter().parse(text) if field[1] is not None]
-        except ValueError as error:
-            raise fault(f"{text!r} ({error})", needed, "close every brace") from None
-        found = {str(name) for _, name, _, _ in fields}
-        if found - optional != wanted or any(spec or conversion for _, _, spec, conversion in fields):
-            given = ", ".join(f"{{{name}}}" for name in sorted(found)) or "no words in braces"
-            raise fault(f"{given} in {text!r}", f"exactly {needed}", "write each of them once")
+        name = str(info.field_name)
+        if isinstance(text, str):
+            _check_text(text, _PLACEHOLDERS.get(name, frozenset()), _OPTIONAL.get(name, frozenset()))
         return text
 
     def label(self, answer: str) -> str:
