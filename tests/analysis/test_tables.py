@@ -5,6 +5,7 @@ import pytest
 
 from modaltouch.analysis.counts import count_answers, find_focus
 from modaltouch.analysis.tables import figure_names, tabulate, zone_table
+from modaltouch.protocol.checks import TAKEN_NAMES
 
 
 def test_every_cell_is_counted_and_present(paper_frame) -> None:
@@ -20,6 +21,12 @@ def test_a_cell_without_one_kind_of_answer_shows_zero(build) -> None:
     counts = tabulate(count_answers(build["tidy"](build["constant"]())))
     assert counts[["left", "right"]].to_numpy().sum() == 0
     assert (counts["both"] == 10).all()
+
+
+def test_no_answer_may_have_the_name_of_a_column(paper_frame) -> None:
+    """A table with two columns of one name loses one of them in JSON."""
+    counts = tabulate(count_answers(paper_frame))
+    assert set(counts) - {"left", "both", "right"} <= TAKEN_NAMES
 
 
 def test_a_column_of_counts_weighs_the_rows(build) -> None:

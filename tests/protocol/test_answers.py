@@ -62,6 +62,17 @@ def test_a_record_of_the_papers_answers_says_no_more_than_before(shipped) -> Non
             "  fingers: {links: [left]}\n  keys:\n",
             "answers.fingers.links: given 'links', which has no keys",
         ),
+        (BOTH, "    n: [up]\n", "answers.keys.n: given n, which is a column of the table of counts"),
+        (
+            "  keys:\n",
+            "  fingers: {both: [left, left]}\n  keys:\n",
+            "answers.fingers.both: given [left, left]; allowed: each finger once",
+        ),
+        (
+            "  keys:\n",
+            "  fingers: {left: [right]}\n  keys:\n",
+            "answers.fingers.left: given [right] for 'left'; allowed: [left], which that name stands for",
+        ),
         ("  keys:\n", "  below: [bath]\n  keys:\n", "answers.below[0]: given 'bath', which has no keys"),
         (
             BOTH,
@@ -74,6 +85,23 @@ def test_what_is_wrong_with_a_list_is_said_at_its_place(edit: Edit, old: str, ne
     """Two answers at least, each with keys and a label."""
     with pytest.raises(InputError) as caught:
         Findings.read(edit(FILE, (old, new))).experiment()
+    assert any(fault in str(problem) for problem in caught.value.problems), caught.value.problems
+
+
+@pytest.mark.parametrize(
+    ("label", "fault"),
+    [
+        ("' '", "answers.rechts: given an empty text; allowed: at least one word"),
+        ("'Press {key}'", "answers.rechts: given {key} in 'Press {key}'; allowed: exactly no words in braces"),
+    ],
+)
+def test_a_label_is_a_text_like_any_other(edit: Edit, label: str, fault: str) -> None:
+    """Nothing is filled in: the participant would read nothing, or the braces."""
+    file = edit(FILE, (BOTH, "    rechts: [up]\n"))
+    texts = file.parent / "texts" / "english.yaml"
+    texts.write_text(texts.read_text(encoding="utf-8") + f"answers: {{rechts: {label}}}\n", encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        Findings.read(file).experiment()
     assert any(fault in str(problem) for problem in caught.value.problems), caught.value.problems
 
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from modaltouch.protocol.adaptive import check_adaptive, check_sensation_levels, is_adaptive, offered_answers
+from modaltouch.protocol.answers import SHIPPED
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.keys import END_KEY, KEY_ALIASES, KEY_NAMES, RESERVED_KEYS
 from modaltouch.protocol.masking import check_masking
@@ -21,6 +22,11 @@ TRIAL_LIMIT = 10_000
 
 MOST_ANSWERS = 7
 """Most answers that a screen has room for, and a console digits."""
+
+TAKEN_NAMES = frozenset(
+    {"finger_condition", "pair", "zone_left", "zone_right", "velocity_mm_s", "multiple_of_threshold", "n"}
+)
+"""Columns of the table of counts, in which every answer has one of its own."""
 
 CLOCK_RATE = 250e6
 """Sampling rate of the generator [Hz]."""
@@ -197,6 +203,18 @@ def _check_keys(reading: Reading[Protocol]) -> Iterator[Problem]:
             yield reading.problem(path, given, "a key with no other meaning, such as f12", "choose another")
 
 
+def _check_fingers(reading: Reading[Protocol], name: str) -> Iterator[Problem]:
+    """Yield a finger that an answer names twice, and other fingers for an answer that is known by its name."""
+    path = ("answers", "fingers", name)
+    fingers = [value for _, value in reading.items(*path)]
+    if len(set(fingers)) < len(fingers):
+        yield reading.problem(path, f"[{', '.join(fingers)}]", "each finger once", "remove the second")
+    elif name in SHIPPED and set(fingers) != set(SHIPPED[name]):
+        given = f"[{', '.join(fingers)}] for '{name}'"
+        allowed = f"[{', '.join(SHIPPED[name])}], which that name stands for"
+        yield reading.problem(path, given, allowed, "remove it, or give the answer another name")
+
+
 def _check_answers(reading: Reading[Protocol], names: list[str] | None) -> Iterator[Problem]:
     """Yield answers that are too few or too many, have no keys, or name the same fingers."""
     path = ("answers", "keys")
@@ -207,6 +225,11 @@ def _check_answers(reading: Reading[Protocol], names: list[str] | None) -> Itera
     if TIME_OUT in (names or ()):
         given = f"{TIME_OUT}, which is recorded where no answer came in time"
         yield reading.problem((*path, TIME_OUT), given, "any other name", "choose another")
+    for name in sorted(TAKEN_NAMES & set(names or ())):
+        given = f"{name}, which is a column of the table of counts"
+        yield reading.problem((*path, name), given, "any other name", "choose another")
+    for name in [str(step) for step, _ in reading.items("answers", "fingers")]:
+        yield from _check_fingers(reading, name)
     for section in ("fingers", "below"):
         for step, value in reading.items("answers", section):
             name = step if section == "fingers" else value
