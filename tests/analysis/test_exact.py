@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.stats import binomtest
 
 from modaltouch.analysis.exact import (
+    _outcomes,
     multinomial_test,
     multinomial_tests,
     sign_flip_test,
@@ -54,11 +55,18 @@ class TestMultinomial:
         """EMT manual, multinomial.test(c(5, 2, 1), c(.25, .5, .25)): by the likelihood ratio p is 0.1421."""
         assert multinomial_test([5, 2, 1], [0.25, 0.5, 0.25]).p == pytest.approx(0.1421, abs=5e-5)
 
-    @pytest.mark.parametrize("observed", [[9, 1, 0], [7, 1, 2], [4, 3, 3], [2, 0, 0], [3, 1, 2, 1]])
+    @pytest.mark.parametrize(
+        "observed", [[9, 1, 0], [7, 1, 2], [4, 3, 3], [2, 0, 0], [3, 1, 2, 1], [0, 3, 0, 1, 2], [4, 0, 0, 1, 1, 0, 0]]
+    )
     def test_p_equals_enumeration_in_rational_arithmetic(self, observed) -> None:
         """Expected value: every outcome listed, probabilities as fractions."""
         null = [Fraction(1, len(observed))] * len(observed)
         assert multinomial_test(observed).p == pytest.approx(enumerate_multinomial(observed, null), rel=1e-12)
+
+    def test_forty_answers_of_seven_kinds_are_few_enough_to_list(self) -> None:
+        """Closed form: seven outcomes of probability 7^-40 are the most extreme; 1.2 million heads are 11,000 alike."""
+        assert multinomial_test([40, 0, 0, 0, 0, 0, 0]).p == pytest.approx(7.0**-39, rel=1e-12)
+        assert sum(1 for _ in _outcomes(40, 7, alike=True)) < 20_000
 
     def test_ten_equal_answers_have_the_smallest_p_there_is(self) -> None:
         """Closed form: three outcomes of probability 3^-10."""

@@ -16,7 +16,6 @@ import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -57,7 +56,8 @@ class ExactTest:
 def multinomial_tests(counts: ArrayLike, probabilities: Sequence[float] | None = None) -> tuple[ExactTest, ...]:
     """Return exact goodness-of-fit tests of several count vectors with the same total.
 
-    Every possible outcome is enumerated once for all of them, the more extreme the larger its likelihood ratio.
+    Every possible outcome is enumerated once for all of them, the more extreme the larger its likelihood ratio; of
+    outcomes that are alike under the null hypothesis, one stands for all.
 
     Parameters
     ----------
@@ -88,8 +88,9 @@ def multinomial_tests(counts: ArrayLike, probabilities: Sequence[float] | None =
     tolerance = 1e-9 * np.maximum(1.0, np.abs(reached))
     p = np.zeros(len(observed))
     largest, p_min = -math.inf, 0.0
-    for head, tail in _outcomes(n, null.size):
-        mass = np.exp(log_p[-2, tail] + log_p[-1, tail[::-1]] + sum(log_p[j, x] for j, x in enumerate(head)))
+    alike = bool((null == null[0]).all())
+    for head, orders, tail in _outcomes(n, null.size, alike):
+        mass = orders * np.exp(log_p[-2, tail] + log_p[-1, tail[::-1]] + sum(log_p[j, x] for j, x in enumerate(head)))
         value = extremeness[-2, tail] + extremeness[-1, tail[::-1]]
         value = value + sum(extremeness[j, x] for j, x in enumerate(head))
         p += (value >= (reached - tolerance)[:, np.newaxis]) @ mass
@@ -173,11 +174,24 @@ def _tables(n: int, null: FloatArray) -> tuple[FloatArray, FloatArray]:
     return log_p, np.asarray(2 * x * np.log(np.maximum(x, 1) / expected), dtype=float)
 
 
-def _outcomes(n: int, k: int) -> Iterator[tuple[tuple[int, ...], IntArray]]:
-    """Yield the counts of all but the last two categories, and the range that the last but one can take."""
-    for head in product(range(n + 1), repeat=k - 2):
-        if sum(head) <= n:
-            yield head, np.arange(n - sum(head) + 1, dtype=np.int64)
+def _outcomes(n: int, k: int, alike: bool) -> Iterator[tuple[tuple[int, ...], int, IntArray]]:
+    """Yield the counts of all but the last two categories, and the range that the last but one can take.
+
+    Where the categories are alike, counts that differ in their order alone come once, with how many orders they have.
+    """
+    for head in _heads(n, k - 2, n if alike else None):
+        orders = math.factorial(k - 2) // math.prod(map(math.factorial, Counter(head).values())) if alike else 1
+        yield head, orders, np.arange(n - sum(head) + 1, dtype=np.int64)
+
+
+def _heads(n: int, length: int, most: int | None) -> Iterator[tuple[int, ...]]:
+    """Yield counts that add up to n at most; where the first may be no more than a number, none above its neighbour."""
+    if length == 0:
+        yield ()
+        return
+    for first in range((n if most is None else min(n, most)) + 1):
+        for rest in _heads(n - first, length - 1, None if most is None else first):
+            yield first, *rest
 
 
 def _coin_kernel(size: int, count: int) -> Kernel:
