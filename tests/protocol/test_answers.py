@@ -62,6 +62,7 @@ def test_a_record_of_the_papers_answers_says_no_more_than_before(shipped) -> Non
             "  fingers: {links: [left]}\n  keys:\n",
             "answers.fingers.links: given 'links', which has no keys",
         ),
+        (BOTH, "    C: [up]\n", "answers.keys.C: given C, which is a zone: tables call an answer by the zone"),
         (BOTH, "    n: [up]\n", "answers.keys.n: given n, which is a column of the table of counts"),
         (
             "  keys:\n",

@@ -228,6 +228,10 @@ def _check_answers(reading: Reading[Protocol], names: list[str] | None) -> Itera
     for name in sorted(TAKEN_NAMES & set(names or ())):
         given = f"{name}, which is a column of the table of counts"
         yield reading.problem((*path, name), given, "any other name", "choose another")
+    zones = {zone for _, pair in reading.items("conditions", "zone_pairs") for zone in pair}
+    for name in sorted(zones & set(names or ())):
+        given = f"{name}, which is a zone: tables call an answer by the zone that it names"
+        yield reading.problem((*path, name), given, "any other name", "choose another")
     for name in [str(step) for step, _ in reading.items("answers", "fingers")]:
         yield from _check_fingers(reading, name)
     for section in ("fingers", "below"):
