@@ -455,6 +455,21 @@ def test_catch_trials_are_counted_and_warned_of_where_they_cannot_be_answered(ed
     assert not [each for each in with_none["warnings"] if "no answer none" in each]
 
 
+@pytest.mark.parametrize(
+    ("other", "told"), [("none", "but none where it feels nothing"), ("weaker", "whatever it feels")]
+)
+def test_it_is_said_how_answers_without_fingers_are_simulated(edit: Edit, other: str, told: str) -> None:
+    """A simulated participant has a threshold: where one answer says that nothing was felt, it is not at random."""
+    file = edit("with_catch_trials.yaml")
+    text = file.read_text(encoding="utf-8")
+    file.write_text(f"{text[: text.index('  keys:')]}  keys: {{stronger: [up], {other}: [down]}}\n", encoding="utf-8")
+    words = file.parent / "texts" / "english.yaml"
+    labels = "\nanswers: {stronger: Stronger, weaker: Weaker}\n"
+    words.write_text(words.read_text(encoding="utf-8") + labels, encoding="utf-8")
+    (said,) = [each for each in examine(file).as_dict()["warnings"] if "names a finger" in each]
+    assert said.endswith(f"answers at random, {told}")
+
+
 def test_bursts_released_freely_are_told_apart(edit: Edit, preflight: Preflight) -> None:
     """Braked, the first and every later burst are exact; free, a residue of 0.007 mm/s reaches the next."""
     braked = preflight.as_dict()["stimuli"][-1]

@@ -79,9 +79,10 @@ def answer_warnings(protocol: Protocol) -> list[str]:
             "tell what is guessed, not how often; give answers.keys the keys of `none`"
         )
     if not any(answer.fingers for answer in offered):
+        nothing = offered.naming()
+        which = "whatever it feels" if nothing is None else f"but {nothing.name} where it feels nothing"
         warnings.append(
-            f"no answer names a finger ({', '.join(offered.names)}): a simulated participant answers at random, "
-            "whatever it feels"
+            f"no answer names a finger ({', '.join(offered.names)}): a simulated participant answers at random, {which}"
         )
     return warnings
 
