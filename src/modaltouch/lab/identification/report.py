@@ -209,7 +209,7 @@ def identified_apparatus(
     name : str
         Of the file.
     text : str
-        Of the file, which `modaltouch.protocol.apparatus.read_apparatus` reads.
+        Of the file, which `modaltouch.protocol.Apparatus` reads.
 
     Raises
     ------
