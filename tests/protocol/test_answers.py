@@ -93,11 +93,15 @@ def test_what_is_wrong_with_a_list_is_said_at_its_place(edit: Edit, old: str, ne
     ("label", "fault"),
     [
         ("' '", "answers.rechts: given an empty text; allowed: at least one word"),
+        (
+            "The right one I should say - beyond doubt",
+            "answers.rechts: given 41 characters on a button; allowed: at most 40",
+        ),
         ("'Press {key}'", "answers.rechts: given {key} in 'Press {key}'; allowed: exactly no words in braces"),
     ],
 )
 def test_a_label_is_a_text_like_any_other(edit: Edit, label: str, fault: str) -> None:
-    """Nothing is filled in: the participant would read nothing, or the braces."""
+    """The participant would read nothing, too small a print (all labels have one size), or the braces."""
     file = edit(FILE, (BOTH, "    rechts: [up]\n"))
     texts = file.parent / "texts" / "english.yaml"
     texts.write_text(texts.read_text(encoding="utf-8") + f"answers: {{rechts: {label}}}\n", encoding="utf-8")

@@ -133,8 +133,12 @@ class Texts(Section):
         return self.answers.get(answer) or str(getattr(self, answer))
 
 
+_ROOM = 120
+"""Characters for which a row of buttons has room: more are drawn too small to be read."""
+
+
 def check_words(protocol: Reading[Protocol], texts: Reading[Texts]) -> list[Problem]:
-    """Return the texts that a protocol needs and its language file lacks."""
+    """Return the texts that a protocol needs and its language file lacks, and labels too long for their buttons."""
     problems: list[Problem] = []
     file, offered = protocol.source.path.name, offered_answers(protocol)
     absent = [name for name in SHIPPED if name not in offered.names]
@@ -143,6 +147,14 @@ def check_words(protocol: Reading[Protocol], texts: Reading[Texts]) -> list[Prob
         needed += [("how_to_answer_or_none",)] if answer.says_nothing_felt else []
         for path in needed:
             field, node = Texts.model_fields[path[0]], texts.find(path)
+            label = texts.sound(*path) if path[0] == "answers" else None
+            in_row = sum(other.is_below == answer.is_below for other in offered)
+            room = _ROOM // in_row
+            if isinstance(label, str) and len(label) > room:
+                given = f"{len(label)} characters on a button"
+                problems.append(
+                    texts.problem(path, given, f"at most {room} with {in_row} answers in a row", "shorten it")
+                )
             # What every file must hold is missed without a protocol, too.
             if field.is_required() or (node is not None and node.content is not None):
                 continue
