@@ -79,6 +79,11 @@ def asked(way: str = "experimenter") -> list[dict[str, Any]]:
     return [{"event": "trial_next", "trial": {**TRIAL, "way": way}}, {"n": 5, "event": "fired", "confirmed": firing}]
 
 
+def test_where_all_digits_are_taken_a_letter_answers() -> None:
+    """The first that is no key of the console; p keeps its meaning there."""
+    assert typed_keys({"aa": ["p"], "bb": list("123456789")}, ("aa", "bb"))["aa"] == ["a"]
+
+
 def test_every_answer_has_a_key_that_is_not_the_consoles_own() -> None:
     """`p`, `r`, `n`, `b`, `q` and `x` keep their meaning; the screen's order numbers the answers."""
     keys = typed_keys({"left": ["p"], "both": ["q"], "right": ["1"], "none": ["x", "num_enter"]}, SHOWN)

@@ -6,6 +6,7 @@ import statistics
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from string import ascii_lowercase
 from typing import Any
 
 from modaltouch.protocol import AnswerList
@@ -66,7 +67,7 @@ def typed_keys(keys: Mapping[str, Sequence[str]], answers: Sequence[str]) -> dic
 
     The console's own keys keep their meaning at every moment, so an answer never has one of them. A terminal sends the
     keypad's digits as any others. Each answer also has the number of its place on the screen, unless that is a key of
-    another answer; one that would be left without a key has the first free digit.
+    another answer; one that would be left without a key has the first free digit, or else letter.
 
     Examples
     --------
@@ -86,7 +87,8 @@ def typed_keys(keys: Mapping[str, Sequence[str]], answers: Sequence[str]) -> dic
         taken.setdefault(str(place), answer)
     for answer in answers:
         if answer not in taken.values():
-            taken[next(digit for digit in "123456789" if digit not in taken)] = answer
+            free = (key for key in f"123456789{ascii_lowercase}" if key not in taken and key not in OWN_KEYS)
+            taken[next(free)] = answer
     return {answer: [key for key, whose in taken.items() if whose == answer] for answer in answers}
 
 
