@@ -222,16 +222,12 @@ def _check_answers(reading: Reading[Protocol], names: list[str] | None) -> Itera
         given = f"{len(names)} answer{'s' * (len(names) != 1)}"
         remedy = "add a key, such as `left`, `both` or `right`" if len(names) < 2 else "offer fewer"
         yield reading.problem(path, given, f"2 to {MOST_ANSWERS} answers", remedy)
-    if TIME_OUT in (names or ()):
-        given = f"{TIME_OUT}, which is recorded where no answer came in time"
-        yield reading.problem((*path, TIME_OUT), given, "any other name", "choose another")
-    for name in sorted(TAKEN_NAMES & set(names or ())):
-        given = f"{name}, which is a column of the table of counts"
-        yield reading.problem((*path, name), given, "any other name", "choose another")
     zones = {zone for _, pair in reading.items("conditions", "zone_pairs") for zone in pair}
-    for name in sorted(zones & set(names or ())):
-        given = f"{name}, which is a zone: tables call an answer by the zone that it names"
-        yield reading.problem((*path, name), given, "any other name", "choose another")
+    why = dict.fromkeys(zones, "which is a zone: tables call an answer by the zone that it names")
+    why |= dict.fromkeys(TAKEN_NAMES, "which is a column of the table of counts")
+    why |= {TIME_OUT: "which is recorded where no answer came in time"}
+    for name in [name for name in names or () if name in why]:
+        yield reading.problem((*path, name), f"{name}, {why[name]}", "any other name", "choose another")
     for name in [str(step) for step, _ in reading.items("answers", "fingers")]:
         yield from _check_fingers(reading, name)
     for section in ("fingers", "below"):
