@@ -41,7 +41,7 @@ def test_too_few_commands_are_refused() -> None:
     clock, parts = VirtualClock(0.0), Apparatus.read(APPARATUS)
     with (
         Simulator(parts, clock=clock) as simulator,
-        open_rig(simulator.address, parts, clock=clock) as rig,
+        open_rig(simulator.address, parts, **simulator.driver_options) as rig,
         pytest.raises(ValueError, match="given 5 commands; allowed: 10 or more"),
     ):
         rig.command_latency(5)

@@ -9,7 +9,9 @@ from typing import Any
 
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig import Simulator, open_rig
+from modaltouch.rig.local_client import LocalClient
 from modaltouch.stimulus.burst import Burst
+from modaltouch.system import VirtualClock
 
 APPARATUS = Path(__file__).parents[2] / "protocols" / "apparatus" / "beam_100x6x2.yaml"
 
@@ -67,3 +69,13 @@ def test_simulator_reports_a_faulty_apparatus(tmp_path: Path) -> None:
     assert result.returncode == 2
     assert "beem" in result.stderr
     assert "Traceback" not in result.stderr
+
+
+def test_only_a_twin_in_virtual_time_does_without_a_watchdog_process() -> None:
+    """What stands in a watchdog's place comes from the twin; a clock alone never keeps the watchdog away."""
+    apparatus = Apparatus.read(APPARATUS)
+    with Simulator(apparatus) as simulator:
+        assert "start_guard" not in simulator.driver_options
+    with Simulator(apparatus, clock=VirtualClock(0.0)) as simulator:
+        guard = simulator.driver_options["start_guard"](simulator.address)
+        assert isinstance(guard, LocalClient)

@@ -251,7 +251,7 @@ def open_laboratory(
             clock = VirtualClock(SYSTEM_CLOCK.now())
             simulator = stack.enter_context(Simulator(apparatus, seed, clock=clock))
             scope: Scope = stack.enter_context(simulator.scope())
-            rig = open_generator(simulator.address, clock=clock)
+            rig = open_generator(simulator.address, **simulator.driver_options)
             yield Laboratory(apparatus, rig, scope, "simulated", simulator=simulator)
             return
         # The scope first: without it there is nothing to play for.

@@ -1,99 +1,15 @@
-"""Opens the generator at an address, with a watchdog process or, in virtual time, with what stands in its place."""
+"""Opens the generator at an address."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
-
-from modaltouch.rig.pacing import Order, Pacer, Report
-from modaltouch.rig.visa import VisaSession
-from modaltouch.system import SYSTEM_CLOCK, Clock, VirtualClock
 
 if TYPE_CHECKING:
     from modaltouch.protocol import Apparatus
     from modaltouch.rig.generator import Generator
 
 
-ROUNDING = 1e-9
-"""What a sum of virtual times may lack [s]."""
-
-
-class LocalClient:
-    """The same for a session in virtual time: no process of its own, and bursts whose instants are virtual.
-
-    Nothing of it survives its process, so that it is for a twin in that process alone.
-
-    Parameters
-    ----------
-    transport : Transport
-        The way to the instrument.
-    clock : VirtualClock
-        That of the session.
-    """
-
-    def __init__(self, transport: VisaSession, clock: VirtualClock) -> None:
-        self._transport = transport
-        self._clock = clock
-        self._pacer: Pacer | None = None
-        self.open, self.exchange, self.close = transport.open, transport.exchange, transport.close
-
-    def arm(self, *, plays_by_itself: bool) -> None:
-        """Take notice of nothing: this process watches itself."""
-
-    def held_up(self) -> float:
-        """Return 0: virtual time waits for everybody."""
-        return 0.0
-
-    def disarm(self) -> None:
-        """Take notice of nothing."""
-
-    def beat(self) -> str:
-        """Return why the bursts ended that nobody ended; empty while all is well."""
-        report = self._pacer.report if self._pacer is not None else Report()
-        return f"{report.ended}: {report.reason}" if report.ended == "failed" else ""
-
-    def play(self, order: Order) -> Report:
-        """Have bursts played, and let time pass until the first is; return the report as it stands then."""
-        message = order.command.encode() + b"\n"
-        pacer = self._pacer = Pacer(
-            order,
-            lambda: self._transport.exchange(message, timeout=order.timeout, reply=False),
-            lambda: 0.0,
-            self._clock,
-        )
-
-        def step() -> None:
-            pacer.step()
-            if pacer.due is not None:
-                self._clock.call_at(pacer.due, step)
-
-        self._clock.call_at(order.first, step)
-        self._clock.sleep(order.first - self._clock.now() + ROUNDING)
-        return pacer.report
-
-    def look(self) -> Report:
-        """Return what was played so far."""
-        return self._pacer.report if self._pacer is not None else Report()
-
-    def end(self) -> None:
-        """Let no further burst go."""
-        if self._pacer is not None:
-            self._pacer.end()
-
-    def report(self, *, wait: bool) -> Report:
-        """Let no further burst go, and return what was played; with `wait`, once the last burst is over."""
-        if self._pacer is None:
-            return Report()
-        self._pacer.close()
-        if wait:
-            self._clock.sleep(self._pacer.silent_from - self._clock.now())
-        return self._pacer.report
-
-    def release(self, *, clean: bool) -> None:
-        """End the session with the instrument."""
-        self._transport.release()
-
-
-def open_rig(address: str, apparatus: Apparatus, *, clock: Clock = SYSTEM_CLOCK, **options: Any) -> Generator:
+def open_rig(address: str, apparatus: Apparatus, **options: Any) -> Generator:
     """Return the generator at a VISA address, a `Rig` whose outputs are off.
 
     Parameters
@@ -102,10 +18,9 @@ def open_rig(address: str, apparatus: Apparatus, *, clock: Clock = SYSTEM_CLOCK,
         VISA address, of an instrument or of a simulator; ``@ivi`` after it takes the vendor's VISA library.
     apparatus : Apparatus
         What is on the table.
-    clock : Clock
-        Of the session; in virtual time no watchdog process is started, for a simulator in this process.
     **options
-        ``log(event, **facts)``, which takes every exchange and event, and further arguments of the driver.
+        ``log(event, **facts)``, which takes every exchange and event, and further arguments of the driver; before a
+        simulator its `Simulator.driver_options`.
 
     Raises
     ------
@@ -114,6 +29,4 @@ def open_rig(address: str, apparatus: Apparatus, *, clock: Clock = SYSTEM_CLOCK,
     """
     from modaltouch.rig.generator import Generator
 
-    if isinstance(clock, VirtualClock):
-        options = {"start_guard": lambda where: LocalClient(VisaSession(where), clock), **options}
-    return Generator(address, apparatus, clock=clock, **options)
+    return Generator(address, apparatus, **options)

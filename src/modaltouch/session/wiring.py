@@ -220,12 +220,13 @@ class SessionParts:
         """Open the driver, on the twin's address where no other is given."""
         apparatus, address = self.preflight.experiment.apparatus, self.rig
         with ExitStack() as stack:
+            options: dict[str, Any] = {"clock": self.clock}
             if self.rig == SIMULATED:
                 from modaltouch.rig import Simulator
 
                 self.simulator = stack.enter_context(Simulator(apparatus, clock=self.clock))
-                address = self.simulator.address
-            yield stack.enter_context(open_rig(address, apparatus, log=log, clock=self.clock))
+                address, options = self.simulator.address, self.simulator.driver_options
+            yield stack.enter_context(open_rig(address, apparatus, log=log, **options))
 
     def open_window(self, tick: Tick, log: Callable[..., None]) -> AnswerWindow:
         """Open the answer window, with a simulated participant where no person answers."""

@@ -13,7 +13,7 @@ import threading
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ from modaltouch.rig.simulator.scope import SimulatedScope
 from modaltouch.rig.simulator.timeline import Delays, Playback
 from modaltouch.rig.simulator.twin import TrueState, Twin
 from modaltouch.rig.simulator.vxi11 import Vxi11Server
-from modaltouch.system import SYSTEM_CLOCK, Clock
+from modaltouch.system import SYSTEM_CLOCK, Clock, VirtualClock
 
 
 class Simulator:
@@ -101,6 +101,17 @@ class Simulator:
     def address(self) -> str:
         """VISA address; it is served from when it is first asked for."""
         return self._server.address
+
+    @property
+    def driver_options(self) -> dict[str, Any]:
+        """What `open_rig` is to be given for this twin: its clock, and in virtual time no watchdog process."""
+        clock = self.afg.clock
+        if not isinstance(clock, VirtualClock):
+            return {"clock": clock}
+        from modaltouch.rig.local_client import LocalClient
+        from modaltouch.rig.visa import VisaSession
+
+        return {"clock": clock, "start_guard": lambda address: LocalClient(VisaSession(address), clock)}
 
     @property
     def outputs(self) -> tuple[bool, ...]:
