@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 import warnings
 from collections.abc import Callable
 from typing import Any
@@ -13,7 +14,9 @@ from pyvisa.ctwrapper import IVIVisaLibrary
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.interface import RigError
+from modaltouch.rig.link import InUse
 from modaltouch.rig.simulator import Simulator
+from modaltouch.rig.simulator.vxi11 import Links
 from modaltouch.rig.visa import VisaSession, find_by, find_instruments
 
 
@@ -68,3 +71,18 @@ def test_a_record_that_is_read_is_not_spelt_out(simulator: Simulator) -> None:
     assert len(reply) > 2000
     assert reply in b"".join(received)
     assert max(len(repr(each)) for each in received) < 40
+
+
+def test_session_that_was_cut_may_still_be_counted(single_link: Simulator, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An instrument of one session that learns of a reset 0.3 s late admits the next; a stranger is refused at once."""
+    forget = Links.forget
+    monkeypatch.setattr(Links, "forget", lambda links, numbers: (time.sleep(0.3), forget(links, numbers)))
+    session = VisaSession(single_link.address)
+    session.open()
+    session.close(broken=True)
+    session.open()
+    try:
+        with pytest.raises(InUse, match="admits no further session"):
+            VisaSession(single_link.address, shares=True).open()
+    finally:
+        session.release()

@@ -8,6 +8,7 @@ import os
 import socket
 import struct
 import tempfile
+import time
 import traceback
 import warnings
 from pathlib import Path
@@ -86,6 +87,9 @@ PURE_PYTHON, VENDOR = "py", "ivi"
 LOCK_TIMEOUT = 3.0
 """How long another program of this machine is waited for: one that ends just now is gone by then [s]."""
 
+FORGOTTEN = 1.0
+"""How long an instrument may count a session of ours that was cut [s]: it learns of the reset when it next looks."""
+
 NO_MORE_SESSIONS = "error creating link: 9"
 """How pyvisa-py says "out of resources" (VXI-11, B.5.2): all the sessions that the instrument admits are taken."""
 
@@ -112,6 +116,7 @@ class VisaSession:
         self._timeout = 0.0
         self._shares = shares
         self._lock: int | None = None
+        self._counted_until = 0.0
 
     @property
     def is_open(self) -> bool:
@@ -134,13 +139,17 @@ class VisaSession:
         if self._lock is None and not self._shares:
             self._lock = _take_instrument(self._address)
         knock(self._address)
-        try:
-            resource = pyvisa.ResourceManager(self._visa_library).open_resource(self._address)
-        except Exception as error:
-            close_leftovers(error)
-            if NO_MORE_SESSIONS in str(error):
-                raise InUse("it admits no further session") from error
-            raise
+        resource = None
+        while resource is None:
+            try:
+                resource = pyvisa.ResourceManager(self._visa_library).open_resource(self._address)
+            except Exception as error:
+                close_leftovers(error)
+                if NO_MORE_SESSIONS not in str(error):
+                    raise
+                if time.monotonic() > self._counted_until:
+                    raise InUse("it admits no further session") from error
+                time.sleep(0.02)
         message_based = cast("pyvisa.resources.MessageBasedResource", resource)
         message_based.chunk_size = CHUNK
         hush(message_based)
@@ -170,6 +179,7 @@ class VisaSession:
         if resource is None:
             return
         if broken:
+            self._counted_until = time.monotonic() + FORGOTTEN
             with contextlib.suppress(Exception):
                 abandon(resource)
         with contextlib.suppress(Exception):
