@@ -123,7 +123,8 @@ def output(case: Output, folder: Path) -> dict[str, Any]:
     with workplace(folder):
         case.prepare()
         done = call(case.line, interrupt_at=case.interrupt_at)
-    found = {"status": done.status, "json": json.loads(without_places(done.stdout, folder))}
+    said = re.sub(case.by_chance, case.usual, without_places(done.stdout, folder))
+    found = {"status": done.status, "json": json.loads(said)}
     return {"line": case.line, **masked(found, case.volatile, case.unordered)}
 
 

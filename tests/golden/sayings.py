@@ -39,6 +39,8 @@ class Output:
         ends or noise is fitted.
     interrupt_at : str
         Words on standard error at which Ctrl-C is pressed.
+    by_chance, usual : str
+        Pattern of words that a busy machine may bring about, and what takes their place.
     """
 
     line: str
@@ -48,6 +50,8 @@ class Output:
     rel: float = 1e-9
     absolute: float = 1e-9
     interrupt_at: str = ""
+    by_chance: str = "(?!)"
+    usual: str = ""
 
 
 @dataclass(frozen=True)
@@ -250,7 +254,12 @@ OUTPUTS: dict[str, Output] = {
         rel=1e-6,
     ),
     "rig_list": Output("rig list --json", volatile=(r"json\.addresses",)),
-    "rig_check": Output("rig check simulated --json", volatile=(r"json\.address", r"json\.rows\[\]\.answer")),
+    "rig_check": Output(
+        "rig check simulated --json",
+        volatile=(r"json\.address", r"json\.rows\[\]\.answer"),
+        by_chance=r"passes [\d.]+ Vpp, which took longest",
+        usual="goes through all of these",
+    ),
     "usage": Output("check --json", volatile=(r"json\.error",)),
     "option": Output("check demo --jsn --json", volatile=(r"json\.error",)),
     "run_nowhere": Output("run protocols/demo.yaml --json"),
