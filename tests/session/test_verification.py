@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from modaltouch.cli.commands import app
 from modaltouch.preflight import examine
 from modaltouch.record.audit import audit_session
-from modaltouch.record.chain import GENESIS, encode_line, line_check, read_chain
+from modaltouch.record.chain import GENESIS, RecordError, encode_line, line_check, read_chain
 from modaltouch.record.session import Session
 from modaltouch.session.setup import begin, resume
 from modaltouch.session.wiring import wire_resume, wire_run
@@ -137,6 +137,34 @@ def test_a_complete_session_is_not_rewritten(folder, tmp_path):
     before = {path: (path.read_bytes(), path.stat()) for path in folder.iterdir()}
     assert resume(wire_resume(folder)).complete
     assert {path: (path.read_bytes(), path.stat()) for path in folder.iterdir()} == before
+
+
+@pytest.mark.parametrize("n_rows", [0, 1, None])
+def test_a_session_killed_before_its_first_side_file_goes_on(folder, tmp_path, n_rows):
+    """The table is written first: `verify` names what is missing, `resume` writes it, whatever lines the table has."""
+    place = tmp_path / "simulated" / "demo" / "sub-p01" / "ses-1"
+    place.mkdir(parents=True)
+    folder = folder.rename(place / "beh")
+    (side,), (table,) = folder.glob("*_beh.json"), folder.glob("*_beh.tsv")
+    described = side.read_bytes()
+    side.unlink()
+    if n_rows is not None:
+        table.write_text("".join(table.read_text().splitlines(keepends=True)[: 1 + n_rows]))
+    assert audit_session(Session.find(folder)).problems == (f"{side}: is missing; `modaltouch resume` writes it",)
+    assert resume(wire_resume(folder)).complete
+    assert side.read_bytes() == described
+    assert audit_session(Session.find(folder)).problems == ()
+
+
+def test_a_changed_table_without_side_file_is_no_cut_session(folder):
+    """A table that no line of the log gives is refused, not written over."""
+    (side,), (table,) = folder.glob("*_beh.json"), folder.glob("*_beh.tsv")
+    side.unlink()
+    table.write_text(table.read_text().replace("left", "right", 1))
+    (problem,) = audit_session(Session.find(folder)).problems
+    assert "differs from what the log says" in problem
+    with pytest.raises(RecordError, match="differs from what the log says"):
+        wire_resume(folder)
 
 
 @pytest.mark.parametrize("cut", [1, 40])

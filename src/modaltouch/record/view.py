@@ -230,8 +230,10 @@ def check_view(session: Session) -> ViewFound:
         said = f"{session.path.parent}: holds {len(tables)} BIDS tables (*_beh.tsv), exactly one is needed"
         return ViewFound(problem=said, is_mendable=not tables)
     table, side = tables[0], tables[0].with_suffix(".json")
+    # The table is written before its side file: a session killed between the two for the first time has no side file.
+    is_described = side.exists()
     try:
-        head = json.loads(side.read_text(encoding="utf-8"))["SessionLog"]
+        head = json.loads(side.read_text(encoding="utf-8"))["SessionLog"] if is_described else {"lines": 0, "check": ""}
         text, n_lines, check = table.read_text(encoding="utf-8"), int(head["lines"]), head["check"]
     except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:
         return ViewFound(problem=f"{table}: the BIDS view cannot be read ({error}); move it away, and {_REMAKE}")
@@ -243,13 +245,15 @@ def check_view(session: Session) -> ViewFound:
         )
     if n_lines > 0 and checks[n_lines - 1] != check:
         return ViewFound(problem=f"{side}: was made from another log")
-    # The table is replaced before its side file: after a kill between the two it is of a later line.
+    # After a kill between the two, the table is of a later line than its side file.
     made_from = (Session(session.path, session.events[:n]) for n in range(max(n_lines, 0), len(checks) + 1))
     shown = next((each for each in made_from if text == table_text(each)), None)
     if shown is None:
         return ViewFound(
             problem=f"{table}: differs from what the log says; the log is the truth: move the table away, and {_REMAKE}"
         )
+    if not is_described:
+        return ViewFound(problem=f"{side}: is missing; `modaltouch resume` writes it", is_mendable=True)
     if session.trials != shown.trials:
         behind = len(checks) - len(shown.events)
         return ViewFound(f"BIDS view agrees, {behind} lines behind the log: `modaltouch resume` brings it up")
