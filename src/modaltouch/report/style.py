@@ -55,16 +55,17 @@ def house_style() -> Iterator[None]:
 def render(figure: Figure, kind: str) -> bytes:
     """Return a figure as the bytes of an ``svg`` or ``png`` file; the same figure always gives the same bytes."""
     buffer = io.BytesIO()
-    engine = figure.get_layout_engine()
     with house_style():
-        if engine is not None:
-            # Laid out once for both formats: it costs as much as drawing, and again with every file.
-            engine.execute(figure)
-            figure.set_layout_engine(None)
-        if kind == "svg":
-            figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": "modaltouch"})
-        else:
-            figure.savefig(buffer, format="png", dpi=PNG_DPI, metadata={"Software": "modaltouch"})
+        # Laid out once for both formats: it costs as much as drawing. Where the setting is on, None would stand for it.
+        engine = figure.get_layout_engine()
+        with mpl.rc_context({"figure.constrained_layout.use": False}):
+            if engine is not None:
+                engine.execute(figure)
+                figure.set_layout_engine(None)
+            if kind == "svg":
+                figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": "modaltouch"})
+            else:
+                figure.savefig(buffer, format="png", dpi=PNG_DPI, metadata={"Software": "modaltouch"})
     return buffer.getvalue()
 
 
