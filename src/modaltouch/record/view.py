@@ -232,8 +232,10 @@ def check_view(session: Session) -> ViewFound:
     table, side = tables[0], tables[0].with_suffix(".json")
     # The table is written before its side file: a session killed between the two for the first time has no side file.
     is_described = side.exists()
+    head: dict[str, Any] = {"lines": 0, "check": ""}
     try:
-        head = json.loads(side.read_text(encoding="utf-8"))["SessionLog"] if is_described else {"lines": 0, "check": ""}
+        if is_described:
+            head = json.loads(side.read_text(encoding="utf-8"))["SessionLog"]
         text, n_lines, check = table.read_text(encoding="utf-8"), int(head["lines"]), head["check"]
     except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:
         return ViewFound(problem=f"{table}: the BIDS view cannot be read ({error}); move it away, and {_REMAKE}")
