@@ -76,6 +76,11 @@ def test_a_record_of_the_papers_answers_says_no_more_than_before(shipped) -> Non
         ),
         ("  keys:\n", "  below: [bath]\n  keys:\n", "answers.below[0]: given 'bath', which has no keys"),
         (
+            "  keys:\n",
+            "  below: [both, both]\n  keys:\n",
+            "demo.yaml:38:17: answers.below[1]: given both, the answer of below[0] again; allowed: each answer once",
+        ),
+        (
             BOTH,
             "    rechts: [up]\n",
             "answers.rechts: given nothing; allowed: a text, as demo.yaml offers the answer rechts",

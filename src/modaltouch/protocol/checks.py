@@ -111,6 +111,7 @@ def _check_doubles(reading: Reading[Protocol]) -> Iterator[Problem]:
     yield from _doubled(reading, ("conditions", "finger_conditions"), "finger condition")
     yield from _doubled(reading, ("conditions", "peak_velocities_mm_s"), "peak velocity")
     yield from _doubled(reading, ("conditions", "placements"), "placement")
+    yield from _doubled(reading, ("answers", "below"), "answer")
     seen: dict[frozenset[str], int] = {}
     for index, pair in reading.items("conditions", "zone_pairs"):
         path, zones = ("conditions", "zone_pairs", index), frozenset(pair)
@@ -140,7 +141,8 @@ def _check_schedule(reading: Reading[Protocol]) -> Iterator[Problem]:
     )
     n_blocks = len(reading.items("conditions", "finger_conditions"))
     repetitions = reading.sound("schedule", "repetitions")
-    running = reading.sound("schedule", "max_same_pair_running")
+    path = ("schedule", "max_same_pair_running")
+    running = reading.sound(*path)
     if repetitions is None or not n_pairs or not n_levels:
         return
     n_in_run = reading.sound("adaptive", "trials") if is_adaptive(reading) else None
@@ -161,14 +163,12 @@ def _check_schedule(reading: Reading[Protocol]) -> Iterator[Problem]:
     order = reading.sound("schedule", "order")
     if running is not None and order not in ("shuffled", None):
         given = f"{running} with the order {order}"
-        path = ("schedule", "max_same_pair_running")
         yield reading.problem(path, given, "null, or the order shuffled", "remove the limit or shuffle")
         return
     faulty = any(problem.path.startswith("conditions.zone_pairs") for problem in reading.problems)
     if running is not None and n_pairs == 1 and not faulty and n_driven > running:
         given = f"{running} where every trial has the same pair"
         allowed = f"at least {n_driven}, or null for no limit"
-        path = ("schedule", "max_same_pair_running")
         yield reading.problem(path, given, allowed, "add a pair of zones or lift the limit")
 
 
