@@ -2,7 +2,7 @@
 
 In goes what to measure and on which rig, or the twin; out comes a report, which holds the result and writes its files:
 an apparatus file (`identify`), a calibration file (`calibrate`), or a page with figures and tables (`validate`,
-`compare`). `open_laboratory` gives generator and scope to whoever wants to measure something else.
+`compare`).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from modaltouch.lab.calibration.command import CalibrateOptions, calibrate
     from modaltouch.lab.comparison.command import CompareOptions, compare
     from modaltouch.lab.identification.command import IdentifyOptions, identify
-    from modaltouch.lab.laboratory import MeasurementProgress, TooFewPointsError, open_laboratory
+    from modaltouch.lab.laboratory import MeasurementProgress, TooFewPointsError
     from modaltouch.lab.validation.command import ValidateOptions, validate
 else:
     __getattr__ = lazily(
@@ -24,7 +24,7 @@ else:
             "calibration.command": "CalibrateOptions calibrate",
             "comparison.command": "CompareOptions compare",
             "identification.command": "IdentifyOptions identify",
-            "laboratory": "MeasurementProgress TooFewPointsError open_laboratory",
+            "laboratory": "MeasurementProgress TooFewPointsError",
             "validation.command": "ValidateOptions validate",
         },
     )
@@ -39,6 +39,5 @@ __all__ = [
     "calibrate",
     "compare",
     "identify",
-    "open_laboratory",
     "validate",
 ]
