@@ -79,11 +79,6 @@ class TimoshenkoBeam:
         """Bending over shear stiffness, s^2 [1]."""
         return self.rotary * 2 * (1 + self.poissons_ratio) / self.shear_factor
 
-    @cached_property
-    def cut_off(self) -> float:
-        """Frequency above which both branches are trigonometric [Hz]."""
-        return self._hertz(1 / math.sqrt(self.rotary * self.shear))
-
     def _hertz(self, b: float) -> float:
         wave_speed = math.sqrt(self.youngs_modulus / self.density)
         return b * math.sqrt(self.rotary) * wave_speed / (2 * math.pi * self.length)
