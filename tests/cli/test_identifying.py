@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from modaltouch.cli.commands import app
-from modaltouch.lab.identification.excitation import Campaign
-from modaltouch.system.interruption import Interrupted
+from modaltouch.lab.laboratory import Laboratory
+from modaltouch.rig import Recording
+from modaltouch.system.interruption import Interrupted, Interruption
 
 APPARATUS = str(Path(__file__).parents[2] / "protocols" / "apparatus" / "beam_100x6x2.yaml")
 RUN = CliRunner()
@@ -99,16 +101,46 @@ def test_nobody_to_aim_ends_the_scan(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert "nobody is there to aim the vibrometer" in " ".join(said.stderr.split())
 
 
-def test_interrupted_scan_says_what_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Exit 130, how many points are on the disk and how to go on."""
+@pytest.mark.parametrize(
+    ("command", "kept"),
+    [
+        (("identify", "--apparatus", APPARATUS, "--out", "kept"), "2 of 41 points are kept in kept/scan_centre"),
+        (("validate", "demo", "--scan", "kept"), "2 of 41 points are kept in kept/exact_field"),
+        (("compare", "demo", "--scan", "kept"), "2 of 41 points are kept in kept/scan_centre"),
+        (("validate", "demo"), "nothing measured is kept; give a folder with --scan, and it is"),
+    ],
+    ids=["identify", "validate", "compare", "validate without a folder"],
+)
+def test_an_interrupted_scan_says_what_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: tuple[str, ...], kept: str
+) -> None:
+    """Exit 130, how many points are on the disk, where, and how to go on."""
+    passed = iter(range(2))
 
-    def scan(self: Campaign, *parts: object, on_progress: Callable[[int, int], None], **options: object) -> None:
-        on_progress(3, 82)
-        raise Interrupted("SIGINT")
+    def check(self: Interruption) -> None:
+        if next(passed, None) is None:
+            raise Interrupted("SIGINT")
 
-    monkeypatch.setattr("modaltouch.lab.identification.command.open_laboratory", lambda *parts, **how: nullcontext())
-    monkeypatch.setattr(Campaign, "scan", scan)
-    said = RUN.invoke(app, ["identify", "--apparatus", APPARATUS, "--out", str(tmp_path / "out")])
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(Interruption, "check", check)
+    said = RUN.invoke(app, list(command))
     assert said.exit_code == 130
-    assert "3 of 82 points are kept" in " ".join(said.stderr.split())
-    assert "give the same command to go on" in " ".join(said.stderr.split())
+    assert f"ended by SIGINT: the outputs are off; {kept}" in " ".join(said.stderr.split())
+    assert ("; give the same command to go on" in said.stderr) is ("kept" in command)
+    assert len(list(tmp_path.rglob("position_*.npz"))) == 2 * ("kept" in command)
+
+
+def test_ctrl_c_while_the_vibrometer_is_aimed_says_what_is_kept(tmp_path: Path, monkeypatch) -> None:
+    """The prompt ends at once, by an exception of its own; what is on the disk is said all the same."""
+    monkeypatch.chdir(tmp_path)
+    recorded = Laboratory.record
+
+    def record(self: Laboratory, position: float, *parts: Any) -> Recording:
+        if position > -0.048:
+            raise KeyboardInterrupt
+        return recorded(self, position, *parts)
+
+    monkeypatch.setattr(Laboratory, "record", record)
+    said = RUN.invoke(app, ["validate", "demo", "--scan", "kept"])
+    assert said.exit_code == 130
+    assert "interrupted: the outputs are off; 1 of 41 points are kept in kept/exact_field; give" in said.stderr

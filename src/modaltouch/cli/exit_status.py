@@ -35,8 +35,9 @@ def reporting(*, json_output: bool = False) -> Iterator[None]:
         if not json_output:
             raise
         leave(BAD_INPUT, error.format_message(), json_output=True)
-    except KeyboardInterrupt:
-        leave(INTERRUPTED, "interrupted; outputs are off and everything answered is kept", json_output=json_output)
+    except KeyboardInterrupt as error:
+        kept = getattr(error, "__notes__", ["everything answered is kept"])
+        leave(INTERRUPTED, "; ".join(["interrupted: the outputs are off", *kept]), json_output=json_output)
     except BaseException as error:
         status, problems = explain(error)
         if status is None:

@@ -31,7 +31,7 @@ from modaltouch.protocol import Apparatus, Source
 from modaltouch.record import RecordError, RecordInputError, replace_file
 from modaltouch.rig import Acquisition, Recording
 from modaltouch.stimulus import Burst
-from modaltouch.system import commit, versions
+from modaltouch.system import Interrupted, commit, versions
 
 
 @dataclass(frozen=True, eq=False)
@@ -330,20 +330,31 @@ def take_scan(
     on_progress(len(kept), len(places))
     if len(kept) < len(places):
         laboratory.load(plan.burst)
-    for index in range(len(kept), len(places)):
-        check()
-        recording = laboratory.record(float(places[index]), plan.velocity, plan.acquisition)
-        arrays: dict[str, NDArray[Any]] = {
-            "position": np.array(places[index]),
-            "sampling_rate": np.array(recording.sampling_rate),
-            "overloaded": np.array(recording.overloaded, dtype="U16"),
-            **reduction(recording),
-        }
-        if folder is not None:
-            save_arrays(position_file(folder, index), arrays)
-        kept.append(arrays)
-        on_progress(len(kept), len(places))
+    try:
+        for index in range(len(kept), len(places)):
+            check()
+            recording = laboratory.record(float(places[index]), plan.velocity, plan.acquisition)
+            arrays: dict[str, NDArray[Any]] = {
+                "position": np.array(places[index]),
+                "sampling_rate": np.array(recording.sampling_rate),
+                "overloaded": np.array(recording.overloaded, dtype="U16"),
+                **reduction(recording),
+            }
+            if folder is not None:
+                save_arrays(position_file(folder, index), arrays)
+            kept.append(arrays)
+            on_progress(len(kept), len(places))
+    except (Interrupted, KeyboardInterrupt) as error:
+        error.add_note(_way_on(folder, len(kept), len(places)))
+        raise
     return assemble(facts, kept)
+
+
+def _way_on(folder: Path | None, n_kept: int, n_planned: int) -> str:
+    """Return what is kept of a scan that is interrupted, and how it goes on."""
+    if folder is None:
+        return "nothing measured is kept; give a folder with --scan, and it is"
+    return f"{n_kept} of {n_planned} points are kept in {folder}; give the same command to go on"
 
 
 def _describe(laboratory: Laboratory, plan: ScanPlan, source: Source | None, reduction: Reduction) -> dict[str, Any]:

@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +38,6 @@ from modaltouch.lab.laboratory import SIMULATED, MeasurementProgress, open_labor
 from modaltouch.lab.scan import Scan, read_scan
 from modaltouch.protocol import Apparatus, Source
 from modaltouch.report import refuse_other
-from modaltouch.system import Interrupted
 
 FEWEST_SHAPE_POINTS = 6
 """Points of a file from which its modes are told apart by their shapes."""
@@ -263,23 +263,14 @@ class _Beam:
         campaign = Campaign(positions, options.averages, options.voltage, highest, self.sets, options.excitation)
         for name in self.sets:
             excite(self.apparatus, name, options.voltage, highest, "chirp")
-        kept = [0, 0]
-
-        def show(done: int, total: int) -> None:
-            kept[:] = done, total
-            progress.show("points measured", done, total)
-
-        try:
-            with (
-                progress.interruptible() as heard,
-                open_laboratory(
-                    self.apparatus, options.rig, seed=options.seed, repetition="continuous", aim=heard.aim
-                ) as laboratory,
-            ):
-                return campaign.scan(laboratory, self.source, out, on_progress=show, check=heard.check)
-        except Interrupted as error:
-            error.add_note(f"{kept[0]} of {kept[1]} points are kept in {out}; give the same command to go on")
-            raise
+        with (
+            progress.interruptible() as heard,
+            open_laboratory(
+                self.apparatus, options.rig, seed=options.seed, repetition="continuous", aim=heard.aim
+            ) as laboratory,
+        ):
+            show = partial(heard.show, "points measured")
+            return campaign.scan(laboratory, self.source, out, on_progress=show, check=heard.check)
 
     def read(self, folder: Path) -> dict[str, Scan]:
         """Return the scans of a folder."""
