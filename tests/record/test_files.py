@@ -64,8 +64,16 @@ def test_a_file_that_is_there_is_refused_before_the_work(tmp_path):
     path.write_text("old\n")
     with pytest.raises(RecordError, match=r"file.yaml: is there already and is not overwritten; give another file"):
         prepare_file(path)
-    with pytest.raises(RecordError, match=r"file.yaml: cannot be made .*; give another file with --out"):
+    with pytest.raises(RecordError, match=r"deeper.yaml: cannot be written .*; give another file with --out"):
         prepare_file(path / "deeper.yaml")
+    assert [each.name for each in path.parent.iterdir()] == ["file.yaml"]
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="needs a folder that exists and takes no file")
+def test_a_file_that_no_work_could_write_is_refused_before_it():
+    """In /proc nobody may make a file, whatever the permissions say."""
+    with pytest.raises(RecordError, match=r"/proc/file.yaml: cannot be written .*; give another file with --out"):
+        prepare_file(Path("/proc/file.yaml"))
 
 
 @pytest.mark.parametrize("rules", ["unix"], indirect=True)

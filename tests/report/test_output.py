@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import pytest
 
@@ -96,3 +97,18 @@ def test_a_file_where_the_folder_should_be_is_refused(tmp_path) -> None:
             refuse_other(place, "validate")
     with pytest.raises(RecordError, match="is a file, but a folder is needed"):
         write_files(tmp_path / "out", {"a.txt": b"1"}, {})
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="needs a folder that exists and takes none")
+@pytest.mark.parametrize("folder", ["/proc/out", "/proc/out/below", "/proc"])
+def test_a_folder_that_no_work_could_write_is_refused_before_it(folder) -> None:
+    """In /proc nobody may make a folder, whatever the permissions say."""
+    with pytest.raises(RecordError, match=f"{folder}: cannot be written .*; give a folder you may write to with --out"):
+        refuse_other(Path(folder), "validate")
+
+
+def test_asking_whether_a_folder_can_be_written_leaves_nothing(tmp_path) -> None:
+    """Neither the folder nor those above it are made."""
+    refuse_other(tmp_path / "new" / "out", "validate")
+    refuse_other(tmp_path, "validate")
+    assert list(tmp_path.iterdir()) == []

@@ -82,14 +82,18 @@ def prepare_file(path: Path) -> None:
     Raises
     ------
     RecordError
-        If there is a file already, or its folder cannot be made.
+        If there is a file already, or none can be written there.
     """
     if path.exists():
         raise RecordError(f"{path}: is there already and is not overwritten; give another file with --out")
+    trial = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        # No permission tells: root may write to /proc, where no file can be made.
+        trial.touch()
+        trial.unlink()
     except OSError as error:
-        raise RecordError(f"{path.parent}: cannot be made ({error.strerror}); give another file with --out") from error
+        raise RecordError(f"{path}: cannot be written ({error.strerror}); give another file with --out") from error
 
 
 def sync_folder(folder: Path) -> None:

@@ -56,11 +56,7 @@ def write_files(
     for name in (*files, MANIFEST):
         _refuse_strange(folder / name, known.get(name, []) if name != MANIFEST else None, bool(known))
     hashes = {name: hashlib.sha256(data).hexdigest() for name, data in files.items()}
-    try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", suffix=".tmp", dir=folder.parent))
-    except OSError as error:
-        raise _cannot(folder, error) from error
+    temporary = _new_folder(folder, folder.parent)
     try:
         for name, data in files.items():
             (temporary / name).write_bytes(data)
@@ -95,7 +91,7 @@ def csv_bytes(rows: Sequence[Mapping[str, Any]]) -> bytes:
 
 
 def refuse_other(folder: Path, command: str) -> None:
-    """Refuse a file in place of a folder, and what another command made, before long work rather than after it.
+    """Refuse a folder that cannot be written, or that another command made, before long work rather than after it.
 
     Parameters
     ----------
@@ -107,16 +103,29 @@ def refuse_other(folder: Path, command: str) -> None:
     Raises
     ------
     RecordError
-        If another command made what it holds, or a file stands in its place.
+        If another command made what it holds, a file stands in its place, or it cannot be written.
     """
-    standing = next((path for path in (folder, *folder.parents) if path.exists()), folder)
-    if standing.exists() and not standing.is_dir():
+    standing = next(path for path in (folder, *folder.parents) if path.exists())
+    if not standing.is_dir():
         raise RecordError(f"{standing}: is a file, but a folder is needed; give another one with --out")
     maker = str(_manifest_of(folder).get("generated_by", ""))
     if maker.startswith(_MAKER) and maker != _MAKER + command:
         raise RecordError(
             f"{folder}: holds what `{maker}` made, which would be replaced; give another folder with --out"
         )
+    for place in {standing, folder.parent}:
+        if place.exists():
+            # No permission tells: root may write to /proc, where no folder can be made.
+            _new_folder(folder, place).rmdir()
+
+
+def _new_folder(folder: Path, place: Path) -> Path:
+    """Return a new folder at a place, for what becomes `folder`."""
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+        return Path(tempfile.mkdtemp(prefix=f".{folder.name}.", suffix=".tmp", dir=place))
+    except OSError as error:
+        raise _cannot(folder, error) from error
 
 
 def _put(temporary: Path, folder: Path, name: str, text: str) -> None:

@@ -93,8 +93,8 @@ def test_nothing_is_overwritten(calibration: Calibration, tmp_path: Path) -> Non
     assert [each.name for each in path.parent.iterdir()] == ["calibration.yaml"]
 
 
-def test_a_folder_that_cannot_be_made_is_told(calibration: Calibration, tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_made_is_refused(calibration: Calibration, tmp_path: Path) -> None:
     """A file stands where the folder should be."""
     (tmp_path / "taken").write_text("")
-    with pytest.raises(RecordError, match="cannot be made"):
+    with pytest.raises(RecordError, match="c.yaml: cannot be written"):
         write_calibration(tmp_path / "taken" / "c.yaml", calibration)
