@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from ruamel.yaml import YAML
 
-from modaltouch.protocol import AnswerList, Experiment
+from modaltouch.protocol import AnswerList, Experiment, Texts
 from modaltouch.protocol.trial import FINGERS, Condition, Trial
 from modaltouch.window.interface import Progress
 from modaltouch.window.layout import lay_out
@@ -327,8 +329,34 @@ def test_four_answers_are_shown_with_their_words_and_keys(experiment: Experiment
         assert box.contains(words.box.right, words.box.top)
     texts = [mark.text for mark in pictures.answering(make_trial()).marks if isinstance(mark, Words)]
     assert texts[0] == "Each time, choose one of these four answers."
+    assert "choose “Nowhere” whenever you felt nothing" in texts[1]
     chosen = pictures.question(make_trial(), PROGRESS, chosen="none")
     assert find_words(chosen, "Nowhere").fill == DARK.pressed_text
+
+
+@pytest.mark.parametrize(
+    ("language", "n_answers", "words"),
+    [
+        ("english", 2, "one of these two answers"),
+        ("english", 7, "one of these seven answers"),
+        ("french", 2, "l’une de ces deux réponses"),
+        ("french", 7, "l’une de ces sept réponses"),
+    ],
+)
+def test_the_instructions_count_the_answers_of_the_list(
+    experiment: Experiment, language: str, n_answers: int, words: str
+) -> None:
+    """Expected: a word for each number that is allowed, in every shipped language; a digit where a file has none."""
+    keys = {f"grade_{number}": (str(number),) for number in range(n_answers)}
+    answers = experiment.protocol.answers.model_copy(update={"keys": keys})
+    file = Path(__file__).parents[2] / "protocols" / "texts" / f"{language}.yaml"
+    texts = Texts(**YAML(typ="safe", pure=True).load(file.read_text(encoding="utf-8")))
+    texts = texts.model_copy(update={"answers": dict.fromkeys(keys, "Label")})
+    layout = lay_out(800, 600, tuple(experiment.apparatus.zones), answers.offered)
+    pictures = Illustrator(layout, DARK, texts, answers, "right")
+    assert words in pictures.answering(make_trial()).texts[0]
+    wordless = replace(pictures, texts=texts.model_copy(update={"numbers": ()}))
+    assert f" {n_answers} " in wordless.answering(make_trial()).texts[0]
 
 
 def test_answers_of_any_names_are_shown_in_the_order_of_the_file(experiment: Experiment) -> None:

@@ -82,7 +82,8 @@ def answer_warnings(protocol: Protocol) -> list[str]:
         nothing = offered.naming()
         which = "whatever it feels" if nothing is None else f"but {nothing.name} where it feels nothing"
         warnings.append(
-            f"no answer names a finger ({', '.join(offered.names)}): a simulated participant answers at random, {which}"
+            f"no answer names a finger ({', '.join(offered.names)}): the texts must ask for what they say (`question`, "
+            f"`instructions`), and a simulated participant answers at random, {which}"
         )
     return warnings
 

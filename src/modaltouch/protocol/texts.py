@@ -29,7 +29,11 @@ _PLACEHOLDERS: dict[str, frozenset[str]] = {
 }
 """Words in braces that a text must contain; every other text must contain none."""
 
-_OPTIONAL: dict[str, frozenset[str]] = {"lift_to_answer": frozenset({"hand"})}
+_OPTIONAL: dict[str, frozenset[str]] = {
+    "how_to_answer": frozenset({"n_answers"}),
+    "how_to_answer_or_none": frozenset({"n_answers", "nothing_felt"}),
+    "lift_to_answer": frozenset({"hand"}),
+}
 """Words in braces that a text may contain: files were written before the window could fill them in."""
 
 
@@ -56,9 +60,14 @@ class Texts(Section):
     language_code: Text | None = described("Its code (BCP 47), such as en or fr.", default=None)
     welcome: Text = described("Greeting on the first screen.")
     instructions: Text = described("What the experiment asks of the participant.")
-    how_to_answer: Text = described("How to answer and to pause; holds {pause_key}.")
+    how_to_answer: Text = described("How to answer and to pause; holds {pause_key}, may hold {n_answers}.")
     how_to_answer_or_none: Text | None = described(
-        "Instead of how_to_answer where the protocol offers the answer none; holds {pause_key}.", default=None
+        "Instead of how_to_answer where an answer says that nothing was felt; holds {pause_key}, may hold {n_answers} "
+        "and {nothing_felt}, the label of that answer.",
+        default=None,
+    )
+    numbers: tuple[Text, ...] = described(
+        "Words for two answers, for three, and so on; a digit for more than are here.", default=()
     )
     place_fingers: Text = described(
         "Which finger goes where; holds {left_finger}, {left_zone}, {right_finger}, {right_zone}."
@@ -127,6 +136,10 @@ class Texts(Section):
         if isinstance(text, str):
             _check_text(text, _PLACEHOLDERS.get(name, frozenset()), _OPTIONAL.get(name, frozenset()))
         return text
+
+    def number(self, count: int) -> str:
+        """Return a number of answers as the participant reads it."""
+        return dict(enumerate(self.numbers, 2)).get(count, str(count))
 
     def label(self, answer: str) -> str:
         """Return what the participant calls an answer."""

@@ -179,10 +179,15 @@ class Illustrator:
 
     def answering(self, trial: Trial) -> Picture:
         """Return the screen that shows how to answer."""
-        texts = self.texts
-        words = (texts.how_to_answer_or_none if self.answers.offers_none else None) or texts.how_to_answer
-        title, *rest = _paragraphs(words.format(pause_key=key_name(self.texts, AnswersSection.PAUSE_KEY)))
-        layout = self.layout
+        layout, texts, offered = self.layout, self.texts, self.answers.offered
+        nothing = offered.naming()
+        words = (texts.how_to_answer_or_none if nothing else None) or texts.how_to_answer
+        filled = words.format(
+            pause_key=key_name(texts, AnswersSection.PAUSE_KEY),
+            n_answers=texts.number(len(offered)),
+            nothing_felt=texts.label(nothing.name) if nothing else "",
+        )
+        title, *rest = _paragraphs(filled)
         below = Box(0, 0.07, layout.body.width, 0.4)
         return Picture(
             "answers",
