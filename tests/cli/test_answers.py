@@ -158,6 +158,7 @@ def test_a_table_is_read_with_the_protocol_of_its_answers(study, found) -> None:
         done = call("analyse", "table.csv", "--out", "u", cwd=folder)
         assert done.exit_code == 2
         assert "response: given 'weaker'" in done.stderr
+        assert "or name the protocol that offers other answers with --protocol" in done.stderr
 
 
 def test_answers_of_other_names_for_the_same_fingers_give_the_same_numbers(tmp_path) -> None:

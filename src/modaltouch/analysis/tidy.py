@@ -56,9 +56,11 @@ def read_csv(path: Path, answers: AnswerList | None = None) -> Responses:
     multiples = _multiples(table, problems, caught)
     level = VELOCITY.column if multiples is None else OWN_THRESHOLD.column
     frame[level] = velocities if multiples is None else multiples
+    remedy = "write one of these words"
     if answers is None:
         answers = AnswerList.of_words(("none",) if "none" in table.columns["response"].words else ())
-    frame["response"] = _answers(table, problems, answers.ranked.names)
+        remedy += ", or name the protocol that offers other answers with --protocol"
+    frame["response"] = _answers(table, problems, answers.ranked.names, remedy)
     frame["n"] = _whole_numbers(table, "n", problems, 0) if "n" in table.columns else 1
     if "repetition" in table.columns:
         frame["repetition"] = _whole_numbers(table, "repetition", problems, 1)
@@ -175,13 +177,13 @@ def _categorical(codes: NDArray[np.int64], words: Sequence[str]) -> pd.Categoric
     return values
 
 
-def _answers(table: Table, problems: list[Problem], words: tuple[str, ...]) -> pd.Categorical:
+def _answers(table: Table, problems: list[Problem], words: tuple[str, ...], remedy: str) -> pd.Categorical:
     column = table.columns["response"]
     unknown = [code for code, word in enumerate(column.words) if word not in words]
 
     def say(word: str) -> tuple[str, str]:
         meant = suggest(word, words)
-        return repr(word) if word else "nothing", f"write {meant}" if meant else "write one of these words"
+        return repr(word) if word else "nothing", f"write {meant}" if meant else remedy
 
     problems += _report(table, column, unknown, ", ".join(words), say)
     codes = np.array([words.index(word) if word in words else -1 for word in column.words], dtype=np.int64)
