@@ -154,6 +154,7 @@ def test_a_table_is_read_with_the_protocol_of_its_answers(study, found) -> None:
     protocol = ("--protocol", "protocols/two_answers.yaml")
     from_table = json.loads(run("analyse", "table.csv", *protocol, "--out", "t", "--json", cwd=folder))
     assert from_table["counts"] == found["counts"]
+    assert "analyse table.csv --protocol PROTOCOL</code>" in (folder / "t" / "report.html").read_text(encoding="utf-8")
     if names == GRADES:
         done = call("analyse", "table.csv", "--out", "u", cwd=folder)
         assert done.exit_code == 2

@@ -166,7 +166,8 @@ class AnswerCounts:
         """
         if not self.compares:
             return tuple((answer.name, place) for place, answer in enumerate(self.answers[:-1]))
-        both = [("both", self.both_place)] if self.both_place is not None else []
+        place = self.both_place
+        both = [] if place is None else [(self.answers[place].name, place)]
         return ((pair.dominant, self.dominant_place(pair)), *both)
 
     def dominant_place(self, pair: Pair) -> int:

@@ -17,6 +17,7 @@ from modaltouch.analysis.gallery import ReportFigure
 from modaltouch.analysis.outcome import Analysis
 from modaltouch.analysis.scale import OWN_THRESHOLD
 from modaltouch.analysis.tables import zone_table
+from modaltouch.protocol import AnswerList
 from modaltouch.report import render_page
 from modaltouch.system import commit, version, versions
 
@@ -25,7 +26,7 @@ HEADINGS = {
     "a2": "Is one zone of each pair chosen more than the other?",
     "b": "Does the level matter?",
     "c": "Do the finger conditions differ?",
-    "d": "Do the pairs of zones differ in “both”?",
+    "d": "Do the pairs of zones differ{in_both}?",
     "e": "Do the participants agree?",
     "f": "How large are the effects?",
     "catch": "Is something felt where nothing is driven?",
@@ -35,10 +36,6 @@ HEADINGS = {
     "speed": "Do the answers follow the speeds under the fingers?",
 }
 """Questions of the analysis plan, then the further ones."""
-
-
-_OF_ANSWERS = {"d": "Do the pairs of zones differ?"}
-"""Headings where "both" is no answer."""
 
 
 @dataclass(frozen=True)
@@ -66,13 +63,13 @@ def write_paragraphs(findings: Sequence[Finding], answers: AnswerCounts) -> tupl
         own = [finding for finding in findings if finding.question == question]
         if own:
             text = writers[question](own, answers) if question in writers else _plain(question, own, answers)
-            heading = _OF_ANSWERS.get(question, heading) if _lacks_both(answers) else heading
-            paragraphs.append(Paragraph(question, heading, text))
+            paragraphs.append(Paragraph(question, heading.format(in_both=_in_both(answers)), text))
     return tuple(paragraphs)
 
 
-def _lacks_both(answers: AnswerCounts) -> bool:
-    return not answers.compares or answers.both_place is None
+def _in_both(answers: AnswerCounts) -> str:
+    asked = answers.answers.naming("left", "right") if answers.compares else None
+    return "" if asked is None else f" in “{asked.name}”"
 
 
 def say_p(p: float) -> str:
@@ -141,7 +138,8 @@ def _chance(own: Sequence[Finding], answers: AnswerCounts) -> str:
 
 def _dominance(own: Sequence[Finding], answers: AnswerCounts) -> str:
     sentences = []
-    equal = ", “both” counting zero" if answers.both_place is not None else ""
+    both = answers.answers.naming("left", "right")
+    equal = "" if both is None else f", “{both.name}” counting zero"
     for finding in (f for f in own if f.family):
         counts, leaning = finding.note.split("; ")[-2:]
         sentences.append(
@@ -290,6 +288,8 @@ def render_report(analysis: Analysis, pictures: Sequence[ReportFigure], vectors:
         catch_words=[*(answer.name for answer in answers.answers if answer.says_nothing_felt), *felt]
         if answers.offers_none
         else ["none", *felt],
+        # A table is read as the paper's answers where no protocol is named.
+        is_named=answers.answers != AnswerList.of_words(("none",) if answers.offers_none else ()),
         limits=design_limits(analysis),
         left_out=analysis.responses.left_out,
         record=describe_record(analysis.responses.sessions),
@@ -333,8 +333,8 @@ def design_limits(analysis: Analysis) -> list[str]:
     nothing = answers.answers.naming()
     if nothing is None:
         limits.append(
-            "There is no answer “none”, so a trial without a stimulus cannot be answered correctly: lapses and "
-            "guessing stay unknown."
+            "No answer says that nothing was felt, so a trial without a stimulus cannot be answered correctly: lapses "
+            "and guessing stay unknown."
         )
     elif not analysis.responses.catches:
         limits.append(
@@ -393,15 +393,15 @@ def _zone_rows(answers: AnswerCounts, condition: str) -> list[dict[str, Any]]:
 def _test_tables(findings: Sequence[Finding], answers: AnswerCounts) -> list[dict[str, Any]]:
     """Return the statistics question by question, each test or estimate a table of its own."""
     tables = []
-    headings = {**HEADINGS, **_OF_ANSWERS} if _lacks_both(answers) else HEADINGS
-    for question, heading in headings.items():
+    for question, heading in HEADINGS.items():
         groups: dict[str, list[dict[str, Any]]] = {}
         for finding in (finding for finding in findings if finding.question == question):
             groups.setdefault(finding.name, []).append(_test_row(finding))
         if groups:
             parts = [{"name": name, "lines": lines, "tested": any(row["p"] != "–" for row in lines)}
                      for name, lines in groups.items()]  # fmt: skip
-            tables.append({"question": question, "heading": heading, "parts": parts})
+            asked = heading.format(in_both=_in_both(answers))
+            tables.append({"question": question, "heading": asked, "parts": parts})
     return tables
 
 

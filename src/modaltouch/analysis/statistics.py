@@ -71,7 +71,8 @@ def dominance_findings(answers: AnswerCounts) -> Iterator[Finding]:
         leaning = clopper_pearson(int((score > 0).sum()), n)
         total = n * answers.n_answers
         *given, last = [
-            f"{int(answers.counts[:, f, q, :, place].sum())} {'both' if place == answers.both_place else label}"
+            f"{int(answers.counts[:, f, q, :, place].sum())} "
+            f"{answers.answers[place].name if place == answers.both_place else label}"
             for label, place in answers.labelled(pair)
         ]
         chosen = ", ".join(given) + (f" and {last}" if answers.offers_none else f", {last}")
@@ -157,8 +158,8 @@ def pair_findings(answers: AnswerCounts) -> Iterator[Finding]:
 
 def _families(answers: AnswerCounts, question: str) -> list[str]:
     """Return the family of tests of each effect: the dominant zone and both apart, else all answers together."""
-    labels = [label for label, _ in answers.effects(answers.pairs[0])]
-    return [question, *(f"{question} {label}" if answers.compares else question for label in labels[1:])]
+    further = answers.effects(answers.pairs[0])[1:]
+    return [question, *(f"{question} both" if answers.compares else question for _ in further)]
 
 
 def _scope(answers: AnswerCounts, f: int, pair: Pair) -> str:

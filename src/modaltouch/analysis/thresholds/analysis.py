@@ -103,6 +103,7 @@ def _report(
 
     responses = analysis.responses
     design = responses.start["design"]
+    both, nothing = responses.answers.naming("left", "right"), responses.answers.naming()
     return render_page(
         "modaltouch.analysis.thresholds",
         "thresholds.html.j2",
@@ -113,6 +114,8 @@ def _report(
         together=together,
         bounds=analysis.bounds,
         adaptive=design["adaptive"],
+        both="" if both is None else both.name,
+        nothing="" if nothing is None else nothing.name,
         rule=responses.start.get("adaptive", {}),
         focus=" or ".join(sorted(set(responses.foci.values()) or {responses.focus})),
         n_participants=len({run.participant for run in analysis.runs}),
