@@ -1,13 +1,18 @@
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex, to_rgb
+from matplotlib.transforms import Bbox
 
 from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.covariate_figures import draw_order, draw_side, draw_speeds, draw_times
 from modaltouch.analysis.figures import draw_counts, draw_overview, draw_participants
 from modaltouch.analysis.tables import zone_table
+from modaltouch.protocol import AnswerList
 from modaltouch.report.style import PAIR_COLOURS, render
 
 
@@ -124,6 +129,75 @@ def test_no_legend_is_cut_or_hides_an_answer(build, levels, conditions, draw) ->
     assert seen.x0 >= 0 and seen.x1 <= figure.bbox.x1
     assert seen.y0 >= 0 and seen.y1 <= figure.bbox.y1
     assert not any(seen.overlaps(axes.get_window_extent()) for axes in figure.axes)
+
+
+LONG = ("clearly_stronger_on_the_left", *(f"stronger_under_finger_{n}_of_6" for n in range(2, 7)), "I" * 30)
+
+
+def answers_of(build, names, n_pairs, levels):
+    """Return counts in which seven participants give the answers of a list in turn."""
+    rows = [
+        {"participant": f"p{i}", "finger_condition": fingers, "zone_left": left, "zone_right": right,
+         "velocity_mm_s": level, "response": names[(i + place) % len(names)]}
+        for i in range(7) for fingers in ("one_hand", "two_hands") for left, right in ("AC", "BD", "CE")[:n_pairs]
+        for place, level in enumerate(levels)
+    ]  # fmt: skip
+    return count_answers(build["tidy"](rows), offered=AnswerList.of({"keys": names}))
+
+
+def cut_or_overlapping(figure, texts):
+    """Return the texts that leave a figure, or lie on another one."""
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    boxes = {text: text.get_window_extent() for text in texts if text.get_text() and text.get_visible()}
+    page = figure.bbox
+    cut = [t for t, b in boxes.items() if b.x0 < 0 or b.y0 < 0 or b.x1 > page.x1 or b.y1 > page.y1]
+    pairs = [(a, b) for a, b in combinations(boxes, 2) if Bbox.intersection(boxes[a], boxes[b]) is not None]
+    return [t.get_text() for t in cut], [(a.get_text(), b.get_text()) for a, b in pairs]
+
+
+@pytest.mark.parametrize("levels", [(100,), (80, 100, 150, 200)], ids=len)
+@pytest.mark.parametrize("n_pairs", [1, 3])
+@pytest.mark.parametrize("names", [LONG, LONG[:2], tuple("abcdefg")], ids=["long", "two", "short"])
+def test_names_of_any_answers_are_read_below_their_bars(build, names, n_pairs, levels) -> None:
+    """Two or seven answers of up to 30 letters: none is cut, none lies on another, all are there."""
+    answers = answers_of(build, names, n_pairs, levels)
+    figure = draw_counts(zone_table(answers, "one_hand"), "one_hand")
+    texts = [text for axes in figure.axes for text in (*axes.texts, axes.xaxis.label)]
+    assert cut_or_overlapping(figure, [*texts, figure._suptitle]) == ([], [])
+    written = "".join(text.get_text().replace("\n", "") + " " for text in texts)
+    assert all(written.count(f" {name} ") == n_pairs for name in names)
+
+
+@pytest.mark.parametrize("n_pairs", [1, 3])
+@pytest.mark.parametrize("n", [3, 7])
+def test_the_overview_tells_all_answers_apart(build, n, n_pairs) -> None:
+    """Each line of a panel has a look of its own; legend and title lie in the picture, beside the panels."""
+    figure = draw_overview(answers_of(build, LONG[:n], n_pairs, (80, 100, 150, 200)))
+    legend = figure.legends[0]
+    texts = [*legend.get_texts(), figure._suptitle, *(axes.title for axes in figure.axes)]
+    assert cut_or_overlapping(figure, texts) == ([], [])
+    for axes in figure.axes:
+        looks = [
+            (line.get_color(), line.get_marker(), line.get_linestyle(), line.get_markerfacecolor())
+            for line in axes.lines if line.get_label()[0] != "_" or line.get_marker() in "os^DvP"
+        ]  # fmt: skip
+        assert len(set(looks)) == len(looks) == (n - 1) * (2 if n == 3 else 1)
+        assert not legend.get_window_extent().overlaps(axes.get_window_extent())
+
+
+@pytest.mark.parametrize("n_pairs", [1, 3])
+def test_strips_tell_seven_answers_apart(build, n_pairs) -> None:
+    """Seven colours, far enough apart, and seven letters, which the legend explains."""
+    figure = draw_participants(answers_of(build, LONG, n_pairs, (80, 100, 150, 200)))
+    legend = figure.legends[0]
+    assert cut_or_overlapping(figure, [*legend.get_texts(), figure._suptitle]) == ([], [])
+    letters = {text.get_text()[text.get_text().rindex("(") + 1 : -1] for text in legend.get_texts()}
+    drawn = {text.get_text() for axes in figure.axes for text in axes.texts}
+    assert len(letters) == 7
+    assert letters <= drawn
+    colours = [np.array(to_rgb(patch.get_facecolor())) for patch in legend.get_patches()]
+    assert min(float(np.abs(a - b).max()) for a, b in combinations(colours, 2)) > 0.2
 
 
 @pytest.mark.parametrize("kind", ["svg", "png"])

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import re
+import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import cycle
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -34,6 +35,27 @@ FINGERS = {
     "two_hands": "index fingers of both hands",
 }
 PAIRS_PER_ROW = 3
+LEVEL_SIZE, ANSWER_SIZE, LONG_ANSWER_SIZE = 6.2, 9.5, 7.5
+"""Sizes of type below the bars: levels, answers, and answers that are too long for one line [points]."""
+MOST_LINES = 3
+"""Lines of an answer's name below its bars, if fewer pairs in a row can help."""
+BAR_WIDTH, ANSWER_GAP, PAIR_GAP = 1.0, 1.1, 2.2
+"""A bar, and what lies between the bars of two answers and of two pairs, on the horizontal axis [1]."""
+ROW_WIDTH = 6.9
+"""Width of a row of bars [inch]."""
+TITLE_SIZE, LEGEND_SIZE = 9, 8
+"""Sizes of type of a title and a legend [points]."""
+LEGEND_MARGIN = 0.45
+"""What a column of a legend needs beside its words [inch]."""
+LETTER = 0.6 / 72
+"""Mean width of a letter over the size of its type [inch/point]."""
+
+OTHER_COLOURS = (*PAIR_COLOURS[1:5], "#f0b3cf", PAIR_COLOURS[0], "#d1603d")
+"""Colours of answers that name no zone; the last two are left to zones where there are any."""
+MARKERS = ("o", "s", "^", "D", "v", "P")
+LINES = ("-", "--", "-.", ":")
+_DARK = frozenset({PAIR_COLOURS[0], "#9a5b9f", "#d1603d"})
+"""Colours on which letters are white."""
 ZONE_COLOURS = (ANSWER_COLOURS["dominant"], ANSWER_COLOURS["both"], ANSWER_COLOURS["other"])
 TIED, NOTHING = "white", FAINT
 """Colours of cells where repetitions tie, and where nothing was felt."""
@@ -67,14 +89,15 @@ def draw_counts(table: pd.DataFrame, finger_condition: str, n_participants: int 
     """
     pairs = list(dict.fromkeys(table.index.get_level_values("pair")))
     colours = pair_colours(pairs)
-    rows = [pairs[i : i + PAIRS_PER_ROW] for i in range(0, len(pairs), PAIRS_PER_ROW)]
+    names = _lay_out_names(table)
+    rows = [pairs[i : i + names.n_pairs] for i in range(0, len(pairs), names.n_pairs)]
     totals = {pair: table.loc[pair].sum() for pair in pairs}
     most = int(max(total.max() for total in totals.values()))
     with house_style():
         figure = Figure(figsize=(7.6, 0.5 + 2.9 * len(rows)))
         panels = figure.subplots(len(rows), 1, squeeze=False)[:, 0]
         for axes, row in zip(panels, rows, strict=True):
-            _draw_row(axes, table, row, colours, totals, n_participants)
+            _draw_row(axes, table, row, colours, totals, n_participants, names)
             axes.set_ylim(0, most * 1.02)
             axes.yaxis.set_major_locator(MaxNLocator(nbins=6, integer=True, steps=[1, 2, 5, 10]))
             axes.set_ylabel(f"answers out of {most}")
@@ -92,9 +115,10 @@ def _draw_row(
     colours: dict[str, str],
     totals: dict[str, pd.Series],
     n: int | None,
+    names: _Names,
 ) -> None:
     levels = [float(level) for level in table.columns]
-    width, gap, apart = 1.0, 1.1, 2.2
+    width, gap, apart = BAR_WIDTH, ANSWER_GAP, PAIR_GAP
     left = 0.0
     for pair in pairs:
         start = left
@@ -103,19 +127,13 @@ def _draw_row(
             _draw_group(axes, places, counts.to_numpy(), totals[pair].to_numpy(), colours[pair], n)
             for place, level in zip(places, levels, strict=True):
                 axes.text(
-                    place, -0.015, format(level, "g"), rotation=90, ha="center", va="top", fontsize=6.2,
+                    place, -0.015, format(level, "g"), rotation=90, ha="center", va="top", fontsize=LEVEL_SIZE,
                     color=FAINT, transform=axes.get_xaxis_transform(),
                 )  # fmt: skip
-            centre = float(places.mean())
             axes.text(
-                centre,
-                -0.125,
-                str(answer),
-                ha="center",
-                va="top",
-                fontsize=9.5,
+                float(places.mean()), -0.125, names.written(str(answer)), ha="center", va="top", fontsize=names.size,
                 transform=axes.get_xaxis_transform(),
-            )
+            )  # fmt: skip
             left = float(places[-1]) + width + gap
         middle = (start + left - width - gap) / 2
         axes.text(
@@ -125,7 +143,55 @@ def _draw_row(
         left += apart - gap
     axes.set_xlim(-width, left - apart)
     axes.set_xticks([])
-    axes.xaxis.labelpad = 34
+    axes.xaxis.labelpad = 34 + 1.2 * names.size * (names.n_lines - 1)
+
+
+@dataclass(frozen=True)
+class _Names:
+    """How the names of the answers are written below the bars.
+
+    Attributes
+    ----------
+    n_pairs : int
+        Zone pairs in a row.
+    n_letters : int
+        Letters in a line.
+    size : float
+        Size of type [points].
+    n_lines : int
+        Lines of the longest name.
+    """
+
+    n_pairs: int
+    n_letters: int
+    size: float
+    n_lines: int = 1
+
+    def written(self, name: str) -> str:
+        """Return a name in lines, cut behind an underscore or hyphen where there is one."""
+        if len(name) <= self.n_letters:
+            return name
+        lines = textwrap.wrap(name.replace("_", "_ "), self.n_letters)
+        return "\n".join(line.replace("_ ", "_") for line in lines)
+
+
+def _lay_out_names(table: pd.DataFrame) -> _Names:
+    """Return names in one line if they fit, else in several, with as many pairs in a row as leave room for them."""
+    labels = [str(answer) for _, answer in table.index]
+    n_all, n_levels = len({pair for pair, _ in table.index}), len(table.columns)
+    n_answers = len(labels) // n_all
+    longest_part = max(len(part) for label in labels for part in re.split(r"(?<=[_-])| ", label))
+    for n_pairs in range(min(PAIRS_PER_ROW, n_all), 0, -1):
+        group = n_levels * BAR_WIDTH + ANSWER_GAP
+        unit = ROW_WIDTH / (n_pairs * (n_answers * group + PAIR_GAP - ANSWER_GAP))
+        names = _Names(n_pairs, int(group * unit / (ANSWER_SIZE * LETTER)), ANSWER_SIZE)
+        if max(map(len, labels)) > names.n_letters:
+            names = _Names(n_pairs, max(int(group * unit / (LONG_ANSWER_SIZE * LETTER)), 4), LONG_ANSWER_SIZE)
+            names = replace(names, n_lines=max(names.written(label).count("\n") + 1 for label in labels))
+        fits = names.n_lines <= MOST_LINES and names.n_letters >= longest_part
+        if fits and BAR_WIDTH * unit * 72 >= LEVEL_SIZE:
+            break
+    return names
 
 
 def _draw_group(
@@ -151,48 +217,86 @@ def _draw_group(
 
 
 def draw_overview(answers: AnswerCounts) -> Figure:
-    """Return the share of the dominant zone, or of the first answer, over level, a panel for each pair."""
-    markers = ("o", "s", "^", "D", "v", "P")
-    lines = ("-", "--", "-.", ":")
+    """Return the share of the dominant zone, or of the first answer, over level, a panel for each pair.
+
+    Where more than two shares are to be told apart, each finger condition has a row of its own, each answer a colour.
+    """
+    are_many = len(answers.effects(answers.pairs[0])) > 2
+    rows = answers.finger_conditions if are_many else ("",)
+    width = min(2.4 * len(answers.pairs) + 0.6, 12)
+    height = 2.9 if not are_many else 0.9 + 2.1 * len(rows)
     with house_style():
-        figure = Figure(figsize=(min(2.4 * len(answers.pairs) + 0.6, 12), 2.9))
-        panels = figure.subplots(1, len(answers.pairs), sharey=True, squeeze=False)[0]
-        places = np.arange(len(answers.levels), dtype=float)
-        for q, (axes, pair) in enumerate(zip(panels, answers.pairs, strict=True)):
-            for f, condition in enumerate(answers.finger_conditions):
-                shift = 0.16 * (f - (len(answers.finger_conditions) - 1) / 2)
-                (_, main), *others = answers.effects(pair)
-                colour = CONDITION_COLOURS[f % len(CONDITION_COLOURS)]
-                style = {
-                    "marker": markers[f % 6],
-                    "linestyle": lines[f % 4],
-                    "markersize": 4.5,
-                    "linewidth": 1.1,
-                }
-                chosen = answers.counts[:, f, q, :, main]
-                _draw_shares(axes, places + shift, chosen, answers.n_repetitions, colour, condition, style)
-                for label, place in others:
-                    share = answers.counts[:, f, q, :, place].mean(axis=0) / answers.n_repetitions
-                    axes.plot(
-                        places + shift, share, color=FAINT, marker=markers[f % 6], markersize=3, linewidth=0.7,
-                        linestyle=lines[f % 4], markerfacecolor="white", label=f"{condition}: {label}",
-                    )  # fmt: skip
-            zones = f"({pair.left}, {pair.right})"
-            axes.set_title(f"{pair.dominant} of {zones}" if answers.compares else zones)
-            axes.set_xticks(places, [format(level, "g") for level in answers.levels])
-            axes.set_ylim(-0.03, 1.03)
-            quiet_grid(axes)
-        panels[0].set_ylabel("share of answers")
-        panels[(len(panels) - 1) // 2].set_xlabel(answers.scale.quantity, x=0.5 if len(panels) % 2 else 1.04)
-        handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 4), frameon=False)
-        figure.suptitle(f"{describe_effects(answers)}, {_sample(answers)}", fontsize=9)
+        figure = Figure(figsize=(width, height))
+        grid = figure.subplots(len(rows), len(answers.pairs), sharex=True, sharey=True, squeeze=False)
+        for f, (panels, condition) in enumerate(zip(grid, rows, strict=True)):
+            for q, (axes, pair) in enumerate(zip(panels, answers.pairs, strict=True)):
+                if are_many:
+                    _draw_answers(axes, answers, f, q)
+                else:
+                    _draw_effects(axes, answers, q)
+                zones = f"({pair.left}, {pair.right})"
+                axes.set_title(f"{pair.dominant} of {zones}" if answers.compares else zones)
+                axes.set_xticks(range(len(answers.levels)), [format(level, "g") for level in answers.levels])
+                axes.set_ylim(-0.03, 1.03)
+                quiet_grid(axes)
+            panels[0].set_ylabel(f"share of answers\n{condition}" if condition else "share of answers")
+        middle = grid[-1][(len(answers.pairs) - 1) // 2]
+        middle.set_xlabel(answers.scale.quantity, x=0.5 if len(answers.pairs) % 2 else 1.04)
+        handles, labels = grid[0][0].get_legend_handles_labels()
+        n_columns = _columns(labels, width, 4)
+        # Panels keep their height, however many lines the legend has.
+        figure.set_figheight(height + 0.17 * max(-(-len(labels) // n_columns) - 2, 0))
+        figure.legend(handles, labels, loc="outside lower center", ncols=n_columns, frameon=False)
+        figure.suptitle(_fitted(f"{describe_effects(answers)}, {_sample(answers)}", width), fontsize=TITLE_SIZE)
     return figure
+
+
+def _draw_effects(axes: Axes, answers: AnswerCounts, q: int) -> None:
+    """Draw the first share of a pair with its intervals and the other one without, a colour for each condition."""
+    (_, main), *others = answers.effects(answers.pairs[q])
+    for f, condition in enumerate(answers.finger_conditions):
+        places = np.arange(len(answers.levels), dtype=float) + 0.16 * (f - (len(answers.finger_conditions) - 1) / 2)
+        colour, marker, line = CONDITION_COLOURS[f % len(CONDITION_COLOURS)], MARKERS[f % 6], LINES[f % 4]
+        style = {"marker": marker, "linestyle": line, "markersize": 4.5, "linewidth": 1.1}
+        _draw_shares(axes, places, answers.counts[:, f, q, :, main], answers.n_repetitions, colour, condition, style)
+        for label, place in others:
+            share = answers.counts[:, f, q, :, place].mean(axis=0) / answers.n_repetitions
+            axes.plot(
+                places, share, color=FAINT, marker=marker, markersize=3, linewidth=0.7, linestyle=line,
+                markerfacecolor="white", label=f"{condition}: {label}",
+            )  # fmt: skip
+
+
+def _draw_answers(axes: Axes, answers: AnswerCounts, f: int, q: int) -> None:
+    """Draw the share of each answer of a pair in one finger condition, with a colour, marker and line of its own."""
+    effects = answers.effects(answers.pairs[q])
+    for i, (label, place) in enumerate(effects):
+        places = np.arange(len(answers.levels), dtype=float) + 0.09 * (i - (len(effects) - 1) / 2)
+        style = {"marker": MARKERS[i % 6], "linestyle": LINES[i % 4], "markersize": 4.5, "linewidth": 1.0}
+        chosen, colour = answers.counts[:, f, q, :, place], OTHER_COLOURS[i % len(OTHER_COLOURS)]
+        style |= {"markeredgecolor": INK, "markeredgewidth": 0.4}
+        _draw_shares(axes, places, chosen, answers.n_repetitions, colour, label, style)
+
+
+def _columns(labels: Sequence[str], width: float, most: int) -> int:
+    """Return in how many columns a legend of some labels fits into a figure [inch], `most` at most."""
+    for n_columns in range(min(len(labels), most), 1, -1):
+        longest = [max(map(len, column)) for column in np.array_split(np.array(labels, dtype=object), n_columns)]
+        if sum(longest) * LEGEND_SIZE * LETTER + LEGEND_MARGIN * len(longest) <= width:
+            return n_columns
+    return 1
+
+
+def _fitted(title: str, width: float) -> str:
+    """Return a title in as many lines as a figure [inch] needs."""
+    return textwrap.fill(title, int(width / (TITLE_SIZE * LETTER)))
 
 
 def describe_effects(answers: AnswerCounts) -> str:
     """Return which shares the overview shows, as its title says it."""
     (first, _), *others = answers.effects(answers.pairs[0])
+    if len(others) > 1:
+        return f"Every answer but “{answers.answers[-1].name}”, which has the rest (95 % intervals)"
     main = "Dominant zone" if answers.compares else f"“{first}”"
     named = " and ".join(f"“{label}”" for label, _ in others)
     return f"{main} (filled, 95 % intervals)" + (f" and {named} (open)" if named else "")
@@ -241,9 +345,10 @@ def draw_participants(answers: AnswerCounts) -> Figure:
         if not (modal < 0).any():
             del names[_TIE]
         patches = [Patch(facecolor=colour, edgecolor=INK, linewidth=0.5, label=name) for name, colour in names.items()]
-        n_columns = len(names) if figure.get_figwidth() > 1.4 * len(names) else 3
+        width = float(figure.get_figwidth())
+        n_columns = _columns(list(names), width, len(names) if width > 1.4 * len(names) else 3)
         figure.legend(handles=patches, loc="outside lower center", ncols=n_columns, frameon=False)
-        figure.suptitle(f"Every participant's answer in every cell{more}", fontsize=9)
+        figure.suptitle(_fitted(f"Every participant's answer in every cell{more}", width), fontsize=TITLE_SIZE)
         panels[(len(panels) - 1) // 2].set_xlabel(answers.scale.quantity, x=0.5 if len(panels) % 2 else 1.04)
     return figure
 
@@ -267,11 +372,16 @@ def _kinds(answers: AnswerCounts, pair: Pair) -> list[_Kind]:
     if answers.compares:
         dominant, both, other = ZONE_COLOURS
         kinds = [_Kind(answers.dominant_place(pair), "dominant zone", pair.dominant, dominant, "white")]
-        kinds += [] if answers.both_place is None else [_Kind(answers.both_place, "both (&)", "&", both)]
+        both_place = answers.both_place
+        if both_place is not None:
+            kinds.append(_Kind(both_place, f"{answers.answers[both_place].name} (&)", "&", both))
         kinds += [_Kind(answers.other_place(pair), "other zone", pair.other, other, "white")]
-    rest = [place for place in answers.felt if place not in {kind.place for kind in kinds}]
-    for place, colour in zip(rest, cycle(PAIR_COLOURS[1:]), strict=False):
-        kinds.append(_Kind(place, answers.answers[place].name, answers.answers[place].name, colour))
+    rest = {p: answers.answers[p].name for p in answers.felt if p not in {kind.place for kind in kinds}}
+    # Two letters tell them apart, or else their places.
+    is_clear = len({name[:2] for name in rest.values()}) == len(rest)
+    for (place, name), colour in zip(rest.items(), OTHER_COLOURS, strict=False):
+        letter, ink = name[:2] if is_clear else str(place + 1), "white" if colour in _DARK else INK
+        kinds.append(_Kind(place, f"{name} ({letter})", letter, colour, ink))
     return [*kinds, tie, *nothing]
 
 
