@@ -128,6 +128,28 @@ def test_every_text_fits_its_place(screen: Any, experiment: Experiment, language
                 assert screen.shrinks(mark) >= 0.6, (picture.name, mark.text)
 
 
+GRADES = ("Much weaker", "Weaker", "A bit weaker", "About the same", "A bit stronger", "Stronger", "Much stronger")
+
+
+@pytest.mark.parametrize("labels", [GRADES, ("Clearly stronger under the left", "Clearly stronger under the right")])
+@pytest.mark.parametrize("size", [(800, 600), (1280, 800), (3840, 2160)])
+def test_labels_of_any_answers_are_read_on_their_buttons(
+    screen: Any, experiment: Experiment, size: tuple[int, int], labels: tuple[str, ...]
+) -> None:
+    """Expected: every label fits, in type of 2 % of the window's height at least: 5 mm on a screen of 27 cm."""
+    keys = {f"grade_{number}": (str(number),) for number in range(len(labels))}
+    answers = experiment.protocol.answers.model_copy(update={"keys": keys})
+    texts = experiment.texts.model_copy(update={"answers": dict(zip(keys, labels, strict=True))})
+    layout = lay_out(*size, tuple(experiment.apparatus.zones), answers.offered)
+    picture = Illustrator(layout, DARK, texts, answers, "right").question(
+        Trial(5, 1, Condition("one_hand", "B", "D", 100.0)), Progress(5, 24)
+    )
+    for mark in picture.marks:
+        if isinstance(mark, Words) and mark.text in labels:
+            assert screen.fits(mark), mark.text
+            assert screen.shrinks(mark) * mark.size >= 0.02, mark.text
+
+
 def test_a_text_too_long_is_made_smaller(screen: Any) -> None:
     """Expected: shrunk until it fits, or found not to fit."""
     assert screen.fits(Words("A text that is far too long for its box", Box(0, 0, 0.4, 0.2), 0.08, "#FFFFFF"))

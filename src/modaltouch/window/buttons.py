@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import textwrap
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 from modaltouch.protocol import Answer, AnswersSection, Texts
 from modaltouch.window.layout import Layout
@@ -13,6 +14,10 @@ from modaltouch.window.theme import Theme
 _ARROWS = ("left", "right", "up", "down")
 _BOLD_LETTER = 0.62
 """Mean width of a bold letter of Noto Sans [em]."""
+_LINE = 1.4
+"""Height of a line of it [em]."""
+_MOST_LINES = 3
+"""Lines of an answer on its button."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +62,8 @@ class Buttons:
         """Return a button too low for two lines: its word in the middle, its key beside it."""
         theme, unit = self.theme, self.layout.unit
         fill, ink = (theme.pressed, theme.pressed_text) if pressed else (theme.button, theme.text)
-        size = min(self._answer_size(self.layout.answer_width * 0.68), 0.5 * box.height)
+        longest = max(len(self._word(name)) for name, other in self._offered.items() if other.is_below)
+        size = min(self._answer_size, 0.5 * box.height, 0.5 * box.width / (_BOLD_LETTER * longest))
         words = Words(self._word(answer), Box(box.x, box.y, box.width * 0.5, box.height * 0.9), size, ink, bold=True)
         beside = Box(box.x + 0.36 * box.width, box.y, box.width * 0.2, 0.6 * box.height)
         return (
@@ -73,7 +79,7 @@ class Buttons:
         edge = {-1: theme.left, 1: theme.right}.get(own.side, theme.button_edge)
         fill, ink = (theme.pressed, theme.pressed_text) if pressed else (theme.button, theme.text)
         lift = 0.18 * box.height if with_keys else 0.0
-        upper = Box(box.x, box.y + lift, box.width * 0.68, 0.52 * box.height)
+        upper = Box(box.x, box.y + lift, box.width * self._share, 0.52 * box.height)
         at = 0.4 * box.width
         arrows = [
             triangle(way, box.x + sign * at, upper.y - 0.004 * unit, 0.018 * unit, ink if pressed else edge)
@@ -82,17 +88,29 @@ class Buttons:
         ]
         return (
             *framed(box, 0.022 * unit, edge, fill, 0.006 * unit),
-            Words(self._word(answer), upper, self._answer_size(upper.width), ink, bold=True),
+            Words(self._word(answer), upper, self._answer_size, ink, bold=True),
             *arrows,
         )
 
     def _word(self, answer: str) -> str:
         return self.texts.label(answer)
 
-    def _answer_size(self, width: float) -> float:
-        """Return one size of type at which the longest answer fits its button [window heights]."""
-        longest = max(len(self._word(answer)) for answer in self.layout.buttons)
-        return min(0.062 * self.layout.type_scale, width / (_BOLD_LETTER * longest))
+    @cached_property
+    def _share(self) -> float:
+        """Share of a button's width that its word may take: arrows for fingers stand on both sides of it."""
+        return 0.68 if any(answer.fingers for answer in self._offered.values()) else 0.9
+
+    @cached_property
+    def _answer_size(self) -> float:
+        """One size of type at which every answer of the row fits its button, on several lines where it is larger so."""
+        labels = [self._word(name) for name, own in self._offered.items() if not own.is_below] or ["-"]
+        width = self.layout.answer_width * self._share
+        height = 0.52 * next(iter(self.layout.buttons.values())).height
+        sizes = [width / (_BOLD_LETTER * max(map(len, labels)))]
+        for n_lines in range(2, _MOST_LINES + 1):
+            longest = max(_longest_line(label, n_lines) for label in labels)
+            sizes.append(min(width / (_BOLD_LETTER * longest), height / (_LINE * n_lines)))
+        return min(0.062 * self.layout.type_scale, max(sizes))
 
     def _key_caps(self, answer: str, box: Box) -> tuple[Mark, ...]:
         """Return the keys that give an answer: arrows where there are any, else the first two."""
@@ -115,6 +133,14 @@ class Buttons:
                 marks.append(Words(label, inner, 0.58 * box.height, self.theme.text))
             x += width + gap
         return tuple(marks)
+
+
+def _longest_line(label: str, n_lines: int) -> int:
+    """Return the letters of the longest line of a label in as many lines, broken between words alone."""
+    # Not split(): a space that must not break is part of a word.
+    words = label.replace("\n", " ").split(" ")
+    wrap = partial(textwrap.wrap, label, break_on_hyphens=False)
+    return next(n for n in range(max(map(len, words)), len(label) + 1) if len(wrap(n)) <= n_lines)
 
 
 def key_name(texts: Texts, key: str) -> str:

@@ -28,6 +28,8 @@ _BAR = 40
 """Greatest width of the bar of progress [characters]."""
 _NAMES = 14
 """Width of the column of names [characters]."""
+_BY_ANSWER = ("answer by", "answers")
+"""Rows that grow with the list of answers, of which none may be left out."""
 _MOST_WARNINGS = 4
 _DISPENSABLE = ("generator", "answers", "predicted", "asked", "outputs", "last answer", "fingers")
 """What a low terminal does without, the first first."""
@@ -92,7 +94,8 @@ def _draw_rows(rows: Sequence[tuple[str, str]], width: int, room: int) -> list[T
 
 
 def _draw_row(name: str, words: str, width: int) -> list[Text]:
-    told = textwrap.wrap(words, max(width - _NAMES - 1, 20), max_lines=3, placeholder=" ...") or ["-"]
+    most = 7 if name in _BY_ANSWER else 3
+    told = textwrap.wrap(words, max(width - _NAMES - 1, 20), max_lines=most, placeholder=" ...") or ["-"]
     style = {"state": "bold reverse" if words.startswith(STATES["paused"]) else "bold", "last error": "bold"}.get(
         name, ""
     )
