@@ -291,12 +291,12 @@ def test_a_focus_where_the_field_does_not_peak_is_warned_of(edit: Edit, focus: s
     assert values["stimuli"][-1]["zone_peak_mm_s"]["C"] == pytest.approx(float(faster), abs=0.6)
     told = f"at 150 mm/s the focus {focus} is not where the beam moves fastest: zone {focus} moves at up to 150 mm/s"
     assert any(each.startswith(told) and f"zone C at up to {faster} mm/s" in each for each in values["warnings"])
-    assert any("the field misses the wish by 106% of its root" in each for each in values["warnings"])
+    assert any("the field misses the target by 106% of its root" in each for each in values["warnings"])
 
 
 def test_the_papers_focus_is_not_warned_of(preflight: Preflight) -> None:
     """Zone C is the fastest there, and six modes miss the wish by 6 %."""
-    assert not [each for each in preflight.as_dict()["warnings"] if "fastest" in each or "misses the wish" in each]
+    assert not [each for each in preflight.as_dict()["warnings"] if "fastest" in each or "misses the target" in each]
 
 
 def test_what_is_taken_by_default_is_listed(edit: Edit) -> None:

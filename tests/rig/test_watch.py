@@ -323,7 +323,7 @@ class Dead(Instrument):
 
 STILL, NOBODY = (
     f"the generator cannot be told to switch its outputs off ({trying}): SWITCH THE AMPLIFIER OFF"
-    for trying in ("still trying", "nobody goes on trying")
+    for trying in ("still trying", "no further attempt")
 )
 
 

@@ -338,7 +338,7 @@ def test_the_limit_of_age_is_kept_to_the_second(seconds: float, hours: float, sa
     if not said:
         refuse_old(session, cut, hours)
         return
-    with pytest.raises(RecordInputError, match=f"was interrupted {said}, and the protocol lets it go on within"):
+    with pytest.raises(RecordInputError, match=f"was interrupted {said}, and the protocol allows it to go on within"):
         refuse_old(session, cut, hours)
 
 

@@ -226,7 +226,7 @@ def test_a_session_that_tells_no_threshold_is_refused(preflight: Preflight, find
     """A participant who guesses has none: said with the reason of the run, and with a way out."""
     guessing = Observer(Participant(lapse_rate=1.0), name="guessing")
     begin(wire_run(finding, "p01", answers="simulated", results=tmp_path, observer=guessing))
-    with pytest.raises(InputError, match=r"runs of participant p01 tell no threshold .*give the threshold with --thr"):
+    with pytest.raises(InputError, match=r"runs of participant p01 give no threshold .*give the threshold with --thr"):
         wire_run(preflight, "p01", answers="simulated", results=tmp_path)
 
 
@@ -292,5 +292,5 @@ def test_what_needs_the_same_velocities_for_all_refuses_it(preflight: Preflight,
     """Power and fits know velocities: refused with a reason, never a traceback."""
     with pytest.raises(InputError, match="levels calibrated by participant, which depend on thresholds not yet known"):
         designs_for(preflight, FAINT)
-    with pytest.raises(InputError, match="levels calibrated by participant, who felt each a velocity of their own"):
+    with pytest.raises(InputError, match="levels calibrated by participant, each of whom felt other velocities"):
         fit_answers(preflight, results / "simulated" / "sensation_levels", FAINT)

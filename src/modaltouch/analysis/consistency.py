@@ -119,7 +119,7 @@ def _prevalence(answers: AnswerCounts, first: IntArray, second: IntArray, scope:
     own = {pair: sign_flip_test([1] * pair[0] + [-1] * pair[1]).p for pair in set(pairs)}
     shown = sum(own[pair] <= ALPHA and pair[0] > pair[1] for pair in pairs)
     note = (
-        f"{shown} of {n} have a significant sign test of their own; "
+        f"{shown} of {n} have a significant sign test by themselves; "
         f"likeliest prevalence {prevalence(shown, n):.2f} (Ince 2021)"
     )
     return _estimate("e", "prevalence of dominance", scope, quantity, clopper_pearson(shown, n), n, note)

@@ -64,7 +64,7 @@ def _draw_field(axes: Axes, preflight: Preflight, level: float) -> None:
         axes.axvspan(zone.centre_mm - zone.width_mm / 2, zone.centre_mm + zone.width_mm / 2, color="#eef2f7",
                      linewidth=0.8, ec="white", zorder=0)  # fmt: skip
         axes.text(zone.centre_mm, 0.97, name, ha="center", va="top", color=FAINT, transform=axes.get_xaxis_transform())
-    axes.plot(place, wished, color=INK, linestyle="--", linewidth=1, label="wished")
+    axes.plot(place, wished, color=INK, linestyle="--", linewidth=1, label="target")
     axes.plot(place, predicted, color=CONDITION_COLOURS[0], linewidth=1.6, label="predicted")
     axes.set_ylim(min(0, 1.1 * predicted.min()), 1.16 * max(wished.max(), predicted.max()))
     axes.set_xlabel("place along the beam [mm]")

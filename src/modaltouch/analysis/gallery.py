@@ -15,7 +15,7 @@ from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.tables import figure_names, zone_table
 
 FIELDS = (
-    "Left: the velocity field wished along the beam, and the field predicted at the focusing instant from the codes "
+    "Left: the target velocity field along the beam, and the field predicted at the focusing instant from the codes "
     "that were played, on the identified modes. Right: predicted peak speed over time at the centre of each zone."
 )
 INTERVALS = "Error bars: exact 95 % intervals (Clopper-Pearson) over participants."

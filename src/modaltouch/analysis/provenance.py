@@ -211,7 +211,7 @@ def _presented(sessions: Sequence[SessionFacts]) -> Iterator[ConfirmedLevel]:
 def _in_words(ranges: Ranges) -> str:
     """Return the amplitude of each channel over trials, as in ``1.234, 0.987 to 0.988``."""
     if ranges is None:
-        return "not told"
+        return "not recorded"
     return ", ".join(f"{low:g}" if low == high else f"{low:g} to {high:g}" for low, high in ranges)
 
 

@@ -224,7 +224,7 @@ def _plain(question: str, own: Sequence[Finding], answers: AnswerCounts) -> str:
         f"“{nothing.name if nothing else ''}” on a trial with a stimulus counts for neither zone and not for "
         "both, and shares are of all answers.",
         "time": " Bursts repeat at a fixed rate, so reaction times come in steps of one burst period.",
-        "order": " In the paper the order of the two finger conditions is not told.",
+        "order": " The paper does not state the order of the two finger conditions.",
     }
     return text + caution.get(question, "")
 
@@ -316,9 +316,9 @@ def design_limits(analysis: Analysis) -> list[str]:
         if not pair.focused and (pair.right, pair.left) not in pairs and not answers.mirrored:
             limits.append(
                 f"In ({pair.left}, {pair.right}) zone, side and finger go together: {pair.left} lies on the left "
-                f"under one and the same finger, so a preference for {pair.left} cannot be told from a preference for "
-                "that side or finger. Mirrored placement, or swapped hands in half the participants, would tell them "
-                "apart."
+                f"under one and the same finger, so a preference for {pair.left} cannot be separated from one for "
+                "that side or finger. Mirrored placement, or swapped hands in half the participants, would separate "
+                "them."
             )
     if answers.scale == OWN_THRESHOLD:
         limits.append(
@@ -328,7 +328,7 @@ def design_limits(analysis: Analysis) -> list[str]:
     if answers.both_place is not None:
         limits.append(
             f"“{answers.answers[answers.both_place].name.capitalize()}” mixes two things, feeling both fingers alike "
-            "and being unable to tell; the question does not part them."
+            "and being unable to tell; the question does not separate them."
         )
     nothing = answers.answers.naming()
     if nothing is None:
@@ -354,12 +354,12 @@ def design_limits(analysis: Analysis) -> list[str]:
     )
     if "trial" not in analysis.responses.frame.columns and len(answers.finger_conditions) > 1:
         limits.append(
-            "The table does not tell the order of the finger conditions; unless it was balanced, an order effect "
+            "The table does not give the order of the finger conditions; unless it was balanced, an order effect "
             "passes for an effect of the fingers."
         )
     if analysis.responses.source.mode == "simulated":
         limits.insert(
-            0, "These answers come from a simulated participant or a simulated rig. They tell nothing of people."
+            0, "These answers come from a simulated participant or a simulated rig. They say nothing about people."
         )
     return limits
 

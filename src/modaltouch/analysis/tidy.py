@@ -267,7 +267,7 @@ def _near_conditions(table: Table) -> list[Problem]:
     """Return the finger conditions that are probably a slip of the pen."""
     column = table.columns["finger_condition"]
     slips = [code for code, word in enumerate(column.words) if _is_near(word)]
-    allowed = f"{', '.join(FINGER_CONDITIONS)}, or a name of your own"
+    allowed = f"{', '.join(FINGER_CONDITIONS)}, or any other name"
     return _report(table, column, slips, allowed, lambda w: (repr(w), f"write {suggest(w, FINGER_CONDITIONS)}"))
 
 

@@ -24,7 +24,7 @@ def calibrate(
     person: Annotated[str, typer.Option(help="Who calibrates, for the file.", show_default="nobody named")] = "",
     json_output: JSON = False,
 ) -> None:
-    """Measure what each stimulus really does at the focusing instant, and correct its targets until it is as wished.
+    """Measure what each stimulus really does at the focusing instant, and correct its targets until both agree.
 
     Amplifier, clock, modes and vibrometer are identified first. Then velocity and displacement of every modelled mode
     are read off the free decay after the focus, and the targets of the exact law corrected, until nothing is left that
@@ -51,7 +51,7 @@ def _show(calibration: Calibration, out: Path, protocol: Path) -> None:
         _show_stimulus(console, name, calibration)
     noise = max(mode.uncertainty_mm_s for own in calibration.by_stimulus.values() for mode in own.modes)
     amplifier = calibration.amplifier
-    corner = "none told" if amplifier.bandwidth_kHz is None else f"{amplifier.bandwidth_kHz:.0f} kHz"
+    corner = "not known" if amplifier.bandwidth_kHz is None else f"{amplifier.bandwidth_kHz:.0f} kHz"
     console.print(
         f"Amplifier: delay {amplifier.delay_us:.2f} us, corner {corner}; errors are known to {noise:.2f} mm/s "
         "(95 %, noise alone)"

@@ -30,7 +30,9 @@ def check(
     ] = False,
     designs: Annotated[
         bool,
-        typer.Option("--designs", help="Also show voltages of less peak for the same field, and what they cost."),
+        typer.Option(
+            "--designs", help="Also show designs of lower peak voltage for the same field, and what they cost."
+        ),
     ] = False,
     tolerance: Annotated[
         float | None,

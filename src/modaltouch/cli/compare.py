@@ -30,7 +30,7 @@ def compare(
     scan: Annotated[
         Path | None,
         typer.Option(
-            help="Folder that keeps the recordings, so that a comparison that was stopped goes on there.",
+            help="Folder that keeps the recordings, so that an interrupted comparison continues there.",
             show_default="recordings are not kept",
         ),
     ] = None,
@@ -38,14 +38,16 @@ def compare(
     averages: Annotated[int, typer.Option(min=2, max=1000, help="Records at each point.")] = 2,
     beams: Annotated[
         int,
-        typer.Option(min=0, max=10_000, help="Other beams that the drives are played on, drawn around the learned."),
+        typer.Option(
+            min=0, max=10_000, help="Other beams, drawn around the learned one, on which the drives are played."
+        ),
     ] = 20,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the first other beam.")] = 1,
     json_output: JSON = False,
 ) -> None:
-    """Put the drive laws beside time reversal and inverse filtering: one beam, one voltage limit, one page.
+    """Compare the drive laws with time reversal and inverse filtering: one beam, one voltage limit, one page.
 
-    Everything happens on the twin, whose true beam judges. All methods learn from the same recordings.
+    Everything runs on the twin, whose true beam is the reference. All methods learn from the same recordings.
     """
     from modaltouch.lab import CompareOptions, TooFewPointsError
     from modaltouch.lab import compare as measure
@@ -65,7 +67,7 @@ def _show(lines: list[dict[str, Any]], paragraphs: list[str], values: dict[str, 
     from rich.table import Table
 
     console, methods = Console(), values["methods"]
-    title = f"Wished: {values['velocity_mm_s']:g} mm/s at the focus; the best of each column bold"
+    title = f"Target: {values['velocity_mm_s']:g} mm/s at the focus; the best of each column bold"
     table = Table(title=title, title_justify="left")
     table.add_column("method", no_wrap=True)
     shown = [line for line in lines if line["key"] in COLUMNS and methods[0].get(line["key"]) is not None]

@@ -34,16 +34,22 @@ HIGHEST = Annotated[
     float | None,
     typer.Option("--highest-kHz", help="Highest frequency.", show_default="1.25 times the highest mode, at most 120"),
 ]
-MARGIN = Annotated[float, typer.Option("--margin-mm", help="From the beam's ends to the outer points.")]
+MARGIN = Annotated[float, typer.Option("--margin-mm", help="Distance from the beam's ends to the outer points.")]
 SETS = Annotated[list[str] | None, typer.Option("--set", help="Actuator set, repeatable.", show_default="all sets")]
 MODES = Annotated[
     str, typer.Option(help="Modes of the new table: `listed` in the apparatus file, `all`, or labels as 1,3,5.")
 ]
-QUANTITY = Annotated[Quantity | None, typer.Option(help="Of a file that does not say it.")]
+QUANTITY = Annotated[Quantity | None, typer.Option(help="What a file holds, where it does not say so.")]
 CONJUGATED = Annotated[bool, typer.Option("--conjugated", help="The files follow exp(-i w t).")]
-LOWEST = Annotated[float | None, typer.Option("--lowest-Hz", help="Of a file's band.", show_default="the whole band")]
-SPACING = Annotated[float | None, typer.Option("--spacing-Hz", help="Distance of the bins of a file of bare numbers.")]
-SEED = Annotated[int | None, typer.Option(min=0, help="Of the simulated rig, instead of its own.")]
+LOWEST = Annotated[
+    float | None, typer.Option("--lowest-Hz", help="Lowest frequency used of a file.", show_default="the whole band")
+]
+SPACING = Annotated[
+    float | None, typer.Option("--spacing-Hz", help="Frequency step of a file that holds numbers alone.")
+]
+SEED = Annotated[
+    int | None, typer.Option(min=0, help="Seed of the simulated rig, instead of that in the apparatus file.")
+]
 
 
 def identify(

@@ -17,7 +17,7 @@ def new(
     template: Annotated[str, typer.Option("--from", help="A shipped protocol.")] = "differentiated_stimulation",
     json_output: JSON = False,
 ) -> None:
-    """Write a study: a shipped protocol with its apparatus, texts and schemas, to be made your own.
+    """Write a study: a shipped protocol with its apparatus, texts and schemas, ready to be changed.
 
     Its README.md lists the commands in their order. Nothing is ever overwritten.
     """

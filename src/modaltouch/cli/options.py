@@ -84,6 +84,6 @@ EVENTS = Annotated[
 PLAIN = Annotated[bool, typer.Option("--plain", help="Plain lines instead of the live console, and no keys.")]
 
 MEASURED_RIG = Annotated[
-    str, typer.Option(help="`simulated`, or the generator's VISA address; beside a real one stands a PicoScope.")
+    str, typer.Option(help="`simulated`, or the generator's VISA address; a real one is measured with a PicoScope.")
 ]
 SEED_OF_TWIN = Annotated[int | None, typer.Option(min=0, help="Instead of the seed in the apparatus file.")]

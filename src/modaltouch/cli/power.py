@@ -24,9 +24,7 @@ REPETITIONS = Annotated[
     str | None,
     typer.Option("--reps", help="Repetitions of each condition, such as 1,2,4.", show_default="the protocol's own"),
 ]
-NULL = Annotated[
-    bool, typer.Option("--null", help="Simulate that there is nothing to be found, to check the false alarms.")
-]
+NULL = Annotated[bool, typer.Option("--null", help="Simulate no effect, to check the rate of false alarms.")]
 
 
 def power(
@@ -38,14 +36,14 @@ def power(
     questions: Annotated[str, typer.Option(help="Which questions of the analysis.")] = "a1,a2,b,c,d",
     seed: Annotated[int, typer.Option(min=0, help="Seed; the same seed gives the same figures.")] = 1,
     null: NULL = False,
-    target: Annotated[float, typer.Option(min=0.01, max=0.999, help="Power that is wanted.")] = 0.8,
+    target: Annotated[float, typer.Option(min=0.01, max=0.999, help="Power to reach.")] = 0.8,
     jobs: Annotated[int, typer.Option("--jobs", "-j", min=1, max=256, help="Processes that share the work.")] = 1,
     out: Annotated[
         Path | None, typer.Option(help="Folder for tables and the contour plot.", show_default="nothing is written")
     ] = None,
     json_output: JSON = False,
 ) -> None:
-    """Say how likely an experiment of each size is to answer its questions, by simulating the very protocol.
+    """Say how likely an experiment of each size is to answer its questions, by simulating the protocol itself.
 
     Simulated participants answer every condition of the protocol, and the exact tests of the analysis, with Holm's
     correction, are done on their answers. Where the protocol has several stimuli, each is planned by itself, as
@@ -204,7 +202,7 @@ def tell(found: Power, target: float) -> None:
 
     console = Console()
     study = found.study
-    what = "False alarms, nothing being there to be found" if study.null else "Power"
+    what = "False alarms where no effect is simulated" if study.null else "Power"
     observer = escape(study.observer.name)
     console.print(
         f"[bold]{what}[/] of {study.design.title} with observer {observer}: share of {_done(found)} in "

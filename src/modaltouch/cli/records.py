@@ -56,10 +56,10 @@ def doctor(
     apparatus: APPARATUS = SHIPPED_APPARATUS,
     json_output: JSON = False,
 ) -> None:
-    """Look at what this machine has of what a session needs, and say what to do about the rest.
+    """Check this machine for what a session needs, and say how to get what is missing.
 
-    With a SESSION, look at its record instead: what is damaged, what still proves itself, and with --into a new
-    record of that. The damaged one is never touched.
+    With a SESSION, look at its record instead: what is damaged, what can still be verified, and with --into a
+    new record of that. The damaged one is never touched.
     """
     from modaltouch.cli.doctor import examine_machine, missing_packages
 

@@ -61,7 +61,7 @@ ANSWERS = Annotated[
     AnswersChoice,
     typer.Option(
         help="window: a person at the answer window; robot: a simulated participant at that window; "
-        "simulated: a simulated participant without one."
+        "simulated: a simulated participant without a window."
     ),
 ]
 PARTICIPANT = Annotated[
@@ -73,7 +73,7 @@ SESSION_NUMBER = Annotated[
         "--session", "-s", min=1, help="Number of the session.", show_default="the participant's next, or asked"
     ),
 ]
-PILOT = Annotated[bool, typer.Option("--pilot", help="Keep the data apart, as a pilot's.")]
+PILOT = Annotated[bool, typer.Option("--pilot", help="Mark the session as a pilot, whose data are kept apart.")]
 YES = Annotated[bool, typer.Option("--yes", "-y", help="Begin without asking.")]
 THRESHOLD = Annotated[
     float | None,

@@ -1,4 +1,4 @@
-"""``modaltouch validate``: what a drive does to the beam, measured, beside what was wished."""
+"""``modaltouch validate``: what a drive does to the beam, measured, beside what was desired."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ def validate(
     scan: Annotated[
         Path | None,
         typer.Option(
-            help="Folder that keeps the recordings: a scan that was stopped goes on there, a complete one is read "
-            "and no rig is opened.",
+            help="Folder that keeps the recordings: an interrupted scan continues there, a complete one is read "
+            "without a rig.",
             show_default="recordings are not kept",
         ),
     ] = None,
@@ -33,7 +33,7 @@ def validate(
 ) -> None:
     """Play the drive by both laws, scan the beam, and show the paper's Fig. 2 and 5 to 8 on one page.
 
-    The highest level of the protocol is played. Measured is set beside wished, with the errors in mm/s.
+    The highest level of the protocol is played. The measured field is compared with the desired one, errors in mm/s.
     """
     from modaltouch.lab import TooFewPointsError, ValidateOptions
     from modaltouch.lab import validate as measure

@@ -35,8 +35,8 @@ class Fitted:
     not_identifiable: ClassVar[str] = (
         "Noise, criterion, one plus suppression, side bias and its spread are known only relative to each other; their "
         "scale is the prior's. The front end, detection speed, internal noise and near miss are taken from the given "
-        "observer, not fitted; nor are reaction times. Lapses are told from noise only where some ratios of speeds are "
-        "unmistakable."
+        "observer, not fitted; nor are reaction times. Lapses can be separated from noise only where some ratios "
+        "of speeds are unmistakable."
     )
 
     fit: Fit
@@ -114,7 +114,7 @@ def _count(preflight: Preflight, path: Path, responses: Responses) -> AnswerCoun
     experiment, remedy = preflight.experiment, "give the protocol in which these answers were given"
     _refuse_adaptive(path, is_adaptive=responses.is_adaptive)
     if responses.in_multiples:
-        given = "sessions with levels calibrated by participant, who felt each a velocity of their own"
+        given = "sessions with levels calibrated by participant, each of whom felt other velocities"
         raise InputError([Problem(str(path), 1, 1, "", given, "sessions with the same levels for all", "")])
     answers = responses.count(experiment.protocol.stimulus.focus)
     zones = experiment.apparatus.zones

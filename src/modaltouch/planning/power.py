@@ -1,4 +1,4 @@
-"""How likely an experiment is to find what an observer would show, by simulating the very protocol."""
+"""How likely an experiment is to find what an observer would show, by simulating the protocol itself."""
 
 from __future__ import annotations
 

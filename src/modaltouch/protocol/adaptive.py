@@ -50,7 +50,7 @@ class AdaptiveSection(Section):
     """A run over the level for each finger condition, pair of zones and stimulus, instead of fixed levels."""
 
     method: Literal["staircase", "quest_plus"] = described(
-        "staircase: up and down by the latest answers; quest_plus: the level that is expected to tell most.",
+        "staircase: up and down by the latest answers; quest_plus: the level that is expected to be most informative.",
         default="quest_plus",
     )
     trials: Annotated[int, Field(strict=True, ge=8, le=1000)] = described(
@@ -85,7 +85,7 @@ class SensationLevelsSection(Section):
     """Levels as multiples of a participant's own threshold: the sensation level, as a ratio and not in dB."""
 
     thresholds_from: FileName = described(
-        "Name of the adaptive protocol whose latest complete session tells the participant's threshold: the geometric "
+        "Name of the adaptive protocol whose latest complete session gives the participant's threshold: the geometric "
         "mean over its runs."
     )
     multiples: tuple[Multiple, ...] = described(

@@ -131,7 +131,7 @@ class GeneratorSection(Section):
         "What its outputs see: high_impedance or 50_ohm.", default="high_impedance"
     )
     repetition: Literal["single", "timer", "continuous", "wired", "burst"] = described(
-        "single: each burst is triggered by a command of its own, counted and dated; timer: the generator's free "
+        "single: each burst is triggered by its own command, counted and dated; timer: the generator's free "
         "timer, whose bursts are neither; wired: a pulse source at the trigger input, which counts them; continuous: "
         "one record that holds burst and silence, for a generator whose burst mode cannot be used (it cannot be exact: "
         "check --compare says by how much). `burst` is the former name of timer.",
@@ -203,9 +203,7 @@ class Apparatus(Section):
     zones: dict[Word, Zone] = described(
         "Stretches of the beam that fingers touch, by name.", min_length=1, max_length=100
     )
-    actuator_sets: dict[Word, ActuatorSet] = described(
-        "Actuator sets, by name, each on an output of its own.", min_length=1
-    )
+    actuator_sets: dict[Word, ActuatorSet] = described("Actuator sets, by name, each on its own output.", min_length=1)
     modes: tuple[Mode, ...] = described("Modelled modes, as identified.", min_length=1, max_length=200)
     amplifier: AmplifierSection = described("What stands between generator and beam.")
     safety: Safety = described("Limits that no protocol can raise.")
@@ -398,7 +396,7 @@ def _check_actuator_sets(reading: Reading[Apparatus]) -> Iterator[Problem]:
     for name, actuators in reading.items("actuator_sets"):
         if actuators.channel in taken:
             given = f"{actuators.channel}, which feeds the set {taken[actuators.channel]} already"
-            remedy = "give each set an output of its own"
+            remedy = "give each set its own output"
             yield reading.problem(("actuator_sets", name, "channel"), given, "a free output of 1, 2", remedy)
         taken.setdefault(actuators.channel, name)
 

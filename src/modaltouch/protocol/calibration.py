@@ -51,7 +51,7 @@ class CalibratedAmplifier(Section):
     """The way from the generator to the beam, as the measured drive tells."""
 
     gain_V_per_V: Positive = described("Voltage gain of the stronger channel [V/V].")  # noqa: N815
-    bandwidth_kHz: Positive | None = described("Corner of its first-order pole [kHz]; null if too high to tell.")  # noqa: N815
+    bandwidth_kHz: Positive | None = described("Corner of its first-order pole [kHz]; null if too high to measure.")  # noqa: N815
     delay_us: NotNegative = described("Delay from generator to beam [us].")
 
 
@@ -70,7 +70,7 @@ class CalibratedMode(Section):
     natural_frequency_Hz: Positive = described("Natural frequency [Hz].")  # noqa: N815
     damping_ratio: DampingRatio = described("Damping ratio [1].")
     gain_mm_s2_per_V: dict[Word, Number] = described("Modal acceleration per volt at the beam, by actuator set.")  # noqa: N815
-    wished_mm_s: Number = described("Modal velocity wished at the focusing instant [mm/s].")
+    wished_mm_s: Number = described("Desired modal velocity at the focusing instant [mm/s].")
     target_mm_s: Number = described("Modal velocity aimed at [mm/s].")
     target_displacement_mm_s: Number = described("Modal displacement times angular frequency aimed at [mm/s].")
     error_before_mm_s: tuple[Number, Number] = described(
@@ -99,7 +99,7 @@ class IterationFigures(Section):
     iteration: Annotated[int, Field(strict=True, ge=0)] = described("0 before the calibration.")
     worst_velocity_error_mm_s: NotNegative = described("Largest error of a modal velocity [mm/s].")
     worst_displacement_error_mm_s: NotNegative = described(
-        "Largest modal displacement times angular frequency, which is wished to be 0 [mm/s]."
+        "Largest modal displacement times angular frequency, desired to be 0 [mm/s]."
     )
     peak_voltage_V: NotNegative = described("Highest voltage at the beam [V].")  # noqa: N815
 

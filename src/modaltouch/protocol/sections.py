@@ -269,7 +269,7 @@ class Protocol(Section):
     texts: Text = described("File of the participant's texts, seen from this file.")
     stimulus: StimulusSection = described("The burst that every trial plays, up to its level.")
     stimuli: dict[Word, StimulusVariant] = described(
-        "Several stimuli, by name, that every condition is presented with, each in memories of its own; the section "
+        "Several stimuli, by name, that every condition is presented with, each in its own memories; the section "
         "stimulus holds what they share. Empty for that one alone.",
         default={},
     )

@@ -19,7 +19,7 @@ SampleCount = Annotated[int, Field(strict=True, ge=2, le=131_072, multiple_of=2)
 
 
 class FieldSection(Section):
-    """The velocity map wished at the focusing instant."""
+    """Target velocity field at the focusing instant."""
 
     shape: Literal["triangle", "box", "half_cosine", "raised_cosine", "gaussian", "sampled"] = described(
         "Shape of the velocity over the beam; sampled: straight lines between points.", default="triangle"
@@ -62,16 +62,16 @@ class StimulusSection(Section):
     )
     focus: ZoneName = described("Zone whose centre reaches the peak velocity.")
     further_foci: Annotated[tuple[ZoneName, ...], Field(max_length=20)] = described(
-        "Zones at whose centres the same shape is wished at the same time.", default=()
+        "Further zones at whose centres the same shape is made at the same time.", default=()
     )
-    field: FieldSection = described("The velocity map wished at the focusing instant.", default=FieldSection())
+    field: FieldSection = described("Target velocity field at the focusing instant.", default=FieldSection())
     decomposed_modes: Annotated[Count, Field(le=1000)] = described(
-        "Number of modes on which the wished field is projected.", default=50
+        "Number of modes on which the target field is projected.", default=50
     )
     selected_modes: Selection = described(
         "Number of modelled modes to drive, the strongest first, or a list of their labels.", default=6
     )
-    focusing_instant_ms: Positive = described("When the field reaches its wish [ms from the start].", default=25.0)
+    focusing_instant_ms: Positive = described("When the field reaches its target [ms from the start].", default=25.0)
     duration_ms: Positive = described("Length of a burst [ms].", default=50.0)
     release: Literal["braked", "free"] = described(
         "After the focusing instant: braked to rest at the end of the burst, or free to decay.",

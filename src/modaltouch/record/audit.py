@@ -110,7 +110,7 @@ def _completeness(session: Session) -> str:
         return "complete"
     if session.begun_anew_as is not None:
         return f"closed and not complete: begun anew as session {session.begun_anew_as}"
-    return "not complete: `modaltouch resume` goes on with it; until then the analysis leaves it out"
+    return "not complete: `modaltouch resume` continues it; until then the analysis leaves it out"
 
 
 def levels_of(protocol: Protocol, start: dict[str, Any]) -> Protocol:

@@ -224,7 +224,7 @@ class Connection:
             self.controls.outputs_off()
             self.guard.disarm()
             return "the outputs are off"
-        return "the outputs could not be confirmed off: SWITCH THE AMPLIFIER OFF (a watchdog process goes on trying)"
+        return "the outputs could not be confirmed off: SWITCH THE AMPLIFIER OFF (a watchdog process keeps trying)"
 
     def _revive(self) -> tuple[tuple[bool, ...], tuple[str, ...]]:
         """Open the connection anew, to the same instrument, outputs off; return what `outputs_off` does."""

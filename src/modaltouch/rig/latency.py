@@ -65,7 +65,7 @@ class CommandLatency:
         if self.level_p95 <= _PROMPT:
             return f"{said}: good."
         if self.level_p95 <= _SLOW:
-            return f"{said}: each trial begins that much later; a cable of its own to the generator is faster."
+            return f"{said}: each trial begins that much later; a dedicated cable to the generator is faster."
         return (
             f"{said}: too slow. Connect the generator directly or by one switch, not by a radio link or a busy "
             "network, and measure again."
@@ -92,7 +92,7 @@ def measure(rig: Rig, set_levels: Callable[[tuple[float, ...]], object], opened:
         If fewer than 10 commands are asked for.
     """
     if n < 10:
-        raise ValueError(f"given {n} commands; allowed: 10 or more, or no 95th percentile can be told")
+        raise ValueError(f"given {n} commands; allowed: 10 or more, fewer have no 95th percentile")
     levels, offs = np.empty(n), np.empty(n)
     for k in range(n):
         started = time.perf_counter()

@@ -252,7 +252,7 @@ class WatchdogProcess:
             gives_up = passed > (self._long_persistence if self._plays_by_itself else self._persistence)
             if gives_up or self._clock.now() > next_word:
                 next_word, said = self._clock.now() + WORD_PERIOD, True
-                trying = "nobody goes on trying" if gives_up else "still trying"
+                trying = "no further attempt" if gives_up else "still trying"
                 self._say(
                     f"the generator cannot be told to switch its outputs off ({trying}): SWITCH THE AMPLIFIER OFF"
                 )

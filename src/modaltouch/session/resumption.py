@@ -138,11 +138,11 @@ def refuse_old(session: Session, interruption: SessionInterruption, within_hours
     if within_hours is None:
         return
     anew = f"`modaltouch resume --restart {session.path.parent}` begins it anew, and keeps what was answered"
-    limit = f"the protocol lets it go on within {within_hours:g} h"
+    limit = f"the protocol allows it to go on within {within_hours:g} h"
     if interruption.clock_set_back_s:
         raise RecordInputError(
             f"{session.path}: the clock of this machine is at least {interruption.clock_set_back_s / 3600:.2g} h "
-            f"behind the record, so nobody knows how old the interruption is, and {limit}; set the clock right, or: "
+            f"behind the record, so the age of the interruption is unknown, and {limit}; set the clock right, or: "
             f"{anew}"
         )
     hours = interruption.age_s / 3600

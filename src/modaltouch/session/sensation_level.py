@@ -87,7 +87,7 @@ def _find(preflight: Preflight, place: SessionFolder, thresholds_from: str) -> d
         first = silent[0]
         _refuse(
             preflight,
-            f"{thresholds_from!r}, where {len(silent)} of {len(runs)} runs of {who} tell no threshold "
+            f"{thresholds_from!r}, where {len(silent)} of {len(runs)} runs of {who} give no threshold "
             f"({first['finger_condition']} {first['pair']}: {first['why_not']})",
             "a threshold from every run",
             anew,

@@ -299,7 +299,7 @@ class Projection:
         worst = int(np.abs(residual).argmax())
         lack = f", for lack of modes {', '.join(map(str, self.missing))}" if self.missing else ""
         return (
-            f"the field misses the wish by {self.reconstruction_error:.0%} of its root mean square and by up "
+            f"the field misses the target by {self.reconstruction_error:.0%} of its root mean square and by up "
             f"to {abs(residual[worst]) * 1e3:.0f} mm/s at {position[worst] * 1e3:.0f} mm{lack}"
         )
 

@@ -142,7 +142,7 @@ def measure_clock(n: int = 500) -> ClockTiming:
     import statistics
 
     if n < 20:
-        raise ValueError(f"given {n} waits; allowed: 20 or more, or no 95th percentile can be told")
+        raise ValueError(f"given {n} waits; allowed: 20 or more, fewer have no 95th percentile")
     about = time.get_clock_info("perf_counter")
     day, began = time.time(), time.perf_counter()
     waits = []

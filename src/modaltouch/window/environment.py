@@ -129,7 +129,7 @@ def explain(error: Exception) -> str:
     if "NoSuchDisplay" in kind:
         return (
             f"the answer window cannot reach the display {display!r} ({error}); check that the X server runs "
-            "and lets this user in (`xdpyinfo`), then start again"
+            "and accepts this user (`xdpyinfo`), then start again"
         )
     if "GLX" in str(error) or "GLX" in kind:
         return (

@@ -73,7 +73,7 @@ def _display() -> WindowCheck:
     own, display = sys.platform in ("win32", "darwin"), os.environ.get("DISPLAY", "")
     if own or display:
         return WindowCheck("display", "ok", "the system's own" if own else f"DISPLAY={display}")
-    remedy = "log in at the screen; the demo brings a virtual display of its own"
+    remedy = "log in at the screen; the demo brings its own virtual display"
     return WindowCheck("display", "warning", "DISPLAY is not set", remedy)
 
 
@@ -197,7 +197,7 @@ class WindowTiming:
             lines.append(f"Keys are stamped within {self.key_delay_p95 * 1e3:.1f} ms (95 %): good.")
         if not self.waits_for_monitor:
             lines.append(
-                "Frames do not wait for a monitor, so that nobody knows when one shows them: measure on the "
+                "Frames do not wait for a monitor, so the time at which one shows them is unknown: measure on the "
                 "participants' own screen, and switch vertical retrace on there."
             )
         elif self.n_dropped > 0.01 * self.n_frames:

@@ -144,7 +144,7 @@ def test_full_disk_is_said(
         arm(simulator, playback())
         simulator.front_panel("*TRG")
         clock.sleep(0.1)
-    assert capsys.readouterr().err.startswith("/dev/full: No space left on device; no burst is told from here on")
+    assert capsys.readouterr().err.startswith("/dev/full: No space left on device; no burst is listed from here on")
 
 
 def test_links_are_told_apart(apparatus: Apparatus, playback: Callable[..., Playback], tmp_path: Path) -> None:

@@ -75,7 +75,7 @@ def _draw_function(axes: Axes, run: Run, bounds: tuple[float, float]) -> None:
     _mark_levels(axes.xaxis)
     axes.set_ylim(-0.06, 1.06)
     axes.set_ylabel("share of successes")
-    title = "no threshold can be told" if run.fitted.threshold is None else _title(run.fitted.threshold)
+    title = "no threshold" if run.fitted.threshold is None else _title(run.fitted.threshold)
     axes.set_title(title, loc="left", fontsize=9)
     quiet_grid(axes)
 
@@ -137,7 +137,7 @@ def draw_thresholds(runs: Sequence[Run], bounds: tuple[float, float]) -> Figure:
 
 def _draw_kind(axes: Axes, runs: Sequence[Run], heights: np.ndarray, k: int, bounds: tuple[float, float]) -> None:
     colour, marker = CONDITION_COLOURS[k % 4], "os^D"[k % 4]
-    # Of its own, so that a kind whose runs tell no threshold is in the legend, too.
+    # Of its own, so that a kind whose runs give no threshold is in the legend, too.
     axes.plot([], [], marker=marker, color=colour, ms=5, linestyle="", label=runs[0].kind)
     for run, height in zip(runs, heights, strict=True):
         threshold = run.fitted.threshold

@@ -1,4 +1,4 @@
-"""A psychometric function fitted to the answers of one run, or the reason why these answers tell no threshold.
+"""A psychometric function fitted to the answers of one run, or the reason why these answers give no threshold.
 
 The probability of success at a level x [dB re 1 mm/s] is g + (1 - g - l) Phi((x - m) / s): m is the threshold, halfway
 between guessing and lapsing, s the spread, g the guess rate and l the lapse rate. Everything is read off the
@@ -219,7 +219,7 @@ def fit_psychometric(
 
 
 def _why_not(x: FloatArray, hits: FloatArray, tries: FloatArray, gain: float, threshold: float) -> str:
-    """Return why these answers tell no threshold; empty where they do."""
+    """Return why these answers give no threshold; empty where they do."""
     lowest, highest = (10 ** (level / 20) for level in (x[0], x[-1]))
     if hits.sum() == tries.sum():
         return f"every answer was a success: the threshold lies below {lowest:.3g} mm/s, or there is none"

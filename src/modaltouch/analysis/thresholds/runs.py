@@ -136,7 +136,7 @@ def _run(key: tuple[Any, ...], stimulus: str, part: pd.DataFrame, rule: dict[str
 def over_participants(runs: Sequence[Run]) -> list[dict[str, Any]]:
     """Return the geometric mean threshold of each finger condition, pair and stimulus, over participants.
 
-    A participant's sessions are averaged first. Runs that tell no threshold are left out and counted: where there
+    A participant's sessions are averaged first. Runs that give no threshold are left out and counted: where there
     are any, the mean is one of those who have one.
     """
     rows = []

@@ -37,7 +37,7 @@ def draw_fields(contest: Contest) -> Figure:
             place = verdict.position * 1e3
             wish = contest.task.wish
             axes.plot(place, wish.velocity * 1e3 * wish.profile(verdict.position), color=INK, linestyle="--",
-                      linewidth=1, label="wished")  # fmt: skip
+                      linewidth=1, label="target")  # fmt: skip
             axes.plot(place, verdict.field * 1e3, color=DARK, linewidth=1.2, label="made")
             axes.set_title(designed.method.name, loc="left")
             quiet_grid(axes)
@@ -76,7 +76,7 @@ def draw_drives(contest: Contest) -> Figure:
 
 
 def draw_price(rows: Sequence[Row], limit: float) -> Figure:
-    """Return distance from the wished field against peak voltage, and contrast against energy, of every method."""
+    """Return distance from the target field against peak voltage, and contrast against energy, of every method."""
     pairs = [key for key in rows[0] if key.startswith("contrast_")]
     with house_style():
         figure = Figure(figsize=(7.6, 3.1))
@@ -90,7 +90,7 @@ def draw_price(rows: Sequence[Row], limit: float) -> Figure:
         left.set_xscale("log")
         left.set_yscale("log")
         left.set_xlabel("peak voltage [V]")
-        left.set_ylabel("distance from the wished\nfield, rms [mm/s]")
+        left.set_ylabel("distance from the target\nfield, rms [mm/s]")
         right.set_xscale("log")
         right.set_xlabel("energy [V² s]")
         right.set_ylabel(f"contrast of ({', '.join(pairs[0].split('_')[1:])})")
@@ -112,7 +112,7 @@ def draw_robustness(contest: Contest) -> Figure:
         pair = contest.task.pairs[0]
         columns: tuple[tuple[str, Callable[[DriveAssessment], float]], ...] = (
             ("velocity at the focus [mm/s]", lambda verdict: verdict.at_focus * 1e3),
-            ("distance from the wish, rms [mm/s]", lambda verdict: verdict.rms_error * 1e3),
+            ("distance from the target, rms [mm/s]", lambda verdict: verdict.rms_error * 1e3),
             (f"contrast of ({pair[0]}, {pair[1]})", lambda verdict: verdict.contrasts[pair]),
         )
         for axes, (label, value) in zip(panels, columns, strict=True):
@@ -144,7 +144,7 @@ class CompareOptions:
     out : Path or None
         Folder for page, figures and tables; ``comparison/<protocol>`` if not given.
     scan : Path or None
-        Folder that keeps the recordings, so that a comparison that was stopped goes on there.
+        Folder that keeps the recordings, so that an interrupted comparison continues there.
     points, averages : int
         Control points along the beam, and records at each.
     beams : int
@@ -228,7 +228,7 @@ class ComparisonReport:
         figures = {
             "fields": (
                 draw_fields(self.contest),
-                "The true velocity field at the focusing instant, and the wished one.",
+                "The true velocity field at the focusing instant, and the target.",
             ),
             "price": (
                 draw_price(self.rows, values["voltage_limit_V"]),
@@ -239,7 +239,7 @@ class ComparisonReport:
                 "The same drives on other beams, drawn around the learned one: each beam a dot, the learned one a "
                 "line.",
             ),
-            "drives": (draw_drives(self.contest), "The drives; each row has a scale of its own."),
+            "drives": (draw_drives(self.contest), "The drives; each row has its own scale."),
         }
         files = page_files(
             "comparison",

@@ -258,7 +258,7 @@ METHODS = (
     Method(
         "inverse_filter",
         "inverse filter",
-        "regularised least squares at every frequency towards a pulse of the wished field and rest at every other time "
+        "regularised least squares at every frequency towards a pulse of the target field and rest at every other time "
         "(Pantera & Hudin, World Haptics 2019 and IEEE Trans. Haptics 13(3), 2020)",
         "field",
         lambda known, _: inverse_filter(known),
@@ -266,7 +266,7 @@ METHODS = (
     Method(
         "inverse_instant",
         "inverse filter at t_F",
-        "regularised least squares towards the wished field at the focusing instant alone, a law without a model",
+        "regularised least squares towards the target field at the focusing instant alone, a law without a model",
         "field",
         lambda known, _: inverse_filter_at_instant(known),
     ),

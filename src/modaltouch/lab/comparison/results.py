@@ -64,10 +64,10 @@ def criteria(rows: Sequence[Row]) -> list[Criterion]:
     pairs += [(key, " under fingers 10 mm wide") for key in rows[0] if key.startswith("finger_contrast_")]
     return [
         Criterion("at_focus_mm_s", "velocity at the focus, at the focusing instant", "mm/s", "level"),
-        Criterion("rms_error_mm_s", "distance from the wished field, rms", "mm/s", "low", 2),
-        Criterion("max_error_mm_s", "distance from the wished field, largest", "mm/s", "low", 2),
+        Criterion("rms_error_mm_s", "distance from the target field, rms", "mm/s", "low", 2),
+        Criterion("max_error_mm_s", "distance from the target field, largest", "mm/s", "low", 2),
         Criterion("rms_from_selected_mm_s", "distance from the field of the selected modes, rms", "mm/s", "low", 2),
-        Criterion("outside_mm_s", "highest speed then where rest is wished", "mm/s", "low"),
+        Criterion("outside_mm_s", "highest speed then where rest is the target", "mm/s", "low"),
         Criterion("width_50_mm", "spot width at 50 %", "mm", "none"),
         Criterion("width_80_mm", "spot width at 80 %", "mm", "none"),
         Criterion("highest_at_focus_mm_s", "highest speed at the focus, throughout", "mm/s", "level"),
@@ -80,7 +80,7 @@ def criteria(rows: Sequence[Row]) -> list[Criterion]:
         Criterion("further_recordings", "recordings for each further focus", "", "low", 0),
         Criterion("changed_at_focus_spread_mm_s", "other beams: spread of the velocity at the focus", "mm/s", "low", 2),
         Criterion(
-            "changed_rms_error_mm_s", "other beams: distance from the wished field, rms, median", "mm/s", "low", 2
+            "changed_rms_error_mm_s", "other beams: distance from the target field, rms, median", "mm/s", "low", 2
         ),
         Criterion("changed_drift_mm_s", "other beams: change of the field, rms, median", "mm/s", "low", 2),
     ]
@@ -206,9 +206,9 @@ def _by_rival(row: Row, lost: Sequence[Criterion], own: Row, rows: Sequence[Row]
     first = f"{_named(row)}: best in {'; '.join(parts) or 'nothing'}."
     times = row[field.key] / own[field.key]
     if times > 1:
-        price = f"It is {times:.1f} times as far from the wished field as the {own['name']}"
+        price = f"It is {times:.1f} times as far from the target field as the {own['name']}"
     else:
-        price = f"It is closer to the wished field than the {own['name']}"
+        price = f"It is closer to the target field than the {own['name']}"
     return f"{first} {price}: {_value(field, row)} against {_value(field, own)}."
 
 

@@ -214,7 +214,7 @@ def _draw(evidences: Sequence[Evidence], limit: float) -> dict[str, tuple[Figure
     drawn = {
         "fig_2": (
             draw_decomposition(evidences[0]),
-            "Fig. 2: the wished field decomposed on the modes of the beam. The strongest of the modelled modes are "
+            "Fig. 2: the desired field decomposed on the modes of the beam. The strongest of the modelled modes are "
             "selected; the others of them are to rest at the focusing instant.",
         ),
         "fig_5": (
@@ -224,14 +224,14 @@ def _draw(evidences: Sequence[Evidence], limit: float) -> dict[str, tuple[Figure
         ),
         "fig_6": (
             draw_coefficients(evidences),
-            "Fig. 6: coefficients of the selected modes as wished, as predicted on the identified beam, and as "
-            "measured (least squares over all points at the focusing instant). Right: their difference with 95 % "
+            "Fig. 6: desired coefficients of the selected modes, those predicted on the identified beam, and "
+            "those measured (least squares over all points at the focusing instant). Right: their difference with 95 % "
             "intervals from record to record.",
         ),
         "fig_7": (
             draw_fields(evidences),
             "Fig. 7: the field at the focusing instant, points with 95 % intervals, and how far the measured field is "
-            "from the wished one and from that of the selected modes [mm/s].",
+            "from the desired one and from that of the selected modes [mm/s].",
         ),
         "fig_8": (
             draw_spectrograms(evidences),

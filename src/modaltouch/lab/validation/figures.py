@@ -65,11 +65,11 @@ def draw_coefficients(evidences: Sequence[Evidence]) -> Figure:
             _draw_errors(row[1], lines)
             row[0].set_title(LAW_TITLES[evidence.law], loc="left")
             row[0].set_ylabel("coefficient [mm/s]")
-            row[1].set_ylabel("achieved less wished [mm/s]")
+            row[1].set_ylabel("achieved less desired [mm/s]")
         for axes in panels[-1]:
             axes.set_xlabel("mode")
         handles = [
-            Patch(facecolor=LIGHT, edgecolor=INK, linewidth=0.6, label="wished of the selected modes"),
+            Patch(facecolor=LIGHT, edgecolor=INK, linewidth=0.6, label="desired of the selected modes"),
             Patch(facecolor=MIDDLE, edgecolor=INK, linewidth=0.6, hatch="////", label="predicted"),
             Patch(facecolor=DARK, edgecolor=INK, linewidth=0.6, label="achieved, measured"),
         ]
@@ -125,7 +125,7 @@ def draw_fields(evidences: Sequence[Evidence]) -> Figure:
 def _draw_field(axes: Axes, evidence: Evidence) -> None:
     place = evidence.position * 1e3
     _mark_zones(axes, evidence)
-    axes.plot(place, evidence.wished_field * 1e3, color=INK, linestyle="--", linewidth=1, label="wished")
+    axes.plot(place, evidence.wished_field * 1e3, color=INK, linestyle="--", linewidth=1, label="desired")
     axes.plot(place, evidence.target_field * 1e3, color=MIDDLE, linewidth=2.6, label="selected modes")
     axes.plot(place, evidence.measured_field * 1e3, color=DARK, linewidth=1, label="measured, smooth")
     axes.errorbar(
@@ -151,7 +151,7 @@ def _draw_difference(axes: Axes, evidence: Evidence) -> None:
     axes.plot(place, from_selected, color=DARK, linewidth=1.4)
     errors = key_figures(evidence, ())["field_error"]
     for height, line, name, key in (
-        (1.20, "- -", "the wish", "measured_from_wished"),
+        (1.20, "- -", "the desired field", "measured_from_wished"),
         (1.04, "\N{EM DASH}", "the selected modes", "measured_from_selected_modes"),
     ):
         words = f"{line} from {name}: {errors[key]['rms_mm_s']:.1f} rms, {errors[key]['max_mm_s']:.1f} max"

@@ -158,15 +158,15 @@ def summary(figures: Sequence[Figures]) -> list[dict[str, Any]]:
         ),
         ("modal error, root mean square", "mm/s", lambda f: f"{f['rms_modal_error_mm_s']:.2f}"),
         ("largest coefficient of a mode not modelled", "mm/s", lambda f: f"{f['unmodelled_motion_mm_s']:.2f}"),
-        ("field less wish: rms, largest", "mm/s", lambda f: _error(f, "measured_from_wished")),
+        ("field less desired: rms, largest", "mm/s", lambda f: _error(f, "measured_from_wished")),
         (
             "field less that of the selected modes: rms, largest",
             "mm/s",
             lambda f: _error(f, "measured_from_selected_modes"),
         ),
         ("field less prediction: rms, largest", "mm/s", lambda f: _error(f, "measured_from_predicted")),
-        ("spot width at 50 %: measured, predicted, wished", "mm", lambda f: _joined(f["width_50_mm"])),
-        ("spot width at 80 %: measured, predicted, wished", "mm", lambda f: _joined(f["width_80_mm"])),
+        ("spot width at 50 %: measured, predicted, desired", "mm", lambda f: _joined(f["width_50_mm"])),
+        ("spot width at 80 %: measured, predicted, desired", "mm", lambda f: _joined(f["width_80_mm"])),
         ("time above 90 % of the peak: measured, predicted", "µs", lambda f: _joined(f["time_above_90_us"])),
     ]
     table = [{"quantity": name, "unit": unit, "cells": [cell(f) for f in figures]} for name, unit, cell in rows]
@@ -203,7 +203,7 @@ def _reached(f: Figures) -> str:
     above = f["time_above_90_us"]["measured"]
     return (
         f"Law “{f['law']}”: {f['velocity_at_focus_mm_s']:.1f} mm/s were measured at the focus, where "
-        f"{f['velocity_mm_s']:g} mm/s were wished; the spot is {_number(width)} mm wide at 80 % (the paper: roughly "
+        f"{f['velocity_mm_s']:g} mm/s were desired; the spot is {_number(width)} mm wide at 80 % (the paper: roughly "
         f"15 mm) and stays above 90 % of its peak for {_number(above)} µs (the paper: roughly 20 µs). The worst "
         f"modal error is {f['worst_modal_error_mm_s']:.2f} mm/s, of mode {f['worst_mode']} (the paper: 6 mm/s)."
     )
@@ -227,7 +227,7 @@ def _compared(figures: Sequence[Figures]) -> str:
 def _limits(f: Figures) -> str:
     reachable = f["field_error"]["predicted_from_wished"]
     return (
-        f"No drive of these modes can make the wished field itself: the prediction of law “{f['law']}” is "
+        f"No drive of these modes can make the desired field itself: the prediction of law “{f['law']}” is "
         f"{reachable['rms_mm_s']:.1f} mm/s rms and at most {reachable['max_mm_s']:.1f} mm/s away from it."
     )
 

@@ -80,7 +80,7 @@ class PlayedLog:
             self._write()
         except OSError as error:
             sys.stderr.write(
-                f"{self._file.name}: {error.strerror}; no burst is told from here on; start the twin anew\n"
+                f"{self._file.name}: {error.strerror}; no burst is listed from here on; restart the twin\n"
             )
 
     def _write(self) -> None:
