@@ -1,26 +1,69 @@
-"""The ``modaltouch`` command and its sub-commands."""
+"""The ``modaltouch`` command and its sub-commands, each loaded when it is asked for."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from importlib import import_module
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
+from typer.main import get_command
 
-from modaltouch.cli.analyse import analyse
-from modaltouch.cli.calibrate import calibrate
-from modaltouch.cli.check import check
-from modaltouch.cli.compare import compare
-from modaltouch.cli.fit import fit
-from modaltouch.cli.identify import identify
-from modaltouch.cli.new import new
-from modaltouch.cli.power import power
-from modaltouch.cli.records import doctor, verify
-from modaltouch.cli.rig import app as rig_commands
-from modaltouch.cli.run import demo, resume, run, simulate
-from modaltouch.cli.validate import validate
+from modaltouch.cli.exit_status import INTERRUPTED, leave
+
+MODULES = {
+    "demo": "run",
+    "new": "new",
+    "check": "check",
+    "calibrate": "calibrate",
+    "run": "run",
+    "resume": "run",
+    "simulate": "simulate",
+    "analyse": "analyse",
+    "power": "power",
+    "fit": "fit",
+    "identify": "identify",
+    "validate": "validate",
+    "compare": "compare",
+    "verify": "records",
+    "doctor": "records",
+    "rig": "rig",
+}
+"""In which module of this room each command is, under its own name, in the order of the list of commands."""
+
+
+class CommandGroup(TyperGroup):
+    """Commands by name; a module is imported when its command is asked for, and all of them for the list."""
+
+    def __init__(self, **attributes: Any) -> None:
+        super().__init__(**attributes | {"commands": dict.fromkeys(MODULES)})
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Return a command; None where there is none of that name."""
+        if cmd_name in MODULES and self.commands[cmd_name] is None:
+            self.commands[cmd_name] = _load(cmd_name)
+        return self.commands.get(cmd_name)
+
+
+def _load(name: str) -> Any:
+    """Return a command, or a group of such, made of the function or the Typer that bears its name."""
+    try:
+        found = getattr(import_module(f"modaltouch.cli.{MODULES[name]}"), name)
+    except KeyboardInterrupt:
+        leave(INTERRUPTED, "interrupted; nothing was begun")
+    if not isinstance(found, typer.Typer):
+        alone = typer.Typer(add_completion=False, rich_markup_mode=None)
+        alone.command(name)(found)
+        found = alone
+    for each in found.registered_commands:
+        # The whole first line in lists of commands, where the library would cut it.
+        each.short_help = (getattr(each.callback, "__doc__", None) or "").partition("\n")[0]
+    return get_command(found)
+
 
 app = typer.Typer(
     name="modaltouch",
+    cls=CommandGroup,
     help=(
         "Run a psychophysics experiment on a vibrating beam, from a YAML protocol to the statistics of the paper.\n\n"
         "First time: `modaltouch demo`. Then `modaltouch new study`, whose README.md lists the commands in their "
@@ -52,25 +95,3 @@ def version(
     ] = False,
 ) -> None:
     """Print the version where it is asked for."""
-
-
-app.command("demo")(demo)
-app.command("new")(new)
-app.command("check")(check)
-app.command("calibrate")(calibrate)
-app.command("run")(run)
-app.command("resume")(resume)
-app.command("simulate")(simulate)
-app.command("analyse")(analyse)
-app.command("power")(power)
-app.command("fit")(fit)
-app.command("identify")(identify)
-app.command("validate")(validate)
-app.command("compare")(compare)
-app.command("verify")(verify)
-app.command("doctor")(doctor)
-app.add_typer(rig_commands, name="rig")
-
-for each in (*app.registered_commands, *rig_commands.registered_commands):
-    # The whole first line in lists of commands, where the library would cut it.
-    each.short_help = (getattr(each.callback, "__doc__", None) or "").partition("\n")[0]

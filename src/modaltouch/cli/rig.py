@@ -10,10 +10,16 @@ import typer
 from modaltouch.cli.exit_status import print_json, reporting
 from modaltouch.cli.options import APPARATUS, JSON, SEED_OF_TWIN, SHIPPED_APPARATUS
 
-app = typer.Typer(no_args_is_help=True, help="Find, check and simulate the generator.")
+rig = typer.Typer(
+    name="rig",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    help="Find, check and simulate the generator.",
+)
 
 
-@app.command("list")
+@rig.command("list")
 def list_addresses(
     json_output: JSON = False,
 ) -> None:
@@ -30,7 +36,7 @@ def list_addresses(
             print("none found; a generator on the network is not listed but answers at TCPIP::<its address>::INSTR")
 
 
-@app.command("check")
+@rig.command("check")
 def check(
     address: Annotated[str, typer.Argument(help="VISA address, or `simulated`.", show_default=False)],
     apparatus: APPARATUS = SHIPPED_APPARATUS,
@@ -57,7 +63,7 @@ def check(
                 print(row)
 
 
-@app.command("simulate")
+@rig.command("simulate")
 def simulate(
     apparatus: APPARATUS = SHIPPED_APPARATUS,
     port: Annotated[int, typer.Option(min=0, max=65535, help="TCP port on this machine; 0 takes a free one.")] = 0,

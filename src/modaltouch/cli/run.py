@@ -1,4 +1,4 @@
-"""``modaltouch run``, ``resume``, ``simulate`` and ``demo``: participant sessions."""
+"""``modaltouch run``, ``resume`` and ``demo``: participant sessions."""
 
 from __future__ import annotations
 
@@ -30,11 +30,9 @@ from modaltouch.cli.options import (
     SIZE_AGAIN,
     THEME,
     THEME_AGAIN,
-    USUAL_OBSERVER,
     ThemeChoice,
     progress,
 )
-from modaltouch.cli.prompts import ask_participant, ask_rig, ask_session, can_ask, wait_for_start
 
 if TYPE_CHECKING:
     from modaltouch.record import Session
@@ -116,6 +114,7 @@ def run(
     Every answer is on the disk before the next trial. If anything ends the session early, the outputs are off
     and `modaltouch resume` goes on where it stopped.
     """
+    from modaltouch.cli.prompts import ask_participant, ask_rig, ask_session, can_ask, wait_for_start
     from modaltouch.preflight import examine
 
     with reporting(json_output=json_output):
@@ -197,42 +196,6 @@ def resume(
             window={name: value for name, value in given.items() if value is not None},
         )
         _conduct(go_on, setup, events, plain=plain, json_output=json_output)
-
-
-def simulate(
-    protocol: PROTOCOL,
-    participants: Annotated[int, typer.Option("--participants", "-n", min=1, help="Size of the cohort.")] = 10,
-    seed: SEED = 1,
-    observer: USUAL_OBSERVER = None,
-    results: RESULTS = Path("results"),
-    calibration: CALIBRATION = None,
-    json_output: JSON = False,
-) -> None:
-    """Run a cohort of simulated participants through the same code on the simulated rig."""
-    from modaltouch.cli.study import analyses
-    from modaltouch.planning import read_observer, usual_observer
-    from modaltouch.preflight import examine
-    from modaltouch.session import simulate_session
-
-    with reporting(json_output=json_output):
-        # An observer that does not exist is told before a protocol is designed.
-        given = None if observer is None else read_observer(observer)
-        preflight = examine(protocol, calibration).require()
-        population = given or read_observer(usual_observer(preflight.experiment.protocol))
-        sessions = []
-        with progress("participants") as on_progress:
-            for number in range(1, participants + 1):
-                on_progress(number - 1, participants)
-                name = f"sim{number:0{max(2, len(str(participants)))}d}"
-                sessions.append(simulate_session(preflight, name, results, seed=seed, observer=population))
-            on_progress(participants, participants)
-        dataset = sessions[0].path.parents[3]
-        if json_output:
-            print_json({"sessions": [str(session.path.parent) for session in sessions], "dataset": str(dataset)})
-        else:
-            print(f"{len(sessions)} sessions in {dataset}")
-            for command in analyses(preflight.experiment.protocol, str(dataset)):
-                print(f"Next: {command}")
 
 
 def demo(

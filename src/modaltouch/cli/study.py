@@ -7,6 +7,7 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import NoReturn
 
+from modaltouch.cli.simulate import analyses
 from modaltouch.protocol import Findings, InputError, Problem, Protocol, Source
 from modaltouch.system import version
 
@@ -44,12 +45,6 @@ def write_study(folder: Path, template: str) -> tuple[Path, ...]:
             _refuse(folder, f"a folder that cannot be written ({error.strerror})", "one that you may write to")
         undo.pop_all()
     return tuple(folder / place for place in contents)
-
-
-def analyses(protocol: Protocol, dataset: str) -> list[str]:
-    """Return the commands that analyse recorded sessions: one to each stimulus, unless runs are adaptive."""
-    names = protocol.stimulus_names if protocol.adaptive is None else ("",)
-    return [f"modaltouch analyse {dataset}" + (f" --stimulus {name}" if name else "") for name in names]
 
 
 def _contents(template: str) -> dict[str, str]:

@@ -1,0 +1,55 @@
+"""``modaltouch simulate``: sessions of a cohort of simulated participants."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from modaltouch.cli.exit_status import print_json, reporting
+from modaltouch.cli.options import CALIBRATION, JSON, PROTOCOL, RESULTS, SEED, USUAL_OBSERVER, progress
+
+if TYPE_CHECKING:
+    from modaltouch.protocol import Protocol
+
+
+def simulate(
+    protocol: PROTOCOL,
+    participants: Annotated[int, typer.Option("--participants", "-n", min=1, help="Size of the cohort.")] = 10,
+    seed: SEED = 1,
+    observer: USUAL_OBSERVER = None,
+    results: RESULTS = Path("results"),
+    calibration: CALIBRATION = None,
+    json_output: JSON = False,
+) -> None:
+    """Run a cohort of simulated participants through the same code on the simulated rig."""
+    from modaltouch.planning import read_observer, usual_observer
+    from modaltouch.preflight import examine
+    from modaltouch.session import simulate_session
+
+    with reporting(json_output=json_output):
+        # An observer that does not exist is told before a protocol is designed.
+        given = None if observer is None else read_observer(observer)
+        preflight = examine(protocol, calibration).require()
+        population = given or read_observer(usual_observer(preflight.experiment.protocol))
+        sessions = []
+        with progress("participants") as on_progress:
+            for number in range(1, participants + 1):
+                on_progress(number - 1, participants)
+                name = f"sim{number:0{max(2, len(str(participants)))}d}"
+                sessions.append(simulate_session(preflight, name, results, seed=seed, observer=population))
+            on_progress(participants, participants)
+        dataset = sessions[0].path.parents[3]
+        if json_output:
+            print_json({"sessions": [str(session.path.parent) for session in sessions], "dataset": str(dataset)})
+        else:
+            print(f"{len(sessions)} sessions in {dataset}")
+            for command in analyses(preflight.experiment.protocol, str(dataset)):
+                print(f"Next: {command}")
+
+
+def analyses(protocol: Protocol, dataset: str) -> list[str]:
+    """Return the commands that analyse recorded sessions: one to each stimulus, unless runs are adaptive."""
+    names = protocol.stimulus_names if protocol.adaptive is None else ("",)
+    return [f"modaltouch analyse {dataset}" + (f" --stimulus {name}" if name else "") for name in names]
