@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from modaltouch.system.clock import ClockTiming, measure_clock
+from modaltouch.system.clock_timing import ClockTiming, measure_clock
 
 GOOD = ClockTiming("clock_gettime(CLOCK_MONOTONIC)", True, 1e-7, 1.06e-3, 1.1e-3, 2e-3, 3.0)
 

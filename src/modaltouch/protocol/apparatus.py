@@ -224,12 +224,14 @@ class Apparatus(Section):
             Modal gains of shape (n_modes, n_channels) [m/s^2 per V at the beam], zero where unknown; natural
             frequencies [Hz], damping ratios [1], length [m].
         """
-        from modaltouch.stimulus import ModalModel, TimoshenkoBeam
+        from modaltouch.stimulus import ModalModel
 
         beam, length = self.beam, self.beam.length_mm * 1e-3
         label = tuple(mode.label for mode in self.modes)
         bending, basis = None, None
         if beam.theory == "timoshenko":
+            from modaltouch.stimulus import TimoshenkoBeam
+
             bending = TimoshenkoBeam(length, beam.thickness_mm * 1e-3, poissons_ratio=beam.poissons_ratio)
         if beam.theory == "measured" and beam.measured_shapes is not None:
             basis = beam.measured_shapes.basis(label, length)

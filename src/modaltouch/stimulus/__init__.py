@@ -18,12 +18,14 @@ if TYPE_CHECKING:
     from modaltouch.stimulus.correction import Correction
     from modaltouch.stimulus.drive import Law, Release
     from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
-    from modaltouch.stimulus.modes import MeasuredShapes, ModalModel
+    from modaltouch.stimulus.measured_shapes import MeasuredShapes
+    from modaltouch.stimulus.modes import ModalModel
+    from modaltouch.stimulus.patches import patch_gains
     from modaltouch.stimulus.quantisation import Converter
     from modaltouch.stimulus.reachability import Taper
     from modaltouch.stimulus.sample_count import cheapest_samples
     from modaltouch.stimulus.sensitivity import focus_sensitivity, scatter
-    from modaltouch.stimulus.shapes import characteristic_root, mode_shapes, patch_gains
+    from modaltouch.stimulus.shapes import characteristic_root, mode_shapes
     from modaltouch.stimulus.stimulus import Stimulus, design_stimulus
     from modaltouch.stimulus.target_field import TargetField
     from modaltouch.stimulus.timing import Timing
@@ -38,12 +40,14 @@ else:
             "correction": "Correction",
             "drive": "Law Release",
             "dynamics": "Amplifier DiagonalSystem",
-            "modes": "MeasuredShapes ModalModel",
+            "measured_shapes": "MeasuredShapes",
+            "modes": "ModalModel",
             "quantisation": "Converter",
             "reachability": "Taper",
             "sample_count": "cheapest_samples",
             "sensitivity": "focus_sensitivity scatter",
-            "shapes": "characteristic_root mode_shapes patch_gains",
+            "patches": "patch_gains",
+            "shapes": "characteristic_root mode_shapes",
             "stimulus": "Stimulus design_stimulus",
             "target_field": "TargetField",
             "timing": "Timing",

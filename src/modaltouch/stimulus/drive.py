@@ -32,7 +32,6 @@ from modaltouch.stimulus.dynamics import DiagonalSystem
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.quantities import ComplexArray, FloatArray
 from modaltouch.stimulus.reachability import GramianSolver, ReachabilityGramian, Taper
-from modaltouch.stimulus.synthesis import synthesise
 from modaltouch.stimulus.timing import Timing
 
 Law = Literal["exact", "paper"]
@@ -261,46 +260,3 @@ def exact_drive(steering: Steering) -> Drive:
         reach.write(kept, before)
     steering.end(voltage, kept_state)
     return Drive(voltage, solver.condition_number, best, reach.taper.n_samples)
-
-
-def assigned_channel(model: ModalModel) -> NDArray[np.intp]:
-    """Return the channel that drives each mode best, (n_modes,) array of indices: the paper's assignment."""
-    return np.asarray(np.argmax(np.abs(model.modal_gain), axis=1))
-
-
-def paper_drive(steering: Steering) -> Drive:
-    r"""Return the voltages of the paper, :math:`v = \sum_k 4 a_k \dot\eta_k(t) / G_k` until the focus.
-
-    With :math:`\dot\eta_k = \dot\eta_k(t_F) e^{a_k (t - t_F)} \cos b_k (t - t_F)`, each mode on the channel
-    that drives it best, sampled at the middle of each hold. Sample 0 is set to 0 V, where the generator idles.
-    The amplifier is not taken into account.
-
-    Parameters
-    ----------
-    steering : Steering
-        Modes with a velocity of 0 are left alone; displacements have no meaning.
-
-    References
-    ----------
-    Section II-C, equations (6) and (7), errata in the docstring of this module.
-    """
-    model, system, timing, target = steering.model, steering.system, steering.timing, steering.velocity
-    check_drivable(model, target, timing)
-    asked = np.flatnonzero(target)
-    channel = assigned_channel(model)[asked]
-    exponent = model.exponent[asked]
-    n_before = min(int(timing.focusing_instant * timing.sampling_rate + 0.5), timing.n_samples - 1)
-    to_focus = timing.focusing_instant - (n_before - 0.5) * timing.hold
-    amplitude = np.zeros((model.n_channels, asked.size), dtype=complex)
-    force = -4 * exponent.real * target[asked] * np.exp(exponent * to_focus)
-    amplitude[channel, np.arange(asked.size)] = force / model.modal_gain[asked, channel]
-    voltage = np.zeros((model.n_channels, timing.n_samples))
-    synthesise(amplitude, exponent, timing.hold, voltage[:, :n_before])
-    voltage[:, 0] = 0.0
-    instant, arrival = timing.focusing_instant, n_before * timing.hold + system.delay
-    state = system.state_at(voltage, timing, instant)
-    if steering.release == "braked":
-        late = abs(arrival - instant) > 1e-9 * timing.hold
-        steering.brake(voltage, n_before, system.state_at(voltage, timing, arrival) if late else state)
-    reached, displacement = system.read(state)
-    return Drive(voltage, 1.0, float(np.abs([reached - target, displacement]).max()), n_before)

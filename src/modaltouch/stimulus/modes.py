@@ -5,121 +5,20 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from modaltouch.stimulus.quantities import EXTREME, FloatArray, require_positive
 from modaltouch.stimulus.shapes import mode_shapes
-from modaltouch.stimulus.timoshenko import TimoshenkoBeam
+
+if TYPE_CHECKING:
+    from modaltouch.stimulus.measured_shapes import MeasuredShapes
+    from modaltouch.stimulus.timoshenko import TimoshenkoBeam
 
 _POINTS = 4096
 """Points at which the modes are added up together."""
-
-WORST_CONDITION = 1e6
-"""Condition number beyond which shapes on their grid count as linearly dependent [1]."""
-
-
-@dataclass(frozen=True, eq=False)
-class MeasuredShapes:
-    """Mode shapes sampled along the beam, each scaled to a unit mean square and positive at its right end.
-
-    Attributes
-    ----------
-    label : tuple of int
-        Label of each mode.
-    position : (n_points,) array
-        Scan grid, origin at mid-beam, increasing [m].
-    shape : (n_modes, n_points) array
-        Shapes on the grid, in any unit when given [1].
-    length : float
-        Length of the beam [m].
-    """
-
-    label: tuple[int, ...]
-    position: FloatArray
-    shape: FloatArray
-    length: float
-
-    def __post_init__(self) -> None:
-        """Refuse shapes that span no basis, and scale the others."""
-        position = np.array(self.position, dtype=float)
-        shape = np.array(self.shape, dtype=float)
-        if shape.shape != (len(self.label), position.size) or position.ndim != 1:
-            raise ValueError(
-                f"the shapes have the form {shape.shape}, but {len(self.label)} modes are labelled on "
-                f"{position.size} points: give one row to each mode and one column to each point"
-            )
-        if not (np.isfinite(shape).all() and np.isfinite(position).all()):
-            raise ValueError("a measured shape or position is not a finite number: leave out that point or mode")
-        if (np.diff(position) <= 0).any() or np.abs(position).max(initial=0.0) > self.length / 2 * (1 + 1e-9):
-            raise ValueError(
-                f"the scan grid runs from {position[0] * 1e3:g} to {position[-1] * 1e3:g} mm; it must "
-                f"increase and lie on the beam of {self.length * 1e3:g} mm: sort it, and measure from mid-beam"
-            )
-        if (np.abs(shape).max(axis=1) == 0).any():
-            still = self.label[int(np.flatnonzero(np.abs(shape).max(axis=1) == 0)[0])]
-            raise ValueError(f"mode {still} is zero at every point: measure it again, or leave it out")
-        object.__setattr__(self, "position", position)
-        object.__setattr__(self, "shape", self._scaled(position, shape))
-        self._check_rank()
-
-    def _scaled(self, position: FloatArray, shape: FloatArray) -> FloatArray:
-        """Return the shapes of unit mean square over the beam: by their smooth fit, not by a sum over few points."""
-        fit = self._fit(position, shape)
-        # The fitting shapes are orthonormal over the beam: the mean square is the sum of the squares.
-        size = np.sqrt((fit**2).sum(axis=1))
-        end = np.sign(shape[:, -1])
-        return np.asarray(shape / (size * np.where(end == 0, 1.0, end))[:, None])
-
-    def _fit(self, position: FloatArray, shape: FloatArray) -> FloatArray:
-        """Return the coefficients of the shapes on theoretical ones, (n_modes, n_fitted) array."""
-        theory = mode_shapes(self._fitted(position), position, self.length)
-        return np.asarray(np.linalg.lstsq(theory.T, shape.T, rcond=None)[0].T)
-
-    def _fitted(self, position: FloatArray) -> range:
-        """Return the labels of the theoretical shapes that the grid can tell apart."""
-        return range(1, max(2, min(max(self.label) + 4, position.size * 2 // 3)) + 1)
-
-    def _check_rank(self) -> None:
-        """Refuse modes that the grid cannot tell apart, naming the closest pair."""
-        if self.condition_number <= WORST_CONDITION:
-            return
-        size = np.linalg.norm(self.shape, axis=1)
-        likeness = np.abs(self.shape @ self.shape.T) / np.outer(size, size) - 2 * np.eye(len(self.label))
-        one, other = np.unravel_index(int(likeness.argmax()), likeness.shape)
-        raise ValueError(
-            f"{len(self.label)} shapes on {self.position.size} points are linearly dependent (condition number "
-            f"{self.condition_number:.1e}, allowed {WORST_CONDITION:.0e}); the closest are modes "
-            f"{self.label[one]} and {self.label[other]}: scan more points, or leave one out"
-        )
-
-    @cached_property
-    def condition_number(self) -> float:
-        """Condition number of the shapes on their grid, by which least squares magnify noise [1]."""
-        if self.position.size < len(self.label):
-            return math.inf
-        singular = np.linalg.svd(self.shape, compute_uv=False)
-        return float(singular[0] / singular[-1]) if singular[-1] > 0 else math.inf
-
-    def project(self, field: ArrayLike) -> FloatArray:
-        """Return the coefficients of a field on the scan grid by least squares, (n_modes,) array."""
-        values = np.asarray(field, dtype=float)
-        if values.shape != self.position.shape:
-            raise ValueError(
-                f"the field has the form {values.shape}, but the scan grid {self.position.size} points: sample it there"
-            )
-        return np.asarray(np.linalg.lstsq(self.shape.T, values, rcond=None)[0])
-
-    def at(self, position: ArrayLike) -> FloatArray:
-        """Return the shapes at positions between the points of the grid, (n_modes, n_positions) array [1].
-
-        They are carried over by the theoretical shapes that fit them on the grid: straight lines would lose a
-        third of a mode with two and a half points to the half wave.
-        """
-        coefficient = self._fit(self.position, self.shape)
-        return np.asarray(coefficient @ mode_shapes(self._fitted(self.position), position, self.length))
 
 
 @dataclass(frozen=True, eq=False)

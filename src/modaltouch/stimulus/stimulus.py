@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from modaltouch.stimulus.burst import Burst
 from modaltouch.stimulus.correction import Correction, Trims, trimmed
-from modaltouch.stimulus.drive import Drive, Law, Release, Steering, check_drivable, exact_drive, paper_drive
+from modaltouch.stimulus.drive import Drive, Law, Release, Steering, check_drivable, exact_drive
 from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.quantised import QuantisedStimulus, settle
@@ -125,6 +125,8 @@ class Stimulus:
     def drive(self) -> Drive:
         """Voltages before rounding, and how well they were solved for."""
         if self.law == "paper":
+            from modaltouch.stimulus.paper_drive import paper_drive
+
             return paper_drive(self._steering)
         if self.design == "least_energy":
             return exact_drive(self._steering)

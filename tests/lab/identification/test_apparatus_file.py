@@ -19,7 +19,7 @@ from modaltouch.protocol import InputError
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.source import Source
 from modaltouch.rig.simulator.true_beam import TrueBeam
-from modaltouch.stimulus.modes import MeasuredShapes
+from modaltouch.stimulus.measured_shapes import MeasuredShapes
 
 APPARATUS = Path(__file__).parents[3] / "protocols" / "apparatus" / "beam_100x6x2.yaml"
 LABELS = (1, 3, 5, 7, 9, 11, 13, 15, 17)

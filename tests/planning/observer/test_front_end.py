@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modaltouch.planning.observer.front_end import CUT_OFF, FRONT_ENDS, sense
+from modaltouch.planning.observer.front_end import CUT_OFF, sense
+from modaltouch.planning.observer.population import FRONT_ENDS
 
 RATE = 50_000.0
 TIME = np.arange(5000) / RATE

@@ -2,7 +2,7 @@
 
 import pytest
 
-from modaltouch.protocol.designs import place_catches
+from modaltouch.protocol.catches import place_catches
 from modaltouch.protocol.streams import Stream
 
 ORDER = [("A", "C"), ("B", "D"), ("A", "C"), ("A", "C"), ("C", "E"), ("B", "D")] * 4

@@ -13,15 +13,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from modaltouch.protocol.orders import (
+from modaltouch.protocol.limited_orders import (
     count_orders,
     draw_by_rejection,
     draw_counted,
-    draw_order,
     draw_unlike_neighbours,
-    least_limit,
     longest_run,
 )
+from modaltouch.protocol.orders import draw_order, least_limit
 from modaltouch.protocol.streams import Stream
 
 Draw = Callable[[Sequence[int], int, Stream], list[int]]

@@ -7,7 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
-from modaltouch.planning.observer.front_end import FrontEnd, sense
+from modaltouch.planning.observer.front_end import sense
+from modaltouch.planning.observer.population import FrontEnd
 from modaltouch.stimulus import Stimulus
 
 
@@ -24,7 +25,7 @@ class FeltSpeeds:
     zones : mapping of str to float
         Centres of the zones, origin at mid-beam [m].
     front_end : str
-        One of `modaltouch.planning.observer.front_end.FRONT_ENDS`.
+        One of `modaltouch.planning.observer.population.FRONT_ENDS`.
     """
 
     def __init__(self, stimulus: Stimulus, zones: Mapping[str, float], front_end: FrontEnd) -> None:

@@ -12,19 +12,12 @@ Bolanowski et al., J. Acoust. Soc. Am. 84 (1988) 1680-1694: vibration itself is 
 
 from __future__ import annotations
 
-from typing import Literal, get_args
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from modaltouch.planning.observer.population import FRONT_ENDS, FrontEnd
+
 FloatArray = NDArray[np.float64]
-
-FrontEnd = Literal["peak_at_focus", "peak", "rms", "below_1_khz", "envelope"]
-"""``peak_at_focus``: speed at the focusing instant; ``peak``: highest speed; ``rms``: over one repetition;
-``below_1_khz``: highest speed of what lies below 1 kHz; ``envelope``: highest value of the rectified velocity,
-smoothed at 1 kHz."""
-
-FRONT_ENDS: tuple[FrontEnd, ...] = get_args(FrontEnd)
 
 CUT_OFF = 1000.0
 """Highest frequency that the skin follows [Hz]."""

@@ -6,15 +6,21 @@ import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from itertools import product
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from modaltouch.planning.observer.front_end import FRONT_ENDS, FrontEnd
 from modaltouch.planning.observer.participant import REFERENCE, SAME_HAND, Participant
 
 FloatArray = NDArray[np.float64]
+
+FrontEnd = Literal["peak_at_focus", "peak", "rms", "below_1_khz", "envelope"]
+"""``peak_at_focus``: speed at the focusing instant; ``peak``: highest speed; ``rms``: over one repetition;
+``below_1_khz``: highest speed of what lies below 1 kHz; ``envelope``: highest value of the rectified velocity,
+smoothed at 1 kHz."""
+
+FRONT_ENDS: tuple[FrontEnd, ...] = get_args(FrontEnd)
 
 SPREADS = ("side_bias_spread", "noise_spread", "criterion_spread", "suppression_spread", "pace_spread")
 _LEAST_NOISE = 1e-12
@@ -136,7 +142,7 @@ class Observer:
         Standard deviation, over participants, of the logarithm of the noise, the criterion, one plus the
         suppression, and the decision time [1].
     front_end : str
-        What a finger makes of the velocity under it; one of `modaltouch.planning.observer.front_end.FRONT_ENDS`.
+        What a finger makes of the velocity under it; one of `FRONT_ENDS`, as `front_end.sense` has them.
     name : str
         Name in reports; empty for one made in code.
 

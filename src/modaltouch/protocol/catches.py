@@ -1,0 +1,80 @@
+"""Where catch trials come among the trials of a block, drawn uniformly among the places that keep the limit on runs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import groupby
+
+from modaltouch.protocol.streams import Stream
+
+Pair = tuple[str, str]
+
+
+def place_catches(
+    order: Sequence[Pair], n_catches: int, limit: int | None, stream: Stream, *, own_pair: bool = False
+) -> list[tuple[int, Pair]]:
+    """Return after which trial each catch trial comes, counted from 0, and its pair of zones."""
+    pairs = list(dict.fromkeys(order))
+    if limit is None:
+        places = sorted(stream.chosen(range(len(order)), n_catches))
+        return [(place, order[place] if own_pair else pairs[stream.below(len(pairs))]) for place in places]
+    # Catch trials are no neighbours, so k like trials running become at most 2 k + 1; a limit beyond is none.
+    limit = min(limit, 2 * max((len(list(run)) for _, run in groupby(order)), default=0) + 1)
+    ways = _count_ways(order, pairs, n_catches, limit, own_pair=own_pair)
+    if not ways[0][n_catches][1]:
+        raise ValueError(
+            f"no way to spread {n_catches} catch trials over {len(order)} trials keeps the same pair to {limit} "
+            "times running; take fewer catch trials or allow a pair more often running"
+        )
+    placed = []
+    left, run = n_catches, 1
+    for place in range(len(order)):
+        moves = list(_moves(order, pairs, place, left, run, own_pair=own_pair))
+        weights = [ways[place + 1][rest][after] if after <= limit and most <= limit else 0
+                   for _, rest, most, after in moves]  # fmt: skip
+        pair, left, _, run = moves[stream.weighted(weights)]
+        if pair is not None:
+            placed.append((place, pair))
+    return placed
+
+
+def _moves(
+    order: Sequence[Pair], pairs: Sequence[Pair], place: int, left: int, run: int, *, own_pair: bool
+) -> Iterator[tuple[Pair | None, int, int, int]]:
+    """Yield what may come after the trial at a place, which ends a run: nothing, or a catch trial on a pair.
+
+    With it the catch trials then left, the longest run on the way, and the run that the next trial ends; after the
+    last trial that is 1.
+    """
+    own = order[place]
+    following = order[place + 1] if place + 1 < len(order) else None
+    yield None, left, run, run + 1 if following == own else 1
+    if not left:
+        return
+    for pair in (own,) if own_pair else pairs:
+        caught = run + 1 if pair == own else 1
+        yield pair, left - 1, caught, caught + 1 if following == pair else 1
+
+
+def _count_ways(
+    order: Sequence[Pair], pairs: Sequence[Pair], n_catches: int, limit: int, *, own_pair: bool
+) -> list[list[list[int]]]:
+    """Return the number of ways to go on from the trial at a place, by catch trials left and the run it ends."""
+    # Beyond the last trial, one way if no catch trial is left; runs count from 1.
+    table = [[[int(left == 0)] * (limit + 1) for left in range(n_catches + 1)]]
+    for place in reversed(range(len(order))):
+        after = table[-1]
+        table.append(
+            [
+                [
+                    sum(
+                        after[rest][ending]
+                        for _, rest, most, ending in _moves(order, pairs, place, left, run, own_pair=own_pair)
+                        if most <= limit and ending <= limit
+                    )
+                    for run in range(limit + 1)
+                ]
+                for left in range(n_catches + 1)
+            ]
+        )
+    return table[::-1]

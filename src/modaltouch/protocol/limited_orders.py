@@ -1,0 +1,240 @@
+"""Uniform draws among the orders in which no kind comes more than n times running.
+
+Three ways, each uniform over all valid orders: by the gaps between unlike neighbours where nothing may come
+twice running, by counting the ways to go on where these can be counted, by rejection where they cannot.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from functools import lru_cache
+from itertools import pairwise
+from math import comb
+
+from modaltouch.protocol.streams import Stream
+
+
+def count_orders(counts: Sequence[int], limit: int) -> int:
+    """Return how many orders keep the limit, kinds told apart and items of a kind not.
+
+    Examples
+    --------
+    Three kinds, two of each, no two alike running: the 30 of OEIS A110706.
+
+    >>> count_orders([2, 2, 2], 1)
+    30
+    """
+    table = count_states(tuple(counts), limit)
+    return sum(weight for *_, weight in moves(tuple(counts), None, limit, table))
+
+
+STATE_LIMIT = 40_000
+"""Most states that are counted: half a second."""
+
+State = tuple[int, tuple[int, ...]]
+"""How many are left of the kind that came last, and of the others, increasing."""
+
+
+def n_states_at_most(counts: Sequence[int]) -> int:
+    """Return a bound on the number of states."""
+    most, n_kinds = max(counts), len(counts)
+    return (most + 1) * math.comb(most + n_kinds - 1, n_kinds - 1)
+
+
+@lru_cache(maxsize=8)
+def count_states(counts: tuple[int, ...], limit: int) -> dict[State, int]:
+    """Return the number of ways to go on from every state that can be met."""
+    layers: dict[int, set[State]] = {}
+    open_states = set(_next_states(tuple(sorted(counts)), None, limit))
+    while open_states:
+        following: set[State] = set()
+        for state in open_states:
+            layers.setdefault(state[0] + sum(state[1]), set()).add(state)
+            following.update(_next_states(state[1], state[0], limit))
+        open_states = {s for s in following if s not in layers.get(s[0] + sum(s[1]), ())}
+    table: dict[State, int] = {}
+    for _, states in sorted(layers.items()):
+        for last, others in states:
+            done = not last and not any(others)
+            ways = 0
+            for count, multiplicity in Counter(others).items():
+                rest = _without(others, count, last)
+                ways += multiplicity * sum(table[count - run, rest] for run in range(1, min(limit, count) + 1))
+            table[last, others] = 1 if done else ways
+    return table
+
+
+def _next_states(others: tuple[int, ...], last: int | None, limit: int) -> Iterator[State]:
+    for count in set(others):
+        rest = _without(others, count, last)
+        for run in range(1, min(limit, count) + 1):
+            yield count - run, rest
+
+
+def _without(others: tuple[int, ...], count: int, last: int | None) -> tuple[int, ...]:
+    """Return the others once one with `count` left has become the last, and the last one of them."""
+    position = others.index(count)
+    rest = others[:position] + others[position + 1 :]
+    return rest if last is None else tuple(sorted((*rest, last)))
+
+
+def moves(left: Sequence[int], last: int | None, limit: int, table: dict[State, int]) -> Iterator[tuple[int, int, int]]:
+    """Yield each next run: its kind, its length and the number of ways to go on after it.
+
+    Parameters
+    ----------
+    left : sequence of int
+        How many are left of each kind.
+    last : int or None
+        Kind that came last.
+    limit : int
+        Most times that a kind may come running.
+    table : dict
+        As `count_states` returns it.
+    """
+    for kind, count in enumerate(left):
+        if kind == last:
+            continue
+        others = tuple(sorted(c for other, c in enumerate(left) if other != kind))
+        for run in range(1, min(limit, count) + 1):
+            yield kind, run, table[count - run, others]
+
+
+def draw_counted(counts: Sequence[int], limit: int, stream: Stream) -> list[int]:
+    """Return an order drawn run by run, each with the share of the orders that begin so."""
+    table = count_states(tuple(counts), limit)
+    left, order = list(counts), list[int]()
+    last: int | None = None
+    while any(left):
+        choices = list(moves(left, last, limit, table))
+        kind, run = choices[stream.weighted([weight for *_, weight in choices])][:2]
+        order += [kind] * run
+        left[kind] -= run
+        last = kind
+    return order
+
+
+def draw_unlike_neighbours(counts: tuple[int, ...], stream: Stream) -> list[int]:
+    """Return an order drawn uniformly among those in which no kind follows itself."""
+    order: list[int] = []
+    for kind, count in enumerate(counts):
+        like = [place for place, (one, other) in enumerate(pairwise(order), start=1) if one == other]
+        unlike = sorted(set(range(len(order) + 1)) - set(like))
+        spreads = _spreads(counts, kind, len(like))
+        n_groups, n_like = spreads[stream.weighted([weight for *_, weight in spreads])][:2]
+        gaps = stream.chosen(like, n_like) + stream.chosen(unlike, n_groups - n_like)
+        # Group sizes: cut the row of items at places drawn without replacement.
+        cuts = [0, *sorted(stream.chosen(range(1, count), n_groups - 1)), count]
+        sizes = dict(zip(sorted(gaps), (b - a for a, b in pairwise(cuts)), strict=True))
+        grown: list[int] = []
+        for place in range(len(order) + 1):
+            grown += [kind] * sizes.get(place, 0) + order[place : place + 1]
+        order = grown
+    return order
+
+
+def _spreads(counts: tuple[int, ...], kind: int, n_like: int) -> list[tuple[int, int, int]]:
+    """Return number of groups, number of them between like neighbours, and number of ways, for each spread."""
+    count, after = counts[kind], _ways_to_finish(counts)[kind + 1]
+    n_unlike = sum(counts[:kind]) + 1 - n_like
+    spreads = []
+    for n_groups in range(1, count + 1):
+        for filled in range(min(n_groups, n_like) + 1):
+            left = n_like - filled + count - n_groups
+            ways = after[left] if left < len(after) and n_groups - filled <= n_unlike else 0
+            if ways:
+                ways *= comb(count - 1, n_groups - 1) * comb(n_like, filled) * comb(n_unlike, n_groups - filled)
+                spreads.append((n_groups, filled, ways))
+    return spreads
+
+
+@lru_cache(maxsize=8)
+def _ways_to_finish(counts: tuple[int, ...]) -> list[list[int]]:
+    """Return the ways to finish before each kind but the first is inserted, by the number of like neighbours."""
+    table: list[list[int]] = [[] for _ in counts] + [[1]]
+    for kind in reversed(range(1, len(counts))):
+        count, after, placed = counts[kind], table[kind + 1], sum(counts[:kind])
+        row = []
+        for n_like in range(placed):
+            n_unlike = placed + 1 - n_like
+            total = 0
+            for n_groups in range(1, count + 1):
+                lowest = max(0, n_groups - n_unlike, n_like + count - n_groups - len(after) + 1)
+                total += comb(count - 1, n_groups - 1) * sum(
+                    comb(n_like, filled) * comb(n_unlike, n_groups - filled) * after[n_like - filled + count - n_groups]
+                    for filled in range(lowest, min(n_groups, n_like) + 1)
+                )
+            row.append(total)
+        table[kind] = row
+    return table
+
+
+WORK_LIMIT = 4_000_000
+"""Most items placed in rejected orders before a design is given up: a few seconds."""
+
+
+def draw_by_rejection(counts: Sequence[int], limit: int, stream: Stream) -> list[int]:
+    """Return the first order that keeps limit and counts, of many that keep one of the two by construction."""
+    n_trials, n_kinds = sum(counts), len(counts)
+    # Rough sizes only choose the quicker way: either draws uniformly.
+    excess = n_trials * n_kinds ** -float(limit) * (1 - 1 / n_kinds)
+    spread = (n_kinds - 1) / 2 * math.log(2 * math.pi * n_trials / n_kinds)
+    by_counts = excess < spread
+    kinds = [kind for kind, count in enumerate(counts) for _ in range(count)]
+    work = 0
+    while work < WORK_LIMIT:
+        order = stream.shuffled(kinds) if by_counts else _draw_word(tuple(counts), limit, stream)
+        work += len(order)
+        if len(order) == n_trials and (not by_counts or longest_run(order) <= limit):
+            return order
+    raise ValueError(
+        f"orders of {n_kinds} pairs with {max(counts)} trials of each in which a pair comes at most {limit} "
+        f"times running are too many to count and too rare to find; allow {limit + 1} or more running, or "
+        f"repeat each condition less often"
+    )
+
+
+def _draw_word(counts: tuple[int, ...], limit: int, stream: Stream) -> list[int]:
+    """Return a uniform draw among all orders that keep the limit, cut where its counts go wrong."""
+    ways = _ways_to_fill(sum(counts), len(counts), limit)
+    left, last, order = list(counts), -1, list[int]()
+    while len(order) < sum(counts):
+        rest = sum(counts) - len(order)
+        place = stream.below(ways[rest])
+        run = 1
+        while place >= (len(counts) - 1) * ways[rest - run]:
+            place -= (len(counts) - 1) * ways[rest - run]
+            run += 1
+        kind = stream.below(len(counts) - (last >= 0))
+        kind += 0 <= last <= kind
+        left[kind] -= run
+        if left[kind] < 0:
+            return order
+        order += [kind] * run
+        last = kind
+    return order
+
+
+@lru_cache(maxsize=8)
+def _ways_to_fill(length: int, n_kinds: int, limit: int) -> tuple[int, ...]:
+    """Return how many ways there are to go on after a run, by the number of places left."""
+    ways = [1]
+    for rest in range(1, length + 1):
+        ways.append((n_kinds - 1) * sum(ways[rest - run] for run in range(1, min(limit, rest) + 1)))
+    return tuple(ways)
+
+
+def longest_run(order: Sequence[object]) -> int:
+    """Return how often the same item comes running at most.
+
+    >>> longest_run("ABBBA")
+    3
+    """
+    longest = run = 0
+    previous: object = None
+    for place, item in enumerate(order):
+        run = run + 1 if place and item == previous else 1
+        longest, previous = max(longest, run), item
+    return longest
