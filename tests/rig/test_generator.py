@@ -15,8 +15,8 @@ import pytest
 from modaltouch.protocol.apparatus import Apparatus, LatencyBounds
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.interface import Bursts, RigError
+from modaltouch.rig.pacing import HELD_UP
 from modaltouch.rig.simulator import Simulator
-from modaltouch.rig.watchdog_client import HELD_UP
 from modaltouch.stimulus.burst import Burst
 from modaltouch.system.clock import VirtualClock
 

@@ -15,8 +15,7 @@ from modaltouch.protocol import Experiment, Findings
 from modaltouch.protocol.trial import Condition, Trial
 from modaltouch.system.clock import SYSTEM_CLOCK, Clock, VirtualClock
 from modaltouch.window.environment import virtual_display
-from modaltouch.window.events import Event
-from modaltouch.window.interface import Presentation
+from modaltouch.window.interface import Event, Presentation
 from modaltouch.window.participant import ParticipantWindow
 from modaltouch.window.shapes import Picture
 from modaltouch.window.theme import DARK

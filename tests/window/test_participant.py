@@ -12,8 +12,7 @@ import pytest
 from modaltouch.planning.observer import Participant
 from modaltouch.protocol.trial import Condition, Response, Trial
 from modaltouch.window.display_loop import DisplayLoop, Sitter
-from modaltouch.window.events import Event
-from modaltouch.window.interface import Progress, SessionStopped, TrialInterrupted, WindowError, Wish
+from modaltouch.window.interface import Event, Progress, SessionStopped, TrialInterrupted, WindowError, Wish
 from modaltouch.window.robot import Robot
 from modaltouch.window.shapes import Picture
 from modaltouch.window.simulated import Answerer

@@ -12,8 +12,15 @@ from modaltouch.rig.controls import Controls, Unconfirmed
 from modaltouch.rig.instrument import Setting
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.link import InUse, Link, LinkError, Log
-from modaltouch.rig.watchdog_client import BurstPlayer
+from modaltouch.rig.pacing import BurstPlayer
 from modaltouch.system import SYSTEM_CLOCK, Clock
+
+
+def start_watchdog(address: str) -> BurstPlayer:
+    """Start the process that watches over an instrument; none is loaded for a twin that does without."""
+    from modaltouch.rig.watchdog_client import WatchdogClient
+
+    return WatchdogClient(address)
 
 
 @dataclass(frozen=True)

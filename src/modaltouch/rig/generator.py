@@ -16,14 +16,12 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Self
 
 from modaltouch.protocol import Apparatus
-from modaltouch.rig.connection import Connection, OutputState, Patience
+from modaltouch.rig.connection import Connection, OutputState, Patience, start_watchdog
 from modaltouch.rig.controls import Unconfirmed
 from modaltouch.rig.interface import MANY, Bursts, Firing, RigError, StimulusLost
 from modaltouch.rig.link import LinkError, Log
-from modaltouch.rig.pacing import Report
+from modaltouch.rig.pacing import HELD_UP, PATIENCE, BurstPlayer, Report
 from modaltouch.rig.player import RELAYS_SETTLE, Player, Repetition, numbers
-from modaltouch.rig.watchdog_client import HELD_UP, BurstPlayer, WatchdogClient
-from modaltouch.rig.watchdog_process import LIMIT
 from modaltouch.stimulus import Burst
 from modaltouch.system import SYSTEM_CLOCK, Clock
 
@@ -79,7 +77,7 @@ class Generator:
         log: Log = _ignore,
         patience: Patience | None = None,
         repetition: Repetition | None = None,
-        start_guard: Callable[[str], BurstPlayer] = WatchdogClient,
+        start_guard: Callable[[str], BurstPlayer] = start_watchdog,
         clock: Clock = SYSTEM_CLOCK,
     ) -> None:
         began = time.perf_counter()
@@ -342,7 +340,7 @@ class Generator:
     def _judged(self, firing: Firing, report: Report | None, faults: tuple[str, ...], off: float) -> Firing:
         """Return a stimulus as it is known at its end."""
         held_up = self._longest_silence
-        stalled = held_up > LIMIT
+        stalled = held_up > PATIENCE
         reasons = [f"{'; '.join(faults)} when the stimulus ended"] if faults else []
         bursts = firing.bursts
         if report is not None:

@@ -202,7 +202,7 @@ class Instrument:
 
         The burst's steps fall on the nearest point of the longest record, so that it cannot be exact: at 7 Hz on
         131,072 points a step is late or early by up to 0.55 us, and of the shipped stimulus a mode is missed by
-        0.014 mm/s in 200, where the burst itself misses 1e-5 mm/s (`modaltouch.preflight.checked` computes it).
+        0.014 mm/s in 200, where the burst itself misses 1e-5 mm/s (`modaltouch.preflight.exploration` computes it).
 
         Returns
         -------

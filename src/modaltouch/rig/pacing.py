@@ -1,13 +1,14 @@
-"""Single bursts, each asked for at its instant: what is ordered, the pacer that triggers and counts, its report."""
+"""Single bursts, each asked for at its instant: what is ordered, of whom, the pacer that counts them, its report."""
 
 from __future__ import annotations
 
 import threading
+import typing
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
-from modaltouch.rig.link import describe_error
+from modaltouch.rig.link import Transport, describe_error
 from modaltouch.system import Clock
 
 LATEST = 0.05
@@ -21,6 +22,9 @@ PATIENCE = 1.0
 
 ALERT = 0.02
 """From so long before a burst on, its instant is waited for and nothing else [s]."""
+
+HELD_UP = 0.05
+"""What fails while a process comes round later than by this is not held against the instrument [s]."""
 
 Ending = Literal["", "count", "asked", "stalled", "failed"]
 
@@ -93,6 +97,37 @@ class Report:
     def as_dict(self) -> dict[str, Any]:
         """Return the report as plain values."""
         return asdict(self)
+
+
+class BurstPlayer(Transport, typing.Protocol):
+    """What the driver asks of a watchdog: the way to the instrument, bursts, and outputs off without the driver."""
+
+    def arm(self, *, plays_by_itself: bool) -> None:
+        """Outputs may go on from now; `plays_by_itself`: and what they play does not end without a command."""
+
+    def beat(self) -> str:
+        """The session is alive; return why the bursts ended that nobody ended, or nothing."""
+
+    def play(self, order: Order) -> Report:
+        """Begin to play bursts; return once it is known whether the first was played."""
+
+    def look(self) -> Report:
+        """Return what was played so far."""
+
+    def end(self) -> None:
+        """Let no further burst go."""
+
+    def report(self, *, wait: bool) -> Report:
+        """Let no further burst go, and return what was played; with `wait`, once the last burst is over."""
+
+    def held_up(self) -> float:
+        """Return for how long this process, or the one that paces, was held up at most since `arm` [s]."""
+
+    def disarm(self) -> None:
+        """Outputs are off."""
+
+    def release(self, *, clean: bool) -> None:
+        """End it; unless clean, it switches the outputs off first."""
 
 
 class Pacer:

@@ -14,7 +14,7 @@ import typing
 from typing import Any
 
 from modaltouch.rig.interface import RigError
-from modaltouch.rig.link import InUse, LinkError, Transport, TransportError
+from modaltouch.rig.link import InUse, LinkError, TransportError
 from modaltouch.rig.pacing import LEASE, Order, Report
 from modaltouch.rig.watchdog_process import (
     ARM,
@@ -45,9 +45,6 @@ BEAT_PERIOD = LEASE / 4
 ROUND = 0.05
 """Time between two looks at whether the process is stuck, or this one was held up [s]."""
 
-HELD_UP = 0.05
-"""What fails while a process comes round later than by this is not held against the instrument [s]."""
-
 OPEN_LIMIT = 20.0
 """Longest time that starting the process and opening the instrument may take [s]."""
 
@@ -56,37 +53,6 @@ OVERHEAD = 3.0
 
 PIPE_SIZE = 1 << 20
 """What Linux grants to everybody [bytes]."""
-
-
-class BurstPlayer(Transport, typing.Protocol):
-    """What the driver asks of a watchdog: the way to the instrument, bursts, and outputs off without the driver."""
-
-    def arm(self, *, plays_by_itself: bool) -> None:
-        """Outputs may go on from now; `plays_by_itself`: and what they play does not end without a command."""
-
-    def beat(self) -> str:
-        """The session is alive; return why the bursts ended that nobody ended, or nothing."""
-
-    def play(self, order: Order) -> Report:
-        """Begin to play bursts; return once it is known whether the first was played."""
-
-    def look(self) -> Report:
-        """Return what was played so far."""
-
-    def end(self) -> None:
-        """Let no further burst go."""
-
-    def report(self, *, wait: bool) -> Report:
-        """Let no further burst go, and return what was played; with `wait`, once the last burst is over."""
-
-    def held_up(self) -> float:
-        """Return for how long this process, or the one that paces, was held up at most since `arm` [s]."""
-
-    def disarm(self) -> None:
-        """Outputs are off."""
-
-    def release(self, *, clean: bool) -> None:
-        """End it; unless clean, it switches the outputs off first."""
 
 
 class WatchdogClient:

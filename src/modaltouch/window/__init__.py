@@ -11,8 +11,14 @@ from typing import TYPE_CHECKING
 from modaltouch.system import lazily
 
 if TYPE_CHECKING:
-    from modaltouch.window.events import Event
-    from modaltouch.window.interface import AnswerWindow, Presentation, SessionStopped, TrialInterrupted, WindowError
+    from modaltouch.window.interface import (
+        AnswerWindow,
+        Event,
+        Presentation,
+        SessionStopped,
+        TrialInterrupted,
+        WindowError,
+    )
     from modaltouch.window.machine import examine_surroundings, measure_timing
     from modaltouch.window.masking import Masking
     from modaltouch.window.opening import WindowOptions, open_window
@@ -21,8 +27,7 @@ else:
     __getattr__ = lazily(
         __name__,
         {
-            "events": "Event",
-            "interface": "AnswerWindow Presentation SessionStopped TrialInterrupted WindowError",
+            "interface": "AnswerWindow Event Presentation SessionStopped TrialInterrupted WindowError",
             "machine": "examine_surroundings measure_timing",
             "masking": "Masking",
             "opening": "WindowOptions open_window",

@@ -7,8 +7,7 @@ from typing import NoReturn
 
 from modaltouch.protocol import Trial
 from modaltouch.window.display_loop import DisplayLoop, Moment
-from modaltouch.window.events import Event
-from modaltouch.window.interface import Progress, SessionStopped
+from modaltouch.window.interface import Event, Progress, SessionStopped
 from modaltouch.window.meanings import Reader, describe_press, is_press
 from modaltouch.window.pictures import Illustrator
 

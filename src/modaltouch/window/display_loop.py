@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from modaltouch.protocol import Trial
 from modaltouch.system import SYSTEM_CLOCK, Clock
-from modaltouch.window.events import Event
-from modaltouch.window.interface import Log, SessionStopped, Tick, WindowError
+from modaltouch.window.interface import Event, Log, SessionStopped, Tick, WindowError
 from modaltouch.window.shapes import Picture
 
 if TYPE_CHECKING:

@@ -9,13 +9,11 @@ from __future__ import annotations
 
 import sys
 from collections import deque
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 from modaltouch.protocol import AnswersSection
 from modaltouch.system import SYSTEM_CLOCK, Clock
-
-EventKind = Literal["key", "release", "click", "close", "focus", "blur", "expose", "pause", "continue", "answer"]
+from modaltouch.window.interface import Event, EventKind
 
 _ALIASES = {
     **AnswersSection.KEY_ALIASES,
@@ -26,36 +24,6 @@ _ALIASES = {
 
 _FIRST_DIGIT = 10
 """X's code of the key 1 of the upper row; the other digits follow."""
-
-
-@dataclass(frozen=True)
-class Event:
-    """One thing that happened to the window.
-
-    Attributes
-    ----------
-    time : float
-        When it was received, by the window's clock [s].
-    kind : str
-        ``key``, ``release``, ``click``, ``close``, ``focus``, ``blur`` or ``expose``; or ``pause``,
-        ``continue`` and ``answer``, which the experimenter asks for.
-    key : str
-        Name of the key, for ``key``, ``release`` and ``answer``.
-    digit : str
-        Digit engraved on the key, where the layout wants Shift for it: the window takes the key for that digit too.
-    answer : str or None
-        What is answered, for ``answer``.
-    x, y : float
-        Place of a click [window heights], origin in the middle of the window, y upwards.
-    """
-
-    time: float
-    kind: EventKind
-    key: str = ""
-    x: float = 0.0
-    y: float = 0.0
-    digit: str = ""
-    answer: str | None = None
 
 
 def canonical_key(name: str) -> str:

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from typing import Any, Self
 
 from modaltouch.protocol import Response, Trial
-from modaltouch.window.events import Event
+
+EventKind = typing.Literal["key", "release", "click", "close", "focus", "blur", "expose", "pause", "continue", "answer"]
 
 
 class WindowError(Exception):
@@ -48,6 +49,36 @@ class TrialInterrupted(_EndedEarly):
     reason : str
         One of ``escape``, ``focus lost``, ``experimenter``.
     """
+
+
+@dataclass(frozen=True)
+class Event:
+    """One thing that happened to the window.
+
+    Attributes
+    ----------
+    time : float
+        When it was received, by the window's clock [s].
+    kind : str
+        ``key``, ``release``, ``click``, ``close``, ``focus``, ``blur`` or ``expose``; or ``pause``,
+        ``continue`` and ``answer``, which the experimenter asks for.
+    key : str
+        Name of the key, for ``key``, ``release`` and ``answer``.
+    digit : str
+        Digit engraved on the key, where the layout wants Shift for it: the window takes the key for that digit too.
+    answer : str or None
+        What is answered, for ``answer``.
+    x, y : float
+        Place of a click [window heights], origin in the middle of the window, y upwards.
+    """
+
+    time: float
+    kind: EventKind
+    key: str = ""
+    x: float = 0.0
+    y: float = 0.0
+    digit: str = ""
+    answer: str | None = None
 
 
 Wish = typing.Literal["pause", "continue"] | Event

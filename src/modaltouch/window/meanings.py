@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import Any, Self
 
 from modaltouch.protocol import AnswersSection
-from modaltouch.window.events import Event, canonical_key
+from modaltouch.window.events import canonical_key
+from modaltouch.window.interface import Event
 from modaltouch.window.layout import Layout
 
 DEVICES = {"key": "key", "click": "mouse", "answer": "console"}

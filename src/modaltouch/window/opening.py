@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
 
 from modaltouch.system import SYSTEM_CLOCK, Clock
-from modaltouch.window.environment import some_display
 from modaltouch.window.interface import AnswerWindow, Log, Tick
 
 if TYPE_CHECKING:
@@ -54,6 +53,8 @@ class WindowOptions:
         WindowError
             If there is neither a display nor Xvfb.
         """
+        from modaltouch.window.environment import some_display
+
         return some_display()
 
     @classmethod

@@ -12,8 +12,8 @@ from modaltouch.protocol import TIME_OUT, Protocol, Response, Texts, Trial
 from modaltouch.system import SYSTEM_CLOCK, Clock
 from modaltouch.window.answering import SETTLE, AnswerTaker
 from modaltouch.window.display_loop import POLL_INTERVAL, DisplayLoop, Moment, Sitter
-from modaltouch.window.events import Event, canonical_key
-from modaltouch.window.interface import AnswerWindow, Log, Presentation, Progress, Tick, TrialInterrupted
+from modaltouch.window.events import canonical_key
+from modaltouch.window.interface import AnswerWindow, Event, Log, Presentation, Progress, Tick, TrialInterrupted
 from modaltouch.window.layout import lay_out
 from modaltouch.window.meanings import DEVICES, Reader, is_press
 from modaltouch.window.pictures import Illustrator

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from modaltouch.system import SYSTEM_CLOCK, Clock
 from modaltouch.window.environment import explain, few_imports, fit, missing_libraries, prepare_environment
-from modaltouch.window.events import Event, EventTap
-from modaltouch.window.interface import WindowError
+from modaltouch.window.events import EventTap
+from modaltouch.window.interface import Event, WindowError
 from modaltouch.window.shapes import Mark, Picture, Shape, Words
 
 

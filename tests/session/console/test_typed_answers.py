@@ -15,11 +15,11 @@ from rich.console import Console
 from modaltouch.session.console.consoles import EventLines, PlainLines
 from modaltouch.session.console.drawing import draw_session
 from modaltouch.session.console.experimenter import Experimenter
+from modaltouch.session.console.interface import OWN_KEYS, Request
 from modaltouch.session.console.interface import Console as SilentConsole
-from modaltouch.session.console.interface import Request
-from modaltouch.session.console.keyboard import OWN_KEYS, Dialogue
+from modaltouch.session.console.keyboard import Dialogue
 from modaltouch.session.console.status import Status, typed_keys
-from modaltouch.window.events import Event
+from modaltouch.window.interface import Event
 
 TRIAL = {
     "number": 7, "practice": False, "block": 1, "velocity_mm_s": 100.0, "predicted_left_mm_s": 100.0,

@@ -13,7 +13,7 @@ import threading
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,12 +21,14 @@ from numpy.typing import NDArray
 from modaltouch.protocol import Apparatus
 from modaltouch.rig.simulator.afg import Afg, Behaviour
 from modaltouch.rig.simulator.instrument import Faults, SimulatedInstrument
-from modaltouch.rig.simulator.played import PlayedLog
-from modaltouch.rig.simulator.scope import SimulatedScope
 from modaltouch.rig.simulator.timeline import Delays, Playback
 from modaltouch.rig.simulator.twin import TrueState, Twin
 from modaltouch.rig.simulator.vxi11 import Vxi11Server
 from modaltouch.system import SYSTEM_CLOCK, Clock, VirtualClock
+
+if TYPE_CHECKING:
+    from modaltouch.rig.simulator.played import PlayedLog
+    from modaltouch.rig.simulator.scope import SimulatedScope
 
 
 class Simulator:
@@ -87,6 +89,8 @@ class Simulator:
         self.touched: tuple[float, ...] = ()
         self._played: PlayedLog | None = None
         if played is not None:
+            from modaltouch.rig.simulator.played import PlayedLog
+
             self._played = PlayedLog(played, self.twin, self.afg.settle, lambda: self.touched)
             self.afg.timeline.told = self._played.take
         self._instrument = SimulatedInstrument(self.afg, self.faults)
@@ -152,6 +156,8 @@ class Simulator:
 
     def scope(self) -> SimulatedScope:
         """Return the vibrometer and the scope that stand at this beam; equal seeds give equal noise."""
+        from modaltouch.rig.simulator.scope import SimulatedScope
+
         return SimulatedScope(self.twin, lambda: self.playbacks, lambda: self.touched)
 
     @property

@@ -6,24 +6,19 @@ import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.protocol import Apparatus
-from modaltouch.rig.simulator.motion import (
-    LONGEST_SILENCE,
-    DriveVoltage,
-    Held,
-    Motion,
-    low_passed,
-    peak,
-    refined,
-    state_at,
-)
+from modaltouch.rig.simulator.held import LONGEST_SILENCE, Held, peak, refined, state_at
 from modaltouch.rig.simulator.timeline import MID_CODE, Playback
 from modaltouch.rig.simulator.true_beam import generator_gains, true_amplifier, true_beam
 from modaltouch.stimulus import DiagonalSystem
+
+if TYPE_CHECKING:
+    from modaltouch.rig.simulator.motion import DriveVoltage, Motion
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -177,6 +172,8 @@ class Twin:
             return []
         system = self.system(touched)
         output = self.beam.shapes(position, offset)[:, 0] @ system.velocity
+        from modaltouch.rig.simulator.motion import Motion, low_passed
+
         system, output = low_passed(system, output, bandwidth)
         return [Motion.of(system, output, held, span) for held in self.held_of(playbacks)]
 
@@ -184,6 +181,8 @@ class Twin:
         """Return the voltage at the beam of a channel, counted from 0; None where nothing plays."""
         alone = [playback if row == channel else None for row, playback in enumerate(playbacks)]
         held = self.held_of(alone)
+        from modaltouch.rig.simulator.motion import DriveVoltage
+
         return None if self.tripped or not held else DriveVoltage.of(held[0], channel, self.amplifier.bandwidth)
 
     def true_state(
@@ -297,6 +296,8 @@ def _common_peak(system: DiagonalSystem, output: ComplexArray, parts: Sequence[H
     ends = max(part.delay + LONGEST_SILENCE * part.duration for part in parts)
     span = 0.0, min(parts[0].period, ends)
     times = np.arange(*span, step)
+    from modaltouch.rig.simulator.motion import Motion
+
     return float(np.abs(sum(Motion.of(system, output, part, span).at(times) for part in parts)).max())
 
 
