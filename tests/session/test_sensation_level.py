@@ -24,8 +24,9 @@ from modaltouch.record.audit import audit_session
 from modaltouch.record.chain import GENESIS, encode_line, read_chain
 from modaltouch.record.folders import SessionFolder
 from modaltouch.record.session import Session, read_session
-from modaltouch.session.setup import begin, resume
-from modaltouch.session.wiring import wire_resume, wire_run
+from modaltouch.session.rewiring import resume, wire_resume
+from modaltouch.session.setup import begin
+from modaltouch.session.wiring import wire_run
 from modaltouch.window.interface import SessionStopped
 
 PROTOCOLS = Path(__file__).parents[2] / "protocols"

@@ -12,7 +12,8 @@ from modaltouch.record.session import read_session
 from modaltouch.rig import open_rig
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.simulator import Simulator
-from modaltouch.session.setup import begin, resume
+from modaltouch.session.rewiring import resume
+from modaltouch.session.setup import begin
 from modaltouch.session.wiring import wire_run
 from modaltouch.window.simulated import Answerer, SimulatedParticipant
 

@@ -12,8 +12,9 @@ from modaltouch.preflight import examine
 from modaltouch.record.audit import audit_session
 from modaltouch.record.chain import GENESIS, RecordError, encode_line, line_check, read_chain
 from modaltouch.record.session import Session
-from modaltouch.session.setup import begin, resume
-from modaltouch.session.wiring import wire_resume, wire_run
+from modaltouch.session.rewiring import resume, wire_resume
+from modaltouch.session.setup import begin
+from modaltouch.session.wiring import wire_run
 
 PROTOCOL = Path(__file__).parents[2] / "protocols" / "demo.yaml"
 

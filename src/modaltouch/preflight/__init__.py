@@ -15,13 +15,8 @@ if TYPE_CHECKING:
     from modaltouch.preflight.checked import Preflight
     from modaltouch.preflight.design_inputs import DesignInputs, design
     from modaltouch.preflight.examination import design_to_fit, examine, examine_findings
-    from modaltouch.preflight.figures import (
-        design_figures,
-        estimated_duration,
-        finite,
-        sample_figures,
-        sensitivity_figures,
-    )
+    from modaltouch.preflight.exploration import design_figures, sample_figures, sensitivity_figures
+    from modaltouch.preflight.figures import estimated_duration, finite
 else:
     __getattr__ = lazily(
         __name__,
@@ -29,7 +24,8 @@ else:
             "checked": "Preflight",
             "design_inputs": "DesignInputs design",
             "examination": "design_to_fit examine examine_findings",
-            "figures": "design_figures estimated_duration finite sample_figures sensitivity_figures",
+            "exploration": "design_figures sample_figures sensitivity_figures",
+            "figures": "estimated_duration finite",
         },
     )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from modaltouch.preflight.design_inputs import DesignInputs
@@ -47,6 +48,40 @@ def field_warnings(ground: DesignInputs, stimulus: Stimulus, figures: list[dict[
             )
     if stimulus.projection.reconstruction_error > _UNREACHED:
         said.append(f"at {stimulus.wish.velocity * 1e3:g} mm/s {stimulus.projection.unreached()}")
+    return said
+
+
+def stimulus_warnings(ground: DesignInputs, stimulus: Stimulus, figures: list[dict[str, Any]]) -> list[str]:
+    """Return what a lab should know and the rig does not refuse.
+
+    Parameters
+    ----------
+    ground, stimulus
+        As for `stimulus_figures`.
+    figures : list of dict
+        As `stimulus_figures` returns them, one to each level.
+    """
+    said = []
+    clocks = stimulus.timing.duration * stimulus.timing.clock_rate / stimulus.timing.n_samples
+    if not math.isclose(clocks, round(clocks), rel_tol=1e-9):
+        said.append(
+            f"{stimulus.timing.n_samples} samples are held {clocks:.2f} clocks each, so their edges jitter; "
+            f"125000 samples in 50 ms are held exactly 100"
+        )
+    if ground.apparatus.assumed_gains():
+        modes = ", ".join(f"{label} ({name})" for label, name in ground.apparatus.assumed_gains())
+        said.append(f"the gains of these modes are assumed, not measured: {modes}")
+    if offered := ground.apparatus.offered_gains():
+        gains = ", ".join(f"{label} ({name}) {gain:.4g}" for label, name, gain in offered)
+        said.append(f"the patches offer gains that are not measured, in mm/s^2 per V by mode and set: {gains}")
+    if stimulus.drive.condition_number > 1e6:
+        said.append(f"the condition number is {stimulus.drive.condition_number:.1e}: two modes are nearly alike")
+    worst = max(figures, key=lambda each: each["worst_modal_error_mm_s"] / each["velocity_mm_s"], default=None)
+    if worst and worst["worst_modal_error_mm_s"] > 1e-3 * worst["velocity_mm_s"]:
+        said.append(
+            f"at {worst['velocity_mm_s']:g} mm/s the law `{stimulus.law}` misses a mode by "
+            f"{worst['worst_modal_error_mm_s']:.2g} mm/s on the identified beam"
+        )
     return said
 
 

@@ -6,48 +6,15 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Self
 
-from modaltouch.preflight.advice import (
-    answer_warnings,
-    default_warnings,
-    field_warnings,
-    repetition_warnings,
-    sound_warnings,
-)
 from modaltouch.preflight.design_inputs import DesignInputs
 from modaltouch.preflight.figures import (
     contrasts,
     estimated_duration,
     stimulus_figures,
-    warnings,
     zone_centres,
 )
-from modaltouch.protocol import Apparatus, Experiment, Findings, InputError, Problem, Protocol, Trial
-from modaltouch.rig import instrument_of
+from modaltouch.protocol import Experiment, Findings, InputError, Problem, Protocol, Trial
 from modaltouch.stimulus import Burst, Law, Stimulus
-
-
-def continuous_figures(apparatus: Apparatus, stimulus: Stimulus, velocity: float) -> dict[str, Any]:
-    """Return what the repetition ``continuous`` of the generator misses at the focusing instant of the first burst.
-
-    A record of a whole period has fewer points for the burst: its steps come late or early by up to half a point,
-    on top of the clock's own jitter.
-    """
-    burst, timing = stimulus.burst, stimulus.timing
-    played = replace(timing, n_samples=timing.converter.max_points, duration=1 / timing.repetition_rate)
-    # What is played after the focusing instant does not act on it.
-    codes = instrument_of(apparatus).continuous_codes(burst)[:, : int(timing.focusing_instant / played.hold) + 2]
-    error = 1e3 * stimulus.worst_modal_error_of(codes, played, velocity)
-    step = 1e6 * (played.hold / 2 + 1 / timing.clock_rate)
-    return {
-        "velocity_mm_s": velocity * 1e3,
-        "n_samples": played.n_samples,
-        "step_error_us": step,
-        "worst_modal_error_mm_s": error,
-        "warning": (
-            f"played continuously, without burst mode, {velocity * 1e3:g} mm/s cannot be exact: steps come up to "
-            f"{step:.2g} us late or early, and a mode is missed by {error:.2g} mm/s"
-        ),
-    }
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,10 +149,22 @@ class Preflight:
         """
         if trial.condition.is_catch:
             return 0.0, 0.0
-        ground, stimulus = self.parts[trial.condition.stimulus].sound
-        peaks = stimulus.peak_velocity(zone_centres(ground), trial.condition.velocity_mm_s * 1e-3)
-        by_zone = dict(zip(ground.apparatus.ordered_zones, peaks.tolist(), strict=True))
-        return by_zone[trial.condition.zone_left], by_zone[trial.condition.zone_right]
+        peaks = self.zone_peaks(trial.condition.stimulus, trial.condition.velocity_mm_s)
+        return peaks[trial.condition.zone_left], peaks[trial.condition.zone_right]
+
+    def zone_peaks(self, name: str, level: float) -> dict[str, float]:
+        """Return the predicted peak speed at the centre of each zone [m/s].
+
+        Parameters
+        ----------
+        name : str
+            Which of several stimuli; empty where there is one.
+        level : float
+            Peak velocity at the focus [mm/s].
+        """
+        ground, stimulus = self.parts[name].sound
+        peaks = stimulus.peak_velocity(zone_centres(ground), level * 1e-3)
+        return dict(zip(ground.apparatus.ordered_zones, peaks.tolist(), strict=True))
 
     @cached_property
     def stimuli(self) -> list[dict[str, Any]]:
@@ -212,6 +191,8 @@ class Preflight:
         """Return what a generator without burst mode would miss at the highest level; None where anything is wrong."""
         if self.problems:
             return None
+        from modaltouch.preflight.exploration import continuous_figures
+
         ground, stimulus = self.sound
         return continuous_figures(ground.apparatus, stimulus, max(ground.levels.values()) * 1e-3)
 
@@ -248,6 +229,8 @@ class Preflight:
             values |= _design_figures(reading.value)
         if self.problems:
             return values
+        from modaltouch.preflight.advice import answer_warnings, default_warnings, repetition_warnings, sound_warnings
+
         ground, _ = self.sound
         protocol, apparatus = self.experiment.protocol, ground.apparatus
         values |= {
@@ -271,10 +254,12 @@ class Preflight:
         return values
 
     def _stimulus_warnings(self) -> list[str]:
+        from modaltouch.preflight.advice import field_warnings, stimulus_warnings
+
         said: list[tuple[str, list[str]]] = []
         for name, part in self.parts.items():
             ground, stimulus = part.sound
-            own = [*field_warnings(ground, stimulus, part.stimuli), *warnings(ground, stimulus, part.stimuli)]
+            own = [*field_warnings(ground, stimulus, part.stimuli), *stimulus_warnings(ground, stimulus, part.stimuli)]
             said.append((name, own))
         shared = [each for each in said[0][1] if all(each in own for _, own in said)]
         return [*shared, *(f"stimulus {name}: {each}" for name, own in said for each in own if each not in shared)]

@@ -13,8 +13,9 @@ from modaltouch.record.chain import RecordError, read_chain
 from modaltouch.record.folders import SessionFolder
 from modaltouch.record.restored import UNTOLD, RestoredExperiment, restore
 from modaltouch.record.sequence import EventSequence, TrialExpectation
-from modaltouch.record.session import Session, check_shape
-from modaltouch.record.view import check_view
+from modaltouch.record.session import Session
+from modaltouch.record.shape import check_shape
+from modaltouch.record.view_check import check_view
 
 Checked = Iterator[tuple[bool, str]]
 """Whether something holds, and which words say so; empty words where there is nothing to say."""

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING, Any
 
 from modaltouch.preflight import examine_findings
-from modaltouch.protocol import Findings, Levels, Sources, Trial
+from modaltouch.protocol import Findings, Sources, Trial
 from modaltouch.rig import RigError, instrument_of
+
+if TYPE_CHECKING:
+    from modaltouch.protocol import Levels
 
 UNTOLD = (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError, RigError)
 """What a line raises that does not say what is asked of it."""
@@ -32,7 +36,7 @@ class RestoredExperiment:
         apparatus = self.preflight.experiment.apparatus
         self.instrument = instrument_of(apparatus)
         self._limits = self.instrument.limits(apparatus)
-        self._speeds: dict[object, tuple[float, float]] = {}
+        self._peaks: dict[tuple[str, float], dict[str, float]] = {}
         self.agreed: set[tuple[str, float, tuple[float, ...], tuple[float, ...]]] = set()
         """Stimulus, level, commanded and read back amplitudes that were found to agree."""
         self._amplitudes: dict[tuple[str, float], tuple[float, ...]] = {}
@@ -40,6 +44,8 @@ class RestoredExperiment:
     @cached_property
     def levels(self) -> Levels:
         """What decides the levels of an adaptive run."""
+        from modaltouch.protocol import Levels
+
         return Levels(self.protocol)
 
     @cached_property
@@ -49,10 +55,19 @@ class RestoredExperiment:
 
     def speeds_mm_s(self, trial: Trial) -> tuple[float, float]:
         """Return the predicted peak speeds under the left and the right finger in a trial [mm/s]."""
-        if trial.condition not in self._speeds:
-            left, right = self.preflight.speeds(trial)
-            self._speeds[trial.condition] = left * 1e3, right * 1e3
-        return self._speeds[trial.condition]
+        condition = trial.condition
+        if condition.is_catch:
+            return 0.0, 0.0
+        peaks = self.zone_peaks_mm_s(condition.stimulus, condition.velocity_mm_s)
+        return peaks[condition.zone_left], peaks[condition.zone_right]
+
+    def zone_peaks_mm_s(self, stimulus: str, level_mm_s: float) -> dict[str, float]:
+        """Return the predicted peak speed at the centre of each zone, for a stimulus at a level [mm/s]."""
+        key = stimulus, level_mm_s
+        if key not in self._peaks:
+            peaks = self.preflight.zone_peaks(*key)
+            self._peaks[key] = {zone: peak * 1e3 for zone, peak in peaks.items()}
+        return self._peaks[key]
 
     def amplitudes(self, stimulus: str, level_mm_s: float) -> tuple[float, ...]:
         """Return the amplitude of each channel for a stimulus at a level [V peak to peak].

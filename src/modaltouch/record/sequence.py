@@ -18,7 +18,7 @@ from modaltouch.record.session import Session
 
 Event = dict[str, Any]
 
-_SPEED = 2e-3
+SPEED = 2e-3
 """Speeds are written to 0.001 mm/s [mm/s]."""
 _INSTANT = 5e-6
 """Instants are written to the microsecond, and sums of them are compared [s]."""
@@ -87,7 +87,7 @@ def check_answered(event: Event, trial: Trial, given: TrialExpectation) -> Itera
         yield f"was planned at {planned['velocity_mm_s']:g} mm/s and presented at {condition.velocity_mm_s:g} mm/s"
     said = planned["speed_left_mm_s"], planned["speed_right_mm_s"]
     found = given.restored.speeds_mm_s(trial)
-    if not all(abs(a - b) <= _SPEED for a, b in zip(said, found, strict=True)):
+    if not all(abs(a - b) <= SPEED for a, b in zip(said, found, strict=True)):
         yield f"{condition.velocity_mm_s:g} mm/s gives {_listed(found)} mm/s at the fingers, not {_listed(said)}"
     fingers = condition.fingers(given.protocol.conditions.hand)
     if tuple(event["fingers"]) != fingers:

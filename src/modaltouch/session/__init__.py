@@ -12,15 +12,17 @@ from modaltouch.system import lazily
 
 if TYPE_CHECKING:
     from modaltouch.session.console.consoles import open_console
-    from modaltouch.session.setup import Setup, begin, resume
-    from modaltouch.session.wiring import SIMULATED, mode_of, simulate_session, wire_resume, wire_run
+    from modaltouch.session.rewiring import resume, wire_resume
+    from modaltouch.session.setup import Setup, begin
+    from modaltouch.session.wiring import SIMULATED, mode_of, simulate_session, wire_run
 else:
     __getattr__ = lazily(
         __name__,
         {
             "console.consoles": "open_console",
-            "setup": "Setup begin resume",
-            "wiring": "SIMULATED mode_of simulate_session wire_resume wire_run",
+            "setup": "Setup begin",
+            "rewiring": "resume wire_resume",
+            "wiring": "SIMULATED mode_of simulate_session wire_run",
         },
     )
 

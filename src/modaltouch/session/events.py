@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from modaltouch.preflight import Preflight
@@ -43,10 +44,37 @@ def describe_start(preflight: Preflight, schedule: Schedule, place: SessionFolde
             "content_hash": burst.content_hash,
             "velocity_mm_s": burst.velocity * 1e3,
             "amplitude_Vpp": list(burst.amplitude),
-            "stimuli": preflight.as_dict()["stimuli"],
+            "stimuli": preflight.stimuli,
             **({"content_hashes": preflight.content_hashes} if experiment.protocol.stimuli else {}),
         },
     }
+
+
+def boot_id() -> str:
+    """Return what tells one start of this machine from another; empty where the system does not say."""
+    try:
+        return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+    except (OSError, UnicodeDecodeError):
+        return ""
+
+
+PRACTICE_FAILED = "practice not passed"
+"""How a session ends whose participant did not pass the practice, where the protocol says so."""
+
+
+def way_on(reason: str, folder: Path) -> str:
+    """Return what can be done about a session that ended early, in words.
+
+    Parameters
+    ----------
+    reason : str
+        How it ended.
+    folder : Path
+        Where it is recorded.
+    """
+    if reason == PRACTICE_FAILED:
+        return f"`modaltouch resume --restart {folder}` begins it anew, practice included"
+    return f"go on with `modaltouch resume {folder}`"
 
 
 def describe_ending(error: BaseException) -> dict[str, str]:

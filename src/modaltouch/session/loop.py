@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from modaltouch.protocol import Levels, Protocol, Response, Trial, judge_round
+from modaltouch.protocol import Protocol, Response, Trial
 from modaltouch.record import RecordError, SessionLog
 from modaltouch.rig import Firing, Rig, RigError, StimulusLost
 from modaltouch.session.console.experimenter import Experimenter
@@ -20,6 +20,9 @@ from modaltouch.window import (
     SessionStopped,
     TrialInterrupted,
 )
+
+if TYPE_CHECKING:
+    from modaltouch.protocol import Levels
 
 ATTEMPTS = 3
 """How often a trial that the instrument does not confirm is presented before the session ends."""
@@ -43,8 +46,8 @@ class SessionRun:
         What is still to be answered, in order, practice first.
     total : int
         Number of scheduled trials, without practice.
-    levels : Levels
-        What decides the levels of an adaptive run.
+    levels : Levels or None
+        What decides the levels of an adaptive run; None where the protocol does.
     speeds : callable
         Predicted peak speeds under the left and the right finger in a trial [m/s].
     rig, window, log
@@ -64,7 +67,7 @@ class SessionRun:
     protocol: Protocol
     trials: tuple[Trial, ...]
     total: int
-    levels: Levels
+    levels: Levels | None
     speeds: Callable[[Trial], tuple[float, float]]
     rig: Rig
     window: AnswerWindow
@@ -103,7 +106,7 @@ def conduct(sitting: SessionRun) -> None:
             sitting.window.rest((trial.index, sitting.total))
             rested = sitting.clock.now()
         # The record alone decides the next level, so that a session that was killed goes on with the very same one.
-        settled = sitting.levels.settle(trial, _counted(sitting))
+        settled = _settle(sitting, trial)
         run(sitting, settled, previous)
         previous = repeat(sitting, settled)
     sitting.window.goodbye()
@@ -127,7 +130,7 @@ def repeat(sitting: SessionRun, previous: Trial | None) -> Trial | None:
         lines = [each["n"] for each in again]
         sitting.log.append("withdrawn", lines=lines, reason="the experimenter has the trial repeated")
         for each in again:
-            trial = sitting.levels.settle(Trial.from_dict(each["trial"]), _counted(sitting))
+            trial = _settle(sitting, Trial.from_dict(each["trial"]))
             response = run(sitting, trial, previous)
             _comment(sitting, trial, response)
             previous = trial
@@ -179,6 +182,11 @@ def _has_passed_practice(sitting: SessionRun) -> bool:
     return any(event.get("event") == "practice_round" and event["passed"] for event in sitting.log.events)
 
 
+def _settle(sitting: SessionRun, trial: Trial) -> Trial:
+    """Return a trial at the level to which the answers so far lead; as it is where levels are fixed."""
+    return trial if sitting.levels is None else sitting.levels.settle(trial, _counted(sitting))
+
+
 def _close_rounds(sitting: SessionRun) -> None:
     """Write down how each round of practice went that is over and not yet judged, before a kill or after it."""
     schedule, events = sitting.protocol.schedule, sitting.log.events
@@ -190,6 +198,8 @@ def _close_rounds(sitting: SessionRun) -> None:
     for number in range(1, schedule.practice_rounds + 1):
         last = number * schedule.practice_trials
         if number not in judged and done.issuperset(range(last - schedule.practice_trials + 1, last + 1)):
+            from modaltouch.protocol import judge_round
+
             outcome = judge_round(counted, number, schedule.practice_trials, sitting.protocol.answers.offered)
             sitting.log.append(
                 "practice_round",

@@ -11,11 +11,11 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any
 
 from modaltouch.protocol import Schedule
 from modaltouch.record import RecordInputError, Session, SessionFolder, SessionLog
+from modaltouch.session.events import PRACTICE_FAILED, way_on
 from modaltouch.system import SYSTEM_CLOCK, Clock
 
 CLOCK_TOLERANCE = 60.0
@@ -66,7 +66,7 @@ def examine_interruption(session: Session, *, now: datetime, clock: float, boot:
     clock : float
         The monotonic clock of the record, `time.perf_counter` [s].
     boot : str
-        Since which start of the machine that clock counts (`boot_id`); empty if unknown.
+        Since which start of the machine that clock counts (`events.boot_id`); empty if unknown.
     """
     events = session.events
     last = events[-1]
@@ -85,33 +85,6 @@ def examine_interruption(session: Session, *, now: datetime, clock: float, boot:
     )
 
 
-def boot_id() -> str:
-    """Return what tells one start of this machine from another; empty where the system does not say."""
-    try:
-        return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
-    except (OSError, UnicodeDecodeError):
-        return ""
-
-
-FAILED = "practice not passed"
-"""How a session ends whose participant did not pass the practice, where the protocol says so."""
-
-
-def way_on(reason: str, folder: Path) -> str:
-    """Return what can be done about a session that ended early, in words.
-
-    Parameters
-    ----------
-    reason : str
-        How it ended.
-    folder : Path
-        Where it is recorded.
-    """
-    if reason == FAILED:
-        return f"`modaltouch resume --restart {folder}` begins it anew, practice included"
-    return f"go on with `modaltouch resume {folder}`"
-
-
 def refuse_failed(session: Session, interruption: SessionInterruption) -> None:
     """Raise if a session ended because its practice was not passed: it would only end again.
 
@@ -120,10 +93,10 @@ def refuse_failed(session: Session, interruption: SessionInterruption) -> None:
     RecordInputError
         With the way to begin it anew.
     """
-    if interruption.reason == FAILED:
+    if interruption.reason == PRACTICE_FAILED:
         raise RecordInputError(
             f"{session.path}: practice was not passed, and the protocol then ends the session "
-            f"(schedule.after_failed_practice); {way_on(FAILED, session.path.parent)}"
+            f"(schedule.after_failed_practice); {way_on(PRACTICE_FAILED, session.path.parent)}"
         )
 
 

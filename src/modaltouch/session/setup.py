@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack, suppress
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from modaltouch.preflight import Preflight, estimated_duration
-from modaltouch.protocol import InputError, Levels, Schedule
+from modaltouch.protocol import InputError, Protocol, Schedule
 from modaltouch.record import (
     RecordError,
     Session,
@@ -18,23 +17,15 @@ from modaltouch.record import (
     read_session,
 )
 from modaltouch.rig import Rig, instrument_of
-from modaltouch.session.assignment import assign_turn
 from modaltouch.session.console.experimenter import Experimenter, Tick, Wish
 from modaltouch.session.console.interface import Console
-from modaltouch.session.console.status import Status
-from modaltouch.session.events import describe_ending, describe_start
+from modaltouch.session.events import boot_id, describe_ending, describe_start, way_on
 from modaltouch.session.loop import SessionRun, conduct
-from modaltouch.session.resumption import (
-    begin_anew,
-    boot_id,
-    examine_interruption,
-    go_on,
-    refuse_failed,
-    refuse_old,
-    way_on,
-)
 from modaltouch.system import SYSTEM_CLOCK, Clock, Interruption, commit, versions
 from modaltouch.window import AnswerWindow, Masking
+
+if TYPE_CHECKING:
+    from modaltouch.protocol import Levels
 
 OpenRig = Callable[[Callable[..., None]], AbstractContextManager[Rig]]
 """Opens the instrument for a while, given a function that takes each exchange with it."""
@@ -146,54 +137,27 @@ def begin(setup: Setup) -> Session:
         Whatever ended it early; outputs are off and what was answered is kept.
     """
     setup.place.refuse_existing()
-    return _sit(
+    return sit(
         setup, lambda place, facts: SessionLog.create(place.log, "start", timed_by=setup.clock, **facts), "start"
     )
 
 
-def resume(setup: Setup) -> Session:
-    """Continue an interrupted session as its protocol has it, the trials that are left in the order they had.
+def sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], SessionLog], first: str) -> Session:
+    """Run a sitting and return the session as recorded.
 
-    A session that lacks no answer is left as it is, but for what the interruption kept from it: the BIDS view, and
-    the last line, where that was cut.
-    One that is begun anew (`Setup.replaces`) is closed, and all its trials come in the same order.
-
-    Raises
-    ------
-    RecordError
-        If the record is damaged or in use, the interruption is too old, or this program would draw another
-        order than the recorded one.
-    RigError, WindowError, SessionStopped, Interrupted
-        Whatever ended it early again.
+    Parameters
+    ----------
+    setup : Setup
+        What it is made of.
+    open_log : callable
+        Opens the log at a place, with what the line that begins the sitting says.
+    first : str
+        Event of that line, ``start`` or ``resume``.
     """
-    place = setup.replaces or setup.place
-    session = read_session(place.log)
-    if session.complete:
-        return SessionLog.mend(place, timed_by=setup.clock)
-    recorded = session.start["schedule"]
-    if recorded["order_hash"] != setup.schedule.order_hash:
-        raise RecordError(
-            f"{place.log}: its order has the hash {recorded['order_hash'][:12]}, this program draws "
-            f"{setup.schedule.order_hash[:12]}; resume it with the version that began it "
-            f"({session.start['versions']['modaltouch']})"
-        )
-
-    cut = examine_interruption(session, now=datetime.now(UTC), clock=setup.clock.now(), boot=boot_id())
-    policy = setup.preflight.experiment.protocol.schedule.resume
-    if setup.replaces is not None:
-        old = setup.replaces
-        setup.place.refuse_existing()
-        return _sit(setup, lambda place, facts: begin_anew(old, place, cut, facts, setup.clock), "start")
-    refuse_failed(session, cut)
-    refuse_old(session, cut, policy.within_hours)
-    return _sit(setup, lambda place, facts: go_on(place, setup.schedule, policy.at, cut, facts, setup.clock), "resume")
-
-
-def _sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], SessionLog], first: str) -> Session:
     buffer = EventBuffer()
-    levels = Levels(setup.preflight.experiment.protocol)
+    levels = _levels(setup.preflight.experiment.protocol)
     seconds = estimated_duration(setup.preflight.experiment.protocol) * 60 / max(len(setup.schedule.trials), 1)
-    experimenter = Experimenter(setup.console, buffer.event, Status(seconds))
+    experimenter = Experimenter(setup.console, buffer.event, seconds_per_trial=seconds)
     buffer.listener = experimenter.tell
     with Interruption() as interruption, ExitStack() as stack:
         rig = stack.enter_context(setup.open_rig(buffer.exchange))
@@ -242,10 +206,21 @@ def _sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessi
     return read_session(setup.place.log)
 
 
+def _levels(protocol: Protocol) -> Levels | None:
+    """Return what decides the levels of an adaptive run; None where the protocol does."""
+    if protocol.adaptive is None:
+        return None
+    from modaltouch.protocol import Levels
+
+    return Levels(protocol)
+
+
 def _with_assigned_turn(setup: Setup) -> Setup:
     """Return the setup with the schedule that the records on disk give the participant, if they do."""
     if setup.drawn_as is None:
         return setup
+    from modaltouch.session.assignment import assign_turn
+
     drawn, protocol = setup.schedule, setup.preflight.experiment.protocol
     assignment = assign_turn(setup.place, protocol, setup.drawn_as)
     schedule = Schedule.draw(protocol, drawn.participant, drawn.seed, drawn.session, given=assignment.turn)
@@ -266,7 +241,7 @@ def _sitting(
     log: SessionLog,
     buffer: EventBuffer,
     tick: Tick,
-    levels: Levels,
+    levels: Levels | None,
 ) -> SessionRun:
     done = log.session.answered
     schedule = setup.schedule

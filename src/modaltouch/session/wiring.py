@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from modaltouch.planning import FeltSpeeds, Observer, read_observer, usual_observer
-from modaltouch.preflight import Preflight, examine, examine_findings
-from modaltouch.protocol import Findings, Protocol, Schedule, Sources, Trial, Turn
-from modaltouch.record import RecordError, RecordInputError, Session, SessionFolder, SessionLog, audit_session
+from modaltouch.planning import Observer, read_observer, usual_observer
+from modaltouch.preflight import Preflight, examine
+from modaltouch.protocol import Protocol, Schedule, Trial
+from modaltouch.record import Session, SessionFolder
 from modaltouch.rig import Rig, open_rig
-from modaltouch.session.assignment import next_session
 from modaltouch.session.console.experimenter import Tick
-from modaltouch.session.sensation_level import at_own_levels, recorded_levels
 from modaltouch.session.setup import Setup, begin
 from modaltouch.system import SYSTEM_CLOCK, Clock, VirtualClock
 from modaltouch.window import Answerer, AnswerWindow, Masking, WindowOptions, open_window
 
 if TYPE_CHECKING:
+    from modaltouch.planning import FeltSpeeds
     from modaltouch.rig import Simulator
 
 AnswersBy = Literal["window", "simulated", "robot"]
@@ -72,8 +71,10 @@ def wire_run(
     place = SessionFolder(results, mode_of(rig, answers, pilot=pilot), protocol.protocol, participant, session or 1)
     drawn_as = place.session
     if session is None:
+        from modaltouch.session.assignment import next_session
+
         place, drawn_as = next_session(place, protocol.schedule.sessions)
-    preflight, calibrated = at_own_levels(preflight, place, threshold_mm_s)
+    preflight, calibrated = _at_own_levels(preflight, place, threshold_mm_s)
     schedule = Schedule.draw(preflight.experiment.protocol, participant, seed, drawn_as)
     wires = SessionParts(
         preflight,
@@ -89,64 +90,15 @@ def wire_run(
     return replace(setup, drawn_as=drawn_as) if protocol.schedule.balance == "least_filled" else setup
 
 
-def wire_resume(
-    path: Path,
-    *,
-    rig: str | None = None,
-    answers: AnswersBy | None = None,
-    restart: bool = False,
-    window: Mapping[str, Any] | None = None,
-) -> Setup:
-    """Return what an interrupted session needs to go on, all of it from the session's own record.
+def _at_own_levels(
+    preflight: Preflight, place: SessionFolder, threshold_mm_s: float | None
+) -> tuple[Preflight, dict[str, Any]]:
+    """Return the preflight at the participant's own levels, where there are such, and what the record says of them."""
+    if threshold_mm_s is None and preflight.experiment.protocol.conditions.sensation_levels is None:
+        return preflight, {}
+    from modaltouch.session.sensation_level import at_own_levels
 
-    Parameters
-    ----------
-    path : Path
-        A session's folder or its log.
-    rig, answers : str, optional
-        Others than the recorded ones, of the same kind.
-    restart : bool
-        Whether it is begun anew as another session, whatever its protocol says.
-    window : mapping, optional
-        What of the answer window is to be otherwise than it was, by the names of `WindowOptions`.
-
-    Raises
-    ------
-    RecordError
-        If there is no such session, `modaltouch verify` refuses it, it has been begun anew, or a real one would go on
-        simulated.
-    """
-    session = Session.find(path)
-    audit_session(session).require()
-    start = session.start
-    place = SessionFolder.of(session.path, session.mode, session.protocol)
-    rig, answers = rig or start["rig_choice"], answers or start["answers_choice"]
-    _refuse_another_kind(session, rig, answers, restart=restart)
-    preflight = examine_findings(Findings.restored(Sources.from_dict(start["sources"]))).require()
-    preflight = recorded_levels(preflight, start)
-    given = Turn.recorded(start)
-    protocol = preflight.experiment.protocol
-    schedule = Schedule.draw(protocol, place.participant, start["seed"], session.drawn_as, given=given)
-    observer = Observer.from_dict(start["observer"]) if "observer" in start else Observer()
-    at = preflight.experiment.protocol.schedule.resume.at
-    anew = _place_anew(place, session) if (restart or at == "restart") and not session.complete else None
-    if anew is None and session.begun_anew_as is not None:
-        anew = _place_anew(place, session)
-    wires = SessionParts(
-        preflight,
-        anew or place,
-        seed=start["seed"],
-        rig=rig,
-        answers=answers,
-        window_options=replace(WindowOptions.recorded(_latest_window(session)), **(window or {})),
-        observer=observer,
-        after=float(session.events[-1]["clock"]),
-    )
-    setup = wires.setup(schedule)
-    if anew is None:
-        return setup
-    calibrated = {name: start[name] for name in ("sensation_levels",) if name in start}
-    return replace(setup, replaces=place, facts=setup.facts | calibrated)
+    return at_own_levels(preflight, place, threshold_mm_s)
 
 
 def simulate_session(
@@ -276,55 +228,18 @@ class SessionParts:
     @cached_property
     def _senses(self) -> dict[str, FeltSpeeds]:
         """What the observer's front end makes of the predicted velocities of each stimulus."""
+        from modaltouch.planning import FeltSpeeds
+
         zones = self.preflight.experiment.apparatus.zones
         centres = {name: zone.centre_mm * 1e-3 for name, zone in zones.items()}
         parts = self.preflight.parts.items()
         return {name: FeltSpeeds(part.stimulus, centres, self.observer.front_end) for name, part in parts}
 
 
-def _refuse_another_kind(session: Session, rig: str, answers: AnswersBy, *, restart: bool) -> None:
-    """Raise where a session would go on as something else than it was begun as."""
-    start, log = session.start, session.path
-    if start.get("schema", 1) < SessionLog.SCHEMA and not (session.complete or restart):
-        raise RecordInputError(
-            f"{log}: was begun by a version whose bursts were not counted "
-            f"({start['versions'].get('modaltouch', 'unknown')}); half a session of each is no session: "
-            f"`modaltouch resume --restart {log.parent}` begins it anew, and keeps what was answered"
-        )
-    as_begun = (rig, answers) == (start["rig_choice"], start["answers_choice"])
-    if not as_begun and mode_of(rig, answers, pilot=session.mode == "pilot") != session.mode:
-        raise RecordError(
-            f"{log}: is a {session.mode} session, and with rig {rig!r} and answers {answers!r} it would go on as "
-            "another kind; give --rig and --answers as it began"
-        )
-
-
-def _latest_window(session: Session) -> dict[str, Any]:
-    """Return what the record says of the window of the latest sitting."""
-    sittings = (event for event in reversed(session.events) if event["event"] in ("start", "resume"))
-    return next(sittings).get("window") or {}
-
-
 def _usual(protocol: Protocol, answers: AnswersBy) -> Observer:
     """Return who is simulated if nobody says otherwise; the default observer is the shipped `paper`."""
     name = usual_observer(protocol)
     return Observer() if name == "paper" or answers == "window" else read_observer(name)
-
-
-def _place_anew(place: SessionFolder, session: Session) -> SessionFolder:
-    """Return the place of the session that begins another one anew: the next free number."""
-    number = session.begun_anew_as
-    if number is not None:
-        anew = replace(place, session=number)
-        if anew.log.exists():
-            raise RecordInputError(
-                f"{place.log}: was begun anew as session {number}; go on with `modaltouch resume {anew.folder}`"
-            )
-        return anew
-    number = place.session + 1
-    while replace(place, session=number).log.exists():
-        number += 1
-    return replace(place, session=number)
 
 
 def mode_of(rig: str, answers: AnswersBy, *, pilot: bool) -> Literal["real", "pilot", "simulated"]:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from modaltouch.session.console.interface import Console
-from modaltouch.session.console.status import Status
 from modaltouch.window import Event, SessionStopped
+
+if TYPE_CHECKING:
+    from modaltouch.session.console.status import Status
 
 Wish = Literal["pause", "continue"] | Event
 """What the experimenter asks of the window; an event is an answer that was typed at the console."""
@@ -26,7 +28,9 @@ class Experimenter:
     record : callable, optional
         Takes what was asked for the record, as ``record(event, **facts)``.
     status : Status, optional
-        How the session stands.
+        How the session stands; told to no console that shows nothing, which asks nothing either.
+    seconds_per_trial : float
+        About how long a trial takes, where no status is given [s].
     """
 
     def __init__(
@@ -34,10 +38,16 @@ class Experimenter:
         console: Console | None = None,
         record: Callable[..., Any] = lambda event, **facts: None,
         status: Status | None = None,
+        *,
+        seconds_per_trial: float = 5.0,
     ) -> None:
         self._console = console or Console()
         self._record = record
-        self._status = status or Status()
+        self._status = status
+        if status is None and type(self._console) is not Console:
+            from modaltouch.session.console.status import Status
+
+            self._status = Status(seconds_per_trial)
         self._last: dict[str, Any] | None = None
         self._repeats: dict[str, Any] | None = None
         self.ends_after_block = False
@@ -52,7 +62,7 @@ class Experimenter:
                 self._repeats = event
         elif event["event"] == "withdrawn" and self._last is not None and self._last["n"] in event["lines"]:
             self._last = None
-        if self._status.take(event, replayed=replayed):
+        if self._status is not None and self._status.take(event, replayed=replayed):
             self._console.show(self._status.facts())
         if event["event"] == "practice_round" or (event["event"] == "trial_next" and not event["trial"]["practice"]):
             self._leave_practice()
@@ -66,20 +76,23 @@ class Experimenter:
             If the session is to end now.
         """
         wish: Wish | None = None
+        status = self._status
+        if status is None:
+            return None
         for request in self._console.requests():
             if request.command == "emergency_stop":
                 # Nothing is written before the outputs are off; the stop record will say why.
                 raise SessionStopped("emergency stop")
             if request.command == "answer":
                 # The line of the answer says it all; nothing is written while a question is open.
-                answer = self._status.answer_by(request.text)
+                answer = status.answer_by(request.text)
                 wish = wish if answer is None else Event(request.at, "answer", request.text, answer=answer)
                 continue
             self._record("experimenter", asks=request.command, **({"text": request.text} if request.text else {}))
             if request.command == "stop":
                 raise SessionStopped("experimenter")
             if request.command == "pause":
-                wish = "continue" if self._status.paused else "pause"
+                wish = "continue" if status.paused else "pause"
             elif request.command == "go_on":
                 wish = "continue"
             elif request.command == "end_after_block":

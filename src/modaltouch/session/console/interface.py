@@ -13,6 +13,20 @@ Facts = dict[str, Any]
 """How a session stands: plain values, keys with units (`status.Status.facts`)."""
 
 
+AT_ONCE: dict[str, tuple[Command, str]] = {
+    "p": ("pause", ""),
+    "r": ("repeat", ""),
+    "b": ("end_after_block", ""),
+    " ": ("go_on", ""),
+    "enter": ("go_on", ""),
+    "x": ("emergency_stop", "EMERGENCY STOP"),
+}
+"""What a key asks for at once, and what is shown then."""
+
+OWN_KEYS = frozenset({*AT_ONCE, "n", "q", "space", "escape"})
+"""Keys of the console, which never answer."""
+
+
 @dataclass(frozen=True)
 class Request:
     """What the experimenter asks for.

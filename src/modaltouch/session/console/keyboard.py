@@ -16,7 +16,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from modaltouch.session.console.interface import Command, Facts, Request
+from modaltouch.session.console.interface import AT_ONCE, Command, Facts, Request
 
 _ARROWS = ("up", "down", "right", "left")
 _NAMED_KEYS = {
@@ -188,16 +188,6 @@ def split_keys(text: str) -> list[str]:
     return keys
 
 
-_AT_ONCE: dict[str, tuple[Command, str]] = {
-    "p": ("pause", ""),
-    "r": ("repeat", ""),
-    "b": ("end_after_block", ""),
-    " ": ("go_on", ""),
-    "enter": ("go_on", ""),
-    "x": ("emergency_stop", "EMERGENCY STOP"),
-}
-OWN_KEYS = frozenset({*_AT_ONCE, "n", "q", "space", "escape"})
-"""Keys that never answer."""
 LONGEST_NOTE = 500
 """A note is a remark, not a protocol [characters]."""
 
@@ -242,8 +232,8 @@ class Dialogue:
         if self._asks_to_stop:
             self._asks_to_stop, self.prompt = False, ""
             return self._ask("stop", "stopping") if key in ("y", "Y") else None
-        if key in _AT_ONCE:
-            return self._ask(*_AT_ONCE[key])
+        if key in AT_ONCE:
+            return self._ask(*AT_ONCE[key])
         self.prompt = ""
         if key == "n":
             self._note, self.prompt = "", "note (Enter keeps it, Escape drops it): _"

@@ -10,8 +10,7 @@ from string import ascii_lowercase
 from typing import Any
 
 from modaltouch.protocol import AnswerList
-from modaltouch.session.console.interface import Facts
-from modaltouch.session.console.keyboard import OWN_KEYS
+from modaltouch.session.console.interface import OWN_KEYS, Facts
 
 HASTY = 0.1
 """Nobody feels, decides and presses within this time: such an answer was ready before its question [s]."""

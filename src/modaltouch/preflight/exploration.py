@@ -1,0 +1,144 @@
+"""What a lab may ask of a stimulus besides: how well the beam must be identified, and what other designs would cost."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from modaltouch.preflight.design_inputs import DesignInputs
+from modaltouch.preflight.figures import zone_centres
+from modaltouch.protocol import Apparatus
+from modaltouch.rig import instrument_of
+from modaltouch.stimulus import ModalModel, Stimulus, cheapest_samples, focus_sensitivity, scatter
+
+ERRORS = {"natural_frequency": 0.001, "damping_ratio": 0.05, "modal_gain": 0.05}
+"""Relative errors of the table of sensitivities [1]."""
+
+SPREAD: dict[str, Any] = {"natural_frequency": 0.001, "damping_ratio": 0.02, "modal_gain": 0.02}
+"""Relative standard deviations of the beams that are drawn [1]."""
+
+
+def sensitivity_figures(ground: DesignInputs, stimulus: Stimulus) -> dict[str, Any]:
+    """Return how well the beam must be identified: what errors of its parameters do to the field at the focus.
+
+    Parameters
+    ----------
+    ground : DesignInputs
+        What the stimulus was designed from.
+    stimulus : Stimulus
+        The stimulus, at its highest level.
+    """
+    half = ground.apparatus.beam.length_mm * 0.5e-3
+    shapes = stimulus.model.shapes(np.linspace(-half, half, 201))
+    rows = focus_sensitivity(stimulus).table(shapes, **ERRORS)
+    spread = scatter(stimulus, zone_centres(ground), **SPREAD)
+    return {
+        "velocity_mm_s": stimulus.wish.velocity * 1e3,
+        "table": [
+            {
+                "parameter": row["parameter"],
+                "mode": row["mode"],
+                "error": row["error"],
+                "field_mm_s": float(row["field"]) * 1e3,
+                "displacement_mm_s": float(row["displacement"]) * 1e3,
+            }
+            for row in rows
+        ],
+        "drawn": {
+            "n_draws": len(spread.modal_error),
+            "deviations": SPREAD,
+            "zone_deviation_mm_s": dict(
+                zip(ground.apparatus.ordered_zones, (spread.deviation * 1e3).tolist(), strict=True)
+            ),
+            "median_modal_error_mm_s": float(np.median(spread.modal_error)) * 1e3,
+            "p95_modal_error_mm_s": float(np.quantile(spread.modal_error, 0.95)) * 1e3,
+        },
+    }
+
+
+def design_figures(stimulus: Stimulus) -> list[dict[str, Any]]:
+    """Return other voltages that reach the same states: what they cost, and what they shake that is not modelled.
+
+    The mode that is not modelled is a supposed one between the two highest modelled, with their mean damping and
+    the gains of the higher.
+
+    Parameters
+    ----------
+    stimulus : Stimulus
+        The stimulus, at its highest level.
+    """
+    unmodelled = _supposed_mode(stimulus.model)
+    return [
+        {
+            "design": row["name"],
+            "peak_drive_V": row["peak_voltage"],
+            "energy_V2_s": row["energy"],
+            "residual_mm_s": float(row["residual"]) * 1e3,
+            "unmodelled_speed_mm_s": float(row["unmodelled_speed"]) * 1e3,
+            "unmodelled_frequency_Hz": float(unmodelled.natural_frequency[0]),
+        }
+        for row in stimulus.compare_designs(unmodelled)
+    ]
+
+
+def sample_figures(ground: DesignInputs, stimulus: Stimulus, tolerance: float) -> dict[str, Any]:
+    """Return the fewest samples that keep the field around the focus within a tolerance.
+
+    Parameters
+    ----------
+    ground : DesignInputs
+        What the stimulus was designed from.
+    stimulus : Stimulus
+        The stimulus on the count of samples that the protocol asks for.
+    tolerance : float
+        Allowed change of the field at the zones within 1 ms of the focusing instant, over the level [1].
+
+    Raises
+    ------
+    ValueError
+        If the tolerance is not above zero.
+    """
+    found = cheapest_samples(stimulus, tolerance, zone_centres(ground))
+    return {
+        "tolerance": tolerance,
+        "n_samples": found.n_samples,
+        "error": found.error,
+        "tried": [{"n_samples": n, "error": error} for n, error in found.tried],
+        "said": str(found),
+    }
+
+
+def _supposed_mode(model: ModalModel) -> ModalModel:
+    """Return a mode where the model has none."""
+    order = np.argsort(model.natural_frequency)
+    highest = order[-2:]
+    between = float(np.exp(np.log(model.natural_frequency[highest]).mean()))
+    ratio = float(model.damping_ratio[highest].mean())
+    gain = model.modal_gain[order[-1:]]
+    return ModalModel((max(model.label) + 1,), np.array([between]), np.array([ratio]), gain, model.length)
+
+
+def continuous_figures(apparatus: Apparatus, stimulus: Stimulus, velocity: float) -> dict[str, Any]:
+    """Return what the repetition ``continuous`` of the generator misses at the focusing instant of the first burst.
+
+    A record of a whole period has fewer points for the burst: its steps come late or early by up to half a point,
+    on top of the clock's own jitter.
+    """
+    burst, timing = stimulus.burst, stimulus.timing
+    played = replace(timing, n_samples=timing.converter.max_points, duration=1 / timing.repetition_rate)
+    # What is played after the focusing instant does not act on it.
+    codes = instrument_of(apparatus).continuous_codes(burst)[:, : int(timing.focusing_instant / played.hold) + 2]
+    error = 1e3 * stimulus.worst_modal_error_of(codes, played, velocity)
+    step = 1e6 * (played.hold / 2 + 1 / timing.clock_rate)
+    return {
+        "velocity_mm_s": velocity * 1e3,
+        "n_samples": played.n_samples,
+        "step_error_us": step,
+        "worst_modal_error_mm_s": error,
+        "warning": (
+            f"played continuously, without burst mode, {velocity * 1e3:g} mm/s cannot be exact: steps come up to "
+            f"{step:.2g} us late or early, and a mode is missed by {error:.2g} mm/s"
+        ),
+    }
