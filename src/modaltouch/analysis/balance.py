@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,8 +10,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from modaltouch.analysis.csv_table import MOST_LISTED, Table
-from modaltouch.analysis.responses import cell_of, keys_of
-from modaltouch.analysis.scale import VELOCITY, LevelScale, scale_of
+from modaltouch.analysis.responses import answers_per_cell, cell_of, describe_cell, keys_of
+from modaltouch.analysis.scale import scale_of
 from modaltouch.protocol import Problem
 
 _ANY = "\0any"
@@ -95,29 +95,6 @@ def _excused(answers: pd.DataFrame, frame: pd.DataFrame, unread: pd.DataFrame) -
             columns &= True if word == _ANY else words == word
         excused[np.ix_(rows, columns)] = True
     return excused
-
-
-def answers_per_cell(frame: pd.DataFrame) -> pd.DataFrame:
-    """Return how many answers each participant gave in each cell of the crossed design, a row each, a column a cell.
-
-    Parameters
-    ----------
-    frame : DataFrame
-        Tidy answers with a count ``n``.
-    """
-    cell = cell_of(frame.columns)
-    sums = frame.groupby(["participant", *cell], observed=True)["n"].sum()
-    wide = sums.unstack(list(cell), fill_value=0)
-    pairs = frame[["zone_left", "zone_right"]].drop_duplicates().itertuples(index=False, name=None)
-    conditions, levels = frame["finger_condition"].unique(), sorted(frame[cell[-1]].unique())
-    crossed = [(c, *pair, level) for pair in pairs for c in conditions for level in levels]
-    return wide.reindex(columns=pd.MultiIndex.from_tuples(crossed, names=list(cell)), fill_value=0)
-
-
-def describe_cell(cell: Iterable[object], scale: LevelScale = VELOCITY) -> str:
-    """Return a cell in words, as in ``one_hand A-C 80 mm/s``."""
-    condition, left, right, level = cell
-    return f"{condition} {left}-{right} {scale.say(float(str(level)))}"
 
 
 def _doubled(table: Table, frame: pd.DataFrame) -> list[Problem]:

@@ -10,11 +10,11 @@ Of sessions with levels calibrated by participant it has ``multiple_of_threshold
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Container
+from collections.abc import Container, Iterable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from modaltouch.analysis.scale import OWN_THRESHOLD, scale_of
+from modaltouch.analysis.scale import OWN_THRESHOLD, VELOCITY, LevelScale, scale_of
 from modaltouch.protocol import AnswerList
 
 if TYPE_CHECKING:
@@ -37,6 +37,31 @@ def cell_of(columns: Container[str]) -> tuple[str, ...]:
 def keys_of(columns: Container[str]) -> tuple[str, ...]:
     """Return what tells the answers of a balanced table apart: who gave them, and in which cell."""
     return ("participant", *cell_of(columns))
+
+
+def answers_per_cell(frame: pd.DataFrame) -> pd.DataFrame:
+    """Return how many answers each participant gave in each cell of the crossed design, a row each, a column a cell.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Tidy answers with a count ``n``.
+    """
+    import pandas as pd
+
+    cell = cell_of(frame.columns)
+    sums = frame.groupby(["participant", *cell], observed=True)["n"].sum()
+    wide = sums.unstack(list(cell), fill_value=0)
+    pairs = frame[["zone_left", "zone_right"]].drop_duplicates().itertuples(index=False, name=None)
+    conditions, levels = frame["finger_condition"].unique(), sorted(frame[cell[-1]].unique())
+    crossed = [(c, *pair, level) for pair in pairs for c in conditions for level in levels]
+    return wide.reindex(columns=pd.MultiIndex.from_tuples(crossed, names=list(cell)), fill_value=0)
+
+
+def describe_cell(cell: Iterable[object], scale: LevelScale = VELOCITY) -> str:
+    """Return a cell in words, as in ``one_hand A-C 80 mm/s``."""
+    condition, left, right, level = cell
+    return f"{condition} {left}-{right} {scale.say(float(str(level)))}"
 
 
 @dataclass(frozen=True)

@@ -18,9 +18,15 @@ from typing import Any
 
 import pandas as pd
 
-from modaltouch.analysis.balance import answers_per_cell, describe_cell
 from modaltouch.analysis.provenance import SessionFacts, take_facts
-from modaltouch.analysis.responses import AnswerSource, ExcludedSource, Responses, unmirror
+from modaltouch.analysis.responses import (
+    AnswerSource,
+    ExcludedSource,
+    Responses,
+    answers_per_cell,
+    describe_cell,
+    unmirror,
+)
 from modaltouch.analysis.scale import OWN_THRESHOLD, VELOCITY, scale_of
 from modaltouch.protocol import TIME_OUT, AnswerList, InputError, Problem
 from modaltouch.record import RecordError, Session, SessionFolder, audit_session, read_session
