@@ -27,7 +27,7 @@ from modaltouch.session.rewiring import wire_resume
 from modaltouch.session.wiring import simulate_session
 
 Events = list[dict[str, Any]]
-Lie = Callable[[Events], None]
+Lie = Callable[[Events], object]
 
 PROTOCOLS = Path(__file__).parents[2] / "protocols"
 FORMAT_1 = Path(__file__).parent / "format_1"
@@ -186,6 +186,11 @@ def shift_first(event: dict[str, Any]) -> None:
         event["bursts"]["first_s"] += 0.05
 
 
+def forge_field(change: Callable[[dict[str, Any]], object]) -> Lie:
+    """Return the lie about the field that reports show."""
+    return lambda events: [change(field) for field in events[0]["stimulus"]["fields"]]
+
+
 def count(**counts: int) -> Callable[[dict[str, Any]], None]:
     """Return what adds to the counts of bursts."""
     return lambda event: event["bursts"].update({name: event["bursts"][name] + n for name, n in counts.items()})
@@ -228,6 +233,10 @@ IN_BOTH: dict[str, tuple[Lie, str]] = {
     "an end": (lambda events: to_line(last(events, "stop"), n_answered=11), "says that 11 trials are answered, 12 are"),
     "the seed": (start_says(seed=2), "seed 2 draws another order"),
     "the codes": (start_says(stimulus__content_hash="0" * 64), "the drive computed again has the hash"),
+    "a speed at a zone": (
+        lambda events: events[0]["stimulus"]["stimuli"][0]["zone_peak_mm_s"].update(A=1.0),
+        "its speeds at the zones at 80 mm/s are not those predicted again",
+    ),
     "the design": (start_says(design__stimulus={"focus": "A"}), "has another stimulus than its protocol file"),
     "the protocol's name": (start_says(protocol="other"), "is a session of 'other'"),
     "the mode": (start_says(mode="real"), "is called a real session, and its rig or its answers were simulated"),
@@ -255,6 +264,11 @@ IN_FORMAT_2: dict[str, tuple[Lie, str]] = {
     "an answer of nobody": (everywhere(lambda e: to_line(e, answered=3), "trial"), "finishes the answer of line 3"),
     "confirmed too soon": (
         everywhere(set_in("confirmed", confirmed=True), "answered"), "is confirmed before its end"),
+    "a point of the field": (
+        forge_field(lambda field: field["predicted_mm_s"].__setitem__(9, 1.0)), "its field is not"),
+    "half a field": (forge_field(lambda field: field["target_mm_s"].pop()), "its field is not"),
+    "a field without zones": (forge_field(lambda field: field.pop("zones_mm")), "its field is not"),
+    "a focus": (forge_field(lambda field: field.update(focus="A")), "its field is not the one predicted again"),
     "what repeats": (everywhere(set_in("confirmed", repetition="timer"), "trial"), "were repeated as 'timer'"),
 }  # fmt: skip
 """Lies about what only format 2 tells."""
@@ -312,7 +326,7 @@ def test_a_log_written_anew_without_a_lie_passes(copied: Callable[..., Path], pr
     assert audit_session(Session.find(log)).problems == ()
 
 
-@pytest.mark.parametrize("name", ["every level", "the codes", "a line number"])
+@pytest.mark.parametrize("name", ["every level", "the codes", "a speed at a zone", "a line number"])
 def test_what_verify_refuses_is_neither_analysed_nor_gone_on_with(copied: Callable[..., Path], name: str) -> None:
     """With the same sentence."""
     log = copied()

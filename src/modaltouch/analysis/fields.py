@@ -1,4 +1,4 @@
-"""The wished and the predicted velocity field, computed again from the texts that the record keeps."""
+"""The target and the predicted velocity field, and the speeds at the zones, as the record keeps them."""
 
 from __future__ import annotations
 
@@ -8,15 +8,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from modaltouch.preflight import Preflight, examine_findings
-from modaltouch.protocol import Findings, InputError, Sources
 from modaltouch.report import CONDITION_COLOURS, FAINT, INK, house_style, quiet_grid
-
-POINTS = 201
 
 
 def draw_fields(start: dict[str, Any], stimulus: str = "") -> Figure | None:
-    """Return the wished and the predicted field at the highest level, and the peak speeds at the zones.
+    """Return the target and the predicted field at the highest level, and the peak speeds at the zones.
 
     Parameters
     ----------
@@ -28,47 +24,54 @@ def draw_fields(start: dict[str, Any], stimulus: str = "") -> Figure | None:
     Returns
     -------
     Figure or None
-        None without a record, and where this version can no longer read the protocol that it keeps.
+        None without a record, and where this version can no longer read the protocol of one that keeps no field.
     """
     if not start.get("sources"):
         return None
-    try:
-        preflight = examine_findings(Findings.restored(Sources.from_dict(start["sources"]))).require()
-    except (InputError, KeyError, TypeError):
+    fields = _of(stimulus, start.get("stimulus", {}).get("fields") or _predict_again(start))
+    if not fields:
         return None
-    if stimulus not in preflight.parts:
-        return None
-    preflight = preflight.parts[stimulus]
-    stimuli = [each for each in start.get("stimulus", {}).get("stimuli", []) if each.get("stimulus", "") == stimulus]
+    stimuli = _of(stimulus, start.get("stimulus", {}).get("stimuli", []))
     with house_style():
         figure = Figure(figsize=(7.6, 2.9))
         left, right = figure.subplots(1, 2, width_ratios=(3, 2))
-        own = start.get("sensation_levels")
-        velocities = own["levels_mm_s"] if own else preflight.experiment.protocol.conditions.peak_velocities_mm_s
-        _draw_field(left, preflight, max(velocities))
+        _draw_field(left, fields[0])
         _draw_zones(right, stimuli)
-        whose = f" (levels of participant {start['participant']})" if own else ""
-        figure.suptitle(f"Stimulus: focus {preflight.experiment.protocol.stimulus.focus}, law "
-                        f"{preflight.experiment.protocol.stimulus.law}{whose}", fontsize=9)  # fmt: skip
+        whose = f" (levels of participant {start['participant']})" if start.get("sensation_levels") else ""
+        figure.suptitle(f"Stimulus: focus {fields[0]['focus']}, law {fields[0]['law']}{whose}", fontsize=9)
     return figure
 
 
-def _draw_field(axes: Axes, preflight: Preflight, level: float) -> None:
-    experiment, stimulus = preflight.experiment, preflight.stimulus
-    half = experiment.apparatus.beam.length_mm / 2
-    place = np.linspace(-half, half, POINTS)
-    velocity = level * 1e-3
-    wished = stimulus.wish.profile(place * 1e-3) * level
-    predicted = stimulus.velocity_at_focus(place * 1e-3, velocity) * 1e3
-    for name, zone in experiment.apparatus.zones.items():
-        axes.axvspan(zone.centre_mm - zone.width_mm / 2, zone.centre_mm + zone.width_mm / 2, color="#eef2f7",
-                     linewidth=0.8, ec="white", zorder=0)  # fmt: skip
-        axes.text(zone.centre_mm, 0.97, name, ha="center", va="top", color=FAINT, transform=axes.get_xaxis_transform())
-    axes.plot(place, wished, color=INK, linestyle="--", linewidth=1, label="target")
+def _of(stimulus: str, recorded: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    return [each for each in recorded if each.get("stimulus", "") == stimulus]
+
+
+def _predict_again(start: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the fields of a record that keeps none, designed from its texts; none where they cannot be read."""
+    from modaltouch.preflight import examine_findings
+    from modaltouch.protocol import Findings, InputError, Sources
+
+    try:
+        preflight = examine_findings(Findings.restored(Sources.from_dict(start["sources"]))).require()
+        own = start.get("sensation_levels")
+        return (preflight.with_levels(tuple(own["levels_mm_s"])) if own else preflight).fields
+    except (InputError, KeyError, TypeError):
+        return []
+
+
+def _draw_field(axes: Axes, field: dict[str, Any]) -> None:
+    half = field["length_mm"] / 2
+    target, predicted = field["target_mm_s"], field["predicted_mm_s"]
+    place = np.linspace(-half, half, len(predicted))
+    for name, (first, last) in field["zones_mm"].items():
+        axes.axvspan(first, last, color="#eef2f7", linewidth=0.8, ec="white", zorder=0)
+        centre = (first + last) / 2
+        axes.text(centre, 0.97, name, ha="center", va="top", color=FAINT, transform=axes.get_xaxis_transform())
+    axes.plot(place, target, color=INK, linestyle="--", linewidth=1, label="target")
     axes.plot(place, predicted, color=CONDITION_COLOURS[0], linewidth=1.6, label="predicted")
-    axes.set_ylim(min(0, 1.1 * predicted.min()), 1.16 * max(wished.max(), predicted.max()))
+    axes.set_ylim(min(0, 1.1 * min(predicted)), 1.16 * max(*target, *predicted))
     axes.set_xlabel("place along the beam [mm]")
-    axes.set_ylabel(f"velocity at the focusing\ninstant [mm/s], level {level:g}")
+    axes.set_ylabel(f"velocity at the focusing\ninstant [mm/s], level {field['velocity_mm_s']:g}")
     axes.legend(frameon=False, loc="center left", fontsize=7)
 
 

@@ -10,6 +10,7 @@ from modaltouch.preflight.design_inputs import DesignInputs
 from modaltouch.preflight.figures import (
     contrasts,
     estimated_duration,
+    field_figures,
     stimulus_figures,
     zone_centres,
 )
@@ -175,6 +176,15 @@ class Preflight:
             return [{"stimulus": name, **each} for name, part in self.parts.items() for each in part.stimuli]
         ground, stimulus = self.sound
         return [stimulus_figures(ground, stimulus, level) for level in ground.levels.values()]
+
+    @property
+    def fields(self) -> list[dict[str, Any]]:
+        """The field of each stimulus at its highest level; empty where anything is wrong."""
+        if self.problems:
+            return []
+        return [
+            {**({"stimulus": name} if name else {}), **field_figures(*part.sound)} for name, part in self.parts.items()
+        ]
 
     def comparison(self) -> list[dict[str, Any]]:
         """Return what the other drive law would do on the same rig, level by level."""

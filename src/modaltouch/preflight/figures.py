@@ -15,6 +15,9 @@ from modaltouch.stimulus import Stimulus
 ANSWER_S, PLACEMENT_S, BREAK_S, INSTRUCTIONS_S = 1.5, 5.0, 30.0, 90.0
 """Guesses that go into the estimated duration: answering, moving the fingers, a break, the instructions [s]."""
 
+FIELD_POINTS = 201
+"""Points from end to end of the beam at which a field is kept in the record."""
+
 
 def stimulus_figures(ground: DesignInputs, stimulus: Stimulus, level: float) -> dict[str, Any]:
     """Return what a level does to the beam, of the rounded codes as the generator plays them.
@@ -56,6 +59,31 @@ def stimulus_figures(ground: DesignInputs, stimulus: Stimulus, level: float) -> 
         "condition_number": finite(stimulus.drive.condition_number),
         "zone_at_focus_mm_s": _by(ground.apparatus.ordered_zones, at_focus * 1e3),
         "zone_peak_mm_s": _by(ground.apparatus.ordered_zones, peaks * 1e3),
+    }
+
+
+def field_figures(ground: DesignInputs, stimulus: Stimulus) -> dict[str, Any]:
+    """Return the target and the predicted field at the focusing instant, at the highest level, as a report draws them.
+
+    Parameters
+    ----------
+    ground : DesignInputs
+        What the stimulus was designed from.
+    stimulus : Stimulus
+        The stimulus of all levels.
+    """
+    level, half = max(ground.levels.values()), ground.apparatus.beam.length_mm / 2
+    place = np.linspace(-half, half, FIELD_POINTS) * 1e-3
+    target = stimulus.wish.profile(place) * level
+    predicted = stimulus.velocity_at_focus(place, level * 1e-3) * 1e3
+    return {
+        "focus": ground.section.focus,
+        "law": stimulus.law,
+        "velocity_mm_s": level,
+        "length_mm": ground.apparatus.beam.length_mm,
+        "zones_mm": {name: list(zone.edges) for name, zone in ground.apparatus.ordered_zones.items()},
+        "target_mm_s": target.round(3).tolist(),
+        "predicted_mm_s": predicted.round(3).tolist(),
     }
 
 

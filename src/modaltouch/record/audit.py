@@ -12,7 +12,7 @@ from modaltouch.protocol import InputError, Protocol, Schedule, Sources, Turn
 from modaltouch.record.chain import RecordError, read_chain
 from modaltouch.record.folders import SessionFolder
 from modaltouch.record.restored import UNTOLD, RestoredExperiment, restore
-from modaltouch.record.sequence import EventSequence, TrialExpectation
+from modaltouch.record.sequence import SPEED, EventSequence, TrialExpectation
 from modaltouch.record.session import Session
 from modaltouch.record.shape import check_shape
 from modaltouch.record.view_check import check_view
@@ -131,6 +131,7 @@ def check_beginning(session: Session, restored: RestoredExperiment, protocol: Pr
     else:
         yield False, f"{place} seed {seed} draws another order than the recorded one"
     yield _check_drive(session.start, restored, place)
+    yield _check_shown(session.start, restored, place)
     if session.start.get("sensation_levels"):
         yield _check_own_levels(session, restored, place)
 
@@ -188,6 +189,33 @@ def _check_drive(start: dict[str, Any], restored: RestoredExperiment, place: str
         True,
         f"{f'drives of {len(hashes)} stimuli' if hashes else 'drive'} computed again: the same codes ({found[:12]})",
     )
+
+
+def _check_shown(start: dict[str, Any], restored: RestoredExperiment, place: str) -> tuple[bool, str]:
+    """Return whether the fields and the speeds at the zones, which reports show as recorded, are predicted again."""
+    for row in start["stimulus"].get("stimuli", ()):
+        peaks = restored.zone_peaks_mm_s(row.get("stimulus", ""), row["velocity_mm_s"])
+        if not _agree(row["zone_peak_mm_s"], peaks):
+            return (
+                False,
+                f"{place} its speeds at the zones at {row['velocity_mm_s']:g} mm/s are not those predicted again",
+            )
+    recorded = start["stimulus"].get("fields")  # earlier versions kept none
+    own = start.get("sensation_levels")
+    if recorded is not None and not _agree(recorded, restored.fields(tuple(own["levels_mm_s"]) if own else ())):
+        return False, f"{place} its field is not the one predicted again"
+    return True, ""
+
+
+def _agree(said: Any, found: Any) -> bool:
+    """Return whether values that were read are those computed, speeds to 0.002 mm/s."""
+    if isinstance(found, dict):
+        return isinstance(said, dict) and said.keys() >= found.keys() and all(_agree(said[k], found[k]) for k in found)
+    if isinstance(found, list):
+        return isinstance(said, list) and len(said) == len(found) and all(map(_agree, said, found))
+    if isinstance(found, float):
+        return isinstance(said, (int, float)) and abs(said - found) <= SPEED
+    return bool(said == found)
 
 
 def _check_own_levels(session: Session, restored: RestoredExperiment, place: str) -> tuple[bool, str]:

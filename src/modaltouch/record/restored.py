@@ -36,6 +36,7 @@ class RestoredExperiment:
         apparatus = self.preflight.experiment.apparatus
         self.instrument = instrument_of(apparatus)
         self._limits = self.instrument.limits(apparatus)
+        self._fields: dict[tuple[float, ...], list[dict[str, Any]]] = {}
         self._peaks: dict[tuple[str, float], dict[str, float]] = {}
         self.agreed: set[tuple[str, float, tuple[float, ...], tuple[float, ...]]] = set()
         """Stimulus, level, commanded and read back amplitudes that were found to agree."""
@@ -68,6 +69,13 @@ class RestoredExperiment:
             peaks = self.preflight.zone_peaks(*key)
             self._peaks[key] = {zone: peak * 1e3 for zone, peak in peaks.items()}
         return self._peaks[key]
+
+    def fields(self, own_levels_mm_s: tuple[float, ...]) -> list[dict[str, Any]]:
+        """Return the predicted field of each stimulus at the highest level of the protocol, or of own levels [mm/s]."""
+        if own_levels_mm_s not in self._fields:
+            own = self.preflight.with_levels(own_levels_mm_s) if own_levels_mm_s else self.preflight
+            self._fields[own_levels_mm_s] = own.fields
+        return self._fields[own_levels_mm_s]
 
     def amplitudes(self, stimulus: str, level_mm_s: float) -> tuple[float, ...]:
         """Return the amplitude of each channel for a stimulus at a level [V peak to peak].

@@ -45,6 +45,7 @@ def describe_start(preflight: Preflight, schedule: Schedule, place: SessionFolde
             "velocity_mm_s": burst.velocity * 1e3,
             "amplitude_Vpp": list(burst.amplitude),
             "stimuli": preflight.stimuli,
+            "fields": preflight.fields,
             **({"content_hashes": preflight.content_hashes} if experiment.protocol.stimuli else {}),
         },
     }
