@@ -1,0 +1,92 @@
+"""A command loads what it uses: the lines of modaltouch that are in memory when it ends have a bound each."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import modaltouch
+
+DEMO = "demo"
+PROGRAM = """
+import json, sys
+from modaltouch.__main__ import main
+try:
+    main(sys.argv[1:])
+except SystemExit as left:
+    assert not left.code, left.code
+files = {name: module.__file__ for name, module in sys.modules.items() if name.partition(".")[0] == "modaltouch"}
+sys.stderr.write("LOADED " + json.dumps(files))
+"""
+
+
+def load(*words):
+    """Return the modules of modaltouch that a command leaves loaded, and the number of their lines."""
+    command = [sys.executable, "-c", PROGRAM, *map(str, words)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=150, check=True)
+    files = json.loads(done.stderr.split("LOADED ")[1])
+    return {name.removeprefix("modaltouch.") for name in files}, sum(
+        len(Path(file).read_text("utf-8").splitlines()) for file in files.values()
+    )
+
+
+def rooms(modules):
+    """Return the rooms that modules lie in."""
+    return {name.partition(".")[0] for name in modules}
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    """Results with one session."""
+    folder = tmp_path_factory.mktemp("results")
+    modaltouch.simulate_session(DEMO, "p01", folder)
+    return folder
+
+
+def test_a_simulated_session_loads_neither_lab_nor_analysis_nor_screen(tmp_path):
+    """Nor a watchdog process, a scope, a keyboard, or what only a resumed or an adaptive session needs."""
+    loaded, lines = load("simulate", DEMO, "-n", 1, "--results", tmp_path, "--json")
+    assert not rooms(loaded) & {"lab", "analysis", "report"}
+    assert not loaded & {
+        "planning.power",
+        "protocol.calibration",
+        "protocol.levels",
+        "record.audit",
+        "rig.acquisition",
+        "rig.watchdog_client",
+        "session.console.keyboard",
+        "session.rewiring",
+        "stimulus.timoshenko",
+        "window.noise",
+        "window.screen",
+    }
+    assert lines <= 20_000
+
+
+def test_an_analysis_of_sessions_loads_what_reads_and_audits_them(results, tmp_path):
+    """The drive is computed again by the audit, as `verify` does it; nothing that plays, asks or plans is loaded."""
+    loaded, lines = load("analyse", results, "--out", tmp_path / "out", "--json")
+    assert not rooms(loaded) & {"lab", "planning", "session", "window"}
+    assert not loaded & {"rig.generator", "rig.simulator", "analysis.tidy", "analysis.thresholds", "record.recovery"}
+    assert lines <= 18_000
+
+
+def test_an_analysis_of_a_table_designs_nothing(tmp_path):
+    """A CSV has no drive: no physics, no instrument, no protocol file."""
+    rows = ["participant,finger_condition,zone_left,zone_right,velocity_mm_s,response"]
+    rows += [f"p{n},one_hand,A,C,80,right" for n in range(3)]
+    (tmp_path / "answers.csv").write_text("\n".join(rows) + "\n")
+    loaded, lines = load("analyse", tmp_path / "answers.csv", "--out", tmp_path / "out", "--json")
+    assert not rooms(loaded) & {"lab", "planning", "preflight", "rig", "session", "stimulus", "window"}
+    assert lines <= 12_000
+
+
+@pytest.mark.parametrize("command", ["analyse", "verify", "rig", "new"])
+def test_a_command_loads_no_other(command):
+    """Its module and what all commands share."""
+    loaded, _ = load(command, "--help")
+    others = {name for name in loaded if name.startswith("cli.")}
+    module = {"verify": "records"}.get(command, command)
+    assert others == {"cli.commands", "cli.exit_status", "cli.options", f"cli.{module}"}
