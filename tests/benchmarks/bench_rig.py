@@ -154,7 +154,7 @@ def measure_end(simulator: Simulator) -> tuple[float, float]:
     """Return how long outputs stay on when the session's process is gone and its pipe ends [ms]."""
 
     def end() -> float:
-        dog = WatchdogClient(simulator.address)
+        dog = WatchdogClient(simulator.address, AFG3022B.off)
         dog.open()
         dog.arm()
         simulator.front_panel("OUTP1 ON;:OUTP2 ON")

@@ -16,7 +16,7 @@ from modaltouch.rig.connection import Patience
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.local_client import LocalClient
 from modaltouch.rig.simulator import Simulator
-from modaltouch.rig.simulator.afg import Behaviour
+from modaltouch.rig.simulator.state import Behaviour
 from modaltouch.rig.visa import VisaSession
 from modaltouch.stimulus.burst import Burst
 from modaltouch.system.clock import VirtualClock
@@ -58,7 +58,7 @@ class QuietGuard(LocalClient):
         super().__init__(VisaSession(""), clock)
         self.told: list[str] = []
 
-    def __call__(self, address: str) -> QuietGuard:
+    def __call__(self, address: str, off: str) -> QuietGuard:
         super().__init__(VisaSession(address), self._clock)
         return self
 

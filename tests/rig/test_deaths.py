@@ -117,7 +117,7 @@ def play(seed: int, simulator: Simulator, apparatus: Apparatus, clock: VirtualCl
         apparatus,
         patience=Patience(reply=0.2, copy=0.4, tries=2, pause=0.02),
         repetition=rng.choice(REPETITIONS),
-        start_guard=lambda address: LocalClient(ward, clock),
+        start_guard=lambda address, off: LocalClient(ward, clock),
         clock=clock,
     )
     with rig:

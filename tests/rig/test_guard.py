@@ -44,8 +44,8 @@ def dogs() -> list[WatchdogClient]:
 def rig(apparatus: Apparatus, single_link: Simulator, dogs: list[WatchdogClient]) -> Iterator[Generator]:
     """Return a driver behind a real watchdog, loaded."""
 
-    def begin(address: str) -> WatchdogClient:
-        dogs.append(WatchdogClient(address))
+    def begin(address: str, off: str) -> WatchdogClient:
+        dogs.append(WatchdogClient(address, off))
         return dogs[-1]
 
     patience = Patience(reply=0.5)
@@ -167,7 +167,7 @@ def test_heartbeat_writes_four_times_a_lease_however_often_it_is_called(
 @pytest.mark.parametrize("clean", [True, False])
 def test_watchdog_that_is_let_go_ends_and_takes_nothing_more(single_link: Simulator, clean: bool) -> None:
     """No process stays behind; what is asked of it afterwards is told, not swallowed."""
-    dog = WatchdogClient(single_link.address)
+    dog = WatchdogClient(single_link.address, AFG3022B.off)
     dog.open()
     dog.release(clean=clean)
     assert dog._process.wait(10) == 0
@@ -177,7 +177,7 @@ def test_watchdog_that_is_let_go_ends_and_takes_nothing_more(single_link: Simula
 
 def test_how_a_watchdog_ended_is_said(single_link: Simulator) -> None:
     """Killed in the midst of an exchange, as by a machine that runs out of memory: signal 9."""
-    dog = WatchdogClient(single_link.address)
+    dog = WatchdogClient(single_link.address, AFG3022B.off)
     try:
         dog.open()
         single_link.faults.inject("slow_command", when="IDN", value=1.0)
@@ -198,12 +198,12 @@ def test_machine_that_starts_no_process_touches_no_generator(
 
     monkeypatch.setattr("modaltouch.rig.watchdog_client.subprocess.Popen", refuse)
     with pytest.raises(RigError, match="cannot be started .Resource temporarily.*was not touched; see whether"):
-        WatchdogClient(single_link.address)
+        WatchdogClient(single_link.address, AFG3022B.off)
 
 
 def test_watchdog_has_a_session_of_its_own(single_link: Simulator) -> None:
     """A terminal that hangs up, or Ctrl-C in it, reaches the processes of its own session."""
-    dog = WatchdogClient(single_link.address)
+    dog = WatchdogClient(single_link.address, AFG3022B.off)
     try:
         assert os.getsid(dog._process.pid) == os.getpgid(dog._process.pid) == dog._process.pid
     finally:
@@ -227,6 +227,6 @@ def test_watchdog_has_a_console_of_its_own_on_windows(monkeypatch: pytest.Monkey
 
     monkeypatch.setattr("modaltouch.rig.watchdog_client.subprocess.Popen", refuse)
     with pytest.raises(RigError, match="enough is known"):
-        WatchdogClient("TCPIP::192.0.2.1::INSTR")
+        WatchdogClient("TCPIP::192.0.2.1::INSTR", AFG3022B.off)
     assert asked[0]["creationflags"] == 0x08000200
     assert "start_new_session" not in asked[0]

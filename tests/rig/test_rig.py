@@ -9,6 +9,7 @@ from typing import Any
 
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig import Simulator, open_rig
+from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.rig.local_client import LocalClient
 from modaltouch.stimulus.burst import Burst
 from modaltouch.system import VirtualClock
@@ -77,5 +78,5 @@ def test_only_a_twin_in_virtual_time_does_without_a_watchdog_process() -> None:
     with Simulator(apparatus) as simulator:
         assert "start_guard" not in simulator.driver_options
     with Simulator(apparatus, clock=VirtualClock(0.0)) as simulator:
-        guard = simulator.driver_options["start_guard"](simulator.address)
+        guard = simulator.driver_options["start_guard"](simulator.address, AFG3022B.off)
         assert isinstance(guard, LocalClient)

@@ -17,6 +17,7 @@ from typing import Any
 import pytest
 
 from modaltouch.rig import watchdog_process as watchdog
+from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.rig.link import InUse
 from modaltouch.rig.pacing import Order, Pacer
 from modaltouch.rig.watchdog_process import (
@@ -33,7 +34,6 @@ from modaltouch.rig.watchdog_process import (
     LATE,
     LONG_PERSISTENCE,
     LOOK,
-    OFF,
     OPEN,
     PERSISTENCE,
     PLAY,
@@ -45,6 +45,9 @@ from modaltouch.rig.watchdog_process import (
     read_frames,
 )
 from modaltouch.system.clock import SYSTEM_CLOCK, Clock, VirtualClock
+
+ASKED_OFF = AFG3022B.off
+OFF = ASKED_OFF.encode() + b"\n"
 
 
 class Instrument:
@@ -101,7 +104,7 @@ class Pipe:
 def serve(instrument: Instrument, *requests: bytes) -> list[tuple[bytes, int, bytes]]:
     """Carry out requests until their end, and return the answers."""
     answers = bytearray()
-    watch = WatchdogProcess(instrument, limit=0.05, persistence=0.1)
+    watch = WatchdogProcess(instrument, ASKED_OFF, limit=0.05, persistence=0.1)
     watch.serve(io.BytesIO(b"".join(requests)), answers.extend)
     return list(read_frames(io.BytesIO(bytes(answers))))
 
@@ -184,7 +187,7 @@ def test_rubbish_in_the_pipe_is_its_end(rubbish: bytes) -> None:
 def silent(instrument: Instrument, *letters: bytes, seconds: float = 0.3) -> int:
     """Return how often an instrument was switched off during a silence after some requests."""
     pipe = Pipe()
-    watch = WatchdogProcess(instrument, limit=0.05, persistence=0.1)
+    watch = WatchdogProcess(instrument, ASKED_OFF, limit=0.05, persistence=0.1)
     serving = threading.Thread(target=watch.serve, args=(pipe, lambda data: None))
     serving.start()
     pipe.write(*map(request, letters))
@@ -213,7 +216,7 @@ def test_the_longest_silence_is_the_one_that_is_promised() -> None:
 def test_signs_of_life_keep_an_armed_session_on() -> None:
     """A beat every 0.02 s at a limit of half a second: never off, and its bursts go on."""
     pipe, instrument = Pipe(), Instrument()
-    watch = WatchdogProcess(instrument, limit=0.5)
+    watch = WatchdogProcess(instrument, ASKED_OFF, limit=0.5)
     serving = threading.Thread(target=watch.serve, args=(pipe, lambda data: None))
     serving.start()
     pipe.write(request(OPEN), request(ARM), frame(PLAY, 0, order(5)))
@@ -265,7 +268,7 @@ class Sluggish(VirtualClock):
 
 def test_watchdog_tells_by_how_much_it_was_late() -> None:
     """Its patrol comes round every 50 ms; what that is late is the time it was held up, since it was armed."""
-    watch = WatchdogProcess(Instrument(), clock=Sluggish(50.0))
+    watch = WatchdogProcess(Instrument(), ASKED_OFF, clock=Sluggish(50.0))
 
     def late() -> float:
         answered = watch._carry_out(LATE, b"", lambda content: None)
@@ -290,7 +293,7 @@ def test_watchdog_tells_by_how_much_it_was_late() -> None:
 def test_outputs_that_do_not_go_off_are_tried_again_over_new_sessions() -> None:
     """A lost reply and an output that stays on: off at the third try, each over a session opened anew."""
     instrument = Instrument(TimeoutError("lost"), b"0;1\n", b"0;0\n")
-    assert WatchdogProcess(instrument, persistence=5).switch_off()
+    assert WatchdogProcess(instrument, ASKED_OFF, persistence=5).switch_off()
     assert instrument.sent == [OFF, b"broken", OFF, b"broken", OFF]
     assert instrument.replies == [True] * 3
     assert instrument.opened == 2
@@ -335,7 +338,7 @@ def test_outputs_that_cannot_be_switched_off_are_told_until_nobody_tries(
     assert (PERSISTENCE, LONG_PERSISTENCE) == (30.0, 3600.0)
     clock = VirtualClock(50.0)
     terminal, instrument = Terminal(clock), Dead(clock, math.inf)
-    watch = WatchdogProcess(instrument, say=terminal, clock=clock)
+    watch = WatchdogProcess(instrument, ASKED_OFF, say=terminal, clock=clock)
     if plays_by_itself:
         watch._carry_out(ARM, FLAG.pack(True), lambda content: None)
     assert watch.switch_off() is False
@@ -355,7 +358,7 @@ def test_outputs_that_go_off_at_last_are_told_if_anything_was(dead_for: float, s
     """Whoever was told to switch the amplifier off is told that it is over; nobody else hears of it."""
     clock = VirtualClock(50.0)
     terminal = Terminal(clock)
-    assert WatchdogProcess(Dead(clock, 50 + dead_for), say=terminal, clock=clock).switch_off()
+    assert WatchdogProcess(Dead(clock, 50 + dead_for), ASKED_OFF, say=terminal, clock=clock).switch_off()
     over = ["the generator's outputs are off now"] if said else []
     assert [words for _, words in terminal.said] == said + over
     assert clock.now() - 50 <= min(2 * dead_for + 0.05, dead_for + 0.5)
@@ -367,7 +370,7 @@ class Master:
     def __init__(self, instrument: Instrument, clock: Clock = SYSTEM_CLOCK) -> None:
         self.answers: queue.Queue[bytes] = queue.Queue()
         self.pipe = Pipe()
-        self.watch = WatchdogProcess(instrument, clock=clock)
+        self.watch = WatchdogProcess(instrument, ASKED_OFF, clock=clock)
         self.serving = threading.Thread(target=self.watch.serve, args=(self.pipe, self.answers.put))
         self.serving.start()
 
@@ -419,7 +422,7 @@ def test_bursts_end_between_two_when_that_is_asked(master: Master, how: bytes) -
 def test_report_waits_for_the_last_burst_where_it_is_asked_to() -> None:
     """Of 50 ms, begun now: 50 ms where it is to come to its end, and no longer the second time."""
     clock = VirtualClock(50.0)
-    watch = WatchdogProcess(Instrument(), clock=clock)
+    watch = WatchdogProcess(Instrument(), ASKED_OFF, clock=clock)
     watch._pacer = pacer = Pacer(Order("*TRG", 1, 50.0, 0.2, 0.05, 0.1), lambda: None, lambda: 0.0, clock)
     pacer.step()
     for wait, now in ((False, 50.0), (True, 50.05), (True, 50.05)):
@@ -430,7 +433,7 @@ def test_report_waits_for_the_last_burst_where_it_is_asked_to() -> None:
 def test_report_waits_for_nothing_after_a_failure() -> None:
     """A trigger taken 150 ms late in 200 ms: nobody knows when its burst ends."""
     clock = VirtualClock(50.0)
-    watch = WatchdogProcess(Instrument(), clock=clock)
+    watch = WatchdogProcess(Instrument(), ASKED_OFF, clock=clock)
     watch._pacer = Pacer(Order("*TRG", 1, 50.0, 0.2, 0.05, 0.1), lambda: clock.sleep(0.15), lambda: 0.0, clock)
     watch._pacer.step()
     assert json.loads(watch._report(True))["ended"] == "failed"

@@ -57,13 +57,13 @@ def _check_generator(
     ground: DesignInputs, stimulus: Stimulus, findings: Findings, index: int, level: float
 ) -> Iterator[Problem]:
     smallest, largest = instrument_of(ground.apparatus).lowest_amplitude, _highest_amplitude(ground)
-    path, sounding = (*_LEVELS, index), _sounding(stimulus, level)
+    path, (sounding, full) = (*_LEVELS, index), _sounding(stimulus, level)
     if not sounding:
         return
-    strong, weak = max(sounding, key=sounding.__getitem__), min(sounding, key=sounding.__getitem__)
-    if sounding[strong] > largest:
-        given = f"{level:g} mm/s, which needs {sounding[strong]:.4g} V peak to peak of output {strong}"
-        highest = _rounded_down(level * largest / sounding[strong])
+    strong, weak = max(full, key=full.__getitem__), min(sounding, key=sounding.__getitem__)
+    if full[strong] > largest:
+        given = f"{level:g} mm/s, which needs {full[strong]:.4g} V peak to peak of output {strong}"
+        highest = _rounded_down(level * largest / full[strong])
         allowed = f"at most {largest:g} V into an open circuit ({highest} mm/s)"
         yield findings.problem(path, given, allowed, "lower the level, or take an amplifier of higher gain")
     if sounding[weak] < smallest:
@@ -76,22 +76,23 @@ def _check_generator(
         yield findings.problem(path, given, allowed, remedy)
 
 
-def _sounding(stimulus: Stimulus, level: float) -> dict[int, float]:
-    """Return the amplitude of every output that is not silent, by its number [V peak to peak]."""
+def _sounding(stimulus: Stimulus, level: float) -> tuple[dict[int, float], dict[int, float]]:
+    """Return amplitude and full scale of every output that is not silent, by its number [V peak to peak]."""
     silent = stimulus.peak_drive(level * 1e-3) == 0
-    amplitudes = stimulus.amplitude_for(level * 1e-3)
-    return {number: float(each) for number, each in enumerate(amplitudes, 1) if not silent[number - 1]}
+    amplitude, full = (
+        {number: float(each) for number, each in enumerate(volts, 1) if not silent[number - 1]}
+        for volts in (stimulus.amplitude_for(level * 1e-3), stimulus.full_scale_for(level * 1e-3))
+    )
+    return amplitude, full
 
 
 def _check_range(ground: DesignInputs, stimulus: Stimulus, findings: Findings) -> list[Problem]:
     """Return why no level can be played: one output falls below the generator's range before the beam is in its own."""
     level, limit = stimulus.wish.velocity * 1e3, ground.apparatus.amplifier.limit_V
-    sounding = _sounding(stimulus, level)
+    sounding, full = _sounding(stimulus, level)
     if not sounding:
         return []
-    highest = level * min(
-        limit / float(stimulus.peak_voltage.max()), _highest_amplitude(ground) / max(sounding.values())
-    )
+    highest = level * min(limit / float(stimulus.peak_voltage.max()), _highest_amplitude(ground) / max(full.values()))
     weak = min(sounding, key=sounding.__getitem__)
     least = level * instrument_of(ground.apparatus).lowest_amplitude / sounding[weak]
     if least <= highest:
@@ -213,7 +214,7 @@ def _examine_several(findings: Findings) -> Preflight:
 
 def _check_memories(findings: Findings, apparatus: Apparatus, bursts: Sequence[Burst]) -> Iterator[Problem]:
     """Yield more records than the generator has memories."""
-    n_memories = len(instrument_of(apparatus).memories)
+    n_memories = instrument_of(apparatus).records.n_memories
     n_records = len({record.tobytes() for burst in bursts for record in burst.codes})
     if n_records > n_memories:
         given = f"{len(bursts)} stimuli with {n_records} different records"
@@ -238,7 +239,7 @@ def design_to_fit(ground: DesignInputs, *, release: Release | None = None) -> St
     """
     stimulus = design(ground, release=release)
     within = float(stimulus.peak_voltage.max()) <= ground.apparatus.amplifier.limit_V
-    if within and max(stimulus.amplitude_for(stimulus.wish.velocity)) > _highest_amplitude(ground):
+    if within and max(stimulus.full_scale_for(stimulus.wish.velocity)) > _highest_amplitude(ground):
         return design(ground, release=release, on_grid=False)
     return stimulus
 

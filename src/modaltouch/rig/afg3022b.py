@@ -2,15 +2,128 @@
 
 from __future__ import annotations
 
-from modaltouch.rig.instrument import Commands, Instrument, Setting
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modaltouch.rig.controls import Unconfirmed
+from modaltouch.rig.instrument import Commands, Desk, Instrument, Setting
+from modaltouch.rig.link import LinkError
 from modaltouch.stimulus import Converter
+
+N_SPOTS = 64
+
+
+@dataclass(frozen=True)
+class EditMemory:
+    """Records in memories common to all channels, stored through an edit memory and read back whole.
+
+    Where whole blocks cannot be read, count and single points are compared.
+
+    Attributes
+    ----------
+    n_memories : int
+        Memories, numbered from 1.
+    """
+
+    n_memories: int
+
+    def store(self, desk: Desk, records: Sequence[tuple[int, NDArray[np.uint16]]]) -> list[str]:
+        """Have records in memories, read back, and return the memories' numbers."""
+        used: list[str] = []
+        for channel, codes in records:
+            used.append(self._store(desk, codes, str(channel), used))
+        return used
+
+    def locks(self, memories: Sequence[str]) -> list[Setting]:
+        """Return what keeps memories from being overwritten at the front panel."""
+        return [LOCKED.filled(memory=memory) for memory in dict.fromkeys(memories)]
+
+    def _store(self, desk: Desk, codes: NDArray[np.uint16], wanted: str, in_use: Sequence[str]) -> str:
+        """Have a record in a memory: in the one wanted, if it is nowhere and that one is free."""
+        digest = hashlib.sha256(codes.astype(">u2").tobytes()).hexdigest()
+        known = [memory for memory, held in desk.stored.items() if held == digest]
+        if known:
+            return known[0]
+        if wanted in in_use:
+            memories = (str(number) for number in range(self.n_memories, 0, -1))
+            wanted = next(memory for memory in memories if memory not in in_use)
+        if wanted not in desk.stored and self._holds(desk, wanted, codes):
+            desk.log("record_found", memory=f"USER{wanted}", sha256=digest, n_points=codes.size)
+        else:
+            self._upload(desk, wanted, codes)
+            desk.log("record_sent", memory=f"USER{wanted}", sha256=digest, n_points=codes.size)
+        desk.stored[wanted] = digest
+        return wanted
+
+    def _holds(self, desk: Desk, memory: str, codes: NDArray[np.uint16]) -> bool:
+        """Return whether a memory holds a record already."""
+        if f"USER{memory}" not in desk.ask("DATA:CAT?"):
+            return False
+        try:
+            return bool(np.array_equal(self._read_back(desk, memory), codes))
+        except Unconfirmed:
+            return False
+        except LinkError:
+            desk.revive()
+            return False
+
+    def _upload(self, desk: Desk, memory: str, codes: NDArray[np.uint16]) -> None:
+        desk.stored.pop(memory, None)
+        desk.apply([LOCKED.filled(memory=memory).off])
+        try:
+            self._upload_once(desk, memory, codes)
+        except Unconfirmed as error:
+            desk.log("upload_repeated", memory=f"USER{memory}", reason=str(error))
+            self._upload_once(desk, memory, codes)
+
+    def _upload_once(self, desk: Desk, memory: str, codes: NDArray[np.uint16]) -> None:
+        desk.send_block("DATA:DATA EMEM", codes.astype(">u2").tobytes())
+        (n_points,) = desk.complete("the upload", "*OPC?", "DATA:POIN? EMEM")
+        if n_points != str(codes.size):
+            raise Unconfirmed(f"{codes.size} points were sent, the generator counts {n_points}")
+        _complete(desk, f"DATA:COPY USER{memory},EMEM")
+        if not self._verified(desk, memory, codes):
+            raise Unconfirmed(f"USER{memory} does not hold the record that was sent, after two uploads")
+
+    def _verified(self, desk: Desk, memory: str, codes: NDArray[np.uint16]) -> bool:
+        """Return whether a memory reads back right; by samples of it where whole blocks cannot be read."""
+        for _ in range(2):
+            try:
+                return bool(np.array_equal(self._read_back(desk, memory), codes))
+            except LinkError:
+                desk.revive()
+        return self._spots_agree(desk, codes)
+
+    def _read_back(self, desk: Desk, memory: str) -> NDArray[np.uint16]:
+        _complete(desk, f"DATA:COPY EMEM,USER{memory}")
+        return desk.read_codes("DATA:DATA? EMEM")
+
+    def _spots_agree(self, desk: Desk, codes: NDArray[np.uint16]) -> bool:
+        """Return whether count and a spread of single points agree with a record in the edit memory."""
+        desk.log("record_spot_check", n_spots=N_SPOTS, why="its blocks cannot be read back")
+        if desk.ask("DATA:POIN? EMEM") != str(codes.size):
+            return False
+        strongest = np.argsort(np.abs(codes.astype(int) - int(np.median(codes))))[-N_SPOTS // 2 :]
+        spread = np.linspace(0, codes.size - 1, N_SPOTS // 2).astype(int)
+        return all(desk.ask(f"DATA:DATA:VAL? EMEM,{at + 1}") == str(codes[at]) for at in {*strongest, *spread})
+
+
+def _complete(desk: Desk, command: str) -> None:
+    desk.complete(command, f":{command};*OPC?")
+
+
+LOCKED = Setting("DATA:LOCK:STAT", "ON", of="USER{memory}")
+"""No memory can be overwritten, nor at the front panel."""
 
 AFG3022B = Instrument(
     # The successor takes the same commands within the same limits.
     models=("AFG3022B", "AFG3022C"),
     converter=Converter(mid_code=8191, max_points=131_072, clock_rate=250e6, amplitude_digits=4, amplitude_decimals=4),
     channels=(1, 2),
-    memories=(1, 2, 3, 4),
     lowest_amplitude=20e-3,
     # Above every minimum that is told of these instruments.
     quiet_amplitude=0.1,
@@ -42,20 +155,15 @@ AFG3022B = Instrument(
             Setting("SOUR{channel}:PHAS", 0.0, "RAD"),
             Setting("SOUR{channel}:BURS:STAT", "OFF"),
         ),
+        # Nothing is wired to the trigger input unless the apparatus says so.
+        stopped=Setting("TRIG:SOUR", "EXT", replies=("EXT", "EXTERNAL")),
+        wired=Setting("TRIG:SOUR", "EXT", replies=("EXT", "EXTERNAL")),
+        triggers=("TRIG:SEQ:IMM", "*TRG"),
+        align="SOUR1:PHAS:INIT",
         # Of the timer the instrument may keep as few as four digits.
         timer=Setting("TRIG:TIM", "period", "S", tolerance=5e-4),
         armed=Setting("TRIG:SOUR", "TIM", replies=("TIM", "TIMER")),
-        stopped=Setting("TRIG:SOUR", "EXT", replies=("EXT", "EXTERNAL")),
-        locked=Setting("DATA:LOCK:STAT", "ON", of="USER{memory}"),
-        triggers=("TRIG:SEQ:IMM", "*TRG"),
-        align="SOUR1:PHAS:INIT",
-        memory="USER{memory}",
-        upload="DATA:DATA EMEM",
-        count="DATA:POIN? EMEM",
-        read="DATA:DATA? EMEM",
-        point="DATA:DATA:VAL? EMEM,{place}",
-        store="DATA:COPY USER{memory},EMEM",
-        recall="DATA:COPY EMEM,USER{memory}",
-        catalogue="DATA:CAT?",
     ),
+    records=EditMemory(n_memories=4),
+    questions=tuple(range(14)),
 )

@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 from modaltouch.protocol import Apparatus
+from modaltouch.rig.catalogue import instrument_of
 from modaltouch.rig.connection import Connection, Patience
 from modaltouch.rig.controls import Unconfirmed
 from modaltouch.rig.instrument import Setting
@@ -237,7 +238,7 @@ def _sessions(bench: QuestionedInstrument) -> Finding:
 
 def _trigger(bench: QuestionedInstrument) -> Finding:
     controls = bench.connection.controls
-    controls.apply([bench.connection.instrument.commands.stopped])
+    controls.apply(bench.connection.instrument.on_all(bench.connection.instrument.commands.stopped))
     for channel in bench.connection.instrument.channels:
         source = f"SOUR{channel}"
         controls.apply_each([Setting(f"{source}:FREQ", 20.0, "HZ"), Setting(f"{source}:BURS:STAT", "ON")])
@@ -261,7 +262,7 @@ def _trigger(bench: QuestionedInstrument) -> Finding:
 
 def _after_link_loss(bench: QuestionedInstrument) -> Finding:
     controls = bench.connection.controls
-    controls.apply([bench.connection.instrument.commands.stopped])
+    controls.apply(bench.connection.instrument.on_all(bench.connection.instrument.commands.stopped))
     for channel in bench.connection.instrument.channels:
         controls.apply_each(bench.connection.limits.quiet_settings(channel))
         # In burst, with a trigger that never comes, the output rests.
@@ -336,7 +337,7 @@ def check_rig(
     log: Log = lambda event, **facts: None,
     patience: Patience | None = None,
 ) -> list[Row]:
-    """Return the answers to every open question about the generator at an address.
+    """Return the answers to every open question about the generator at an address that its value names.
 
     Parameters
     ----------
@@ -363,14 +364,14 @@ def check_rig(
     connection = Connection(
         address,
         apparatus,
-        guard=WatchdogClient(address),
+        guard=WatchdogClient(address, instrument_of(apparatus).off),
         log=log,
         patience=patience,
     )
     try:
         connection.open()
         bench = QuestionedInstrument(connection, patience)
-        rows = [_ask(bench, *entry) for entry in QUESTIONS]
+        rows = [_ask(bench, *entry) for entry in QUESTIONS if entry[0] in connection.instrument.questions]
         connection.switch_off("the check", (), lambda: None)
     except BaseException:
         connection.close(clean=False)

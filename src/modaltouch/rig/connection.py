@@ -16,11 +16,11 @@ from modaltouch.rig.pacing import BurstPlayer
 from modaltouch.system import SYSTEM_CLOCK, Clock
 
 
-def start_watchdog(address: str) -> BurstPlayer:
+def start_watchdog(address: str, off: str) -> BurstPlayer:
     """Start the process that watches over an instrument; none is loaded for a twin that does without."""
     from modaltouch.rig.watchdog_client import WatchdogClient
 
-    return WatchdogClient(address)
+    return WatchdogClient(address, off)
 
 
 @dataclass(frozen=True)
@@ -251,7 +251,7 @@ class Connection:
         self.controls.reset()
         for channel in self.instrument.channels:
             self.controls.apply_each(self.limits.quiet_settings(channel))
-        self.controls.apply([self.instrument.commands.stopped])
+        self.controls.apply(self.instrument.on_all(self.instrument.commands.stopped))
 
     def _refuse_stranger(self) -> None:
         fields = self.identity.split(",")

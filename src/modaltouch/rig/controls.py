@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.rig.instrument import Instrument, Setting
-from modaltouch.rig.link import Link, LinkError, Log, split_reply
+from modaltouch.rig.link import Link, Log, split_reply
 
 NO_ERROR, UNDEFINED_HEADER = 0, -113
 QUERIES_PER_MESSAGE = 12
 MOST_ERRORS = 64
-N_SPOTS = 64
 
 
 class Unconfirmed(Exception):  # noqa: N818
@@ -34,6 +32,8 @@ class Unconfirmed(Exception):  # noqa: N818
 class Controls:
     """Sets, reads back and uploads over one link; raises LinkError or Unconfirmed where that is not confirmed.
 
+    It is the `modaltouch.rig.instrument.Desk` of the way in which the instrument keeps its records.
+
     Parameters
     ----------
     link : Link
@@ -46,6 +46,11 @@ class Controls:
         Takes events.
     copy_timeout : float
         Longest wait for an upload, a copy between memories or ``*OPC?`` [s].
+
+    Attributes
+    ----------
+    stored : dict of str
+        Hash of the record that a memory is known to hold, by the memory's name.
     """
 
     def __init__(
@@ -54,10 +59,10 @@ class Controls:
         self._link = link
         self._instrument = instrument
         self._table = instrument.commands
-        self._revive = revive
-        self._log = log
+        self.revive = revive
+        self.log = log
         self._copy_timeout = copy_timeout
-        self._stored: dict[int, str] = {}
+        self.stored: dict[str, str] = {}
 
     def identify(self) -> str:
         """Return the reply to ``*IDN?``."""
@@ -69,7 +74,7 @@ class Controls:
 
     def reset(self) -> None:
         """Restore the defaults, outputs off; memories stay, but are to be read before they are trusted."""
-        self._stored.clear()
+        self.stored.clear()
         self._link.ask("*RST;*OPC?", timeout=self._copy_timeout)
         self._refuse_errors("*RST", self.pending_errors())
 
@@ -140,112 +145,49 @@ class Controls:
         """Send a command that has nothing to read back, and read the error queue."""
         self._refuse_errors(command, [self._link.ask(f":{command};:SYST:ERR?")])
 
-    def store(self, codes: NDArray[np.uint16], wanted: int, in_use: Sequence[int]) -> int:
-        """Have a record in a memory, verified, and return the memory's number.
-
-        A record that is there already, remembered from this session or read back, is not sent again.
+    def store(self, records: Sequence[tuple[int, NDArray[np.uint16]]]) -> list[str]:
+        """Have records in memories, each verified for its channel, and return what names them in the table.
 
         Parameters
         ----------
-        codes : (n_samples,) array of uint16
-            Codes of the record.
-        wanted : int
-            Memory to take if the record is nowhere.
-        in_use : sequence of int
-            Memories that must not be overwritten.
+        records : sequence of (int, (n_samples,) array of uint16)
+            Channels and codes.
 
         Raises
         ------
         Unconfirmed
-            If the record does not read back as sent, twice.
+            If a record is longer than the instrument's memories, or is not there after two uploads.
         """
-        block = codes.astype(">u2").tobytes()
-        digest = hashlib.sha256(block).hexdigest()
-        known = [slot for slot, held in self._stored.items() if held == digest]
-        if known:
-            return known[0]
-        if wanted in in_use:
-            wanted = next(slot for slot in reversed(self._instrument.memories) if slot not in in_use)
-        if wanted not in self._stored and self._holds(wanted, codes):
-            self._log("record_found", memory=self._name(wanted), sha256=digest, n_points=codes.size)
-        else:
-            self._upload(wanted, codes, block)
-            self._log("record_sent", memory=self._name(wanted), sha256=digest, n_points=codes.size)
-        self._stored[wanted] = digest
-        return wanted
-
-    def _holds(self, slot: int, codes: NDArray[np.uint16]) -> bool:
-        """Return whether a memory holds a record already."""
-        if self._name(slot) not in self._link.ask(self._table.catalogue):
-            return False
-        try:
-            return bool(np.array_equal(self._read_back(slot), codes))
-        except Unconfirmed:
-            return False
-        except LinkError:
-            self._revive()
-            return False
-
-    def _upload(self, slot: int, codes: NDArray[np.uint16], block: bytes) -> None:
         most = self._instrument.converter.max_points
-        if not 2 <= codes.size <= most:
-            raise Unconfirmed(f"a record of {codes.size} points: the generator holds 2 to {most}")
-        self._stored.pop(slot, None)
-        self.apply([self._table.locked.filled(memory=slot).off])
-        try:
-            self._upload_once(slot, codes, block)
-        except Unconfirmed as error:
-            self._log("upload_repeated", memory=self._name(slot), reason=str(error))
-            self._upload_once(slot, codes, block)
+        for _, codes in records:
+            if not 2 <= codes.size <= most:
+                raise Unconfirmed(f"a record of {codes.size} points: the generator holds 2 to {most}")
+        return self._instrument.records.store(self, records)
 
-    def _upload_once(self, slot: int, codes: NDArray[np.uint16], block: bytes) -> None:
-        self._link.send_block(self._table.upload, block, timeout=self._copy_timeout)
-        (n_points,) = self._complete("the upload", "*OPC?", self._table.count)
-        if n_points != str(codes.size):
-            raise Unconfirmed(f"{codes.size} points were sent, the generator counts {n_points}")
-        self._copy(self._table.store, slot)
-        if not self._verified(slot, codes):
-            raise Unconfirmed(f"{self._name(slot)} does not hold the record that was sent, after two uploads")
+    def ask(self, query: str) -> str:
+        """Return the reply to a query."""
+        return self._link.ask(query)
 
-    def _verified(self, slot: int, codes: NDArray[np.uint16]) -> bool:
-        """Return whether a memory reads back right; by samples of it where whole blocks cannot be read."""
-        for _ in range(2):
-            try:
-                return bool(np.array_equal(self._read_back(slot), codes))
-            except LinkError:
-                self._revive()
-        return self._spots_agree(codes)
+    def ask_raw(self, query: str) -> bytes:
+        """Return the reply to a query as it comes; it may take as long as a copy."""
+        return self._link.ask_raw(query, timeout=self._copy_timeout)
 
-    def _read_back(self, slot: int) -> NDArray[np.uint16]:
-        self._copy(self._table.recall, slot)
-        return self._link.read_codes(self._table.read, timeout=self._copy_timeout)
+    def read_codes(self, query: str) -> NDArray[np.uint16]:
+        """Return the codes of a block, two bytes each, big-endian."""
+        return self._link.read_codes(query, timeout=self._copy_timeout)
 
-    def _spots_agree(self, codes: NDArray[np.uint16]) -> bool:
-        """Return whether count and a spread of single points agree with a record in the edit memory."""
-        self._log("record_spot_check", n_spots=N_SPOTS, why="its blocks cannot be read back")
-        if self._link.ask(self._table.count) != str(codes.size):
-            return False
-        strongest = np.argsort(np.abs(codes.astype(int) - int(np.median(codes))))[-N_SPOTS // 2 :]
-        spread = np.linspace(0, codes.size - 1, N_SPOTS // 2).astype(int)
-        return all(
-            self._link.ask(self._table.point.format(place=at + 1)) == str(codes[at]) for at in {*strongest, *spread}
-        )
+    def send_block(self, command: str, block: bytes) -> None:
+        """Send a command whose last argument is a block."""
+        self._link.send_block(command, block, timeout=self._copy_timeout)
 
-    def _name(self, slot: int) -> str:
-        return self._table.memory.format(memory=slot)
-
-    def _copy(self, command: str, slot: int) -> None:
-        command = command.format(memory=slot)
-        self._complete(command, f":{command};*OPC?")
-
-    def _complete(self, what: str, message: str, *queries: str) -> list[str]:
+    def complete(self, what: str, message: str, *queries: str) -> list[str]:
         """Wait in one message until all is done, read the error queue, and return the replies to further queries."""
         whole = ";:".join([message, "SYST:ERR?", *queries])
         replies = split_reply(self._link.ask(whole, timeout=self._copy_timeout))
         if len(replies) != len(queries) + 2:
             raise Unconfirmed(f"to '{what}' the generator answers {replies}")
         if _error_number(replies[1]) != NO_ERROR:
-            self._log("instrument_errors", errors=replies[1:2])
+            self.log("instrument_errors", errors=replies[1:2])
         self._refuse_errors(what, replies[1:2])
         return replies[2:]
 
@@ -258,7 +200,7 @@ class Controls:
                 break
             errors.append(reply)
         if errors:
-            self._log("instrument_errors", errors=errors)
+            self.log("instrument_errors", errors=errors)
         return errors
 
     def _refuse_errors(self, what: str, replies: Sequence[str], read_back: tuple[str, ...] = ()) -> None:

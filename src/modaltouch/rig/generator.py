@@ -16,6 +16,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Self
 
 from modaltouch.protocol import Apparatus
+from modaltouch.rig.catalogue import instrument_of
 from modaltouch.rig.connection import Connection, OutputState, Patience, start_watchdog
 from modaltouch.rig.controls import Unconfirmed
 from modaltouch.rig.interface import MANY, Bursts, Firing, RigError, StimulusLost
@@ -59,7 +60,7 @@ class Generator:
     repetition : str, optional
         ``single``, ``timer``, ``continuous`` or ``wired``, instead of what the apparatus says.
     start_guard : callable
-        Starts the watchdog for an address.
+        Starts the watchdog for an address and the message that switches the outputs off.
     clock : Clock
         Of the session.
 
@@ -77,7 +78,7 @@ class Generator:
         log: Log = _ignore,
         patience: Patience | None = None,
         repetition: Repetition | None = None,
-        start_guard: Callable[[str], BurstPlayer] = start_watchdog,
+        start_guard: Callable[[str, str], BurstPlayer] = start_watchdog,
         clock: Clock = SYSTEM_CLOCK,
     ) -> None:
         began = time.perf_counter()
@@ -93,7 +94,7 @@ class Generator:
         self._connection = Connection(
             address,
             apparatus,
-            guard=start_guard(address),
+            guard=start_guard(address, instrument_of(apparatus).off),
             log=log,
             patience=self._patience,
             clock=clock,

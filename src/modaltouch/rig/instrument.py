@@ -1,13 +1,17 @@
 """A generator as a value: its figures, its table of commands, and what an apparatus lets it play.
 
 The promises (outputs off on every way out, settings read back, watchdog, replay) are kept by `generator` and what it
-uses, for every instrument alike; what differs between instruments stands in one file each, such as `afg3022b`.
+uses, for every instrument alike; what differs between instruments stands in one file each, such as `afg3022b`: figures,
+a table of commands, and a way of keeping records.
 """
 
 from __future__ import annotations
 
 import math
+import typing
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,7 +81,7 @@ class Setting:
             return number >= 9.9e37
         return math.isclose(number, self.value, rel_tol=self.tolerance, abs_tol=0.0 if self.value else 1e-4)
 
-    def filled(self, **quantities: float) -> Setting:
+    def filled(self, **quantities: float | str) -> Setting:
         """Return an entry of a table with its channel, its memory and its value filled in."""
         value = quantities.get(self.value, self.value.format(**quantities)) if isinstance(self.value, str) else None
         return replace(
@@ -89,9 +93,64 @@ class Setting:
         )
 
 
+class Desk(typing.Protocol):
+    """What the driver lends to the way in which an instrument keeps records; all may raise LinkError or Unconfirmed."""
+
+    stored: dict[str, str]
+    """Hash of the record that a memory is known to hold, by the memory's name."""
+
+    def ask(self, query: str) -> str:
+        """Return the reply to a query."""
+
+    def ask_raw(self, query: str) -> bytes:
+        """Return the reply to a query as it comes; it may take its time."""
+
+    def read_codes(self, query: str) -> NDArray[np.uint16]:
+        """Return the codes of a block, two bytes each, big-endian."""
+
+    def complete(self, what: str, message: str, *queries: str) -> list[str]:
+        """Wait in one message until all is done, and return the replies to further queries."""
+
+    def apply(self, settings: Sequence[Setting]) -> tuple[str, ...]:
+        """Make settings, and return what was read back."""
+
+    def send_block(self, command: str, block: bytes) -> None:
+        """Send a command whose last argument is a block."""
+
+    def revive(self) -> object:
+        """Open the connection anew after a failed exchange, outputs off."""
+
+    def log(self, event: str, **facts: Any) -> object:
+        """Take an event."""
+
+
+class Records(typing.Protocol):
+    """How an instrument keeps records, and what shows that it has the right ones."""
+
+    @property
+    def n_memories(self) -> int:
+        """How many different records it holds at a time."""
+
+    def store(self, desk: Desk, records: Sequence[tuple[int, NDArray[np.uint16]]]) -> list[str]:
+        """Have records in memories, each verified for its channel, and return what fills ``{memory}`` for each.
+
+        One that is there already, remembered from this session or read back, is not sent again.
+
+        Raises
+        ------
+        LinkError
+            If the connection breaks.
+        Unconfirmed
+            If a record is not there after two uploads.
+        """
+
+    def locks(self, memories: Sequence[str]) -> list[Setting]:
+        """Return what keeps memories from being overwritten at the front panel; nothing where it cannot be kept."""
+
+
 @dataclass(frozen=True)
 class Commands:
-    """What a generator is told: entries of settings, and texts in which braces stand for memory and point.
+    """What a generator is told: entries of settings, in which braces stand for channel and memory.
 
     Attributes
     ----------
@@ -101,22 +160,16 @@ class Commands:
         Of a ``{channel}``, before anything is loaded: scale of the numbers, lowest level (``quiet_amplitude``), limits
         (``highest``, ``lowest``).
     burst, continuous : tuple of Setting
-        What makes a ``{channel}`` play a ``{memory}`` once at each trigger, at a ``burst_rate``; or repeat it without
-        trigger, at a ``repetition_rate``.
-    timer, armed, stopped : Setting
-        Time between triggers (``period``); triggers from the timer; from an input that nothing is wired to.
-    locked : Setting
-        No ``{memory}`` can be overwritten, nor at the front panel.
+        What makes a ``{channel}`` play a ``{memory}`` once at each trigger, or repeat it without trigger: at a
+        ``burst_rate`` or ``repetition_rate`` of records, or a ``sampling_rate``.
+    stopped, wired : Setting
+        Triggers from nowhere but a command; from the trigger input. Of a ``{channel}`` where each has its own.
     triggers : tuple of str
-        What triggers a burst: the first that the instrument knows.
+        What triggers a burst, on all channels: the first that the instrument knows.
     align : str
         Begins what repeats without trigger with its first sample, on all channels.
-    memory : str
-        Name of a ``{memory}``.
-    upload, count, read, point : str
-        Of the edit memory: takes a record, tells the number of its points, returns it, returns the code at ``{place}``.
-    store, recall, catalogue : str
-        From the edit memory into a ``{memory}`` and back; which of them hold a record.
+    timer, armed : Setting or None
+        Time between triggers (``period``), and triggers from this timer; None where channels have no timer in common.
     """
 
     output: Setting
@@ -124,20 +177,12 @@ class Commands:
     quiet: tuple[Setting, ...]
     burst: tuple[Setting, ...]
     continuous: tuple[Setting, ...]
-    timer: Setting
-    armed: Setting
     stopped: Setting
-    locked: Setting
+    wired: Setting
     triggers: tuple[str, ...]
     align: str
-    memory: str
-    upload: str
-    count: str
-    read: str
-    point: str
-    store: str
-    recall: str
-    catalogue: str
+    timer: Setting | None = None
+    armed: Setting | None = None
 
 
 @dataclass(frozen=True)
@@ -150,24 +195,39 @@ class Instrument:
         As ``*IDN?`` names them; the figures are the first one's.
     converter : Converter
         Codes, points, clock and grid of amplitudes.
-    channels, memories : tuple of int
-        Numbers of its outputs, and of the memories that hold a record.
+    channels : tuple of int
+        Numbers of its outputs.
     lowest_amplitude, quiet_amplitude : float
         Smallest amplitude, and that at which a level waits, into an open circuit [V peak to peak].
     highest_output : float
         Highest output, either sign, into an open circuit [V].
     commands : Commands
         What it is told.
+    records : Records
+        How it keeps records.
+    questions : tuple of int
+        What `modaltouch rig check` asks of it.
     """
 
     models: tuple[str, ...]
     converter: Converter
     channels: tuple[int, ...]
-    memories: tuple[int, ...]
     lowest_amplitude: float
     quiet_amplitude: float
     highest_output: float
     commands: Commands
+    records: Records
+    questions: tuple[int, ...]
+
+    @property
+    def off(self) -> str:
+        """The message that switches all outputs off and asks whether they are."""
+        outputs = [self.commands.output.filled(channel=channel) for channel in self.channels]
+        return ";".join(f":{part}" for part in [*(each.off.command for each in outputs), *(o.query for o in outputs)])
+
+    def on_all(self, entry: Setting, **quantities: float) -> tuple[Setting, ...]:
+        """Return an entry for every channel; once where it is one for all."""
+        return tuple(dict.fromkeys(entry.filled(channel=channel, **quantities) for channel in self.channels))
 
     def is_simulated(self, identity: str) -> bool:
         """Return whether a reply to ``*IDN?`` is the simulator's: it bears the word where others have their number."""
@@ -187,15 +247,21 @@ class Instrument:
         """Return the setting of an amplitude, open circuit [V peak to peak]."""
         return self.commands.level.filled(channel=channel, amplitude=amplitude)
 
-    def burst_settings(self, channel: int, memory: int, burst: Burst, *, continuous: bool) -> tuple[Setting, ...]:
+    def burst_settings(self, channel: int, memory: str, burst: Burst, *, continuous: bool) -> tuple[Setting, ...]:
         """Return what makes a channel play a memory once at each trigger, or repeat it without."""
         table = self.commands.continuous if continuous else self.commands.burst
-        rates = {"burst_rate": 1 / burst.duration, "repetition_rate": burst.repetition_rate}
+        whole = self.converter.max_points * burst.repetition_rate
+        rates = {
+            "burst_rate": 1 / burst.duration,
+            "repetition_rate": burst.repetition_rate,
+            "sampling_rate": whole if continuous else burst.codes.shape[1] / burst.duration,
+        }
         return tuple(entry.filled(channel=channel, memory=memory, **rates) for entry in table)
 
-    def timer(self, burst: Burst) -> Setting:
-        """Return the time between triggers."""
-        return self.commands.timer.filled(period=1 / burst.repetition_rate)
+    def timer(self, burst: Burst) -> tuple[Setting, ...]:
+        """Return the time between triggers; nothing where the channels have no timer in common."""
+        entry = self.commands.timer
+        return () if entry is None else self.on_all(entry, period=1 / burst.repetition_rate)
 
     def continuous_codes(self, burst: Burst) -> NDArray[np.uint16]:
         """Return one record that holds a whole repetition, burst and silence, for a generator without burst mode.
@@ -286,20 +352,21 @@ class Limits:
                 f"limit of {self.velocity * 1e3:g} mm/s; the outputs stay off; change the protocol, or the "
                 "limit in the apparatus file"
             )
-        channels = enumerate(zip(burst.amplitude_for(velocity), burst.peaks, strict=True), start=1)
-        return tuple(self._playable(number, amplitude, peak, velocity) for number, (amplitude, peak) in channels)
+        each = zip(burst.amplitude_for(velocity), burst.shares.tolist(), burst.peaks, strict=True)
+        return tuple(self._playable(number, *needed, velocity) for number, needed in enumerate(each, start=1))
 
-    def _playable(self, number: int, amplitude: float, peak: float, velocity: float) -> float:
+    def _playable(self, number: int, amplitude: float, share: float, peak: float, velocity: float) -> float:
         where = f"{velocity * 1e3:g} mm/s needs {amplitude:g} V peak to peak of output {number}"
         remedy = "the outputs stay off; lower the velocity, or correct the apparatus file"
         if peak == 0:
             return self.quiet_amplitude
-        beam = amplitude / 2 * peak * self.gain
+        beam = amplitude / share / 2 * peak * self.gain
         if not beam <= self.beam * (1 + 1e-9):
             raise RigError(f"{where}, {beam:.1f} V at the beam: allowed at most {self.beam:g} V; {remedy}")
-        lowest = self.instrument.lowest_amplitude
-        if not lowest <= amplitude <= 2 * self.level:
-            raise RigError(f"{where}: allowed {lowest:g} to {2 * self.level:g} V; {remedy}")
+        # Codes that are not used leave their part of the range unused.
+        lowest, highest = self.instrument.lowest_amplitude, 2 * self.level * share
+        if not lowest <= amplitude <= highest:
+            raise RigError(f"{where}: allowed {lowest:g} to {highest:g} V; {remedy}")
         return amplitude
 
 

@@ -56,13 +56,13 @@ class Player:
         self._chosen = 0
         self._by_burst: tuple[tuple[Setting, ...], ...] = ()
         self._settings: tuple[Setting, ...] = ()
-        self._let_go = self._table.stopped
+        self._stopped = self._let_go = self._instrument.on_all(self._table.stopped)
         self._levels: tuple[Setting, ...] = ()
 
     @property
     def expected(self) -> tuple[Setting, ...]:
         """Every setting that must read back while the burst plays."""
-        return (*self._settings, *self._levels, *self._trigger(self._let_go))
+        return (*self._settings, *self._levels, *(() if self._continuous else self._let_go))
 
     @property
     def plays_by_itself(self) -> bool:
@@ -85,13 +85,19 @@ class Player:
         Raises
         ------
         RigError
-            If one does not begin and end at rest, or they have more records than the instrument has memories.
+            If one does not begin and end at rest, they have more records than the instrument has memories, or the
+            repetition asks for a timer that it has not.
         """
         self._bursts, self._settings, self._levels = (), (), ()
+        if self.repetition == "timer" and self._table.timer is None:
+            raise RigError(
+                f"the repetition `timer` was asked for: a {self._instrument.models[0]} has no timer that "
+                "its channels share; the outputs are off; write generator.repetition: single"
+            )
         for burst in bursts:
             _refuse_steps(burst)
         records = {codes.tobytes() for burst in bursts for codes in self._records(burst)}
-        n_memories = len(self._instrument.memories)
+        n_memories = self._instrument.records.n_memories
         if len(records) > n_memories:
             raise RigError(
                 f"the bursts have {len(records)} records: the generator has {n_memories} memories; the outputs are "
@@ -104,15 +110,16 @@ class Player:
         self._settings = self._levels = ()
         if not self._bursts:
             return
-        slots: list[int] = []
+        channels = self._instrument.channels
+        records = [each for burst in self._bursts for each in zip(channels, self._records(burst), strict=True)]
+        memories = self._controls.store(records)
         by_burst: list[list[Setting]] = []
-        for burst in self._bursts:
+        for number, burst in enumerate(self._bursts):
             by_burst.append([])
-            for channel, record in zip(self._instrument.channels, self._records(burst), strict=True):
-                slots.append(self._controls.store(record, channel, slots))
-                by_burst[-1] += self._instrument.burst_settings(channel, slots[-1], burst, continuous=self._continuous)
-            by_burst[-1] += [self._instrument.timer(burst)] if self.repetition == "timer" else []
-        locks = [self._table.locked.filled(memory=slot) for slot in dict.fromkeys(slots)]
+            for channel, memory in zip(channels, memories[number * len(channels) :], strict=False):
+                by_burst[-1] += self._instrument.burst_settings(channel, memory, burst, continuous=self._continuous)
+            by_burst[-1] += self._instrument.timer(burst) if self.repetition == "timer" else ()
+        locks = self._instrument.records.locks(memories)
         self._controls.apply_each([*by_burst[self._chosen], *locks])
         if self.repetition == "single" and not self._trigger_command:
             self._trigger_command = self._controls.trigger_command()
@@ -172,20 +179,22 @@ class Player:
                 f"a catch trial needs the repetition `single`: with `{self.repetition}` the beam moves as soon as the "
                 "outputs are on; the outputs are off; leave out schedule.catch_trials"
             )
-        self._let_go = self._table.armed if self.repetition == "timer" and not silent else self._table.stopped
+        sources = {"timer": self._table.armed, "wired": self._table.wired}
+        source = None if silent else sources.get(self.repetition)
+        self._let_go = self._stopped if source is None else self._instrument.on_all(source)
         read_back = self.set_levels(commanded)
-        changed = self._controls.differences([*self._settings, *self._trigger(self._table.stopped)])
+        changed = self._controls.differences([*self._settings, *(() if self._continuous else self._stopped)])
         if changed:
             raise Unconfirmed("; ".join(changed), read_back)
         return read_back
 
     def switch_on(self) -> None:
-        """Switch the outputs on; a timer is let go, and a continuous record begins with its first sample."""
+        """Switch the outputs on; timer or input are let go, and a continuous record begins with its first sample."""
         if self._continuous:
             self._controls.command(self._table.align)
         self._controls.outputs_on()
-        if self._let_go is self._table.armed:
-            self._controls.apply([self._let_go])
+        if self._let_go != self._stopped:
+            self._controls.apply(self._let_go)
 
     def order(self, n_bursts: int, first: float, timeout: float) -> Order:
         """Return what is asked of a pacer.
@@ -208,17 +217,14 @@ class Player:
         return self._controls.apply(self._levels)
 
     def stop_trigger(self) -> None:
-        """Let the trigger wait for an input that nothing is wired to."""
-        if self.repetition == "timer":
-            self._controls.apply([self._table.stopped])
+        """Let no trigger come by itself."""
+        if self._let_go != self._stopped:
+            self._controls.apply(self._stopped)
 
     def unlock(self) -> None:
         """Leave the memories to whoever comes next."""
         locks = [setting for setting in self._settings if setting.of]
         self._controls.apply_each([setting.off for setting in locks])
-
-    def _trigger(self, setting: Setting) -> tuple[Setting, ...]:
-        return () if self._continuous else (setting,)
 
 
 def _refuse_steps(burst: Burst) -> None:

@@ -65,10 +65,12 @@ class WatchdogClient:
     ----------
     address : str
         VISA address.
+    off : str
+        The message that switches the outputs off and asks whether they are.
     """
 
-    def __init__(self, address: str) -> None:
-        self._command = [sys.executable, "-P", "-m", "modaltouch.rig.watchdog_process", address]
+    def __init__(self, address: str, off: str) -> None:
+        self._command = [sys.executable, "-P", "-m", "modaltouch.rig.watchdog_process", address, off]
         self._came_round = 0.0
         self._armed = threading.Event()
         self._lost = ""

@@ -1,10 +1,10 @@
 """Holds the one session with the instrument, paces its bursts, and switches the outputs off when its master cannot.
 
-``python -m modaltouch.rig.watchdog_process ADDRESS`` is a process of its own. The driver asks it for every
-exchange through a pipe, so that it can go in at any time: over any interface, those that admit one session (USB)
-among them. While armed it expects a sign of life at least every `LIMIT` seconds; an exchange is one. If none comes, no
-further burst is triggered and the outputs are switched off; so too when the pipe ends without `CLEAN` (the master was
-killed, or its display server took it along).
+``python -m modaltouch.rig.watchdog_process ADDRESS OFF`` is a process of its own, given the message that switches the
+outputs off. The driver asks it for every exchange through a pipe, so that it can go in at any time: over any interface,
+those that admit one session (USB) among them. While armed it expects a sign of life at least every `LIMIT` seconds; an
+exchange is one. If none comes, no further burst is triggered and the outputs are switched off; so too when the pipe
+ends without `CLEAN` (the master was killed, or its display server took it along).
 
 A request is a letter, a number that its answer bears, and a length, followed by as many bytes; `OPEN`, `EXCHANGE`,
 `CLOSE`, `PLAY`, `LOOK`, `REPORT`, `BEAT` and `LATE` are answered, with a letter for how it went and what came of it.
@@ -60,15 +60,31 @@ WORD_PERIOD = 10.0
 """Time between two words to the terminal that outputs may be on [s]."""
 
 REPLY_TIMEOUT = 1.0
-OFF = b":OUTP1 OFF;:OUTP2 OFF;:OUTP1?;:OUTP2?\n"
 
 
 class WatchdogProcess:
-    """Carries out the requests of one master over one transport, and watches over it."""
+    """Carries out the requests of one master over one transport, and watches over it.
+
+    Parameters
+    ----------
+    transport : Transport
+        The way to the instrument.
+    off : str
+        The message that switches the outputs off and asks of each whether it is.
+    limit : float
+        Longest silence of an armed master [s].
+    persistence, long_persistence : float
+        How long it keeps trying to switch off what plays only when triggered, and what plays by itself [s].
+    say : callable
+        Takes a sentence for the terminal.
+    clock : Clock
+        By which it waits.
+    """
 
     def __init__(
         self,
         transport: Transport,
+        off: str,
         *,
         limit: float = LIMIT,
         persistence: float = PERSISTENCE,
@@ -77,6 +93,7 @@ class WatchdogProcess:
         clock: Clock = SYSTEM_CLOCK,
     ) -> None:
         self._transport = transport
+        self._off = off.encode("ascii") + b"\n"
         self._limit = limit
         self._persistence = persistence
         self._long_persistence = long_persistence
@@ -267,7 +284,9 @@ class WatchdogProcess:
                 self._transport.open()
 
     def _press(self) -> bool:
-        return self._transport.exchange(OFF, timeout=REPLY_TIMEOUT, reply=True).strip() == b"0;0"
+        n_outputs = self._off.count(b"?")
+        reply = self._transport.exchange(self._off, timeout=REPLY_TIMEOUT, reply=True)
+        return reply.strip() == b";".join([b"0"] * n_outputs)
 
 
 def frame(letter: bytes, number: int, content: bytes = b"") -> bytes:
@@ -307,7 +326,7 @@ def _take_precedence() -> None:
         os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))
 
 
-def main(address: str) -> int:
+def main(address: str, off: str) -> int:
     """Run the watchdog for the session at the other end of standard input."""
     for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK"):
         if hasattr(signal, name):
@@ -315,7 +334,7 @@ def main(address: str) -> int:
     _import_visa()
     _take_precedence()
     with open(0, "rb", buffering=1 << 18, closefd=False) as requests:
-        WatchdogProcess(VisaSession(address), say=_say).serve(requests, _answer)
+        WatchdogProcess(VisaSession(address), off, say=_say).serve(requests, _answer)
     return 0
 
 

@@ -28,7 +28,7 @@ class Burst:
     velocity : float
         Level for which `amplitude` holds [m/s].
     amplitude : tuple of float
-        Amplitude of each channel at `velocity` [V peak to peak, open circuit].
+        Amplitude of each channel's full scale at `velocity` [V peak to peak, open circuit].
     converter : Converter
         What makes voltages of them.
     trims : tuple of (float, float)
@@ -58,6 +58,11 @@ class Burst:
         """How far from zero each channel's record begins or ends, as a part of half its amplitude [1]."""
         return self._highest(self.codes[:, [0, -1]])
 
+    @cached_property
+    def shares(self) -> NDArray[np.float64]:
+        """What part of its full scale the amplitude of each channel is, (n_channels,) array [1]."""
+        return self.converter.shares(self.codes)
+
     def _highest(self, codes: NDArray[np.uint16]) -> tuple[float, ...]:
         zero = self.converter.mid_code
         return tuple(float(code) for code in np.abs(codes.astype(np.int32) - zero).max(axis=1) / zero)
@@ -70,4 +75,15 @@ class Burst:
         velocity : float
             Peak velocity at the focus [m/s].
         """
-        return self.converter.amplitudes_at(self.amplitude, trimmed(velocity, self.trims), self.velocity)
+        level = trimmed(velocity, self.trims)
+        return self.converter.amplitudes_at(self.amplitude, level, self.velocity, self.shares)
+
+    def full_scale_for(self, velocity: float) -> tuple[float, ...]:
+        """Return the amplitude of each channel's full scale at a level [V peak to peak, open circuit].
+
+        Parameters
+        ----------
+        velocity : float
+            Peak velocity at the focus [m/s].
+        """
+        return tuple(a / share for a, share in zip(self.amplitude_for(velocity), self.shares.tolist(), strict=True))

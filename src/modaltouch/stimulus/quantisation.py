@@ -15,7 +15,7 @@ _LONGEST_STRETCH = 1.05
 
 @dataclass(frozen=True)
 class Converter:
-    """How an instrument makes voltages of codes: code ``c`` stands for ``(c / mid_code - 1) * amplitude / 2`` volts.
+    """How an instrument makes voltages of codes: code ``c`` stands for ``(c / mid_code - 1) * full_scale / 2`` volts.
 
     Attributes
     ----------
@@ -27,6 +27,11 @@ class Converter:
         Its clock [Hz].
     amplitude_digits, amplitude_decimals : int
         Significant digits of an amplitude, and the decimals it has at most [V peak to peak].
+    of_record : bool
+        Whether an amplitude is that of the record, from its lowest code to its highest; else that of all codes, the
+        full scale.
+    any_rate : bool
+        Whether its clock takes the rate of the samples, so that none begins late.
     """
 
     mid_code: int
@@ -34,14 +39,32 @@ class Converter:
     clock_rate: float
     amplitude_digits: int
     amplitude_decimals: int
+    of_record: bool = False
+    any_rate: bool = False
+
+    def shares(self, codes: FloatArray | NDArray[np.uint16]) -> FloatArray:
+        """Return what part of its full scale the amplitude of each channel is, (n_channels,) array [1].
+
+        Parameters
+        ----------
+        codes : (n_channels, n_samples) array
+            Its record.
+        """
+        if not self.of_record:
+            return np.ones(codes.shape[0])
+        span = np.subtract(codes.max(axis=1), codes.min(axis=1), dtype=float) / (2 * self.mid_code)
+        return np.where(span > 0, span, 1.0)
 
     def round_amplitude(self, amplitude: float) -> float:
         """Return an amplitude on the instrument's grid [V peak to peak]."""
         return max(round(float(f"{amplitude:.{self.amplitude_digits}g}"), self.amplitude_decimals), 0.0)
 
-    def amplitudes_at(self, amplitude: tuple[float, ...], velocity: float, reference: float) -> tuple[float, ...]:
-        """Return the amplitudes at a level, on the instrument's grid, from those at a reference level [V]."""
-        return tuple(self.round_amplitude(a * velocity / reference) for a in amplitude)
+    def amplitudes_at(
+        self, full_scale: tuple[float, ...], velocity: float, reference: float, shares: FloatArray
+    ) -> tuple[float, ...]:
+        """Return the amplitudes at a level, on the instrument's grid, from the full scales at a reference level [V]."""
+        each = zip(full_scale, shares.tolist(), strict=True)
+        return tuple(self.round_amplitude(full * velocity / reference * share) for full, share in each)
 
     def full_scale(self, least: float, shares: tuple[float, ...]) -> float:
         """Return an amplitude at or above the least whose shares lie on the instrument's grid too.

@@ -170,7 +170,7 @@ class Stimulus:
             duration=self.timing.duration,
             repetition_rate=self.timing.repetition_rate,
             velocity=self.wish.velocity,
-            amplitude=self._amplitude,
+            amplitude=self._full_scale,
             converter=self.timing.converter,
             trims=self._trims,
         )
@@ -181,8 +181,8 @@ class Stimulus:
         return self.amplifier.gain * self.load_factor
 
     @cached_property
-    def _amplitude(self) -> tuple[float, ...]:
-        """Amplitude of each channel at the reference level [V peak to peak, open circuit]."""
+    def _full_scale(self) -> tuple[float, ...]:
+        """Amplitude of each channel's full scale at the reference level [V peak to peak, open circuit]."""
         shares = tuple(v / self.wish.velocity for v in self.levels)
         return tuple(self.timing.converter.full_scale(2 * float(v) / self._to_beam, shares) for v in self.peak_voltage)
 
@@ -190,7 +190,7 @@ class Stimulus:
     def _played(self) -> QuantisedStimulus:
         """The codes, and what they do to the beam."""
         converter = self.timing.converter
-        volts_per_code = np.asarray(self._amplitude) * (self._to_beam / 2 / converter.mid_code)
+        volts_per_code = np.asarray(self._full_scale) * (self._to_beam / 2 / converter.mid_code)
         codes = converter.round_to_codes(self.voltage, volts_per_code)
         if self.law == "exact" and self.rounding == "settled":
             states = volts_per_code @ self.system.states_by_channel(codes, self.timing, self.timing.focusing_instant)
@@ -230,8 +230,8 @@ class Stimulus:
         """
         require_positive("the velocity level", velocity, "m/s", _MEANT)
         # A level is trimmed so that the generator, as measured, really gives what proportion asks of it.
-        proportional = self.timing.converter.amplitudes_at(self._amplitude, velocity, self.wish.velocity)
-        return np.asarray(proportional) * (self._to_beam / 2 / self.timing.converter.mid_code)
+        full_scale = np.asarray(self._amplitudes_at(velocity)) / self._shares
+        return full_scale * (self._to_beam / 2 / self.timing.converter.mid_code)
 
     def amplitude_for(self, velocity: float) -> tuple[float, ...]:
         """Return the amplitude of each channel at a level, as that of `burst` [V peak to peak, open circuit].
@@ -242,7 +242,27 @@ class Stimulus:
             Level [m/s].
         """
         require_positive("the velocity level", velocity, "m/s", _MEANT)
-        return self.timing.converter.amplitudes_at(self._amplitude, trimmed(velocity, self._trims), self.wish.velocity)
+        return self._amplitudes_at(trimmed(velocity, self._trims))
+
+    def full_scale_for(self, velocity: float) -> tuple[float, ...]:
+        """Return the amplitude of each channel's full scale at a level [V peak to peak, open circuit].
+
+        Parameters
+        ----------
+        velocity : float
+            Level [m/s].
+        """
+        return tuple((np.asarray(self.amplitude_for(velocity)) / self._shares).tolist())
+
+    def _amplitudes_at(self, velocity: float) -> tuple[float, ...]:
+        return self.timing.converter.amplitudes_at(self._full_scale, velocity, self.wish.velocity, self._shares)
+
+    @cached_property
+    def _shares(self) -> FloatArray:
+        """What part of its full scale the amplitude of each channel is, (n_channels,) array [1]."""
+        converter = self.timing.converter
+        # Of all codes it is known without them, and no check has to make them for it.
+        return converter.shares(self._played.codes if converter.of_record else self.voltage[:, :1])
 
     def voltage_played(self, velocity: float) -> FloatArray:
         """Return the voltages at the beam of the codes as played at a level, (n_channels, n_samples) array [V].

@@ -115,11 +115,12 @@ class Timing:
     def lateness(self) -> FloatArray | None:
         """How late the clock begins each sample, (n_samples + 1,) array [s], or None where it is never late.
 
-        The phase accumulator plays sample ``floor(clock * n_samples / n_clocks)``: where the clocks of a burst
-        are no multiple of the samples, sample n begins at the first clock at or after ``n * hold``.
+        A clock that takes any rate is never late. A phase accumulator plays sample
+        ``floor(clock * n_samples / n_clocks)``: where the clocks of a burst are no multiple of the samples, sample n
+        begins at the first clock at or after ``n * hold``.
         """
         clocks = self.duration * self.clock_rate / self.n_samples
-        if abs(clocks - round(clocks)) < 1e-9 * clocks:
+        if self.converter.any_rate or abs(clocks - round(clocks)) < 1e-9 * clocks:
             return None
         ideal = np.arange(self.n_samples + 1) * clocks
         late = np.ceil(ideal - 1e-6) - ideal

@@ -6,8 +6,10 @@ import math
 
 import pytest
 
-from modaltouch.rig.simulator.afg import Afg, Behaviour
+from modaltouch.rig.simulator.afg import Afg
+from modaltouch.rig.simulator.commands import afg_commands
 from modaltouch.rig.simulator.instrument import Faults, SimulatedInstrument
+from modaltouch.rig.simulator.state import Behaviour
 from modaltouch.system.clock import VirtualClock
 
 NO_ERROR = '0,"No error"'
@@ -19,7 +21,7 @@ class Bench:
     def __init__(self, behaviour: Behaviour | None = None) -> None:
         self.clock = VirtualClock(100.0)
         self.afg = Afg(behaviour or Behaviour(), clock=self.clock)
-        self.instrument = SimulatedInstrument(self.afg, Faults())
+        self.instrument = SimulatedInstrument(self.afg, afg_commands(self.afg), Faults())
 
     def ask(self, message: str | bytes) -> str:
         """Return the replies to a message."""

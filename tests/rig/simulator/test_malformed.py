@@ -18,6 +18,7 @@ import pyvisa
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.simulator import Simulator
 from modaltouch.rig.simulator.afg import Afg
+from modaltouch.rig.simulator.commands import afg_commands
 from modaltouch.rig.simulator.instrument import Faults, SimulatedInstrument
 from modaltouch.rig.simulator.scpi import TEXTS
 
@@ -47,7 +48,8 @@ KEYWORD = {
 
 def fresh() -> SimulatedInstrument:
     """Return a generator with nothing behind it."""
-    return SimulatedInstrument(Afg(), Faults())
+    afg = Afg()
+    return SimulatedInstrument(afg, afg_commands(afg), Faults())
 
 
 def broken(rng: random.Random) -> tuple[str, int]:

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from modaltouch.rig.simulator.afg import Afg, Behaviour
+from modaltouch.rig.simulator.afg import Afg
+from modaltouch.rig.simulator.commands import afg_commands
 from modaltouch.rig.simulator.instrument import Faults, SimulatedInstrument
+from modaltouch.rig.simulator.state import Behaviour
 from modaltouch.rig.simulator.timeline import FINEST, Delays, PlayedBurst
 from modaltouch.system.clock import VirtualClock
 
@@ -27,7 +29,7 @@ class Stage:
         self.afg = Afg(behaviour or Behaviour(), delays=delays, seed=seed, clock=self.clock)
         self.played: list[PlayedBurst] = []
         self.afg.timeline.told = self.played.append
-        self.instrument = SimulatedInstrument(self.afg, Faults())
+        self.instrument = SimulatedInstrument(self.afg, afg_commands(self.afg), Faults())
         self.tell("DATA:DEF EMEM,1000;:DATA:DATA:LINE EMEM,1,0,1000,9990;:DATA:COPY USER1", "TRIG:SOUR EXT")
         for n in (1, 2):
             self.tell(f"SOUR{n}:{SETTINGS.format(n=n)}")

@@ -146,8 +146,8 @@ def commanded_voltage(burst: Burst, to_beam: float, velocity: float | None = Non
     velocity : float, optional
         Level [m/s]; the burst's own if not given.
     """
-    amplitude = burst.amplitude if velocity is None else burst.amplitude_for(velocity)
-    unit = np.array(amplitude) * (to_beam / 2 / burst.converter.mid_code)
+    full_scale = burst.amplitude if velocity is None else burst.full_scale_for(velocity)
+    unit = np.array(full_scale) * (to_beam / 2 / burst.converter.mid_code)
     return np.asarray(burst.converter.signed(burst.codes) * unit[:, None])
 
 

@@ -91,13 +91,14 @@ def excite(apparatus: Apparatus, set_name: str, voltage: float, highest: float, 
         )
     duration = N_SAMPLES / RATE
     wave = chirp(highest) if kind == "chirp" else multisine(highest)
-    converter = instrument_of(apparatus).converter
+    instrument = instrument_of(apparatus)
+    converter = instrument.converter
     codes = np.full((2, N_SAMPLES), converter.mid_code, dtype=np.uint16)
     channel = apparatus.actuator_sets[set_name].channel
     codes[channel - 1] = np.round(converter.mid_code + converter.mid_code * wave)
     codes[:, [0, -1]] = converter.mid_code
     peak = 2 * voltage / (apparatus.amplifier.gain_V_per_V * apparatus.generator.load_factor)
-    amplitude = tuple(peak if number == channel else 0.02 for number in (1, 2))
+    amplitude = tuple(peak if number == channel else instrument.lowest_amplitude for number in instrument.channels)
     level = min(LEVEL, apparatus.safety.velocity_limit_mm_s * 1e-3)
     return Burst(codes, duration, 1 / duration, level, amplitude, converter)
 

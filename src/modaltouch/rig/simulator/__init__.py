@@ -19,8 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.protocol import Apparatus
-from modaltouch.rig.simulator.afg import Afg, Behaviour
+from modaltouch.rig.simulator.afg import Afg
+from modaltouch.rig.simulator.commands import afg_commands
 from modaltouch.rig.simulator.instrument import Faults, SimulatedInstrument
+from modaltouch.rig.simulator.state import Behaviour
 from modaltouch.rig.simulator.timeline import Delays, Playback
 from modaltouch.rig.simulator.twin import TrueState, Twin
 from modaltouch.rig.simulator.vxi11 import Vxi11Server
@@ -93,7 +95,7 @@ class Simulator:
 
             self._played = PlayedLog(played, self.twin, self.afg.settle, lambda: self.touched)
             self.afg.timeline.told = self._played.take
-        self._instrument = SimulatedInstrument(self.afg, self.faults)
+        self._instrument = SimulatedInstrument(self.afg, afg_commands(self.afg), self.faults)
         self._port = port
         self._sends = sends
 
@@ -115,7 +117,7 @@ class Simulator:
         from modaltouch.rig.local_client import LocalClient
         from modaltouch.rig.visa import VisaSession
 
-        return {"clock": clock, "start_guard": lambda address: LocalClient(VisaSession(address), clock)}
+        return {"clock": clock, "start_guard": lambda address, off: LocalClient(VisaSession(address), clock)}
 
     @property
     def outputs(self) -> tuple[bool, ...]:

@@ -6,12 +6,21 @@ import math
 import re
 from collections import ChainMap
 from collections.abc import Callable
-from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
-from modaltouch.rig.simulator.afg import MAX_CODE, MEMORIES, OPEN, SOURCE_IMPEDANCE, Afg, Channel
+from modaltouch.rig.simulator.afg import MAX_CODE, MEMORIES, Afg, Channel
+from modaltouch.rig.simulator.common import (
+    choice,
+    common_commands,
+    get_number,
+    get_of,
+    keyword,
+    noticed,
+    number,
+    on,
+    switch,
+)
 from modaltouch.rig.simulator.scpi import (
     Argument,
     Arguments,
@@ -29,6 +38,7 @@ from modaltouch.rig.simulator.scpi import (
     read_number,
     whole,
 )
+from modaltouch.rig.simulator.state import OPEN, SOURCE_IMPEDANCE
 
 LOWEST, HIGHEST, DEFAULT = 20e-3, 20.0, 2.0
 """Amplitude into an open circuit [V peak to peak]."""
@@ -86,60 +96,15 @@ FORCED = ("*TRG", "TRIGger[:SEQuence][:IMMediate]")
 
 def afg_commands(afg: Afg) -> CommandTable:
     """Return what the simulated instrument understands."""
-    groups = (_common, memory_commands, _waveform, _levels, _burst, _trigger, _system)
-    commands = ChainMap(*(group(afg) for group in groups))
-    noticed = {header: _changing(afg, command) for header, command in commands.items() if header not in FORCED}
-    return CommandTable({**commands, **noticed}, afg.n_channels)
+    groups = (common_commands, _saved, memory_commands, _waveform, _levels, _burst, _trigger, _system)
+    return CommandTable(noticed(afg, ChainMap(*(group(afg) for group in groups)), FORCED), afg.n_channels)
 
 
-def _changing(afg: Afg, command: Command) -> Command:
-    """Return a command whose setting ends what it changes of a running burst."""
-    carry_out = command.set
-    if carry_out is None:
-        return command
-
-    def change(channel: int, arguments: Arguments) -> None:
-        with afg.changing():
-            carry_out(channel, arguments)
-
-    return replace(command, set=change)
-
-
-def _common(afg: Afg) -> dict[str, Command]:
-    def clear(channel: int, arguments: Arguments) -> None:
-        afg.errors.clear()
-        afg.event_status = 0
-
-    def event_status(channel: int, arguments: Arguments) -> str:
-        value, afg.event_status = afg.event_status, 0
-        return str(value)
-
-    def complete(channel: int, arguments: Arguments) -> None:
-        afg.event_status |= 1
-
+def _saved(afg: Afg) -> dict[str, Command]:
     return {
-        "*IDN": Command(get=lambda c, a: afg.behaviour.identity),
-        "*OPT": Command(get=lambda c, a: "0"),
-        "*CLS": Command(set=clear),
-        "*RST": Command(set=lambda c, a: afg.reset()),
-        "*OPC": Command(set=complete, get=lambda c, a: "1"),
-        "*WAI": Command(set=lambda c, a: None),
-        "*TST": Command(get=lambda c, a: "0"),
-        "*ESR": Command(get=event_status),
-        "*ESE": _register(afg, "event_enable"),
-        "*SRE": _register(afg, "service_enable"),
-        "*STB": Command(get=lambda c, a: str(afg.status_byte)),
-        "*TRG": Command(set=lambda c, a: afg.trigger()),
         "*SAV": Command(set=lambda c, a: afg.save(whole(a, 0, 4))),
         "*RCL": Command(set=lambda c, a: afg.recall(whole(a, 0, 4))),
     }
-
-
-def _register(afg: Afg, name: str) -> Command:
-    return Command(
-        set=lambda c, a: setattr(afg, name, whole(a, 0, 255)),
-        get=lambda c, a: str(getattr(afg, name)),
-    )
 
 
 def _waveform(afg: Afg) -> dict[str, Command]:
@@ -158,18 +123,18 @@ def _waveform(afg: Afg) -> dict[str, Command]:
             target.frequency = float(f"{value:.11e}")
 
     return {
-        "[SOURce#]:FUNCtion[:SHAPe]": Command(set=shape, get=_get(afg, lambda channel: channel.function)),
+        "[SOURce#]:FUNCtion[:SHAPe]": Command(set=shape, get=get_of(afg, lambda channel: channel.function)),
         "[SOURce#]:FREQuency[:CW|FIXed]": Command(
-            set=frequency, get=_get_number(afg, "frequency", 1e-3, 12.5e6, "{:.11E}")
+            set=frequency, get=get_number(afg, "frequency", 1e-3, 12.5e6, "{:.11E}")
         ),
-        "[SOURce#]:FREQuency:CONCurrent[:STATe]": _switch(afg, "frequency_concurrent"),
+        "[SOURce#]:FREQuency:CONCurrent[:STATe]": switch(afg, "frequency_concurrent"),
         "[SOURce#]:PHASe[:ADJust]": Command(
             set=lambda n, a: setattr(
                 afg.channels[n],
                 "phase",
                 quantity(a, {"RAD": 1.0, "DEG": math.pi / 180}, -math.pi, math.pi, 0.0),
             ),
-            get=_get_number(afg, "phase", -math.pi, math.pi, "{:.4E}"),
+            get=get_number(afg, "phase", -math.pi, math.pi, "{:.4E}"),
         ),
         "[SOURce#]:PHASe:INITiate": Command(set=lambda n, a: afg.align()),
     }
@@ -207,16 +172,13 @@ def _levels(afg: Afg) -> dict[str, Command]:
         f"{level}:OFFSet": Command(set=offset, get=_get_level(afg, "offset", -10, 10)),
         "[SOURce#]:VOLTage:LIMit:HIGH": limit("limit_high"),
         "[SOURce#]:VOLTage:LIMit:LOW": limit("limit_low"),
-        "[SOURce#]:VOLTage:UNIT": _keyword(afg, "unit", ("VPP", "VRMS", "DBM")),
-        "[SOURce#]:VOLTage:CONCurrent[:STATe]": _switch(afg, "level_concurrent"),
+        "[SOURce#]:VOLTage:UNIT": keyword(afg, "unit", ("VPP", "VRMS", "DBM")),
+        "[SOURce#]:VOLTage:CONCurrent[:STATe]": switch(afg, "level_concurrent"),
         "OUTPut#:IMPedance": Command(
-            set=load, get=_get(afg, lambda c: f"{9.9e37 if math.isinf(c.load) else c.load:.4E}")
+            set=load, get=get_of(afg, lambda c: f"{9.9e37 if math.isinf(c.load) else c.load:.4E}")
         ),
-        "OUTPut#:POLarity": _keyword(afg, "polarity", ("NORMal", "INVerted")),
-        "OUTPut#[:STATe]": Command(
-            set=lambda n, a: setattr(afg.channels[n], "output", read_boolean(one(a))),
-            get=_get(afg, lambda c: flag(c.output)),
-        ),
+        "OUTPut#:POLarity": keyword(afg, "polarity", ("NORMal", "INVerted")),
+        "OUTPut#[:STATe]": on(afg, "output"),
     }
 
 
@@ -235,15 +197,12 @@ def _burst(afg: Afg) -> dict[str, Command]:
         afg.channels[number].n_cycles = float(round(value)) if value <= 1e6 else math.inf
 
     return {
-        "[SOURce#]:BURSt[:STATe]": Command(set=state, get=_get(afg, lambda c: flag(c.burst))),
-        "[SOURce#]:BURSt:MODE": _keyword(afg, "burst_mode", ("TRIGgered", "GATed")),
+        "[SOURce#]:BURSt[:STATe]": Command(set=state, get=get_of(afg, lambda c: flag(c.burst))),
+        "[SOURce#]:BURSt:MODE": keyword(afg, "burst_mode", ("TRIGgered", "GATed")),
         "[SOURce#]:BURSt:NCYCles": Command(
-            set=cycles, get=_get(afg, lambda c: f"{9.9e37 if math.isinf(c.n_cycles) else c.n_cycles:.4E}")
+            set=cycles, get=get_of(afg, lambda c: f"{9.9e37 if math.isinf(c.n_cycles) else c.n_cycles:.4E}")
         ),
-        "[SOURce#]:BURSt:TDELay": Command(
-            set=lambda n, a: setattr(afg.channels[n], "delay", quantity(a, {"S": 1.0}, 0, 85, 0.0)),
-            get=_get_number(afg, "delay", 0, 85, "{:.4E}"),
-        ),
+        "[SOURce#]:BURSt:TDELay": number(afg, "delay", {"S": 1.0}, 0, 85, "{:.4E}", 0.0),
     }
 
 
@@ -253,19 +212,13 @@ def _trigger(afg: Afg) -> dict[str, Command]:
         afg.timer = float(f"{value:.{afg.behaviour.timer_digits - 1}e}")
 
     return {
-        "TRIGger[:SEQuence]:SOURce": Command(
-            set=lambda c, a: setattr(afg, "trigger_source", read_choice(one(a), ("TIMer", "EXTernal"))),
-            get=lambda c, a: afg.trigger_source,
-        ),
+        "TRIGger[:SEQuence]:SOURce": choice(afg, "trigger_source", ("TIMer", "EXTernal")),
         "TRIGger[:SEQuence]:TIMer": Command(
             set=timer, get=lambda c, a: f"{asked(a, afg.timer, 1e-6, 500):.{afg.behaviour.timer_digits - 1}E}"
         ),
         "TRIGger[:SEQuence][:IMMediate]": Command(set=lambda c, a: afg.trigger()),
         "ABORt": Command(set=lambda c, a: afg.abort()),
-        "OUTPut:TRIGger:MODE": Command(
-            set=lambda c, a: setattr(afg, "trigger_output", read_choice(one(a), ("TRIGger", "SYNC"))),
-            get=lambda c, a: afg.trigger_output,
-        ),
+        "OUTPut:TRIGger:MODE": choice(afg, "trigger_output", ("TRIGger", "SYNC")),
     }
 
 
@@ -278,30 +231,13 @@ def _system(afg: Afg) -> dict[str, Command]:
         target, source = (int(read_choice(name, ("CH1", "CH2"))[2:]) for name in exactly(arguments, 2))
         afg.copy_channel(target, source)
 
-    def clock(channel: int, arguments: Arguments) -> None:
-        afg.clock_source = read_choice(one(arguments), ("INTernal", "EXTernal"))
-
     return {
         "AFGControl:CSCopy": Command(set=copy_channel),
-        "SOURce:ROSCillator:SOURce": Command(set=clock, get=lambda c, a: afg.clock_source),
-        "MEMory:STATe:RECall:AUTo": _switch(afg, "recall_automatically"),
-        "SYSTem:ERRor[:NEXT]": Command(get=lambda c, a: afg.next_error()),
-        "SYSTem:VERSion": Command(get=lambda c, a: "1999.0"),
+        "SOURce:ROSCillator:SOURce": choice(afg, "clock_source", ("INTernal", "EXTernal")),
+        "MEMory:STATe:RECall:AUTo": switch(afg, "recall_automatically"),
         "SYSTem:BEEPer[:IMMediate]": Command(set=lambda c, a: None),
         "SYSTem:SECurity:IMMediate": Command(set=erase),
     }
-
-
-def _get(afg: Afg, read: Callable[[Channel], str]) -> Callable[[int, Arguments], str]:
-    def get(number: int, arguments: Arguments) -> str:
-        exactly(arguments, 0)
-        return read(afg.channels[number])
-
-    return get
-
-
-def _get_number(afg: Afg, name: str, low: float, high: float, form: str) -> Callable[[int, Arguments], str]:
-    return lambda number, arguments: form.format(asked(arguments, getattr(afg.channels[number], name), low, high))
 
 
 def _get_level(afg: Afg, name: str, low: float, high: float) -> Callable[[int, Arguments], str]:
@@ -318,23 +254,6 @@ def _get_amplitude(afg: Afg) -> Callable[[int, Arguments], str]:
     """Answer in the channel's unit, at the configured load."""
     vpp = _get_level(afg, "amplitude", LOWEST, HIGHEST)
     return lambda number, arguments: f"{amplitude_in_unit(float(vpp(number, arguments)), afg.channels[number]):.4E}"
-
-
-def _keyword(afg: Afg, name: str, choices: tuple[str, ...]) -> Command:
-    return Command(
-        set=lambda n, a: setattr(afg.channels[n], name, read_choice(one(a), choices)),
-        get=_get(afg, lambda channel: str(getattr(channel, name))),
-    )
-
-
-def _switch(afg: Afg, name: str) -> Command:
-    def set_switch(channel: int, arguments: Arguments) -> None:
-        setattr(afg, name, read_boolean(one(arguments)))
-
-    def get_switch(channel: int, arguments: Arguments) -> Any:
-        return flag(getattr(afg, name))
-
-    return Command(set=set_switch, get=get_switch)
 
 
 ROOT = "TRACe|DATA"

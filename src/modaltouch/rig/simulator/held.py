@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.rig.simulator.timeline import CONVERTER
-from modaltouch.stimulus import BlockKernel, DiagonalSystem, Timing
+from modaltouch.stimulus import BlockKernel, Converter, DiagonalSystem, Timing
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -37,6 +37,8 @@ class Held:
         From one burst to the next [s]; infinite for a single burst.
     delay : float
         From a trigger, where time begins, to its burst [s].
+    converter : Converter
+        Of the generator that holds them.
     """
 
     voltage: FloatArray
@@ -44,6 +46,7 @@ class Held:
     duration: float
     period: float
     delay: float = 0.0
+    converter: Converter = CONVERTER
 
     @property
     def hold(self) -> float:
@@ -54,7 +57,7 @@ class Held:
     def timing(self) -> Timing:
         """Clock of one burst."""
         return Timing(
-            CONVERTER,
+            self.converter,
             n_samples=self.voltage.shape[1],
             duration=self.duration,
             focusing_instant=self.duration / 2,

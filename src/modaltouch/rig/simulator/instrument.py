@@ -1,4 +1,4 @@
-"""A simulated AFG3022B as its transport sees it: messages in, replies out, faults on the way."""
+"""A simulated generator as its transport sees it: messages in, replies out, faults on the way."""
 
 from __future__ import annotations
 
@@ -7,11 +7,10 @@ import re
 import threading
 import time
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
-from modaltouch.rig.simulator.afg import Afg
-from modaltouch.rig.simulator.commands import afg_commands
-from modaltouch.rig.simulator.scpi import ScpiError
+from modaltouch.rig.simulator.scpi import CommandTable, ScpiError
+from modaltouch.rig.simulator.state import GeneratorState
 
 
 @dataclass(frozen=True)
@@ -130,16 +129,18 @@ class SimulatedInstrument:
 
     Parameters
     ----------
-    afg : Afg
+    afg : GeneratorState
         State of the generator.
+    table : CommandTable
+        What it understands.
     faults : Faults
         What goes wrong.
     """
 
-    def __init__(self, afg: Afg, faults: Faults) -> None:
+    def __init__(self, afg: GeneratorState[Any], table: CommandTable, faults: Faults) -> None:
         self.afg = afg
         self.faults = faults
-        self._table = afg_commands(afg)
+        self._table = table
         self._busy = threading.RLock()
 
     @property

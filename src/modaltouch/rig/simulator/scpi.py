@@ -264,7 +264,7 @@ def flag(state: bool) -> str:
 
 
 LARGEST_REPLY = 1 << 20
-"""Bytes that the output queue holds: four records."""
+"""Bytes that an output queue holds: four records of an AFG3022B."""
 
 QUERY_DEADLOCKED = -430
 
@@ -290,6 +290,7 @@ class CommandTable:
 
     commands: Mapping[str, Command]
     n_channels: int
+    largest_reply: int = LARGEST_REPLY
     _patterns: list[tuple[re.Pattern[str], Command]] = field(init=False)
     _known: dict[str, tuple[Command, int]] = field(default_factory=dict, init=False)
 
@@ -343,8 +344,8 @@ class CommandTable:
                 if reply is not None:
                     replies.append(reply if isinstance(reply, bytes) else reply.encode("ascii"))
                     size += len(replies[-1])
-                    if size > LARGEST_REPLY:
-                        raise ScpiError(QUERY_DEADLOCKED, f"more than {LARGEST_REPLY} bytes were asked for")
+                    if size > self.largest_reply:
+                        raise ScpiError(QUERY_DEADLOCKED, f"more than {self.largest_reply} bytes were asked for")
         except ScpiError as error:
             fail(error)
             if error.code == QUERY_DEADLOCKED:

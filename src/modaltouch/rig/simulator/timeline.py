@@ -11,10 +11,10 @@ from typing import Literal
 from modaltouch.stimulus import Converter
 
 CONVERTER = Converter(mid_code=8191, max_points=1 << 22, clock_rate=250e6, amplitude_digits=4, amplitude_decimals=4)
-"""That of the twin's generator, apart from what the driver knows of it; many cycles of a record may be one burst."""
+"""That of a twin of the AFG3022B, apart from what the driver knows of it; many cycles of a record may be one burst."""
 
 MID_CODE = CONVERTER.mid_code
-"""Code of zero volts."""
+"""Its code of zero volts."""
 
 FINEST = 1e-3
 """Of bursts that come by themselves and follow each other faster, one in this time is counted [s]."""
@@ -46,6 +46,8 @@ class Playback:
         Cycles of one burst.
     delay : float
         From a trigger to its burst [s].
+    converter : Converter
+        What makes voltages of the codes.
     """
 
     record: bytes
@@ -56,6 +58,7 @@ class Playback:
     idle_code: int
     n_cycles: int = 1
     delay: float = 0.0
+    converter: Converter = CONVERTER
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from modaltouch.protocol import Apparatus
 from modaltouch.rig.simulator.held import LONGEST_SILENCE, Held, peak, refined, state_at
-from modaltouch.rig.simulator.timeline import MID_CODE, Playback
+from modaltouch.rig.simulator.timeline import Playback
 from modaltouch.rig.simulator.true_beam import generator_gains, true_amplifier, true_beam
 from modaltouch.stimulus import DiagonalSystem
 
@@ -240,19 +240,25 @@ class Twin:
         duration = first.duration * n_cycles
         # A trigger that comes while a burst plays, or waits to, is lost: the next one counts.
         triggers = max(1.0, np.ceil((first.delay + first.duration * first.n_cycles) / first.period - 1e-9))
-        return Held(np.tile(voltage, n_cycles), rest, duration, first.period * triggers, first.delay)
+        period = first.period * triggers
+        return Held(np.tile(voltage, n_cycles), rest, duration, period, first.delay, first.converter)
 
     def _amplify(self, playback: Playback, gain: float) -> tuple[FloatArray, float]:
-        scale, shift = gain * playback.amplitude / (2 * MID_CODE), gain * playback.offset
+        zero = playback.converter.mid_code
+        scale, shift = gain * playback.amplitude / (2 * zero), gain * playback.offset
         limit = self.amplifier.limit
         codes = np.frombuffer(playback.record, ">u2").astype(float)
-        rest = float(np.clip((playback.idle_code - MID_CODE) * scale + shift, -limit, limit))
-        return np.asarray(np.clip((codes - MID_CODE) * scale + shift, -limit, limit) - rest), rest
+        rest = float(np.clip((playback.idle_code - zero) * scale + shift, -limit, limit))
+        return np.asarray(np.clip((codes - zero) * scale + shift, -limit, limit) - rest), rest
 
     def _any_saturates(self, playbacks: Sequence[Playback | None]) -> bool:
         """Return whether the amplifier reaches its limit."""
         return any(
-            (abs(playback.amplitude) / 2 * record_peak(playback.record) + abs(playback.offset)) * gain
+            (
+                abs(playback.amplitude) / 2 * record_peak(playback.record, playback.converter.mid_code)
+                + abs(playback.offset)
+            )
+            * gain
             > self.amplifier.limit
             for playback, gain in zip(playbacks, self._gains, strict=False)
             if playback is not None
@@ -302,6 +308,6 @@ def _common_peak(system: DiagonalSystem, output: ComplexArray, parts: Sequence[H
 
 
 @functools.lru_cache(maxsize=8)
-def record_peak(record: bytes) -> float:
-    """Return the highest value of a record, as a part of half its amplitude [1]."""
-    return float(np.abs(np.frombuffer(record, ">u2").astype(int) - MID_CODE).max() / MID_CODE)
+def record_peak(record: bytes, zero: int) -> float:
+    """Return the highest value of a record, as a part of half its amplitude [1]; `zero` is its code of 0 V."""
+    return float(np.abs(np.frombuffer(record, ">u2").astype(int) - zero).max() / zero)
