@@ -22,6 +22,7 @@ from modaltouch.protocol import Apparatus
 from modaltouch.rig.simulator.afg import Afg
 from modaltouch.rig.simulator.commands import afg_commands
 from modaltouch.rig.simulator.instrument import Faults, SimulatedInstrument
+from modaltouch.rig.simulator.scpi import CommandTable
 from modaltouch.rig.simulator.state import Behaviour
 from modaltouch.rig.simulator.timeline import Delays, Playback
 from modaltouch.rig.simulator.twin import TrueState, Twin
@@ -31,6 +32,22 @@ from modaltouch.system import SYSTEM_CLOCK, Clock, VirtualClock
 if TYPE_CHECKING:
     from modaltouch.rig.simulator.played import PlayedLog
     from modaltouch.rig.simulator.scope import SimulatedScope
+
+
+TRUEFORM_MODELS = ("33522B", "33512B")
+"""Keysight's; any other model is simulated as an AFG3022B."""
+
+
+def _generator(apparatus: Apparatus, behaviour: Behaviour | None, **hardware: Any) -> tuple[Any, CommandTable]:
+    """Return the state of the generator that an apparatus names, and what it understands."""
+    model = apparatus.generator.model
+    if model in TRUEFORM_MODELS:
+        from modaltouch.rig.simulator.keysight33500b import IDENTITY, USUAL, Trueform, keysight_commands
+
+        trueform = Trueform(behaviour or USUAL, identity=IDENTITY.format(model), **hardware)
+        return trueform, keysight_commands(trueform)
+    afg = Afg(behaviour or Behaviour(), **hardware)
+    return afg, afg_commands(afg)
 
 
 class Simulator:
@@ -60,8 +77,8 @@ class Simulator:
 
     Attributes
     ----------
-    afg : Afg
-        State of the generator.
+    afg : Afg or Trueform
+        State of the generator: that of the model which the apparatus names, an AFG3022B for one that is not known.
     twin : Twin
         Amplifier and true beam.
     faults : Faults
@@ -85,7 +102,7 @@ class Simulator:
         true, seed = apparatus.twin.generator, apparatus.twin.seed if seed is None else seed
         latency = true.trigger_latency_ms.low * 1e-3, true.trigger_latency_ms.high * 1e-3
         delays = Delays(latency, true.relay_ms * 1e-3, true.external_pulses_Hz)
-        self.afg = Afg(behaviour or Behaviour(), delays=delays, seed=seed, clock=clock)
+        self.afg, table = _generator(apparatus, behaviour, delays=delays, seed=seed, clock=clock)
         self.faults = Faults()
         self.twin = Twin(apparatus, seed)
         self.touched: tuple[float, ...] = ()
@@ -95,7 +112,7 @@ class Simulator:
 
             self._played = PlayedLog(played, self.twin, self.afg.settle, lambda: self.touched)
             self.afg.timeline.told = self._played.take
-        self._instrument = SimulatedInstrument(self.afg, afg_commands(self.afg), self.faults)
+        self._instrument = SimulatedInstrument(self.afg, table, self.faults)
         self._port = port
         self._sends = sends
 

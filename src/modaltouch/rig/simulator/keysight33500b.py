@@ -1,0 +1,299 @@
+"""A simulated Keysight 33522B (or 33512B), by its operating and service guide: state, and the SCPI that changes it.
+
+Its amplitude is that of the record, from its lowest code to its highest, as the guide's figure for "Sinc" says and
+users of the series have measured. Not modelled: the filters (what is not played with FILTer OFF moves nothing),
+modulation, sweeps, sequences, pulses and ramps, endless bursts, amplitudes in VRMS and DBM.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import ChainMap
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modaltouch.rig.simulator import common, scpi
+from modaltouch.rig.simulator.scpi import Argument, Arguments, Command, CommandTable, ScpiError, one
+from modaltouch.rig.simulator.state import SOURCE_IMPEDANCE, Behaviour, GeneratorState, OutputChannel
+from modaltouch.rig.simulator.timeline import Playback
+from modaltouch.stimulus import Converter
+
+MODELS = ("33522B", "33512B")
+IDENTITY = "Agilent Technologies,{},SIMULATED,4.00-1.19-2.00-58-00"
+USUAL = Behaviour(queue_depth=20)
+HIGHEST_CODE = 32767
+CONVERTER = Converter(HIGHEST_CODE, 1 << 22, 62.5e6, 4, 6, of_record=True, any_rate=True)
+"""That of the twin, apart from what the driver knows of it; many cycles of a record may be one burst."""
+
+MEMORY, FEWEST = 1 << 20, 8
+"""Points of a channel's memory without option, and of a record at least."""
+
+BUILT_IN = r"INT:\BUILTIN\EXP_RISE.ARB"
+LOWEST, HIGHEST = 2e-3, 20.0
+"""Amplitude into an open circuit [V peak to peak]."""
+
+NUMBER = "{:+.15E}"
+SHAPES = ("SINusoid", "SQUare", "TRIangle", "RAMP", "PULSe", "PRBS", "NOISe", "ARB", "DC")
+Codes = NDArray[np.int16]
+
+
+@dataclass
+class TrueformChannel(OutputChannel):
+    """Settings of one output; it has a trigger source of its own."""
+
+    amplitude: float = 0.2
+    limited: bool = False
+    function: str = "SIN"
+    frequency: float = 1e3
+    rate: float = 40e3
+    filter: str = "STEP"
+    advance: str = "SRAT"
+    name: str = BUILT_IN
+    record: Codes | None = field(default=None, compare=False)
+    burst_period: float = 10e-3
+    burst_phase: float = 0.0
+    source: str = "IMM"
+    timer: float = 1.0
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Lowest and highest value of what it plays, as parts of the converter's range [1]."""
+        if self.function != "ARB" or self.record is None:
+            return -1.0, 1.0
+        return float(self.record.min()) / HIGHEST_CODE, float(self.record.max()) / HIGHEST_CODE
+
+    @property
+    def span(self) -> float:
+        """What part of the converter's range it uses [1]."""
+        return (self.ends[1] - self.ends[0]) / 2 or 1.0
+
+    @property
+    def cycle(self) -> float:
+        """Length of one cycle [s]."""
+        if self.function != "ARB":
+            return 1 / self.frequency
+        return (1 if self.record is None else self.record.size) / self.rate
+
+    @property
+    def allowed(self) -> bool:
+        """Whether what it sends stays within the limits that are set, if they are on."""
+        low, high = (end * self.amplitude / self.span / 2 + self.offset for end in self.ends)
+        return not self.limited or (self.limit_low - 1e-9 <= low and high <= self.limit_high + 1e-9)
+
+
+@dataclass
+class Trueform(GeneratorState[TrueformChannel]):
+    """A generator whose channels have a memory of their own each."""
+
+    def forget(self) -> None:
+        """Lose the records; files last."""
+        self.files: dict[str, bytes] = getattr(self, "files", {})
+        self.volatile: dict[int, dict[str, Codes]] = {n: {} for n in range(1, self.n_channels + 1)}
+
+    def reset(self) -> None:
+        """Do what ``*RST`` does; records, status and errors stay."""
+        with self.lock:
+            self.channels = {number: TrueformChannel() for number in range(1, self.n_channels + 1)}
+            self.byte_order, self.trigger_output = "NORM", False
+
+    @property
+    def waiting(self) -> TrueformChannel:
+        """The first channel in burst; another one in burst plays if it has the same trigger source."""
+        return next((each for each in self.channels.values() if each.burst), self.channels[1])
+
+    def tick(self) -> float | None:
+        """Return the time between triggers of timer or burst period [s]; None where it waits for them."""
+        return {"TIM": self.waiting.timer, "IMM": self.waiting.burst_period}.get(self.waiting.source)
+
+    @property
+    def hears_pulses(self) -> bool:
+        """Whether pulses at the trigger input begin bursts."""
+        return self.waiting.source == "EXT"
+
+    def trigger(self) -> None:
+        """Take ``*TRG``, on the channels that wait for it."""
+        if self.waiting.source != "BUS":
+            raise ScpiError(-211, "no channel in burst waits for the bus")
+        super().trigger()
+
+    def sent(self, channel: TrueformChannel) -> Playback | None:
+        """Return a burst of a channel, alone, or what it repeats without trigger; None where it has no record."""
+        is_plain = (channel.function, channel.filter, channel.advance) == ("ARB", "OFF", "SRAT")
+        if not is_plain or channel.record is None or (channel.burst and channel.source != self.waiting.source):
+            return None
+        codes = (channel.record.astype(int) + HIGHEST_CODE).astype(">u2")
+        codes = np.roll(codes, -round(channel.burst_phase / 360 * codes.size) if channel.burst else 0)
+        sign = -1.0 if channel.polarity == "INV" else 1.0
+        level = sign * channel.amplitude / channel.span, sign * channel.offset
+        rest = {"first": int(codes[0]), "last": int(codes[-1])}.get(self.behaviour.idle_level, HIGHEST_CODE)
+        if not channel.burst:
+            return Playback(codes.tobytes(), *level, channel.cycle, channel.cycle, rest, converter=CONVERTER)
+        burst = int(channel.n_cycles), channel.delay
+        return Playback(codes.tobytes(), *level, channel.cycle, math.inf, rest, *burst, CONVERTER)
+
+    def change(self, number: int, **settings: Any) -> None:
+        """Change levels or their limits, open circuit [V], unless the level would lie beyond the limits."""
+        changed = replace(self.channels[number], **settings)
+        if changed.allowed:
+            self.channels[number] = changed
+        elif "amplitude" not in settings or self.behaviour.limit_violation == "error":
+            raise ScpiError(-221, f"level and limits of output {number}")
+
+    def write(self, number: int, arguments: Arguments, scale: float) -> None:
+        """Keep a record, given as a block or as numbers, under a name that no other has."""
+        if len(arguments) < 2:
+            raise ScpiError(-109)
+        memory, name, points = self.volatile[number], str(arguments[0]).upper(), arguments[1:]
+        if len(points) == 1 and isinstance(points[0], bytes) and scale == 1:
+            block = points[0][: len(points[0]) // 2 * 2]
+            values = np.frombuffer(block, ">i2" if self.byte_order == "NORM" else "<i2").astype(float)
+        else:
+            values = np.array([scpi.read_number(each, units={}, minimum=-1e6, maximum=1e6) for each in points])
+        if name in memory:
+            raise ScpiError(786, "Specified arb waveform already exists")
+        if len(name) > 12 or not name[:1].isalpha() or not FEWEST <= values.size <= self.free(number):
+            raise ScpiError(-220, f"{name[:20]} of {values.size} points")
+        if np.abs(values * scale).max() > HIGHEST_CODE:
+            raise ScpiError(-222, "a point beyond the converter's range")
+        memory[name] = np.round(values * scale).astype(np.int16)
+
+    def free(self, number: int) -> int:
+        """Return how many points more a channel's memory holds."""
+        return MEMORY - sum(codes.size for codes in self.volatile[number].values())
+
+    def find(self, number: int, arguments: Arguments) -> Codes:
+        """Return a record by its name; that which is selected without one."""
+        codes = self.volatile[number].get(str(one(arguments)).upper() if arguments else self.channels[number].name)
+        if codes is None:
+            raise ScpiError(785, "Specified arb waveform does not exist")
+        return codes
+
+    def select(self, number: int, name: Argument) -> None:
+        """Choose a record; its amplitude stays as far as it can."""
+        channel = self.channels[number]
+        channel.record = None if str(name).upper() == BUILT_IN else self.find(number, (name,))
+        channel.name, channel.amplitude = str(name).upper(), min(channel.amplitude, HIGHEST * channel.span)
+
+    def clear(self, number: int) -> None:
+        """Empty a channel's memory, and load the default record."""
+        self.volatile[number] = {}
+        self.select(number, BUILT_IN)
+
+
+def keysight_commands(state: Trueform) -> CommandTable:
+    """Return what the simulated instrument understands."""
+    groups = (common.common_commands, _waveform, _data, _levels, _triggers)
+    commands = common.noticed(state, ChainMap(*(group(state) for group in groups)), ("*TRG", "TRIGger#[:IMMediate]"))
+    return CommandTable(commands, state.n_channels, largest_reply=1 << 22)
+
+
+def _waveform(state: Trueform) -> dict[str, Command]:
+    return {
+        "[SOURce#]:FUNCtion": common.keyword(state, "function", SHAPES),
+        "[SOURce#]:FUNCtion:ARBitrary": Command(
+            set=lambda n, a: state.select(n, one(a)), get=common.get_of(state, lambda channel: f'"{channel.name}"')
+        ),
+        "[SOURce#]:FUNCtion:ARBitrary:SRATe": common.number(state, "rate", {"": 1.0}, 1e-6, 62.5e6, NUMBER),
+        "[SOURce#]:FUNCtion:ARBitrary:FILTer": common.keyword(state, "filter", ("NORMal", "STEP", "OFF")),
+        "[SOURce#]:FUNCtion:ARBitrary:ADVance": common.keyword(state, "advance", ("TRIGger", "SRATe")),
+        "[SOURce#]:FUNCtion:ARBitrary:SYNChronize": Command(set=lambda n, a: state.align()),
+        "[SOURce#]:FREQuency": common.number(state, "frequency", {"HZ": 1.0}, 1e-6, 30e6, NUMBER),
+        "[SOURce#]:PHASe:SYNChronize": Command(set=lambda n, a: state.align()),
+    }
+
+
+def _data(state: Trueform) -> dict[str, Command]:
+    def attribute(read: Any) -> Command:
+        return Command(get=lambda n, a: read(state.find(n, a).astype(float) / HIGHEST_CODE))
+
+    def store(n: int, arguments: Arguments) -> None:
+        channel, codes = state.channels[n], state.find(n, ())
+        head = f'File Format:1.10\nChannel Count:1\nSample Rate:{channel.rate:f}\nData Type:"short"\n'
+        body = f"Data Points:{codes.size}\nData:\n" + "\n".join(map(str, codes.tolist())) + "\n"
+        state.files[str(one(arguments)).upper()] = (head + body).encode()
+
+    def upload(n: int, arguments: Arguments) -> bytes:
+        content = state.files.get(str(one(arguments)).upper(), b"")
+        if not content:
+            raise ScpiError(-256, str(arguments[0])[:40])
+        return f"#{len(str(len(content)))}{len(content)}".encode() + content
+
+    return {
+        "[SOURce#]:DATA:ARBitrary:DAC": Command(set=lambda n, a: state.write(n, a, 1)),
+        "[SOURce#]:DATA:ARBitrary": Command(set=lambda n, a: state.write(n, a, HIGHEST_CODE)),
+        "[SOURce#]:DATA:VOLatile:CATalog": Command(
+            get=lambda n, a: ",".join(f'"{name}"' for name in (BUILT_IN, *state.volatile[n]))
+        ),
+        "[SOURce#]:DATA:VOLatile:CLEar": Command(set=lambda n, a: state.clear(n)),
+        "[SOURce#]:DATA:VOLatile:FREE": Command(get=lambda n, a: f"{state.free(n):+d}"),
+        "[SOURce#]:DATA:ATTRibute:POINts": attribute(lambda values: f"{values.size:+d}"),
+        "[SOURce#]:DATA:ATTRibute:AVERage": attribute(lambda values: f"{values.mean():+.4f}"),
+        "[SOURce#]:DATA:ATTRibute:PTPeak": attribute(lambda values: f"{np.ptp(values):+.4f}"),
+        "[SOURce#]:DATA:ATTRibute:CFACtor": attribute(
+            lambda values: f"{np.abs(values).max() / (np.sqrt(np.mean(values**2)) or 1.0):+.4f}"
+        ),
+        "MMEMory:STORe:DATA#": Command(set=store),
+        "MMEMory:UPLoad": Command(get=upload),
+        "MMEMory:DELete": Command(set=lambda n, a: state.files.pop(str(one(a)).upper(), None) and None),
+        "FORMat:BORDer": common.choice(state, "byte_order", ("NORMal", "SWAPped")),
+    }
+
+
+def _levels(state: Trueform) -> dict[str, Command]:
+    def level(name: str, low: float, high: float) -> Command:
+        def most_of(channel: TrueformChannel) -> float:
+            return high * (channel.span if name == "amplitude" else 1.0)
+
+        def change(n: int, arguments: Arguments) -> None:
+            most = most_of(state.channels[n])
+            value = scpi.quantity(arguments, {"V": 1.0, "VPP": 1.0}, -1e3, 1e3, None) / state.channels[n].load_factor
+            state.change(n, **{name: float(f"{min(max(value, low), most):.4g}")})
+            if not low - 1e-9 <= value <= most + 1e-9:
+                # What is out of range is not left out: it is cut, and reported.
+                raise ScpiError(-222, "value clipped to limit")
+
+        def get(n: int, arguments: Arguments) -> str:
+            value = scpi.asked(arguments, getattr(state.channels[n], name), low, most_of(state.channels[n]))
+            return NUMBER.format(value * state.channels[n].load_factor)
+
+        return Command(set=change, get=get)
+
+    def load(n: int, arguments: Arguments) -> None:
+        ohms = scpi.quantity(arguments, {"OHM": 1.0}, 1, 9.9e37, SOURCE_IMPEDANCE)
+        state.channels[n].load = ohms if ohms <= 10e3 else math.inf
+
+    return {
+        "[SOURce#]:VOLTage": level("amplitude", LOWEST, HIGHEST),
+        "[SOURce#]:VOLTage:OFFSet": level("offset", -10, 10),
+        "[SOURce#]:VOLTage:UNIT": common.keyword(state, "unit", ("VPP",)),
+        "[SOURce#]:VOLTage:LIMit:HIGH": level("limit_high", -10, 10),
+        "[SOURce#]:VOLTage:LIMit:LOW": level("limit_low", -10, 10),
+        "[SOURce#]:VOLTage:LIMit:STATe": Command(
+            set=lambda n, a: state.change(n, limited=scpi.read_boolean(one(a))),
+            get=common.get_of(state, lambda channel: scpi.flag(channel.limited)),
+        ),
+        "OUTPut#": common.on(state, "output"),
+        "OUTPut#:LOAD": Command(
+            set=load, get=common.get_of(state, lambda c: "+9.9E+37" if math.isinf(c.load) else NUMBER.format(c.load))
+        ),
+        "OUTPut#:POLarity": common.keyword(state, "polarity", ("NORMal", "INVerted")),
+    }
+
+
+def _triggers(state: Trueform) -> dict[str, Command]:
+    return {
+        "[SOURce#]:BURSt:STATe": common.on(state, "burst"),
+        "[SOURce#]:BURSt:MODE": common.keyword(state, "burst_mode", ("TRIGgered", "GATed")),
+        "[SOURce#]:BURSt:NCYCles": common.number(state, "n_cycles", {"": 1.0}, 1, 1e8, NUMBER),
+        "[SOURce#]:BURSt:PHASe": common.number(state, "burst_phase", {"DEG": 1.0}, -360, 360, NUMBER),
+        "[SOURce#]:BURSt:INTernal:PERiod": common.number(state, "burst_period", {"S": 1.0}, 1e-6, 8000, NUMBER),
+        "TRIGger#:SOURce": common.keyword(state, "source", ("IMMediate", "EXTernal", "TIMer", "BUS")),
+        "TRIGger#:TIMer": common.number(state, "timer", {"S": 1.0}, 1e-6, 8000, NUMBER),
+        "TRIGger#:DELay": common.number(state, "delay", {"S": 1.0}, 0, 1000, NUMBER),
+        "OUTPut:TRIGger": common.switch(state, "trigger_output"),
+        "SYSTem:BEEPer": Command(set=lambda n, a: None),
+        "DISPlay:TEXT[:CLEar]": Command(set=lambda n, a: None),
+    }

@@ -1,0 +1,192 @@
+"""The twin of the Keysight 33522B: what its guide says it does, and a driver that knows nothing of this project."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pymeasure.adapters import VISAAdapter
+from pymeasure.instruments.agilent import Agilent33500
+
+from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.rig.simulator import Simulator
+from modaltouch.rig.simulator.keysight33500b import HIGHEST_CODE
+from modaltouch.system.clock import VirtualClock
+
+PROTOCOLS = Path(__file__).parents[3] / "protocols"
+NO_ERROR = '0,"No error"'
+
+
+@pytest.fixture(scope="session")
+def apparatus() -> Apparatus:
+    """Return the shipped apparatus with this generator."""
+    return Apparatus.read(PROTOCOLS / "apparatus" / "keysight_33522b.yaml")
+
+
+@pytest.fixture
+def stranger(simulator: Simulator) -> Iterator[Any]:
+    """Return PyMeasure's driver of the series at the simulator."""
+    adapter = VISAAdapter(simulator.address, visa_library="@py", timeout=1000)
+    yield Agilent33500(adapter)
+    adapter.close()
+
+
+def said(simulator: Simulator, *messages: str) -> str:
+    """Return the last reply to messages at the front panel."""
+    return [simulator.front_panel(message) for message in messages][-1]
+
+
+def error_of(simulator: Simulator, message: str) -> str:
+    """Return the error that a message leaves."""
+    return said(simulator, "*CLS", message, "SYST:ERR?")
+
+
+def test_pymeasure_sets_and_reads_both_channels(stranger: Any, simulator: Simulator) -> None:
+    """Shape, unit, amplitude, offset, frequency, load, burst and trigger of its driver, without an error."""
+    assert stranger.id.split(",")[1:3] == ["33522B", "SIMULATED"]
+    for channel, amplitude in ((stranger.ch_1, 1.5), (stranger.ch_2, 2.5)):
+        channel.output_load = "INF"
+        for name, value in {
+            "shape": "SIN",
+            "amplitude_unit": "VPP",
+            "amplitude": amplitude,
+            "offset": 0.25,
+            "frequency": 1234.5,
+            "burst_mode": "TRIG",
+            "burst_ncycles": 3,
+            "burst_period": 0.1,
+            "burst_state": True,
+            "output": True,
+        }.items():
+            setattr(channel, name, value)
+            read = getattr(channel, name)
+            assert read == (value if isinstance(value, str | bool) else pytest.approx(value)), name
+        assert float(channel.output_load) > 9.8e37
+    stranger.trigger_source = "BUS"
+    assert stranger.trigger_source == "BUS"
+    stranger.ext_trig_out = True
+    stranger.trigger()
+    stranger.phase_sync()
+    stranger.beep()
+    stranger.display = "ready"
+    stranger.clear_display()
+    assert simulator.outputs == (True, True)
+    assert stranger.check_errors() == []
+
+
+def test_pymeasure_uploads_a_record(stranger: Any, simulator: Simulator) -> None:
+    """Codes and values under names, selected, at a rate, unfiltered; a name is not used twice without clearing."""
+    channel = stranger.ch_2
+    ramp = range(-10_000, 10_000, 20)
+    channel.data_arb("test", ramp, data_format="DAC")
+    channel.data_arb("half", [-0.5] * 4 + [0.5] * 4, data_format="float")
+    channel.arb_file = "test"
+    channel.shape = "ARB"
+    channel.arb_filter = "OFF"
+    channel.arb_srate = 1e6
+    channel.arb_advance = "SRAT"
+    assert channel.arb_file == '"TEST"'
+    assert channel.arb_srate == pytest.approx(1e6)
+    assert (channel.arb_filter, channel.arb_advance, channel.shape) == ("OFF", "SRAT", "ARB")
+    np.testing.assert_array_equal(simulator.afg.channels[2].record, ramp)
+    np.testing.assert_array_equal(np.unique(simulator.afg.volatile[2]["HALF"]), [-16384, 16384])
+    assert stranger.check_errors() == []
+    channel.data_arb("test", ramp)
+    assert [int(error[0]) for error in stranger.check_errors()] == [786]
+    channel.data_volatile_clear()
+    channel.data_arb("test", ramp)
+    assert stranger.check_errors() == []
+
+
+def write(simulator: Simulator, codes: list[int], name: str = "REC") -> None:
+    """Select a record of channel 1, to be played without a filter."""
+    points = ",".join(map(str, codes))
+    said(simulator, f"SOUR1:DATA:ARB:DAC {name},{points}", f'SOUR1:FUNC:ARB "{name}"', "SOUR1:FUNC ARB")
+    said(simulator, "SOUR1:FUNC:ARB:FILT OFF", "OUTP1:LOAD INF", "OUTP1 ON")
+
+
+def test_amplitude_is_that_of_the_record(simulator: Simulator) -> None:
+    """Values from 0 to 1 at 0.9 Vpp go from 0 to 0.9 V, as a user's 33522B played them: 1.8 Vpp of full scale."""
+    write(simulator, [0] * 8 + [HIGHEST_CODE] * 8)
+    said(simulator, "SOUR1:VOLT 0.9", "SOUR1:VOLT:OFFS 0")
+    playback = simulator.afg.playback(1)
+    assert playback is not None
+    assert playback.amplitude == pytest.approx(1.8)
+    codes = np.frombuffer(playback.record, ">u2").astype(float)
+    volts = (codes - HIGHEST_CODE) / (2 * HIGHEST_CODE) * playback.amplitude + playback.offset
+    assert (volts.min(), volts.max()) == (0, pytest.approx(0.9))
+
+
+def test_codes_that_are_not_used_limit_the_amplitude(simulator: Simulator) -> None:
+    """The guide's "Sinc" from -0.2174 to 1 reaches 6.087 V of 10 into 50 ohm; more is cut, with -222."""
+    write(simulator, [round(-0.2174 * HIGHEST_CODE)] * 8 + [HIGHEST_CODE] * 8)
+    said(simulator, "OUTP1:LOAD 50")
+    assert float(said(simulator, "SOUR1:VOLT? MAX")) == pytest.approx(6.087, abs=5e-4)
+    assert error_of(simulator, "SOUR1:VOLT 7").startswith("-222")
+    assert float(said(simulator, "SOUR1:VOLT?")) == pytest.approx(6.087, abs=3e-3)
+
+
+@pytest.mark.parametrize(
+    ("message", "error"),
+    [
+        ("SOUR1:DATA:ARB:DAC REC,1,2,3,4,5,6,7", -220),
+        ("SOUR1:DATA:ARB:DAC NAMEOF13CHARS,1,2,3,4,5,6,7,8", -220),
+        ("SOUR1:DATA:ARB:DAC REC,-32768,2,3,4,5,6,7,8", -222),
+        ("SOUR1:DATA:ARB:DAC REC", -109),
+        ("SOUR1:DATA:ARB:DAC REC,#13abc", -220),
+        ("SOUR1:FUNC:ARB NOBODY", 785),
+        ("SOUR1:DATA:ATTR:POIN? NOBODY", 785),
+        ('MMEM:UPL? "INT:\\NONE.ARB"', -256),
+        ("SOUR1:FUNC:ARB:SRAT 63E6", -222),
+        ("SOUR1:VOLT 1 VRMS", -131),
+        ("SOUR3:VOLT 1", -114),
+        ("*TRG", -211),
+        ("SOUR1:VOLT:LIM:HIGH 0.05", 0),
+        ("SOUR1:VOLT:LIM:STAT ON;:SOUR1:VOLT:LIM:HIGH 0.01", -221),
+        ("SOUR1:VOLT:LIM:STAT ON;:SOUR1:VOLT:LIM:HIGH 1;:SOUR1:VOLT 4", -221),
+    ],
+)
+def test_what_is_refused(simulator: Simulator, message: str, error: int) -> None:
+    """Too few points, a name too long, a code beyond the converter, what does not exist, what passes a limit."""
+    assert error_of(simulator, message).split(",")[0] == str(error)
+
+
+def test_both_byte_orders_are_read(simulator: Simulator) -> None:
+    """`FORM:BORD SWAP` takes the low byte first."""
+    codes = np.array([1, -2, 300, -32767, 32767, 0, 5, 6])
+    for name, order, kind in (("A", "NORM", ">i2"), ("B", "SWAP", "<i2")):
+        simulator.front_panel(f"FORM:BORD {order}")
+        block = codes.astype(kind).tobytes()
+        simulator._instrument.perform(f"SOUR2:DATA:ARB:DAC {name},#216".encode() + block)
+        np.testing.assert_array_equal(simulator.afg.volatile[2][name], codes)
+    assert said(simulator, "SOUR2:DATA:VOL:CAT?").endswith('"A","B"')
+    assert int(said(simulator, "SOUR2:DATA:VOL:FREE?")) == (1 << 20) - 16
+
+
+def test_one_bus_trigger_begins_both_channels(simulator: Simulator, clock: VirtualClock) -> None:
+    """Each channel waits by its own source; one that waits for another trigger does not play with it."""
+    for n in (1, 2):
+        points = ",".join(["0", "20000"] * 50)
+        said(simulator, f"SOUR{n}:DATA:ARB:DAC R,{points}", f"SOUR{n}:FUNC:ARB R", f"SOUR{n}:FUNC ARB")
+        said(simulator, f"SOUR{n}:FUNC:ARB:FILT OFF", f"TRIG{n}:SOUR BUS", f"SOUR{n}:BURS:STAT ON", f"OUTP{n} ON")
+    clock.sleep(0.1)
+    assert simulator.playbacks == (None, None)
+    assert error_of(simulator, "*TRG") == NO_ERROR
+    clock.sleep(0.1)
+    assert all(simulator.playbacks)
+    said(simulator, "TRIG2:SOUR EXT", "*TRG")
+    clock.sleep(0.1)
+    assert [playback is not None for playback in simulator.playbacks] == [True, False]
+
+
+def test_files_last_and_records_do_not(simulator: Simulator) -> None:
+    """A power cut empties the memories of the channels; a file written of a record stays, with its codes."""
+    write(simulator, [0, 1, -2, 32767, -32767, 5, 6, 0])
+    said(simulator, 'MMEM:STOR:DATA1 "INT:\\KEPT.ARB"')
+    simulator.power_cycle()
+    assert said(simulator, "SOUR1:DATA:VOL:CAT?") == r'"INT:\BUILTIN\EXP_RISE.ARB"'
+    content = said(simulator, 'MMEM:UPL? "INT:\\KEPT.ARB"')
+    assert content.partition("Data:\n")[2].split() == ["0", "1", "-2", "32767", "-32767", "5", "6", "0"]
