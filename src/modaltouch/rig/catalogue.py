@@ -5,8 +5,9 @@ from __future__ import annotations
 from modaltouch.protocol import Apparatus
 from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.rig.instrument import Instrument
+from modaltouch.rig.keysight33500b import KEYSIGHT_33500B
 
-INSTRUMENTS = (AFG3022B,)
+INSTRUMENTS = (AFG3022B, KEYSIGHT_33500B)
 KNOWN_MODELS = tuple(model for instrument in INSTRUMENTS for model in instrument.models)
 """Any other model is taken only if the apparatus file names it."""
 

@@ -1,0 +1,354 @@
+"""The driver before a Keysight 33522B: the same promises as before an AFG3022B, over its own commands."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from modaltouch.preflight.design_inputs import design, find_ground
+from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.protocol.findings import Findings
+from modaltouch.rig.catalogue import instrument_of
+from modaltouch.rig.checklist import check_rig
+from modaltouch.rig.connection import Patience
+from modaltouch.rig.generator import Generator
+from modaltouch.rig.interface import RigError
+from modaltouch.rig.keysight33500b import KEYSIGHT_33500B, ZERO, _agrees, figures
+from modaltouch.rig.simulator import Simulator
+from modaltouch.rig.watchdog_client import WatchdogClient
+from modaltouch.stimulus.burst import Burst
+from modaltouch.system.clock import VirtualClock
+
+PROTOCOLS = Path(__file__).parents[2] / "protocols"
+
+
+@pytest.fixture(scope="session")
+def apparatus() -> Apparatus:
+    """Return the shipped apparatus with this generator."""
+    return Apparatus.read(PROTOCOLS / "apparatus" / "keysight_33522b.yaml")
+
+
+@pytest.fixture(name="make")
+def _make(make: Callable[..., Burst]) -> Callable[..., Burst]:
+    """Return what makes bursts in its codes, of which none uses the whole range."""
+
+    def in_its_codes(**options: Any) -> Burst:
+        burst = make(**options)
+        wave = (burst.codes.astype(float) - 8191) / 8191
+        codes = np.round(ZERO + ZERO * wave).astype(np.uint16)
+        return replace(burst, codes=codes, converter=KEYSIGHT_33500B.converter)
+
+    return in_its_codes
+
+
+@pytest.fixture
+def burst(make: Callable[..., Burst]) -> Burst:
+    """Return a short burst."""
+    return make()
+
+
+UPLOAD, READ_BACK, ARM, SWITCH_ON, TRIGGER, STOP = (
+    "DATA:ARB:DAC",
+    r"MMEM:UPL\?",
+    "VOLT 4.754VPP",
+    "OUTP1 ON",
+    r"^\*TRG$",
+    r"OUTP1\?;:OUTP2\?;:OUTP1 OFF",
+)
+
+MATRIX: list[tuple[str, str, Any, str, str, str]] = [
+    # fault, message that meets it, value, phase, what is seen, words; as in test_faults
+    ("lost_reply", "IDN", 0, "connect", "refused", "no generator answers at .* no output was switched on"),
+    ("wrong_reply", "IDN", "ACME,GEN1,0,1", "connect", "refused", "says it is 'ACME,GEN1,0,1'.*33522B"),
+    ("scpi_error", "RST", -310, "connect", "refused", "does not take its settings.*-310"),
+    ("wrong_reply", "LIM:STAT", '0;0,"No error"', "connect", "refused", "SOUR1:VOLT:LIM:STAT reads 0, ON was set"),
+    ("wrong_reply", "OUTP1:LOAD", '50;0,"No error"', "connect", "refused", "OUTP1:LOAD reads 50, INF was set"),
+    ("dropped_connection", UPLOAD, 0, "upload", "recovers", ""),
+    ("ignored_message", UPLOAD, 0, "upload", "recovers", ""),
+    ("truncated_upload", UPLOAD, 0, "upload", "recovers", ""),
+    ("garbled_upload", UPLOAD, 0, "upload", "recovers", ""),
+    ("scpi_error", UPLOAD, -222, "upload", "recovers", ""),
+    ("garbled_reply", READ_BACK, 0, "upload", "recovers", ""),
+    ("dropped_reply", READ_BACK, 0, "upload", "recovers", ""),
+    ("scpi_error", "MMEM:STOR", -250, "upload", "recovers", ""),
+    ("power_cycle", "BURS:STAT ON", 0, "upload", "recovers", ""),
+    ("front_panel", r"SOUR2:BURS:STAT ON", "SOUR1:FUNC SIN", "upload", "unconfirmed", "SOUR1:FUNC reads SIN"),
+    ("lost_reply", ARM, 0, "arm", "unconfirmed", "failed"),
+    ("garbled_reply", ARM, 0, "arm", "unconfirmed", "failed"),
+    ("scpi_error", ARM, -222, "arm", "unconfirmed", "-222"),
+    ("power_cycle", ARM, 0, "arm", "unconfirmed", "failed"),
+    ("front_panel", ARM, "SOUR2:FUNC:ARB:SRAT 40000", "arm", "unconfirmed", r"SOUR2:FUNC:ARB:SRAT reads \+4"),
+    ("front_panel", ARM, "SOUR1:FUNC:ARB:FILT STEP", "arm", "unconfirmed", "SOUR1:FUNC:ARB:FILT reads STEP, OFF"),
+    ("front_panel", ARM, "TRIG1:SOUR IMM", "arm", "unconfirmed", "TRIG1:SOUR reads IMM, BUS was set"),
+    ("wrong_reply", SWITCH_ON, '1;0;0,"No error"', "arm", "unconfirmed", "OUTP2 reads 0, ON was set"),
+    ("dropped_connection", TRIGGER, 0, "arm", "unconfirmed", "trigger 1 failed"),
+    ("scpi_error", TRIGGER, -211, "arm", "unconfirmed", "the generator reports -211"),
+    ("front_panel", TRIGGER, "OUTP2 OFF", "arm", "unconfirmed", "output 2 was off"),
+    ("dropped_connection", STOP, 0, "stop", "recovers", ""),
+    ("ignored_message", STOP, 0, "stop", "recovers", ""),
+    ("power_cycle", STOP, 0, "stop", "unconfirmed", "output 1 was off; output 2 was off; .*SOUR1:VOLT reads"),
+]
+
+
+@pytest.mark.parametrize("row", MATRIX, ids=lambda row: f"{row[3]}-{row[0]}-{row[1]}-{row[2]}")
+def test_fault_is_met(
+    row: tuple[str, str, Any, str, str, str],
+    simulator: Simulator,
+    open_generator: Callable[..., Generator],
+    burst: Burst,
+) -> None:
+    """Outputs off after each; what is confirmed played what was asked; the next stimulus plays."""
+    fault, when, value, phase, seen, words = row
+    if phase == "connect":
+        simulator.faults.inject(fault, when=when, value=value)
+        simulator.front_panel("OUTP1 ON")
+        with pytest.raises(RigError, match=words):
+            open_generator()
+        return
+    rig = open_generator()
+    if phase != "upload":
+        rig.load(burst)
+    simulator.faults.inject(fault, when=when, value=value)
+    if phase == "upload":
+        rig.load(burst)
+        if seen == "recovers":
+            assert_holds(simulator, burst)
+    firing = rig.fire(0.1)
+    if not firing.started:
+        assert simulator.outputs == (False, False)
+    rig.stop()
+    assert simulator.outputs == (False, False)
+    assert not simulator.faults.any
+    assert rig.firing is not None
+    assert rig.firing.confirmed is (seen == "recovers")
+    assert re.search(words, rig.firing.reason)
+    again = rig.fire(0.1)
+    assert again.started
+    assert_plays(simulator, burst, 0.1)
+    rig.stop()
+    assert rig.firing.confirmed
+
+
+def assert_holds(simulator: Simulator, burst: Burst) -> None:
+    """Check that each channel has its record selected."""
+    for channel, codes in zip(simulator.afg.channels.values(), burst.codes, strict=True):
+        np.testing.assert_array_equal(channel.record, codes.astype(int) - ZERO)
+
+
+def assert_plays(simulator: Simulator, burst: Burst, velocity: float) -> None:
+    """Check that the instrument sends what was commanded: records, full scales, length."""
+    assert simulator.outputs == (True, True)
+    for playback, codes, full_scale in zip(
+        simulator.playbacks, burst.codes, burst.full_scale_for(velocity), strict=True
+    ):
+        assert playback is not None
+        assert playback.record == codes.astype(">u2").tobytes()
+        assert playback.amplitude == pytest.approx(full_scale)
+        assert (playback.offset, playback.duration) == (0, pytest.approx(burst.duration))
+
+
+@pytest.mark.parametrize(
+    ("disturb", "words"),
+    [
+        ("SOUR1:VOLT 3VPP", r"SOUR1:VOLT reads \+3.0.*, 4.754VPP was set when the stimulus ended"),
+        ("OUTP2 OFF", "output 2 was off when the stimulus ended"),
+        ("TRIG2:SOUR TIM", "TRIG2:SOUR reads TIM, BUS was set"),
+        ("SOUR1:DATA:VOL:CLE", "SOUR1:FUNC:ARB reads .*EXP_RISE.*"),
+        ("SOUR1:BURS:PHAS 90", r"SOUR1:BURS:PHAS reads \+9.0"),
+        ("OUTP1:POL INV", "OUTP1:POL reads INV"),
+    ],
+)
+def test_disturbance_during_a_trial_takes_the_confirmation_back(
+    generator: Generator, simulator: Simulator, burst: Burst, disturb: str, words: str
+) -> None:
+    """Whoever changes a setting at the front panel while a stimulus plays is noticed at its end."""
+    generator.load(burst)
+    assert generator.fire(0.1).started
+    simulator.front_panel(disturb)
+    generator.stop()
+    assert simulator.outputs == (False, False)
+    assert generator.firing is not None
+    assert not generator.firing.confirmed
+    assert re.search(words, generator.firing.reason)
+
+
+def test_amplitude_that_is_set_is_that_of_the_record(generator: Generator, simulator: Simulator, burst: Burst) -> None:
+    """Codes over 79 % and 87 % of the range: 6 V of full scale are 4.754 Vpp, 4 V are 3.469 Vpp."""
+    generator.load(burst)
+    firing = generator.fire(0.1)
+    spans = np.ptp(burst.codes.astype(int), axis=1) / (2 * ZERO)
+    assert firing.commanded_amplitude == tuple(np.round(spans * (6.0, 4.0), 3)) == (4.754, 3.469)
+    assert firing.confirmed_amplitude == firing.commanded_amplitude
+    assert [playback.amplitude for playback in simulator.playbacks if playback] == pytest.approx((6, 4), rel=5e-4 / 4)
+
+
+def test_limits_are_those_of_what_the_codes_leave(apparatus: Apparatus, burst: Burst) -> None:
+    """At 79 % of the range 20 V of full scale are 15.85 Vpp: no more can be set, though 20 Vpp are the data sheet's."""
+    limits = replace(instrument_of(apparatus).limits(apparatus), beam=1000.0)
+    with pytest.raises(RigError, match=r"needs 16.64 V peak to peak of output 1: allowed 0.002 to 15.8\d* V"):
+        limits.amplitudes(replace(burst, amplitude=(21.0, 4.0)), 0.2)
+
+
+def test_records_are_sent_once(open_generator: Callable[..., Generator], burst: Burst, heard: Any) -> None:
+    """A second session finds both records under their names, reads them back and sends none."""
+    with open_generator() as first:
+        first.load(burst)
+    assert [facts["memory"][:4] for facts in heard.of("record_sent")] == ["1:MT", "2:MT"]
+    heard.clear()
+    open_generator().load(burst)
+    assert (len(heard.of("record_sent")), len(heard.of("record_found"))) == (0, 2)
+
+
+def test_bursts_change_places_without_an_upload(
+    generator: Generator, simulator: Simulator, make: Callable[..., Burst], heard: Any
+) -> None:
+    """Two bursts, two records to a channel; firing one or the other sends settings alone."""
+    bursts = make(), make(seed=1)
+    generator.load(*bursts)
+    assert len(heard.of("record_sent")) == 4
+    heard.clear()
+    for which in (1, 0):
+        assert generator.fire(0.1, which=which).started
+        assert_plays(simulator, bursts[which], 0.1)
+        generator.stop()
+    assert heard.of("record_sent") == []
+
+
+def test_record_that_cannot_be_read_is_known_by_its_figures(
+    simulator: Simulator, open_generator: Callable[..., Generator], burst: Burst, heard: Any
+) -> None:
+    """An instrument that writes no files: points, average, peak to peak and crest factor, and the log says so."""
+    simulator.faults.inject("wrong_reply", when="MMEM:STOR", value='1;-113,"Undefined header"', times=99)
+    rig = open_generator()
+    rig.load(burst)
+    assert len(heard.of("record_figures")) == 2
+    assert rig.fire(0.1).started
+    assert_plays(simulator, burst, 0.1)
+
+
+def test_what_figures_notice_and_what_they_do_not(burst: Burst) -> None:
+    """To four decimals: a lost point, another byte order, sign or scale; not one code that is wrong by one."""
+    codes = burst.codes[0]
+
+    def noticed(other: Any) -> bool:
+        told = [f"{figures(codes)[0]:+.0f}", *(f"{figure:+.4f}" for figure in figures(codes)[1:])]
+        return not all(_agrees(*each) for each in zip(told, figures(np.asarray(other)), strict=True))
+
+    signed = codes.astype(int) - ZERO
+    assert not noticed(codes)
+    assert noticed(codes[:-1])
+    assert noticed((signed.astype(np.int16).byteswap().astype(int) + ZERO).clip(0, 2 * ZERO))
+    assert noticed(ZERO - signed)
+    assert noticed(signed // 2 + ZERO)
+    slightly = codes.copy()
+    slightly[1000] ^= 1
+    assert not noticed(slightly)
+
+
+def test_record_that_stays_wrong_is_refused(
+    simulator: Simulator, open_generator: Callable[..., Generator], burst: Burst
+) -> None:
+    """Two uploads that read back wrong: no third, and nothing is ever fired."""
+    simulator.faults.inject("garbled_upload", when=UPLOAD, times=99)
+    with pytest.raises(RigError, match="MT[0-9A-F]{10} of output 1 does not hold the record that was sent"):
+        open_generator().load(burst)
+    assert simulator.outputs == (False, False)
+
+
+@pytest.mark.parametrize("repetition", ["continuous", "wired"])
+def test_other_repetitions_play(
+    repetition: str, apparatus: Apparatus, guard: Any, clock: VirtualClock, burst: Burst
+) -> None:
+    """A whole period again and again, or a burst at each pulse that comes by the wire."""
+    hardware = apparatus.twin.generator.model_copy(update={"external_pulses_Hz": 7.0})
+    wired = apparatus.model_copy(update={"twin": apparatus.twin.model_copy(update={"generator": hardware})})
+    with Simulator(wired, clock=clock) as simulator:
+        options: dict[str, Any] = {"repetition": repetition, "start_guard": guard, "clock": clock}
+        with Generator(simulator.address, wired, **options) as rig:
+            rig.load(burst)
+            assert rig.fire(0.1).started
+            clock.sleep(0.5)
+            assert simulator.felt_velocity(["C"])[0] > 1e-4
+            rig.stop()
+            assert rig.firing is not None
+            assert rig.firing.confirmed, rig.firing.reason
+        assert simulator.outputs == (False, False)
+
+
+def test_timer_that_the_channels_do_not_share_is_refused(
+    open_generator: Callable[..., Generator], burst: Burst
+) -> None:
+    """Two timers of one period and unknown phase would tear the channels apart."""
+    rig = open_generator(repetition="timer")
+    with pytest.raises(RigError, match="33522B has no timer that its channels share; .* generator.repetition: single"):
+        rig.load(burst)
+
+
+def test_outputs_go_off_when_the_session_is_killed(apparatus: Apparatus) -> None:
+    """The watchdog process is given this instrument's words, and says them when its master is gone."""
+    with Simulator(apparatus) as simulator:
+        assert instrument_of(apparatus).off == ":OUTP1 OFF;:OUTP2 OFF;:OUTP1?;:OUTP2?"
+        dog = WatchdogClient(simulator.address, instrument_of(apparatus).off)
+        dog.open()
+        dog.arm(plays_by_itself=False)
+        simulator.front_panel("OUTP1 ON;:OUTP2 ON")
+        dog.release(clean=False)
+        end = time.monotonic() + 10
+        while any(simulator.outputs) and time.monotonic() < end:
+            time.sleep(0.01)
+        assert simulator.outputs == (False, False)
+
+
+def test_checklist_asks_what_applies(apparatus: Apparatus) -> None:
+    """What is about the AFG3022B's timer and edit memory is left out; what is left finds its answers."""
+    patience = Patience(reply=0.3, copy=1.0, tries=2, pause=0.02)
+    with Simulator(apparatus) as simulator:
+        rows = check_rig(simulator.address, apparatus, patience=patience)
+        assert simulator.outputs == (False, False)
+    answers = {row.number: row.answer for row in rows}
+    assert sorted(answers) == [0, 1, 5, 6, 7, 8, 10, 11, 12, 13]
+    # This address names a port, which says nothing of others.
+    assert [row.number for row in rows if row.state == "unanswered"] == [5]
+    assert "33522B" in answers[0]
+    assert "refused with -221" in answers[7]
+    assert "20 entries" in answers[8]
+    assert "*TRG is taken" in answers[13]
+
+
+def test_what_the_twin_plays_is_the_stimulus_to_its_prediction(
+    apparatus: Apparatus, guard: Any, clock: VirtualClock
+) -> None:
+    """On a beam as identified each mode at the focus is as predicted from codes of 16 bits, and near its target.
+
+    An amplitude of four digits is off by 5e-4 of itself at most, which no choice of codes can make good here.
+    """
+    exact = dict.fromkeys(
+        ("natural_frequency_mismatch", "damping_ratio_mismatch", "gain_mismatch", "generator_gain_mismatch"), 0.0
+    )
+    true = apparatus.model_copy(update={"twin": apparatus.twin.model_copy(update=exact | {"cross_gain": 0.0})})
+    ground = find_ground(Findings.read(PROTOCOLS / "differentiated_stimulation.yaml"))
+    assert ground is not None
+    stimulus = design(replace(ground, apparatus=true))
+    timing = stimulus.timing
+    assert timing.converter is KEYSIGHT_33500B.converter
+    with (
+        Simulator(true, clock=clock) as simulator,
+        Generator(simulator.address, true, start_guard=guard, clock=clock) as rig,
+    ):
+        rig.load(stimulus.burst)
+        for level in (0.2, 0.08):
+            assert rig.fire(level).started
+            state = simulator.true_state(timing.focusing_instant, first=True)
+            rig.stop()
+            predicted, displaced = stimulus.achieved(level)
+            # One code of 16 bits moves the mode that it moves most by more than this.
+            np.testing.assert_allclose(state.velocity, predicted, atol=1e-6 * level)
+            np.testing.assert_allclose(state.displacement, displaced, atol=1e-6 * level)
+            assert stimulus.worst_modal_error(level) < 5e-4 * level
