@@ -102,8 +102,8 @@ def test_an_experiment_is_restored_from_its_record_alone(edit: Edit) -> None:
         ("duration_ms: 50", "duration_ms: 150", "given 150 ms at 7 bursts per second; allowed: at most 142.857 ms"),
         (
             "n_samples: 125000",
-            "n_samples: 131074",
-            "given 131074; allowed: a whole number of at least 2, at most 131072",
+            "n_samples: 524290",
+            "given 524290; allowed: a whole number of at least 2, at most 524288",
         ),
         ("n_samples: 125000", "n_samples: 124999", "stimulus.n_samples: given 124999; allowed: a whole number"),
         ("n_samples: 125000", "n_samples: 8000", "too few for the mode of 87855 Hz; allowed: at least 10982"),

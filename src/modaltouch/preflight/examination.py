@@ -187,10 +187,12 @@ def examine_findings(findings: Findings) -> Preflight:
     problems = list(findings.problems)
     ground, stimulus = find_ground(findings), None
     if ground is not None and findings.protocol is not None:
+        unplayable = list(_check_generator_itself(ground, findings))
+        problems += unplayable
         try:
             with np.errstate(all="ignore"):
-                stimulus = design_to_fit(ground)
-                problems += check_levels(ground, stimulus, findings)
+                stimulus = None if unplayable else design_to_fit(ground)
+                problems += [] if stimulus is None else check_levels(ground, stimulus, findings)
         except (ValueError, ArithmeticError) as error:
             from modaltouch.preflight.refusals import locate
 
@@ -198,6 +200,23 @@ def examine_findings(findings: Findings) -> Preflight:
     if not findings.problems:
         problems += [*_check_schedule(findings), *_check_masking_level(findings)]
     return Preflight(findings, tuple(sorted(set(problems))), ground, stimulus)
+
+
+def _check_generator_itself(ground: DesignInputs, findings: Findings) -> Iterator[Problem]:
+    """Yield what the generator cannot do whatever the level: samples beyond its record or clock, a timer it lacks."""
+    section, instrument = ground.section, instrument_of(ground.apparatus)
+    converter, path = instrument.converter, ("stimulus", "n_samples")
+    if section.n_samples > converter.max_points:
+        allowed = f"at most {converter.max_points}, the points of a record of the {instrument.models[0]}"
+        yield findings.problem(path, f"{section.n_samples}", allowed, "take fewer")
+    rate = section.n_samples / section.duration_ms * 1e3
+    if rate > converter.clock_rate * (1 + 1e-12):
+        given = f"{section.n_samples} samples in {section.duration_ms:g} ms, which is {rate:.4g} Hz"
+        most, clock = int(section.duration_ms * 1e-3 * converter.clock_rate), converter.clock_rate * 1e-6
+        yield findings.problem(path, given, f"at most {most} samples, at the generator's {clock:g} MHz", "take fewer")
+    if ground.apparatus.generator.repeats == "timer" and instrument.commands.timer is None and findings.apparatus:
+        given, allowed = f"timer, which the channels of a {instrument.models[0]} do not share", "single"
+        yield findings.apparatus.problem(("generator", "repetition"), given, allowed, "write single")
 
 
 def _examine_several(findings: Findings) -> Preflight:

@@ -15,7 +15,8 @@ from modaltouch.protocol.section import Count, Label, Number, Positive, Section,
 from modaltouch.protocol.source import Source
 
 ZoneName = Annotated[Word, Field(json_schema_extra={"x-allowed": "the name of a zone of the beam"})]
-SampleCount = Annotated[int, Field(strict=True, ge=2, le=131_072, multiple_of=2)]
+SampleCount = Annotated[int, Field(strict=True, ge=2, le=524_288, multiple_of=2)]
+"""As many as any known generator holds; how many that of the apparatus does is checked with its other limits."""
 
 
 class FieldSection(Section):

@@ -1,0 +1,58 @@
+"""What a generator cannot do is told from its own figures, whichever the apparatus names."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from modaltouch.preflight import examine
+
+FILE = "differentiated_stimulation.yaml"
+AFG, KEYSIGHT = "apparatus/beam_100x6x2.yaml", "apparatus/keysight_33522b.yaml"
+Edit = Callable[..., Path]
+
+
+def faults(file: Path) -> list[str]:
+    """Return the faults of a protocol and its files."""
+    return [str(problem).replace(str(file.parent) + "/", "") for problem in examine(file).problems]
+
+
+@pytest.mark.parametrize(
+    ("apparatus", "most", "model"), [(AFG, 131_072, "AFG3022B"), (KEYSIGHT, 262_144, "33522B")], ids=["afg", "keysight"]
+)
+def test_samples_are_as_many_as_its_record_holds(edit: Edit, apparatus: str, most: int, model: str) -> None:
+    """Two more than its longest record are refused, with the generator's name."""
+    (found,) = faults(edit(FILE, (AFG, apparatus), ("n_samples: 125000", f"n_samples: {most + 2}")))
+    told = f"stimulus.n_samples: given {most + 2}; allowed: at most {most}, the points of a record of the {model}"
+    assert told in found
+
+
+@pytest.mark.parametrize(("apparatus", "clock", "most"), [(AFG, 250, 75_000), (KEYSIGHT, 62.5, 18_750)])
+def test_samples_are_no_faster_than_its_clock(edit: Edit, apparatus: str, clock: float, most: int) -> None:
+    """In 0.3 ms 125,000 samples are 417 MHz."""
+    changes = ("duration_ms: 50", "duration_ms: 0.3"), ("focusing_instant_ms: 25", "focusing_instant_ms: 0.15")
+    (found,) = faults(edit(FILE, (AFG, apparatus), *changes))
+    assert f"in 0.3 ms, which is 4.167e+08 Hz; allowed: at most {most} samples, at the generator's {clock:g} MHz" in found
+
+
+def test_a_timer_that_channels_do_not_share_is_refused(edit: Edit) -> None:
+    """At the key of the apparatus file that asks for it."""
+    file = edit(FILE, (AFG, KEYSIGHT))
+    beam = file.parent / KEYSIGHT
+    text = beam.read_text(encoding="utf-8")
+    beam.write_text(text.replace("  load: high", "  repetition: timer\n  load: high"), encoding="utf-8")
+    (found,) = faults(file)
+    told = "generator.repetition: given timer, which the channels of a 33522B do not share; allowed: single"
+    assert told in found
+
+
+def test_samples_that_it_takes_at_their_own_rate_do_not_jitter(edit: Edit) -> None:
+    """131,072 in 50 ms are no multiple of any clock; the AFG3022B's edges move, those of the 33522B do not."""
+    samples = "n_samples: 125000", "n_samples: 131072"
+    assert any("edges jitter" in each for each in examine(edit(FILE, samples)).as_dict()["warnings"])
+    examined = examine(edit(FILE, (AFG, KEYSIGHT)))
+    assert not any("edges jitter" in each for each in examined.as_dict()["warnings"])
+    assert examined.designed is not None
+    assert examined.designed.timing.lateness is None
