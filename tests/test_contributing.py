@@ -19,23 +19,68 @@ def blocks(language):
     return re.findall(rf"```{language}\n(.*?)```", TEXT, flags=re.DOTALL)
 
 
+def changed(folder, number):
+    """Copy source and protocols, and apply one of the changes shown."""
+    for name in ("src", "protocols"):
+        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+    apply = ["git", "apply", "-C1", "-"]
+    diff = blocks("diff")[number]
+    applied = subprocess.run(apply, cwd=folder, input=diff, text=True, capture_output=True, check=False)
+    assert applied.returncode == 0, applied.stderr
+
+
+def run_in(folder, program):
+    """Run a program with the changed source; return what it prints."""
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        cwd=folder,
+        env={"PYTHONPATH": str(folder / "src")},
+        text=True,
+        capture_output=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
 def test_a_field_shape_takes_the_lines_shown(tmp_path):
     """The change applies to a copy of the source, and the protocol is checked with the new shape."""
-    for name in ("src", "protocols"):
-        shutil.copytree(ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__"))
-    (diff,) = blocks("diff")
-    apply = ["git", "apply", "-C1", "-"]
-    applied = subprocess.run(apply, cwd=tmp_path, input=diff, text=True, capture_output=True, check=False)
-    assert applied.returncode == 0, applied.stderr
+    changed(tmp_path, 0)
     protocol = tmp_path / "protocols" / "differentiated_stimulation.yaml"
     text = protocol.read_text(encoding="utf-8")
     protocol.write_text(text.replace("shape: triangle", "shape: parabola"), encoding="utf-8")
     program = "import modaltouch; print(len(modaltouch.examine('protocols/differentiated_stimulation.yaml').problems))"
-    command = [sys.executable, "-c", program]
-    checked = subprocess.run(
-        command, cwd=tmp_path, env={"PYTHONPATH": str(tmp_path / "src")}, text=True, capture_output=True, check=False
+    assert run_in(tmp_path, program) == "0\n"
+
+
+def test_another_generator_takes_the_files_shown(tmp_path):
+    """A session runs on its twin; its own limit is checked, and its own words switch the outputs off."""
+    changed(tmp_path, 1)
+    beam = tmp_path / "protocols" / "apparatus" / "keysight_33522b.yaml"
+    beam.write_text(beam.read_text(encoding="utf-8").replace("model: 33522B", "model: WG2"), encoding="utf-8")
+    protocol = tmp_path / "protocols" / "demo.yaml"
+    text = protocol.read_text(encoding="utf-8").replace("beam_100x6x2", "keysight_33522b")
+    protocol.write_text(text, encoding="utf-8")
+    protocol.with_name("long.yaml").write_text(
+        text.replace("\nstimulus:\n", "\nstimulus:\n  n_samples: 200002\n", 1), encoding="utf-8"
     )
-    assert checked.stdout == "0\n", checked.stderr
+    program = """
+from pathlib import Path
+from modaltouch import examine
+from modaltouch.rig import instrument_of
+from modaltouch.session.setup import begin
+from modaltouch.session.wiring import wire_run
+
+preflight = examine("protocols/demo.yaml").require()
+session = begin(wire_run(preflight, "p01", answers="simulated", results=Path("results")))
+print(session.complete, session.start["rig"]["identity"])
+print(instrument_of(preflight.experiment.apparatus).off)
+print(*examine("protocols/long.yaml").problems)
+"""
+    complete, off, refused = run_in(tmp_path, program).splitlines()
+    assert complete == "True ACME,WG2,SIMULATED,1.0"
+    assert off == ":OUTP1:REL OFF;:OUTP2:REL OFF;:OUTP1:REL?;:OUTP2:REL?"
+    assert "given 200002; allowed: at most 200000, the points of a record of the WG2" in refused
 
 
 def test_a_generator_an_answer_device_and_a_statistic_take_the_code_shown(tmp_path, monkeypatch):

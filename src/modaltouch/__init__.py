@@ -5,7 +5,7 @@ The rooms, in the order in which values flow through them:
 ``system``     clocks, locks, signals, and which build this is
 ``stimulus``   modal synthesis: target field -> voltages -> codes -> predicted field
 ``protocol``   YAML -> Protocol and Apparatus, every fault in its place; Protocol + participant + seed -> Schedule
-``rig``        plays the burst: an AFG3022B over PyVISA, or its simulated twin behind the same driver
+``rig``        plays the burst: a generator over PyVISA, or its simulated twin behind the same driver
 ``window``     asks the question: a PsychoPy window, or a simulated participant; masking noise
 ``preflight``  everything that can fail before the participant sits down
 ``record``     the append-only session log, its audit and its BIDS view

@@ -34,7 +34,9 @@ def test_samples_are_no_faster_than_its_clock(edit: Edit, apparatus: str, clock:
     """In 0.3 ms 125,000 samples are 417 MHz."""
     changes = ("duration_ms: 50", "duration_ms: 0.3"), ("focusing_instant_ms: 25", "focusing_instant_ms: 0.15")
     (found,) = faults(edit(FILE, (AFG, apparatus), *changes))
-    assert f"in 0.3 ms, which is 4.167e+08 Hz; allowed: at most {most} samples, at the generator's {clock:g} MHz" in found
+    assert (
+        f"in 0.3 ms, which is 4.167e+08 Hz; allowed: at most {most} samples, at the generator's {clock:g} MHz" in found
+    )
 
 
 def test_a_timer_that_channels_do_not_share_is_refused(edit: Edit) -> None:

@@ -19,10 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.protocol import Apparatus
-from modaltouch.rig.simulator.afg import Afg
-from modaltouch.rig.simulator.commands import afg_commands
+from modaltouch.rig.simulator.commands import afg_twin
 from modaltouch.rig.simulator.instrument import Faults, SimulatedInstrument
-from modaltouch.rig.simulator.scpi import CommandTable
+from modaltouch.rig.simulator.keysight33500b import keysight_twin
 from modaltouch.rig.simulator.state import Behaviour
 from modaltouch.rig.simulator.timeline import Delays, Playback
 from modaltouch.rig.simulator.twin import TrueState, Twin
@@ -33,21 +32,8 @@ if TYPE_CHECKING:
     from modaltouch.rig.simulator.played import PlayedLog
     from modaltouch.rig.simulator.scope import SimulatedScope
 
-
-TRUEFORM_MODELS = ("33522B", "33512B")
-"""Keysight's; any other model is simulated as an AFG3022B."""
-
-
-def _generator(apparatus: Apparatus, behaviour: Behaviour | None, **hardware: Any) -> tuple[Any, CommandTable]:
-    """Return the state of the generator that an apparatus names, and what it understands."""
-    model = apparatus.generator.model
-    if model in TRUEFORM_MODELS:
-        from modaltouch.rig.simulator.keysight33500b import IDENTITY, USUAL, Trueform, keysight_commands
-
-        trueform = Trueform(behaviour or USUAL, identity=IDENTITY.format(model), **hardware)
-        return trueform, keysight_commands(trueform)
-    afg = Afg(behaviour or Behaviour(), **hardware)
-    return afg, afg_commands(afg)
+TWINS = {"33522B": keysight_twin, "33512B": keysight_twin}
+"""Of models other than the AFG3022B, which stands for every other."""
 
 
 class Simulator:
@@ -102,7 +88,9 @@ class Simulator:
         true, seed = apparatus.twin.generator, apparatus.twin.seed if seed is None else seed
         latency = true.trigger_latency_ms.low * 1e-3, true.trigger_latency_ms.high * 1e-3
         delays = Delays(latency, true.relay_ms * 1e-3, true.external_pulses_Hz)
-        self.afg, table = _generator(apparatus, behaviour, delays=delays, seed=seed, clock=clock)
+        model, hardware = apparatus.generator.model, {"delays": delays, "seed": seed, "clock": clock}
+        self.afg: Any
+        self.afg, table = TWINS.get(model, afg_twin)(model, behaviour, **hardware)
         self.faults = Faults()
         self.twin = Twin(apparatus, seed)
         self.touched: tuple[float, ...] = ()

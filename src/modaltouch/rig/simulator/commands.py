@@ -6,6 +6,7 @@ import math
 import re
 from collections import ChainMap
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -38,7 +39,7 @@ from modaltouch.rig.simulator.scpi import (
     read_number,
     whole,
 )
-from modaltouch.rig.simulator.state import OPEN, SOURCE_IMPEDANCE
+from modaltouch.rig.simulator.state import OPEN, SOURCE_IMPEDANCE, Behaviour
 
 LOWEST, HIGHEST, DEFAULT = 20e-3, 20.0, 2.0
 """Amplitude into an open circuit [V peak to peak]."""
@@ -92,6 +93,12 @@ HIGHEST_BURST_FREQUENCY = 6.25e6
 
 FORCED = ("*TRG", "TRIGger[:SEQuence][:IMMediate]")
 """Triggers, which change no setting; nothing is to delay them."""
+
+
+def afg_twin(model: str, behaviour: Behaviour | None, **hardware: Any) -> tuple[Afg, CommandTable]:
+    """Return the state of a simulated AFG3022B, whatever the model, and what it understands."""
+    afg = Afg(behaviour or Behaviour(), **hardware)
+    return afg, afg_commands(afg)
 
 
 def afg_commands(afg: Afg) -> CommandTable:

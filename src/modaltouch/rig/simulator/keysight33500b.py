@@ -21,9 +21,6 @@ from modaltouch.rig.simulator.state import SOURCE_IMPEDANCE, Behaviour, Generato
 from modaltouch.rig.simulator.timeline import Playback
 from modaltouch.stimulus import Converter
 
-MODELS = ("33522B", "33512B")
-IDENTITY = "Agilent Technologies,{},SIMULATED,4.00-1.19-2.00-58-00"
-USUAL = Behaviour(queue_depth=20)
 HIGHEST_CODE = 32767
 CONVERTER = Converter(HIGHEST_CODE, 1 << 22, 62.5e6, 4, 6, of_record=True, any_rate=True)
 """That of the twin, apart from what the driver knows of it; many cycles of a record may be one burst."""
@@ -183,11 +180,13 @@ class Trueform(GeneratorState[TrueformChannel]):
         self.select(number, BUILT_IN)
 
 
-def keysight_commands(state: Trueform) -> CommandTable:
-    """Return what the simulated instrument understands."""
+def keysight_twin(model: str, behaviour: Behaviour | None, **hardware: Any) -> tuple[Trueform, CommandTable]:
+    """Return the state of a simulated instrument, and what it understands."""
+    identity = f"Agilent Technologies,{model},SIMULATED,4.00-1.19-2.00-58-00"
+    state = Trueform(behaviour or Behaviour(queue_depth=20), identity=identity, **hardware)
     groups = (common.common_commands, _waveform, _data, _levels, _triggers)
     commands = common.noticed(state, ChainMap(*(group(state) for group in groups)), ("*TRG", "TRIGger#[:IMMediate]"))
-    return CommandTable(commands, state.n_channels, largest_reply=1 << 22)
+    return state, CommandTable(commands, state.n_channels, largest_reply=1 << 22)
 
 
 def _waveform(state: Trueform) -> dict[str, Command]:
