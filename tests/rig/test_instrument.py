@@ -16,6 +16,7 @@ from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.rig.catalogue import KNOWN_MODELS, instrument_of
 from modaltouch.rig.instrument import Limits, Setting
 from modaltouch.rig.interface import RigError
+from modaltouch.rig.keysight33500b import KEYSIGHT_33500B
 from modaltouch.rig.player import _refuse_steps as refuse_steps
 from modaltouch.stimulus.burst import Burst
 
@@ -237,10 +238,48 @@ def test_timer_level_and_lock(burst: Burst) -> None:
     assert lock.off.command == "DATA:LOCK:STAT USER3,OFF"
 
 
+def test_instrument_whose_channels_have_triggers_of_their_own() -> None:
+    """A setting for each channel where the table has a channel in it, once where it has none; no timer in common."""
+    both = KEYSIGHT_33500B.on_all(KEYSIGHT_33500B.commands.stopped)
+    assert commands(*both) == "TRIG1:SOUR BUS;TRIG2:SOUR BUS"
+    assert commands(*AFG3022B.on_all(TABLE.stopped)) == "TRIG:SOUR EXT"
+    assert KEYSIGHT_33500B.commands.timer is KEYSIGHT_33500B.commands.armed is None
+
+
+def test_records_are_played_at_a_rate_of_samples(burst: Burst) -> None:
+    """2,500 samples in 50 ms are 50 kHz; a whole period at 7 Hz has 262,144 points, 1.835008 MHz."""
+    assert KEYSIGHT_33500B.timer(burst) == ()
+    once = commands(*KEYSIGHT_33500B.burst_settings(2, "MT0", burst, continuous=False))
+    assert once == (
+        'SOUR2:FUNC:ARB "MT0";SOUR2:FUNC ARB;SOUR2:FUNC:ARB:ADV SRAT;SOUR2:FUNC:ARB:FILT OFF;SOUR2:FUNC:ARB:SRAT 50000;'
+        "SOUR2:BURS:MODE TRIG;SOUR2:BURS:NCYC 1;SOUR2:BURS:PHAS 0;TRIG2:DEL 0;SOUR2:BURS:STAT ON"
+    )
+    always = commands(*KEYSIGHT_33500B.burst_settings(1, "MT0", burst, continuous=True))
+    assert always.endswith("SOUR1:FUNC:ARB:SRAT 1835008;SOUR1:BURS:STAT OFF")
+
+
+def test_one_message_switches_everything_off() -> None:
+    """Each output off, then each asked: what the watchdog process says, and nothing else."""
+    assert AFG3022B.off == KEYSIGHT_33500B.off == ":OUTP1 OFF;:OUTP2 OFF;:OUTP1?;:OUTP2?"
+
+
+def test_part_of_the_range_that_codes_use_is_all_that_can_be_set(burst: Burst) -> None:
+    """Codes from -1/4 to 1 of the range use 5/8 of it: 8 Vpp of them are 12.8 V of full scale, 160 V at the beam."""
+    codes = np.full_like(burst.codes, 32767)
+    codes[:, 5], codes[:, 7] = 65534, 24575
+    part = replace(burst, codes=codes, converter=KEYSIGHT_33500B.converter, amplitude=(12.8, 12.8))
+    limits = Limits(KEYSIGHT_33500B, level=10.0, beam=160.0, gain=25.0, velocity=0.5)
+    assert limits.amplitudes(part, 0.2) == (8.0, 8.0)
+    with pytest.raises(RigError, match="160.0 V at the beam: allowed at most 159 V"):
+        replace(limits, beam=159.0).amplitudes(part, 0.2)
+    with pytest.raises(RigError, match=r"needs 8 V peak to peak of output 1: allowed 0.002 to 7.5\d* V"):
+        replace(limits, level=6.0).amplitudes(part, 0.2)
+
+
 def test_data_sheet() -> None:
     """AFG3022B: 131,072 points a record; its successor takes the same commands."""
     assert AFG3022B.converter.max_points == 131_072
-    assert KNOWN_MODELS[:2] == ("AFG3022B", "AFG3022C")
+    assert KNOWN_MODELS == ("AFG3022B", "AFG3022C", "33522B", "33512B")
 
 
 def test_simulator_says_what_it_is_where_others_have_their_number() -> None:

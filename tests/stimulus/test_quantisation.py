@@ -6,6 +6,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from modaltouch.rig.afg3022b import AFG3022B
+from modaltouch.rig.keysight33500b import KEYSIGHT_33500B
 
 AFG = AFG3022B.converter
 SHIPPED_SHARES = (0.4, 0.5, 0.75, 1.0)
@@ -45,6 +46,15 @@ def test_codes_are_the_nearest_and_mid_scale_at_both_ends():
     assert codes[0].tolist() == [8191, 16382, 0, 8191, 8192, AFG.mid_code]
     assert (codes[1] == AFG.mid_code).all()
     assert AFG.signed(codes)[0, 1:3].tolist() == [8191.0, -8191.0]
+
+
+def test_amplitude_of_a_record_is_a_part_of_the_full_scale():
+    """Codes from -1/4 to 1 of a range use 5/8 of it; an amplitude of all codes is the full scale, whatever they are."""
+    codes = np.array([[32767, 65534, 24575], [32767, 32767, 32767]], dtype=np.uint16)
+    record = KEYSIGHT_33500B.converter
+    assert record.shares(codes) == pytest.approx([0.625, 1.0], rel=1e-4)
+    assert AFG.shares(codes).tolist() == [1.0, 1.0]
+    assert record.amplitudes_at((16.0, 3.0), 0.1, 0.2, np.array([0.625, 1.0])) == (5.0, 1.5)
 
 
 def test_voltage_beyond_the_full_scale_is_refused():

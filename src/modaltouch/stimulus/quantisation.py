@@ -50,10 +50,11 @@ class Converter:
         codes : (n_channels, n_samples) array
             Its record.
         """
-        if not self.of_record:
-            return np.ones(codes.shape[0])
-        span = np.subtract(codes.max(axis=1), codes.min(axis=1), dtype=float) / (2 * self.mid_code)
-        return np.where(span > 0, span, 1.0)
+        shares = np.ones(codes.shape[0])
+        if self.of_record:
+            span = np.subtract(codes.max(axis=1), codes.min(axis=1), dtype=float)
+            np.divide(span, 2 * self.mid_code, out=shares, where=span > 0)
+        return shares
 
     def round_amplitude(self, amplitude: float) -> float:
         """Return an amplitude on the instrument's grid [V peak to peak]."""
