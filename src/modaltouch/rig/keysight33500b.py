@@ -140,6 +140,7 @@ def _agrees(reply: str, figure: float) -> bool:
 
 def _read_back(desk: Desk, channel: int, name: str) -> NDArray[np.uint16] | None:
     """Return the codes of a record from the file that the instrument writes of it; None if there is none to read."""
+    # Unverified: that the file is of the record which is selected, and its head as read below.
     desk.apply([Setting(f"SOUR{channel}:FUNC:ARB", f'"{name}"', replies=(f'"{name}"', name))])
     store = f"MMEM:STOR:DATA{channel} {FILE}"
     try:
