@@ -19,12 +19,13 @@ from modaltouch.preflight.design_inputs import design, find_ground
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.findings import Findings
 from modaltouch.rig.catalogue import instrument_of
-from modaltouch.rig.checklist import check_rig
+from modaltouch.rig.checklist import QUESTIONS, check_rig
 from modaltouch.rig.connection import Patience
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.keysight33500b import KEYSIGHT_33500B, ZERO, _agrees, figures
 from modaltouch.rig.simulator import Simulator
+from modaltouch.rig.simulator.keysight33500b import TrueformChannel
 from modaltouch.rig.watchdog_client import WatchdogClient
 from modaltouch.stimulus.burst import Burst
 from modaltouch.system.clock import VirtualClock
@@ -367,13 +368,27 @@ def test_checklist_asks_what_applies(apparatus: Apparatus) -> None:
         rows = check_rig(simulator.address, apparatus, patience=patience)
         assert simulator.outputs == (False, False)
     answers = {row.number: row.answer for row in rows}
-    assert sorted(answers) == [0, 1, 5, 6, 7, 8, 10, 11, 12, 13]
+    assert sorted(answers) == [0, 1, 5, 6, 7, 8, 10, 11, 12, 13, 14]
     # This address names a port, which says nothing of others.
     assert [row.number for row in rows if row.state == "unanswered"] == [5]
     assert "33522B" in answers[0]
     assert "refused with -221" in answers[7]
     assert "20 entries" in answers[8]
     assert "*TRG is taken" in answers[13]
+    assert answers[14] == "a record of half the codes reaches 10 Vpp, where all codes reach 20 Vpp"
+    assert "the record, from its lowest code to its highest, as the driver takes it" in rows[-1].advice
+
+
+def test_checklist_notices_an_amplitude_of_another_meaning(
+    apparatus: Apparatus, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A unit whose amplitude is that of all codes would play every level too low: told before anything is played."""
+    monkeypatch.setattr(TrueformChannel, "span", 1.0)
+    monkeypatch.setattr("modaltouch.rig.checklist.QUESTIONS", QUESTIONS[-1:])
+    with Simulator(apparatus) as simulator:
+        (row,) = check_rig(simulator.address, apparatus, patience=Patience(reply=0.3, copy=1.0, tries=2, pause=0.02))
+    assert row.answer == "a record of half the codes reaches 20 Vpp, where all codes reach 20 Vpp"
+    assert "EVERY LEVEL WOULD BE WRONG" in row.advice
 
 
 def test_what_the_twin_plays_is_the_stimulus_to_its_prediction(

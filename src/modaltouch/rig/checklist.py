@@ -5,11 +5,14 @@ Nothing is played: the outputs are off whenever a burst starts, and the amplitud
 
 from __future__ import annotations
 
+import math
 import socket
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
+
+import numpy as np
 
 from modaltouch.protocol import Apparatus
 from modaltouch.rig.catalogue import instrument_of
@@ -19,6 +22,7 @@ from modaltouch.rig.instrument import Setting
 from modaltouch.rig.link import InUse, Link, LinkError, Log, describe_error, split_reply
 from modaltouch.rig.visa import VisaSession
 from modaltouch.rig.watchdog_client import WatchdogClient
+from modaltouch.stimulus import Burst
 
 REPETITION_PERIOD = 1 / 7
 RAW_PORTS = (4000, 5025)
@@ -280,6 +284,23 @@ def _after_link_loss(bench: QuestionedInstrument) -> Finding:
     )
 
 
+def _amplitude(bench: QuestionedInstrument) -> Finding:
+    instrument, controls = bench.connection.instrument, bench.connection.controls
+    zero, most = instrument.converter.mid_code, 2 * instrument.highest_output
+    codes = np.full((1, 64), zero, dtype=np.uint16)
+    codes[0, 16:32], codes[0, 32:48] = zero + zero // 2, zero - zero // 2
+    (memory,) = controls.store([(1, codes[0])])
+    half = Burst(codes, BURST_LENGTH, 1 / REPETITION_PERIOD, 0.1, (1.0,), instrument.converter)
+    controls.apply_each(instrument.burst_settings(1, memory, half, continuous=False))
+    reached = float(bench.ask(f"{bench.level(1.0).query} MAX"))
+    controls.reset()
+    answer = f"a record of half the codes reaches {reached:.4g} Vpp, where all codes reach {most:g} Vpp"
+    if not math.isclose(reached, most * float(half.shares[0]), rel_tol=0.01):
+        return "found", answer, "the driver takes it otherwise: EVERY LEVEL WOULD BE WRONG; do not play"
+    meant = "the record, from its lowest code to its highest" if reached < 0.75 * most else "all codes"
+    return "found", answer, f"an amplitude is that of {meant}, as the driver takes it"
+
+
 QUESTIONS: tuple[tuple[int, str, Callable[[QuestionedInstrument], Finding]], ...] = (
     (0, "Does it take the driver's settings?", _settings),
     (1, "Where does the output rest between bursts?", lambda bench: IDLE_LEVEL),
@@ -295,6 +316,7 @@ QUESTIONS: tuple[tuple[int, str, Callable[[QuestionedInstrument], Finding]], ...
     (11, "Does it admit a second session?", _sessions),
     (12, "What do the outputs do when the link is lost?", _after_link_loss),
     (13, "How soon after its command does a burst begin?", _trigger),
+    (14, "Is an amplitude that of all codes or of the record?", _amplitude),
 )
 
 

@@ -193,7 +193,7 @@ KEYSIGHT_33500B = Instrument(
         amplitude_digits=4,
         amplitude_decimals=4,
         # Of "Sinc", which goes from -0.217 to 1, the guide allows 6.087 V of 10; a user's 33522B played values from 0
-        # to 1 at 0.9 Vpp as 0 to 0.9 V.
+        # to 1 at 0.9 Vpp as 0 to 0.9 V. `modaltouch rig check` asks the instrument itself (question 14).
         of_record=True,
         any_rate=True,
     ),
@@ -225,5 +225,5 @@ KEYSIGHT_33500B = Instrument(
     ),
     records=ChannelMemories(n_memories=4),
     # Those about the timer, the edit memory and the end of its blocks are an AFG3022B's.
-    questions=(0, 1, 5, 6, 7, 8, 10, 11, 12, 13),
+    questions=(0, 1, 5, 6, 7, 8, 10, 11, 12, 13, 14),
 )
