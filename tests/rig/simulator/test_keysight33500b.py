@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from pymeasure.adapters import VISAAdapter
 from pymeasure.instruments.agilent import Agilent33500
 
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.simulator import Simulator
-from modaltouch.rig.simulator.keysight33500b import HIGHEST_CODE
+from modaltouch.rig.simulator.keysight33500b import HIGHEST_CODE, keysight_twin
 from modaltouch.system.clock import VirtualClock
 
 PROTOCOLS = Path(__file__).parents[3] / "protocols"
@@ -180,6 +183,25 @@ def test_one_bus_trigger_begins_both_channels(simulator: Simulator, clock: Virtu
     said(simulator, "TRIG2:SOUR EXT", "*TRG")
     clock.sleep(0.1)
     assert [playback is not None for playback in simulator.playbacks] == [True, False]
+
+
+STATE, TABLE = keysight_twin("33522B", None, clock=VirtualClock(0.0))
+HEADS = [re.sub(r"[\[\]]", "", head).replace("#", "1") for head in TABLE.commands]
+WORDS = (
+    *("", "1", "-1", "1e400", "INF", "MIN", "MAX", "DEF", "ON", '"x"', "A", "ARB", "OFF", "BUS", "nan", ",", "5 VPP"),
+    *("A,1,2,3,4,5,6,7,8", "#15hello", "A,#216" + 16 * "~", "A,#10", "#0", '"INT:\\K.ARB"', "R,1e9,1,1,1,1,1,1,1"),
+)
+
+
+@settings(max_examples=400, deadline=None, derandomize=True)
+@given(head=st.sampled_from(HEADS), query=st.sampled_from(["", "?"]), word=st.sampled_from(WORDS))
+def test_nothing_that_is_sent_is_more_than_an_error(head: str, query: str, word: str) -> None:
+    """Every header with whatever argument: a reply, a setting or an entry of the error queue."""
+    TABLE.run(f"{head}{query} {word}".encode(), fail=STATE.fail)
+    STATE.clock.sleep(1e-3)
+    for number in STATE.channels:
+        playback = STATE.playback(number)
+        assert playback is None or playback.duration > 0
 
 
 def test_files_last_and_records_do_not(simulator: Simulator) -> None:
