@@ -53,5 +53,5 @@ def test_what_is_neither_is_refused_with_the_names_there_are(name: str) -> None:
     names = "or one of demo, differentiated_stimulation, .*, with_catch_trials; did you mean 'demo'?"
     with pytest.raises(InputError, match=f"^{name}:1:1: given a file that does not exist; .*, {names}"):
         find("protocol", name)
-    with pytest.raises(InputError, match="or one of beam_100x6x2; check its name"):
+    with pytest.raises(InputError, match="or one of beam_100x6x2, keysight_33522b; check its name"):
         Apparatus.read("plate")
