@@ -5,14 +5,18 @@ from __future__ import annotations
 from modaltouch.protocol import Apparatus
 from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.rig.instrument import Instrument
-from modaltouch.rig.keysight33500b import KEYSIGHT_33500B
 
-INSTRUMENTS = (AFG3022B, KEYSIGHT_33500B)
-KNOWN_MODELS = tuple(model for instrument in INSTRUMENTS for model in instrument.models)
-"""Any other model is taken only if the apparatus file names it."""
+
+def instruments() -> tuple[Instrument, ...]:
+    """Return all, the usual one first; any other model is taken for that one, if the apparatus file names it."""
+    from modaltouch.rig.keysight33500b import KEYSIGHT_33500B
+
+    return (AFG3022B, KEYSIGHT_33500B)
 
 
 def instrument_of(apparatus: Apparatus) -> Instrument:
-    """Return the generator that an apparatus names; the first one for a model that is not known."""
+    """Return the generator that an apparatus names."""
     model = apparatus.generator.model
-    return next((each for each in INSTRUMENTS if model in each.models), INSTRUMENTS[0])
+    if model in AFG3022B.models:
+        return AFG3022B
+    return next((each for each in instruments() if model in each.models), AFG3022B)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from modaltouch.protocol import Apparatus
-from modaltouch.rig.catalogue import KNOWN_MODELS, instrument_of
+from modaltouch.rig.catalogue import instrument_of, instruments
 from modaltouch.rig.controls import Controls, Unconfirmed
 from modaltouch.rig.instrument import Setting
 from modaltouch.rig.interface import RigError
@@ -257,10 +257,11 @@ class Connection:
         fields = self.identity.split(",")
         model = fields[1].strip() if len(fields) > 2 else ""
         if model != self._expected_model:
+            known = ", ".join(name for each in instruments() for name in each.models)
             raise RigError(
                 f"the instrument at {self.address} says it is '{self.identity}': the apparatus file names "
                 f"{self._expected_model}; no output was switched on; correct the address, or generator.model "
-                f"in the apparatus file (known models: {', '.join(KNOWN_MODELS)})"
+                f"in the apparatus file (known models: {known})"
             )
-        if model not in KNOWN_MODELS:
-            self._log("unknown_model", model=model, taken_for=KNOWN_MODELS[0])
+        if model not in self.instrument.models:
+            self._log("unknown_model", model=model, taken_for=self.instrument.models[0])

@@ -10,7 +10,7 @@ from __future__ import annotations
 import signal
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from modaltouch.protocol import Apparatus
 from modaltouch.rig.simulator.commands import afg_twin
 from modaltouch.rig.simulator.instrument import Faults, SimulatedInstrument
-from modaltouch.rig.simulator.keysight33500b import keysight_twin
 from modaltouch.rig.simulator.state import Behaviour
 from modaltouch.rig.simulator.timeline import Delays, Playback
 from modaltouch.rig.simulator.twin import TrueState, Twin
@@ -31,9 +30,16 @@ from modaltouch.system import SYSTEM_CLOCK, Clock, VirtualClock
 if TYPE_CHECKING:
     from modaltouch.rig.simulator.played import PlayedLog
     from modaltouch.rig.simulator.scope import SimulatedScope
+    from modaltouch.rig.simulator.scpi import CommandTable
 
-TWINS = {"33522B": keysight_twin, "33512B": keysight_twin}
-"""Of models other than the AFG3022B, which stands for every other."""
+
+def twin_of(model: str) -> Callable[..., tuple[Any, CommandTable]]:
+    """Return what makes the state of a model of generator and its table; the AFG3022B stands for those not known."""
+    if model.startswith("AFG"):
+        return afg_twin
+    from modaltouch.rig.simulator.keysight33500b import keysight_twin
+
+    return {"33522B": keysight_twin, "33512B": keysight_twin}.get(model, afg_twin)
 
 
 class Simulator:
@@ -90,7 +96,7 @@ class Simulator:
         delays = Delays(latency, true.relay_ms * 1e-3, true.external_pulses_Hz)
         model, hardware = apparatus.generator.model, {"delays": delays, "seed": seed, "clock": clock}
         self.afg: Any
-        self.afg, table = TWINS.get(model, afg_twin)(model, behaviour, **hardware)
+        self.afg, table = twin_of(model)(model, behaviour, **hardware)
         self.faults = Faults()
         self.twin = Twin(apparatus, seed)
         self.touched: tuple[float, ...] = ()
