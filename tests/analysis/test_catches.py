@@ -15,7 +15,7 @@ from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.exact import multinomial_test
 from modaltouch.analysis.pipeline import analyse
 from modaltouch.analysis.reading import read_responses
-from modaltouch.analysis.statistics import chance_findings, dominance_findings
+from modaltouch.analysis.statistics import family_findings
 from modaltouch.analysis.tables import tabulate, zone_table
 from modaltouch.protocol.problems import InputError
 
@@ -93,7 +93,7 @@ def test_false_alarms_misses_and_detection_are_as_counted_by_hand(table: Path) -
 def test_the_test_against_chance_is_of_those_who_felt_something(table: Path) -> None:
     """At 80 mm/s one right, one left, two none: the test has two answers, the share of C is one of four."""
     answers = count_answers(read_responses(table).frame, "C")
-    first = next(iter(chance_findings(answers)))
+    first = next(iter(family_findings("a1", answers)))
     assert first.p == pytest.approx(multinomial_test([1, 0, 1]).p)
     assert first.estimate == pytest.approx(1 / 4)
     assert "none 2, left out of the test" in first.note
@@ -102,7 +102,7 @@ def test_the_test_against_chance_is_of_those_who_felt_something(table: Path) -> 
 def test_dominance_counts_none_for_neither_zone(table: Path) -> None:
     """Eight right less one left of twelve answers, whatever else they are: 7 right - 1 left as counted by hand."""
     answers = count_answers(read_responses(table).frame, "C")
-    first = next(iter(dominance_findings(answers)))
+    first = next(iter(family_findings("a2", answers)))
     assert first.estimate == pytest.approx((7 - 1) / 12)
     assert "7 C, 1 A, 1 both and 3 none of 12 answers" in first.note
 

@@ -27,7 +27,7 @@ def test_holm_agrees_with_statsmodels(p_values) -> None:
         reference = multipletests(p_values, method="holm")[1].tolist()
     finally:
         gc.unfreeze()
-    assert holm(p_values) == pytest.approx(reference, rel=1e-12)
+    assert holm(p_values).tolist() == pytest.approx(reference, rel=1e-12)
 
 
 def test_families_are_corrected_apart() -> None:
@@ -62,7 +62,7 @@ def test_what_the_data_cannot_say_comes_first_among_the_notes() -> None:
     test, interval = ExactTest(2, 0.25, 0.25, 3), Interval(0.5, 0.1, 0.9, 10)
     row = finding_of("b", "a test", "everywhere", test, "share", interval, 10, family="f", notes=notes)
     assert row.note == "no information: whatever the answers, p could not fall below 0.25; first; second"
-    expected = Finding("b", "a test", "everywhere", "share", 0.5, 0.1, 0.9, 10, 2, 0.25, 0.25, "f", row.note)
+    expected = Finding("b", "a test", "everywhere", "share", 0.5, 0.1, 0.9, 10, 2.0, 0.25, 0.25, "f", row.note)
     assert repr(row) == repr(expected)  # by repr, since p_holm is not a number
     assert math.isnan(row.p_holm)
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from modaltouch.analysis.counts import count_answers
-from modaltouch.analysis.covariates import detection, order_findings, side_findings, student_interval, time_findings
+from modaltouch.analysis.covariates import detection, order_findings, side_findings, time_findings
 from modaltouch.analysis.exact import sign_flip_test
+from modaltouch.analysis.intervals import student_interval
 
 
 def test_a_side_bias_is_the_difference_between_focus_right_and_left(build) -> None:

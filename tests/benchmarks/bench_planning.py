@@ -25,14 +25,15 @@ from scipy.stats import permutation_test
 from statsmodels.stats.multitest import multipletests
 from threadpoolctl import threadpool_limits
 
-from modaltouch.planning.design import Design
+from modaltouch.analysis.counts import AnswerCounts
+from modaltouch.analysis.statistics import STATISTICS
 from modaltouch.planning.experiments import Job, Study, divide, run_job, simulate
 from modaltouch.planning.observer.file import read_observer
 from modaltouch.planning.presented import designs_for
-from modaltouch.planning.questions import CONFIRMED, SimulatedAnswers, p_values
 from modaltouch.preflight import examine
 
 ROOT = Path(__file__).parents[2]
+CONFIRMED = ("a2", "b", "c", "d")
 N_EXPERIMENTS, N_PARTICIPANTS, N_PEER = 1000, 10, 4
 SWEEP = (6, 8, 10, 12, 16, 20, 24, 32, 40)
 
@@ -54,14 +55,13 @@ def sweep(study: Study, sizes: list[tuple[int, int]]) -> None:
         run_job(study, job)
 
 
-def to_table(answers: SimulatedAnswers, experiment: int) -> pd.DataFrame:
+def to_table(answers: AnswerCounts, experiment: int) -> pd.DataFrame:
     """Return the answers of one experiment as a tidy table."""
-    design, rows = answers.design, []
-    for (person, f, q, v), left in np.ndenumerate(answers.left[experiment]):
-        pair = design.pairs[q]
-        answer = "left" if left else "right" if answers.right[experiment, person, f, q, v] else "both"
+    rows = []
+    for person, f, q, v, place in np.argwhere(answers.counts[experiment]):
+        pair, answer = answers.pairs[q], answers.answers[place].name
         chosen = {"left": pair.left, "right": pair.right}.get(answer, "both")
-        rows.append((person, design.finger_conditions[f], pair.label, design.levels[v], chosen == pair.dominant,
+        rows.append((person, answers.finger_conditions[f], pair.label, answers.levels[v], chosen == pair.dominant,
                      chosen == pair.other, answer == "both"))  # fmt: skip
     return pd.DataFrame(rows, columns=["participant", "hand", "pair", "level", "dominant", "other", "both"])
 
@@ -110,10 +110,10 @@ def analyse_by_libraries(table: pd.DataFrame, rng: np.random.Generator) -> dict[
     return found
 
 
-def largest_difference(design: Design, answers: SimulatedAnswers, by_libraries: list[dict[str, list[float]]]) -> float:
+def largest_difference(answers: AnswerCounts, by_libraries: list[dict[str, list[float]]]) -> float:
     """Return the largest difference of the sign-flip p between the two ways."""
     return max(
-        float(np.abs(p_values(answers, family)[experiment] - found[family]).max())
+        float(np.abs(STATISTICS[family].compute(answers).test.quick_p[experiment] - found[family]).max())
         for family in ("a2", "c", "d")
         for experiment, found in enumerate(by_libraries)
     )
@@ -151,7 +151,7 @@ def main() -> None:
         "libraries_includes": "tests and Holm from a tidy table",
         "libraries_cpu_s": each * N_EXPERIMENTS,
         "times_faster": each * N_EXPERIMENTS / cpu,
-        "largest_difference_of_sign_flip_p": largest_difference(study.design, answers, by_libraries),
+        "largest_difference_of_sign_flip_p": largest_difference(answers, by_libraries),
     }  # fmt: skip
     figures["bars"] = [
         {"what": "CPU time of 1,000 experiments [s]", "bar": 0.25, "measured": cpu, "met": cpu <= 0.25},

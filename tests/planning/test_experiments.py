@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from modaltouch.analysis.intervals import wilson
+from modaltouch.analysis.statistics import STATISTICS
 from modaltouch.planning.design import Design
 from modaltouch.planning.experiments import BATCH, BATCH_CELLS, Job, Study, divide, run_job, simulate, unbiased
 from modaltouch.planning.observer import Observer, Participant
-from modaltouch.planning.questions import FAMILIES
 
-ALL = tuple(FAMILIES)
+ALL = tuple(STATISTICS)
 VARIED = Observer(
     Participant(noise=0.4, criterion=0.35, side_bias=0.2, near_miss=0.3),
     side_bias_spread=0.35,
@@ -27,10 +27,11 @@ def test_simulated_answers_have_the_observers_shares(design: Design) -> None:
     answers = simulate(design, VARIED, Job(50, 2, 0, 200), np.random.default_rng(1))
     crowd = VARIED.draw_crowd(np.random.default_rng(2), (40_000,))
     left, right = crowd.shares(design.speeds.reshape(-1, 2), design.cells)
-    for counted, share in ((answers.left, left), (answers.right, right)):
-        means = counted.mean(axis=(0, 1)).ravel() / 2
+    for place, share in ((0, left), (2, right)):
+        means = answers.counts[..., place].mean(axis=(0, 1)).ravel() / 2
         assert means == pytest.approx(share.mean(axis=0), abs=4 * 0.5 / np.sqrt(10_000))
-    assert ((answers.left >= 0) & (answers.right >= 0) & (answers.left + answers.right <= 2)).all()
+    assert answers.counts.min() >= 0
+    assert (answers.counts.sum(axis=-1) == 2).all()
 
 
 @pytest.mark.parametrize("n_repetitions", [1, 2])

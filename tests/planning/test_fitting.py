@@ -34,13 +34,11 @@ def write_answers(file: Path, preflight: Preflight) -> None:
     design = designs_for(preflight, TRUTH)[""]
     answers = simulate(design, TRUTH, Job(20, 4, 0, 1), np.random.default_rng(3))
     rows = [HEADER]
-    for (_, person, f, q, v), left in np.ndenumerate(answers.left):
-        right = int(answers.right[0, person, f, q, v])
-        for response, n in (("left", left), ("right", right), ("both", 4 - left - right)):
-            if n:
-                pair = design.pairs[q]
-                condition, level = design.finger_conditions[f], design.levels[v]
-                rows.append(f"p{person},{condition},{pair.left},{pair.right},{level:g},{response},{n}")
+    for (person, f, q, v, place), n in np.ndenumerate(answers.counts[0]):
+        if n:
+            pair, response = design.pairs[q], answers.answers[place].name
+            condition, level = design.finger_conditions[f], design.levels[v]
+            rows.append(f"p{person},{condition},{pair.left},{pair.right},{level:g},{response},{n}")
     file.write_text("\n".join(rows) + "\n", encoding="utf-8")
 
 

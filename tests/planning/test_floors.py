@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from modaltouch.analysis.counts import Pair
-from modaltouch.analysis.trend import trend_test
+from modaltouch.analysis.trend import smallest_trend_p, trend_test
 from modaltouch.planning.design import Design
 from modaltouch.planning.experiments import Job, Study, run_job
 from modaltouch.planning.observer import Observer, Participant
-from modaltouch.planning.power import find_floor, smallest_p
+from modaltouch.planning.power import find_floor
 
 
 @pytest.mark.parametrize(("family", "least"), [("a2", 8), ("d", 8), ("c", 7), ("c both", 7), ("a1", 7)])
@@ -27,7 +27,7 @@ def test_no_answers_at_all_give_a_smaller_trend_p(design: Design, n_participants
     ways = np.array([[(code >> k) & 1 for k in range(4)] for code in range(16)])
     every = combinations_with_replacement(range(16), n_participants)
     smallest = min(trend_test(ways[list(codes)], design.levels).p for codes in every)
-    assert smallest_p(design, "b", n_participants, 1) == pytest.approx(smallest, rel=1e-9)
+    assert smallest_trend_p(design.levels, n_participants, 1) == pytest.approx(smallest, rel=1e-9)
 
 
 def test_repetitions_do_not_hide_a_smaller_trend_p() -> None:
@@ -35,7 +35,7 @@ def test_repetitions_do_not_hide_a_smaller_trend_p() -> None:
     design = Design("x", ("one_hand",), (Pair.of("A", "C", "C"),), (80.0, 100.0, 200.0), np.ones((1, 1, 3, 2)))
     ways = np.array(list(product(range(3), repeat=3)))
     smallest = min(trend_test(ways[[i, j]], design.levels, 2).p for i in range(27) for j in range(i, 27))
-    assert smallest_p(design, "b", 2, 2) == pytest.approx(smallest, rel=1e-9)
+    assert smallest_trend_p(design.levels, 2, 2) == pytest.approx(smallest, rel=1e-9)
 
 
 def test_below_the_floor_power_is_nothing_and_above_it_certain(design: Design) -> None:
@@ -48,5 +48,5 @@ def test_below_the_floor_power_is_nothing_and_above_it_certain(design: Design) -
 
 def test_one_level_can_never_show_a_trend(small_design: Design) -> None:
     """Expected: p is always 1, whatever the number of participants."""
-    assert smallest_p(small_design, "b", 50, 1) == 1.0
+    assert smallest_trend_p(small_design.levels, 50, 1) == 1.0
     assert find_floor(small_design, "b", 1).least_participants is None

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import pytest
 
+from modaltouch.analysis.statistics import STATISTICS
 from modaltouch.planning.design import Design
 from modaltouch.planning.experiments import Study
 from modaltouch.planning.files import draw_power
 from modaltouch.planning.observer import Observer, Participant
 from modaltouch.planning.power import Power, plan
-from modaltouch.planning.questions import FAMILIES
 
 UNSURE = Observer(Participant(noise=0.5, criterion=0.4))
 
 
-def planned(design: Design, sizes: list[tuple[int, int]], families: tuple[str, ...] = tuple(FAMILIES)) -> Power:
+def planned(design: Design, sizes: list[tuple[int, int]], families: tuple[str, ...] = tuple(STATISTICS)) -> Power:
     """Return a small plan."""
     return plan(Study(design, UNSURE, families, null=False, seed=1), sizes, 20)
 
@@ -23,7 +23,7 @@ def test_several_repetitions_are_drawn_as_contours(design: Design) -> None:
     """Expected: a panel for each family, over the participants and repetitions that were simulated."""
     figure = draw_power(planned(design, [(n, r) for r in (1, 2) for n in (6, 10, 16)]))
     panels = [axes for axes in figure.axes if axes.axison]
-    assert len(panels) == len(FAMILIES)
+    assert len(panels) == len(STATISTICS)
     for axes in panels:
         assert axes.get_ylabel() == "repetitions"
         assert axes.get_xlim() == (6, 16)

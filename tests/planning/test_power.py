@@ -8,11 +8,11 @@ import math
 import pytest
 
 from modaltouch.analysis.intervals import wilson
+from modaltouch.analysis.statistics import STATISTICS
 from modaltouch.planning.design import Design
 from modaltouch.planning.experiments import Study, run_job
 from modaltouch.planning.observer import Observer, Participant
 from modaltouch.planning.power import Power, plan
-from modaltouch.planning.questions import FAMILIES
 
 UNSURE = Observer(Participant(noise=0.5, criterion=0.4, suppression=0.8, suppression_across_hands=0.2), name="unsure")
 SIZES = [(n, r) for r in (1, 2) for n in (6, 10, 14)]
@@ -21,7 +21,7 @@ SIZES = [(n, r) for r in (1, 2) for n in (6, 10, 14)]
 @pytest.fixture
 def study(design: Design) -> Study:
     """The paper's design with an unsure observer."""
-    return Study(design, UNSURE, tuple(FAMILIES), null=False, seed=1)
+    return Study(design, UNSURE, tuple(STATISTICS), null=False, seed=1)
 
 
 def test_processes_change_nothing(study: Study) -> None:
@@ -44,7 +44,7 @@ def test_an_interruption_keeps_what_is_done(study: Study) -> None:
     assert done == [1, 2]
     assert not found.complete
     assert {size: tallies["a2"].n_experiments for size, tallies in found.tallies.items()} == {(6, 1): 40, (10, 1): 40}
-    assert len(found.families) == 2 * len(FAMILIES)
+    assert len(found.families) == 2 * len(STATISTICS)
 
 
 def test_an_interruption_of_processes_keeps_what_is_done(study: Study) -> None:

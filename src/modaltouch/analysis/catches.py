@@ -8,13 +8,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
-from statistics import NormalDist
 from typing import Any
 
 import numpy as np
 
 from modaltouch.analysis.counts import AnswerCounts
-from modaltouch.analysis.findings import Finding
+from modaltouch.analysis.covariates import detection
+from modaltouch.analysis.findings import Finding, finding_of
 from modaltouch.analysis.intervals import Interval, clopper_pearson, korn_graubard
 
 _ABSENT = "none"
@@ -104,13 +104,13 @@ def catch_findings(answers: AnswerCounts, catches: Catches) -> Iterator[Finding]
     note = f"{total.n_missed} of {total.n_driven} answers"
     yield _rate("misses", misses, [row.n_driven for row in rows if row is not None], note, total)
     if total.n_catch:
-        hit = (total.n_driven - total.n_missed + 0.5) / (total.n_driven + 1)
-        alarm = (total.n_false_alarms + 0.5) / (total.n_catch + 1)
-        z = NormalDist().inv_cdf
-        sensitivity = z(hit) - z(alarm)
-        yield Finding(
-            "catch", "detection, log-linear correction", "all", "d'", sensitivity, np.nan, np.nan, n,
-            note=f"criterion c {-(z(hit) + z(alarm)) / 2:.2f}; all answers together, so no interval",
+        driven = np.array([total.n_missed, total.n_driven - total.n_missed])
+        silent = np.array([total.n_catch - total.n_false_alarms, total.n_false_alarms])
+        sensitivity, criterion = detection(driven, silent)
+        interval, note = Interval(sensitivity, np.nan, np.nan, n), f"criterion c {criterion:.2f}"
+        yield finding_of(
+            "catch", "detection, log-linear correction", "all", None, "d'", interval, n,
+            notes=[note, "all answers together, so no interval"],
         )  # fmt: skip
 
 
@@ -124,14 +124,10 @@ def _missed(answers: AnswerCounts) -> list[int]:
 
 def _rate(name: str, counts: list[int], totals: list[int], note: str, total: CatchRow) -> Finding:
     quantity = "P(a finger | nothing driven)" if name == "false alarms" else f"P({total.nothing} | stimulus)"
-    interval: Interval
     if len(set(totals)) == 1:
         interval = korn_graubard(np.array(counts), totals[0])
         method = "Korn-Graubard interval over participants"
     else:
         interval = clopper_pearson(sum(counts), sum(totals))
         method = "Clopper-Pearson interval over answers"
-    return Finding(
-        "catch", f"{name}, {method}", "all", quantity, interval.estimate, interval.low, interval.high,
-        len(counts), note=note,
-    )  # fmt: skip
+    return finding_of("catch", f"{name}, {method}", "all", None, quantity, interval, len(counts), notes=[note])

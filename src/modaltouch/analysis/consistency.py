@@ -80,7 +80,8 @@ def effect_findings(answers: AnswerCounts) -> Iterator[Finding]:
             share = korn_graubard(answers.counts[:, f, q, :, place].sum(axis=1), answers.n_answers)
             scope = f"{answers.finger_conditions[f]} {answers.pairs[q].label}"
             worth = f"worth {share.n_effective:.1f} independent answers of {n * answers.n_answers}"
-            yield _estimate("f", "Korn-Graubard interval over levels", scope, f"P({label})", share, n, worth)
+            name = "Korn-Graubard interval over levels"
+            yield finding_of("f", name, scope, None, f"P({label})", share, n, notes=[worth])
     yield from _paired_cells(answers)
 
 
@@ -101,11 +102,11 @@ def _paired_cells(answers: AnswerCounts) -> Iterator[Finding]:
         )
         difference = tango(b, c, m) if m else _NO_INTERVAL
         quantity = f"difference of P({shown})"
-        yield _estimate("f", "Tango interval of the paired difference", scope, quantity, difference, m, note)
-        yield _estimate(
-            "f", "matched odds ratio, exact", scope, f"odds ratio of {shown}", matched_odds_ratio(b, c),
-            m, note if b + c else f"no information: no discordant pair; {note}",
-        )  # fmt: skip
+        name = "Tango interval of the paired difference"
+        yield finding_of("f", name, scope, None, quantity, difference, m, notes=[note])
+        notes = [note] if b + c else ["no information: no discordant pair", note]
+        quantity, odds = f"odds ratio of {shown}", matched_odds_ratio(b, c)
+        yield finding_of("f", "matched odds ratio, exact", scope, None, quantity, odds, m, notes=notes)
 
 
 def _prevalence(answers: AnswerCounts, first: IntArray, second: IntArray, scope: str, zone: str) -> Finding:
@@ -114,7 +115,7 @@ def _prevalence(answers: AnswerCounts, first: IntArray, second: IntArray, scope:
     least = 2.0 ** (1 - answers.n_answers)
     if least > ALPHA:
         note = f"no information: {answers.n_answers} answers of one participant cannot give p below {least:.2g}"
-        return _estimate("e", "prevalence of dominance", scope, quantity, _NO_INTERVAL, n, note)
+        return finding_of("e", "prevalence of dominance", scope, None, quantity, _NO_INTERVAL, n, notes=[note])
     pairs = list(zip(first.tolist(), second.tolist(), strict=True))
     own = {pair: sign_flip_test([1] * pair[0] + [-1] * pair[1]).p for pair in set(pairs)}
     shown = sum(own[pair] <= ALPHA and pair[0] > pair[1] for pair in pairs)
@@ -122,10 +123,5 @@ def _prevalence(answers: AnswerCounts, first: IntArray, second: IntArray, scope:
         f"{shown} of {n} have a significant sign test by themselves; "
         f"likeliest prevalence {prevalence(shown, n):.2f} (Ince 2021)"
     )
-    return _estimate("e", "prevalence of dominance", scope, quantity, clopper_pearson(shown, n), n, note)
-
-
-def _estimate(
-    question: str, name: str, scope: str, quantity: str, interval: Interval, n: int, note: str = ""
-) -> Finding:
-    return Finding(question, name, scope, quantity, interval.estimate, interval.low, interval.high, n, note=note)
+    share = clopper_pearson(shown, n)
+    return finding_of("e", "prevalence of dominance", scope, None, quantity, share, n, notes=[note])

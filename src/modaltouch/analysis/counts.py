@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal, TypeVar
 
 import numpy as np
@@ -85,8 +86,8 @@ class AnswerCounts:
         Zone pairs along the third axis.
     levels : tuple of float
         Levels along the fourth axis, on `scale`: peak velocities [mm/s] or multiples of the own threshold.
-    counts : (n_participants, n_finger_conditions, n_pairs, n_levels, n_answers) array of int
-        Counts of the `answers`.
+    counts : (..., n_participants, n_finger_conditions, n_pairs, n_levels, n_answers) array of int
+        Counts of the `answers`; of a batch of experiments, along axes before these.
     n_repetitions : int
         Answers of each participant in each cell.
     focus : str
@@ -203,15 +204,26 @@ class AnswerCounts:
         """Answers of each participant to one pair under one finger condition."""
         return self.n_repetitions * len(self.levels)
 
-    def dominant(self) -> NDArray[np.int64]:
-        """Return the counts of the dominant zone, without the last axis."""
-        return np.stack(
-            [self.counts[:, :, i, :, self.dominant_place(pair)] for i, pair in enumerate(self.pairs)], axis=2
-        )
+    @cached_property
+    def of_effects(self) -> tuple[NDArray[np.int64], ...]:
+        """Counts of each of the `effects`, (..., n_finger_conditions, n_pairs, n_participants, n_levels) arrays."""
+        places = [[place for _, place in self.effects(pair)] for pair in self.pairs]
+        return tuple(self._picked(each) for each in zip(*places, strict=True))
 
+    @cached_property
+    def dominant(self) -> NDArray[np.int64]:
+        """Counts of the dominant zone, shaped as those of effects."""
+        return self._picked([self.dominant_place(pair) for pair in self.pairs])
+
+    @cached_property
     def other(self) -> NDArray[np.int64]:
-        """Return the counts of the other zone, without the last axis."""
-        return np.stack([self.counts[:, :, i, :, self.other_place(pair)] for i, pair in enumerate(self.pairs)], axis=2)
+        """Counts of the other zone, shaped as those of effects."""
+        return self._picked([self.other_place(pair) for pair in self.pairs])
+
+    def _picked(self, places: Sequence[int]) -> NDArray[np.int64]:
+        """Return the counts of one answer of each pair, participants behind the pairs."""
+        own = [np.moveaxis(self.counts[..., q, :, place], -3, -2) for q, place in enumerate(places)]
+        return np.stack(own, axis=-3)
 
     def sided(self) -> NDArray[np.int64]:
         """Return the counts of left and right alone, along the last axis."""
@@ -228,6 +240,12 @@ class AnswerCounts:
         if self.both_place is None:
             raise ValueError(f"no answer names both fingers: there are {', '.join(self.answers.names)}")
         return self.counts[..., [self._found("left"), self.both_place, self._found("right")]]
+
+    @cached_property
+    def n_modal(self) -> NDArray[np.int64]:
+        """Participants by their most frequent answer in each cell, `counts` without their axis; ties are left out."""
+        most = self.counts == self.counts.max(axis=-1, keepdims=True)
+        return np.asarray((most & (most.sum(axis=-1, keepdims=True) == 1)).sum(axis=-5))
 
     def modal(self) -> NDArray[np.int64]:
         """Return each participant's most frequent answer per cell; -1 where two answers tie."""

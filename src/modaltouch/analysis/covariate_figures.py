@@ -24,14 +24,14 @@ def draw_side(answers: AnswerCounts) -> Figure | None:
     left, right = focused_pairs(answers)
     if not (right and left):
         return None
-    dominant = answers.dominant().mean(axis=3) / answers.n_repetitions
+    dominant = answers.dominant.mean(axis=-1) / answers.n_repetitions
     with house_style():
         figure = Figure(figsize=(4.2, 3.6))
         axes = figure.subplots()
         axes.plot([0, 1], [0, 1], color=FAINT, linewidth=0.8)
         rng = np.random.default_rng(1)
         for f, condition in enumerate(answers.finger_conditions):
-            shares = [dominant[:, f, group].mean(axis=1) for group in (left, right)]
+            shares = [dominant[f, group].mean(axis=0) for group in (left, right)]
             on_left, on_right = (np.where(answers.facing > 0, *pair) for pair in (shares, shares[::-1]))
             shake = rng.uniform(-0.018, 0.018, (2, answers.n_participants))
             axes.scatter(

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.exact import sign_flip_test
 from modaltouch.analysis.findings import Finding, finding_of
-from modaltouch.analysis.intervals import CONFIDENCE, Interval, paired_mean
+from modaltouch.analysis.intervals import CONFIDENCE, Interval, paired_mean, student_interval
 
 FEW = 30
 """Participants below which clustered standard errors are known to be too small."""
@@ -71,8 +71,6 @@ def fit_ordered_probit(predictor: ArrayLike, answers: ArrayLike, participants: A
     if not (math.isfinite(slope) and math.isfinite(error)) or abs(slope) > LARGEST or error > LARGEST:
         note = f"not estimable: separation (coefficient {slope:.3g}, standard error {error:.3g})"
         return ProbitFit(Interval(math.nan, math.nan, math.nan, 0.0), True, note)
-    from statistics import NormalDist
-
     half = NormalDist().inv_cdf(1 - (1 - CONFIDENCE) / 2) * error
     n = int(groups.max()) + 1
     note = f"secondary model; standard error {error:.2g} clustered over {n} participants"
@@ -151,10 +149,10 @@ def side_findings(answers: AnswerCounts) -> Iterator[Finding]:
     left, right = focused_pairs(answers)
     if not (right and left):
         return
-    dominant = answers.dominant().sum(axis=3)
+    dominant = answers.dominant.sum(axis=-1)
     n = answers.n_participants
     for f, condition in enumerate(answers.finger_conditions):
-        on_right, on_left = dominant[:, f, right].sum(axis=1), dominant[:, f, left].sum(axis=1)
+        on_right, on_left = dominant[f, right].sum(axis=0), dominant[f, left].sum(axis=0)
         score = (on_right * len(left) - on_left * len(right)) * answers.facing
         interval = paired_mean(score, answers.n_answers * len(left) * len(right))
         labels = [", ".join(answers.pairs[q].label for q in group) for group in (right, left)]
@@ -296,29 +294,10 @@ def speed_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Findi
         own = (frame["finger_condition"].astype(str) == condition).to_numpy() & (places >= 0)
         groups = frame["participant"].astype(str).to_numpy()[own]
         fit = fit_ordered_probit(ratio[own], places[own], groups)
-        yield Finding(
-            "speed", "ordered probit on the log ratio of predicted speeds", condition,
-            "probit slope per doubling of right over left", fit.slope.estimate, fit.slope.low, fit.slope.high,
-            answers.n_participants, note=fit.note,
+        yield finding_of(
+            "speed", "ordered probit on the log ratio of predicted speeds", condition, None,
+            "probit slope per doubling of right over left", fit.slope, answers.n_participants, notes=[fit.note],
         )  # fmt: skip
-
-
-def student_interval(values: NDArray[np.float64]) -> Interval:
-    """Return the t interval of a mean; without bounds where the values do not vary.
-
-    Parameters
-    ----------
-    values : (n,) array
-        One value a participant.
-    """
-    n = values.size
-    if n < 2 or np.ptp(values) == 0:
-        return Interval(float(values.mean()) if n else math.nan, math.nan, math.nan, n)
-    from scipy.special import stdtrit
-
-    half = float(stdtrit(n - 1, 1 - (1 - CONFIDENCE) / 2)) * float(values.std(ddof=1)) / math.sqrt(n)
-    mean = float(values.mean())
-    return Interval(mean, mean - half, mean + half, n)
 
 
 def _medians(frame: pd.DataFrame, condition: str) -> pd.DataFrame:

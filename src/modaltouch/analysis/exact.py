@@ -1,7 +1,7 @@
-"""Exact tests for few participants: the multinomial test and sign flips.
+"""Exact tests for few participants: the multinomial test and sign flips, one test or a batch of them.
 
-Distributions are built by convolution, so cost grows with the range of the score and never with 2^N. Scores
-are integers, which leaves no doubt about ties. Every test also returns the smallest p its data could give.
+Cost grows with the range of the score and never with 2^N. Scores are integers, which leaves no doubt about ties. Every
+test also tells the smallest p its data could give.
 
 References
 ----------
@@ -14,102 +14,108 @@ from __future__ import annotations
 import math
 import sys
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from modaltouch.analysis.convolution import Kernel, tail_probability
+from modaltouch.analysis.sums import LEAST_P, Sums
 
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
 
+_EXACT_UP_TO = 40
+"""Signs of so many participants give p in steps that rounding can tell apart."""
 
-@dataclass(frozen=True)
+
 class ExactTest:
-    """A two-sided exact test.
-
-    Attributes
-    ----------
-    statistic : float
-        Value of the test statistic.
-    p : float
-        Probability, if the null hypothesis holds, of a statistic at least as extreme.
-    p_min : float
-        Smallest p these data could have given, however the answers had fallen.
-    n_informative : int
-        Participants (or answers, in the multinomial test) that could move the statistic.
-    """
-
-    statistic: float
-    p: float
-    p_min: float
-    n_informative: int
-
-    def __post_init__(self) -> None:
-        # No outcome is impossible: what is too small for a float is printed as the smallest normal one.
-        for name in ("p", "p_min"):
-            object.__setattr__(self, name, min(max(getattr(self, name), sys.float_info.min), 1.0))
-
-
-def multinomial_tests(counts: ArrayLike, probabilities: Sequence[float] | None = None) -> tuple[ExactTest, ...]:
-    """Return exact goodness-of-fit tests of several count vectors with the same total.
-
-    Every possible outcome is enumerated once for all of them, the more extreme the larger its likelihood ratio; of
-    outcomes that are alike under the null hypothesis, one stands for all.
+    """A two-sided exact test, or a batch of them: then each attribute is an array.
 
     Parameters
     ----------
-    counts : (n_tests, n_categories) array of int
-        Observed counts; all rows have the same total.
-    probabilities : sequence of float, optional
-        Probability of each category under the null hypothesis [1]; equal by default.
+    statistic : float or array
+        Value of the test statistic.
+    p, p_min : float or array, or callable
+        As the attributes; what is called is called when it is asked for.
+    n_informative : int or array
+        Participants (or answers, in the multinomial test) that could move the statistic.
+    quick_p : callable, optional
+        As the attribute.
+    """
+
+    def __init__(
+        self, statistic: Any, p: Any, p_min: Any, n_informative: Any, quick_p: Callable[[], Any] | None = None
+    ) -> None:
+        self.statistic, self.n_informative = statistic, n_informative
+        self._p, self._p_min, self._quick_p = p, p_min, quick_p
+
+    @cached_property
+    def p(self) -> Any:
+        """Probability, if the null hypothesis holds, of a statistic at least as extreme [1]."""
+        return _bounded(self._p)
+
+    @cached_property
+    def p_min(self) -> Any:
+        """Smallest p these data could have given, however the answers had fallen [1]."""
+        return _bounded(self._p_min)
+
+    @cached_property
+    def quick_p(self) -> Any:
+        """`p` to within 1e-13, for counting significant tests by the thousand [1]."""
+        return self.p if self._quick_p is None else _bounded(self._quick_p)
+
+    def __getitem__(self, place: int) -> ExactTest:
+        """Return one test of a batch."""
+        values = (self.statistic, self.p, self.p_min, self.n_informative)
+        return ExactTest(*(np.asarray(value)[place] for value in values))
+
+
+def _bounded(value: Any) -> Any:
+    # No outcome is impossible: what is too small for a float is printed as the smallest normal one.
+    return np.clip(value() if callable(value) else value, sys.float_info.min, 1.0)
+
+
+def sum_test(sums: Sums, observed: ArrayLike) -> ExactTest:
+    """Return tests whose statistic is a sum over participants, less its mean.
+
+    Parameters
+    ----------
+    sums : Sums
+        Null distributions, test by test.
+    observed : (...) array of int
+        The sums.
+    """
+    values = np.asarray(observed)
+    centred = values.reshape(-1) * sums.scale - sums.mean
+    distance, shape = np.abs(centred), values.shape
+    return ExactTest(
+        (centred / sums.scale).reshape(shape)[()],
+        lambda: sums.tails(distance).reshape(shape),
+        lambda: sums.tails(sums.farthest).reshape(shape),
+        sums.counts.sum(axis=1).reshape(shape)[()],
+        lambda: sums.quick_tails(distance).reshape(shape),
+    )
+
+
+def count_each(values: IntArray, kinds: ArrayLike) -> IntArray:
+    """Return how many participants of each test have each of some values.
+
+    Parameters
+    ----------
+    values : (..., n_participants) array of int
+        One value a participant.
+    kinds : (n_kinds,) array of int
+        Which are counted.
 
     Returns
     -------
-    tuple of ExactTest
-        One test per row; the statistic is the likelihood ratio, twice its logarithm.
-
-    Raises
-    ------
-    ValueError
-        If the counts are negative, fewer than two categories, of different totals, or the probabilities do not
-        add up to one.
+    (n_tests, n_kinds) array of int
     """
-    observed = np.asarray(counts, dtype=np.int64)
-    null = _check_multinomial(observed, probabilities)
-    n = int(observed[0].sum())
-    if n == 0:
-        return tuple(ExactTest(0.0, 1.0, 1.0, 0) for _ in observed)
-    log_p, extremeness = _tables(n, null)
-    categories = np.arange(null.size)
-    reached = extremeness[categories, observed].sum(axis=1)
-    tolerance = 1e-9 * np.maximum(1.0, np.abs(reached))
-    p = np.zeros(len(observed))
-    largest, p_min = -math.inf, 0.0
-    alike = bool((null == null[0]).all())
-    for head, orders, tail in _outcomes(n, null.size, alike):
-        mass = orders * np.exp(log_p[-2, tail] + log_p[-1, tail[::-1]] + sum(log_p[j, x] for j, x in enumerate(head)))
-        value = extremeness[-2, tail] + extremeness[-1, tail[::-1]]
-        value = value + sum(extremeness[j, x] for j, x in enumerate(head))
-        p += (value >= (reached - tolerance)[:, np.newaxis]) @ mass
-        top, slack = float(value.max()), 1e-9 * max(1.0, abs(float(value.max())))
-        if top > largest + slack:
-            largest, p_min = top, 0.0
-        p_min += float(mass[value >= largest - slack].sum())
-    return tuple(ExactTest(float(s), float(q), min(p_min, float(q)), n) for s, q in zip(reached, p, strict=True))
-
-
-def multinomial_test(counts: ArrayLike, probabilities: Sequence[float] | None = None) -> ExactTest:
-    """Return the exact goodness-of-fit test of one count vector; see `multinomial_tests`.
-
-    Examples
-    --------
-    >>> round(multinomial_test([10, 0, 0]).p, 8)  # three such outcomes, each of probability (1/3)^10
-    5.081e-05
-    """
-    return multinomial_tests(np.asarray(counts)[np.newaxis], probabilities)[0]
+    rows = values.reshape(math.prod(values.shape[:-1]), values.shape[-1])
+    counts = [(rows == kind).sum(axis=1) for kind in np.asarray(kinds).tolist()]
+    return np.stack(counts, axis=1) if counts else np.zeros((len(rows), 0), dtype=np.int64)
 
 
 def sign_flip_test(scores: ArrayLike) -> ExactTest:
@@ -119,24 +125,31 @@ def sign_flip_test(scores: ArrayLike) -> ExactTest:
 
     Parameters
     ----------
-    scores : (n_participants,) array of int
+    scores : (..., n_participants) array of int
         One net score per participant.
 
     Examples
     --------
-    >>> sign_flip_test([4] * 10).p == 2 / 2**10
+    >>> bool(sign_flip_test([4] * 10).p == 2 / 2**10)
     True
     """
     values = whole_numbers(scores, "scores")
-    sizes = np.abs(values[values != 0])
-    total = int(values.sum())
-    if sizes.size == 0:
-        return ExactTest(float(total), 1.0, 1.0, 0)
-    unit = int(np.gcd.reduce(sizes))
-    kernels = [_coin_kernel(int(size) // unit, count) for size, count in sorted(Counter(sizes.tolist()).items())]
-    reach = abs(total) // unit
-    p = 1.0 if reach == 0 else tail_probability(kernels, -reach, reach)
-    return ExactTest(float(total), p, 2.0 ** (1 - int(sizes.size)), int(sizes.size))
+    sizes = np.abs(values)
+    kinds = np.unique(sizes)
+    kinds = kinds[kinds > 0]
+    coin = np.array([0.5, 0.5])
+    laws = [(np.array([-size, size]), coin) for size in kinds]
+    sums = Sums(laws, np.zeros(len(laws), dtype=np.int64), 1, count_each(sizes, kinds))
+    test = sum_test(sums, values.sum(axis=-1))
+    return ExactTest(test.statistic, lambda: test.p, lambda: test.p_min, test.n_informative, lambda: _stepped(test))
+
+
+def _stepped(test: ExactTest) -> FloatArray:
+    """Return the quick p of sign flips, which for few participants is a known whole number of known steps."""
+    n = np.asarray(test.n_informative)
+    steps = 2.0 ** np.minimum(n, _EXACT_UP_TO)
+    p = np.where(n <= _EXACT_UP_TO, np.rint(test.quick_p * steps) / steps, test.quick_p)
+    return np.asarray(np.maximum(p, np.maximum(2.0 ** (1.0 - np.maximum(n, 1)), LEAST_P)))
 
 
 def sign_test(scores: ArrayLike) -> ExactTest:
@@ -144,24 +157,84 @@ def sign_test(scores: ArrayLike) -> ExactTest:
 
     Parameters
     ----------
-    scores : (n_participants,) array of int
+    scores : (..., n_participants) array of int
         One net score per participant.
     """
     values = whole_numbers(scores, "scores")
     test = sign_flip_test(np.sign(values))
-    return ExactTest(float((values > 0).sum()), test.p, test.p_min, test.n_informative)
+    n_positive = (values > 0).sum(axis=-1)
+    return ExactTest(n_positive, lambda: test.p, lambda: test.p_min, test.n_informative, lambda: test.quick_p)
+
+
+def multinomial_test(counts: ArrayLike, probabilities: Sequence[float] | None = None) -> ExactTest:
+    """Return the exact goodness-of-fit test of counts; the statistic is twice the logarithm of the likelihood ratio.
+
+    Every possible outcome is enumerated, the more extreme the larger its likelihood ratio; of outcomes that are alike
+    under the null hypothesis, one stands for all.
+
+    Parameters
+    ----------
+    counts : (..., n_categories) array of int
+        Observed counts.
+    probabilities : sequence of float, optional
+        Probability of each category under the null hypothesis [1]; equal by default.
+
+    Raises
+    ------
+    ValueError
+        If the counts are negative, or of fewer than two categories, or the probabilities do not add up to one.
+
+    Examples
+    --------
+    >>> float(multinomial_test([10, 0, 0]).p.round(8))  # three such outcomes, each of probability (1/3)^10
+    5.081e-05
+    """
+    observed = whole_numbers(counts, "counts")
+    null = _check_multinomial(observed, probabilities)
+    rows = observed.reshape(-1, null.size)
+    totals = rows.sum(axis=1)
+    statistic, p, p_min = np.zeros(len(rows)), np.ones(len(rows)), np.ones(len(rows))
+    for n in np.unique(totals[totals > 0]).tolist():
+        here, shares = totals == n, _tables(n, null)[1]
+        statistic[here] = shares[np.arange(null.size), rows[here]].sum(axis=1)
+        values, tails = _ranked_outcomes(n, tuple(null.tolist()))
+        p[here] = _reached(values, tails, statistic[here])
+        p_min[here] = _reached(values, tails, values[-1:])
+    shape = observed.shape[:-1]
+    found: list[Any] = [each.reshape(shape)[()] for each in (statistic, p, p_min, totals)]
+    return ExactTest(*found)
 
 
 def _check_multinomial(observed: IntArray, probabilities: Sequence[float] | None) -> FloatArray:
-    if observed.ndim != 2 or observed.shape[1] < 2 or observed.size == 0:
-        raise ValueError(f"counts have shape {observed.shape}: give (n_tests, n_categories), two categories or more")
-    if observed.min() < 0 or len(set(observed.sum(axis=1).tolist())) != 1:
-        raise ValueError(f"counts must not be negative and every row must have the same total, got {observed.tolist()}")
-    k = observed.shape[1]
+    if observed.ndim < 1 or observed.shape[-1] < 2 or observed.size == 0:
+        raise ValueError(f"counts have shape {observed.shape}: give (..., n_categories), two categories or more")
+    if observed.min() < 0:
+        raise ValueError(f"counts must not be negative, got {observed.tolist()}")
+    k = observed.shape[-1]
     null = np.full(k, 1 / k) if probabilities is None else np.asarray(probabilities, dtype=float)
     if null.shape != (k,) or (null <= 0).any() or abs(null.sum() - 1) > 1e-9:
         raise ValueError(f"probabilities {null.tolist()} must be {k} positive numbers that add up to 1")
     return null
+
+
+def _reached(values: FloatArray, tails: FloatArray, statistic: FloatArray) -> FloatArray:
+    """Return the probability of outcomes at least as extreme as some statistics, rounding allowed for."""
+    return np.asarray(tails[np.searchsorted(values, statistic - 1e-9 * np.maximum(1.0, np.abs(statistic)))])
+
+
+@lru_cache(maxsize=1024)
+def _ranked_outcomes(n: int, probabilities: tuple[float, ...]) -> tuple[FloatArray, FloatArray]:
+    """Return the statistic of every outcome, increasing, and the probability of that outcome and all after it."""
+    null = np.array(probabilities)
+    log_p, share = _tables(n, null)
+    values, masses = [], []
+    for head, orders, tail in _outcomes(n, null.size, alike=bool((null == null[0]).all())):
+        at_head = [(log_p[j, x], share[j, x]) for j, x in enumerate(head)]
+        masses.append(orders * np.exp(log_p[-2, tail] + log_p[-1, tail[::-1]] + sum(p for p, _ in at_head)))
+        values.append(share[-2, tail] + share[-1, tail[::-1]] + sum(value for _, value in at_head))
+    value, mass = np.concatenate(values), np.concatenate(masses)
+    order = np.argsort(value)
+    return value[order], np.cumsum(mass[order][::-1])[::-1]
 
 
 def _tables(n: int, null: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -194,13 +267,6 @@ def _heads(n: int, length: int, most: int | None) -> Iterator[tuple[int, ...]]:
             yield first, *rest
 
 
-def _coin_kernel(size: int, count: int) -> Kernel:
-    """Return the distribution of `count` scores of one size under random signs."""
-    weights = np.array([math.comb(count, heads) / (1 << count) for heads in range(count + 1)])
-    steps = np.arange(-count, count + 1, 2, dtype=np.int64) * size
-    return Kernel((steps, weights), 1)
-
-
 def whole_numbers(values: ArrayLike, name: str) -> IntArray:
     """Return an array of integers.
 
@@ -219,4 +285,4 @@ def whole_numbers(values: ArrayLike, name: str) -> IntArray:
     array = np.asarray(values)
     if array.dtype.kind not in "iub" and not np.array_equal(array, np.rint(array)):
         raise ValueError(f"{name} must be whole numbers, so that ties are exact; got {array.ravel()[:5].tolist()}")
-    return array.astype(np.int64)
+    return array.astype(np.int64, copy=False)

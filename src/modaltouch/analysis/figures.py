@@ -198,10 +198,9 @@ def _draw_group(
     axes: Axes, places: NDArray[Any], counts: NDArray[Any], totals: NDArray[Any], colour: str, n: int | None
 ) -> None:
     axes.bar(places, counts, width=0.82, color=colour, edgecolor=INK, linewidth=0.5)
-    intervals = [clopper_pearson(k * (n or t) / t, n or t) for k, t in zip(counts, totals, strict=True)]
-    low = [k - t * i.low for k, t, i in zip(counts, totals, intervals, strict=True)]
-    high = [t * i.high - k for k, t, i in zip(counts, totals, intervals, strict=True)]
-    spread = np.maximum([low, high], 0)
+    trials = np.full(totals.shape, n) if n else totals
+    interval = clopper_pearson(counts * trials / totals, trials)
+    spread = np.maximum([counts - totals * interval.low, totals * interval.high - counts], 0)
     # A white line under the dark one keeps the interval visible within a dark bar.
     for colour, width in (("white", 2.2), (INK, 0.8)):
         axes.errorbar(
@@ -311,12 +310,9 @@ def _draw_shares(
     label: str,
     style: dict[str, Any],
 ) -> None:
-    intervals = [korn_graubard(column, n_repetitions) for column in chosen.T]
-    spread = [[i.estimate - i.low for i in intervals], [i.high - i.estimate for i in intervals]]
-    axes.errorbar(
-        places, [i.estimate for i in intervals], yerr=np.maximum(spread, 0), color=colour, capsize=2, label=label,
-        elinewidth=0.8, **style,
-    )  # fmt: skip
+    share = korn_graubard(chosen.T, n_repetitions)
+    spread = np.maximum([share.estimate - share.low, share.high - share.estimate], 0)
+    axes.errorbar(places, share.estimate, yerr=spread, color=colour, capsize=2, label=label, elinewidth=0.8, **style)
 
 
 def draw_participants(answers: AnswerCounts) -> Figure:

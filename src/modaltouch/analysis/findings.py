@@ -6,7 +6,9 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike, NDArray
 
 from modaltouch.analysis.exact import ExactTest
 from modaltouch.analysis.intervals import Interval
@@ -80,7 +82,7 @@ def finding_of(
     question: str,
     name: str,
     scope: str,
-    test: ExactTest,
+    test: ExactTest | None,
     quantity: str,
     interval: Interval,
     n: int,
@@ -88,25 +90,15 @@ def finding_of(
     family: str = "",
     notes: Sequence[str] = (),
 ) -> Finding:
-    """Return a finding from an exact test and an interval; says so where the data hold no information."""
+    """Return a finding from an interval and, if any, an exact test; says so where the data hold no information."""
     words = [note for note in notes if note]
-    if test.p_min > ALPHA:
+    if test is not None and test.p_min > ALPHA:
         words.insert(0, f"no information: whatever the answers, p could not fall below {test.p_min:.2g}")
-    return Finding(
-        question,
-        name,
-        scope,
-        quantity,
-        interval.estimate,
-        interval.low,
-        interval.high,
-        n,
-        test.statistic,
-        test.p,
-        test.p_min,
-        family,
-        "; ".join(words),
-    )
+    estimate, low, high = (float(each) for each in (interval.estimate, interval.low, interval.high))
+    row = Finding(question, name, scope, quantity, estimate, low, high, n, family=family, note="; ".join(words))
+    if test is None:
+        return row
+    return replace(row, statistic=float(test.statistic), p=float(test.p), p_min=float(test.p_min))
 
 
 def correct(findings: Iterable[Finding]) -> list[Finding]:
@@ -117,7 +109,7 @@ def correct(findings: Iterable[Finding]) -> list[Finding]:
     rows = list(findings)
     for family in dict.fromkeys(row.family for row in rows if row.family):
         members = [i for i, row in enumerate(rows) if row.family == family]
-        adjusted = holm([rows[i].p for i in members])
+        adjusted = holm([rows[i].p for i in members]).tolist()
         for i, p in zip(members, adjusted, strict=True):
             row = rows[i]
             out_of_reach = row.p_min <= ALPHA < row.p_min * len(members)
@@ -127,13 +119,13 @@ def correct(findings: Iterable[Finding]) -> list[Finding]:
     return rows
 
 
-def holm(p_values: Sequence[float]) -> list[float]:
-    """Return Holm's step-down adjusted p values.
+def holm(p_values: ArrayLike) -> NDArray[np.float64]:
+    """Return Holm's step-down adjusted p values of families along the last axis.
 
     Parameters
     ----------
-    p_values : sequence of float
-        p values of one family [1].
+    p_values : (..., n_tests) array
+        p values [1].
 
     References
     ----------
@@ -141,15 +133,15 @@ def holm(p_values: Sequence[float]) -> list[float]:
 
     Examples
     --------
-    >>> [round(p, 3) for p in holm([0.01, 0.04, 0.03])]
+    >>> holm([0.01, 0.04, 0.03]).round(3).tolist()
     [0.03, 0.06, 0.06]
     """
-    order = sorted(range(len(p_values)), key=lambda i: p_values[i])
-    adjusted = [0.0] * len(p_values)
-    running = 0.0
-    for rank, i in enumerate(order):
-        running = max(running, min(1.0, (len(p_values) - rank) * p_values[i]))
-        adjusted[i] = running
+    p = np.asarray(p_values, dtype=float)
+    order = np.argsort(p, axis=-1, kind="stable")
+    steps = np.arange(p.shape[-1], 0, -1)
+    rising = np.maximum.accumulate(np.minimum(np.take_along_axis(p, order, axis=-1) * steps, 1.0), axis=-1)
+    adjusted = np.empty_like(rising)
+    np.put_along_axis(adjusted, order, rising, axis=-1)
     return adjusted
 
 

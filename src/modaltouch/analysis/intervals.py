@@ -1,5 +1,7 @@
 """Intervals for proportions and their paired differences that hold when every answer is the same.
 
+Every function takes one experiment or a batch of them, over whose axes it runs.
+
 References
 ----------
 Clopper and Pearson, Biometrika 26 (1934) 404-413.
@@ -10,39 +12,58 @@ Tango, Statistics in Medicine 17 (1998) 891-908.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from statistics import NormalDist
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
 
 CONFIDENCE = 0.95
 """Confidence of every interval in the analysis."""
 
+_MOST_STEPS = 80
+"""Steps to a bound; about ten are taken."""
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, eq=False)
 class Interval:
-    """An estimate with its confidence interval.
+    """An estimate with its confidence interval, or arrays of them.
 
     Attributes
     ----------
-    estimate, low, high : float
+    estimate, low, high : float or array
         Estimate and bounds.
-    n_effective : float
+    n_effective : float or array
         Independent answers the interval is worth.
     """
 
-    estimate: float
-    low: float
-    high: float
-    n_effective: float
+    estimate: Any
+    low: Any
+    high: Any
+    n_effective: Any
+
+    @property
+    def half_width(self) -> Any:
+        """Half the distance of the bounds."""
+        return (self.high - self.low) / 2
+
+    def __getitem__(self, place: int | slice) -> Interval:
+        return Interval(*(np.asarray(value)[place] for value in vars(self).values()))
+
+    def __mul__(self, scale: float) -> Interval:
+        return Interval(self.estimate * scale, self.low * scale, self.high * scale, self.n_effective)
 
 
-def clopper_pearson(successes: float, n: float, confidence: float = CONFIDENCE) -> Interval:
+def clopper_pearson(successes: ArrayLike, n: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
     """Return the exact interval of a proportion; 0 to 1 about NaN where n is zero.
 
     Parameters
     ----------
-    successes, n : float
+    successes, n : float or arrays
         Successes out of n; need not be whole, as a design effect may have scaled both.
     confidence : float
         Confidence of the interval [1].
@@ -54,19 +75,20 @@ def clopper_pearson(successes: float, n: float, confidence: float = CONFIDENCE) 
 
     Examples
     --------
-    >>> round(clopper_pearson(10, 10).low, 4), clopper_pearson(10, 10).high
+    >>> interval = clopper_pearson(10, 10)
+    >>> float(interval.low.round(4)), float(interval.high)
     (0.6915, 1.0)
     """
     from scipy.special import betaincinv
 
-    if not 0 <= successes <= n:
-        raise ValueError(f"{successes} successes out of {n}: allowed are 0 to n")
-    if n == 0:
-        return Interval(math.nan, 0.0, 1.0, 0.0)
+    k, m = np.broadcast_arrays(np.asarray(successes, dtype=float), np.asarray(n, dtype=float))
+    if not ((k >= 0) & (k <= m)).all():
+        raise ValueError(f"{successes!r} successes out of {n!r}: allowed are 0 to n")
     tail = (1 - confidence) / 2
-    low = float(betaincinv(successes, n - successes + 1, tail)) if successes > 0 else 0.0
-    high = float(betaincinv(successes + 1, n - successes, 1 - tail)) if successes < n else 1.0
-    return Interval(successes / n, low, high, n)
+    low = np.where(k > 0, betaincinv(np.where(k > 0, k, 1), m - k + 1, tail), 0.0)
+    high = np.where(k < m, betaincinv(k + 1, np.where(k < m, m - k, 1), 1 - tail), 1.0)
+    share = np.divide(k, m, out=np.full(m.shape, math.nan), where=m > 0)
+    return Interval(share[()], low[()], high[()], m[()])
 
 
 def wilson(successes: float, n: float) -> Interval:
@@ -93,28 +115,26 @@ def korn_graubard(successes: ArrayLike, n_answers: int) -> Interval:
 
     Parameters
     ----------
-    successes : (n_participants,) array
+    successes : (..., n_participants) array
         How many of each participant's answers count.
     n_answers : int
         Answers per participant.
     """
-    counts = np.asarray(successes, dtype=float)
-    n, total = counts.size, float(counts.size * n_answers)
-    p = float(counts.sum() / total)
-    between = float(np.var(counts / n_answers, ddof=1)) / n if n > 1 else math.inf
-    effective = float(n) if p in (0.0, 1.0) else min(max(p * (1 - p) / between if between > 0 else total, n), total)
+    shares = np.asarray(successes, dtype=float) / n_answers
+    p = shares.mean(axis=-1)
+    effective = _effective_number(p * (1 - p), shares, n_answers)
     inner = clopper_pearson(p * effective, effective)
     return Interval(p, inner.low, inner.high, effective)
 
 
-def tango(only_first: float, only_second: float, n: float, confidence: float = CONFIDENCE) -> Interval:
+def tango(only_first: ArrayLike, only_second: ArrayLike, n: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
     """Return the score interval of a difference of paired proportions.
 
     Parameters
     ----------
-    only_first, only_second : float
+    only_first, only_second : float or arrays
         Pairs that succeeded only the first way, and only the second way; need not be whole.
-    n : float
+    n : float or array
         Number of pairs, above zero.
     confidence : float
         Confidence of the interval [1].
@@ -131,37 +151,40 @@ def tango(only_first: float, only_second: float, n: float, confidence: float = C
 
     Examples
     --------
-    >>> round(tango(0, 0, 10).high, 3)
+    >>> float(tango(0, 0, 10).high.round(3))
     0.278
     """
-    if not (only_first >= 0 and only_second >= 0 and 0 < n >= only_first + only_second - 1e-9):
-        raise ValueError(f"{only_first} + {only_second} discordant pairs of {n}: they cannot be more than all")
-    z = _normal_quantile(confidence)
-    difference = (only_first - only_second) / n
-    low = -1.0 if difference <= -1 else _tango_bound(only_first, only_second, n, z, -1.0)
-    high = 1.0 if difference >= 1 else _tango_bound(only_first, only_second, n, z, 1.0)
-    return Interval(difference, low, high, n)
+    b, c, pairs = np.broadcast_arrays(*(np.asarray(each, dtype=float) for each in (only_first, only_second, n)))
+    if not ((b >= 0) & (c >= 0) & (pairs > 0) & (pairs >= b + c - 1e-9)).all():
+        raise ValueError(f"{only_first!r} + {only_second!r} discordant pairs of {n!r}: they cannot be more than all")
+    # The lower bound of a difference is the upper one of its negative.
+    high, low = _upper_bounds(np.stack([b, c]), np.stack([c, b]), pairs, _normal_quantile(confidence))
+    return Interval((b - c) / pairs, -low, high, pairs[()])
 
 
-def _tango_bound(b: float, c: float, n: float, z: float, end: float) -> float:
-    """Return where the score statistic reaches z, between the estimate and an end, by bisection."""
-    inside, outside = (b - c) / n, end
-    for _ in range(80):
-        middle = (inside + outside) / 2
-        q = _restricted_discordance(b, c, n, middle)
-        spread = n * max(2 * q + middle * (1 - middle), 0.0)
-        if abs(b - c - n * middle) > z * math.sqrt(spread):
-            outside = middle
-        else:
-            inside = middle
-    return (inside + outside) / 2
-
-
-def _restricted_discordance(b: float, c: float, n: float, difference: float) -> float:
-    """Return the likeliest probability of a pair of the second kind, given the difference (Tango, eq. 10)."""
-    linear = -b - c + (2 * n - b + c) * difference
-    constant = -c * difference * (1 - difference)
-    return (math.sqrt(max(linear * linear - 8 * n * constant, 0.0)) - linear) / (4 * n)
+def _upper_bounds(b: FloatArray, c: FloatArray, n: FloatArray, z: float) -> FloatArray:
+    """Return where the score statistic reaches z above the estimate: Newton's method, by halves where it leaves."""
+    inside = np.minimum((b - c) / n, 1.0)
+    outside = bound = np.ones(b.shape)
+    slope, variance, curvature = 2 * n - b + c, z * z * n, 4 * n * c
+    for _ in range(_MOST_STEPS):
+        # The likeliest probability of a pair of the second kind, given the difference (Tango, eq. 10), twice.
+        linear, turn = slope * bound - b - c, 1 - 2 * bound
+        root = np.sqrt(np.maximum(linear * linear + 2 * curvature * bound * (1 - bound), 1e-300))
+        twice, grown = (root - linear) / (2 * n), ((linear * slope + curvature * turn) / root - slope) / (2 * n)
+        gap = b - c - n * bound
+        value = gap * gap - variance * (twice + bound * (1 - bound))
+        rise = -2 * n * gap - variance * (grown + turn)
+        outside, inside = np.where(value > 0, bound, outside), np.where(value > 0, inside, bound)
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            next_bound = bound - value / rise
+        within = (inside <= next_bound) & (next_bound <= outside)
+        next_bound = np.where(within, next_bound, (inside + outside) / 2)
+        moved = float(np.abs(next_bound - bound).max(initial=0.0))
+        bound = next_bound
+        if moved < 1e-12:
+            break
+    return np.asarray(bound)
 
 
 def clustered_difference(first: ArrayLike, second: ArrayLike, n_answers: int) -> Interval:
@@ -172,21 +195,38 @@ def clustered_difference(first: ArrayLike, second: ArrayLike, n_answers: int) ->
 
     Parameters
     ----------
-    first, second : (n_participants,) array
+    first, second : (..., n_participants) arrays
         How many of each participant's answers (or pairs of answers) count only for the first, and only for the
         second.
     n_answers : int
         Answers, or pairs of answers, per participant.
     """
     b, c = np.asarray(first, dtype=float), np.asarray(second, dtype=float)
-    n, total = b.size, float(b.size * n_answers)
-    difference = float((b.sum() - c.sum()) / total)
-    single = float((b.sum() + c.sum()) / total) - difference**2
-    between = float(np.var((b - c) / n_answers, ddof=1)) / n if n > 1 else math.inf
-    worth = single / between if between > 0 else total
-    effective = float(n) if single <= 1e-12 else min(max(worth, n), total)
-    share = effective / total
-    return tango(float(b.sum()) * share, float(c.sum()) * share, effective)
+    total = float(b.shape[-1] * n_answers)
+    only_first, only_second = b.sum(axis=-1) / total, c.sum(axis=-1) / total
+    single = only_first + only_second - (only_first - only_second) ** 2
+    effective = _effective_number(single, (b - c) / n_answers, n_answers)
+    return tango(only_first * effective, only_second * effective, effective)
+
+
+def _effective_number(single: FloatArray, shares: FloatArray, n_answers: int) -> FloatArray:
+    """Return how many independent answers those of all participants are worth.
+
+    Parameters
+    ----------
+    single : (...) array
+        Variance of a single answer [1].
+    shares : (..., n_participants) array
+        Mean of each participant's answers.
+    n_answers : int
+        Answers per participant.
+    """
+    n = shares.shape[-1]
+    if n < 2:
+        return np.full(single.shape, float(n))[()]
+    between = shares.var(axis=-1, ddof=1) / n
+    worth = np.divide(single, between, out=np.full(single.shape, math.inf), where=between > 0)
+    return np.asarray(np.where(single <= 1e-12, n, np.clip(worth, n, n * n_answers)))[()]
 
 
 def paired_mean(scores: ArrayLike, scale: float) -> Interval:
@@ -197,14 +237,51 @@ def paired_mean(scores: ArrayLike, scale: float) -> Interval:
 
     Parameters
     ----------
-    scores : (n_participants,) array
+    scores : (..., n_participants) array
         Scores between -scale and scale.
     scale : float
         Largest size a score can have.
     """
     shares = np.asarray(scores, dtype=float) / scale
-    positive, negative = float(shares[shares > 0].sum()), float(-shares[shares < 0].sum())
-    return tango(positive, negative, float(shares.size))
+    return tango(np.maximum(shares, 0).sum(axis=-1), np.maximum(-shares, 0).sum(axis=-1), shares.shape[-1])
+
+
+def mean_slope(shares: ArrayLike, levels: Sequence[float], step: float) -> Interval:
+    """Return the mean slope of participants' shares over the level; not a number where there is one level only.
+
+    Parameters
+    ----------
+    shares : (..., n_participants, n_levels) array
+        Share of one answer at each level [1].
+    levels : sequence of float
+        Levels.
+    step : float
+        Difference of levels that the slope is of.
+    """
+    values, centred = np.asarray(shares, dtype=float), np.asarray(levels, dtype=float) - np.mean(levels)
+    if not centred.any():
+        return Interval(*(np.full(values.shape[:-2], each)[()] for each in (math.nan, math.nan, math.nan, 0.0)))
+    weights = step * centred / (centred**2).sum()
+    steepest = float(weights[weights > 0].sum())
+    return paired_mean(values @ weights, steepest) * steepest
+
+
+def student_interval(values: FloatArray) -> Interval:
+    """Return the t interval of a mean; without bounds where the values do not vary.
+
+    Parameters
+    ----------
+    values : (n,) array
+        One value a participant.
+    """
+    n = values.size
+    if n < 2 or np.ptp(values) == 0:
+        return Interval(float(values.mean()) if n else math.nan, math.nan, math.nan, n)
+    from scipy.special import stdtrit
+
+    half = float(stdtrit(n - 1, 1 - (1 - CONFIDENCE) / 2)) * float(values.std(ddof=1)) / math.sqrt(n)
+    mean = float(values.mean())
+    return Interval(mean, mean - half, mean + half, n)
 
 
 def matched_odds_ratio(only_first: int, only_second: int) -> Interval:
@@ -229,6 +306,4 @@ def matched_odds_ratio(only_first: int, only_second: int) -> Interval:
 
 
 def _normal_quantile(confidence: float) -> float:
-    from statistics import NormalDist
-
     return NormalDist().inv_cdf(1 - (1 - confidence) / 2)

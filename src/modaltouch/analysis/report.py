@@ -16,6 +16,7 @@ from modaltouch.analysis.findings import ALPHA, Finding
 from modaltouch.analysis.gallery import ReportFigure
 from modaltouch.analysis.outcome import Analysis
 from modaltouch.analysis.scale import OWN_THRESHOLD
+from modaltouch.analysis.statistics import STATISTICS, questions
 from modaltouch.analysis.tables import zone_table
 from modaltouch.protocol import AnswerList
 from modaltouch.report import render_page
@@ -35,8 +36,7 @@ HEADINGS = {
     "time": "Do reaction times differ?",
     "speed": "Do the answers follow the speeds under the fingers?",
 }
-"""Questions of the analysis plan, then the further ones."""
-
+"""Questions of the analysis plan, then the further ones; other families of tests are headed by what they ask."""
 
 @dataclass(frozen=True)
 class Paragraph:
@@ -57,19 +57,24 @@ def write_paragraphs(findings: Sequence[Finding], answers: AnswerCounts) -> tupl
     answers : AnswerCounts
         Counts of the answers.
     """
+    headings = _headings(answers)
     writers = {"a1": _chance, "a2": _dominance, "b": _level, "c": _conditions, "d": _pairs, "e": _agreement}
     paragraphs = []
-    for question, heading in HEADINGS.items():
+    for question, heading in headings.items():
         own = [finding for finding in findings if finding.question == question]
         if own:
             text = writers[question](own, answers) if question in writers else _plain(question, own, answers)
-            paragraphs.append(Paragraph(question, heading.format(in_both=_in_both(answers)), text))
+            paragraphs.append(Paragraph(question, heading, text))
     return tuple(paragraphs)
 
 
-def _in_both(answers: AnswerCounts) -> str:
-    asked = answers.answers.naming("left", "right") if answers.compares else None
-    return "" if asked is None else f" in “{asked.name}”"
+def _headings(answers: AnswerCounts) -> dict[str, str]:
+    """Return the heading of each question, in the order of the report."""
+    both = answers.answers.naming("left", "right") if answers.compares else None
+    in_both = "" if both is None else f" in “{both.name}”"
+    asked = {each.question: f"{each.asks[:1].upper()}{each.asks[1:]}?" for each in STATISTICS.values()}
+    known = asked | {question: heading.format(in_both=in_both) for question, heading in HEADINGS.items()}
+    return {question: known[question] for question in questions()}
 
 
 def say_p(p: float) -> str:
@@ -393,15 +398,14 @@ def _zone_rows(answers: AnswerCounts, condition: str) -> list[dict[str, Any]]:
 def _test_tables(findings: Sequence[Finding], answers: AnswerCounts) -> list[dict[str, Any]]:
     """Return the statistics question by question, each test or estimate a table of its own."""
     tables = []
-    for question, heading in HEADINGS.items():
+    for question, heading in _headings(answers).items():
         groups: dict[str, list[dict[str, Any]]] = {}
         for finding in (finding for finding in findings if finding.question == question):
             groups.setdefault(finding.name, []).append(_test_row(finding))
         if groups:
             parts = [{"name": name, "lines": lines, "tested": any(row["p"] != "–" for row in lines)}
                      for name, lines in groups.items()]  # fmt: skip
-            asked = heading.format(in_both=_in_both(answers))
-            tables.append({"question": question, "heading": asked, "parts": parts})
+            tables.append({"question": question, "heading": heading, "parts": parts})
     return tables
 
 

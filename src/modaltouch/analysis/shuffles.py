@@ -33,7 +33,7 @@ BATCH = 200_000
 """Answers shuffled at a time, which bounds the memory."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ShuffleTest:
     """A Monte Carlo test.
 
@@ -168,7 +168,7 @@ def _monte_carlo(
     interval = clopper_pearson(reached, n)
     p, p_min = (1 + reached) / (n + 1), (1 + at_extreme) / (n + 1)
     test = ExactTest(value, p, min(p_min, p), n_informative)
-    return ShuffleTest(test, interval.low, interval.high, n, SEED)
+    return ShuffleTest(test, float(interval.low), float(interval.high), n, SEED)
 
 
 def _covariance(margin: IntArray, total: int) -> FloatArray:

@@ -2,12 +2,16 @@
 
 The participant is the unit of inference. Tests are exact, or Monte Carlo with a stated seed and interval; each
 p stands beside the smallest p its data could have given.
+
+`STATISTICS` holds the families of tests. Each is one function of the counted answers, of one experiment or of a batch:
+the analysis prints what it finds, and planning counts in how many of its simulated experiments it finds it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from itertools import combinations, product
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import chain, combinations, product
 
 import numpy as np
 import pandas as pd
@@ -15,18 +19,89 @@ from numpy.typing import NDArray
 
 from modaltouch.analysis.catches import Catches, catch_findings
 from modaltouch.analysis.consistency import association_findings, consistency_findings, effect_findings
-from modaltouch.analysis.counts import AnswerCounts, Pair
+from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.covariates import secondary_findings
-from modaltouch.analysis.exact import ExactTest, multinomial_tests, sign_flip_test, sign_test
+from modaltouch.analysis.exact import ExactTest, multinomial_test, sign_flip_test, sign_test
 from modaltouch.analysis.findings import Finding, correct, finding_of
-from modaltouch.analysis.intervals import Interval, clopper_pearson, clustered_difference, paired_mean
-from modaltouch.analysis.trend import trend_test
+from modaltouch.analysis.intervals import Interval, clopper_pearson, clustered_difference, mean_slope
+from modaltouch.analysis.trend import smallest_trend_p, trend_test
 
 IntArray = NDArray[np.int64]
 
 
-def chance_findings(answers: AnswerCounts) -> Iterator[Finding]:
-    """Yield question a1, whether a cell differs from guessing, all answers alike.
+@dataclass(frozen=True, eq=False)
+class FamilyResult:
+    """What a family of tests, corrected together by Holm's method, finds in an experiment or a batch of them.
+
+    Attributes
+    ----------
+    scopes : sequence of str
+        What each test is about.
+    quantities : sequence of str
+        What each test estimates.
+    test : ExactTest
+        The tests, arrays of shape (..., n_tests).
+    interval : Interval
+        The estimates, of the same shape.
+    n : array of int, optional
+        Participants that each test rests on, of the same shape; by default all.
+    notes : callable
+        The notes of a test of a single experiment, by its place.
+    """
+
+    scopes: Sequence[str]
+    quantities: Sequence[str]
+    test: ExactTest
+    interval: Interval
+    n: IntArray | None = None
+    notes: Callable[[int], Sequence[str]] = lambda place: ()
+
+
+def _unanimous_p(levels: Sequence[float], n_participants: int, n_repetitions: int) -> float:
+    """Return p where all participants lean one way."""
+    return float(2.0 ** (1 - n_participants))
+
+
+def _one_answer_p(levels: Sequence[float], n_participants: int, n_repetitions: int) -> float:
+    """Return p where all participants give one answer of three."""
+    return float(multinomial_test([n_participants, 0, 0]).p)
+
+
+@dataclass(frozen=True)
+class Statistic:
+    """A family of tests, to be printed by the analysis and powered by planning.
+
+    Attributes
+    ----------
+    question : str
+        Question of the report under which it stands.
+    asks : str
+        What it asks, for the report and the picture of a plan.
+    name : str
+        Name of its tests.
+    compute : callable
+        Takes the counts of answers, of one experiment or a batch, and returns what it finds; None where these answers
+        or this design have no such test.
+    unit : str
+        What its intervals are of.
+    smallest_p : callable
+        From the levels, the number of participants and that of repetitions, the smallest p that a test can give,
+        however the answers fall; by default that of sign flips.
+    against_guessing : bool
+        Whether there is nothing to be found where participants guess, rather than where both fingers feel alike.
+    """
+
+    question: str
+    asks: str
+    name: str
+    compute: Callable[[AnswerCounts], FamilyResult | None]
+    unit: str = "difference of shares"
+    smallest_p: Callable[[Sequence[float], int, int], float] = _unanimous_p
+    against_guessing: bool = False
+
+
+def chance_tests(answers: AnswerCounts) -> FamilyResult | None:
+    """Return whether cells differ from guessing, all answers alike.
 
     One answer of each participant enters a cell: the one given, or with repetitions the most frequent; ties are
     left out and counted in the note. Where "felt nowhere" is an answer too, the test is of those who felt something
@@ -34,157 +109,215 @@ def chance_findings(answers: AnswerCounts) -> Iterator[Finding]:
     """
     felt = answers.felt
     if len(felt) < 2:
-        return
-    modal = answers.modal()
-    cells = list(product(range(len(answers.finger_conditions)), range(len(answers.pairs)), range(len(answers.levels))))
-    size = answers.counts.shape[-1]
-    kinds = np.array([np.bincount(modal[:, f, q, v][modal[:, f, q, v] >= 0], minlength=size) for f, q, v in cells])
-    counts, everyone = kinds[:, felt], kinds.sum(axis=1)
-    totals = counts.sum(axis=1)
-    nothing, tests = answers.answers.naming(), dict[int, ExactTest]()
-    for total in np.unique(totals):
-        rows = np.flatnonzero(totals == total)
-        tests.update(zip(rows.tolist(), multinomial_tests(counts[rows]), strict=True))
-    for row, (f, q, v) in enumerate(cells):
-        pair, n = answers.pairs[q], int(everyone[row])
-        ties = answers.n_participants - n
-        notes = [", ".join(f"{answers.answers[place].name} {kinds[row, place]}" for place in felt)]
+        return None
+    shown = [answers.effects(pair)[0] for pair in answers.pairs]
+    kinds = answers.n_modal
+    chosen = np.stack([kinds[..., q, :, place] for q, (_, place) in enumerate(shown)], axis=-2)
+    chosen, kinds = chosen.reshape(*chosen.shape[:-3], -1), kinds.reshape(*kinds.shape[:-4], -1, kinds.shape[-1])
+    n, nothing = kinds.sum(axis=-1), answers.answers.naming()
+
+    def notes(place: int) -> list[str]:
+        said = [", ".join(f"{answers.answers[kind].name} {kinds[place, kind]}" for kind in felt)]
         if nothing is not None:
-            notes.append(f"{nothing.name} {n - int(totals[row])}, left out of the test")
+            said.append(f"{nothing.name} {n[place] - kinds[place, felt].sum()}, left out of the test")
         if answers.n_repetitions > 1:
-            notes.append(f"most frequent answer of each participant, {ties} tied and left out")
-        shown, place = answers.effects(pair)[0]
-        interval = clopper_pearson(float(kinds[row, place]), n)
-        scope = f"{_scope(answers, f, pair)} {answers.scale.say(answers.levels[v])}"
-        name = "exact multinomial test against chance"
-        yield finding_of("a1", name, scope, tests[row], f"P({shown})", interval, n, family="a1", notes=notes)
+            ties = answers.n_participants - n[place]
+            said.append(f"most frequent answer of each participant, {ties} tied and left out")
+        return said
+
+    cells = [(*each, v) for each in _cells(answers) for v in answers.levels]
+    return FamilyResult(
+        [f"{answers.finger_conditions[f]} {answers.pairs[q].label} {answers.scale.say(v)}" for f, q, v in cells],
+        [f"P({shown[q][0]})" for _, q, _ in cells],
+        multinomial_test(kinds[..., felt]),
+        clopper_pearson(chosen, n),
+        n,
+        notes,
+    )
 
 
-def dominance_findings(answers: AnswerCounts) -> Iterator[Finding]:
-    """Yield question a2, whether one zone of a pair is chosen more than the other, over all levels."""
-    dominant, other = answers.dominant().sum(axis=3), answers.other().sum(axis=3)
-    for f, q in product(range(len(answers.finger_conditions)), range(len(answers.pairs))):
-        pair, n = answers.pairs[q], answers.n_participants
-        first, second = dominant[:, f, q], other[:, f, q]
-        score = first - second
-        index = clustered_difference(first, second, answers.n_answers)
-        leaning = clopper_pearson(int((score > 0).sum()), n)
-        total = n * answers.n_answers
+def dominance_tests(answers: AnswerCounts) -> FamilyResult | None:
+    """Return whether one zone of a pair is chosen more than the other, over all levels."""
+    if not answers.compares:
+        return None
+    first, second = (_joined(each.sum(axis=-1), 1) for each in (answers.dominant, answers.other))
+    score, pairs = first - second, answers.pairs
+
+    def notes(place: int) -> list[str]:
+        f, q = _cells(answers)[place]
         *given, last = [
-            f"{int(answers.counts[:, f, q, :, place].sum())} "
-            f"{answers.answers[place].name if place == answers.both_place else label}"
-            for label, place in answers.labelled(pair)
+            f"{int(answers.counts[:, f, q, :, kind].sum())} "
+            f"{answers.answers[kind].name if kind == answers.both_place else label}"
+            for label, kind in answers.labelled(pairs[q])
         ]
         chosen = ", ".join(given) + (f" and {last}" if answers.offers_none else f", {last}")
-        shared = [
-            f"{chosen} of {total} answers",
-            f"{int((score > 0).sum())} of {n} participants lean to {pair.dominant}",
-        ]
-        scope = _scope(answers, f, pair)
-        quantity = f"P({pair.dominant}) - P({pair.other})"
-        yield finding_of(
-            "a2", "exact sign-flip test of net dominance", scope, sign_flip_test(score), quantity, index, n,
-            family="a2", notes=shared,
-        )  # fmt: skip
-        yield finding_of(
-            "a2", "exact sign test of leaning participants", scope, sign_test(score),
-            f"share of participants leaning to {pair.dominant}", leaning, n,
-        )  # fmt: skip
+        leaning = (
+            f"{int((score[place] > 0).sum())} of {answers.n_participants} participants lean to {pairs[q].dominant}"
+        )
+        return [f"{chosen} of {answers.n_participants * answers.n_answers} answers", leaning]
+
+    return FamilyResult(
+        _scopes(answers),
+        [f"P({pairs[q].dominant}) - P({pairs[q].other})" for _, q in _cells(answers)],
+        sign_flip_test(score),
+        clustered_difference(first, second, answers.n_answers),
+        notes=notes,
+    )
 
 
-def level_findings(answers: AnswerCounts) -> Iterator[Finding]:
-    """Yield question b, whether the choice of the dominant zone changes with the level; else that of each answer."""
-    for f, q in product(range(len(answers.finger_conditions)), range(len(answers.pairs))):
-        pair = answers.pairs[q]
-        for label, place in answers.effects(pair)[: 1 if answers.compares else None]:
-            yield _trend(answers, f, pair, label, answers.counts[:, f, q, :, place])
+def leaning_findings(answers: AnswerCounts) -> Iterator[Finding]:
+    """Yield how many participants lean to the dominant zone of each pair."""
+    n = answers.n_participants
+    score = _joined((answers.dominant - answers.other).sum(axis=-1), 1)
+    test, share = sign_test(score), clopper_pearson((score > 0).sum(axis=-1), n)
+    for place, (scope, (_, q)) in enumerate(zip(_scopes(answers), _cells(answers), strict=True)):
+        quantity = f"share of participants leaning to {answers.pairs[q].dominant}"
+        name = "exact sign test of leaning participants"
+        yield finding_of("a2", name, scope, test[place], quantity, share[place], n)
 
 
-def _trend(answers: AnswerCounts, f: int, pair: Pair, label: str, chosen: IntArray) -> Finding:
-    """Return whether the choice of one answer changes with the level."""
-    levels = np.asarray(answers.levels)
+def level_tests(answers: AnswerCounts) -> FamilyResult:
+    """Return whether the choice of the dominant zone changes with the level; else that of each answer."""
+    effects = answers.of_effects[: 1 if answers.compares else None]
+    of_pairs = effects[0] if len(effects) == 1 else np.stack(effects, axis=-3)
+    chosen = of_pairs.reshape(*answers.counts.shape[:-5], -1, *effects[0].shape[-2:])
     test = trend_test(chosen, answers.levels, answers.n_repetitions)
-    notes = [f"{test.n_informative} of {answers.n_participants} participants changed their answer"]
-    if len(levels) > 1:
-        interval = _slope(chosen / answers.n_repetitions, levels, answers.scale.step)
-    else:
-        interval = Interval(np.nan, np.nan, np.nan, 0.0)
-        notes.append("one level only: a trend needs two")
-    quantity = f"change of P({label}) per {answers.scale.step_in_words}"
-    name = "exact trend test, levels shuffled within participants"
-    scope, n = _scope(answers, f, pair), answers.n_participants
-    return finding_of("b", name, scope, test, quantity, interval, n, family="b", notes=notes)
+    labels = [label for _, q in _cells(answers) for label, _ in answers.effects(answers.pairs[q])[: len(effects)]]
+    alone = ["one level only: a trend needs two"] if len(answers.levels) < 2 else []
+    return FamilyResult(
+        [scope for scope in _scopes(answers) for _ in effects],
+        [f"change of P({label}) per {answers.scale.step_in_words}" for label in labels],
+        test,
+        mean_slope(chosen / answers.n_repetitions, answers.levels, answers.scale.step),
+        notes=lambda place: [
+            f"{test.n_informative[place]} of {answers.n_participants} participants changed their answer",
+            *alone,
+        ],
+    )
 
 
-def condition_findings(answers: AnswerCounts) -> Iterator[Finding]:
-    """Yield question c, whether finger conditions differ, in the dominant zone and in "both"."""
-    for nth, family in enumerate(_families(answers, "c")):
-        for (f, g), q in product(combinations(range(len(answers.finger_conditions)), 2), range(len(answers.pairs))):
-            pair = answers.pairs[q]
-            label, place = answers.effects(pair)[nth]
-            counts, what = answers.counts[..., place], f"P({label})"
-            first, second = answers.finger_conditions[f], answers.finger_conditions[g]
-            only_first, only_second = _discordant(counts[:, f, q], counts[:, g, q], answers.n_repetitions)
-            interval = clustered_difference(only_first, only_second, answers.n_answers)
-            test = sign_flip_test((counts[:, f, q] - counts[:, g, q]).sum(axis=1))
-            margin = max(abs(interval.low), abs(interval.high))
-            notes = [f"shows equivalence only within a margin of {margin:.2f}"]
-            name = "exact sign-flip test between finger conditions"
-            scope, quantity = f"{first} - {second} {pair.label}", f"difference of {what}"
-            n = answers.n_participants
-            yield finding_of("c", name, scope, test, quantity, interval, n, family=family, notes=notes)
+def condition_tests(answers: AnswerCounts, effects: slice) -> FamilyResult | None:
+    """Return whether finger conditions differ in the shares of some effects."""
+    names, labels = answers.finger_conditions, [[label for label, _ in answers.effects(p)] for p in answers.pairs]
+    both = list(combinations(range(len(names)), 2))
+    chosen = answers.of_effects[effects]
+    if not (both and chosen):
+        return None
+    places = [
+        (nth, *each) for nth in range(len(answers.of_effects))[effects] for each in product(both, range(len(labels)))
+    ]
+    first, second = (
+        np.concatenate([each[..., pair[i], :, :, :] for each in chosen for pair in both], axis=-3) for i in (0, 1)
+    )
+    found = _compare(first, second, answers)
+    interval = found[1]
+
+    def notes(place: int) -> list[str]:
+        margin = max(abs(interval.low[place]), abs(interval.high[place]))
+        return [f"shows equivalence only within a margin of {margin:.2f}"]
+
+    return FamilyResult(
+        [f"{names[f]} - {names[g]} {answers.pairs[q].label}" for _, (f, g), q in places],
+        [f"difference of P({labels[q][nth]})" for nth, _, q in places],
+        *found,
+        notes=notes,
+    )
 
 
-def pair_findings(answers: AnswerCounts) -> Iterator[Finding]:
-    """Yield question d, whether "both" is answered more often for one pair of zones than for another.
+def pair_tests(answers: AnswerCounts) -> FamilyResult | None:
+    """Return whether "both" is answered more often for one pair of zones than for another.
 
     Without a dominant zone the same is asked of each answer.
     """
-    asked = answers.effects(answers.pairs[0])[1 if answers.compares else 0 :]
-    for label, place in asked:
-        chosen = answers.counts[..., place]
-        for f, (q, r) in product(
-            range(len(answers.finger_conditions)), list(combinations(range(len(answers.pairs)), 2))
-        ):
-            only_first, only_second = _discordant(chosen[:, f, q], chosen[:, f, r], answers.n_repetitions)
-            interval = clustered_difference(only_first, only_second, answers.n_answers)
-            test = sign_flip_test((chosen[:, f, q] - chosen[:, f, r]).sum(axis=1))
-            labels = f"{answers.pairs[q].label} - {answers.pairs[r].label}"
-            scope = f"{answers.finger_conditions[f]} {labels}"
-            name = "exact sign-flip test between pairs"
-            n = answers.n_participants
-            yield finding_of("d", name, scope, test, f"difference of P({label})", interval, n, family="d")
+    asked = slice(1 if answers.compares else 0, None)
+    labels = [label for label, _ in answers.effects(answers.pairs[0])][asked]
+    both = list(combinations(range(len(answers.pairs)), 2))
+    if not (both and labels):
+        return None
+    chosen = answers.of_effects[asked]
+    first, second = (
+        np.concatenate([_joined(each[..., [pair[i] for pair in both], :, :], 2) for each in chosen], axis=-3)
+        for i in (0, 1)
+    )
+    names = [pair.label for pair in answers.pairs]
+    places = list(product(labels, answers.finger_conditions, both))
+    return FamilyResult(
+        [f"{condition} {names[q]} - {names[r]}" for _, condition, (q, r) in places],
+        [f"difference of P({label})" for label, _, _ in places],
+        *_compare(first, second, answers),
+    )
 
 
-def _families(answers: AnswerCounts, question: str) -> list[str]:
-    """Return the family of tests of each effect: the dominant zone and both apart, else all answers together."""
-    further = answers.effects(answers.pairs[0])[1:]
-    return [question, *(f"{question} both" if answers.compares else question for _ in further)]
-
-
-def _scope(answers: AnswerCounts, f: int, pair: Pair) -> str:
-    return f"{answers.finger_conditions[f]} {pair.label}"
-
-
-def _discordant(
-    first: IntArray, second: IntArray, n_repetitions: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return how many of a participant's pairs of answers count only for the first, and only for the second.
+def _compare(first: IntArray, second: IntArray, answers: AnswerCounts) -> tuple[ExactTest, Interval]:
+    """Return the tests between counts, (..., n_tests, n_participants, n_levels) arrays, and the differences of shares.
 
     Answers to the same level are paired. Repetitions have no natural partner, so every pairing is averaged.
     """
-    only_first = (first * (n_repetitions - second) / n_repetitions).sum(axis=1)
-    only_second = (second * (n_repetitions - first) / n_repetitions).sum(axis=1)
-    return only_first, only_second
+    n = answers.n_repetitions
+    only_first, only_second = (first * (n - second)).sum(axis=-1), (second * (n - first)).sum(axis=-1)
+    interval = clustered_difference(only_first / n, only_second / n, answers.n_answers)
+    return sign_flip_test((only_first - only_second) // n), interval
 
 
-def _slope(shares: NDArray[np.float64], levels: NDArray[np.float64], step: float) -> Interval:
-    """Return the mean slope of participants' shares over the level, for a step of the scale."""
-    centred = levels - levels.mean()
-    weights = step * centred / (centred**2).sum()
-    steepest = float(weights[weights > 0].sum())
-    unit = paired_mean(shares @ weights, steepest)
-    return Interval(unit.estimate * steepest, unit.low * steepest, unit.high * steepest, unit.n_effective)
+def _cells(answers: AnswerCounts) -> list[tuple[int, int]]:
+    """Return the places of every finger condition and pair, in the order of the tests."""
+    return list(product(range(len(answers.finger_conditions)), range(len(answers.pairs))))
+
+
+def _scopes(answers: AnswerCounts) -> list[str]:
+    return [f"{answers.finger_conditions[f]} {answers.pairs[q].label}" for f, q in _cells(answers)]
+
+
+def _joined(counts: IntArray, n_after: int) -> IntArray:
+    """Return counts with finger conditions and pairs, which end before some axes, as one axis of tests."""
+    after = counts.ndim - n_after
+    return counts.reshape(*counts.shape[: after - 2], -1, *counts.shape[after:])
+
+
+_DOMINANT, _REST = slice(0, 1), slice(1, None)
+
+STATISTICS: dict[str, Statistic] = {
+    "a1": Statistic(
+        "a1", "does a cell differ from guessing", "exact multinomial test against chance", chance_tests,
+        "share", _one_answer_p, against_guessing=True,
+    ),
+    "a2": Statistic(
+        "a2", "is one zone chosen more than the other", "exact sign-flip test of net dominance", dominance_tests,
+    ),
+    "b": Statistic(
+        "b", "does the choice of the dominant zone change with the level",
+        "exact trend test, levels shuffled within participants", level_tests, "slope per 100 mm/s", smallest_trend_p,
+    ),
+    "c": Statistic(
+        "c", "does the choice of the dominant zone differ between finger conditions",
+        "exact sign-flip test between finger conditions",
+        lambda answers: condition_tests(answers, _DOMINANT if answers.compares else slice(None)),
+    ),
+    "c both": Statistic(
+        "c", 'does "both" differ between finger conditions', "exact sign-flip test between finger conditions",
+        lambda answers: condition_tests(answers, _REST) if answers.compares else None,
+    ),
+    "d": Statistic(
+        "d", 'is "both" answered more often for one pair than for another', "exact sign-flip test between pairs",
+        pair_tests,
+    ),
+}  # fmt: skip
+"""Families of tests, each corrected by Holm's method."""
+
+
+def family_findings(family: str, answers: AnswerCounts) -> Iterator[Finding]:
+    """Yield the tests of a family, one of `STATISTICS`, in a single experiment."""
+    statistic = STATISTICS[family]
+    found = statistic.compute(answers)
+    if found is None:
+        return
+    for place, (scope, quantity) in enumerate(zip(found.scopes, found.quantities, strict=True)):
+        n = answers.n_participants if found.n is None else int(found.n[place])
+        test, interval = found.test[place], found.interval[place]
+        yield finding_of(
+            statistic.question, statistic.name, scope, test, quantity, interval, n, family=family,
+            notes=found.notes(place),
+        )  # fmt: skip
 
 
 def find(answers: AnswerCounts, frame: pd.DataFrame, catches: Catches | None = None) -> list[Finding]:
@@ -199,20 +332,24 @@ def find(answers: AnswerCounts, frame: pd.DataFrame, catches: Catches | None = N
     catches : mapping of str to Counter, optional
         Answers to catch trials by participant.
     """
+    tested = {family: list(family_findings(family, answers)) for family in STATISTICS}
+    if answers.compares:
+        tested["a2"] = list(chain.from_iterable(zip(tested["a2"], leaning_findings(answers), strict=True)))
     findings = [
-        *chance_findings(answers),
-        *(dominance_findings(answers) if answers.compares else ()),
-        *level_findings(answers),
-        *condition_findings(answers),
-        *pair_findings(answers),
+        *chain.from_iterable(tested.values()),
         *association_findings(answers),
         *consistency_findings(answers),
         *effect_findings(answers),
         *catch_findings(answers, catches or {}),
         *secondary_findings(answers, frame),
     ]
-    return sorted(correct(findings), key=lambda finding: ORDER.index(finding.question))
+    order = questions()
+    return sorted(correct(findings), key=lambda finding: order.index(finding.question))
 
 
-ORDER = ("a1", "a2", "b", "c", "d", "e", "f", "catch", "side", "order", "time", "speed")
-"""Questions in the order of the report: those of the plan, then the further ones."""
+def questions() -> list[str]:
+    """Return the questions in the order of the report: those with families of tests, then the further ones."""
+    return [*dict.fromkeys(each.question for each in STATISTICS.values()), *_FURTHER]
+
+
+_FURTHER = ("e", "f", "catch", "side", "order", "time", "speed")

@@ -1,4 +1,4 @@
-"""Exact test of a trend over levels, answers shuffled within participants.
+"""Exact test of a trend over levels, answers shuffled within participants; one test or a batch of them.
 
 References
 ----------
@@ -9,20 +9,20 @@ Armitage, Biometrics 11 (1955) 375-386 (linear trend in proportions).
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from modaltouch.analysis.convolution import Kernel, tail_probability
-from modaltouch.analysis.exact import ExactTest, whole_numbers
+from modaltouch.analysis.exact import ExactTest, count_each, sum_test, whole_numbers
+from modaltouch.analysis.sums import Law, Sums
 
 IntArray = NDArray[np.int64]
-FloatArray = NDArray[np.float64]
 
 GRID_STEPS = 1000
 """Levels that share no coarser grid are placed on one of this many steps between the lowest and the highest."""
+
+_RAREST = 4
 
 
 def trend_test(chosen: ArrayLike, levels: Sequence[float], n_repetitions: int = 1) -> ExactTest:
@@ -33,7 +33,7 @@ def trend_test(chosen: ArrayLike, levels: Sequence[float], n_repetitions: int = 
 
     Parameters
     ----------
-    chosen : (n_participants, n_levels) array of int
+    chosen : (..., n_participants, n_levels) array of int
         How often the answer was chosen at each level.
     levels : sequence of float
         Levels, as scores of the trend; only their ratios of distances matter.
@@ -53,32 +53,45 @@ def trend_test(chosen: ArrayLike, levels: Sequence[float], n_repetitions: int = 
     """
     counts = whole_numbers(chosen, "chosen")
     scores = level_scores(levels)
-    if counts.ndim != 2 or counts.shape[1] != len(scores):
+    if counts.ndim < 2 or counts.shape[-1] != len(scores):
         raise ValueError(
             f"chosen has shape {counts.shape}, but there are {len(scores)} levels: give participants by levels"
         )
     if counts.size and (counts.min() < 0 or counts.max() > n_repetitions):
         raise ValueError(f"chosen runs from {counts.min()} to {counts.max()}, allowed are 0 to {n_repetitions}")
-    totals = counts.sum(axis=1)
-    moving = (totals > 0) & (totals < n_repetitions * len(scores))
-    n_levels = len(scores)
-    # Everything is multiplied by the number of levels, so that the expectation is an integer too.
-    observed = int((counts[moving] @ scores).sum()) * n_levels
-    expected = int(totals[moving].sum()) * int(scores.sum())
-    if not moving.any() or scores.max() == 0:
-        return ExactTest(0.0, 1.0, 1.0, 0)
-    by_total = draws_without_replacement(scores, n_repetitions)
-    kernels = [Kernel(by_total[k], count) for k, count in sorted(Counter(totals[moving].tolist()).items())]
-    distance = abs(observed - expected)
-    lowest, highest = (sum(k.count * edge for k in kernels for edge in (k.ends[i],)) for i in (0, 1))
-    farthest = max(expected - lowest * n_levels, highest * n_levels - expected)
-    p, p_min = (
-        1.0
-        if d == 0
-        else tail_probability(kernels, math.floor((expected - d) / n_levels), math.ceil((expected + d) / n_levels))
-        for d in (distance, farthest)
-    )
-    return ExactTest((observed - expected) / n_levels, p, min(p_min, p), int(moving.sum()))
+    totals = counts.sum(axis=-1)
+    laws = draws_without_replacement(scores, n_repetitions)[1:-1] if scores.any() else []
+    drawn = np.arange(1, len(laws) + 1)
+    moving = (totals > 0) & (totals <= len(laws))
+    observed = np.where(moving, counts @ scores, 0).sum(axis=-1)
+    return sum_test(Sums(laws, drawn * scores.sum(), len(scores), count_each(totals, drawn)), observed)
+
+
+def smallest_trend_p(levels: Sequence[float], n_participants: int, n_repetitions: int) -> float:
+    """Return the smallest p that a trend test can give, however the answers fall [1].
+
+    Parameters
+    ----------
+    levels : sequence of float
+        Levels.
+    n_participants, n_repetitions : int
+        Participants, and presentations of each level.
+    """
+    extremes = _extreme_choices(levels, n_repetitions)
+    # All participants alike reach both tails at once; one who differs may leave the other tail out.
+    chosen = [[most] * (n_participants - 1) + [one] for side in extremes for most in side for one in side]
+    return float(trend_test(np.array(chosen), levels, n_repetitions).quick_p.min()) if chosen else 1.0
+
+
+def _extreme_choices(levels: Sequence[float], n_repetitions: int) -> list[list[IntArray]]:
+    """Return the rarest ways to choose only the highest levels, and only the lowest, (n_levels,) arrays of counts."""
+    laws = draws_without_replacement(level_scores(levels), n_repetitions)[1:-1]
+    places = np.arange(len(levels) * n_repetitions).reshape(len(levels), n_repetitions)
+    sides = []
+    for order, end in ((places[::-1], -1), (places, 0)):
+        rarest = np.argsort([weights[end] for _, weights in laws], kind="stable")[:_RAREST]
+        sides.append([(order <= k).sum(axis=1) for k in rarest.tolist()])
+    return sides if laws else []
 
 
 def level_scores(levels: Sequence[float]) -> IntArray:
@@ -108,7 +121,7 @@ def level_scores(levels: Sequence[float]) -> IntArray:
     return np.asarray(scores, dtype=np.int64)
 
 
-def draws_without_replacement(scores: IntArray, n_repetitions: int) -> list[tuple[IntArray, FloatArray]]:
+def draws_without_replacement(scores: IntArray, n_repetitions: int) -> list[Law]:
     """Return, for every k, the distribution of the sum of k presentations drawn without replacement.
 
     Parameters

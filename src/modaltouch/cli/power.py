@@ -158,14 +158,14 @@ def _refuse_too_large(n_answers: int) -> None:
 
 def _families(questions: str, scopes: Callable[[str], tuple[str, ...]]) -> tuple[str, ...]:
     """Return the families of the questions that the protocol has tests for."""
-    from modaltouch.planning import FAMILIES
+    from modaltouch.analysis import STATISTICS
 
-    known = tuple(dict.fromkeys(family.split()[0] for family in FAMILIES))
+    known = tuple(dict.fromkeys(statistic.question for statistic in STATISTICS.values()))
     asked = [word.strip() for word in questions.split(",")]
     for word in asked:
         if word not in known:
             raise typer.BadParameter(f"given --questions {word!r}; allowed: {', '.join(known)}, separated by commas")
-    found = tuple(family for family in FAMILIES if family.split()[0] in asked and scopes(family))
+    found = tuple(family for family, each in STATISTICS.items() if each.question in asked and scopes(family))
     if not found:
         raise typer.BadParameter(
             f"given --questions {questions!r}, for which this protocol has no test: c needs two finger conditions, d "

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from modaltouch.planning.observer.writing import write_observer
     from modaltouch.planning.power import Power, plan
     from modaltouch.planning.presented import designs_for
-    from modaltouch.planning.questions import FAMILIES
 else:
     __getattr__ = lazily(
         __name__,
@@ -35,12 +34,10 @@ else:
             "observer.population": "Observer",
             "power": "Power plan",
             "presented": "designs_for",
-            "questions": "FAMILIES",
         },
     )
 
 __all__ = [
-    "FAMILIES",
     "FeltSpeeds",
     "Observer",
     "Power",

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import combinations, product
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.analysis import Pair
+from modaltouch.analysis import STATISTICS, AnswerCounts, Pair
 
 FloatArray = NDArray[np.float64]
 
@@ -64,16 +64,28 @@ class Design:
         turned = np.resize(np.array(self.placements), n_participants)
         return np.where(turned, -1.0, 1.0)
 
+    def count(self, counts: NDArray[np.int64], n_repetitions: int) -> AnswerCounts:
+        """Return answers to the cells as the analysis takes them.
+
+        Parameters
+        ----------
+        counts : (..., n_participants, n_finger_conditions, n_pairs, n_levels, 3) array of int
+            How often each participant answered left, both and right in each cell; of one experiment or a batch.
+        n_repetitions : int
+            Answers of each participant in each cell.
+        """
+        names = tuple(f"p{number}" for number in range(1, counts.shape[-5] + 1))
+        return AnswerCounts(names, self.finger_conditions, self.pairs, self.levels, counts, n_repetitions)
+
+    @cached_property
+    def _scopes(self) -> dict[str, tuple[str, ...]]:
+        everywhere_left = self.count(np.broadcast_to([1, 0, 0], (1, *self.shape, 3)), 1)
+        found = {family: statistic.compute(everywhere_left) for family, statistic in STATISTICS.items()}
+        return {family: () if result is None else tuple(result.scopes) for family, result in found.items()}
+
     def scopes(self, family: str) -> tuple[str, ...]:
-        """Return what each test of a family, one of `FAMILIES`, is about, worded as in the analysis."""
-        fingers, labels = self.finger_conditions, [pair.label for pair in self.pairs]
-        if family == "a1":
-            return tuple(f"{f} {q} {v:g} mm/s" for f, q, v in product(fingers, labels, self.levels))
-        if family in ("a2", "b"):
-            return tuple(f"{f} {q}" for f, q in product(fingers, labels))
-        if family == "d":
-            return tuple(f"{f} {q} - {r}" for f in fingers for q, r in combinations(labels, 2))
-        return tuple(f"{f} - {g} {q}" for (f, g), q in product(combinations(fingers, 2), labels))
+        """Return what each test of a family, one of `STATISTICS`, is about, worded by the analysis."""
+        return self._scopes[family]
 
     def without_differences(self) -> Design:
         """Return the design with both fingers feeling alike everywhere: nothing is there to be found."""

@@ -9,11 +9,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.analysis import ALPHA
+from modaltouch.analysis import ALPHA, STATISTICS, AnswerCounts, holm
 from modaltouch.planning.design import Design
 from modaltouch.planning.observer import Observer, Participant
-from modaltouch.planning.questions import SimulatedAnswers, half_widths, p_values
-from modaltouch.planning.significance import holm_p
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -144,8 +142,7 @@ def run_job(study: Study, job: Job) -> Tallies:
     answers = simulate(design, observer, job, observed)
     tallies = {}
     for family in study.families:
-        # What a1 asks is whether answers differ from guessing: nothing is there to be found where people guess.
-        guesses = study.null and family == "a1"
+        guesses = study.null and STATISTICS[family].against_guessing
         asked = simulate(design, Observer(Participant(lapse_rate=1.0)), job, guessed) if guesses else answers
         tallies[family] = count_significant(asked, family, study.alpha)
     return tallies
@@ -156,8 +153,8 @@ def unbiased(observer: Observer) -> Observer:
     return replace(observer, typical=replace(observer.typical, side_bias=0.0))
 
 
-def simulate(design: Design, observer: Observer, job: Job, rng: np.random.Generator) -> SimulatedAnswers:
-    """Return the answers of simulated experiments.
+def simulate(design: Design, observer: Observer, job: Job, rng: np.random.Generator) -> AnswerCounts:
+    """Return the answers of simulated experiments, a batch.
 
     Each participant is drawn once from the population and answers every cell by the chances that
     `modaltouch.planning.observer.Participant` has there.
@@ -166,24 +163,29 @@ def simulate(design: Design, observer: Observer, job: Job, rng: np.random.Genera
     share_left, share_right = crowd.shares(
         design.speeds.reshape(-1, 2), design.cells, design.facing(job.n_participants)
     )
-    left, right = np.zeros(share_left.shape, dtype=np.int64), np.zeros(share_left.shape, dtype=np.int64)
+    # Answer by answer in memory: the tests take one at a time.
+    counts = np.zeros((3, *share_left.shape), dtype=np.int64)
     for _ in range(job.n_repetitions):
         chance = rng.random(share_left.shape)
-        left += chance < share_left
-        right += chance >= 1 - share_right
-    shape = (job.n_experiments, job.n_participants, *design.shape)
-    return SimulatedAnswers(left.reshape(shape), right.reshape(shape), job.n_repetitions, design)
+        counts[0] += chance < share_left
+        counts[2] += chance >= 1 - share_right
+    counts[1] = job.n_repetitions - counts[0] - counts[2]
+    shape = (3, job.n_experiments, job.n_participants, *design.shape)
+    return design.count(np.moveaxis(counts.reshape(shape), 0, -1), job.n_repetitions)
 
 
-def count_significant(answers: SimulatedAnswers, family: str, alpha: float = ALPHA) -> Tally:
+def count_significant(answers: AnswerCounts, family: str, alpha: float = ALPHA) -> Tally:
     """Return in how many of the simulated experiments a family of tests finds something."""
-    p = p_values(answers, family)
-    single, corrected = p <= alpha * _TIES, holm_p(p) <= alpha * _TIES
+    found = STATISTICS[family].compute(answers)
+    if found is None:
+        raise ValueError(f"no tests of {family} for {len(answers.finger_conditions)} finger conditions and these pairs")
+    p = found.test.quick_p
+    single, corrected = p <= alpha * _TIES, holm(p) <= alpha * _TIES
     return Tally(
         len(p),
         single.sum(axis=0),
         corrected.sum(axis=0),
         int(corrected.any(axis=1).sum()),
         int(corrected.all(axis=1).sum()),
-        half_widths(answers, family).sum(axis=0),
+        found.interval.half_width.sum(axis=0),
     )

@@ -11,8 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from modaltouch.analysis import STATISTICS
 from modaltouch.planning.power import Power
-from modaltouch.planning.questions import FAMILIES
 from modaltouch.report import (
     FAINT,
     INK,
@@ -83,7 +83,7 @@ def draw_power(power: Power, target: float = 0.8) -> Figure:
                 _draw_contours(place, rows)
             else:
                 _draw_curves(place, rows, power.study.alpha if power.study.null else target)
-            place.set_title(textwrap.fill(f"{panel}: {FAMILIES[panel]}?", 38), fontsize=8.5)
+            place.set_title(textwrap.fill(f"{panel}: {STATISTICS[panel].asks}?", 38), fontsize=8.5)
             place.set_xlabel("participants")
         if any(_is_grid([row for row in power.families if row["family"] == family]) for family in families):
             handles = [Line2D([], [], color=INK, ls=style, lw=1.0, label=f"{line:g}") for line, style in _LINES.items()]

@@ -9,18 +9,11 @@ from functools import cached_property
 from itertools import takewhile
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from modaltouch.analysis import ALPHA, draws_without_replacement, level_scores, multinomial_tests, wilson
+from modaltouch.analysis import ALPHA, STATISTICS, wilson
 from modaltouch.planning.design import Design
 from modaltouch.planning.experiments import Job, Study, Tallies, divide, run_job
-from modaltouch.planning.significance import trend_p
-
-IntArray = NDArray[np.int64]
 
 _MOST = 200
-_RAREST = 4
 
 
 @dataclass(frozen=True)
@@ -46,35 +39,10 @@ class Floor:
     least_participants: int | None
 
 
-def smallest_p(design: Design, family: str, n_participants: int, n_repetitions: int) -> float:
-    """Return the smallest p that a test of a family can give, however the answers fall [1]."""
-    if family == "a1":
-        return multinomial_tests([[n_participants, 0, 0]])[0].p
-    if family != "b":
-        return 2.0 ** (1 - n_participants)
-    extremes = _extreme_choices(design.levels, n_repetitions)
-    if not extremes:
-        return 1.0
-    # All participants alike reach both tails at once; one who differs may leave the other tail out.
-    chosen = [[most] * (n_participants - 1) + [one] for side in extremes for most in side for one in side]
-    return float(trend_p(np.array(chosen), design.levels, n_repetitions).min())
-
-
-def _extreme_choices(levels: Sequence[float], n_repetitions: int) -> list[list[IntArray]]:
-    """Return the rarest ways to choose only the highest levels, and only the lowest, (n_levels,) arrays of counts."""
-    laws = draws_without_replacement(level_scores(levels), n_repetitions)[1:-1]
-    places = np.arange(len(levels) * n_repetitions).reshape(len(levels), n_repetitions)
-    sides = []
-    for order, end in ((places[::-1], -1), (places, 0)):
-        rarest = np.argsort([weights[end] for _, weights in laws], kind="stable")[:_RAREST]
-        sides.append([(order <= k).sum(axis=1) for k in rarest.tolist()])
-    return sides if laws else []
-
-
 def find_floor(design: Design, family: str, n_repetitions: int, alpha: float = ALPHA) -> Floor:
     """Return how few participants can make a family's tests significant."""
-    n_tests = len(design.scopes(family))
-    reach = (n for n in range(1, _MOST) if smallest_p(design, family, n, n_repetitions) * n_tests <= alpha)
+    n_tests, smallest_p = len(design.scopes(family)), STATISTICS[family].smallest_p
+    reach = (n for n in range(1, _MOST) if smallest_p(design.levels, n, n_repetitions) * n_tests <= alpha)
     least = next(reach, None) if len(design.levels) > 1 or family != "b" else None
     return Floor(family, n_tests, n_repetitions, least)
 
@@ -142,7 +110,7 @@ class Power:
         every = wilson(tally.every_test, tally.n_experiments)
         n_tests, p_min = len(tally.single), self._p_min[size, family]
         return {
-            "question": family.split()[0],
+            "question": STATISTICS[family].question,
             "family": family,
             **_size(size, design.shape),
             "n_experiments": tally.n_experiments,
@@ -167,7 +135,7 @@ class Power:
             width = float(tally.width[place]) / tally.n_experiments
             rows.append(
                 {
-                    "question": family.split()[0],
+                    "question": STATISTICS[family].question,
                     "family": family,
                     "scope": scope,
                     **_size(size, design.shape),
@@ -179,7 +147,7 @@ class Power:
                     "power_uncorrected_low": alone.low,
                     "power_uncorrected_high": alone.high,
                     "half_width": width if width == width else None,
-                    "half_width_of": _quantity(family),
+                    "half_width_of": STATISTICS[family].unit,
                     "p_min": self._p_min[size, family],
                 }
             )
@@ -187,8 +155,8 @@ class Power:
 
     @cached_property
     def _p_min(self) -> dict[tuple[Size, str], float]:
-        design = self.study.design
-        return {(size, family): smallest_p(design, family, *size) for size, family in self._order()}
+        levels = self.study.design.levels
+        return {(size, family): STATISTICS[family].smallest_p(levels, *size) for size, family in self._order()}
 
     def needed(self, target: float) -> list[dict[str, Any]]:
         """Return how many participants reach a power, for each family and each test at each repetition.
@@ -310,7 +278,3 @@ def _size(size: Size, shape: tuple[int, int, int]) -> dict[str, int]:
     n_participants, n_repetitions = size
     n_trials = shape[0] * shape[1] * shape[2] * n_repetitions
     return {"n_participants": n_participants, "n_repetitions": n_repetitions, "n_trials_each": n_trials}
-
-
-def _quantity(family: str) -> str:
-    return {"a1": "share", "b": "slope per 100 mm/s"}.get(family, "difference of shares")

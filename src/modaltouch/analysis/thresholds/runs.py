@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from modaltouch.analysis.covariates import student_interval
+from modaltouch.analysis.intervals import student_interval
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.thresholds.psychometric import Psychometric, ThresholdEstimate, fit_psychometric
 

@@ -1,0 +1,130 @@
+"""Tests and intervals of many experiments at once, against each of them alone and against enumeration."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from modaltouch.analysis.exact import multinomial_test, sign_flip_test, sign_test
+from modaltouch.analysis.intervals import (
+    Interval,
+    clopper_pearson,
+    clustered_difference,
+    korn_graubard,
+    mean_slope,
+    paired_mean,
+)
+from modaltouch.analysis.trend import trend_test
+
+N_ANSWERS = 6
+
+
+@settings(max_examples=60, deadline=None)
+@given(arrays(np.int64, st.tuples(st.integers(1, 5), st.integers(1, 14)), elements=st.integers(-9, 9)))
+def test_quick_sign_flips_equal_convolution_bit_by_bit(scores: np.ndarray) -> None:
+    """Expected: each row alone, whose p is a whole number of 2^-N; no error at all up to forty participants."""
+    test = sign_flip_test(scores)
+    assert test.quick_p.tolist() == test.p.tolist() == [sign_flip_test(row).p for row in scores]
+    assert sign_test(scores).quick_p.tolist() == [sign_test(row).p for row in scores]
+
+
+def test_quick_sign_flips_equal_enumeration() -> None:
+    """Expected: the share of all 2^7 sign patterns whose sum is as far from zero, counted here."""
+    scores = np.array([3, -1, 4, 1, -5, 9, 2])
+    sums = np.array([np.dot(signs, scores) for signs in product((-1, 1), repeat=7)])
+    assert sign_flip_test(scores).quick_p == pytest.approx(np.mean(np.abs(sums) >= abs(scores.sum())), abs=0)
+
+
+@pytest.mark.parametrize(("n_participants", "largest"), [(41, 4), (60, 16), (200, 4)])
+def test_many_participants_keep_their_quick_p(n_participants: int, largest: int) -> None:
+    """Expected: `p` within 1e-13, where it no longer lies on a grid that rounding can tell."""
+    rng = np.random.default_rng(n_participants)
+    test = sign_flip_test(rng.integers(-largest, largest + 1, (20, n_participants)))
+    assert test.quick_p == pytest.approx(test.p, abs=1e-13)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.data())
+def test_quick_trends_equal_convolution(data: st.DataObject) -> None:
+    """Expected: each experiment alone, any number of participants, levels and repetitions."""
+    levels = data.draw(st.lists(st.sampled_from([5.0, 20.0, 80.0, 92.5, 100.0, 150.0, 200.0]), min_size=1, max_size=5))
+    n_repetitions = data.draw(st.integers(1, 4))
+    shape = (3, data.draw(st.integers(1, 12)), len(levels))
+    chosen = data.draw(arrays(np.int64, shape, elements=st.integers(0, n_repetitions)))
+    alone = [trend_test(rows, levels, n_repetitions) for rows in chosen]
+    test = trend_test(chosen, levels, n_repetitions)
+    assert test.quick_p == pytest.approx([each.p for each in alone], abs=1e-13)
+    assert test.p.tolist() == [each.p for each in alone]
+    assert test.p_min.tolist() == [each.p_min for each in alone]
+    assert test.statistic.tolist() == [each.statistic for each in alone]
+    assert test.n_informative.tolist() == [each.n_informative for each in alone]
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(st.tuples(*[st.integers(0, 12)] * 3), min_size=1, max_size=6))
+def test_multinomial_tests_with_different_totals_equal_each_alone(counts: list[tuple[int, int, int]]) -> None:
+    """Expected: the same numbers, zero answers among them."""
+    test = multinomial_test(counts)
+    for name in ("statistic", "p", "p_min", "n_informative"):
+        assert getattr(test, name).tolist() == [getattr(multinomial_test(row), name) for row in counts]
+
+
+def test_no_answer_leaves_no_information() -> None:
+    """Expected: p 1 where all scores are zero, all answers the same, or there is one level."""
+    assert sign_flip_test(np.zeros((2, 5), dtype=int)).quick_p.tolist() == [1.0, 1.0]
+    assert trend_test(np.full((2, 5, 4), 3), [80, 100, 150, 200], 3).quick_p.tolist() == [1.0, 1.0]
+    assert trend_test(np.ones((2, 5, 1), dtype=int), [80], 2).quick_p.tolist() == [1.0, 1.0]
+
+
+def test_levels_far_from_a_common_grid_stay_affordable() -> None:
+    """Expected: convolution, where levels take a thousand steps."""
+    levels = [80.001, 99.997, 150.003, 199.999]
+    test = trend_test(np.random.default_rng(2).integers(0, 2, (4, 15, 4)), levels)
+    assert test.quick_p == pytest.approx(test.p, abs=1e-12)
+
+
+def assert_each_alone(batch: Interval, alone: list[Interval]) -> None:
+    """Check that a batch holds the very intervals."""
+    for name in ("estimate", "low", "high", "n_effective", "half_width"):
+        expected = [getattr(each, name) for each in alone]
+        np.testing.assert_allclose(getattr(batch, name), expected, rtol=1e-12, atol=1e-14)
+
+
+@settings(max_examples=40, deadline=None)
+@given(arrays(np.int64, st.tuples(st.just(2), st.integers(1, 5), st.integers(1, 12)), elements=st.integers(0, 3)))
+def test_intervals_of_a_batch_are_those_of_each_experiment(counts: np.ndarray) -> None:
+    """Expected: the same bounds, constant answers and one participant included."""
+    first, second = counts
+    both = list(zip(first, second, strict=True))
+    assert_each_alone(
+        clustered_difference(first, second, N_ANSWERS), [clustered_difference(b, c, N_ANSWERS) for b, c in both]
+    )
+    assert_each_alone(korn_graubard(first, N_ANSWERS), [korn_graubard(b, N_ANSWERS) for b in first])
+    assert_each_alone(paired_mean(first - second, 3), [paired_mean(b - c, 3) for b, c in both])
+
+
+@pytest.mark.parametrize("n", [0, 1, 10])
+def test_shares_of_a_batch_are_those_of_each_experiment(n: int) -> None:
+    """Expected: Clopper and Pearson's interval for every count, none out of none included."""
+    assert_each_alone(clopper_pearson(np.arange(n + 1), n), [clopper_pearson(k, n) for k in range(n + 1)])
+
+
+def test_slopes_are_paired_means_of_the_slopes_of_participants() -> None:
+    """Expected: least squares of each participant, as a share of the steepest slope there can be."""
+    levels = np.array([80.0, 100.0, 150.0, 200.0])
+    shares = np.random.default_rng(1).integers(0, 3, (5, 9, 4)) / 2
+    steepest = 100 * np.polyfit(levels, levels > levels.mean(), 1)[0]
+    alone = [paired_mean([100 * np.polyfit(levels, row, 1)[0] for row in rows], steepest) * steepest for rows in shares]
+    found = mean_slope(shares, levels.tolist(), 100)
+    for name in ("estimate", "low", "high"):
+        assert getattr(found, name) == pytest.approx([getattr(each, name) for each in alone], rel=1e-9)
+
+
+def test_one_level_has_no_slope() -> None:
+    """Expected: no number, as for a trend of one level."""
+    assert np.isnan(mean_slope(np.ones((3, 9, 1)), [80.0], 100).half_width).tolist() == [True] * 3
