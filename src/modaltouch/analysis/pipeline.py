@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,7 +13,7 @@ from modaltouch.analysis.reading import read_responses
 from modaltouch.analysis.statistics import find
 from modaltouch.analysis.tables import figure_names, zone_table
 from modaltouch.protocol import AnswerList
-from modaltouch.report import json_bytes, write_files
+from modaltouch.report import csv_bytes, json_bytes, write_files
 from modaltouch.system import version
 
 if TYPE_CHECKING:
@@ -95,24 +94,22 @@ def render_files(analysis: Analysis) -> dict[str, bytes]:
     from modaltouch.report import render
 
     counts, tests = analysis.counts, analysis.tests
-    files = {"counts.csv": _csv(counts)}
+    files = {"counts.csv": _table_bytes(counts)}
     for condition, name in figure_names(analysis.answers.finger_conditions).items():
         table = zone_table(analysis.answers, condition)
         table.columns = pd.Index([format(float(level), "g") for level in table.columns])
-        files[f"{name}.csv"] = _csv(table.reset_index())
+        files[f"{name}.csv"] = _table_bytes(table.reset_index())
     pictures = draw_all(analysis.answers, analysis.responses)
     vectors = {picture.name: render(picture.figure, "svg") for picture in pictures}
     for picture in pictures:
         files[f"{picture.name}.svg"] = vectors[picture.name]
         files[f"{picture.name}.png"] = render(picture.figure, "png")
-    files["tests.csv"] = _csv(tests)
+    files["tests.csv"] = _table_bytes(tests)
     rows = [plain_row(row) for row in tests.to_dict("records")]
     files["tests.json"] = json_bytes(rows)
     files["report.html"] = render_report(analysis, pictures, vectors).encode()
     return files
 
 
-def _csv(table: pd.DataFrame) -> bytes:
-    buffer = io.StringIO()
-    table.to_csv(buffer, index=False, lineterminator="\n")
-    return buffer.getvalue().encode()
+def _table_bytes(table: pd.DataFrame) -> bytes:
+    return csv_bytes([{str(key): value for key, value in row.items()} for row in table.to_dict("records")])

@@ -82,11 +82,12 @@ def json_bytes(values: Any) -> bytes:
 
 
 def csv_bytes(rows: Sequence[Mapping[str, Any]]) -> bytes:
-    """Return rows as a CSV file, its columns those of the first row."""
+    """Return rows as a CSV file, its columns those of the first row; empty where a value is none or not a number."""
     buffer = io.StringIO()
     writer = csv.DictWriter(buffer, list(rows[0]) if rows else [], lineterminator="\n")
     writer.writeheader()
-    writer.writerows(rows)
+    for row in rows:
+        writer.writerow({key: value if value == value else None for key, value in row.items()})
     return buffer.getvalue().encode()
 
 

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
-
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.thresholds.runs import Run, find_runs, in_words, over_participants
-from modaltouch.report import json_bytes, render_page
+from modaltouch.report import csv_bytes, json_bytes, render_page
 from modaltouch.system import commit, version, versions
 
 MOST_FIGURES = 60
@@ -86,7 +83,7 @@ def render_runs(analysis: ThresholdAnalysis) -> dict[str, bytes]:
     for participant, session in sessions[:MOST_FIGURES]:
         own = [run for run in analysis.runs if (run.participant, run.session) == (participant, session)]
         figures[f"runs_sub-{participant}_ses-{session}"] = draw_runs(own, analysis.bounds)
-    files = {"thresholds.csv": _csv(rows), "over_participants.csv": _csv(together)}
+    files = {"thresholds.csv": csv_bytes(rows), "over_participants.csv": csv_bytes(together)}
     values = {"thresholds": rows, "over_participants": together}
     files["thresholds.json"] = json_bytes(values)
     vectors = {name: render(figure, "svg") for name, figure in figures.items()}
@@ -127,9 +124,3 @@ def _report(
         commit=commit(),
         versions={k: v for k, v in versions().items() if v != "absent"},
     )  # fmt: skip
-
-
-def _csv(rows: list[dict[str, Any]]) -> bytes:
-    buffer = io.StringIO()
-    pd.DataFrame(rows).to_csv(buffer, index=False, lineterminator="\n")
-    return buffer.getvalue().encode()

@@ -114,7 +114,7 @@ def table_csv(identification: Identification) -> bytes:
             "half_power_bins": half["bins"],
             "half_power_warning": half["warning"],
         }
-        rows.append({key: "" if value is None else value for key, value in row.items()})
+        rows.append(row)
     return csv_bytes(rows)
 
 
