@@ -3,8 +3,9 @@ from __future__ import annotations
 import pytest
 
 from modaltouch.analysis.counts import count_answers
-from modaltouch.analysis.report import say_number, say_p, write_paragraphs
+from modaltouch.analysis.report import say_p, write_paragraphs
 from modaltouch.analysis.statistics import find
+from modaltouch.report import say_number
 
 
 def paragraphs(frame) -> dict[str, str]:

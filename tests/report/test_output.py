@@ -16,6 +16,15 @@ def test_files_are_written_with_a_manifest_of_their_hashes(tmp_path) -> None:
     assert manifest["files"]["a.txt"] == ["ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"]
 
 
+def test_rows_and_values_are_written_by_the_ending_of_the_name(tmp_path) -> None:
+    """CSV with what is no number empty, quoted where it must be (RFC 4180); JSON as it stands."""
+    rows = [{"a": 1, "b": float("nan"), "c": 'x, "y"'}, {"a": 80.0, "b": float("inf"), "c": None}]
+    files = write_files(tmp_path / "out", {"t.csv": rows, "v.json": {"p": 0.5}, "page.html": "µ"}, {})
+    assert files["t.csv"].read_bytes() == b'a,b,c\n1,,"x, ""y"""\n80.0,inf,\n'
+    assert files["v.json"].read_bytes() == b'{\n "p": 0.5\n}\n'
+    assert files["page.html"].read_bytes() == "µ".encode()
+
+
 def test_own_files_are_replaced_and_stale_ones_removed(tmp_path) -> None:
     """A second analysis leaves no file of the first behind."""
     write_files(tmp_path / "out", {"a.txt": b"1", "b.txt": b"1"}, {})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
@@ -13,7 +13,7 @@ from modaltouch.analysis.reading import read_responses
 from modaltouch.analysis.statistics import find
 from modaltouch.analysis.tables import figure_names, zone_table
 from modaltouch.protocol import AnswerList
-from modaltouch.report import csv_bytes, json_bytes, write_files
+from modaltouch.report import write_files
 from modaltouch.system import version
 
 if TYPE_CHECKING:
@@ -87,29 +87,28 @@ def default_folder(path: Path, stimulus: str = "") -> Path:
     return dataset / "derivatives" / "_".join(["analysis", *names, *chosen])
 
 
-def render_files(analysis: Analysis) -> dict[str, bytes]:
-    """Return the contents of every file of an analysis, by name."""
+def render_files(analysis: Analysis) -> dict[str, Any]:
+    """Return the contents of every file of an analysis, by name, as `write_files` takes them."""
     from modaltouch.analysis.gallery import draw_all
     from modaltouch.analysis.report import render_report
     from modaltouch.report import render
 
     counts, tests = analysis.counts, analysis.tests
-    files = {"counts.csv": _table_bytes(counts)}
+    files: dict[str, Any] = {"counts.csv": _rows(counts)}
     for condition, name in figure_names(analysis.answers.finger_conditions).items():
         table = zone_table(analysis.answers, condition)
         table.columns = pd.Index([format(float(level), "g") for level in table.columns])
-        files[f"{name}.csv"] = _table_bytes(table.reset_index())
+        files[f"{name}.csv"] = _rows(table.reset_index())
     pictures = draw_all(analysis.answers, analysis.responses)
     vectors = {picture.name: render(picture.figure, "svg") for picture in pictures}
     for picture in pictures:
         files[f"{picture.name}.svg"] = vectors[picture.name]
         files[f"{picture.name}.png"] = render(picture.figure, "png")
-    files["tests.csv"] = _table_bytes(tests)
-    rows = [plain_row(row) for row in tests.to_dict("records")]
-    files["tests.json"] = json_bytes(rows)
-    files["report.html"] = render_report(analysis, pictures, vectors).encode()
+    files["tests.csv"] = _rows(tests)
+    files["tests.json"] = [plain_row(row) for row in _rows(tests)]
+    files["report.html"] = render_report(analysis, pictures, vectors)
     return files
 
 
-def _table_bytes(table: pd.DataFrame) -> bytes:
-    return csv_bytes([{str(key): value for key, value in row.items()} for row in table.to_dict("records")])
+def _rows(table: pd.DataFrame) -> list[dict[str, Any]]:
+    return [{str(key): value for key, value in row.items()} for row in table.to_dict("records")]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -19,7 +18,7 @@ from modaltouch.analysis.scale import OWN_THRESHOLD
 from modaltouch.analysis.statistics import STATISTICS, questions
 from modaltouch.analysis.tables import zone_table
 from modaltouch.protocol import AnswerList
-from modaltouch.report import render_page
+from modaltouch.report import render_page, say_number
 from modaltouch.system import commit, version, versions
 
 HEADINGS = {
@@ -90,24 +89,6 @@ def say_p(p: float) -> str:
     if p < 0.001:
         return "< 0.001"
     return f"= {p:.2g}" if p < 1 else "= 1"
-
-
-def say_number(value: float) -> str:
-    """Return a number for a table: three digits, a dash where there is none.
-
-    Examples
-    --------
-    >>> say_number(0.97512), say_number(float("nan")), say_number(float("inf")), say_number(39.0)
-    ('0.975', '–', '∞', '39')
-    """
-    if math.isnan(value):
-        return "–"
-    if math.isinf(value):
-        return "∞" if value > 0 else "−∞"
-    if abs(value) <= 2 * sys.float_info.min and value != 0:
-        return "< 1e-300"
-    text = f"{value:.3g}"
-    return "0" if float(text) == 0 else text.replace("-", "−") if value < 0 else text
 
 
 def say_interval(finding: Finding) -> str:

@@ -17,9 +17,7 @@ from modaltouch.report import (
     FAINT,
     INK,
     PAIR_COLOURS,
-    csv_bytes,
     house_style,
-    json_bytes,
     quiet_grid,
     render,
     write_files,
@@ -53,10 +51,10 @@ def write_power(folder: Path, power: Power, target: float = 0.8) -> dict[str, Pa
     values = power.as_dict(target)
     figure = draw_power(power, target)
     files = {
-        "power.csv": csv_bytes(values["power"]),
-        "power_tests.csv": csv_bytes(values["tests"]),
-        "power_needed.csv": csv_bytes(values["needed"]),
-        "power.json": json_bytes(values),
+        "power.csv": values["power"],
+        "power_tests.csv": values["tests"],
+        "power_needed.csv": values["needed"],
+        "power.json": values,
         "power.svg": render(figure, "svg"),
         "power.png": render(figure, "png"),
     }

@@ -1,8 +1,8 @@
 """Figures, pages and files in one style, for whatever analysis, planning and lab have to show.
 
-Figures of matplotlib drawn within `house_style` go in, with values and rows; out come the bytes of files (`render`,
-`render_page`, `csv_bytes`, `json_bytes`). `write_files` puts them into a folder, whole or not at all, and never over
-what something else made.
+Figures of matplotlib drawn within `house_style` go in, with values and rows; out come pictures (`render`), pages
+(`render_page`) and numbers as a reader sees them (`say_number`). `write_files` puts them into a folder, rows as CSV and
+values as JSON: whole or not at all, and never over what something else made.
 """
 
 from __future__ import annotations
@@ -12,14 +12,16 @@ from typing import TYPE_CHECKING
 from modaltouch.system import lazily
 
 if TYPE_CHECKING:
-    from modaltouch.report.output import csv_bytes, json_bytes, refuse_other, write_files
+    from modaltouch.report.numbers import say_number
+    from modaltouch.report.output import refuse_other, write_files
     from modaltouch.report.page import render_page
     from modaltouch.report.style import CONDITION_COLOURS, FAINT, INK, PAIR_COLOURS, house_style, quiet_grid, render
 else:
     __getattr__ = lazily(
         __name__,
         {
-            "output": "csv_bytes json_bytes refuse_other write_files",
+            "numbers": "say_number",
+            "output": "refuse_other write_files",
             "page": "render_page",
             "style": "CONDITION_COLOURS FAINT INK PAIR_COLOURS house_style quiet_grid render",
         },
@@ -30,12 +32,11 @@ __all__ = [
     "FAINT",
     "INK",
     "PAIR_COLOURS",
-    "csv_bytes",
     "house_style",
-    "json_bytes",
     "quiet_grid",
     "refuse_other",
     "render",
     "render_page",
+    "say_number",
     "write_files",
 ]

@@ -22,7 +22,7 @@ _MAKER = "modaltouch "
 
 
 def write_files(
-    folder: Path, files: dict[str, bytes], about: dict[str, Any], command: str = "analyse"
+    folder: Path, contents: Mapping[str, Any], about: dict[str, Any], command: str = "analyse"
 ) -> dict[str, Path]:
     """Write files into a folder, with a manifest that tells ours from others.
 
@@ -32,8 +32,8 @@ def write_files(
     ----------
     folder : Path
         Where they go; created if needed. Other files in it are left alone.
-    files : dict of str to bytes
-        Contents by name.
+    contents : mapping
+        By name: bytes or text as they are, rows of a table for ``.csv``, plain values for all else, as JSON.
     about : dict
         What the manifest says of their making, plain values.
     command : str
@@ -51,6 +51,7 @@ def write_files(
         be written.
     """
     refuse_other(folder, command)
+    files = {name: _encode(name, content) for name, content in contents.items()}
     about = {"generated_by": _MAKER + command, **about}
     known = _read_manifest(folder)
     for name in (*files, MANIFEST):
@@ -76,13 +77,19 @@ def write_files(
     return {name: folder / name for name in files}
 
 
-def json_bytes(values: Any) -> bytes:
-    """Return plain values as a JSON file."""
-    return (json.dumps(values, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()
+def _encode(name: str, content: Any) -> bytes:
+    """Return the bytes of a file."""
+    if isinstance(content, bytes):
+        return content
+    if isinstance(content, str):
+        return content.encode()
+    if name.endswith(".csv"):
+        return _encode_rows(content)
+    return (json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()
 
 
-def csv_bytes(rows: Sequence[Mapping[str, Any]]) -> bytes:
-    """Return rows as a CSV file, its columns those of the first row; empty where a value is none or not a number."""
+def _encode_rows(rows: Sequence[Mapping[str, Any]]) -> bytes:
+    """Return rows as CSV, its columns those of the first row; empty where a value is none or not a number."""
     buffer = io.StringIO()
     writer = csv.DictWriter(buffer, list(rows[0]) if rows else [], lineterminator="\n")
     writer.writeheader()

@@ -5,6 +5,8 @@ from __future__ import annotations
 import base64
 from typing import Any
 
+from modaltouch.report.numbers import say_number
+
 
 def render_page(package: str, template: str, **values: Any) -> str:
     """Return a page as HTML.
@@ -29,7 +31,7 @@ def render_page(package: str, template: str, **values: Any) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["data_uri"] = _data_uri
+    environment.filters.update(data_uri=_data_uri, number=say_number)
     return environment.get_template(template).render(**values)
 
 

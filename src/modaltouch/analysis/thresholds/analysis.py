@@ -9,7 +9,7 @@ from typing import Any
 
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.thresholds.runs import Run, find_runs, in_words, over_participants
-from modaltouch.report import csv_bytes, json_bytes, render_page
+from modaltouch.report import render_page
 from modaltouch.system import commit, version, versions
 
 MOST_FIGURES = 60
@@ -65,8 +65,8 @@ def analyse_runs(responses: Responses) -> ThresholdAnalysis:
     return ThresholdAnalysis(responses, find_runs(responses), {})
 
 
-def render_runs(analysis: ThresholdAnalysis) -> dict[str, bytes]:
-    """Return the contents of every file of the analysis, by name.
+def render_runs(analysis: ThresholdAnalysis) -> dict[str, Any]:
+    """Return the contents of every file of the analysis, by name, as `write_files` takes them.
 
     Parameters
     ----------
@@ -83,13 +83,12 @@ def render_runs(analysis: ThresholdAnalysis) -> dict[str, bytes]:
     for participant, session in sessions[:MOST_FIGURES]:
         own = [run for run in analysis.runs if (run.participant, run.session) == (participant, session)]
         figures[f"runs_sub-{participant}_ses-{session}"] = draw_runs(own, analysis.bounds)
-    files = {"thresholds.csv": csv_bytes(rows), "over_participants.csv": csv_bytes(together)}
-    values = {"thresholds": rows, "over_participants": together}
-    files["thresholds.json"] = json_bytes(values)
+    files: dict[str, Any] = {"thresholds.csv": rows, "over_participants.csv": together}
+    files["thresholds.json"] = {"thresholds": rows, "over_participants": together}
     vectors = {name: render(figure, "svg") for name, figure in figures.items()}
     for name, figure in figures.items():
         files[f"{name}.svg"], files[f"{name}.png"] = vectors[name], render(figure, "png")
-    files["report.html"] = _report(analysis, together, vectors, len(sessions)).encode()
+    files["report.html"] = _report(analysis, together, vectors, len(sessions))
     return files
 
 

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from modaltouch.analysis.thresholds.psychometric import ThresholdEstimate
-from modaltouch.analysis.thresholds.runs import Run
+from modaltouch.analysis.thresholds.runs import Run, in_words
 from modaltouch.report import CONDITION_COLOURS, FAINT, INK, house_style, quiet_grid
 
 BLUE = CONDITION_COLOURS[0]
@@ -75,7 +75,8 @@ def _draw_function(axes: Axes, run: Run, bounds: tuple[float, float]) -> None:
     _mark_levels(axes.xaxis)
     axes.set_ylim(-0.06, 1.06)
     axes.set_ylabel("share of successes")
-    title = "no threshold" if run.fitted.threshold is None else _title(run.fitted.threshold)
+    threshold = run.fitted.threshold
+    title = "no threshold" if threshold is None else f"threshold {in_words(threshold, ' mm/s')}"
     axes.set_title(title, loc="left", fontsize=9)
     quiet_grid(axes)
 
@@ -84,12 +85,6 @@ def _mark_levels(axis: Axis) -> None:
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_locator(NullLocator())
-
-
-def _title(threshold: ThresholdEstimate) -> str:
-    value, low, high = (None if v is None else 10 ** (v / 20) for v in (threshold.value, threshold.low, threshold.high))
-    words = [f"{bound:.3g}" if bound is not None else "no bound" for bound in (low, high)]
-    return f"threshold {value:.3g} mm/s ({words[0]} to {words[1]})"
 
 
 def _band(span: object, line: object, threshold: ThresholdEstimate | None, bounds: tuple[float, float]) -> None:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from modaltouch.analysis.intervals import student_interval
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.thresholds.psychometric import Psychometric, ThresholdEstimate, fit_psychometric
+from modaltouch.report import say_number
 
 KEYS = ("participant", "session", "finger_condition", "zone_left", "zone_right")
 
@@ -164,11 +165,11 @@ def over_participants(runs: Sequence[Run]) -> list[dict[str, Any]]:
     return rows
 
 
-def in_words(estimate: ThresholdEstimate) -> str:
+def in_words(estimate: ThresholdEstimate, unit: str = "") -> str:
     """Return a threshold with its interval [mm/s], such as ``12.3 (9.1 to 17)``."""
-    low, high = (_velocity(bound) for bound in (estimate.low, estimate.high))
-    bounds = f"{'no bound' if low is None else f'{low:.3g}'} to {'no bound' if high is None else f'{high:.3g}'}"
-    return f"{_velocity(estimate.value):.3g} ({bounds})"
+    value, *bounds = (_velocity(each) for each in (estimate.value, estimate.low, estimate.high))
+    low, high = ("no bound" if bound is None else say_number(bound) for bound in bounds)
+    return f"{say_number(value)}{unit} ({low} to {high})"
 
 
 def _velocity(level: float | None) -> float | None:

@@ -17,7 +17,7 @@ from modaltouch.lab.comparison.results import Row, criteria, paragraphs, rows_of
 from modaltouch.lab.laboratory import MeasurementProgress, TooFewPointsError
 from modaltouch.lab.output import DARK, MIDDLE, page_files, rounded
 from modaltouch.preflight import examine
-from modaltouch.report import FAINT, INK, csv_bytes, house_style, json_bytes, quiet_grid, refuse_other, write_files
+from modaltouch.report import FAINT, INK, house_style, quiet_grid, refuse_other, write_files
 from modaltouch.system import commit, version
 
 COMMAND = "compare"
@@ -252,8 +252,8 @@ class ComparisonReport:
             paragraphs=self.paragraphs,
             delay=self.contest.delay * 1e6,
         )
-        files |= {"comparison.json": json_bytes(values), "comparison.csv": _csv(self.rows)}
-        written = write_files(self.folder, files, {"version": version()}, COMMAND)
+        tables = {"comparison.json": values, "comparison.csv": _table_rows(self.rows)}
+        written = write_files(self.folder, files | tables, {"version": version()}, COMMAND)
         return {**values, "files": {name: str(path) for name, path in written.items()}}
 
 
@@ -316,7 +316,7 @@ def _table(rows: Sequence[Row], level: float) -> list[dict[str, Any]]:
     return lines
 
 
-def _csv(rows: Sequence[Row]) -> bytes:
+def _table_rows(rows: Sequence[Row]) -> Any:
     # How long it took is this machine's, and would make other bytes each time.
     left_out = ("computing_time_s", "zone_peak_mm_s")
     flat = [
@@ -324,4 +324,4 @@ def _csv(rows: Sequence[Row]) -> bytes:
         | {f"zone_peak_{zone}_mm_s": peak for zone, peak in row["zone_peak_mm_s"].items()}
         for row in rows
     ]
-    return csv_bytes(rounded(flat, 4))
+    return rounded(flat, 4)

@@ -11,6 +11,7 @@ import numpy as np
 from modaltouch.lab.comparison.contest import Contest, DriveAssessment
 from modaltouch.lab.comparison.methods import MethodDrive
 from modaltouch.preflight import finite
+from modaltouch.report import say_number
 
 Row = dict[str, Any]
 
@@ -54,8 +55,7 @@ class Criterion:
 
     def printed(self, row: Row) -> str:
         """Return a row's value as it is printed."""
-        value = row[self.key]
-        return "–" if value is None else f"{value:.{self.digits}f}"
+        return say_number(row[self.key], decimals=self.digits)
 
 
 def criteria(rows: Sequence[Row]) -> list[Criterion]:

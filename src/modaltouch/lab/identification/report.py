@@ -11,7 +11,7 @@ from typing import Any
 from modaltouch.lab.identification.estimates import Estimate, Identification, IdentifiedMode
 from modaltouch.lab.identification.shapes import recognise
 from modaltouch.protocol import Apparatus, Source
-from modaltouch.report import csv_bytes, json_bytes, refuse_other, write_files
+from modaltouch.report import refuse_other, write_files
 from modaltouch.system import version
 
 LEAST_COHERENCE = 0.5
@@ -93,7 +93,7 @@ def as_dict(identification: Identification) -> dict[str, Any]:
     }
 
 
-def table_csv(identification: Identification) -> bytes:
+def table_rows(identification: Identification) -> list[dict[str, Any]]:
     """Return Table I with intervals, and half-power beside the fit, as CSV."""
     rows = []
     for mode in identification.modes:
@@ -115,22 +115,21 @@ def table_csv(identification: Identification) -> bytes:
             "half_power_warning": half["warning"],
         }
         rows.append(row)
-    return csv_bytes(rows)
+    return rows
 
 
 _ENDS = (("", "value"), ("_low", "low"), ("_high", "high"))
 
 
-def shapes_csv(identification: Identification) -> bytes:
+def shape_rows(identification: Identification) -> list[dict[str, str]]:
     """Return the measured shapes as the stimulus reads them."""
     positions = identification.responses.positions
     modes = [mode for mode in identification.modes if mode.label is not None]
-    rows = [
+    return [
         {"position_mm": f"{place * 1e3:.6g}"}
         | {f"mode_{mode.label}": f"{mode.shape[index]:.6g}" for mode in modes if mode.shape is not None}
         for index, place in enumerate([] if positions is None else positions)
     ]
-    return csv_bytes(rows)
 
 
 def write_identification(
@@ -164,15 +163,11 @@ def write_identification(
     shaped = any(mode.shape is not None for mode in identification.modes)
     if shaped:
         figures["fig_4"] = draw_shapes(identification)
-    values = as_dict(identification)
-    files = {
-        "table_1.csv": table_csv(identification),
-        "identification.json": json_bytes(values),
-    }
+    files: dict[str, Any] = {"table_1.csv": table_rows(identification), "identification.json": as_dict(identification)}
     if shaped:
-        files["shapes.csv"] = shapes_csv(identification)
+        files["shapes.csv"] = shape_rows(identification)
     if apparatus is not None:
-        files[apparatus[0]] = apparatus[1].encode()
+        files[apparatus[0]] = apparatus[1]
     return write_files(folder, files | rendered(figures), {"version": version(), **about}, COMMAND)
 
 

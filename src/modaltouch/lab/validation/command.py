@@ -29,7 +29,7 @@ from modaltouch.lab.validation.figures import (
 from modaltouch.lab.validation.key_figures import coefficients, findings, key_figures, summary
 from modaltouch.lab.validation.recording import Observation, complete, read_laws, record_laws
 from modaltouch.preflight import Preflight, examine
-from modaltouch.report import csv_bytes, json_bytes, refuse_other, write_files
+from modaltouch.report import refuse_other, write_files
 from modaltouch.system import commit, version
 
 COMMAND = "validate"
@@ -135,8 +135,8 @@ class ValidationReport:
             findings=findings(self.figures),
             rows=self.table,
         )
-        files |= {"validation.json": json_bytes(values), **_tables(self.evidences)}
-        written = write_files(self.folder, files, {"version": version()}, COMMAND)
+        tables = {"validation.json": values, **_tables(self.evidences)}
+        written = write_files(self.folder, files | tables, {"version": version()}, COMMAND)
         return {**values, "files": {name: str(path) for name, path in written.items()}}
 
 
@@ -248,7 +248,7 @@ def _draw(evidences: Sequence[Evidence], limit: float) -> dict[str, tuple[Figure
     return drawn
 
 
-def _tables(evidences: Sequence[Evidence]) -> dict[str, bytes]:
+def _tables(evidences: Sequence[Evidence]) -> dict[str, list[dict[str, Any]]]:
     """Return the numbers behind the figures, by file name."""
     first = evidences[0]
     wished = [
@@ -261,9 +261,7 @@ def _tables(evidences: Sequence[Evidence]) -> dict[str, bytes]:
         "fig_7.csv": [line for each in evidences for line in _field_lines(each)],
         "fig_8.csv": [line for each in evidences for line in _spectrum_lines(each)],
     }
-    for each in evidences:
-        tables[f"fig_5_{each.law}.csv"] = _map_lines(each)
-    return {name: csv_bytes(lines) for name, lines in tables.items()}
+    return tables | {f"fig_5_{each.law}.csv": _map_lines(each) for each in evidences}
 
 
 def _field_lines(evidence: Evidence) -> list[dict[str, Any]]:

@@ -10,6 +10,7 @@ import numpy as np
 from modaltouch.lab.arrays import FloatArray
 from modaltouch.lab.validation.evidence import Evidence, contrast, root_mean_square, spot_width
 from modaltouch.preflight import finite
+from modaltouch.report import say_number
 
 
 def key_figures(evidence: Evidence, pairs: Sequence[tuple[str, str]]) -> dict[str, Any]:
@@ -199,12 +200,11 @@ def findings(figures: Sequence[Figures]) -> list[str]:
 
 
 def _reached(f: Figures) -> str:
-    width = f["width_80_mm"]["measured"]
-    above = f["time_above_90_us"]["measured"]
+    width, above = (say_number(f[key]["measured"], decimals=1) for key in ("width_80_mm", "time_above_90_us"))
     return (
         f"Law “{f['law']}”: {f['velocity_at_focus_mm_s']:.1f} mm/s were measured at the focus, where "
-        f"{f['velocity_mm_s']:g} mm/s were desired; the spot is {_number(width)} mm wide at 80 % (the paper: roughly "
-        f"15 mm) and stays above 90 % of its peak for {_number(above)} µs (the paper: roughly 20 µs). The worst "
+        f"{f['velocity_mm_s']:g} mm/s were desired; the spot is {width} mm wide at 80 % (the paper: roughly "
+        f"15 mm) and stays above 90 % of its peak for {above} µs (the paper: roughly 20 µs). The worst "
         f"modal error is {f['worst_modal_error_mm_s']:.2f} mm/s, of mode {f['worst_mode']} (the paper: 6 mm/s)."
     )
 
@@ -237,8 +237,4 @@ def _error(f: Figures, key: str) -> str:
 
 
 def _joined(values: dict[str, float | None], digits: int = 1) -> str:
-    return ", ".join(_number(value, digits) for value in values.values())
-
-
-def _number(value: float | None, digits: int = 1) -> str:
-    return "–" if value is None else f"{value:.{digits}f}"
+    return ", ".join(say_number(value, decimals=digits) for value in values.values())
