@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from modaltouch.report import render_page
+from modaltouch.report.page import render_page
 
 
 def test_a_picture_is_held_by_the_page_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

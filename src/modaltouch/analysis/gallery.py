@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import pandas as pd
-from matplotlib.figure import Figure
 
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.covariate_figures import draw_order, draw_side, draw_speeds, draw_times
@@ -13,6 +10,7 @@ from modaltouch.analysis.covariates import known_to
 from modaltouch.analysis.figures import draw_counts, draw_overview, draw_participants
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.tables import figure_names, zone_table
+from modaltouch.report import ReportFigure
 
 FIELDS = (
     "Left: the target velocity field along the beam, and the field predicted at the focusing instant from the codes "
@@ -21,44 +19,19 @@ FIELDS = (
 INTERVALS = "Error bars: exact 95 % intervals (Clopper-Pearson) over participants."
 
 
-@dataclass(frozen=True, eq=False)
-class ReportFigure:
-    """A figure for the report.
-
-    Attributes
-    ----------
-    name : str
-        File name without ending.
-    section : {"answers", "further"}
-        Where in the report it stands.
-    figure : Figure
-        The figure.
-    caption : str
-        What the reader sees and must know.
-    finger_condition : str
-        Whose bars it shows; empty for other figures.
-    """
-
-    name: str
-    section: str
-    figure: Figure
-    caption: str
-    finger_condition: str = ""
-
-
 def draw_all(answers: AnswerCounts, responses: Responses) -> tuple[ReportFigure, ...]:
     """Return every figure that the answers allow."""
     pictures = list(_bars(answers))
     pictures.append(
         ReportFigure(
             "overview",
-            "answers",
             draw_overview(answers),
             f"{_shares(answers)} over the level, all finger conditions. Error bars: 95 % intervals over participants.",
+            "answers",
         )
     )
     pictures.append(
-        ReportFigure("participants", "answers", draw_participants(answers), "Every participant's answer in every cell.")
+        ReportFigure("participants", draw_participants(answers), "Every participant's answer in every cell.", "answers")
     )
     frame = responses.frame
     further = (
@@ -88,9 +61,9 @@ def draw_all(answers: AnswerCounts, responses: Responses) -> tuple[ReportFigure,
         from modaltouch.analysis.fields import draw_fields
 
         fields = draw_fields(responses.start, responses.stimulus)
-        pictures += [ReportFigure("fields", "stimulus", fields, FIELDS)] if fields is not None else []
+        pictures += [ReportFigure("fields", fields, FIELDS, "stimulus")] if fields is not None else []
     pictures += [
-        ReportFigure(name, "further", figure, caption) for name, figure, caption in further if figure is not None
+        ReportFigure(name, figure, caption, "further") for name, figure, caption in further if figure is not None
     ]
     return tuple(pictures)
 
@@ -121,5 +94,5 @@ def _bars(answers: AnswerCounts) -> list[ReportFigure]:
         number = {"fig_10": "Fig. 10. ", "fig_11": "Fig. 11. "}.get(name, "")
         several = f", {answers.n_repetitions} answers each" if answers.n_repetitions > 1 else ""
         caption = f"{number}Answers under {condition}, {n} participant{'s' * (n != 1)}{several}. {INTERVALS}"
-        pictures.append(ReportFigure(name, "answers", figure, caption, condition))
+        pictures.append(ReportFigure(name, figure, caption, "answers", condition))
     return pictures

@@ -90,24 +90,16 @@ def default_folder(path: Path, stimulus: str = "") -> Path:
 def render_files(analysis: Analysis) -> dict[str, Any]:
     """Return the contents of every file of an analysis, by name, as `write_files` takes them."""
     from modaltouch.analysis.gallery import draw_all
-    from modaltouch.analysis.report import render_report
-    from modaltouch.report import render
+    from modaltouch.analysis.report import report_files
 
-    counts, tests = analysis.counts, analysis.tests
-    files: dict[str, Any] = {"counts.csv": _rows(counts)}
+    tests = _rows(analysis.tests)
+    files: dict[str, Any] = {"counts.csv": _rows(analysis.counts)}
     for condition, name in figure_names(analysis.answers.finger_conditions).items():
         table = zone_table(analysis.answers, condition)
         table.columns = pd.Index([format(float(level), "g") for level in table.columns])
         files[f"{name}.csv"] = _rows(table.reset_index())
-    pictures = draw_all(analysis.answers, analysis.responses)
-    vectors = {picture.name: render(picture.figure, "svg") for picture in pictures}
-    for picture in pictures:
-        files[f"{picture.name}.svg"] = vectors[picture.name]
-        files[f"{picture.name}.png"] = render(picture.figure, "png")
-    files["tests.csv"] = _rows(tests)
-    files["tests.json"] = [plain_row(row) for row in _rows(tests)]
-    files["report.html"] = render_report(analysis, pictures, vectors)
-    return files
+    files |= {"tests.csv": tests, "tests.json": [plain_row(row) for row in tests]}
+    return files | report_files(analysis, draw_all(analysis.answers, analysis.responses))
 
 
 def _rows(table: pd.DataFrame) -> list[dict[str, Any]]:

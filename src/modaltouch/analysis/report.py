@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,14 +12,13 @@ import pandas as pd
 from modaltouch.analysis.catches import catch_rows
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.findings import ALPHA, Finding
-from modaltouch.analysis.gallery import ReportFigure
+from modaltouch.analysis.intervals import tango
 from modaltouch.analysis.outcome import Analysis
 from modaltouch.analysis.scale import OWN_THRESHOLD
 from modaltouch.analysis.statistics import STATISTICS, questions
 from modaltouch.analysis.tables import zone_table
 from modaltouch.protocol import AnswerList
-from modaltouch.report import render_page, say_number
-from modaltouch.system import commit, version, versions
+from modaltouch.report import ReportFigure, page_files, say_number
 
 HEADINGS = {
     "a1": "Do the answers of a cell differ from guessing?",
@@ -249,24 +248,21 @@ def _join(words: Sequence[str]) -> str:
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
 
 
-TEMPLATE = "report.html.j2"
-
-
-def render_report(analysis: Analysis, pictures: Sequence[ReportFigure], vectors: Mapping[str, bytes]) -> str:
-    """Return the report as HTML."""
+def report_files(analysis: Analysis, pictures: Sequence[ReportFigure]) -> dict[str, Any]:
+    """Return the report and its figures, by file name."""
     from modaltouch.analysis.provenance import describe_record
 
     answers = analysis.answers
     felt = [answers.answers[place].name for place in answers.felt]
-    return render_page(
+    return page_files(
         "modaltouch.analysis",
-        TEMPLATE,
+        "report",
+        pictures,
         title=_title(analysis),
         source=analysis.responses.source,
         answers=answers,
         n_answers=int(answers.counts.sum()),
         levels=[format(level, "g") for level in answers.levels],
-        pictures=[_embed(picture, vectors[picture.name]) for picture in pictures],
         tables={condition: _zone_rows(answers, condition) for condition in answers.finger_conditions},
         paragraphs=write_paragraphs(analysis.findings, answers),
         tests=_test_tables(analysis.findings, answers),
@@ -280,9 +276,6 @@ def render_report(analysis: Analysis, pictures: Sequence[ReportFigure], vectors:
         left_out=analysis.responses.left_out,
         record=describe_record(analysis.responses.sessions),
         own_thresholds=answers.scale == OWN_THRESHOLD,
-        version=version(),
-        commit=commit(),
-        versions={k: v for k, v in versions().items() if v != "absent"},
         alpha=ALPHA,
     )
 
@@ -333,7 +326,7 @@ def design_limits(analysis: Analysis) -> list[str]:
             f"With {n} participants no sign-flip test can pass Holm's correction over six tests: its smallest p is "
             f"2/2^{n} = {2.0 ** (1 - n):.3g}. Eight are the fewest that can."
         )
-    half = 1.96**2 / (n + 1.96**2)
+    half = tango(0, 0, n).high
     limits.append(
         f"Equivalence of the finger conditions can be shown at best within {half:.2f} in one cell, with {n} "
         "participants (half width of Tango's interval without any discordant pair)."
@@ -355,16 +348,6 @@ def _title(analysis: Analysis) -> str:
     name = str(start.get("design", {}).get("title") or start.get("protocol", ""))
     chosen = f", stimulus {analysis.responses.stimulus}" if analysis.responses.stimulus else ""
     return f"Analysis: {name}{chosen}" if name else "Analysis of answers"
-
-
-def _embed(picture: ReportFigure, svg: bytes) -> dict[str, Any]:
-    return {
-        "name": picture.name,
-        "section": picture.section,
-        "caption": picture.caption,
-        "finger_condition": picture.finger_condition,
-        "uri": svg,
-    }
 
 
 def _zone_rows(answers: AnswerCounts, condition: str) -> list[dict[str, Any]]:

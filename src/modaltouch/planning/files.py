@@ -17,9 +17,9 @@ from modaltouch.report import (
     FAINT,
     INK,
     PAIR_COLOURS,
+    figure_files,
     house_style,
     quiet_grid,
-    render,
     write_files,
 )
 from modaltouch.system import version
@@ -55,8 +55,7 @@ def write_power(folder: Path, power: Power, target: float = 0.8) -> dict[str, Pa
         "power_tests.csv": values["tests"],
         "power_needed.csv": values["needed"],
         "power.json": values,
-        "power.svg": render(figure, "svg"),
-        "power.png": render(figure, "png"),
+        **figure_files({"power": figure}),
     }
     return write_files(folder, files, {"version": version(), "seed": power.study.seed}, "power")
 

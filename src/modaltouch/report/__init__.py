@@ -1,8 +1,8 @@
 """Figures, pages and files in one style, for whatever analysis, planning and lab have to show.
 
-Figures of matplotlib drawn within `house_style` go in, with values and rows; out come pictures (`render`), pages
-(`render_page`) and numbers as a reader sees them (`say_number`). `write_files` puts them into a folder, rows as CSV and
-values as JSON: whole or not at all, and never over what something else made.
+Figures of matplotlib drawn within `house_style` go in, with values and rows; out come pictures (`figure_files`), pages
+that hold them (`page_files`) and numbers as a reader sees them (`say_number`). `write_files` puts them into a folder,
+rows as CSV and values as JSON: whole or not at all, and never over what something else made.
 """
 
 from __future__ import annotations
@@ -14,16 +14,24 @@ from modaltouch.system import lazily
 if TYPE_CHECKING:
     from modaltouch.report.numbers import say_number
     from modaltouch.report.output import refuse_other, write_files
-    from modaltouch.report.page import render_page
-    from modaltouch.report.style import CONDITION_COLOURS, FAINT, INK, PAIR_COLOURS, house_style, quiet_grid, render
+    from modaltouch.report.page import ReportFigure, page_files
+    from modaltouch.report.style import (
+        CONDITION_COLOURS,
+        FAINT,
+        INK,
+        PAIR_COLOURS,
+        figure_files,
+        house_style,
+        quiet_grid,
+    )
 else:
     __getattr__ = lazily(
         __name__,
         {
             "numbers": "say_number",
             "output": "refuse_other write_files",
-            "page": "render_page",
-            "style": "CONDITION_COLOURS FAINT INK PAIR_COLOURS house_style quiet_grid render",
+            "page": "ReportFigure page_files",
+            "style": "CONDITION_COLOURS FAINT INK PAIR_COLOURS figure_files house_style quiet_grid",
         },
     )
 
@@ -32,11 +40,12 @@ __all__ = [
     "FAINT",
     "INK",
     "PAIR_COLOURS",
+    "ReportFigure",
+    "figure_files",
     "house_style",
+    "page_files",
     "quiet_grid",
     "refuse_other",
-    "render",
-    "render_page",
     "say_number",
     "write_files",
 ]

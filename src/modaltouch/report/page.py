@@ -3,24 +3,68 @@
 from __future__ import annotations
 
 import base64
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 from modaltouch.report.numbers import say_number
+from modaltouch.system import commit, version, versions
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
-def render_page(package: str, template: str, **values: Any) -> str:
-    """Return a page as HTML.
+@dataclass(frozen=True, eq=False)
+class ReportFigure:
+    """A figure of a page.
+
+    Attributes
+    ----------
+    name : str
+        File name without ending.
+    figure : Figure
+        The figure.
+    caption : str
+        What the reader sees and must know.
+    section : str
+        Where on the page it stands; empty where the page has one place for all.
+    finger_condition : str
+        Whose bars it shows; empty for other figures.
+    """
+
+    name: str
+    figure: Figure
+    caption: str = ""
+    section: str = ""
+    finger_condition: str = ""
+
+
+def page_files(package: str, name: str, pictures: Sequence[ReportFigure], /, **values: Any) -> dict[str, Any]:
+    """Return a page and the figures that it shows, by file name, as `write_files` takes them.
 
     Parameters
     ----------
     package : str
         Dotted name of the package whose folder ``templates`` holds the template; what it extends or includes may
         also be one of the report, such as ``base.html.j2``.
-    template : str
-        File name of the template.
+    name : str
+        Of the page and of its template.
+    pictures : sequence of ReportFigure
+        Figures, which the template has as ``pictures``, each with its SVG as ``svg``.
     **values
-        What the template names; one that is missing is an error.
+        What the template names besides; one that is missing is an error.
     """
+    from modaltouch.report.style import figure_files
+
+    files = figure_files({picture.name: picture.figure for picture in pictures})
+    shown = [{**vars(picture), "svg": files[f"{picture.name}.svg"]} for picture in pictures]
+    libraries = {library: number for library, number in versions().items() if number != "absent"}
+    made_by = {"version": version(), "commit": commit(), "versions": libraries}
+    return {**files, f"{name}.html": render_page(package, f"{name}.html.j2", pictures=shown, **made_by, **values)}
+
+
+def render_page(package: str, template: str, **values: Any) -> str:
+    """Return a page as HTML; `page_files` says of what."""
     from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
     places = dict.fromkeys((package, "modaltouch.report"))

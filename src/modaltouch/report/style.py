@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -67,6 +67,17 @@ def render(figure: Figure, kind: str) -> bytes:
             else:
                 figure.savefig(buffer, format="png", dpi=PNG_DPI, metadata={"Software": "modaltouch"})
     return buffer.getvalue()
+
+
+def figure_files(figures: Mapping[str, Figure]) -> dict[str, bytes]:
+    """Return figures as SVG and PNG, by file name.
+
+    Parameters
+    ----------
+    figures : mapping of str to Figure
+        Figures by name.
+    """
+    return {f"{name}.{kind}": render(figure, kind) for name, figure in figures.items() for kind in ("svg", "png")}
 
 
 def quiet_grid(axes: Axes) -> None:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.thresholds.runs import Run, find_runs, in_words, over_participants
-from modaltouch.report import render_page
-from modaltouch.system import commit, version, versions
+from modaltouch.report import ReportFigure, page_files
 
 MOST_FIGURES = 60
 """Sessions whose runs are drawn; more would make a report that no browser opens."""
@@ -74,35 +73,34 @@ def render_runs(analysis: ThresholdAnalysis) -> dict[str, Any]:
         What was found.
     """
     from modaltouch.analysis.thresholds.figures import draw_runs, draw_thresholds
-    from modaltouch.report import render
 
     rows = [run.as_dict() for run in analysis.runs]
     together = over_participants(analysis.runs)
-    figures = {"thresholds": draw_thresholds(analysis.runs, analysis.bounds)}
+    pictures = [ReportFigure("thresholds", draw_thresholds(analysis.runs, analysis.bounds))]
     sessions = list(dict.fromkeys((run.participant, run.session) for run in analysis.runs))
     for participant, session in sessions[:MOST_FIGURES]:
         own = [run for run in analysis.runs if (run.participant, run.session) == (participant, session)]
-        figures[f"runs_sub-{participant}_ses-{session}"] = draw_runs(own, analysis.bounds)
-    files: dict[str, Any] = {"thresholds.csv": rows, "over_participants.csv": together}
-    files["thresholds.json"] = {"thresholds": rows, "over_participants": together}
-    vectors = {name: render(figure, "svg") for name, figure in figures.items()}
-    for name, figure in figures.items():
-        files[f"{name}.svg"], files[f"{name}.png"] = vectors[name], render(figure, "png")
-    files["report.html"] = _report(analysis, together, vectors, len(sessions))
-    return files
+        pictures.append(ReportFigure(f"runs_sub-{participant}_ses-{session}", draw_runs(own, analysis.bounds)))
+    return {
+        "thresholds.csv": rows,
+        "over_participants.csv": together,
+        "thresholds.json": {"thresholds": rows, "over_participants": together},
+        **_report_files(analysis, together, pictures, len(sessions)),
+    }
 
 
-def _report(
-    analysis: ThresholdAnalysis, together: list[dict[str, Any]], vectors: Mapping[str, bytes], n_sessions: int
-) -> str:
+def _report_files(
+    analysis: ThresholdAnalysis, together: list[dict[str, Any]], pictures: Sequence[ReportFigure], n_sessions: int
+) -> dict[str, Any]:
     from modaltouch.analysis.provenance import describe_record
 
     responses = analysis.responses
     design = responses.start["design"]
     both, nothing = responses.answers.naming("left", "right"), responses.answers.naming()
-    return render_page(
+    return page_files(
         "modaltouch.analysis.thresholds",
-        "thresholds.html.j2",
+        "report",
+        pictures,
         title=f"Thresholds: {design.get('title') or responses.start.get('protocol', '')}",
         source=responses.source,
         runs=[{"run": run, "words": in_words(run.fitted.threshold) if run.fitted.threshold else None}
@@ -116,10 +114,6 @@ def _report(
         focus=" or ".join(sorted(set(responses.foci.values()) or {responses.focus})),
         n_participants=len({run.participant for run in analysis.runs}),
         n_sessions=n_sessions,
-        pictures=[{"name": name, "uri": svg} for name, svg in vectors.items()],
         left_out=responses.left_out,
         record=describe_record(responses.sessions),
-        version=version(),
-        commit=commit(),
-        versions={k: v for k, v in versions().items() if v != "absent"},
     )  # fmt: skip

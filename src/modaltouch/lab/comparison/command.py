@@ -15,9 +15,9 @@ from matplotlib.figure import Figure
 from modaltouch.lab.comparison.contest import Contest, DriveAssessment, contest, learn
 from modaltouch.lab.comparison.results import Row, criteria, paragraphs, rows_of
 from modaltouch.lab.laboratory import MeasurementProgress, TooFewPointsError
-from modaltouch.lab.output import DARK, MIDDLE, page_files, rounded
+from modaltouch.lab.output import DARK, MIDDLE, rounded
 from modaltouch.preflight import examine
-from modaltouch.report import FAINT, INK, house_style, quiet_grid, refuse_other, write_files
+from modaltouch.report import FAINT, INK, ReportFigure, house_style, page_files, quiet_grid, refuse_other, write_files
 from modaltouch.system import commit, version
 
 COMMAND = "compare"
@@ -242,8 +242,9 @@ class ComparisonReport:
             "drives": (draw_drives(self.contest), "The drives; each row has its own scale."),
         }
         files = page_files(
+            "modaltouch.lab",
             "comparison",
-            figures,
+            [ReportFigure(name, *drawn) for name, drawn in figures.items()],
             title=f"Comparison: {self.about['title']}",
             values=values,
             level=format(round(self.level, 6), "g"),

@@ -11,7 +11,7 @@ from typing import Any
 from modaltouch.lab.identification.estimates import Estimate, Identification, IdentifiedMode
 from modaltouch.lab.identification.shapes import recognise
 from modaltouch.protocol import Apparatus, Source
-from modaltouch.report import refuse_other, write_files
+from modaltouch.report import figure_files, refuse_other, write_files
 from modaltouch.system import version
 
 LEAST_COHERENCE = 0.5
@@ -154,7 +154,6 @@ def write_identification(
         If the folder holds something else, or cannot be written.
     """
     from modaltouch.lab.identification.figures import draw_coherence, draw_responses, draw_shapes
-    from modaltouch.lab.output import rendered
 
     refuse_other(folder, COMMAND)
     figures = {"responses": draw_responses(identification)}
@@ -168,7 +167,7 @@ def write_identification(
         files["shapes.csv"] = shape_rows(identification)
     if apparatus is not None:
         files[apparatus[0]] = apparatus[1]
-    return write_files(folder, files | rendered(figures), {"version": version(), **about}, COMMAND)
+    return write_files(folder, files | figure_files(figures), {"version": version(), **about}, COMMAND)
 
 
 def _pair(estimate: Estimate, scale: float = 1.0) -> dict[str, float | None]:

@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from modaltouch.lab.laboratory import SIMULATED, MeasurementProgress, TooFewPointsError, open_laboratory
-from modaltouch.lab.output import page_files, rounded
+from modaltouch.lab.output import rounded
 from modaltouch.lab.validation.evidence import Evidence, evaluate
 from modaltouch.lab.validation.figures import (
     PAPER_WORST,
@@ -29,7 +29,7 @@ from modaltouch.lab.validation.figures import (
 from modaltouch.lab.validation.key_figures import coefficients, findings, key_figures, summary
 from modaltouch.lab.validation.recording import Observation, complete, read_laws, record_laws
 from modaltouch.preflight import Preflight, examine
-from modaltouch.report import refuse_other, write_files
+from modaltouch.report import ReportFigure, page_files, refuse_other, write_files
 from modaltouch.system import commit, version
 
 COMMAND = "validate"
@@ -122,9 +122,11 @@ class ValidationReport:
         """
         refuse_other(self.folder, COMMAND)
         values = self.as_dict()
+        drawn = _draw(self.evidences, self.context["limit"])
         files = page_files(
+            "modaltouch.lab",
             "validation",
-            _draw(self.evidences, self.context["limit"]),
+            [ReportFigure(name, *each) for name, each in drawn.items()],
             title=f"Validation: {self.context['title']}",
             occasion=self.context,
             level=format(round(self.evidences[0].observation.velocity * 1e3, 6), "g"),
