@@ -17,7 +17,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from modaltouch.analysis.intervals import CONFIDENCE, Interval
+from modaltouch.analysis.intervals import CONFIDENCE, Interval, student_quantile
 
 FloatArray = NDArray[np.float64]
 
@@ -80,11 +80,9 @@ def ac1_interval(answers: ArrayLike) -> Interval:
     if np.ptp(left_out) < 1e-12:
         low = min(_least_ac1(1 - ((1 - CONFIDENCE) / 2) ** (1 / n)), estimate)
         return Interval(estimate, low, max(estimate, low), n)
-    from scipy.special import stdtrit
-
     groups = left_out.size
     error = math.sqrt((groups - 1) / groups * float(((left_out - left_out.mean()) ** 2).sum()))
-    half = float(stdtrit(groups - 1, 1 - (1 - CONFIDENCE) / 2)) * error
+    half = student_quantile(groups - 1) * error
     return Interval(estimate, max(estimate - half, -1.0), min(estimate + half, 1.0), n)
 
 

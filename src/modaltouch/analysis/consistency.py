@@ -30,10 +30,8 @@ _NO_INTERVAL = Interval(math.nan, math.nan, math.nan, 0.0)
 def consistency_findings(answers: AnswerCounts) -> Iterator[Finding]:
     """Yield question e, agreement between participants and whether they differ from each other."""
     n = answers.n_participants
-    for f, q in product(range(len(answers.finger_conditions)), range(len(answers.pairs))):
-        pair = answers.pairs[q]
-        own = answers.counts[:, f, q]
-        scope = f"{answers.finger_conditions[f]} {pair.label}"
+    for f, q, scope in answers.pair_cells:
+        pair, own = answers.pairs[q], answers.counts[:, f, q]
         first = own[..., answers.effects(pair)[0][1]]
         second = own[..., answers.other_place(pair)] if answers.compares else own.sum(axis=-1) - first
         shuffled = participant_heterogeneity(first - second)
@@ -49,36 +47,23 @@ def consistency_findings(answers: AnswerCounts) -> Iterator[Finding]:
 
 def association_findings(answers: AnswerCounts) -> Iterator[Finding]:
     """Yield the Monte Carlo checks of questions b and d, on all answers at once."""
-    for f, q in product(range(len(answers.finger_conditions)), range(len(answers.pairs))):
-        scope = f"{answers.finger_conditions[f]} {answers.pairs[q].label}"
+    n = answers.n_participants
+    for f, q, scope in answers.pair_cells:
         shuffled = level_association(answers.counts[:, f, q])
         name = "shuffle test of any association of level and answer"
-        yield finding_of(
-            "b", name, scope, shuffled.test, "", _NO_INTERVAL, answers.n_participants, notes=[shuffled.note]
-        )
-    if len(answers.pairs) > 1:
-        for f, condition in enumerate(answers.finger_conditions):
-            shuffled = pair_association(answers.counts[:, f].sum(axis=2))
-            name = "shuffle test of any association of pair and answer"
-            yield finding_of(
-                "d",
-                name,
-                condition,
-                shuffled.test,
-                "",
-                _NO_INTERVAL,
-                answers.n_participants,
-                notes=[shuffled.note],
-            )
+        yield finding_of("b", name, scope, shuffled.test, "", _NO_INTERVAL, n, notes=[shuffled.note])
+    for f, condition in enumerate(answers.finger_conditions if len(answers.pairs) > 1 else ()):
+        shuffled = pair_association(answers.counts[:, f].sum(axis=2))
+        name = "shuffle test of any association of pair and answer"
+        yield finding_of("d", name, condition, shuffled.test, "", _NO_INTERVAL, n, notes=[shuffled.note])
 
 
 def effect_findings(answers: AnswerCounts) -> Iterator[Finding]:
     """Yield question f, every proportion over levels, and every paired difference cell by cell."""
     n = answers.n_participants
-    for f, q in product(range(len(answers.finger_conditions)), range(len(answers.pairs))):
+    for f, q, scope in answers.pair_cells:
         for label, place in answers.labelled(answers.pairs[q]):
             share = korn_graubard(answers.counts[:, f, q, :, place].sum(axis=1), answers.n_answers)
-            scope = f"{answers.finger_conditions[f]} {answers.pairs[q].label}"
             worth = f"worth {share.n_effective:.1f} independent answers of {n * answers.n_answers}"
             name = "Korn-Graubard interval over levels"
             yield finding_of("f", name, scope, None, f"P({label})", share, n, notes=[worth])

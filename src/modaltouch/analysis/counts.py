@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import product
 from typing import Literal, TypeVar
 
 import numpy as np
@@ -188,6 +189,12 @@ class AnswerCounts:
     def _place(self, *fingers: Literal["left", "right"]) -> int | None:
         answer = self.answers.naming(*fingers)
         return None if answer is None else self.answers.index(answer)
+
+    @property
+    def pair_cells(self) -> list[tuple[int, int, str]]:
+        """Places of every finger condition and pair, in the order of the tests, and what the two are called."""
+        named = product(enumerate(self.finger_conditions), enumerate(self.pairs))
+        return [(f, q, f"{condition} {pair.label}") for (f, condition), (q, pair) in named]
 
     @property
     def n_participants(self) -> int:

@@ -6,7 +6,7 @@ import math
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import combinations, product
+from itertools import combinations
 from statistics import NormalDist
 from typing import Any
 
@@ -188,14 +188,13 @@ def _aliased_side_findings(answers: AnswerCounts) -> Iterator[Finding]:
     """Yield the side preference in pairs without the focus, which mirrored placement alone can show."""
     if not answers.mirrored or len(answers.mirrored) == answers.n_participants:
         return
-    for f, q in product(range(len(answers.finger_conditions)), range(len(answers.pairs))):
-        pair = answers.pairs[q]
-        if pair.focused:
+    for f, q, scope in answers.pair_cells:
+        if answers.pairs[q].focused:
             continue
         on_left, on_right = answers.sided()[:, f, q].sum(axis=1).T
         score = (on_right - on_left) * answers.facing
         yield finding_of(
-            "side", "exact sign-flip test of side preference", f"{answers.finger_conditions[f]} {pair.label}",
+            "side", "exact sign-flip test of side preference", scope,
             sign_flip_test(score), "P(right) - P(left), as the participant sees the beam",
             paired_mean(score, answers.n_answers), answers.n_participants,
             notes=[f"{len(answers.mirrored)} of {answers.n_participants} participants with the beam turned end to end"],

@@ -277,11 +277,21 @@ def student_interval(values: FloatArray) -> Interval:
     n = values.size
     if n < 2 or np.ptp(values) == 0:
         return Interval(float(values.mean()) if n else math.nan, math.nan, math.nan, n)
+    mean, half = float(values.mean()), student_quantile(n - 1) * float(values.std(ddof=1)) / math.sqrt(n)
+    return Interval(mean, mean - half, mean + half, n)
+
+
+def student_quantile(degrees: int) -> float:
+    """Return how many standard errors the bounds of a t interval are from the estimate.
+
+    Parameters
+    ----------
+    degrees : int
+        Degrees of freedom.
+    """
     from scipy.special import stdtrit
 
-    half = float(stdtrit(n - 1, 1 - (1 - CONFIDENCE) / 2)) * float(values.std(ddof=1)) / math.sqrt(n)
-    mean = float(values.mean())
-    return Interval(mean, mean - half, mean + half, n)
+    return float(stdtrit(degrees, 1 - (1 - CONFIDENCE) / 2))
 
 
 def matched_odds_ratio(only_first: int, only_second: int) -> Interval:

@@ -125,10 +125,10 @@ def chance_tests(answers: AnswerCounts) -> FamilyResult | None:
             said.append(f"most frequent answer of each participant, {ties} tied and left out")
         return said
 
-    cells = [(*each, v) for each in _cells(answers) for v in answers.levels]
+    cells = list(product(answers.pair_cells, answers.levels))
     return FamilyResult(
-        [f"{answers.finger_conditions[f]} {answers.pairs[q].label} {answers.scale.say(v)}" for f, q, v in cells],
-        [f"P({shown[q][0]})" for _, q, _ in cells],
+        [f"{scope} {answers.scale.say(level)}" for (*_, scope), level in cells],
+        [f"P({shown[q][0]})" for (_, q, _), _ in cells],
         multinomial_test(kinds[..., felt]),
         clopper_pearson(chosen, n),
         n,
@@ -144,7 +144,7 @@ def dominance_tests(answers: AnswerCounts) -> FamilyResult | None:
     score, pairs = first - second, answers.pairs
 
     def notes(place: int) -> list[str]:
-        f, q = _cells(answers)[place]
+        f, q, _ = answers.pair_cells[place]
         *given, last = [
             f"{int(answers.counts[:, f, q, :, kind].sum())} "
             f"{answers.answers[kind].name if kind == answers.both_place else label}"
@@ -157,8 +157,8 @@ def dominance_tests(answers: AnswerCounts) -> FamilyResult | None:
         return [f"{chosen} of {answers.n_participants * answers.n_answers} answers", leaning]
 
     return FamilyResult(
-        _scopes(answers),
-        [f"P({pairs[q].dominant}) - P({pairs[q].other})" for _, q in _cells(answers)],
+        [scope for *_, scope in answers.pair_cells],
+        [f"P({pairs[q].dominant}) - P({pairs[q].other})" for _, q, _ in answers.pair_cells],
         sign_flip_test(score),
         clustered_difference(first, second, answers.n_answers),
         notes=notes,
@@ -170,7 +170,7 @@ def leaning_findings(answers: AnswerCounts) -> Iterator[Finding]:
     n = answers.n_participants
     score = _joined((answers.dominant - answers.other).sum(axis=-1), 1)
     test, share = sign_test(score), clopper_pearson((score > 0).sum(axis=-1), n)
-    for place, (scope, (_, q)) in enumerate(zip(_scopes(answers), _cells(answers), strict=True)):
+    for place, (_, q, scope) in enumerate(answers.pair_cells):
         quantity = f"share of participants leaning to {answers.pairs[q].dominant}"
         name = "exact sign test of leaning participants"
         yield finding_of("a2", name, scope, test[place], quantity, share[place], n)
@@ -182,10 +182,10 @@ def level_tests(answers: AnswerCounts) -> FamilyResult:
     of_pairs = effects[0] if len(effects) == 1 else np.stack(effects, axis=-3)
     chosen = of_pairs.reshape(*answers.counts.shape[:-5], -1, *effects[0].shape[-2:])
     test = trend_test(chosen, answers.levels, answers.n_repetitions)
-    labels = [label for _, q in _cells(answers) for label, _ in answers.effects(answers.pairs[q])[: len(effects)]]
+    labels = [label for _, q, _ in answers.pair_cells for label, _ in answers.effects(answers.pairs[q])[: len(effects)]]
     alone = ["one level only: a trend needs two"] if len(answers.levels) < 2 else []
     return FamilyResult(
-        [scope for scope in _scopes(answers) for _ in effects],
+        [scope for *_, scope in answers.pair_cells for _ in effects],
         [f"change of P({label}) per {answers.scale.step_in_words}" for label in labels],
         test,
         mean_slope(chosen / answers.n_repetitions, answers.levels, answers.scale.step),
@@ -198,19 +198,17 @@ def level_tests(answers: AnswerCounts) -> FamilyResult:
 
 def condition_tests(answers: AnswerCounts, effects: slice) -> FamilyResult | None:
     """Return whether finger conditions differ in the shares of some effects."""
-    names, labels = answers.finger_conditions, [[label for label, _ in answers.effects(p)] for p in answers.pairs]
-    both = list(combinations(range(len(names)), 2))
-    chosen = answers.of_effects[effects]
-    if not (both and chosen):
+    names, chosen = answers.finger_conditions, answers.of_effects[effects]
+    compared = list(combinations(range(len(names)), 2))
+    if not (compared and chosen):
         return None
-    places = [
-        (nth, *each) for nth in range(len(answers.of_effects))[effects] for each in product(both, range(len(labels)))
-    ]
     first, second = (
-        np.concatenate([each[..., pair[i], :, :, :] for each in chosen for pair in both], axis=-3) for i in (0, 1)
+        np.concatenate([each[..., places[i], :, :, :] for each in chosen for places in compared], axis=-3)
+        for i in (0, 1)
     )
-    found = _compare(first, second, answers)
-    interval = found[1]
+    test, interval = _compare(first, second, answers)
+    labels = [[label for label, _ in answers.effects(pair)[effects]] for pair in answers.pairs]
+    places = list(product(range(len(chosen)), compared, range(len(answers.pairs))))
 
     def notes(place: int) -> list[str]:
         margin = max(abs(interval.low[place]), abs(interval.high[place]))
@@ -219,7 +217,8 @@ def condition_tests(answers: AnswerCounts, effects: slice) -> FamilyResult | Non
     return FamilyResult(
         [f"{names[f]} - {names[g]} {answers.pairs[q].label}" for _, (f, g), q in places],
         [f"difference of P({labels[q][nth]})" for nth, _, q in places],
-        *found,
+        test,
+        interval,
         notes=notes,
     )
 
@@ -229,21 +228,20 @@ def pair_tests(answers: AnswerCounts) -> FamilyResult | None:
 
     Without a dominant zone the same is asked of each answer.
     """
-    asked = slice(1 if answers.compares else 0, None)
-    labels = [label for label, _ in answers.effects(answers.pairs[0])][asked]
-    both = list(combinations(range(len(answers.pairs)), 2))
-    if not (both and labels):
+    effects = slice(1 if answers.compares else 0, None)
+    names, chosen = [pair.label for pair in answers.pairs], answers.of_effects[effects]
+    compared = list(combinations(range(len(names)), 2))
+    if not (compared and chosen):
         return None
-    chosen = answers.of_effects[asked]
     first, second = (
-        np.concatenate([_joined(each[..., [pair[i] for pair in both], :, :], 2) for each in chosen], axis=-3)
+        np.concatenate([_joined(each[..., [places[i] for places in compared], :, :], 2) for each in chosen], axis=-3)
         for i in (0, 1)
     )
-    names = [pair.label for pair in answers.pairs]
-    places = list(product(labels, answers.finger_conditions, both))
+    labels = [label for label, _ in answers.effects(answers.pairs[0])[effects]]
+    tests = list(product(labels, answers.finger_conditions, compared))
     return FamilyResult(
-        [f"{condition} {names[q]} - {names[r]}" for _, condition, (q, r) in places],
-        [f"difference of P({label})" for label, _, _ in places],
+        [f"{condition} {names[q]} - {names[r]}" for _, condition, (q, r) in tests],
+        [f"difference of P({label})" for label, _, _ in tests],
         *_compare(first, second, answers),
     )
 
@@ -257,15 +255,6 @@ def _compare(first: IntArray, second: IntArray, answers: AnswerCounts) -> tuple[
     only_first, only_second = (first * (n - second)).sum(axis=-1), (second * (n - first)).sum(axis=-1)
     interval = clustered_difference(only_first / n, only_second / n, answers.n_answers)
     return sign_flip_test((only_first - only_second) // n), interval
-
-
-def _cells(answers: AnswerCounts) -> list[tuple[int, int]]:
-    """Return the places of every finger condition and pair, in the order of the tests."""
-    return list(product(range(len(answers.finger_conditions)), range(len(answers.pairs))))
-
-
-def _scopes(answers: AnswerCounts) -> list[str]:
-    return [f"{answers.finger_conditions[f]} {answers.pairs[q].label}" for f, q in _cells(answers)]
 
 
 def _joined(counts: IntArray, n_after: int) -> IntArray:

@@ -106,8 +106,6 @@ class Power:
 
     def _family_row(self, size: Size, family: str) -> dict[str, Any]:
         tally, design = self.tallies[size][family], self.study.design
-        found = wilson(tally.any_test, tally.n_experiments)
-        every = wilson(tally.every_test, tally.n_experiments)
         n_tests, p_min = len(tally.single), self._p_min[size, family]
         return {
             "question": STATISTICS[family].question,
@@ -115,12 +113,8 @@ class Power:
             **_size(size, design.shape),
             "n_experiments": tally.n_experiments,
             "n_tests": n_tests,
-            "power": found.estimate,
-            "low": found.low,
-            "high": found.high,
-            "power_every_test": every.estimate,
-            "power_every_test_low": every.low,
-            "power_every_test_high": every.high,
+            **_shares("power", "", tally.any_test, tally.n_experiments),
+            **_shares("power_every_test", "power_every_test_", tally.every_test, tally.n_experiments),
             "p_min": p_min,
             "p_min_holm": min(1.0, p_min * n_tests),
             "reachable": p_min * n_tests <= self.study.alpha,
@@ -130,8 +124,6 @@ class Power:
         tally, design = self.tallies[size][family], self.study.design
         rows = []
         for place, scope in enumerate(design.scopes(family)):
-            found = wilson(int(tally.corrected[place]), tally.n_experiments)
-            alone = wilson(int(tally.single[place]), tally.n_experiments)
             width = float(tally.width[place]) / tally.n_experiments
             rows.append(
                 {
@@ -140,12 +132,8 @@ class Power:
                     "scope": scope,
                     **_size(size, design.shape),
                     "n_experiments": tally.n_experiments,
-                    "power": found.estimate,
-                    "low": found.low,
-                    "high": found.high,
-                    "power_uncorrected": alone.estimate,
-                    "power_uncorrected_low": alone.low,
-                    "power_uncorrected_high": alone.high,
+                    **_shares("power", "", int(tally.corrected[place]), tally.n_experiments),
+                    **_shares("power_uncorrected", "power_uncorrected_", int(tally.single[place]), tally.n_experiments),
                     "half_width": width if width == width else None,
                     "half_width_of": STATISTICS[family].unit,
                     "p_min": self._p_min[size, family],
@@ -272,6 +260,12 @@ def _run(study: Study, job: Job) -> tuple[Job, Tallies]:
 def _ignore_interrupts() -> None:
     """Leave Ctrl-C to the parent: it reaches every process of a terminal, but the parent decides what to keep."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _shares(name: str, prefix: str, n_found: int, n_experiments: int) -> dict[str, float]:
+    """Return a share of experiments with its Monte Carlo interval."""
+    share = wilson(n_found, n_experiments)
+    return {name: share.estimate, f"{prefix}low": share.low, f"{prefix}high": share.high}
 
 
 def _size(size: Size, shape: tuple[int, int, int]) -> dict[str, int]:
