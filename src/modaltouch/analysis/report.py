@@ -36,6 +36,7 @@ HEADINGS = {
 }
 """Questions of the analysis plan, then the further ones; other families of tests are headed by what they ask."""
 
+
 @dataclass(frozen=True)
 class Paragraph:
     """One question answered in words."""
@@ -326,10 +327,9 @@ def design_limits(analysis: Analysis) -> list[str]:
             f"With {n} participants no sign-flip test can pass Holm's correction over six tests: its smallest p is "
             f"2/2^{n} = {2.0 ** (1 - n):.3g}. Eight are the fewest that can."
         )
-    half = tango(0, 0, n).high
     limits.append(
-        f"Equivalence of the finger conditions can be shown at best within {half:.2f} in one cell, with {n} "
-        "participants (half width of Tango's interval without any discordant pair)."
+        f"Equivalence of the finger conditions can be shown at best within {tango(0, 0, n).high:.2f} in one cell, "
+        f"with {n} participants (half width of Tango's interval without any discordant pair)."
     )
     if "trial" not in analysis.responses.frame.columns and len(answers.finger_conditions) > 1:
         limits.append(
