@@ -29,7 +29,7 @@ def test_a_session_keeps_its_field_and_the_report_draws_that(monkeypatch, start)
     (kept,) = start["stimulus"]["fields"]
     assert kept == examine("demo").fields[0]
     drawn = curves(fields.draw_fields(start))
-    assert drawn == {"wished": kept["target_mm_s"], "predicted": kept["predicted_mm_s"]}
+    assert drawn == {"target": kept["target_mm_s"], "predicted": kept["predicted_mm_s"]}
     assert len(drawn["predicted"]) == 201
     assert max(drawn["predicted"]) == pytest.approx(kept["velocity_mm_s"], rel=0.01)
 
