@@ -25,7 +25,7 @@ COPIES = {65_536: 8.0, 125_000: 4.0}
 def exact_amplitudes() -> Any:
     """Return the amplitudes of the exact law on the shipped rig, (2, 9) array [V]."""
     stimulus = design(shipped_model())
-    steering = Steering(stimulus.model, stimulus.system, stimulus.timing, stimulus.release, *stimulus.aim)
+    steering = Steering(stimulus.model, stimulus.system, stimulus.timing, stimulus.release, *stimulus.corrected_target)
     return np.tensordot(steering.solver.solve(steering.goal), steering.reach.row, axes=1)
 
 

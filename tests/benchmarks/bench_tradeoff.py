@@ -45,8 +45,8 @@ Point = dict[str, Any]
 def made(model: ModalModel, n_samples: int, n_modes: int, law: str, bits: str) -> Stimulus:
     """Return a stimulus, of which nothing but its design is computed yet."""
     rounding = "settled" if bits == "14 bits, settled" else "plain"
-    timing, wish = Timing(AFG3022B.converter, n_samples=n_samples), TargetField(selection=n_modes)
-    return design(model, timing=timing, wish=wish, law=law, rounding=rounding)
+    timing, target_field = Timing(AFG3022B.converter, n_samples=n_samples), TargetField(selection=n_modes)
+    return design(model, timing=timing, target_field=target_field, law=law, rounding=rounding)
 
 
 def finish(stimulus: Stimulus, bits: str) -> Any:

@@ -42,7 +42,9 @@ def many_modes(n_modes: int) -> ModalModel:
 def design(model: ModalModel, **options: Any) -> Stimulus:
     """Return the shipped stimulus but for the options."""
     timing = options.pop("timing", Timing(AFG3022B.converter))
-    return design_stimulus(model, options.pop("wish", TargetField()), timing, AMPLIFIER, levels=LEVELS, **options)
+    return design_stimulus(
+        model, options.pop("target_field", TargetField()), timing, AMPLIFIER, levels=LEVELS, **options
+    )
 
 
 def race(

@@ -1,4 +1,4 @@
-"""Figure 2: nine coefficients of the wished field, six of them selected."""
+"""Figure 2: nine coefficients of the target field, six of them selected."""
 
 import numpy as np
 import pytest

@@ -295,7 +295,7 @@ def test_a_focus_where_the_field_does_not_peak_is_warned_of(edit: Edit, focus: s
 
 
 def test_the_papers_focus_is_not_warned_of(preflight: Preflight) -> None:
-    """Zone C is the fastest there, and six modes miss the wish by 6 %."""
+    """Zone C is the fastest there, and six modes miss the target by 6 %."""
     assert not [each for each in preflight.as_dict()["warnings"] if "fastest" in each or "misses the target" in each]
 
 

@@ -57,4 +57,4 @@ def test_samples_that_it_takes_at_their_own_rate_do_not_jitter(edit: Edit) -> No
     examined = examine(edit(FILE, (AFG, KEYSIGHT)))
     assert not any("edges jitter" in each for each in examined.as_dict()["warnings"])
     assert examined.designed is not None
-    assert examined.designed.timing.lateness is None
+    assert examined.designed.timing.clock_error is None

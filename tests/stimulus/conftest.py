@@ -68,17 +68,17 @@ def design() -> Callable[..., Stimulus]:
     def design_shipped(
         model: ModalModel | None = None,
         *,
-        wish: TargetField | None = None,
+        target_field: TargetField | None = None,
         timing: Timing | None = None,
         amplifier: Amplifier | None = None,
         **options: object,
     ) -> Stimulus:
         return design_stimulus(
             shipped_model() if model is None else model,
-            TargetField() if wish is None else wish,
+            TargetField() if target_field is None else target_field,
             Timing(AFG3022B.converter) if timing is None else timing,
             Amplifier(gain=25.0, limit=250.0) if amplifier is None else amplifier,
-            **{"levels": LEVELS if wish is None else None, **options},
+            **{"levels": LEVELS if target_field is None else None, **options},
         )
 
     return design_shipped

@@ -21,7 +21,7 @@ def small(design):
 @pytest.fixture(scope="module")
 def steering(small):
     """Return what its voltages are to do."""
-    return Steering(small.model, small.system, small.timing, small.release, *small.aim)
+    return Steering(small.model, small.system, small.timing, small.release, *small.corrected_target)
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from modaltouch.stimulus.correction import Correction, trimmed
+from modaltouch.stimulus.correction import Correction, corrected
 
 
 def test_corrected_targets_hold_in_proportion_at_other_levels():
@@ -19,10 +19,10 @@ def test_corrected_targets_hold_in_proportion_at_other_levels():
 
 def test_a_trim_is_for_its_own_level_and_between_two_in_proportion():
     """Levels agree to the rounding of mm/s; one that was not measured is set as it is."""
-    trims = ((0.08, 1.02), (0.2, 0.99))
-    assert trimmed(0.08, trims) == pytest.approx(0.0816)
-    assert trimmed(200 * 1e-3, trims) == pytest.approx(0.198)
-    assert trimmed((0.08 * 0.2) ** 0.5, trims) == pytest.approx((0.08 * 0.2) ** 0.5 * 1.005)
-    assert trimmed(0.0801, trims) == pytest.approx(0.0801 * 1.02, rel=1e-4)
-    assert (trimmed(0.07, trims), trimmed(0.21, trims)) == (0.07, 0.21)
-    assert trimmed(0.1, ()) == 0.1
+    corrections = ((0.08, 1.02), (0.2, 0.99))
+    assert corrected(0.08, corrections) == pytest.approx(0.0816)
+    assert corrected(200 * 1e-3, corrections) == pytest.approx(0.198)
+    assert corrected((0.08 * 0.2) ** 0.5, corrections) == pytest.approx((0.08 * 0.2) ** 0.5 * 1.005)
+    assert corrected(0.0801, corrections) == pytest.approx(0.0801 * 1.02, rel=1e-4)
+    assert (corrected(0.07, corrections), corrected(0.21, corrections)) == (0.07, 0.21)
+    assert corrected(0.1, ()) == 0.1

@@ -167,7 +167,7 @@ def test_impossible_wishes_are_refused(change, message):
 
 
 @pytest.mark.parametrize(
-    ("wish", "message"),
+    ("target_field", "message"),
     [
         (TargetField(selection=(1, 4)), r"mode 4 is selected but not modelled; modelled are 1, 3, 5"),
         (TargetField(selection=10), r"10 modes are to be selected, but 9 are modelled"),
@@ -176,10 +176,10 @@ def test_impossible_wishes_are_refused(change, message):
         (TargetField(centre=0.02, base=1e-12), r"projects to .* which is nothing"),
     ],
 )
-def test_wishes_beyond_the_model_are_refused(model, wish, message):
+def test_wishes_beyond_the_model_are_refused(model, target_field, message):
     """Value, bound and remedy."""
     with pytest.raises(ValueError, match=message):
-        design_stimulus(model, wish, Timing(AFG3022B.converter), Amplifier(gain=25.0, limit=250.0))
+        design_stimulus(model, target_field, Timing(AFG3022B.converter), Amplifier(gain=25.0, limit=250.0))
 
 
 def test_mode_without_a_gain_is_refused_only_where_it_is_asked_for(model, design):

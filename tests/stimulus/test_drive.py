@@ -154,12 +154,14 @@ def test_energy_balance_holds(shipped):
 def test_peak_voltage_and_energy_trade_as_derived(design, shipped):
     """184 V for the triangle with the taper."""
     assert shipped.peak_voltage.max() == pytest.approx(184, abs=1)
-    assert design(wish=TargetField(shape="half_cosine", base=0.04)).peak_voltage.max() == pytest.approx(167, abs=2)
+    assert design(target_field=TargetField(shape="half_cosine", base=0.04)).peak_voltage.max() == pytest.approx(
+        167, abs=2
+    )
 
 
 def test_scaling_the_wish_by_two_scales_every_voltage_exactly(design):
     """Linear in the level; a power of two changes no rounding."""
-    one, two = design(wish=TargetField(velocity=0.125)), design(wish=TargetField(velocity=0.25))
+    one, two = design(target_field=TargetField(velocity=0.125)), design(target_field=TargetField(velocity=0.25))
     assert (two.voltage == 2 * one.voltage).all()
 
 
@@ -237,7 +239,9 @@ def test_amplifier_pole_is_counted_in(design):
     """Integrating pole and modes step by step (matrix exponential) gives the wished states."""
     amplifier = Amplifier(gain=25.0, limit=250.0, bandwidth=20e3)
     stimulus = design(
-        timing=Timing(AFG3022B.converter, n_samples=12_500), amplifier=amplifier, wish=TargetField(selection=(1, 3))
+        timing=Timing(AFG3022B.converter, n_samples=12_500),
+        amplifier=amplifier,
+        target_field=TargetField(selection=(1, 3)),
     )
     model, hold = stimulus.model, stimulus.timing.hold
     for k in (0, 1, 5):

@@ -28,17 +28,17 @@ def full_model():
 @given(base=st.floats(0.008, 0.09), centre=st.floats(-0.045, 0.045))
 def test_coefficients_match_a_fine_sum(shape, base, centre, full_model):
     """Mean of field times shape by the midpoint rule on 20,001 points, for any width and place."""
-    wish = TargetField(shape=shape, base=base, centre=centre, selection=40)
+    target_field = TargetField(shape=shape, base=base, centre=centre, selection=40)
     place = (np.arange(20_001) + 0.5) / 20_001 * 0.1 - 0.05
     labels = [1, 2, 3, 6, 17, 40]
-    summed = mode_shapes(labels, place, 0.1) @ wish.profile(place) / place.size
-    found = Projection(full_model, wish).coefficient[[k - 1 for k in labels]]
+    summed = mode_shapes(labels, place, 0.1) @ target_field.profile(place) / place.size
+    found = Projection(full_model, target_field).coefficient[[k - 1 for k in labels]]
     assert found == pytest.approx(summed, abs=2e-4)
 
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_many_modes_recover_the_wish(full_model, shape):
-    """The modes are complete: with forty of them the field follows the wish, box edges apart."""
+    """The modes are complete: with forty of them the field follows the target, box edges apart."""
     projection = Projection(full_model, TargetField(shape=shape, centre=0.01, selection=40))
     assert projection.reconstruction_error < (0.2 if shape == "box" else 0.03)
     assert projection.field([0.01])[0] == pytest.approx(0.2, rel=1e-12)
@@ -52,10 +52,10 @@ def test_widths_at_half_height_agree_among_the_shapes():
 
 @pytest.mark.parametrize("level", [0.1, 0.2])
 def test_the_reconstruction_error_is_that_of_a_fine_sum(model, level):
-    """Root mean square of wish less field over that of the wish, on 20,001 points; the level cancels."""
+    """Root mean square of target less field over that of the target, on 20,001 points; the level cancels."""
     projection = Projection(model, TargetField(velocity=level))
     place = (np.arange(20_001) + 0.5) / 20_001 * 0.1 - 0.05
-    wished = level * projection.wish.profile(place)
+    wished = level * projection.target_field.profile(place)
     missed = wished - projection.field(place)
     assert projection.reconstruction_error == pytest.approx(np.sqrt((missed**2).mean() / (wished**2).mean()), rel=1e-4)
 
@@ -76,8 +76,14 @@ def test_a_width_is_where_the_field_has_fallen_to_the_fraction(model):
 
 def test_the_shipped_wish_is_the_papers():
     """Section III: a triangle of 56 mm at mid-beam, fifty modes, the six strongest."""
-    wish = TargetField()
-    assert (wish.shape, wish.base, wish.centre, wish.n_decomposed, wish.selection) == ("triangle", 0.056, 0.0, 50, 6)
+    target_field = TargetField()
+    assert (
+        target_field.shape,
+        target_field.base,
+        target_field.centre,
+        target_field.n_decomposed,
+        target_field.selection,
+    ) == ("triangle", 0.056, 0.0, 50, 6)
 
 
 @pytest.mark.parametrize("points", [(), ((0.0, 1.0),), ((0.0, 1.0, 2.0), (0.1, 1.0, 2.0))])
@@ -102,9 +108,9 @@ def test_symmetric_wiring_mirrors_the_field_and_says_so(model):
 
 def test_two_zones_at_once_are_reached_by_symmetric_wiring(model):
     """B and D together are a symmetric field: both reach the level, and every state is met."""
-    wish = TargetField(base=0.03, centre=-0.02, further_centres=(0.02,), selection=7)
+    target_field = TargetField(base=0.03, centre=-0.02, further_centres=(0.02,), selection=7)
     stimulus = design_stimulus(
-        model, wish, Timing(AFG3022B.converter, n_samples=25_000), Amplifier(gain=25.0, limit=1e3)
+        model, target_field, Timing(AFG3022B.converter, n_samples=25_000), Amplifier(gain=25.0, limit=1e3)
     )
     assert stimulus.velocity_at_focus([-0.02, 0.02], 0.2) == pytest.approx(0.2, rel=1e-4)
     assert stimulus.worst_modal_error(0.2) < 1e-6
@@ -113,8 +119,8 @@ def test_two_zones_at_once_are_reached_by_symmetric_wiring(model):
 
 def test_overlapping_shapes_do_not_add_up():
     """Where two wished shapes overlap the higher counts."""
-    wish = TargetField(base=0.06, centre=-0.01, further_centres=(0.01,))
-    assert wish.profile([-0.01, 0.0, 0.01]) == pytest.approx([1, 2 / 3, 1])
+    target_field = TargetField(base=0.06, centre=-0.01, further_centres=(0.01,))
+    assert target_field.profile([-0.01, 0.0, 0.01]) == pytest.approx([1, 2 / 3, 1])
 
 
 def test_sampled_wish_of_three_points_is_the_triangle(model):
@@ -154,11 +160,11 @@ def test_field_wider_than_the_beam_is_as_wide_as_the_beam(model):
 @pytest.mark.parametrize("base", [0.02, 0.056])
 def test_the_base_of_a_gaussian_is_its_full_width_at_half_maximum(base):
     """Closed form exp(-4 ln 2 (x / FWHM)^2), as the protocol's schema describes base_mm."""
-    wish = TargetField(shape="gaussian", base=base, centre=0.01)
+    target_field = TargetField(shape="gaussian", base=base, centre=0.01)
     position = np.linspace(-0.05, 0.05, 101)
     expected = np.exp(-4 * np.log(2) * ((position - 0.01) / base) ** 2)
-    np.testing.assert_allclose(wish.profile(position), expected, rtol=1e-12)
-    np.testing.assert_allclose(wish.profile([0.01 - base / 2, 0.01 + base / 2]), 0.5, rtol=1e-12)
+    np.testing.assert_allclose(target_field.profile(position), expected, rtol=1e-12)
+    np.testing.assert_allclose(target_field.profile([0.01 - base / 2, 0.01 + base / 2]), 0.5, rtol=1e-12)
 
 
 @given(degree=st.integers(0, 31))

@@ -51,8 +51,8 @@ def test_settled_codes_differ_by_one_at_most(plain, shipped):
         {"timing": Timing(AFG3022B.converter, n_samples=16_384)},
         {"timing": Timing(AFG3022B.converter, focusing_instant=0.0123456)},
         {"amplifier": Amplifier(gain=25.0, limit=250.0, bandwidth=30e3, delay=7e-6)},
-        {"wish": TargetField(centre=0.02)},
-        {"wish": TargetField(shape="box", base=0.027)},
+        {"target_field": TargetField(centre=0.02)},
+        {"target_field": TargetField(shape="box", base=0.027)},
     ],
     ids=str,
 )
@@ -92,7 +92,7 @@ def test_a_code_moves_the_states_by_what_is_reckoned(design, n_samples):
     """Change one code, play both on an even and an uneven clock: the states at the focus differ by the move."""
     stimulus = design(timing=Timing(AFG3022B.converter, n_samples=n_samples))
     system, timing, unit = stimulus.system, stimulus.timing, stimulus.volts_per_code(0.2)
-    assert (timing.lateness is None) == (n_samples == 125_000)
+    assert (timing.clock_error is None) == (n_samples == 125_000)
     walk = _Walk(np.zeros((2, n_samples)), unit, system, timing, 1e-9, 300)
     read = np.concatenate([system.velocity, system.displacement])
     for visit in (0, 1, 40, 41, 300):

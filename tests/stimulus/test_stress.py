@@ -129,7 +129,7 @@ def test_any_clock_is_met_at_the_focus(design, n_samples):
 
 PARTS = {
     "model": ("natural_frequency", "damping_ratio", "modal_gain", "length"),
-    "wish": ("base", "centre", "velocity", "further_centres"),
+    "target_field": ("base", "centre", "velocity", "further_centres"),
     "timing": ("duration", "focusing_instant", "repetition_rate"),
     "converter": ("clock_rate",),
     "amplifier": ("gain", "limit", "bandwidth", "delay"),
@@ -143,7 +143,7 @@ def test_no_number_that_is_none_gets_into_the_engine(model, part, name, bad):
     """NaN or infinite, anywhere: a ValueError that shows the value, and nothing is computed."""
     parts = {
         "model": model,
-        "wish": TargetField(),
+        "target_field": TargetField(),
         "timing": Timing(AFG3022B.converter, n_samples=12_500),
         "amplifier": Amplifier(gain=25.0, limit=250.0),
     }
@@ -161,7 +161,9 @@ def test_no_number_that_is_none_gets_into_the_engine(model, part, name, bad):
                 value = before.copy()
                 value[(3,) * before.ndim if before.ndim == 1 else (3, 1)] = bad
             parts[part] = replace(parts[part], **{name: value})
-        return design_stimulus(parts["model"], parts["wish"], parts["timing"], parts["amplifier"], **options).burst
+        return design_stimulus(
+            parts["model"], parts["target_field"], parts["timing"], parts["amplifier"], **options
+        ).burst
 
     with pytest.raises(ValueError, match=r"nan|inf"):
         design()
@@ -191,10 +193,10 @@ def test_whatever_is_asked_is_finite_or_a_clear_error(data, law, release):
             data.draw(st.sampled_from([2, 20, 1000])),
             **{k: data.draw(mostly(v)) for k, v in times.items()},
         )
-        wish = TargetField(selection=2, **{k: data.draw(mostly(v)) for k, v in wished.items()})
+        target_field = TargetField(selection=2, **{k: data.draw(mostly(v)) for k, v in wished.items()})
         amplifier = Amplifier(**{k: data.draw(mostly(v)) for k, v in behind.items()})
-        stimulus = design_stimulus(model, wish, timing, amplifier, law=law, release=release)
-        level = wish.velocity
+        stimulus = design_stimulus(model, target_field, timing, amplifier, law=law, release=release)
+        level = target_field.velocity
         found = [stimulus.voltage, *stimulus.achieved(level), *stimulus.achieved(level, steady=True)]
         found += [stimulus.peak_velocity([0.0], level), stimulus.velocity_at_focus([0.0], level)]
         found += [stimulus.projection.fwhm, stimulus.projection.reconstruction_error, stimulus.burst.amplitude]
@@ -223,6 +225,6 @@ def test_a_gain_lost_in_rounding_is_named():
 def test_scaling_a_field_by_two_scales_every_state_exactly(design, factor):
     """Powers of two pass through every product and sum without rounding."""
     one = design(timing=Timing(AFG3022B.converter, n_samples=12_500))
-    other = design(timing=Timing(AFG3022B.converter, n_samples=12_500), wish=TargetField(velocity=0.2 * factor))
+    other = design(timing=Timing(AFG3022B.converter, n_samples=12_500), target_field=TargetField(velocity=0.2 * factor))
     assert (other.voltage == factor * one.voltage).all()
     assert other.drive.condition_number == one.drive.condition_number

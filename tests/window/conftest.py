@@ -112,7 +112,7 @@ class Room:
     ended: list[float] = field(default_factory=list)
     script: list[tuple[str, float, Callable[[], None]]] = field(default_factory=list)
     deadline: float = 0.0
-    wishes: list[Any] = field(default_factory=list)
+    requests: list[Any] = field(default_factory=list)
 
     def tick(self) -> Any:
         """Play the script; fail the test instead of hanging it."""
@@ -124,7 +124,7 @@ class Room:
             if self.shown[-1][0].startswith(name) and now - self.shown[-1][1] >= after:
                 self.script.pop(0)
                 act()
-        return self.wishes.pop(0) if self.wishes else None
+        return self.requests.pop(0) if self.requests else None
 
     def stop(self) -> None:
         self.stopped.append(self.clock.now())

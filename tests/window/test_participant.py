@@ -12,7 +12,7 @@ import pytest
 from modaltouch.planning.observer import Participant
 from modaltouch.protocol.trial import Condition, Response, Trial
 from modaltouch.window.display_loop import DisplayLoop, Sitter
-from modaltouch.window.interface import Event, Progress, SessionStopped, TrialInterrupted, WindowError, Wish
+from modaltouch.window.interface import Event, Intervention, Progress, SessionStopped, TrialInterrupted, WindowError
 from modaltouch.window.robot import Robot
 from modaltouch.window.shapes import Picture
 from modaltouch.window.simulated import Answerer
@@ -189,16 +189,16 @@ def test_a_cut_trial_is_offered_again_with_time_for_the_fingers(
     assert room.clock.now() - pressed == pytest.approx(0.2, abs=0.002)
 
 
-def wish(room: Any, what: Wish) -> Callable[[], None]:
+def intervention(room: Any, what: Intervention) -> Callable[[], None]:
     """Return a step that lets the experimenter wish something now."""
-    return lambda: room.wishes.append(what)
+    return lambda: room.requests.append(what)
 
 
 @pytest.mark.parametrize("screen", ["feel", "question"])
 def test_the_experimenter_pauses_a_trial_and_goes_on(paper_room: Callable[..., Any], trial: Trial, screen: str) -> None:
     """Expected: stop, pause, on again at once however soon that is wished, and the trial offered again."""
     room = paper_room(answers={"pause_s": 0.2})
-    room.script = [(screen, 0.05, wish(room, "pause")), ("pause", 0.0, wish(room, "continue"))]
+    room.script = [(screen, 0.05, intervention(room, "pause")), ("pause", 0.0, intervention(room, "continue"))]
     with pytest.raises(TrialInterrupted, match="experimenter"):
         ask(room, trial)
     assert len(room.stopped) == 1
@@ -211,8 +211,8 @@ def test_a_wish_to_go_on_leads_past_no_other_screen_by_accident(paper_room: Call
     """Expected: the experimenter's pause on a waiting screen comes back to that screen."""
     room = paper_room()
     room.script = [
-        ("rest", 0.1, wish(room, "pause")),
-        ("pause", 0.1, wish(room, "continue")),
+        ("rest", 0.1, intervention(room, "pause")),
+        ("pause", 0.1, intervention(room, "continue")),
         ("rest", 0.3, send(room, "key", "space")),
     ]
     room.window.rest(PROGRESS)
@@ -385,12 +385,12 @@ def test_an_answer_typed_at_the_console_is_taken_with_its_own_time(
     room = paper_room(answers={"given_by": "experimenter", "question_delay_s": 0.5})
 
     def answer() -> None:
-        room.wishes.append(Event(room.clock.now() - 0.02, "answer", "3", answer="right"))
+        room.requests.append(Event(room.clock.now() - 0.02, "answer", "3", answer="right"))
 
     room.script = [
         ("feel", 0.1, send(room, "blur")),
-        ("feel", 0.2, wish(room, Event(room.clock.now() + 0.2, "answer", "1", answer="left"))),
-        ("question", 0.01, wish(room, Event(room.clock.now() + 0.4, "answer", "1", answer="left"))),
+        ("feel", 0.2, intervention(room, Event(room.clock.now() + 0.2, "answer", "1", answer="left"))),
+        ("question", 0.01, intervention(room, Event(room.clock.now() + 0.4, "answer", "1", answer="left"))),
         ("question", 0.3, answer),
     ]
     response = ask(room, trial)
@@ -541,7 +541,7 @@ def test_hands_that_never_leave_the_beam_need_no_countdown(paper_room: Callable[
 def test_a_placement_that_the_experimenter_confirms_needs_no_countdown(paper_room: Callable[..., Any]) -> None:
     """Expected: whoever goes on at the console has no hand on the beam."""
     room = paper_room(answers={"pause_s": 0.2})
-    room.script = [("place_fingers", 0.3, wish(room, "continue"))]
+    room.script = [("place_fingers", 0.3, intervention(room, "continue"))]
     room.window.place_fingers(TWO_HANDS)
     room.window.settle(TWO_HANDS, PROGRESS)
     assert room.names[1:] == ["ready_two_hands_AC"]

@@ -124,13 +124,13 @@ def _explore(preflight: Preflight, sensitivity: bool, designs: bool, tolerance: 
         return asked
     from modaltouch.preflight import design_figures, sample_figures, sensitivity_figures
 
-    ground, stimulus = preflight.of_one_stimulus().sound
+    inputs, stimulus = preflight.of_one_stimulus().sound
     if sensitivity:
-        asked["sensitivity"] = sensitivity_figures(ground, stimulus)
+        asked["sensitivity"] = sensitivity_figures(inputs, stimulus)
     if designs:
         asked["designs"] = design_figures(stimulus)
     if tolerance is not None:
-        asked["samples"] = sample_figures(ground, stimulus, tolerance)
+        asked["samples"] = sample_figures(inputs, stimulus, tolerance)
     return asked
 
 

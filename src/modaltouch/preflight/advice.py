@@ -13,7 +13,7 @@ _FASTER = 1 + 2e-3
 """Times the focus zone's speed from which another zone counts as faster; less is the codes' rounding [1]."""
 
 _UNREACHED = 0.25
-"""Share of the wish, as root mean square, from which it counts as missed: the paper's six modes miss 0.06 [1]."""
+"""Share of the target field, as root mean square, from which it is missed: the paper's six modes miss 0.06 [1]."""
 
 LOUD = 80.0
 """Level at which hearing protection begins to be a matter of hours (2003/10/EC, lower action value) [dB SPL]."""
@@ -22,12 +22,12 @@ _PRESENTED = ("stimulus.", "conditions.", "schedule.order")
 """Keys whose defaults are told in `check`."""
 
 
-def field_warnings(ground: DesignInputs, stimulus: Stimulus, figures: list[dict[str, Any]]) -> list[str]:
+def field_warnings(inputs: DesignInputs, stimulus: Stimulus, figures: list[dict[str, Any]]) -> list[str]:
     """Return where the field does not do what its focus says.
 
     Parameters
     ----------
-    ground : DesignInputs
+    inputs : DesignInputs
         What the stimulus was designed from.
     stimulus : Stimulus
         The stimulus of all levels.
@@ -37,7 +37,7 @@ def field_warnings(ground: DesignInputs, stimulus: Stimulus, figures: list[dict[
     said = []
     top = max(figures, key=lambda each: float(each["velocity_mm_s"]), default=None)
     if top is not None:
-        peaks, focus = top["zone_peak_mm_s"], ground.section.focus
+        peaks, focus = top["zone_peak_mm_s"], inputs.section.focus
         at_focus = peaks[focus] or 0.0
         faster = {name: peak for name, peak in peaks.items() if peak is not None and peak > _FASTER * at_focus}
         if faster:
@@ -47,16 +47,16 @@ def field_warnings(ground: DesignInputs, stimulus: Stimulus, figures: list[dict[
                 f"{focus} moves at up to {at_focus:.0f} mm/s, {others}"
             )
     if stimulus.projection.reconstruction_error > _UNREACHED:
-        said.append(f"at {stimulus.wish.velocity * 1e3:g} mm/s {stimulus.projection.unreached()}")
+        said.append(f"at {stimulus.target_field.velocity * 1e3:g} mm/s {stimulus.projection.unreached()}")
     return said
 
 
-def stimulus_warnings(ground: DesignInputs, stimulus: Stimulus, figures: list[dict[str, Any]]) -> list[str]:
+def stimulus_warnings(inputs: DesignInputs, stimulus: Stimulus, figures: list[dict[str, Any]]) -> list[str]:
     """Return what a lab should know and the rig does not refuse.
 
     Parameters
     ----------
-    ground, stimulus
+    inputs, stimulus
         As for `stimulus_figures`.
     figures : list of dict
         As `stimulus_figures` returns them, one to each level.
@@ -68,10 +68,10 @@ def stimulus_warnings(ground: DesignInputs, stimulus: Stimulus, figures: list[di
             f"{stimulus.timing.n_samples} samples are held {clocks:.2f} clocks each, so their edges jitter; "
             f"125000 samples in 50 ms are held exactly 100"
         )
-    if ground.apparatus.assumed_gains():
-        modes = ", ".join(f"{label} ({name})" for label, name in ground.apparatus.assumed_gains())
+    if inputs.apparatus.assumed_gains():
+        modes = ", ".join(f"{label} ({name})" for label, name in inputs.apparatus.assumed_gains())
         said.append(f"the gains of these modes are assumed, not measured: {modes}")
-    if offered := ground.apparatus.offered_gains():
+    if offered := inputs.apparatus.offered_gains():
         gains = ", ".join(f"{label} ({name}) {gain:.4g}" for label, name, gain in offered)
         said.append(f"the patches offer gains that are not measured, in mm/s^2 per V by mode and set: {gains}")
     if stimulus.drive.condition_number > 1e6:

@@ -28,7 +28,7 @@ class Preflight:
         The files and what they hold.
     problems : tuple of Problem
         Every fault, of the files and of the physics; empty when the session may run.
-    ground : DesignInputs or None
+    inputs : DesignInputs or None
         What the stimulus was designed from; None where the files do not say it.
     designed : Stimulus or None
         The stimulus of all levels; None where there is none. Of several, the first.
@@ -38,7 +38,7 @@ class Preflight:
 
     findings: Findings
     problems: tuple[Problem, ...]
-    ground: DesignInputs | None
+    inputs: DesignInputs | None
     designed: Stimulus | None
     variants: dict[str, Preflight] = field(default_factory=dict)
 
@@ -102,13 +102,13 @@ class Preflight:
             The participant's levels, within the bounds that the protocol gives [mm/s].
         """
         reading = self.findings.protocol
-        if reading is None or reading.value is None or self.ground is None:
+        if reading is None or reading.value is None or self.inputs is None:
             raise InputError(self.problems)
         own = replace(reading, value=reading.value.with_levels(levels_mm_s))
         return replace(
             self,
             findings=replace(self.findings, protocol=own),
-            ground=replace(self.ground, levels=dict(enumerate(levels_mm_s))),
+            inputs=replace(self.inputs, levels=dict(enumerate(levels_mm_s))),
             variants={name: part.with_levels(levels_mm_s) for name, part in self.variants.items()},
         )
 
@@ -136,9 +136,9 @@ class Preflight:
         InputError
             If anything is wrong with the protocol.
         """
-        if self.problems or self.ground is None or self.designed is None:
+        if self.problems or self.inputs is None or self.designed is None:
             raise InputError(self.problems)
-        return self.ground, self.designed
+        return self.inputs, self.designed
 
     def speeds(self, trial: Trial) -> tuple[float, float]:
         """Return the predicted peak speeds at the centres of the zones under the left and right finger [m/s].
@@ -163,9 +163,9 @@ class Preflight:
         level : float
             Peak velocity at the focus [mm/s].
         """
-        ground, stimulus = self.parts[name].sound
-        peaks = stimulus.peak_velocity(zone_centres(ground), level * 1e-3)
-        return dict(zip(ground.apparatus.ordered_zones, peaks.tolist(), strict=True))
+        inputs, stimulus = self.parts[name].sound
+        peaks = stimulus.peak_velocity(zone_centres(inputs), level * 1e-3)
+        return dict(zip(inputs.apparatus.ordered_zones, peaks.tolist(), strict=True))
 
     @cached_property
     def stimuli(self) -> list[dict[str, Any]]:
@@ -174,8 +174,8 @@ class Preflight:
             return []
         if self.variants:
             return [{"stimulus": name, **each} for name, part in self.parts.items() for each in part.stimuli]
-        ground, stimulus = self.sound
-        return [stimulus_figures(ground, stimulus, level) for level in ground.levels.values()]
+        inputs, stimulus = self.sound
+        return [stimulus_figures(inputs, stimulus, level) for level in inputs.levels.values()]
 
     @property
     def fields(self) -> list[dict[str, Any]]:
@@ -192,10 +192,10 @@ class Preflight:
             return []
         if self.variants:
             return [{"stimulus": name, **each} for name, part in self.parts.items() for each in part.comparison()]
-        ground, stimulus = self.sound
+        inputs, stimulus = self.sound
         other: Law = "paper" if stimulus.law == "exact" else "exact"
         compared = stimulus.under_law(other)
-        return [stimulus_figures(ground, compared, level) for level in ground.levels.values()]
+        return [stimulus_figures(inputs, compared, level) for level in inputs.levels.values()]
 
     def continuous_fallback(self) -> dict[str, Any] | None:
         """Return what a generator without burst mode would miss at the highest level; None where anything is wrong."""
@@ -203,8 +203,8 @@ class Preflight:
             return None
         from modaltouch.preflight.exploration import continuous_figures
 
-        ground, stimulus = self.sound
-        return continuous_figures(ground.apparatus, stimulus, max(ground.levels.values()) * 1e-3)
+        inputs, stimulus = self.sound
+        return continuous_figures(inputs.apparatus, stimulus, max(inputs.levels.values()) * 1e-3)
 
     def as_dict(self, *, compare: bool = False) -> dict[str, Any]:
         """Return everything as plain values, as ``modaltouch check --json`` prints it.
@@ -241,8 +241,8 @@ class Preflight:
             return values
         from modaltouch.preflight.advice import answer_warnings, default_warnings, repetition_warnings, sound_warnings
 
-        ground, _ = self.sound
-        protocol, apparatus = self.experiment.protocol, ground.apparatus
+        inputs, _ = self.sound
+        protocol, apparatus = self.experiment.protocol, inputs.apparatus
         values |= {
             "warnings": [
                 *self._stimulus_warnings(),
@@ -268,8 +268,8 @@ class Preflight:
 
         said: list[tuple[str, list[str]]] = []
         for name, part in self.parts.items():
-            ground, stimulus = part.sound
-            own = [*field_warnings(ground, stimulus, part.stimuli), *stimulus_warnings(ground, stimulus, part.stimuli)]
+            inputs, stimulus = part.sound
+            own = [*field_warnings(inputs, stimulus, part.stimuli), *stimulus_warnings(inputs, stimulus, part.stimuli)]
             said.append((name, own))
         shared = [each for each in said[0][1] if all(each in own for _, own in said)]
         return [*shared, *(f"stimulus {name}: {each}" for name, own in said for each in own if each not in shared)]
@@ -283,7 +283,7 @@ class Preflight:
         ]
 
     def _calibration(self) -> dict[str, Any] | None:
-        """Return which calibration is used and how far from the wish it left the beam; None without one."""
+        """Return which calibration is used and how far from the target it left the beam; None without one."""
         reading = self.findings.calibration
         if reading is None or reading.value is None:
             return None

@@ -88,7 +88,7 @@ def find_ground(findings: Findings) -> DesignInputs | None:
             velocity=np.array([mode.target_mm_s for mode in calibration.modes]) * 1e-3,
             displacement=np.array([mode.target_displacement_mm_s for mode in calibration.modes]) * 1e-3,
             reference=calibration.reference_mm_s * 1e-3,
-            trims=tuple((level.velocity_mm_s * 1e-3, level.amplitude_factor) for level in calibration.levels),
+            corrections=tuple((level.velocity_mm_s * 1e-3, level.amplitude_factor) for level in calibration.levels),
         )
     elif reading is not None and reading.value is not None:
         return None  # of other stimuli
@@ -104,13 +104,13 @@ def find_ground(findings: Findings) -> DesignInputs | None:
 
 
 def design(
-    ground: DesignInputs, *, law: Law | None = None, release: Release | None = None, on_grid: bool = True
+    inputs: DesignInputs, *, law: Law | None = None, release: Release | None = None, on_grid: bool = True
 ) -> Stimulus:
     """Return the stimulus of a protocol.
 
     Parameters
     ----------
-    ground : DesignInputs
+    inputs : DesignInputs
         What it is designed from.
     law : str, optional
         Drive law; the protocol's own if not given.
@@ -125,36 +125,36 @@ def design(
     ValueError
         If the engine refuses it.
     """
-    section, reference = ground.section, ground.reference
-    levels = tuple(sorted({level for level in ground.levels.values() if level <= reference})) or (reference,)
-    wish = TargetField(
+    section, reference = inputs.section, inputs.reference
+    levels = tuple(sorted({level for level in inputs.levels.values() if level <= reference})) or (reference,)
+    target_field = TargetField(
         shape=section.field.shape,
         base=section.field.base_mm * 1e-3,
-        centre=ground.centre_mm * 1e-3,
+        centre=inputs.centre_mm * 1e-3,
         velocity=reference * 1e-3,
         n_decomposed=section.decomposed_modes,
         selection=section.selected_modes,
-        further_centres=tuple(ground.apparatus.zones[name].centre_mm * 1e-3 for name in section.further_foci),
-        points=tuple((position * 1e-3, velocity) for position, velocity in ground.points),
+        further_centres=tuple(inputs.apparatus.zones[name].centre_mm * 1e-3 for name in section.further_foci),
+        points=tuple((position * 1e-3, velocity) for position, velocity in inputs.points),
     )
     timing = Timing(
-        instrument_of(ground.apparatus).converter,
+        instrument_of(inputs.apparatus).converter,
         n_samples=section.n_samples,
         duration=section.duration_ms * 1e-3,
         focusing_instant=section.focusing_instant_ms * 1e-3,
         repetition_rate=section.repetition_rate_Hz,
     )
     return design_stimulus(
-        ground.apparatus.modal_model(),
-        wish,
+        inputs.apparatus.modal_model(),
+        target_field,
         timing,
-        ground.apparatus.amplifier_values(),
+        inputs.apparatus.amplifier_values(),
         law=law or section.law,
         release=release or section.release,
         levels=tuple(level * 1e-3 for level in levels) if on_grid else None,
-        load_factor=ground.apparatus.generator.load_factor,
+        load_factor=inputs.apparatus.generator.load_factor,
         design=section.design if (law or section.law) == "exact" else "least_energy",
-        correction=ground.correction,
+        correction=inputs.correction,
     )
 
 

@@ -22,29 +22,29 @@ _POINTS_PER_ZONE = 5
 _LEVELS = ("conditions", "peak_velocities_mm_s")
 
 
-def check_levels(ground: DesignInputs, stimulus: Stimulus, findings: Findings) -> list[Problem]:
+def check_levels(inputs: DesignInputs, stimulus: Stimulus, findings: Findings) -> list[Problem]:
     """Return the levels that amplifier, generator or safety do not allow."""
-    problems = _check_range(ground, stimulus, findings)
+    problems = _check_range(inputs, stimulus, findings)
     if problems:
         return problems
-    fast = _moves_fast(ground, stimulus)
-    for index, level in ground.levels.items():
-        amplified = list(_check_amplifier(ground, stimulus, findings, index, level))
-        problems += amplified or _check_generator(ground, stimulus, findings, index, level)
-        problems += _check_safety(ground, stimulus, findings, index, level) if fast else []
+    fast = _moves_fast(inputs, stimulus)
+    for index, level in inputs.levels.items():
+        amplified = list(_check_amplifier(inputs, stimulus, findings, index, level))
+        problems += amplified or _check_generator(inputs, stimulus, findings, index, level)
+        problems += _check_safety(inputs, stimulus, findings, index, level) if fast else []
     return problems
 
 
-def _highest_amplitude(ground: DesignInputs) -> float:
+def _highest_amplitude(inputs: DesignInputs) -> float:
     """Return what the generator may be set to without its full scale passing the amplifier's limit [Vpp]."""
-    return 2 * instrument_of(ground.apparatus).highest_level(ground.apparatus)
+    return 2 * instrument_of(inputs.apparatus).highest_level(inputs.apparatus)
 
 
 def _check_amplifier(
-    ground: DesignInputs, stimulus: Stimulus, findings: Findings, index: int, level: float
+    inputs: DesignInputs, stimulus: Stimulus, findings: Findings, index: int, level: float
 ) -> Iterator[Problem]:
-    limit = ground.apparatus.amplifier.limit_V
-    needed = float(stimulus.peak_voltage.max()) * level * 1e-3 / stimulus.wish.velocity
+    limit = inputs.apparatus.amplifier.limit_V
+    needed = float(stimulus.peak_voltage.max()) * level * 1e-3 / stimulus.target_field.velocity
     if needed > limit * (1 + 1e-9):
         highest = _rounded_down(limit / needed * level)
         given = f"{level:g} mm/s, which needs {needed:.0f} V at the beam"
@@ -54,9 +54,9 @@ def _check_amplifier(
 
 
 def _check_generator(
-    ground: DesignInputs, stimulus: Stimulus, findings: Findings, index: int, level: float
+    inputs: DesignInputs, stimulus: Stimulus, findings: Findings, index: int, level: float
 ) -> Iterator[Problem]:
-    smallest, largest = instrument_of(ground.apparatus).lowest_amplitude, _highest_amplitude(ground)
+    smallest, largest = instrument_of(inputs.apparatus).lowest_amplitude, _highest_amplitude(inputs)
     path, (sounding, full) = (*_LEVELS, index), _sounding(stimulus, level)
     if not sounding:
         return
@@ -71,7 +71,7 @@ def _check_generator(
         least = level * smallest / sounding[weak]
         allowed = f"at least {smallest:g} V, the generator's smallest amplitude (about {_rounded_up(least)} mm/s)"
         # A lab that thinks in m/s writes 0.08 for 80 mm/s.
-        meant = level * 1e3 if level < 1 and least <= level * 1e3 <= ground.velocity_limit else None
+        meant = level * 1e3 if level < 1 and least <= level * 1e3 <= inputs.velocity_limit else None
         remedy = "raise the level" if meant is None else f"did you mean {meant:g} mm/s? Levels are in mm/s, not m/s"
         yield findings.problem(path, given, allowed, remedy)
 
@@ -86,18 +86,18 @@ def _sounding(stimulus: Stimulus, level: float) -> tuple[dict[int, float], dict[
     return amplitude, full
 
 
-def _check_range(ground: DesignInputs, stimulus: Stimulus, findings: Findings) -> list[Problem]:
+def _check_range(inputs: DesignInputs, stimulus: Stimulus, findings: Findings) -> list[Problem]:
     """Return why no level can be played: one output falls below the generator's range before the beam is in its own."""
-    level, limit = stimulus.wish.velocity * 1e3, ground.apparatus.amplifier.limit_V
+    level, limit = stimulus.target_field.velocity * 1e3, inputs.apparatus.amplifier.limit_V
     sounding, full = _sounding(stimulus, level)
     if not sounding:
         return []
-    highest = level * min(limit / float(stimulus.peak_voltage.max()), _highest_amplitude(ground) / max(full.values()))
+    highest = level * min(limit / float(stimulus.peak_voltage.max()), _highest_amplitude(inputs) / max(full.values()))
     weak = min(sounding, key=sounding.__getitem__)
-    least = level * instrument_of(ground.apparatus).lowest_amplitude / sounding[weak]
+    least = level * instrument_of(inputs.apparatus).lowest_amplitude / sounding[weak]
     if least <= highest:
         return []
-    length, base = ground.apparatus.beam.length_mm, ground.section.field.base_mm
+    length, base = inputs.apparatus.beam.length_mm, inputs.section.field.base_mm
     path: tuple[str, ...] = ("stimulus",)
     given = "a field that no level can play"
     if base > length:
@@ -111,24 +111,24 @@ def _check_range(ground: DesignInputs, stimulus: Stimulus, findings: Findings) -
     return [findings.problem(path, given, allowed, "choose another field, focus or modes; no other level will do")]
 
 
-def _moves_fast(ground: DesignInputs, stimulus: Stimulus) -> bool:
+def _moves_fast(inputs: DesignInputs, stimulus: Stimulus) -> bool:
     """Return whether any level may pass the safety limit; the speeds of all rise with the level."""
-    limit = ground.velocity_limit
-    highest = max((level for level in ground.levels.values() if level <= limit), default=0.0)
-    return highest > 0 and stimulus.passes(_zone_points(ground).ravel(), highest * 1e-3, limit * 1e-3)
+    limit = inputs.velocity_limit
+    highest = max((level for level in inputs.levels.values() if level <= limit), default=0.0)
+    return highest > 0 and stimulus.passes(_zone_points(inputs).ravel(), highest * 1e-3, limit * 1e-3)
 
 
-def _zone_points(ground: DesignInputs) -> NDArray[np.float64]:
+def _zone_points(inputs: DesignInputs) -> NDArray[np.float64]:
     """Return the points at which each zone's speed is looked at, (n_zones, n_points) array [m]."""
-    edges = [zone.edges for zone in ground.apparatus.ordered_zones.values()]
-    half = ground.apparatus.beam.length_mm / 2
+    edges = [zone.edges for zone in inputs.apparatus.ordered_zones.values()]
+    half = inputs.apparatus.beam.length_mm / 2
     return np.clip([np.linspace(*edge, _POINTS_PER_ZONE) for edge in edges], -half, half) * 1e-3
 
 
 def _check_safety(
-    ground: DesignInputs, stimulus: Stimulus, findings: Findings, index: int, level: float
+    inputs: DesignInputs, stimulus: Stimulus, findings: Findings, index: int, level: float
 ) -> Iterator[Problem]:
-    limit, zones, points = ground.velocity_limit, ground.apparatus.ordered_zones, _zone_points(ground)
+    limit, zones, points = inputs.velocity_limit, inputs.apparatus.ordered_zones, _zone_points(inputs)
     if level > limit:
         return  # said by the protocol's own check
     speeds = stimulus.peak_velocity(points.ravel(), level * 1e-3).reshape(points.shape) * 1e3
@@ -185,26 +185,26 @@ def examine_findings(findings: Findings) -> Preflight:
     if reading is not None and reading.value is not None and reading.value.stimuli and not findings.problems:
         return _examine_several(findings)
     problems = list(findings.problems)
-    ground, stimulus = find_ground(findings), None
-    if ground is not None and findings.protocol is not None:
-        unplayable = list(_check_generator_itself(ground, findings))
+    inputs, stimulus = find_ground(findings), None
+    if inputs is not None and findings.protocol is not None:
+        unplayable = list(_check_generator_itself(inputs, findings))
         problems += unplayable
         try:
             with np.errstate(all="ignore"):
-                stimulus = None if unplayable else design_to_fit(ground)
-                problems += [] if stimulus is None else check_levels(ground, stimulus, findings)
+                stimulus = None if unplayable else design_to_fit(inputs)
+                problems += [] if stimulus is None else check_levels(inputs, stimulus, findings)
         except (ValueError, ArithmeticError) as error:
             from modaltouch.preflight.refusals import locate
 
             problems.append(locate(error, findings))
     if not findings.problems:
         problems += [*_check_schedule(findings), *_check_masking_level(findings)]
-    return Preflight(findings, tuple(sorted(set(problems))), ground, stimulus)
+    return Preflight(findings, tuple(sorted(set(problems))), inputs, stimulus)
 
 
-def _check_generator_itself(ground: DesignInputs, findings: Findings) -> Iterator[Problem]:
+def _check_generator_itself(inputs: DesignInputs, findings: Findings) -> Iterator[Problem]:
     """Yield what the generator cannot do whatever the level: samples beyond its record or clock, a timer it lacks."""
-    section, instrument = ground.section, instrument_of(ground.apparatus)
+    section, instrument = inputs.section, instrument_of(inputs.apparatus)
     converter, path = instrument.converter, ("stimulus", "n_samples")
     if section.n_samples > converter.max_points:
         allowed = f"at most {converter.max_points}, the points of a record of the {instrument.models[0]}"
@@ -214,7 +214,7 @@ def _check_generator_itself(ground: DesignInputs, findings: Findings) -> Iterato
         given = f"{section.n_samples} samples in {section.duration_ms:g} ms, which is {rate:.4g} Hz"
         most, clock = int(section.duration_ms * 1e-3 * converter.clock_rate), converter.clock_rate * 1e-6
         yield findings.problem(path, given, f"at most {most} samples, at the generator's {clock:g} MHz", "take fewer")
-    if ground.apparatus.generator.repeats == "timer" and instrument.commands.timer is None and findings.apparatus:
+    if inputs.apparatus.generator.repeats == "timer" and instrument.commands.timer is None and findings.apparatus:
         given, allowed = f"timer, which the channels of a {instrument.models[0]} do not share", "single"
         yield findings.apparatus.problem(("generator", "repetition"), given, allowed, "write single")
 
@@ -224,9 +224,9 @@ def _examine_several(findings: Findings) -> Preflight:
     variants = {name: examine_findings(alone) for name, alone in findings.each_stimulus()}
     problems = {problem for name, part in variants.items() for problem in findings.at_stimulus(name, part.problems)}
     first = next(iter(variants.values()))
-    together = Preflight(findings, (), first.ground, first.designed, variants)
-    if not problems and first.ground is not None:
-        problems.update(_check_memories(findings, first.ground.apparatus, together.bursts))
+    together = Preflight(findings, (), first.inputs, first.designed, variants)
+    if not problems and first.inputs is not None:
+        problems.update(_check_memories(findings, first.inputs.apparatus, together.bursts))
     problems.update([*_check_schedule(findings), *_check_masking_level(findings)])
     return replace(together, problems=tuple(sorted(problems)))
 
@@ -241,12 +241,12 @@ def _check_memories(findings: Findings, apparatus: Apparatus, bursts: Sequence[B
         yield findings.problem(("stimuli",), given, allowed, "take fewer, or make protocols of them")
 
 
-def design_to_fit(ground: DesignInputs, *, release: Release | None = None) -> Stimulus:
+def design_to_fit(inputs: DesignInputs, *, release: Release | None = None) -> Stimulus:
     """Return the stimulus, without the 5 % of full scale for the amplitude grid where they do not fit.
 
     Parameters
     ----------
-    ground : DesignInputs
+    inputs : DesignInputs
         What it is designed from.
     release : str, optional
         What follows the focusing instant; the protocol's own if not given.
@@ -256,10 +256,10 @@ def design_to_fit(ground: DesignInputs, *, release: Release | None = None) -> St
     ValueError
         If the engine refuses it.
     """
-    stimulus = design(ground, release=release)
-    within = float(stimulus.peak_voltage.max()) <= ground.apparatus.amplifier.limit_V
-    if within and max(stimulus.full_scale_for(stimulus.wish.velocity)) > _highest_amplitude(ground):
-        return design(ground, release=release, on_grid=False)
+    stimulus = design(inputs, release=release)
+    within = float(stimulus.peak_voltage.max()) <= inputs.apparatus.amplifier.limit_V
+    if within and max(stimulus.full_scale_for(stimulus.target_field.velocity)) > _highest_amplitude(inputs):
+        return design(inputs, release=release, on_grid=False)
     return stimulus
 
 

@@ -20,22 +20,22 @@ SPREAD: dict[str, Any] = {"natural_frequency": 0.001, "damping_ratio": 0.02, "mo
 """Relative standard deviations of the beams that are drawn [1]."""
 
 
-def sensitivity_figures(ground: DesignInputs, stimulus: Stimulus) -> dict[str, Any]:
+def sensitivity_figures(inputs: DesignInputs, stimulus: Stimulus) -> dict[str, Any]:
     """Return how well the beam must be identified: what errors of its parameters do to the field at the focus.
 
     Parameters
     ----------
-    ground : DesignInputs
+    inputs : DesignInputs
         What the stimulus was designed from.
     stimulus : Stimulus
         The stimulus, at its highest level.
     """
-    half = ground.apparatus.beam.length_mm * 0.5e-3
+    half = inputs.apparatus.beam.length_mm * 0.5e-3
     shapes = stimulus.model.shapes(np.linspace(-half, half, 201))
     rows = focus_sensitivity(stimulus).table(shapes, **ERRORS)
-    spread = scatter(stimulus, zone_centres(ground), **SPREAD)
+    spread = scatter(stimulus, zone_centres(inputs), **SPREAD)
     return {
-        "velocity_mm_s": stimulus.wish.velocity * 1e3,
+        "velocity_mm_s": stimulus.target_field.velocity * 1e3,
         "table": [
             {
                 "parameter": row["parameter"],
@@ -50,7 +50,7 @@ def sensitivity_figures(ground: DesignInputs, stimulus: Stimulus) -> dict[str, A
             "n_draws": len(spread.modal_error),
             "deviations": SPREAD,
             "zone_deviation_mm_s": dict(
-                zip(ground.apparatus.ordered_zones, (spread.deviation * 1e3).tolist(), strict=True)
+                zip(inputs.apparatus.ordered_zones, (spread.deviation * 1e3).tolist(), strict=True)
             ),
             "median_modal_error_mm_s": float(np.median(spread.modal_error)) * 1e3,
             "p95_modal_error_mm_s": float(np.quantile(spread.modal_error, 0.95)) * 1e3,
@@ -83,12 +83,12 @@ def design_figures(stimulus: Stimulus) -> list[dict[str, Any]]:
     ]
 
 
-def sample_figures(ground: DesignInputs, stimulus: Stimulus, tolerance: float) -> dict[str, Any]:
+def sample_figures(inputs: DesignInputs, stimulus: Stimulus, tolerance: float) -> dict[str, Any]:
     """Return the fewest samples that keep the field around the focus within a tolerance.
 
     Parameters
     ----------
-    ground : DesignInputs
+    inputs : DesignInputs
         What the stimulus was designed from.
     stimulus : Stimulus
         The stimulus on the count of samples that the protocol asks for.
@@ -100,7 +100,7 @@ def sample_figures(ground: DesignInputs, stimulus: Stimulus, tolerance: float) -
     ValueError
         If the tolerance is not above zero.
     """
-    found = cheapest_samples(stimulus, tolerance, zone_centres(ground))
+    found = cheapest_samples(stimulus, tolerance, zone_centres(inputs))
     return {
         "tolerance": tolerance,
         "n_samples": found.n_samples,

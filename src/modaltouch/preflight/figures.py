@@ -19,12 +19,12 @@ FIELD_POINTS = 201
 """Points from end to end of the beam at which a field is kept in the record."""
 
 
-def stimulus_figures(ground: DesignInputs, stimulus: Stimulus, level: float) -> dict[str, Any]:
+def stimulus_figures(inputs: DesignInputs, stimulus: Stimulus, level: float) -> dict[str, Any]:
     """Return what a level does to the beam, of the rounded codes as the generator plays them.
 
     Parameters
     ----------
-    ground : DesignInputs
+    inputs : DesignInputs
         What the stimulus was designed from.
     stimulus : Stimulus
         The stimulus of all levels.
@@ -34,54 +34,54 @@ def stimulus_figures(ground: DesignInputs, stimulus: Stimulus, level: float) -> 
     velocity = level * 1e-3
     labels = [str(label) for label in stimulus.model.label]
     reached, displacement = stimulus.achieved(velocity)
-    centres = zone_centres(ground)
+    centres = zone_centres(inputs)
     at_focus = stimulus.velocity_at_focus(centres, velocity)
     peaks = stimulus.peak_velocity(centres, velocity)
     channels = [str(number + 1) for number in range(stimulus.model.n_channels)]
     return {
         "velocity_mm_s": level,
-        "focus": ground.section.focus,
+        "focus": inputs.section.focus,
         "law": stimulus.law,
         "release": stimulus.release,
         "selected_modes": [int(label) for label in stimulus.selected],
-        "target_mm_s": _by(labels, stimulus.target * velocity / stimulus.wish.velocity * 1e3),
+        "target_mm_s": _by(labels, stimulus.target * velocity / stimulus.target_field.velocity * 1e3),
         "achieved_mm_s": _by(labels, reached * 1e3),
         "achieved_displacement_mm_s": _by(labels, displacement * 1e3),
         "worst_modal_error_mm_s": finite(stimulus.worst_modal_error(velocity) * 1e3),
         "worst_modal_error_steady_mm_s": finite(stimulus.worst_modal_error(velocity, steady=True) * 1e3),
         "peak_drive_V": _by(channels, stimulus.peak_drive(velocity)),
         "amplitude_Vpp": _by(channels, stimulus.amplitude_for(velocity)),
-        "n_samples": ground.section.n_samples,
+        "n_samples": inputs.section.n_samples,
         "sampling_rate_Hz": finite(stimulus.timing.sampling_rate),
         "fwhm_mm": finite(stimulus.projection.fwhm * 1e3),
         "width_80_mm": finite(stimulus.projection.width_80 * 1e3),
         "reconstruction_error": finite(stimulus.projection.reconstruction_error),
         "condition_number": finite(stimulus.drive.condition_number),
-        "zone_at_focus_mm_s": _by(ground.apparatus.ordered_zones, at_focus * 1e3),
-        "zone_peak_mm_s": _by(ground.apparatus.ordered_zones, peaks * 1e3),
+        "zone_at_focus_mm_s": _by(inputs.apparatus.ordered_zones, at_focus * 1e3),
+        "zone_peak_mm_s": _by(inputs.apparatus.ordered_zones, peaks * 1e3),
     }
 
 
-def field_figures(ground: DesignInputs, stimulus: Stimulus) -> dict[str, Any]:
+def field_figures(inputs: DesignInputs, stimulus: Stimulus) -> dict[str, Any]:
     """Return the target and the predicted field at the focusing instant, at the highest level, as a report draws them.
 
     Parameters
     ----------
-    ground : DesignInputs
+    inputs : DesignInputs
         What the stimulus was designed from.
     stimulus : Stimulus
         The stimulus of all levels.
     """
-    level, half = max(ground.levels.values()), ground.apparatus.beam.length_mm / 2
+    level, half = max(inputs.levels.values()), inputs.apparatus.beam.length_mm / 2
     place = np.linspace(-half, half, FIELD_POINTS) * 1e-3
-    target = stimulus.wish.profile(place) * level
+    target = stimulus.target_field.profile(place) * level
     predicted = stimulus.velocity_at_focus(place, level * 1e-3) * 1e3
     return {
-        "focus": ground.section.focus,
+        "focus": inputs.section.focus,
         "law": stimulus.law,
         "velocity_mm_s": level,
-        "length_mm": ground.apparatus.beam.length_mm,
-        "zones_mm": {name: list(zone.edges) for name, zone in ground.apparatus.ordered_zones.items()},
+        "length_mm": inputs.apparatus.beam.length_mm,
+        "zones_mm": {name: list(zone.edges) for name, zone in inputs.apparatus.ordered_zones.items()},
         "target_mm_s": target.round(3).tolist(),
         "predicted_mm_s": predicted.round(3).tolist(),
     }
@@ -112,9 +112,9 @@ def contrasts(protocol: Protocol, zone_peak: dict[str, float]) -> list[dict[str,
     return rows
 
 
-def zone_centres(ground: DesignInputs) -> np.ndarray[Any, np.dtype[np.float64]]:
+def zone_centres(inputs: DesignInputs) -> np.ndarray[Any, np.dtype[np.float64]]:
     """Return the centres of the zones from left to right, (n_zones,) array [m]."""
-    return np.array([zone.centre_mm for zone in ground.apparatus.ordered_zones.values()]) * 1e-3
+    return np.array([zone.centre_mm for zone in inputs.apparatus.ordered_zones.values()]) * 1e-3
 
 
 def estimated_duration(protocol: Protocol) -> float:

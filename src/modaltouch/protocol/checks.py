@@ -14,7 +14,7 @@ from modaltouch.protocol.masking import check_masking
 from modaltouch.protocol.problems import Problem, suggest
 from modaltouch.protocol.reading import Reading
 from modaltouch.protocol.sections import AnswersSection, Protocol, whole_bursts
-from modaltouch.protocol.stimulus_sections import check_wished
+from modaltouch.protocol.stimulus_sections import check_target_field
 from modaltouch.protocol.trial import TIME_OUT
 
 TRIAL_LIMIT = 10_000
@@ -33,7 +33,7 @@ def check_protocol(reading: Reading[Protocol]) -> list[Problem]:
     """Return the faults between the keys of a protocol, as far as its sound parts show them."""
     return [
         *_check_stimulus(reading),
-        *check_wished(reading),
+        *check_target_field(reading),
         *_check_doubles(reading),
         *_check_schedule(reading),
         *check_adaptive(reading),

@@ -31,7 +31,7 @@ class Sources:
     calibration : Source or None
         Path, text and hash of the calibration, where there is one.
     field : Source or None
-        The same of the points of the wished field, where they stand in a file.
+        The same of the points of the target field, where they stand in a file.
     """
 
     protocol: Source
@@ -86,7 +86,7 @@ class Findings:
     calibration : Reading or None
         The calibration file, where there is one.
     field : Source or None
-        The file of the wished field's points, where there is one.
+        The file of the target field's points, where there is one.
     """
 
     protocol: Reading[Protocol] | None
@@ -142,7 +142,7 @@ class Findings:
         return [each for each in self.protocol.defaults() if ".".join(each["key"].split(".")[:2]) not in own]
 
     def points(self) -> tuple[tuple[float, float], ...] | None:
-        """Points in the file of the wished field, positions [mm] and relative velocities; None where it is faulty."""
+        """Points in the file of the target field, positions [mm] and relative velocities; None where it is faulty."""
         points, faults = ((), []) if self.field is None else read_points(self.field)
         return None if faults else points
 

@@ -118,8 +118,8 @@ COLUMNS = ("position_mm", "velocity")
 _FIELD = ("stimulus", "field")
 
 
-def check_wished(reading: Reading[Any]) -> Iterator[Problem]:
-    """Return the faults between the keys of the wished field, as far as its sound parts show them."""
+def check_target_field(reading: Reading[Any]) -> Iterator[Problem]:
+    """Return the faults between the keys of the target field, as far as its sound parts show them."""
     shape = reading.sound(*_FIELD, "shape")
     named = [key for key in ("points", "file") if reading.find((*_FIELD, key)) is not None]
     if shape == "sampled" and len(named) != 1:

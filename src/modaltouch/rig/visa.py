@@ -197,7 +197,7 @@ def _take_instrument(address: str) -> int:
     """Return a descriptor that keeps other programs of this machine from an instrument until this process ends."""
     name = hashlib.sha256(address.upper().encode()).hexdigest()[:16]
     path = Path(tempfile.gettempdir()) / f"modaltouch-{name}.lock"
-    # A file of another user's in a shared folder may be opened, but not with the wish to make it.
+    # A file of another user's in a shared folder may be opened, but not with the flag that makes it.
     flags = os.O_RDONLY if path.exists() else os.O_RDWR | os.O_CREAT
     descriptor = os.open(path, flags, 0o644)
     try:

@@ -17,7 +17,7 @@ from modaltouch.record import (
     read_session,
 )
 from modaltouch.rig import Rig, instrument_of
-from modaltouch.session.console.experimenter import Experimenter, Tick, Wish
+from modaltouch.session.console.experimenter import Experimenter, Intervention, Tick
 from modaltouch.session.console.interface import Console
 from modaltouch.session.events import boot_id, describe_ending, describe_start, way_on
 from modaltouch.session.loop import SessionRun, conduct
@@ -169,7 +169,7 @@ def sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessio
             setup.place.refuse_existing()
         rig.load(*setup.preflight.bursts)
 
-        def tick() -> Wish | None:
+        def tick() -> Intervention | None:
             interruption.check()
             rig.heartbeat()
             return experimenter.attend()

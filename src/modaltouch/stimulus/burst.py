@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.stimulus.correction import Trims, trimmed
+from modaltouch.stimulus.correction import LevelCorrections, corrected
 from modaltouch.stimulus.quantisation import Converter
 
 
@@ -31,7 +31,7 @@ class Burst:
         Amplitude of each channel's full scale at `velocity` [V peak to peak, open circuit].
     converter : Converter
         What makes voltages of them.
-    trims : tuple of (float, float)
+    corrections : tuple of (float, float)
         Levels [m/s], each with the factor of its amplitude that a calibration measured [1].
     """
 
@@ -41,7 +41,7 @@ class Burst:
     velocity: float
     amplitude: tuple[float, ...]
     converter: Converter
-    trims: Trims = ()
+    corrections: LevelCorrections = ()
 
     @cached_property
     def content_hash(self) -> str:
@@ -75,7 +75,7 @@ class Burst:
         velocity : float
             Peak velocity at the focus [m/s].
         """
-        level = trimmed(velocity, self.trims)
+        level = corrected(velocity, self.corrections)
         return self.converter.amplitudes_at(self.amplitude, level, self.velocity, self.shares)
 
     def full_scale_for(self, velocity: float) -> tuple[float, ...]:

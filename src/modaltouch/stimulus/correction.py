@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from modaltouch.stimulus.quantities import FloatArray
 
-Trims = tuple[tuple[float, float], ...]
+LevelCorrections = tuple[tuple[float, float], ...]
 """Levels [m/s], each with the factor of its amplitude [1]."""
 
 
@@ -22,14 +22,14 @@ class Correction:
         [m/s].
     reference : float
         Level for which they hold; at any other they hold in proportion [m/s].
-    trims : tuple of (float, float)
+    corrections : tuple of (float, float)
         Levels [m/s], each with the factor of its amplitude [1].
     """
 
     velocity: FloatArray
     displacement: FloatArray
     reference: float
-    trims: Trims = ()
+    corrections: LevelCorrections = ()
 
     def at(self, level: float) -> tuple[FloatArray, FloatArray]:
         """Return what to aim at for a level: modal velocities, and displacements times angular frequency [m/s]."""
@@ -37,17 +37,17 @@ class Correction:
         return self.velocity * share, self.displacement * share
 
 
-def trimmed(velocity: float, trims: Trims) -> float:
+def corrected(velocity: float, corrections: LevelCorrections) -> float:
     """Return the level to be set for a level to be reached [m/s].
 
     Between two levels with factors, as adaptive runs play, the factor runs straight over the logarithm of the level; a
     level beyond them all is set as it is.
     """
-    own = next((factor for level, factor in trims if math.isclose(level, velocity)), None)
+    own = next((factor for level, factor in corrections if math.isclose(level, velocity)), None)
     if own is not None:
         return velocity * own
-    below = max((each for each in trims if each[0] < velocity), default=None)
-    above = min((each for each in trims if each[0] > velocity), default=None)
+    below = max((each for each in corrections if each[0] < velocity), default=None)
+    above = min((each for each in corrections if each[0] > velocity), default=None)
     if below is None or above is None:
         return velocity
     share = math.log(velocity / below[0]) / math.log(above[0] / below[0])

@@ -137,10 +137,10 @@ class DiagonalSystem:
 
     def _late_gains(self, timing: Timing) -> list[ComplexArray]:
         """Gains of ``step * d**k`` for steps late by d, k from 1; none where the clock is never late."""
-        if timing.lateness is None:
+        if timing.clock_error is None:
             return []
         s = self.exponent
-        turn = float(np.abs(s).max() * timing.lateness.max())
+        turn = float(np.abs(s).max() * timing.clock_error.max())
         gain = (np.exp(s * timing.hold) / s)[:, None] * self.input_gain
         gains: list[ComplexArray] = []
         left = 1.0
@@ -194,7 +194,7 @@ class DiagonalSystem:
         if remainder:
             states = states * np.exp(self.exponent * remainder)
             if n_whole < min(voltage.shape[1], timing.n_samples):
-                wait = 0.0 if timing.lateness is None else min(float(timing.lateness[n_whole]), remainder)
+                wait = 0.0 if timing.clock_error is None else min(float(timing.clock_error[n_whole]), remainder)
                 begun = self.held_gain(remainder - wait)
                 states = states + voltage[:, n_whole, None] * begun.T
                 if wait and n_whole:
@@ -265,7 +265,7 @@ def clock_inputs(voltage: FloatArray, timing: Timing, start: int, stop: int, n_i
     (n_inputs, stop - start) array
         Voltages, then steps times their delay to the clock, its square, and so on.
     """
-    if timing.lateness is None:
+    if timing.clock_error is None:
         return voltage[:, start:stop]
     inputs = np.empty((n_inputs, stop - start))
     n_channels = len(voltage)
@@ -278,11 +278,11 @@ def clock_inputs(voltage: FloatArray, timing: Timing, start: int, stop: int, n_i
 
 def _late_steps(voltage: FloatArray, timing: Timing, start: int, stop: int) -> Iterator[FloatArray]:
     """Yield the steps times their delay to the clock, then times its square, and so on: the same array each time."""
-    if timing.lateness is None:
+    if timing.clock_error is None:
         return
     # The record ends with its last sample: what follows is silence, never late.
     late = np.zeros(stop - start)
-    playing = timing.lateness[start : min(stop, timing.n_samples)]
+    playing = timing.clock_error[start : min(stop, timing.n_samples)]
     late[: playing.size] = playing
     before = voltage[:, start - 1, None] if start else np.zeros((len(voltage), 1))
     steps = np.diff(voltage[:, start:stop], axis=1, prepend=before)

@@ -224,9 +224,9 @@ def _changes(gain: FloatArray, together: FloatArray, half: list[float]) -> list[
 
 def _on_clock(effect: ComplexArray, system: DiagonalSystem, timing: Timing, sample: NDArray[np.int64]) -> ComplexArray:
     """Return what a code does that is held as long as the clock holds that sample, (n_states, n or 1) array."""
-    if timing.lateness is None:
+    if timing.clock_error is None:
         return effect[:, None]
     s = system.exponent[:, None]
-    late, next_late = timing.lateness[sample], timing.lateness[sample + 1]
+    late, next_late = timing.clock_error[sample], timing.clock_error[sample + 1]
     grown = np.exp(s * timing.hold)
     return np.asarray(effect[:, None] * (1 + (grown * np.expm1(-s * late) - np.expm1(-s * next_late)) / (grown - 1)))

@@ -87,7 +87,7 @@ def cheapest_samples(finest: Stimulus, tolerance: float, positions: ArrayLike) -
         stimulus = replace(finest, timing=replace(finest.timing, n_samples=count))
         around = _around_focus(stimulus.timing)
         change = _history(stimulus)[:, around] - reference[:, around * (most // count)]
-        error = float(np.abs(shapes.T @ change).max()) / finest.wish.velocity
+        error = float(np.abs(shapes.T @ change).max()) / finest.target_field.velocity
         tried.append((count, error))
         if error <= tolerance:
             break
@@ -102,7 +102,7 @@ def _counts(finest: Stimulus) -> Iterator[int]:
     highest = float(finest.model.natural_frequency.max())
     least = max(2, math.ceil(LEAST_SAMPLES_PER_CYCLE * highest * timing.duration))
     for count in range(least, timing.n_samples):
-        if timing.n_samples % count == 0 and replace(timing, n_samples=count).lateness is None:
+        if timing.n_samples % count == 0 and replace(timing, n_samples=count).clock_error is None:
             yield count
 
 

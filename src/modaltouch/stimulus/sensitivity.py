@@ -98,8 +98,8 @@ def focus_sensitivity(stimulus: Stimulus) -> Sensitivity:
     n_before, remainder = timing.samples_until(timing.focusing_instant - stimulus.amplifier.delay)
     n_begun = min(n_before + (remainder > 0), timing.n_samples)
     ago: FloatArray = np.asarray(remainder + timing.hold * (n_before - np.arange(n_begun)))
-    if timing.lateness is not None:
-        ago = np.maximum(ago - timing.lateness[:n_begun], 0.0)
+    if timing.clock_error is not None:
+        ago = np.maximum(ago - timing.clock_error[:n_begun], 0.0)
     step = np.diff(stimulus.voltage[:, :n_begun], axis=1, prepend=0.0)
     reached, slope = _response_to_steps(step, ago, s)
     if stimulus.amplifier.bandwidth is not None:

@@ -4,32 +4,27 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from modaltouch.stimulus.burst import Burst
-from modaltouch.stimulus.correction import Correction, Trims, trimmed
+from modaltouch.stimulus.correction import Correction, LevelCorrections, corrected
 from modaltouch.stimulus.drive import Drive, Law, Release, Steering, check_drivable, exact_drive
 from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
 from modaltouch.stimulus.modes import ModalModel
+from modaltouch.stimulus.options import MEANT, Design, Rounding, check_levels, check_options
 from modaltouch.stimulus.quantised import QuantisedStimulus, settle
 from modaltouch.stimulus.quantities import FloatArray, require_positive
 from modaltouch.stimulus.target_field import Projection, TargetField
 from modaltouch.stimulus.timing import Timing
 from modaltouch.stimulus.vibration import velocity_history
 
-Rounding = Literal["settled", "plain"]
-Design = Literal["least_energy", "norm_4", "norm_8", "least_peak"]
-
 _FEW = 1024
 """Points up to which mode shapes are kept for the next question."""
 
 _SHARED = ("projection", "system", "_shapes")
 """What is computed and does not depend on the drive law."""
-
-_MEANT = "the paper has 0.08 to 0.2 m/s"
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +37,7 @@ class Stimulus:
     ----------
     model : ModalModel
         The identified beam.
-    wish : TargetField
+    target_field : TargetField
         The target field; its velocity is the reference level, the highest.
     timing : Timing
         Samples, clock and focusing instant.
@@ -68,7 +63,7 @@ class Stimulus:
     """
 
     model: ModalModel
-    wish: TargetField
+    target_field: TargetField
     timing: Timing
     amplifier: Amplifier
     law: Law
@@ -82,7 +77,7 @@ class Stimulus:
     @cached_property
     def projection(self) -> Projection:
         """The target field as the modelled modes see it."""
-        return Projection(self.model, self.wish)
+        return Projection(self.model, self.target_field)
 
     @property
     def selected(self) -> tuple[int, ...]:
@@ -100,26 +95,26 @@ class Stimulus:
         return DiagonalSystem.of(self.model, self.amplifier)
 
     @cached_property
-    def aim(self) -> tuple[FloatArray, FloatArray]:
+    def corrected_target(self) -> tuple[FloatArray, FloatArray]:
         """What the law steers the model to at the reference level: the targets, or what a calibration makes of them.
 
         Modal velocities, and displacements times angular frequency, two (n_modes,) arrays [m/s].
         """
         if self._correction is None:
             return self.target, np.zeros_like(self.target)
-        return self._correction.at(self.wish.velocity)
+        return self._correction.at(self.target_field.velocity)
 
     @property
     def _correction(self) -> Correction | None:
         return self.correction if self.law == "exact" else None
 
     @property
-    def _trims(self) -> Trims:
-        return self._correction.trims if self._correction is not None else ()
+    def _level_corrections(self) -> LevelCorrections:
+        return self._correction.corrections if self._correction is not None else ()
 
     @cached_property
     def _steering(self) -> Steering:
-        return Steering(self.model, self.system, self.timing, self.release, *self.aim)
+        return Steering(self.model, self.system, self.timing, self.release, *self.corrected_target)
 
     @cached_property
     def drive(self) -> Drive:
@@ -169,10 +164,10 @@ class Stimulus:
             codes=self.timing.converter.unsigned(self._played.codes),
             duration=self.timing.duration,
             repetition_rate=self.timing.repetition_rate,
-            velocity=self.wish.velocity,
+            velocity=self.target_field.velocity,
             amplitude=self._full_scale,
             converter=self.timing.converter,
-            trims=self._trims,
+            corrections=self._level_corrections,
         )
 
     @property
@@ -183,7 +178,7 @@ class Stimulus:
     @cached_property
     def _full_scale(self) -> tuple[float, ...]:
         """Amplitude of each channel's full scale at the reference level [V peak to peak, open circuit]."""
-        shares = tuple(v / self.wish.velocity for v in self.levels)
+        shares = tuple(v / self.target_field.velocity for v in self.levels)
         return tuple(self.timing.converter.full_scale(2 * float(v) / self._to_beam, shares) for v in self.peak_voltage)
 
     @cached_property
@@ -194,7 +189,7 @@ class Stimulus:
         codes = converter.round_to_codes(self.voltage, volts_per_code)
         if self.law == "exact" and self.rounding == "settled":
             states = volts_per_code @ self.system.states_by_channel(codes, self.timing, self.timing.focusing_instant)
-            error = np.concatenate(self.aim) - np.concatenate(self.system.read(states))
+            error = np.concatenate(self.corrected_target) - np.concatenate(self.system.read(states))
             codes = settle(codes, volts_per_code, self.system, self.timing, error, float(np.abs(self.target).max()))
         return QuantisedStimulus(self.system, self.timing, codes)
 
@@ -228,7 +223,7 @@ class Stimulus:
         velocity : float
             Level [m/s].
         """
-        require_positive("the velocity level", velocity, "m/s", _MEANT)
+        require_positive("the velocity level", velocity, "m/s", MEANT)
         # A level is trimmed so that the generator, as measured, really gives what proportion asks of it.
         full_scale = np.asarray(self._amplitudes_at(velocity)) / self._shares
         return full_scale * (self._to_beam / 2 / self.timing.converter.mid_code)
@@ -241,8 +236,8 @@ class Stimulus:
         velocity : float
             Level [m/s].
         """
-        require_positive("the velocity level", velocity, "m/s", _MEANT)
-        return self._amplitudes_at(trimmed(velocity, self._trims))
+        require_positive("the velocity level", velocity, "m/s", MEANT)
+        return self._amplitudes_at(corrected(velocity, self._level_corrections))
 
     def full_scale_for(self, velocity: float) -> tuple[float, ...]:
         """Return the amplitude of each channel's full scale at a level [V peak to peak, open circuit].
@@ -255,7 +250,7 @@ class Stimulus:
         return tuple((np.asarray(self.amplitude_for(velocity)) / self._shares).tolist())
 
     def _amplitudes_at(self, velocity: float) -> tuple[float, ...]:
-        return self.timing.converter.amplitudes_at(self._full_scale, velocity, self.wish.velocity, self._shares)
+        return self.timing.converter.amplitudes_at(self._full_scale, velocity, self.target_field.velocity, self._shares)
 
     @cached_property
     def _shares(self) -> FloatArray:
@@ -295,7 +290,7 @@ class Stimulus:
         return self.system.read(self._played.states_steady(unit) if steady else self._played.states_at_focus(unit))
 
     def worst_modal_error(self, velocity: float, *, steady: bool = False) -> float:
-        """Return the largest of |velocity - aim| and |w eta - aim| over the modes [m/s].
+        """Return the largest of |velocity - target| and |w eta - target| over the modes [m/s].
 
         Parameters
         ----------
@@ -320,8 +315,8 @@ class Stimulus:
         return self._worst_error(self.system.read(self.volts_per_code(velocity) @ states), velocity)
 
     def _worst_error(self, achieved: tuple[FloatArray, FloatArray], velocity: float) -> float:
-        aim = np.concatenate(self.aim) * (velocity / self.wish.velocity)
-        return float(np.abs(np.concatenate(achieved) - aim).max())
+        corrected_target = np.concatenate(self.corrected_target) * (velocity / self.target_field.velocity)
+        return float(np.abs(np.concatenate(achieved) - corrected_target).max())
 
     def velocity_at_focus(self, positions: ArrayLike, velocity: float) -> FloatArray:
         """Return the velocity at points of the beam at the focusing instant, (n_positions,) array [m/s].
@@ -398,7 +393,7 @@ class Stimulus:
 
 def design_stimulus(
     model: ModalModel,
-    wish: TargetField,
+    target_field: TargetField,
     timing: Timing,
     amplifier: Amplifier,
     *,
@@ -414,7 +409,7 @@ def design_stimulus(
 
     Parameters
     ----------
-    model, wish, timing, amplifier, law, release, load_factor, rounding, design, correction
+    model, target_field, timing, amplifier, law, release, load_factor, rounding, design, correction
         As for `Stimulus`.
     levels : tuple of float, optional
         Every level that will be played [m/s]; the target field's own if not given.
@@ -425,9 +420,9 @@ def design_stimulus(
         If a mode, the field, the timing or a level is out of bounds; the message names it, its bound and the
         remedy.
     """
-    played = (wish.velocity,) if levels is None else tuple(levels)
-    _check_options(law, release, rounding, design)
-    _check_levels(played, wish.velocity)
+    played = (target_field.velocity,) if levels is None else tuple(levels)
+    check_options(law, release, rounding, design)
+    check_levels(played, target_field.velocity)
     require_positive("the load factor", load_factor, "", "1 into high impedance, 0.5 into 50 ohm")
     if amplifier.delay >= timing.focusing_instant:
         raise ValueError(
@@ -435,34 +430,7 @@ def design_stimulus(
             f"{timing.focusing_instant:g} s; it must be shorter: focus later, or check the delay"
         )
     stimulus = Stimulus(
-        model, wish, timing, amplifier, law, release, played, load_factor, rounding, correction, design=design
+        model, target_field, timing, amplifier, law, release, played, load_factor, rounding, correction, design=design
     )
     check_drivable(model, stimulus.target, timing)
     return stimulus
-
-
-def _check_options(law: str, release: str, rounding: str, design: str) -> None:
-    """Refuse words that mean nothing here."""
-    for name, given, kind in (
-        ("drive law", law, Law),
-        ("release", release, Release),
-        ("rounding", rounding, Rounding),
-        ("design", design, Design),
-    ):
-        if given not in get_args(kind):
-            raise ValueError(f"the {name} {given!r} is unknown; allowed: {', '.join(get_args(kind))}")
-    if law == "paper" and design != "least_energy":
-        raise ValueError(f"the paper's law has no design of {design!r}; allowed: least_energy, or the law exact")
-
-
-def _check_levels(levels: tuple[float, ...], reference: float) -> None:
-    """Refuse levels that cannot be played by codes that fill the generator's range at the reference [m/s]."""
-    if not levels:
-        raise ValueError("no velocity level is given; give at least one")
-    for level in levels:
-        require_positive("the velocity level", level, "m/s", _MEANT)
-        if level > reference * (1 + 1e-12):
-            raise ValueError(
-                f"the level of {level * 1e3:g} mm/s passes the reference of {reference * 1e3:g} mm/s, for "
-                f"which the codes fill the generator's range: design for the highest level"
-            )

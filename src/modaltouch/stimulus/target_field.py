@@ -179,23 +179,23 @@ class Projection:
     ----------
     model : ModalModel
         The modelled modes.
-    wish : TargetField
+    target_field : TargetField
         The target field.
     """
 
     model: ModalModel
-    wish: TargetField
+    target_field: TargetField
 
     def __post_init__(self) -> None:
         """Refuse a field that the modelled modes cannot follow."""
         half = self.model.length / 2
-        off = [centre for centre in self.wish.centres if abs(centre) > half]
+        off = [centre for centre in self.target_field.centres if abs(centre) > half]
         if off:
             raise ValueError(
                 f"the field is centred at {off[0] * 1e3:g} mm, off the beam, which spans "
                 f"-{half * 1e3:g} to {half * 1e3:g} mm: centre it on a zone"
             )
-        selection = self.wish.selection
+        selection = self.target_field.selection
         if isinstance(selection, tuple):
             for k in selection:
                 if k not in self.model.label:
@@ -208,25 +208,25 @@ class Projection:
                 f"{selection} modes are to be selected, but {self.model.n_modes} are modelled: "
                 f"select at most {self.model.n_modes}"
             )
-        beyond = [k for k in self.model.label if k > self.wish.n_decomposed]
+        beyond = [k for k in self.model.label if k > self.target_field.n_decomposed]
         if beyond:
             raise ValueError(
-                f"mode {beyond[0]} is modelled, but the field is decomposed on {self.wish.n_decomposed} modes "
+                f"mode {beyond[0]} is modelled, but the field is decomposed on {self.target_field.n_decomposed} modes "
                 f"only: decompose on at least {max(self.model.label)}"
             )
 
     @cached_property
     def _nodes(self) -> tuple[FloatArray, FloatArray]:
-        phase_rate = (self.wish.n_decomposed + 1) * 2 * np.pi / self.model.length
-        return quadrature(self.wish.edges(self.model.length), phase_rate)
+        phase_rate = (self.target_field.n_decomposed + 1) * 2 * np.pi / self.model.length
+        return quadrature(self.target_field.edges(self.model.length), phase_rate)
 
     @cached_property
     def decomposition(self) -> FloatArray:
         """Coefficients of the target field at unit velocity on modes 1 to `n_decomposed`, (n_decomposed,) array [1]."""
         position, weight = self._nodes
-        profile = self.wish.profile(position)
+        profile = self.target_field.profile(position)
         alive = profile != 0
-        labels = np.arange(1, self.wish.n_decomposed + 1)
+        labels = np.arange(1, self.target_field.n_decomposed + 1)
         shapes = mode_shapes(labels, position[alive], self.model.length)
         return np.asarray(shapes @ (weight * profile)[alive] / self.model.length)
 
@@ -235,10 +235,10 @@ class Projection:
         """Coefficients of the target field at unit velocity on the modelled modes, (n_modes,) array [1]."""
         if self.model.basis is not None:
             # Few scan points: least squares, where a sum over them would err by a quarter.
-            return self.model.basis.project(self.wish.profile(self.model.basis.position))
+            return self.model.basis.project(self.target_field.profile(self.model.basis.position))
         phase_rate = (max(self.model.label) + 1) * 2 * np.pi / self.model.length
-        position, weight = quadrature(self.wish.edges(self.model.length), phase_rate)
-        profile = self.wish.profile(position)
+        position, weight = quadrature(self.target_field.edges(self.model.length), phase_rate)
+        profile = self.target_field.profile(position)
         if self.model.beam is not None:
             # Deflections alone are not quite orthogonal where the section's rotation carries inertia.
             shapes = self.model.shapes(position)
@@ -250,9 +250,9 @@ class Projection:
     @cached_property
     def selected(self) -> tuple[int, ...]:
         """Labels of the modes that are excited, increasing."""
-        if isinstance(self.wish.selection, tuple):
-            return tuple(sorted(self.wish.selection))
-        strongest = np.argsort(-np.abs(self.coefficient), kind="stable")[: self.wish.selection]
+        if isinstance(self.target_field.selection, tuple):
+            return tuple(sorted(self.target_field.selection))
+        strongest = np.argsort(-np.abs(self.coefficient), kind="stable")[: self.target_field.selection]
         return tuple(sorted(self.model.label[i] for i in strongest))
 
     @cached_property
@@ -263,14 +263,14 @@ class Projection:
         """
         chosen = np.isin(self.model.label, self.selected)
         kept = np.where(chosen, self.coefficient, 0.0)
-        at_centre = float(kept @ self.model.shapes([self.wish.centre])[:, 0])
+        at_centre = float(kept @ self.model.shapes([self.target_field.centre])[:, 0])
         if at_centre < _NOTHING:
             raise ValueError(
-                f"the field at {self.wish.centre * 1e3:g} mm projects to {at_centre:.2g} of itself on the "
+                f"the field at {self.target_field.centre * 1e3:g} mm projects to {at_centre:.2g} of itself on the "
                 f"modes {', '.join(map(str, self.selected))}, which is nothing: select modes that move there, "
                 f"or move the field"
             )
-        return kept * (self.wish.velocity / at_centre)
+        return kept * (self.target_field.velocity / at_centre)
 
     def field(self, position: ArrayLike) -> FloatArray:
         """Return the velocity that the selected modes make at positions on the beam [m], (n_points,) array [m/s]."""
@@ -278,7 +278,7 @@ class Projection:
 
     def residual(self, position: ArrayLike) -> FloatArray:
         """Return the target field less the field reached at positions on the beam [m], (n_points,) array [m/s]."""
-        return self.wish.velocity * self.wish.profile(position) - self.field(position)
+        return self.target_field.velocity * self.target_field.profile(position) - self.field(position)
 
     @cached_property
     def missing(self) -> tuple[int, ...]:
@@ -307,8 +307,8 @@ class Projection:
     def reconstruction_error(self) -> float:
         """Root mean square of the residual over that of the target field [1]."""
         position, weight = self._nodes
-        wished = self.wish.velocity * self.wish.profile(position)
-        return math.sqrt(float(weight @ self.residual(position) ** 2) / float(weight @ wished**2))
+        ideal = self.target_field.velocity * self.target_field.profile(position)
+        return math.sqrt(float(weight @ self.residual(position) ** 2) / float(weight @ ideal**2))
 
     @cached_property
     def fwhm(self) -> float:
@@ -330,7 +330,7 @@ class Projection:
         """
         if not 0 < fraction < 1:
             raise ValueError(f"a width is asked at {fraction} of the centre; give a fraction above 0 and below 1")
-        level = fraction * self.wish.velocity
+        level = fraction * self.target_field.velocity
         brackets = []
         for position, field in self._flanks:
             below = np.flatnonzero(field < level)
@@ -348,5 +348,5 @@ class Projection:
         """Positions from the centre to the left and to the right end [m], and the field there [m/s]."""
         half = self.model.length / 2
         # Eight points to a half wave of the highest mode at least.
-        sides = [np.linspace(self.wish.centre, end, 8 * max(self.selected) + 13) for end in (-half, half)]
+        sides = [np.linspace(self.target_field.centre, end, 8 * max(self.selected) + 13) for end in (-half, half)]
         return list(zip(sides, self.field(np.concatenate(sides)).reshape(2, -1), strict=True))

@@ -30,7 +30,7 @@ class Timing:
     duration : float
         Length of the burst [s].
     focusing_instant : float
-        When the wished field is reached, from the start of the burst [s].
+        When the target field is reached, from the start of the burst [s].
     repetition_rate : float
         Bursts per second [Hz].
     """
@@ -112,7 +112,7 @@ class Timing:
         return whole, 0.0 if abs(remainder) < _ON_GRID * self.hold else remainder
 
     @cached_property
-    def lateness(self) -> FloatArray | None:
+    def clock_error(self) -> FloatArray | None:
         """How late the clock begins each sample, (n_samples + 1,) array [s], or None where it is never late.
 
         A clock that takes any rate is never late. A phase accumulator plays sample

@@ -59,7 +59,7 @@ class DisplayLoop:
     display : Screen
         The window.
     tick : callable
-        Called at every poll; may raise, and returns what the experimenter wishes.
+        Called at every poll; may raise, and returns what the experimenter asks for.
     log : callable
         Takes the window's events for the record.
     screenshots : Path, optional
@@ -154,13 +154,13 @@ class DisplayLoop:
         SessionStopped
             At a key for emergencies, be it one that was read while nothing might raise.
         """
-        wish = self._tick()
+        intervention = self._tick()
         self._sitter.act(self.clock.now(), self._display.type_key)
         events = self.poll_quietly()
         if self._is_emergency:
             raise SessionStopped("emergency stop")
-        if wish is not None:
-            events.append(wish if isinstance(wish, Event) else Event(self.clock.now(), wish))
+        if intervention is not None:
+            events.append(intervention if isinstance(intervention, Event) else Event(self.clock.now(), intervention))
         self._refresh()
         if not events:
             self.clock.sleep(POLL_INTERVAL)

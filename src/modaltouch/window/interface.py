@@ -81,11 +81,11 @@ class Event:
     answer: str | None = None
 
 
-Wish = typing.Literal["pause", "continue"] | Event
+Intervention = typing.Literal["pause", "continue"] | Event
 """What the experimenter asks of the window; an event is an answer that was typed at the console."""
 
-Tick = Callable[[], Wish | None]
-"""Called about every millisecond while the window waits; may raise, and returns what the experimenter wishes."""
+Tick = Callable[[], Intervention | None]
+"""Called about every millisecond while the window waits; may raise, and returns what the experimenter asks for."""
 
 Log = Callable[..., None]
 """``log(event, **facts)`` appends one event to the session log."""

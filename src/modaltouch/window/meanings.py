@@ -52,7 +52,7 @@ class Reader:
         return event.answer
 
     def goes_on(self, event: Event) -> bool:
-        """Return whether the event is a key to go on, or the experimenter's wish to."""
+        """Return whether the event is a key to go on, or the experimenter's request to."""
         named = {event.key, event.digit}
         return event.kind == "continue" or (event.kind == "key" and not named.isdisjoint(self.continue_keys))
 

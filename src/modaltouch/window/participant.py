@@ -53,7 +53,7 @@ class ParticipantWindow(AnswerWindow):
     theme : Theme
         Colours.
     tick : callable
-        Called about every millisecond while the window waits; may raise, and returns what the experimenter wishes.
+        Called about every millisecond while the window waits; may raise, and returns what the experimenter asks for.
     log : callable
         Takes the window's events for the record, as ``log(event, **facts)``.
     screenshots : Path, optional

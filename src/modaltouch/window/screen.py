@@ -133,7 +133,7 @@ class DisplayLoss:
 _KEPT_MARKS = 1500
 """Marks kept ready to draw; a session with ten zone pairs needs about 600."""
 _SMALLEST_SHRINK = 0.4
-"""Type is never made smaller than this share of its wished size."""
+"""Type is never made smaller than this share of its intended size."""
 
 
 class Screen:
@@ -295,7 +295,7 @@ class Screen:
         return width <= words.box.width and height <= words.box.height
 
     def shrinks(self, words: Words) -> float:
-        """Return the share of its wished size at which the text is drawn, 1 where it fits as it is."""
+        """Return the share of its intended size at which the text is drawn, 1 where it fits as it is."""
         return float(self._stimuli(words)[0].height) / words.size
 
     def close(self) -> None:
@@ -343,7 +343,7 @@ class Screen:
         )
 
     def _text(self, words: Words) -> Any:
-        """Return the text, at its wished size or the largest that fits its box."""
+        """Return the text, at its intended size or the largest that fits its box."""
         share = 1.0
         while True:
             stimulus = self._visual.TextStim(

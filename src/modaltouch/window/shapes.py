@@ -77,7 +77,7 @@ class Words:
     box : Box
         Where it must fit.
     size : float
-        Wished size of the type, em [window heights].
+        Intended size of the type, em [window heights].
     fill : str
         Colour as ``#RRGGBB``.
     bold : bool

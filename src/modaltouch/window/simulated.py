@@ -80,7 +80,7 @@ class SimulatedParticipant(AnswerWindow):
     answerer : Answerer
         Who answers.
     tick : callable
-        Called at every step; may raise, and a wish to pause is obeyed.
+        Called at every step; may raise, and a request to pause is obeyed.
     log : callable
         Takes the pauses for the record.
     stimulus_until : str
@@ -163,7 +163,7 @@ class SimulatedParticipant(AnswerWindow):
         return paused
 
     def _tick(self) -> bool:
-        """Tick, hold where the experimenter wishes it, and return whether that was so."""
+        """Tick, hold where the experimenter asks for it, and return whether that was so."""
         if self._ticks() != "pause":
             return False
         began = self._clock.now()

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modaltouch.lab.calibration.file import CalibrationResult, aimed_inputs
+from modaltouch.lab.calibration.file import CalibrationResult, corrected_inputs
 from modaltouch.lab.calibration.loop import calibrate
 from modaltouch.preflight import Preflight, examine
 from modaltouch.preflight.examination import design_to_fit
@@ -113,12 +113,12 @@ def judge(preflight: Preflight) -> Callable[[TwinBench, CalibrationResult], tupl
     """
 
     def judged(bench: TwinBench, outcome: CalibrationResult) -> tuple[float, float, float]:
-        assert preflight.ground is not None
-        stimulus = design_to_fit(aimed_inputs(preflight.ground, outcome.refined, outcome.correction))
+        assert preflight.inputs is not None
+        stimulus = design_to_fit(corrected_inputs(preflight.inputs, outcome.refined, outcome.correction))
         assert stimulus.release == "braked"
         instant = stimulus.timing.focusing_instant
-        state = bench.true_state(stimulus.burst, stimulus.wish.velocity, instant)
-        shapes = bench.twin.beam.shapes(stimulus.wish.centre)[:, 0]
+        state = bench.true_state(stimulus.burst, stimulus.target_field.velocity, instant)
+        shapes = bench.twin.beam.shapes(stimulus.target_field.centre)[:, 0]
         off = []
         for level in stimulus.levels:
             true = bench.true_state(stimulus.burst, level, instant)
@@ -139,8 +139,8 @@ def run_seed(preflight: Preflight, mismatched: Apparatus, judge: Callable) -> Ca
 
     def run(seed: int) -> None:
         bench = TwinBench(mismatched, seed)
-        assert preflight.ground is not None
-        outcome = calibrate(bench, mismatched, preflight.ground)
+        assert preflight.inputs is not None
+        outcome = calibrate(bench, mismatched, preflight.inputs)
         velocity, displacement, level = judge(bench, outcome)
         assert velocity <= BAR
         assert displacement <= BAR

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from modaltouch.lab.calibration.command import design_inputs_of, levels_between
-from modaltouch.lab.calibration.file import aimed_inputs
+from modaltouch.lab.calibration.file import corrected_inputs
 from modaltouch.lab.calibration.loop import calibrate_each
 from modaltouch.preflight import examine
 from modaltouch.preflight.examination import design_to_fit
@@ -36,8 +36,8 @@ def test_levels_that_a_run_may_play_are_met_between_those_that_were_verified(
     bench = make_bench(shipped_apparatus, 1, lambda amplitude: 1 + 0.02 * math.log10(15 / max(amplitude, 0.01)))
     outcome = calibrate_each(bench, shipped_apparatus, grounds, between=between)[""]
     assert [round(level.velocity * 1e3, 3) for level in outcome.levels] == [2, 6.325, 20, 63.25, 200]
-    stimulus = design_to_fit(aimed_inputs(grounds[""], outcome.refined, outcome.correction))
-    shapes = bench.twin.beam.shapes(stimulus.wish.centre)[:, 0]
+    stimulus = design_to_fit(corrected_inputs(grounds[""], outcome.refined, outcome.correction))
+    shapes = bench.twin.beam.shapes(stimulus.target_field.centre)[:, 0]
     for level in (0.011, 0.035, 0.11):
         assert level not in [each.velocity for each in outcome.levels]
         true = bench.true_state(stimulus.burst, level, stimulus.timing.focusing_instant)

@@ -54,7 +54,7 @@ def test_fault_of_a_rig_is_told(
     """Before anything is corrected."""
     bench = Spoilt(make_bench(shipped_apparatus, 1), change)
     with pytest.raises(RigError, match=said):
-        calibrate(bench, shipped_apparatus, preflight.ground)
+        calibrate(bench, shipped_apparatus, preflight.inputs)
 
 
 def test_drive_that_is_another_is_told(
@@ -68,7 +68,7 @@ def test_drive_that_is_another_is_told(
 
     bench = Spoilt(make_bench(shipped_apparatus, 1), hum)
     with pytest.raises(RigError, match=r"of the drive measured at the beam, \d+% is not the commanded one"):
-        calibrate(bench, shipped_apparatus, preflight.ground)
+        calibrate(bench, shipped_apparatus, preflight.inputs)
 
 
 def test_a_late_vibrometer_is_told(preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable) -> None:
@@ -76,7 +76,7 @@ def test_a_late_vibrometer_is_told(preflight: Preflight, shipped_apparatus: Appa
     late = shipped_apparatus.twin.model_copy(update={"vibrometer": Vibrometer(delay_us=45.0)})
     bench = make_bench(shipped_apparatus.model_copy(update={"twin": late}), 1)
     with pytest.raises(RigError, match=r"the vibrometer is 4\d us late"):
-        calibrate(bench, shipped_apparatus, preflight.ground)
+        calibrate(bench, shipped_apparatus, preflight.inputs)
 
 
 def test_a_tripped_amplifier_is_told(preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable) -> None:
@@ -84,7 +84,7 @@ def test_a_tripped_amplifier_is_told(preflight: Preflight, shipped_apparatus: Ap
     bench = make_bench(shipped_apparatus, 1)
     bench.twin.tripped = True
     with pytest.raises(RigError, match="see whether the amplifier is on"):
-        calibrate(bench, shipped_apparatus, preflight.ground)
+        calibrate(bench, shipped_apparatus, preflight.inputs)
 
 
 def test_another_beam_is_told(preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable) -> None:
@@ -95,7 +95,7 @@ def test_another_beam_is_told(preflight: Preflight, shipped_apparatus: Apparatus
     )
     bench = make_bench(shipped_apparatus.model_copy(update={"modes": higher}), 1)
     with pytest.raises(RigError, match=r"mode \d+ .*; the outputs are off"):
-        calibrate(bench, shipped_apparatus, preflight.ground)
+        calibrate(bench, shipped_apparatus, preflight.inputs)
 
 
 def test_a_range_too_small_is_told(preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable) -> None:
@@ -105,7 +105,7 @@ def test_a_range_too_small_is_told(preflight: Preflight, shipped_apparatus: Appa
     )
     bench = make_bench(small, 1)
     with pytest.raises(RigError, match=r"velocity is overloaded at .* in the widest range; choose a wider one"):
-        calibrate(bench, small, preflight.ground)
+        calibrate(bench, small, preflight.inputs)
 
 
 @pytest.mark.parametrize("microseconds", [30.0, 60.0])
@@ -117,5 +117,5 @@ def test_a_slow_amplifier_is_waited_for(
         update={"amplifier": TrueAmplifier(bandwidth_kHz=100.0, delay_us=microseconds)}
     )
     bench = make_bench(shipped_apparatus.model_copy(update={"twin": slow}), 1)
-    velocity, displacement, _ = judge(bench, calibrate(bench, shipped_apparatus, preflight.ground))
+    velocity, displacement, _ = judge(bench, calibrate(bench, shipped_apparatus, preflight.inputs))
     assert max(velocity, displacement) < 0.3e-3

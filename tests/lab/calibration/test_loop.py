@@ -10,7 +10,7 @@ import pytest
 
 from modaltouch.lab.calibration.acquisition import measuring_points
 from modaltouch.lab.calibration.command import design_inputs_of
-from modaltouch.lab.calibration.file import aimed_inputs, significant
+from modaltouch.lab.calibration.file import corrected_inputs, significant
 from modaltouch.lab.calibration.loop import calibrate
 from modaltouch.lab.calibration.plant import ModalState
 from modaltouch.lab.laboratory import MeasurementProgress
@@ -29,7 +29,7 @@ def test_shipped_mismatch_is_met_closer(
 ) -> None:
     """The twin as shipped, 2.7 mm/s off before: 0.15 mm/s in both states, levels within half a per cent."""
     bench = make_bench(shipped_apparatus, 1)
-    outcome = calibrate(bench, shipped_apparatus, preflight.ground)
+    outcome = calibrate(bench, shipped_apparatus, preflight.inputs)
     velocity, displacement, level = judge(bench, outcome)
     assert outcome.turns[0].worst > 2e-3
     assert max(velocity, displacement) < 0.15e-3
@@ -41,12 +41,12 @@ def test_a_real_valued_correction_leaves_the_displacements(
 ) -> None:
     """Velocities alone, corrected four times on the listed model: w eta stays wrong by millimetres a second."""
     bench = make_bench(mismatched.model_copy(update={"twin": _without_delay(mismatched)}), 0)
-    ground, aim = preflight.ground, preflight.stimulus.target.copy()
+    inputs, corrected_target = preflight.inputs, preflight.stimulus.target.copy()
     for _ in range(5):
-        correction = Correction(aim, np.zeros_like(aim), ground.reference * 1e-3)
-        stimulus = design(replace(ground, correction=correction))
-        state = bench.true_state(stimulus.burst, stimulus.wish.velocity, stimulus.timing.focusing_instant)
-        aim = aim + (stimulus.target - state.velocity)
+        correction = Correction(corrected_target, np.zeros_like(corrected_target), inputs.reference * 1e-3)
+        stimulus = design(replace(inputs, correction=correction))
+        state = bench.true_state(stimulus.burst, stimulus.target_field.velocity, stimulus.timing.focusing_instant)
+        corrected_target = corrected_target + (stimulus.target - state.velocity)
     assert np.abs(state.velocity - stimulus.target).max() < 1e-3
     assert np.abs(state.displacement).max() > 3e-3
 
@@ -56,15 +56,17 @@ def test_a_delay_that_is_not_known_lets_the_loop_diverge(
 ) -> None:
     """Both states corrected with the true ones, but 5 us and 100 kHz unknown: worse from turn to turn."""
     bench = make_bench(mismatched, 3)
-    ground, wished = preflight.ground, preflight.stimulus.target
-    aim = np.stack([wished, np.zeros_like(wished)])
+    inputs, wished = preflight.inputs, preflight.stimulus.target
+    corrected_target = np.stack([wished, np.zeros_like(wished)])
     worst = []
     for _ in range(4):
-        stimulus = design(replace(ground, correction=Correction(aim[0], aim[1], ground.reference * 1e-3)))
-        state = bench.true_state(stimulus.burst, stimulus.wish.velocity, stimulus.timing.focusing_instant)
+        stimulus = design(
+            replace(inputs, correction=Correction(corrected_target[0], corrected_target[1], inputs.reference * 1e-3))
+        )
+        state = bench.true_state(stimulus.burst, stimulus.target_field.velocity, stimulus.timing.focusing_instant)
         error = np.stack([state.velocity - wished, state.displacement])
         worst.append(float(np.abs(error).max()))
-        aim = aim - error
+        corrected_target = corrected_target - error
     assert worst[3] > worst[1]
 
 
@@ -103,11 +105,11 @@ def test_more_than_the_amplifier_gives_is_never_played(
             "twin": mismatched.twin.model_copy(update={"amplifier": _low_gain(mismatched)}),
         }
     )
-    ground = preflight.ground
-    ground = replace(ground, apparatus=ground.apparatus.model_copy(update={"amplifier": weak.amplifier}))
+    inputs = preflight.inputs
+    inputs = replace(inputs, apparatus=inputs.apparatus.model_copy(update={"amplifier": weak.amplifier}))
     bench = make_bench(weak, 4)
     with pytest.raises(RigError, match=r"200 mm/s needs \d+ V at the beam on this rig: allowed are 190 V"):
-        calibrate(bench, weak, ground)
+        calibrate(bench, weak, inputs)
     assert bench.highest_voltage <= 190.0
 
 
@@ -120,7 +122,7 @@ def test_a_generator_that_is_off_at_one_level_is_trimmed(
 ) -> None:
     """Amplitudes below 7 Vpp come out 3 % high: the level of 80 mm/s gets its own factor, and is met within 1 %."""
     bench = make_bench(shipped_apparatus, 1, lambda amplitude: 1.03 if amplitude < 7 else 1.0)
-    outcome = calibrate(bench, shipped_apparatus, preflight.ground)
+    outcome = calibrate(bench, shipped_apparatus, preflight.inputs)
     assert outcome.levels[0].factor == pytest.approx(1 / 1.03, rel=5e-3)
     assert [level.factor for level in outcome.levels[1:]] == [1.0, 1.0, 1.0]
     assert judge(bench, outcome)[2] < 0.01
@@ -129,7 +131,7 @@ def test_a_generator_that_is_off_at_one_level_is_trimmed(
 def test_ranges_fit_what_is_measured(make_bench: Callable, preflight: Preflight, shipped_apparatus: Apparatus) -> None:
     """After the first point of a scan the scope's range follows the highest value, and nothing is overloaded."""
     bench = make_bench(shipped_apparatus, 1)
-    calibrate(bench, shipped_apparatus, preflight.ground)
+    calibrate(bench, shipped_apparatus, preflight.inputs)
     ranges = [each.velocity_range for each in bench.asked if not each.drives]
     assert sum(each is None for each in ranges) <= len(ranges) // 8 + 1
     assert bench.n_records < 70
@@ -146,7 +148,7 @@ def test_a_signal_ends_it_before_the_next_record(
             raise Interrupted("SIGINT")
 
     with pytest.raises(Interrupted):
-        calibrate(bench, shipped_apparatus, preflight.ground, MeasurementProgress(check=check))
+        calibrate(bench, shipped_apparatus, preflight.inputs, MeasurementProgress(check=check))
     assert bench.n_records == 5
 
 
@@ -158,7 +160,7 @@ def test_turns_are_told_as_they_are_measured(
     progress = MeasurementProgress(
         say=said.append, show=lambda what, done, total: shown.__setitem__(what, (done, total))
     )
-    outcome = calibrate(bench, shipped_apparatus, preflight.ground, progress)
+    outcome = calibrate(bench, shipped_apparatus, preflight.inputs, progress)
     assert said == [str(turn) for turn in outcome.turns]
     assert said[0].startswith("before       worst velocity error ")
     assert said[1].startswith("iteration 1  worst velocity error ")
@@ -190,7 +192,7 @@ def test_a_trigger_latency_that_is_told_is_taken_out(
     true = shipped_apparatus.model_copy(update={"twin": shipped_apparatus.twin.model_copy(update={"scope": late})})
     told = true.model_copy(update={"acquisition": true.acquisition.model_copy(update={"trigger_latency_us": 0.5})})
     missed, met = (
-        judge(bench := make_bench(each, 1), calibrate(bench, each, preflight.ground)) for each in (true, told)
+        judge(bench := make_bench(each, 1), calibrate(bench, each, preflight.inputs)) for each in (true, told)
     )
     assert missed[1] > 0.5e-3
     assert max(met[:2]) < 0.15e-3
@@ -200,10 +202,10 @@ def test_every_level_is_verified_whatever_the_amplitude_grid(
     preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable
 ) -> None:
     """Full scale above what the generator may be set to, so that levels lie off its grid: all four are measured."""
-    ground = preflight.ground
-    tight = ground.apparatus.amplifier.model_copy(update={"limit_V": 186.4})
-    ground = replace(ground, apparatus=ground.apparatus.model_copy(update={"amplifier": tight}))
+    inputs = preflight.inputs
+    tight = inputs.apparatus.amplifier.model_copy(update={"limit_V": 186.4})
+    inputs = replace(inputs, apparatus=inputs.apparatus.model_copy(update={"amplifier": tight}))
     apparatus = shipped_apparatus.model_copy(update={"amplifier": tight})
-    outcome = calibrate(make_bench(apparatus, 1), apparatus, ground)
-    assert design_to_fit(aimed_inputs(ground, outcome.refined, outcome.correction)).levels == (0.2,)
+    outcome = calibrate(make_bench(apparatus, 1), apparatus, inputs)
+    assert design_to_fit(corrected_inputs(inputs, outcome.refined, outcome.correction)).levels == (0.2,)
     assert [level.velocity for level in outcome.levels] == pytest.approx([0.08, 0.1, 0.15, 0.2])

@@ -87,7 +87,7 @@ def test_a_session_plays_each_stimulus_true(made: Path, name: str) -> None:
             assert laboratory.rig.fire(level).started
             state = laboratory.simulator.true_state(stimulus.timing.focusing_instant)
             laboratory.rig.stop()
-            wished = stimulus.target * level / stimulus.wish.velocity
+            wished = stimulus.target * level / stimulus.target_field.velocity
             focus = float(shapes @ np.append(state.velocity, state.unlisted_velocity))
             off = max(float(np.abs(state.velocity - wished).max()), float(np.abs(state.displacement).max()))
             return max(off, 0.3e-3 * abs(focus / level - 1) / 0.01)

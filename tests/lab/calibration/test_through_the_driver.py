@@ -60,7 +60,7 @@ def test_calibrated_session_plays_the_wished_field(
         for level in stimulus.levels:
             assert laboratory.rig.fire(level).started
             state = laboratory.simulator.true_state(stimulus.timing.focusing_instant)
-            wished = stimulus.target * level / stimulus.wish.velocity
+            wished = stimulus.target * level / stimulus.target_field.velocity
             assert np.abs(state.velocity - wished).max() <= 0.3e-3
             assert np.abs(state.displacement).max() <= 0.3e-3
             assert shapes @ np.append(state.velocity, state.unlisted_velocity) == pytest.approx(level, rel=0.01)

@@ -10,9 +10,9 @@ import pytest
 
 from modaltouch.lab.calibration.file import (
     CalibrationResult,
-    aimed_inputs,
     calibration_of,
     calibration_text,
+    corrected_inputs,
     write_calibration,
 )
 from modaltouch.lab.calibration.loop import calibrate
@@ -28,7 +28,7 @@ def outcome(preflight: Preflight, make_bench: Callable) -> CalibrationResult:
     """A calibration of the twin as shipped, one level trimmed."""
     apparatus = preflight.experiment.apparatus
     bench = make_bench(apparatus, 1, lambda amplitude: 1.02 if amplitude < 7 else 1.0)
-    return calibrate(bench, apparatus, preflight.ground)
+    return calibrate(bench, apparatus, preflight.inputs)
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +62,7 @@ def test_the_session_plays_what_the_loop_verified(
     path = tmp_path / "calibration.yaml"
     write_calibration(path, calibration)
     read = examine(preflight.findings.protocol.source.path, path).require().stimulus
-    verified = design_to_fit(aimed_inputs(preflight.ground, outcome.refined, outcome.correction))
+    verified = design_to_fit(corrected_inputs(preflight.inputs, outcome.refined, outcome.correction))
     assert read.burst.content_hash == verified.burst.content_hash
     for level, kept in zip(read.levels, calibration.levels, strict=True):
         assert read.burst.amplitude_for(level) == read.amplitude_for(level) == kept.amplitude_Vpp

@@ -46,4 +46,4 @@ def known(preflight: Preflight) -> TrainingData:
     stimulus = preflight.stimulus
     positions = np.round(np.linspace(-0.05, 0.05, 41), 9)
     responses = responses_of(stimulus.model, positions)
-    return TrainingData(stimulus.model, responses, stimulus.wish, stimulus.timing, stimulus.amplifier)
+    return TrainingData(stimulus.model, responses, stimulus.target_field, stimulus.timing, stimulus.amplifier)

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from modaltouch.cli.commands import app
 from modaltouch.lab.comparison.command import ComparisonReport
-from modaltouch.lab.comparison.contest import contend, true_lag, without_mismatch
+from modaltouch.lab.comparison.contest import contend, true_delay, without_mismatch
 from modaltouch.lab.comparison.results import Criterion, criteria, paragraphs, rows_of
 from modaltouch.rig import Simulator
 
@@ -52,7 +52,7 @@ def test_judge_reads_the_true_state(found, preflight):
     assert verdict.at_focus == pytest.approx(0.2, abs=2e-3)
     assert verdict.rms_from_selected < 2e-3
     rig = Simulator(without_mismatch(preflight.experiment.apparatus), 1)
-    assert true_lag(rig) == pytest.approx(1e-6 + 1 / (2 * np.pi * 300e3))
+    assert true_delay(rig) == pytest.approx(1e-6 + 1 / (2 * np.pi * 300e3))
 
 
 def test_other_beams_differ_and_the_learned_one_does_not_depend_on_a_seed(found, preflight):

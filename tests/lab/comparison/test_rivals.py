@@ -104,19 +104,19 @@ def test_inverse_without_regularisation_hits_a_square_problem():
     """As many points as outputs, no noise: H V = U at every frequency."""
     rng = np.random.default_rng(5)
     H = rng.normal(size=(3, 3, 50)) + 1j * rng.normal(size=(3, 3, 50))
-    wished = rng.normal(size=(3, 50)) + 1j * rng.normal(size=(3, 50))
-    drive = regularised_inverse(H, wished, 0.0)
-    assert np.einsum("cmf,cf->mf", H, drive) == pytest.approx(wished, abs=1e-9)
+    target = rng.normal(size=(3, 50)) + 1j * rng.normal(size=(3, 50))
+    drive = regularised_inverse(H, target, 0.0)
+    assert np.einsum("cmf,cf->mf", H, drive) == pytest.approx(target, abs=1e-9)
 
 
 def test_regularisation_trades_distance_for_energy():
     """Tikhonov: the more of it, the less drive and the greater the distance."""
     rng = np.random.default_rng(6)
     H = rng.normal(size=(2, 9, 40)) + 1j * rng.normal(size=(2, 9, 40))
-    wished = rng.normal(size=(9, 40)) + 0j
-    drives = [regularised_inverse(H, wished, strength) for strength in (0, 1e-3, 1e-2, 1e-1, 1)]
+    target = rng.normal(size=(9, 40)) + 0j
+    drives = [regularised_inverse(H, target, strength) for strength in (0, 1e-3, 1e-2, 1e-1, 1)]
     energy = [float((np.abs(drive) ** 2).sum()) for drive in drives]
-    missed = [float((np.abs(np.einsum("cmf,cf->mf", H, drive) - wished) ** 2).sum()) for drive in drives]
+    missed = [float((np.abs(np.einsum("cmf,cf->mf", H, drive) - target) ** 2).sum()) for drive in drives]
     assert energy == sorted(energy, reverse=True)
     assert missed == sorted(missed)
 
@@ -126,9 +126,9 @@ def test_regularisation_trades_distance_for_energy():
 def test_least_energy_hits_the_field_and_nothing_that_does_is_cheaper(seed):
     """Moore and Penrose: any other drive that makes the field is it plus what makes nothing."""
     rng = np.random.default_rng(seed)
-    towards, wished = rng.normal(size=(2, 7, 60)), rng.normal(size=7)
-    drive = least_energy(towards, wished, 0.0)
-    assert np.einsum("cmj,cj->m", towards, drive) == pytest.approx(wished, abs=1e-9)
+    towards, target = rng.normal(size=(2, 7, 60)), rng.normal(size=7)
+    drive = least_energy(towards, target, 0.0)
+    assert np.einsum("cmj,cj->m", towards, drive) == pytest.approx(target, abs=1e-9)
     flat = towards.transpose(1, 0, 2).reshape(7, -1)
     other = rng.normal(size=120)
     silent = other - np.linalg.pinv(flat) @ (flat @ other)
@@ -151,7 +151,7 @@ def test_inverse_at_the_instant_makes_the_wished_field(known):
     quiet = replace(known, responses=replace(known.responses, variance=known.responses.variance * 1e-6))
     drive = inverse_filter_at_instant(quiet)
     field = velocity_history(known.model, drive, known.timing, known.responses.position)[:, 62_500]
-    assert np.sqrt(np.mean((field - known.wished()) ** 2)) < 8e-3
+    assert np.sqrt(np.mean((field - known.target()) ** 2)) < 8e-3
     assert np.abs(drive).max() <= known.amplifier.limit * (1 + 1e-12)
     assert (drive[:, 62_500:] == 0).all()
 
@@ -184,7 +184,7 @@ def test_inverse_at_the_instant_does_not_lean_on_noise(known):
     noisy = known.responses.response + size / np.sqrt(2) * (rng.normal(size=shape) + 1j * rng.normal(size=shape))
     aside = replace(
         known,
-        wish=replace(known.wish, centre=-0.02, velocity=0.04),
+        target_field=replace(known.target_field, centre=-0.02, velocity=0.04),
         responses=replace(known.responses, response=noisy, variance=np.full((shape[0], shape[2]), size**2)),
     )
     drive = inverse_filter_at_instant(aside)

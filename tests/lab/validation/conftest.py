@@ -36,7 +36,7 @@ def recorded(preflight: Preflight, kept: Path) -> tuple[list[Observation], TrueS
     """
     with open_laboratory(preflight.experiment.apparatus) as laboratory:
         observed = record_laws(
-            preflight.ground, laboratory, 0.2, n_points=N_POINTS, n_records=N_RECORDS, folder=kept,
+            preflight.inputs, laboratory, 0.2, n_points=N_POINTS, n_records=N_RECORDS, folder=kept,
             source=preflight.experiment.sources.apparatus,
         )  # fmt: skip
         laboratory.load(observed[1].stimulus.burst)

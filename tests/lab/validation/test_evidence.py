@@ -61,7 +61,7 @@ def _first_record_only(observation: Observation) -> Observation:
 
 def test_kept_scans_give_the_same_evidence_without_a_rig(preflight, kept, evidences):
     """Expected: the same coefficients, as single precision keeps them."""
-    again = evaluate(read_laws(preflight.ground, kept))
+    again = evaluate(read_laws(preflight.inputs, kept))
     for one, other in zip(again, evidences, strict=True):
         assert one.achieved_coefficient == pytest.approx(other.achieved_coefficient, abs=1e-7)
 
@@ -72,7 +72,7 @@ def test_scans_of_another_stimulus_are_refused(edit, kept, evidences):
 
     other = examine(edit("differentiated_stimulation.yaml", ("base_mm: 56", "base_mm: 58"))).require()
     with pytest.raises(RecordInputError, match="another stimulus was played there than this protocol's by the law"):
-        read_laws(other.ground, kept)
+        read_laws(other.inputs, kept)
 
 
 def test_recordings_unlike_the_prediction_are_refused(evidences):

@@ -76,14 +76,14 @@ def calibrate(options: CalibrateOptions, progress: MeasurementProgress | None = 
         If the rig fails, or is not the one of the apparatus file.
     """
     preflight = examine(options.protocol, uncalibrated=True).require()
-    experiment, inputs = preflight.experiment, design_inputs_of(preflight)
+    experiment, inputs_of = preflight.experiment, design_inputs_of(preflight)
     between = levels_between(experiment.protocol)
     prepare_file(options.out)
     with (
         (progress or MeasurementProgress()).interruptible() as heard,
         open_laboratory(experiment.apparatus, options.rig, aim=heard.aim) as laboratory,
     ):
-        outcomes = calibrate_each(laboratory, experiment.apparatus, inputs, heard, between)
+        outcomes = calibrate_each(laboratory, experiment.apparatus, inputs_of, heard, between)
         calibration = calibration_of(
             outcomes,
             protocol=experiment.protocol.protocol,
@@ -126,13 +126,13 @@ def levels_between(protocol: Protocol) -> tuple[float, ...]:
 
 def _uncorrectable(preflight: Preflight) -> Iterator[Problem]:
     """Yield why the targets of a protocol's one stimulus cannot be corrected."""
-    (ground, _), reading = preflight.sound, preflight.findings.protocol
+    (inputs, _), reading = preflight.sound, preflight.findings.protocol
     if reading is None:
         return
-    if ground.section.law != "exact":
-        given = f"{ground.section.law}, a law without targets that could be corrected"
+    if inputs.section.law != "exact":
+        given = f"{inputs.section.law}, a law without targets that could be corrected"
         yield reading.problem(("stimulus", "law"), given, "exact", "calibrate the exact law")
-    if ground.section.field.file is not None:
+    if inputs.section.field.file is not None:
         given, remedy = (
             "a file, which a calibration does not hold",
             "write the points into the protocol, under `points`",

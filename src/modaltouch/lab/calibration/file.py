@@ -90,14 +90,14 @@ class CalibrationResult:
 
     Attributes
     ----------
-    ground : DesignInputs
+    inputs : DesignInputs
         The stimulus, as designed without a calibration.
     plant : Plant
         The identified rig.
     refined : Apparatus
         The apparatus with modes and amplifier as identified, in the units and digits of its file.
     target : (n_modes,) array
-        Modal velocities wished at the reference level [m/s].
+        Target modal velocities at the reference level [m/s].
     correction : Correction
         Targets to aim at, and factors of the levels.
     points : (n_points,) array
@@ -110,7 +110,7 @@ class CalibrationResult:
         As verified.
     """
 
-    ground: DesignInputs
+    inputs: DesignInputs
     plant: Plant
     refined: Apparatus
     target: FloatArray
@@ -139,17 +139,17 @@ def significant(state: ModalState, target: FloatArray) -> FloatArray:
     state : ModalState
         As measured.
     target : (n_modes,) array
-        Modal velocities wished [m/s].
+        Target modal velocities [m/s].
     """
     error = np.stack([state.velocity - target, state.displacement])
     doubt = CERTAIN * state.spread / np.maximum(np.abs(error), 1e-30)
     return np.asarray(error * np.maximum(1 - doubt**2, 0.0))
 
 
-def aimed_inputs(ground: DesignInputs, refined: Apparatus, correction: Correction) -> DesignInputs:
+def corrected_inputs(inputs: DesignInputs, refined: Apparatus, correction: Correction) -> DesignInputs:
     """Return what a stimulus is designed from on an identified rig."""
-    used = ground.apparatus.model_copy(update={"modes": refined.modes, "amplifier": refined.amplifier})
-    return replace(ground, apparatus=used, correction=correction)
+    used = inputs.apparatus.model_copy(update={"modes": refined.modes, "amplifier": refined.amplifier})
+    return replace(inputs, apparatus=used, correction=correction)
 
 
 def refined_apparatus(apparatus: Apparatus, plant: Plant) -> Apparatus:
@@ -257,9 +257,9 @@ def _of_rig(outcome: CalibrationResult) -> dict[str, Any]:
 def _own(outcome: CalibrationResult) -> dict[str, Any]:
     """Return what holds for one stimulus."""
     return {
-        "stimulus": outcome.ground.section,
-        "focus_centre_mm": outcome.ground.centre_mm,
-        "reference_mm_s": outcome.ground.reference,
+        "stimulus": outcome.inputs.section,
+        "focus_centre_mm": outcome.inputs.centre_mm,
+        "reference_mm_s": outcome.inputs.reference,
         "iterations": tuple(
             {
                 "iteration": turn.number,
@@ -285,7 +285,7 @@ def _own(outcome: CalibrationResult) -> dict[str, Any]:
 
 
 def _modes(outcome: CalibrationResult) -> list[dict[str, Any]]:
-    aim, before, after = outcome.correction, outcome.turns[0].state, outcome.best.state
+    corrected_target, before, after = outcome.correction, outcome.turns[0].state, outcome.best.state
     rows = []
     for row, mode in enumerate(outcome.refined.modes):
         wished = outcome.target[row]
@@ -300,8 +300,8 @@ def _modes(outcome: CalibrationResult) -> list[dict[str, Any]]:
                 "damping_ratio": mode.damping_ratio,
                 "gain_mm_s2_per_V": mode.gain_mm_s2_per_V,
                 "wished_mm_s": round(wished * 1e3, DIGITS),
-                "target_mm_s": round(aim.velocity[row] * 1e3, DIGITS),
-                "target_displacement_mm_s": round(aim.displacement[row] * 1e3, DIGITS),
+                "target_mm_s": round(corrected_target.velocity[row] * 1e3, DIGITS),
+                "target_displacement_mm_s": round(corrected_target.displacement[row] * 1e3, DIGITS),
                 "error_before_mm_s": errors[0],
                 "error_after_mm_s": errors[1],
                 "uncertainty_mm_s": round(INTERVAL * after.spread[row] * 1e3, 4),

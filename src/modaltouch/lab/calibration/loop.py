@@ -22,7 +22,7 @@ from modaltouch.lab.calibration.file import (
     CalibrationResult,
     Iteration,
     Level,
-    aimed_inputs,
+    corrected_inputs,
     refined_apparatus,
     significant,
 )
@@ -133,7 +133,7 @@ LEAST_TRIM = 5e-3
 def calibrate_each(
     bench: Laboratory,
     apparatus: Apparatus,
-    inputs: Mapping[str, DesignInputs],
+    inputs_of: Mapping[str, DesignInputs],
     progress: MeasurementProgress | None = None,
     between: Sequence[float] = (),
 ) -> dict[str, CalibrationResult]:
@@ -147,7 +147,7 @@ def calibrate_each(
         Generator and scope.
     apparatus : Apparatus
         As its file gives it.
-    inputs : mapping of str to DesignInputs
+    inputs_of : mapping of str to DesignInputs
         The stimuli, without any calibration; one, without a name, of a protocol that has one alone.
     progress : MeasurementProgress, optional
         Whom to tell.
@@ -162,10 +162,10 @@ def calibrate_each(
     heard = progress or MeasurementProgress()
     found: dict[str, CalibrationResult] = {}
     plant: Plant | None = None
-    for name, ground in inputs.items():
+    for name, inputs in inputs_of.items():
         if name:
             heard.say(f"stimulus {name}")
-        found[name] = calibrate(bench, apparatus, ground, heard, plant, between, name)
+        found[name] = calibrate(bench, apparatus, inputs, heard, plant, between, name)
         plant = found[name].plant
     return found
 
@@ -173,7 +173,7 @@ def calibrate_each(
 def calibrate(
     bench: Laboratory,
     apparatus: Apparatus,
-    ground: DesignInputs,
+    inputs: DesignInputs,
     progress: MeasurementProgress | None = None,
     plant: Plant | None = None,
     between: Sequence[float] = (),
@@ -185,7 +185,7 @@ def calibrate(
     ----------
     bench, apparatus
         As for `calibrate_each`.
-    ground : DesignInputs
+    inputs : DesignInputs
         The stimulus, without any calibration.
     progress : MeasurementProgress, optional
         Whom to tell.
@@ -203,7 +203,7 @@ def calibrate(
     ValueError
         If the stimulus cannot be designed for the identified rig.
     """
-    return _Loop(bench, apparatus, ground, progress or MeasurementProgress(), between, name).run(plant)
+    return _Loop(bench, apparatus, inputs, progress or MeasurementProgress(), between, name).run(plant)
 
 
 class _Loop:
@@ -213,16 +213,16 @@ class _Loop:
         self,
         bench: Laboratory,
         apparatus: Apparatus,
-        ground: DesignInputs,
+        inputs: DesignInputs,
         progress: MeasurementProgress,
         between: Sequence[float],
         name: str,
     ) -> None:
-        self._asked = sorted({level * 1e-3 for level in (*ground.levels.values(), *between)})
-        self._bench, self._apparatus, self._ground, self._progress = bench, apparatus, ground, progress
-        self._listed = design_to_fit(ground, release="free")
+        self._asked = sorted({level * 1e-3 for level in (*inputs.levels.values(), *between)})
+        self._bench, self._apparatus, self._inputs, self._progress = bench, apparatus, inputs, progress
+        self._listed = design_to_fit(inputs, release="free")
         self._timing, self._target = self._listed.timing, self._listed.target
-        self._reference = self._listed.wish.velocity
+        self._reference = self._listed.target_field.velocity
         model = self._listed.model
         self._points = measuring_points(model)
         self._shapes = model.shapes(self._points)
@@ -244,32 +244,32 @@ class _Loop:
         # What is listed commands volts of the listed amplifier.
         self._refuse_beyond_limit(float(self._listed.peak_voltage.max()) * max(plant.drive.gain))
         turns = [self._measure(0, self._listed, plant)]
-        aim = np.stack([self._target, np.zeros_like(self._target)])
-        stimulus = self._aimed(refined, self._correction(aim))
+        corrected_target = np.stack([self._target, np.zeros_like(self._target)])
+        stimulus = self._corrected(refined, self._correction(corrected_target))
         self._refuse_beyond_limit(float(stimulus.peak_voltage.max()))
-        best, kept = self._measure(1, stimulus, plant), aim
+        best, kept = self._measure(1, stimulus, plant), corrected_target
         turns.append(best)
         for number in range(2, MOST_ITERATIONS + 1):
             change = significant(turns[-1].state, self._target)
             if np.abs(change).max() < LEAST_CHANGE * self._reference:
                 break
-            aim = aim - change
-            stimulus = self._aimed(refined, self._correction(aim))
+            corrected_target = corrected_target - change
+            stimulus = self._corrected(refined, self._correction(corrected_target))
             if float(stimulus.peak_voltage.max()) > refined.amplifier.limit_V:
                 break
             turns.append(self._measure(number, stimulus, plant))
             if turns[-1].worst >= best.worst:
                 break
-            best, kept = turns[-1], aim
+            best, kept = turns[-1], corrected_target
         correction = self._correction(kept)
         levels = self._levels(plant, refined, correction)
-        trims = tuple((level.velocity, level.factor) for level in levels)
+        corrections = tuple((level.velocity, level.factor) for level in levels)
         return CalibrationResult(
-            ground=self._ground,
+            inputs=self._inputs,
             plant=plant,
             refined=refined,
             target=self._target,
-            correction=replace(correction, trims=trims),
+            correction=replace(correction, corrections=corrections),
             points=self._points,
             turns=tuple(turns),
             best=best,
@@ -322,12 +322,12 @@ class _Loop:
         refuse_doubtful_plant(plant, listed.model, self._recorder.margin)
         return plant
 
-    def _aimed(self, refined: Apparatus, correction: Correction) -> Stimulus:
-        return design_to_fit(aimed_inputs(self._ground, refined, correction), release="free")
+    def _corrected(self, refined: Apparatus, correction: Correction) -> Stimulus:
+        return design_to_fit(corrected_inputs(self._inputs, refined, correction), release="free")
 
-    def _correction(self, aim: FloatArray) -> Correction:
+    def _correction(self, corrected_target: FloatArray) -> Correction:
         """Return targets with the digits that the file keeps."""
-        velocity, displacement = (np.round(each * 1e3, DIGITS) * 1e-3 for each in aim)
+        velocity, displacement = (np.round(each * 1e3, DIGITS) * 1e-3 for each in corrected_target)
         return Correction(velocity, displacement, self._reference)
 
     def _measure(self, number: int, stimulus: Stimulus, plant: Plant) -> Iteration:
@@ -342,21 +342,21 @@ class _Loop:
 
     def _levels(self, plant: Plant, refined: Apparatus, correction: Correction) -> tuple[Level, ...]:
         """Measure every level at the focus, with amplitudes in proportion and then, where that is off, as measured."""
-        stimulus = self._aimed(refined, correction)
+        stimulus = self._corrected(refined, correction)
         self._bench.load(stimulus.burst)
         self._recorder.begin("levels", 2 * len(self._asked))
         first = [self._level(plant, stimulus, level, 1.0) for level in self._asked]
         factors = [_trim(level) for level in first]
         if all(factor == 1.0 for factor in factors):
             return tuple(first)
-        trims = tuple((level.velocity, factor) for level, factor in zip(first, factors, strict=True))
-        trimmed = self._aimed(refined, replace(correction, trims=trims))
-        self._bench.load(trimmed.burst)
+        corrections = tuple((level.velocity, factor) for level, factor in zip(first, factors, strict=True))
+        corrected = self._corrected(refined, replace(correction, corrections=corrections))
+        self._bench.load(corrected.burst)
         self._recorder.begin("levels again", 2 * len(self._asked))
-        return tuple(self._level(plant, trimmed, level, factor) for level, factor in trims)
+        return tuple(self._level(plant, corrected, level, factor) for level, factor in corrections)
 
     def _level(self, plant: Plant, stimulus: Stimulus, level: float, factor: float) -> Level:
-        time, decay, highest = self._recorder.at_level(level, stimulus.wish.centre)
+        time, decay, highest = self._recorder.at_level(level, stimulus.target_field.centre)
         fitted = fit_residues(plant.decay_time(time, self._timing), decay, plant.pole)
         vibrometer = plant.vibrometer.response(plant.pole)
         return Level(

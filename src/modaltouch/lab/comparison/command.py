@@ -28,15 +28,15 @@ COLUMNS = 3
 
 
 def draw_fields(contest: Contest) -> Figure:
-    """Return the true field at the focusing instant of every method, and the wish."""
+    """Return the true field at the focusing instant of every method, and the target field."""
     n_rows = -(-len(contest.designed) // COLUMNS)
     with house_style():
         figure = Figure(figsize=(7.6, 2.1 * n_rows + 0.5))
         panels = figure.subplots(n_rows, COLUMNS, squeeze=False, sharex=True, sharey=True)
         for axes, designed, verdict in zip(panels.ravel(), contest.designed, contest.verdicts, strict=False):
             place = verdict.position * 1e3
-            wish = contest.task.wish
-            axes.plot(place, wish.velocity * 1e3 * wish.profile(verdict.position), color=INK, linestyle="--",
+            task = contest.task.target_field
+            axes.plot(place, task.velocity * 1e3 * task.profile(verdict.position), color=INK, linestyle="--",
                       linewidth=1, label="target")  # fmt: skip
             axes.plot(place, verdict.field * 1e3, color=DARK, linewidth=1.2, label="made")
             axes.set_title(designed.method.name, loc="left")
@@ -196,7 +196,7 @@ class ComparisonReport:
     @property
     def level(self) -> float:
         """Velocity asked for at the focus [mm/s]."""
-        return self.contest.task.wish.velocity * 1e3
+        return self.contest.task.target_field.velocity * 1e3
 
     @property
     def paragraphs(self) -> list[str]:

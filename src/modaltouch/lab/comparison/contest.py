@@ -31,7 +31,7 @@ POINTS = 201
 """Points along the beam at which a field is judged."""
 
 REST = 0.02
-"""Share of the level below which a wish counts as rest: a Gaussian never ends [1]."""
+"""Share of the level below which a target counts as rest: a Gaussian never ends [1]."""
 
 FINGER = 0.01
 """Width of what a finger touches [m]."""
@@ -49,8 +49,8 @@ class Task:
 
     Attributes
     ----------
-    wish : TargetField
-        The wished field, at its level.
+    target_field : TargetField
+        The target field, at its level.
     instant : float
         The focusing instant asked for, from the start of the burst [s].
     zones : dict of str to float
@@ -58,10 +58,10 @@ class Task:
     pairs : tuple of (str, str)
         Zones that two fingers touch together.
     selected : callable
-        Returns the field that the selected modes would make of the wish at positions [m], in m/s.
+        Returns the field that the selected modes would make of the target field at positions [m], in m/s.
     """
 
-    wish: TargetField
+    target_field: TargetField
     instant: float
     zones: dict[str, float]
     pairs: tuple[tuple[str, str], ...]
@@ -79,11 +79,11 @@ class DriveAssessment:
     at_focus : float
         Velocity at the focus then [m/s].
     rms_error, max_error : float
-        From the wished field, along the beam [m/s].
+        From the target field, along the beam [m/s].
     rms_from_selected : float
-        From the field that the selected modes would make of the wish, along the beam [m/s].
+        From the field that the selected modes would make of the target field, along the beam [m/s].
     outside : float
-        Highest speed then where the wish is rest [m/s].
+        Highest speed then where the target is rest [m/s].
     width_50, width_80 : float
         Of the spot [m].
     zone_peak : dict of str to float
@@ -129,22 +129,22 @@ def judge(rig: Simulator, task: Task, *, everywhere: bool = True) -> DriveAssess
     twin, playbacks = rig.twin, rig.playbacks
     half = twin.beam.table.length / 2
     position = np.linspace(-half, half, POINTS)
-    state = twin.true_state(playbacks, task.instant + true_lag(rig))
+    state = twin.true_state(playbacks, task.instant + true_delay(rig))
     velocity = np.concatenate([state.velocity, state.unlisted_velocity])
     field = velocity @ twin.beam.shapes(position)
-    miss = field - task.wish.velocity * task.wish.profile(position)
+    miss = field - task.target_field.velocity * task.target_field.profile(position)
     zone_peak = dict(zip(task.zones, twin.felt(playbacks, list(task.zones.values())).tolist(), strict=True))
     places = np.linspace(-half, half, PLACES).tolist()
     return DriveAssessment(
         position=position,
         field=field,
-        at_focus=float(velocity @ twin.beam.shapes(task.wish.centre)[:, 0]),
+        at_focus=float(velocity @ twin.beam.shapes(task.target_field.centre)[:, 0]),
         rms_error=root_mean_square(miss),
         max_error=float(np.abs(miss).max()),
         rms_from_selected=root_mean_square(field - task.selected(position)),
-        outside=float(np.abs(field[task.wish.profile(position) < REST]).max(initial=0.0)),
-        width_50=spot_width(position, field, task.wish.centre, 0.5),
-        width_80=spot_width(position, field, task.wish.centre, 0.8),
+        outside=float(np.abs(field[task.target_field.profile(position) < REST]).max(initial=0.0)),
+        width_50=spot_width(position, field, task.target_field.centre, 0.5),
+        width_80=spot_width(position, field, task.target_field.centre, 0.8),
         zone_peak=zone_peak,
         contrasts={(a, b): contrast(zone_peak[a], zone_peak[b]) for a, b in task.pairs},
         finger_contrasts=_finger_contrasts(rig, task) if everywhere else {},
@@ -152,7 +152,7 @@ def judge(rig: Simulator, task: Task, *, everywhere: bool = True) -> DriveAssess
     )
 
 
-def true_lag(rig: Simulator) -> float:
+def true_delay(rig: Simulator) -> float:
     """Return by how much the amplifier holds a drive back: its delay, and that of its pole [s]."""
     bandwidth = rig.twin.amplifier.bandwidth
     return rig.twin.amplifier.delay + (0.0 if bandwidth is None else 1 / (2 * math.pi * bandwidth))
@@ -239,7 +239,7 @@ def contest(
     known = TrainingData(
         model=identified_model(identification, apparatus),
         responses=for_rivals(responses, identification.delay.value, apparatus),
-        wish=stimulus.wish,
+        target_field=stimulus.target_field,
         timing=stimulus.timing,
         amplifier=stimulus.amplifier,
     )
@@ -261,9 +261,9 @@ def contend(
     designed = design_all(known, stimulus.release, stimulus.load_factor)
     zones = {name: zone.centre_mm * 1e-3 for name, zone in apparatus.zones.items()}
     pairs = tuple((left, right) for left, right in preflight.experiment.protocol.conditions.zone_pairs)
-    task = Task(stimulus.wish, stimulus.timing.focusing_instant, zones, pairs, stimulus.projection.field)
+    task = Task(stimulus.target_field, stimulus.timing.focusing_instant, zones, pairs, stimulus.projection.field)
     heard = progress or MeasurementProgress()
-    sent = _play(centre, designed, stimulus.wish.velocity, heard)
+    sent = _play(centre, designed, stimulus.target_field.velocity, heard)
     verdicts = [judge(each.on_beam(centre, seed), task) for each in sent]
     changed: list[list[DriveAssessment]] = [[] for _ in designed]
     for number in range(n_beams):

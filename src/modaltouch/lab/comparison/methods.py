@@ -9,13 +9,13 @@ at the focusing instant: at the focus all add up as an autocorrelation, elsewher
 filter: no drive of equal energy makes more velocity there. Nothing is asked of the other points. The 1-bit variant
 plays the sign alone: more velocity per volt of peak, at the price of a coarser field.
 
-**Inverse filter.** At every frequency the responses of the M control points to the C outputs are a matrix H, the wished
+**Inverse filter.** At every frequency the responses of the M control points to the C outputs are a matrix H, the target
 velocities a vector U. The drives are those of Tikhonov's regularised inverse, :math:`V = (H^* H + \beta I)^{-1} H^* U`,
-brought back into time. What is wished is a pulse in the shape of the wished field at the focusing instant, and rest
+brought back into time. The target is a pulse in the shape of the target field at the focusing instant, and rest
 at every other time: a few outputs are asked for more than they can do, and the whole becomes a compromise.
 
 **Inverse filter at one instant.** With R the recorded responses at the focusing instant to a volt in each step before
-it, the drive is :math:`v = R^T (R R^T + \beta I)^{-1} f`, the least energy that makes the wished field at the control
+it, the drive is :math:`v = R^T (R R^T + \beta I)^{-1} f`, the least energy that makes the target field at the control
 points, but for what :math:`\beta` gives up. It is the exact law without a model: what moves at that instant between and
 beyond the points, or is at rest with a displacement, is not asked for.
 
@@ -60,7 +60,7 @@ def one_bit_reversal(known: TrainingData) -> FloatArray:
 
 
 PULSES = (44e-6, 88e-6, 176e-6, 352e-6)
-"""Widths of the wished pulse that are tried, raised cosines; 88 us stay above 90 % as long as the paper's focus [s]."""
+"""Widths of the target pulse that are tried, raised cosines; 88 us stay above 90 % as long as the paper's focus [s]."""
 
 STRENGTHS = 10.0 ** np.arange(-5.0, 0.01, 0.5)
 """Regularisations that are tried, over the largest squared singular value [1]."""
@@ -78,7 +78,7 @@ ENDS = 1e-3
 def inverse_filter(known: TrainingData) -> FloatArray:
     """Return the drives of the inverse filter at the level or the limit, (n_channels, n_samples) array at the beam [V].
 
-    Of the pulses in `PULSES` and the regularisations in `STRENGTHS` those which come closest to the wished field at
+    Of the pulses in `PULSES` and the regularisations in `STRENGTHS` those which come closest to the target field at
     the focusing instant, by the recordings, among those within the voltage limit; where none are, those that need
     the least.
     """
@@ -86,18 +86,18 @@ def inverse_filter(known: TrainingData) -> FloatArray:
     n_after = (known.timing.n_samples - n_before * known.stride) // known.stride
     taper = _taper(n_before + n_after, round(ENDS / step))
     # The drive is linear in the spectrum of the pulse, which is the same for all control points.
-    wished = np.broadcast_to(known.wished()[:, None], known.responses.response.shape[1:]).astype(complex)
+    target = np.broadcast_to(known.target()[:, None], known.responses.response.shape[1:]).astype(complex)
     candidates = []
     for strength in STRENGTHS:
-        unit = regularised_inverse(known.responses.response, wished, strength)
+        unit = regularised_inverse(known.responses.response, target, strength)
         for width in PULSES:
             spectrum = unit * _pulse(known.responses.frequency, width, known.timing.focusing_instant)
             drive = known.responses.in_time(spectrum, step / 2, step, n_before + n_after) * taper
             field = known.expected(drive[:, :n_before])
             if field[known.focus] <= 0:
                 continue
-            factor = known.wish.velocity / float(field[known.focus])
-            missed = float(np.sqrt(np.mean((field * factor - known.wished()) ** 2)))
+            factor = known.target_field.velocity / float(field[known.focus])
+            missed = float(np.sqrt(np.mean((field * factor - known.target()) ** 2)))
             needed = float(np.abs(drive).max()) * factor
             beyond = needed > known.amplifier.limit
             candidates.append((beyond, needed if beyond else missed, drive))
@@ -115,56 +115,56 @@ def _pulse(frequency: FloatArray, width: float, instant: float) -> ComplexArray:
     return np.asarray(height * np.exp(-2j * np.pi * frequency * instant))
 
 
-def regularised_inverse(response: ComplexArray, wished: ComplexArray, strength: float) -> ComplexArray:
+def regularised_inverse(response: ComplexArray, target: ComplexArray, strength: float) -> ComplexArray:
     r"""Return :math:`(H^* H + \beta I)^{-1} H^* U` at every frequency, (n_channels, n_bins) array."""
     H = np.moveaxis(response, 2, 0).swapaxes(1, 2)
     adjoint = H.conj().swapaxes(1, 2)
     gram = adjoint @ H
     beta = strength * float(np.linalg.norm(gram, 2, axis=(1, 2)).max())
-    right = (adjoint @ wished.T[:, :, None])[:, :, 0]
+    right = (adjoint @ target.T[:, :, None])[:, :, 0]
     if strength == 0:
         return np.asarray(np.linalg.solve(gram, right[:, :, None])[:, :, 0].T)
     return np.asarray(np.linalg.solve(gram + beta * np.eye(gram.shape[1]), right[:, :, None])[:, :, 0].T)
 
 
 def inverse_filter_at_instant(known: TrainingData) -> FloatArray:
-    r"""Return the drives of least energy that make the wished field at the focusing instant, at the level or the limit.
+    r"""Return the drives of least energy that make the target field at the focusing instant, at the level or the limit.
 
     Noise adds to :math:`R R^T` what is known of it from record to record, on the average on its diagonal alone: that
     is the regularisation. Directions that do not stand ABOVE_NOISE out of it are left out, since a drive that leans on
     them leans on noise; more are where it would pass the voltage limit.
     """
     noise = float(known.responses.noise_towards(known.n_before * known.step, known.step).sum()) * known.n_before
-    wished, towards = known.wished(), known.towards
+    target, towards = known.target(), known.towards
     strength, direction = np.linalg.eigh(np.einsum("cmj,cnj->mn", towards, towards, optimize=True))
     for floor in noise * ABOVE_NOISE * 10.0 ** np.arange(STRONGER):
         # The strongest direction is kept whatever the noise.
         kept = direction[:, (strength > floor) | (strength == strength.max())]
-        steps = least_energy(towards, wished, noise, kept)[:, ::-1]
+        steps = least_energy(towards, target, noise, kept)[:, ::-1]
         reached = float(known.expected(steps)[known.focus])
-        if reached > 0 and float(np.abs(steps).max()) * known.wish.velocity / reached <= known.amplifier.limit:
+        if reached > 0 and float(np.abs(steps).max()) * known.target_field.velocity / reached <= known.amplifier.limit:
             break
     return known.to_level(steps)
 
 
-def least_energy(towards: FloatArray, wished: FloatArray, beta: float, kept: FloatArray | None = None) -> FloatArray:
+def least_energy(towards: FloatArray, target: FloatArray, beta: float, kept: FloatArray | None = None) -> FloatArray:
     r"""Return :math:`R^T (R R^T + \beta I)^{-1} f`, (n_channels, n_steps) array [V].
 
     Parameters
     ----------
     towards : (n_channels, n_points, n_steps) array
         R [m/s per V].
-    wished : (n_points,) array
+    target : (n_points,) array
         f [m/s].
     beta : float
         What is given up for energy [(m/s per V)^2].
     kept : (n_points, n_kept) array, optional
         Orthonormal directions in which the field is made; all, if not given [1].
     """
-    kept = np.eye(wished.size) if kept is None else kept
+    kept = np.eye(target.size) if kept is None else kept
     within = np.einsum("mk,cmj->ckj", kept, towards, optimize=True)
     gram = np.einsum("ckj,clj->kl", within, within, optimize=True)
-    weight = np.linalg.lstsq(gram + beta * np.eye(gram.shape[0]), kept.T @ wished, rcond=None)[0]
+    weight = np.linalg.lstsq(gram + beta * np.eye(gram.shape[0]), kept.T @ target, rcond=None)[0]
     return np.asarray(np.einsum("ckj,k->cj", within, weight))
 
 
@@ -217,7 +217,7 @@ class Method:
 def _by_law(law: Law) -> Callable[[TrainingData, Release], FloatArray]:
     def design(known: TrainingData, release: Release) -> FloatArray:
         stimulus = design_stimulus(
-            known.model, known.wish, known.timing, known.amplifier, law=law, release=release, rounding="plain"
+            known.model, known.target_field, known.timing, known.amplifier, law=law, release=release, rounding="plain"
         )
         # As for the rivals: what needs more than the limit is played at the limit.
         return stimulus.voltage * min(1.0, known.amplifier.limit / float(stimulus.peak_voltage.max()))
@@ -338,5 +338,10 @@ def as_burst(voltage: FloatArray, known: TrainingData, load_factor: float) -> Bu
     codes = converter.round_to_codes(voltage, np.asarray(amplitude) * (to_beam / 2 / converter.mid_code))
     timing = known.timing
     return Burst(
-        converter.unsigned(codes), timing.duration, timing.repetition_rate, known.wish.velocity, amplitude, converter
+        converter.unsigned(codes),
+        timing.duration,
+        timing.repetition_rate,
+        known.target_field.velocity,
+        amplitude,
+        converter,
     )

@@ -29,7 +29,7 @@ class Criterion:
     unit : str
         Empty for a pure number.
     best : str
-        ``low``, ``high``, ``level`` (close to what was wished) or ``none``.
+        ``low``, ``high``, ``level`` (close to the target) or ``none``.
     digits : int
         Decimals that are printed.
     """
@@ -174,7 +174,7 @@ def paragraphs(rows: Sequence[Row], level: float, n_beams: int) -> list[str]:
     rows : sequence of dict
         As `rows_of` returns them.
     level : float
-        Velocity wished at the focus [mm/s].
+        Target velocity at the focus [mm/s].
     n_beams : int
         Other beams that the drives were played on.
     """
@@ -199,7 +199,7 @@ def _own_wins(won: Sequence[Criterion], own: Row, rows: Sequence[Row], level: fl
 
 
 def _by_rival(row: Row, lost: Sequence[Criterion], own: Row, rows: Sequence[Row], level: float) -> str:
-    """Return where a rival beats all others, and how it compares in the wished field."""
+    """Return where a rival beats all others, and how it compares in the target field."""
     wins = [each for each in lost if row in each.winners(rows, level)]
     parts = [f"{each.name} ({_value(each, row)}, against {_value(each, own)} by the {own['name']})" for each in wins]
     field = next(each for each in criteria(rows) if each.key == "rms_error_mm_s")

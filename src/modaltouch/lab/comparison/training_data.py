@@ -99,8 +99,8 @@ class TrainingData:
         The modes, identified from the same recordings as `responses`.
     responses : TransferFunctions
         The recordings.
-    wish : TargetField
-        The wished field; its velocity is the level.
+    target_field : TargetField
+        The target field; its velocity is the level.
     timing : Timing
         Clock of the burst.
     amplifier : Amplifier
@@ -109,7 +109,7 @@ class TrainingData:
 
     model: ModalModel
     responses: TransferFunctions
-    wish: TargetField
+    target_field: TargetField
     timing: Timing
     amplifier: Amplifier
 
@@ -136,11 +136,11 @@ class TrainingData:
     @property
     def focus(self) -> int:
         """The control point at the focus."""
-        return self.responses.nearest(self.wish.centre)
+        return self.responses.nearest(self.target_field.centre)
 
-    def wished(self) -> FloatArray:
-        """Return the wished field at the control points, (n_points,) array [m/s]."""
-        return self.wish.velocity * self.wish.profile(self.responses.position)
+    def target(self) -> FloatArray:
+        """Return the target field at the control points, (n_points,) array [m/s]."""
+        return self.target_field.velocity * self.target_field.profile(self.responses.position)
 
     def expected(self, steps: FloatArray) -> FloatArray:
         """Return the field that voltages are to leave at the focusing instant by the recordings, (n_points,) array.
@@ -172,7 +172,7 @@ class TrainingData:
         highest = float(np.abs(whole).max())
         if reached == 0 or highest == 0:
             raise ValueError("a drive moves nothing at the focus: record a point that moves, or choose another focus")
-        factor = self.wish.velocity / reached
+        factor = self.target_field.velocity / reached
         factor = float(np.sign(factor)) * min(abs(factor), self.amplifier.limit / highest)
         voltage = np.zeros((whole.shape[0], self.timing.n_samples))
         held = np.repeat(whole * factor, self.stride, axis=1)[:, : self.timing.n_samples]

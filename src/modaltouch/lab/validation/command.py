@@ -192,17 +192,17 @@ def validate(options: ValidateOptions, progress: MeasurementProgress | None = No
 
 def _observe(preflight: Preflight, options: ValidateOptions, progress: MeasurementProgress) -> list[Observation]:
     """Return what was recorded, now or before."""
-    experiment, (ground, stimulus) = preflight.experiment, preflight.sound
+    experiment, (inputs, stimulus) = preflight.experiment, preflight.sound
     if options.scan is not None and complete(options.scan):
-        return read_laws(ground, options.scan)
+        return read_laws(inputs, options.scan)
     with (
         progress.interruptible() as heard,
         open_laboratory(experiment.apparatus, options.rig, aim=heard.aim) as laboratory,
     ):
         return record_laws(
-            ground,
+            inputs,
             laboratory,
-            stimulus.wish.velocity,
+            stimulus.target_field.velocity,
             n_points=options.points,
             n_records=options.averages,
             folder=options.scan,
@@ -255,7 +255,7 @@ def _tables(evidences: Sequence[Evidence]) -> dict[str, list[dict[str, Any]]]:
     first = evidences[0]
     wished = [
         {"mode": label, "wished_mm_s": _round(value), "selected": label in first.observation.stimulus.selected}
-        for label, value in enumerate(first.wished_coefficient.tolist(), 1)
+        for label, value in enumerate(first.target_coefficient.tolist(), 1)
     ]
     tables = {
         "fig_2.csv": wished,
@@ -269,8 +269,12 @@ def _tables(evidences: Sequence[Evidence]) -> dict[str, list[dict[str, Any]]]:
 def _field_lines(evidence: Evidence) -> list[dict[str, Any]]:
     place = evidence.observation.field.positions
     smooth = {
-        name: np.interp(place, evidence.position, getattr(evidence, f"{name}_field"))
-        for name in ("wished", "target", "predicted")
+        name: np.interp(place, evidence.position, field)
+        for name, field in {
+            "wished": evidence.target_field,
+            "target": evidence.selected_field,
+            "predicted": evidence.predicted_field,
+        }.items()
     }
     return [
         {

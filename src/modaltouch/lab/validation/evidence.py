@@ -109,7 +109,7 @@ class Prediction:
         return field
 
 
-def measurement_lag(observations: Sequence[Observation], predictions: Sequence[Prediction]) -> float:
+def measurement_delay(observations: Sequence[Observation], predictions: Sequence[Prediction]) -> float:
     """Return the delay by which the measurement follows the prediction best, by least squares [s].
 
     Vibrometer, amplifier and trigger each come late by microseconds, which the highest selected mode turns into a
@@ -142,7 +142,7 @@ FURTHER_LABELS = 2
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What one drive law was seen to do, beside what was wished and predicted; all at the level that was played.
+    """What one drive law was seen to do, beside target and prediction; all at the level that was played.
 
     Attributes
     ----------
@@ -171,11 +171,11 @@ class Evidence:
     @property
     def centre(self) -> float:
         """Where the field is centred [m]."""
-        return self.observation.stimulus.wish.centre
+        return self.observation.stimulus.target_field.centre
 
     @property
     def _share(self) -> float:
-        return self.observation.velocity / self.observation.stimulus.wish.velocity
+        return self.observation.velocity / self.observation.stimulus.target_field.velocity
 
     @property
     def target(self) -> FloatArray:
@@ -183,8 +183,8 @@ class Evidence:
         return self.observation.stimulus.target * self._share
 
     @cached_property
-    def wished_coefficient(self) -> FloatArray:
-        """Coefficients of the wished field on modes 1 to the last that it is decomposed on [m/s]."""
+    def target_coefficient(self) -> FloatArray:
+        """Coefficients of the target field on modes 1 to the last that it is decomposed on [m/s]."""
         return self.observation.stimulus.projection.decomposition * self.observation.velocity
 
     @cached_property
@@ -199,12 +199,12 @@ class Evidence:
         return np.linspace(-half, half, FINE)
 
     @cached_property
-    def wished_field(self) -> FloatArray:
-        """The wished field, (FINE,) array [m/s]."""
-        return self.observation.stimulus.wish.profile(self.position) * self.observation.velocity
+    def target_field(self) -> FloatArray:
+        """The target field, (FINE,) array [m/s]."""
+        return self.observation.stimulus.target_field.profile(self.position) * self.observation.velocity
 
     @cached_property
-    def target_field(self) -> FloatArray:
+    def selected_field(self) -> FloatArray:
         """The field of the selected modes, (FINE,) array [m/s]."""
         return self.target @ self.observation.stimulus.model.shapes(self.position)
 
@@ -367,5 +367,5 @@ def evaluate(observations: Sequence[Observation]) -> list[Evidence]:
         If no delay makes the recordings like the predictions.
     """
     predictions = [Prediction.of(each) for each in observations]
-    lag = measurement_lag(observations, predictions)
+    lag = measurement_delay(observations, predictions)
     return [Evidence(each, its, lag) for each, its in zip(observations, predictions, strict=True)]

@@ -26,8 +26,8 @@ PAPER_WORST = 6.0
 
 
 def draw_decomposition(evidence: Evidence) -> Figure:
-    """Return the coefficients of the wished field, in the form of Fig. 2: which modes it needs, which are selected."""
-    stimulus, wished = evidence.observation.stimulus, evidence.wished_coefficient * 1e3
+    """Return the coefficients of the target field, in the form of Fig. 2: which modes it needs, which are selected."""
+    stimulus, wished = evidence.observation.stimulus, evidence.target_coefficient * 1e3
     labels = np.arange(1, wished.size + 1)
     kinds: tuple[tuple[str, Any, dict[str, Any]], ...] = (
         ("selected", np.isin(labels, stimulus.selected), {"color": DARK}),
@@ -55,7 +55,7 @@ def draw_decomposition(evidence: Evidence) -> Figure:
 
 
 def draw_coefficients(evidences: Sequence[Evidence]) -> Figure:
-    """Return wished and achieved coefficients of each law, in the form of Fig. 6, and their difference."""
+    """Return target and achieved coefficients of each law, in the form of Fig. 6, and their difference."""
     with house_style():
         figure = Figure(figsize=(7.6, 2.3 * len(evidences) + 0.5))
         panels = figure.subplots(len(evidences), 2, squeeze=False, width_ratios=(3, 2), sharex=True, sharey="col")
@@ -105,7 +105,7 @@ def _draw_errors(axes: Axes, lines: list[dict[str, Any]]) -> None:
 
 
 def draw_fields(evidences: Sequence[Evidence]) -> Figure:
-    """Return the field at the focusing instant against the wished one, in the form of Fig. 7, and how far it is off."""
+    """Return the field at the focusing instant against the target, in the form of Fig. 7, and how far it is off."""
     with house_style():
         figure = Figure(figsize=(7.6, 4.6))
         shape: dict[str, Any] = {"squeeze": False, "sharex": True, "sharey": "row", "height_ratios": (5, 2)}
@@ -125,8 +125,8 @@ def draw_fields(evidences: Sequence[Evidence]) -> Figure:
 def _draw_field(axes: Axes, evidence: Evidence) -> None:
     place = evidence.position * 1e3
     _mark_zones(axes, evidence)
-    axes.plot(place, evidence.wished_field * 1e3, color=INK, linestyle="--", linewidth=1, label="desired")
-    axes.plot(place, evidence.target_field * 1e3, color=MIDDLE, linewidth=2.6, label="selected modes")
+    axes.plot(place, evidence.target_field * 1e3, color=INK, linestyle="--", linewidth=1, label="desired")
+    axes.plot(place, evidence.selected_field * 1e3, color=MIDDLE, linewidth=2.6, label="selected modes")
     axes.plot(place, evidence.measured_field * 1e3, color=DARK, linewidth=1, label="measured, smooth")
     axes.errorbar(
         evidence.observation.field.positions * 1e3,
@@ -144,10 +144,10 @@ def _draw_field(axes: Axes, evidence: Evidence) -> None:
 
 def _draw_difference(axes: Axes, evidence: Evidence) -> None:
     place = evidence.position * 1e3
-    from_wish = (evidence.measured_field - evidence.wished_field) * 1e3
-    from_selected = (evidence.measured_field - evidence.target_field) * 1e3
+    from_target = (evidence.measured_field - evidence.target_field) * 1e3
+    from_selected = (evidence.measured_field - evidence.selected_field) * 1e3
     axes.axhline(0, color=INK, linewidth=0.7)
-    axes.plot(place, from_wish, color=INK, linestyle="--", linewidth=1)
+    axes.plot(place, from_target, color=INK, linestyle="--", linewidth=1)
     axes.plot(place, from_selected, color=DARK, linewidth=1.4)
     errors = key_figures(evidence, ())["field_error"]
     for height, line, name, key in (

@@ -41,10 +41,10 @@ def key_figures(evidence: Evidence, pairs: Sequence[tuple[str, str]]) -> dict[st
         "highest_velocity_at_focus_mm_s": abs(float(evidence.focus_course[highest])) * 1e3,
         "highest_velocity_instant_ms": float(evidence.course_time[highest]) * 1e3,
         "field_error": {
-            "measured_from_wished": _distance(evidence.measured_field, evidence.wished_field),
-            "measured_from_selected_modes": _distance(evidence.measured_field, evidence.target_field),
+            "measured_from_wished": _distance(evidence.measured_field, evidence.target_field),
+            "measured_from_selected_modes": _distance(evidence.measured_field, evidence.selected_field),
             "measured_from_predicted": _distance(evidence.measured_field, evidence.predicted_field),
-            "predicted_from_wished": _distance(evidence.predicted_field, evidence.wished_field),
+            "predicted_from_wished": _distance(evidence.predicted_field, evidence.target_field),
         },
         "width_50_mm": _widths(evidence, 0.5),
         "width_80_mm": _widths(evidence, 0.8),
@@ -67,7 +67,7 @@ def key_figures(evidence: Evidence, pairs: Sequence[tuple[str, str]]) -> dict[st
 
 
 def coefficients(evidence: Evidence) -> list[dict[str, Any]]:
-    """Return the coefficients of the modelled modes: wished, selected, predicted, achieved [mm/s]."""
+    """Return the coefficients of the modelled modes: target field, selected, predicted, achieved [mm/s]."""
     labels = evidence.observation.stimulus.model.label
     columns = zip(
         labels,
@@ -80,7 +80,7 @@ def coefficients(evidence: Evidence) -> list[dict[str, Any]]:
     return [
         {
             "mode": int(label),
-            "wished_mm_s": float(evidence.wished_coefficient[label - 1]) * 1e3,
+            "wished_mm_s": float(evidence.target_coefficient[label - 1]) * 1e3,
             "target_mm_s": float(target) * 1e3,
             "predicted_mm_s": float(predicted) * 1e3,
             "achieved_mm_s": float(achieved) * 1e3,
@@ -114,7 +114,7 @@ def _widths(evidence: Evidence, fraction: float) -> dict[str, float | None]:
     fields = {
         "measured": evidence.measured_field,
         "predicted": evidence.predicted_field,
-        "wished": evidence.wished_field,
+        "wished": evidence.target_field,
     }
     return {
         name: finite(spot_width(evidence.position, field, evidence.centre, fraction) * 1e3)

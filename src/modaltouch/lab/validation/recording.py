@@ -68,13 +68,13 @@ class Observation:
 
 
 def plans(
-    ground: DesignInputs, stimulus: Stimulus, velocity: float, n_points: int, n_records: int
+    inputs: DesignInputs, stimulus: Stimulus, velocity: float, n_points: int, n_records: int
 ) -> tuple[ScanPlan, ScanPlan]:
     """Return what is scanned of a stimulus: the field around the focus, and the zones throughout.
 
     Parameters
     ----------
-    ground : DesignInputs
+    inputs : DesignInputs
         What the stimulus was designed from.
     stimulus : Stimulus
         What is played.
@@ -87,9 +87,9 @@ def plans(
     """
     half, timing = stimulus.model.length / 2, stimulus.timing
     places = np.round(np.linspace(-half, half, n_points), 9)
-    centres = [zone.centre_mm * 1e-3 for zone in ground.apparatus.ordered_zones.values()]
+    centres = [zone.centre_mm * 1e-3 for zone in inputs.apparatus.ordered_zones.values()]
     highest = float(stimulus.peak_velocity([*places[:: max(1, n_points // 20)], *centres], velocity).max())
-    expected = min(highest * HEADROOM, ground.apparatus.acquisition.range_mm_s * 1e-3)
+    expected = min(highest * HEADROOM, inputs.apparatus.acquisition.range_mm_s * 1e-3)
     outputs = tuple(range(1, stimulus.model.n_channels + 1))
     start = max(0.0, timing.focusing_instant - AROUND - MARGIN)
     end = min(timing.focusing_instant + AROUND + MARGIN, 1 / timing.repetition_rate)
@@ -99,7 +99,7 @@ def plans(
         Acquisition(rate, round((last - first) * rate), n_records, outputs, first, expected, drive)
         for rate, first, last in ((FIELD_RATE, start, end), (COURSE_RATE, before, timing.duration - before))
     )
-    about = {"law": stimulus.law, "focus": ground.section.focus}
+    about = {"law": stimulus.law, "focus": inputs.section.focus}
     return (
         ScanPlan(stimulus.burst, velocity, tuple(places), around, {**about, "what": "field"}),
         ScanPlan(stimulus.burst, velocity, tuple(centres), throughout, {**about, "what": "course"}),
@@ -116,7 +116,7 @@ def keep_velocities(recording: Recording) -> dict[str, NDArray[Any]]:
 
 
 def record_laws(
-    ground: DesignInputs,
+    inputs: DesignInputs,
     laboratory: Laboratory,
     velocity: float,
     *,
@@ -130,7 +130,7 @@ def record_laws(
 
     Parameters
     ----------
-    ground : DesignInputs
+    inputs : DesignInputs
         What the stimuli are designed from.
     laboratory : Laboratory
         Generator and scope, open.
@@ -148,9 +148,9 @@ def record_laws(
     heard = progress or MeasurementProgress()
     observed = []
     for law in LAWS:
-        stimulus = design(ground, law=law)
+        stimulus = design(inputs, law=law)
         scans = []
-        for plan in plans(ground, stimulus, velocity, n_points, n_records):
+        for plan in plans(inputs, stimulus, velocity, n_points, n_records):
             name = f"{law}_{plan.about['what']}"
             scan = take_scan(
                 laboratory,
@@ -162,16 +162,16 @@ def record_laws(
                 check=heard.check,
             )
             scans.append(scan.refuse_overloaded())
-        observed.append(_observation(ground, stimulus, velocity, scans[0], scans[1]))
+        observed.append(_observation(inputs, stimulus, velocity, scans[0], scans[1]))
     return observed
 
 
-def read_laws(ground: DesignInputs, folder: Path) -> list[Observation]:
+def read_laws(inputs: DesignInputs, folder: Path) -> list[Observation]:
     """Return what each law did, from the scans in a folder; no rig is touched.
 
     Parameters
     ----------
-    ground : DesignInputs
+    inputs : DesignInputs
         What the stimuli were designed from.
     folder : Path
         Where `record_laws` kept the scans.
@@ -183,7 +183,7 @@ def read_laws(ground: DesignInputs, folder: Path) -> list[Observation]:
     """
     observed = []
     for law in LAWS:
-        stimulus = design(ground, law=law)
+        stimulus = design(inputs, law=law)
         scans = []
         for what in WHAT:
             place = folder / f"{law}_{what}"
@@ -196,7 +196,7 @@ def read_laws(ground: DesignInputs, folder: Path) -> list[Observation]:
                 )
             scans.append(scan)
         velocity = float(scans[0].facts["settings"]["velocity_mm_s"]) * 1e-3
-        observed.append(_observation(ground, stimulus, velocity, scans[0], scans[1]))
+        observed.append(_observation(inputs, stimulus, velocity, scans[0], scans[1]))
     return observed
 
 
@@ -208,6 +208,6 @@ def complete(folder: Path) -> bool:
         return False
 
 
-def _observation(ground: DesignInputs, stimulus: Stimulus, velocity: float, field: Scan, course: Scan) -> Observation:
-    zones = {name: zone.centre_mm * 1e-3 for name, zone in ground.apparatus.ordered_zones.items()}
-    return Observation(stimulus, velocity, zones, ground.section.focus, field, course)
+def _observation(inputs: DesignInputs, stimulus: Stimulus, velocity: float, field: Scan, course: Scan) -> Observation:
+    zones = {name: zone.centre_mm * 1e-3 for name, zone in inputs.apparatus.ordered_zones.items()}
+    return Observation(stimulus, velocity, zones, inputs.section.focus, field, course)

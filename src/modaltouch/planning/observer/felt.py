@@ -56,7 +56,7 @@ class FeltSpeeds:
     def _per_velocity(self) -> dict[str, float]:
         """What is felt at each zone for a level of 1 m/s [1]."""
         stimulus, places = self._stimulus, np.array(list(self._zones.values()))
-        level = stimulus.wish.velocity
+        level = stimulus.target_field.velocity
         if self._front_end == "peak":
             values = stimulus.peak_velocity(places, level)
         elif self._front_end == "peak_at_focus":

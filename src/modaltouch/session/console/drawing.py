@@ -70,7 +70,7 @@ def draw_session(
         *_describe_generator(facts["generator"]),
         ("last answer", describe_last(facts["last"])),
         ("answers", ", ".join(f"{answer} {count}" for answer, count in sorted(facts["answers"].items())) or "-"),
-        ("asked", _describe_wishes(facts)),
+        ("asked", _describe_requests(facts)),
     ]
     # Two rules, a line for the cursor, and the warnings, of which a low terminal shows the first.
     room = height - 3 - len(foot)
@@ -175,20 +175,20 @@ def _describe_question(question: dict[str, Any]) -> str:
     return "; ".join(f"{answer}: {keys}" for answer, keys in named.items())
 
 
-def _describe_wishes(facts: Facts) -> str:
-    wishes = []
+def _describe_requests(facts: Facts) -> str:
+    requests = []
     if facts["too_early"]:
-        wishes.append(f"{facts['too_early']} came before the question and does not count")
+        requests.append(f"{facts['too_early']} came before the question and does not count")
     if facts["repeats_trial"] is not None:
         kind = "practice" if facts["repeats_practice"] else "trial"
-        wishes.append(f"repeat {kind} {facts['repeats_trial']} after this one (r takes it back)")
+        requests.append(f"repeat {kind} {facts['repeats_trial']} after this one (r takes it back)")
     elif facts["nothing_to_repeat"]:
-        wishes.append("nothing to repeat: no trial of this part is answered yet")
+        requests.append("nothing to repeat: no trial of this part is answered yet")
     if facts["ends_after_block"]:
-        wishes.append("end after this block (b takes it back)")
+        requests.append("end after this block (b takes it back)")
     if facts["n_notes"]:
-        wishes.append(f"{facts['n_notes']} note{'s' * (facts['n_notes'] > 1)} kept")
-    return ", ".join(wishes) or "-"
+        requests.append(f"{facts['n_notes']} note{'s' * (facts['n_notes'] > 1)} kept")
+    return ", ".join(requests) or "-"
 
 
 def _describe_warnings(warnings: list[str], width: int) -> list[Text]:

@@ -11,11 +11,11 @@ from modaltouch.window import Event, SessionStopped
 if TYPE_CHECKING:
     from modaltouch.session.console.status import Status
 
-Wish = Literal["pause", "continue"] | Event
+Intervention = Literal["pause", "continue"] | Event
 """What the experimenter asks of the window; an event is an answer that was typed at the console."""
 
-Tick = Callable[[], Wish | None]
-"""Called about every millisecond while the window waits; may raise, and returns what the experimenter wishes."""
+Tick = Callable[[], Intervention | None]
+"""Called about every millisecond while the window waits; may raise, and returns what the experimenter asks for."""
 
 
 class Experimenter:
@@ -67,7 +67,7 @@ class Experimenter:
         if event["event"] == "practice_round" or (event["event"] == "trial_next" and not event["trial"]["practice"]):
             self._leave_practice()
 
-    def attend(self) -> Wish | None:
+    def attend(self) -> Intervention | None:
         """Take in what was asked, and return what it asks of the window; cheap, called about every millisecond.
 
         Raises
@@ -75,7 +75,7 @@ class Experimenter:
         SessionStopped
             If the session is to end now.
         """
-        wish: Wish | None = None
+        intervention: Intervention | None = None
         status = self._status
         if status is None:
             return None
@@ -86,29 +86,31 @@ class Experimenter:
             if request.command == "answer":
                 # The line of the answer says it all; nothing is written while a question is open.
                 answer = status.answer_by(request.text)
-                wish = wish if answer is None else Event(request.at, "answer", request.text, answer=answer)
+                intervention = (
+                    intervention if answer is None else Event(request.at, "answer", request.text, answer=answer)
+                )
                 continue
             self._record("experimenter", asks=request.command, **({"text": request.text} if request.text else {}))
             if request.command == "stop":
                 raise SessionStopped("experimenter")
             if request.command == "pause":
-                wish = "continue" if status.paused else "pause"
+                intervention = "continue" if status.paused else "pause"
             elif request.command == "go_on":
-                wish = "continue"
+                intervention = "continue"
             elif request.command == "end_after_block":
                 self.ends_after_block = not self.ends_after_block
-                self._show_wishes()
+                self._show_requests()
             elif request.command == "repeat":
                 is_refused = self._repeats is None and self._last is None
                 self._repeats = None if self._repeats is not None else self._last
-                self._show_wishes(nothing_to_repeat=is_refused)
-        return wish
+                self._show_requests(nothing_to_repeat=is_refused)
+        return intervention
 
     def take_repeat(self) -> dict[str, Any] | None:
         """Return the trial event that is to be asked again, once."""
         repeats, self._repeats = self._repeats, None
         if repeats is not None:
-            self._show_wishes()
+            self._show_requests()
         return repeats
 
     def _leave_practice(self) -> None:
@@ -117,9 +119,9 @@ class Experimenter:
             self._last = None
         if self._repeats is not None and self._repeats["trial"]["practice"]:
             self._repeats = None
-            self._show_wishes(nothing_to_repeat=True)
+            self._show_requests(nothing_to_repeat=True)
 
-    def _show_wishes(self, *, nothing_to_repeat: bool = False) -> None:
+    def _show_requests(self, *, nothing_to_repeat: bool = False) -> None:
         trial = {} if self._repeats is None else self._repeats["trial"]
         self.tell(
             {
