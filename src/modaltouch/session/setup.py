@@ -147,12 +147,8 @@ def sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessio
 
     Parameters
     ----------
-    setup : Setup
-        What it is made of.
-    open_log : callable
-        Opens the log at a place, with what the line that begins the sitting says.
-    first : str
-        Event of that line, ``start`` or ``resume``.
+    setup, open_log, first
+        Its parts; what opens the log at a place with the first line's facts; that line, ``start`` or ``resume``.
     """
     buffer = EventBuffer()
     levels = _levels(setup.preflight.experiment.protocol)
