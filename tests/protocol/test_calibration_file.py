@@ -80,7 +80,7 @@ def test_targets_amplifier_and_gains_are_taken_from_it(calibrate: Callable) -> N
     """The stimulus aims at the corrected targets, behind the amplifier that was measured, levels trimmed."""
     protocol, calibration = calibrate()
     stimulus = examine(protocol, calibration).require().stimulus
-    velocity, displacement = stimulus.aim
+    velocity, displacement = stimulus.corrected_target
     assert velocity[:4] == pytest.approx([0.02] * 4)
     assert displacement == pytest.approx([0.5e-3] * 9)
     assert stimulus.amplifier.delay == pytest.approx(1e-6)
