@@ -197,7 +197,8 @@ def multinomial_test(counts: ArrayLike, probabilities: Sequence[float] | None = 
     for n in np.unique(totals[totals > 0]).tolist():
         here, shares = totals == n, _tables(n, null)[1]
         statistic[here] = shares[np.arange(null.size), rows[here]].sum(axis=1)
-        values, tails = _ranked_outcomes(n, tuple(null.tolist()))
+        few = math.comb(n + null.size - 1, n) <= _KEPT
+        values, tails = (_ranked_and_kept if few else _ranked_outcomes)(n, tuple(null.tolist()))
         p[here] = _reached(values, tails, statistic[here])
         p_min[here] = _reached(values, tails, values[-1:])
     shape = observed.shape[:-1]
@@ -222,7 +223,6 @@ def _reached(values: FloatArray, tails: FloatArray, statistic: FloatArray) -> Fl
     return np.asarray(tails[np.searchsorted(values, statistic - 1e-9 * np.maximum(1.0, np.abs(statistic)))])
 
 
-@lru_cache(maxsize=1024)
 def _ranked_outcomes(n: int, probabilities: tuple[float, ...]) -> tuple[FloatArray, FloatArray]:
     """Return the statistic of every outcome, increasing, and the probability of that outcome and all after it."""
     null = np.array(probabilities)
@@ -235,6 +235,12 @@ def _ranked_outcomes(n: int, probabilities: tuple[float, ...]) -> tuple[FloatArr
     value, mass = np.concatenate(values), np.concatenate(masses)
     order = np.argsort(value)
     return value[order], np.cumsum(mass[order][::-1])[::-1]
+
+
+_KEPT = 10_000
+"""Up to how many outcomes are kept for the next experiment of a study that is planned; 2,000 answers have 2e6."""
+
+_ranked_and_kept = lru_cache(maxsize=1024)(_ranked_outcomes)
 
 
 def _tables(n: int, null: FloatArray) -> tuple[FloatArray, FloatArray]:
