@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Sequence
 from typing import Any
 
 from rich.console import Group, RenderableType
@@ -19,11 +18,8 @@ STATES = {
     "break": "break",
     "ended": "ended",
 }
-HELP = ("p pause", "space go on", "r repeat last trial", "n note", "b end after this block", "q stop")
-_HELP_IN_SHORT = ("p pause", "space go on", "r repeat", "n note", "b end block", "q stop")
+HELP = ("p pause", "space go on", "r repeat", "n note", "b end after block", "q stop")
 _ARROWS = {name: f"{name} arrow" for name in ("left", "right", "up", "down")}
-_LOW = 20
-"""A terminal of fewer lines than this is told less [lines]."""
 _BAR = 40
 """Greatest width of the bar of progress [characters]."""
 _NAMES = 14
@@ -31,8 +27,6 @@ _NAMES = 14
 _BY_ANSWER = ("answer by", "answers")
 """Rows that grow with the list of answers, of which none may be left out."""
 _MOST_WARNINGS = 4
-_DISPENSABLE = ("generator", "answers", "predicted", "asked", "outputs", "last answer", "fingers")
-"""What a low terminal does without, the first first."""
 
 
 def draw_session(
@@ -56,41 +50,35 @@ def draw_session(
     mode = "" if facts["mode"] == "real" else f"[{facts['mode'].upper()}] "
     head = f"{mode}{facts['participant']}, session {facts['session']}, {facts['protocol']}"
     state = STATES.get(str(facts["state"]), str(facts["state"]))
-    keys, effect = (HELP, ": outputs off at once") if height >= _LOW else (_HELP_IN_SHORT, "")
     foot = [
-        *_wrap("   ".join(key.replace(" ", "\N{NO-BREAK SPACE}") for key in keys), width, "dim"),
-        *_wrap(f"{emergency.upper()} or x   EMERGENCY STOP{effect}", width, "bold"),
+        *_wrap("   ".join(key.replace(" ", "\N{NO-BREAK SPACE}") for key in HELP), width, "dim"),
+        *_wrap(f"{emergency.upper()} or x   EMERGENCY STOP", width, "bold"),
         *(_wrap(prompt, width, "bold") or [Text("")]),
     ]
+    (trial, fingers, predicted), (generator, outputs, error) = (
+        describe_trial(facts["trial"]),
+        _describe_generator(facts),
+    )
+    # What matters most comes first: a low terminal does without the last.
     rows = [
         ("state", f"{state}{_describe_cause(facts)}"),
         *([("answer by", _describe_question(facts["question"]))] if facts["question"] is not None else []),
         ("progress", describe_progress(facts, since_s, width - _NAMES)),
-        *describe_trial(facts["trial"]),
-        *_describe_generator(facts["generator"]),
+        trial,
+        error,
+        fingers,
         ("last answer", describe_last(facts["last"])),
-        ("answers", ", ".join(f"{answer} {count}" for answer, count in sorted(facts["answers"].items())) or "-"),
+        outputs,
         ("asked", _describe_requests(facts)),
+        predicted,
+        ("answers", ", ".join(f"{answer} {count}" for answer, count in sorted(facts["answers"].items())) or "-"),
+        generator,
     ]
     # Two rules, a line for the cursor, and the warnings, of which a low terminal shows the first.
     room = height - 3 - len(foot)
     warnings = _describe_warnings(facts["warnings"][: _MOST_WARNINGS if height >= 24 else 1], width)
-    table = _draw_rows(rows, width, room - len(warnings))
+    table = [line for name, words in rows for line in _draw_row(name, words, width)][: max(room - len(warnings), 1)]
     return Group(Rule(Text(head, style="bold"), style="dim"), *table, Rule(style="dim"), *warnings, *foot)
-
-
-def _draw_rows(rows: Sequence[tuple[str, str]], width: int, room: int) -> list[Text]:
-    """Return as many rows as there is room for, long ones on several lines."""
-    spared = ["last error"] if ("last error", "none") in rows else []
-    spared += [name for name, words in rows if words == "-"]
-    spared += [name for name in _DISPENSABLE if name not in spared]
-    kept = list(rows)
-    while True:
-        lines = [line for name, words in kept for line in _draw_row(name, words, width)]
-        gone = next((name for name in spared if any(name == kept_name for kept_name, _ in kept)), None)
-        if len(lines) <= room or gone is None:
-            return lines[: max(room, 1)]
-        kept = [row for row in kept if row[0] != gone]
 
 
 def _draw_row(name: str, words: str, width: int) -> list[Text]:
@@ -155,7 +143,8 @@ def _describe_cause(facts: Facts) -> str:
     return f": {facts['stopped_by']}" if facts["stopped_by"] else ""
 
 
-def _describe_generator(generator: dict[str, Any]) -> list[tuple[str, str]]:
+def _describe_generator(facts: Facts) -> list[tuple[str, str]]:
+    generator = facts["generator"]
     volts = " and ".join(f"{value:.3g}" for value in generator["amplitude_Vpp"])
     played = f", {volts} Vpp" if generator["outputs"] == "on" and volts else ""
     sure = {True: ", confirmed", False: ", NOT CONFIRMED", None: ""}[generator["confirmed"]]
