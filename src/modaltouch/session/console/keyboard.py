@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import codecs
 import os
+import re
 import select
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 from modaltouch.session.console.interface import AT_ONCE, Command, Facts, Request
@@ -35,6 +36,8 @@ _WINDOWS_KEYS = {
 }
 """What follows a NUL or an 0xE0 in Windows's console for arrows and function keys."""
 _NAMES = {"\r": "enter", "\n": "enter", "\x7f": "backspace", "\b": "backspace", "\x1b": "escape"}
+_KEY = re.compile(r"\x1b[\[O][^@-~]*[@-~]?|.", re.DOTALL)
+"""What a key sends: a sequence or a character."""
 _SEQUENCE_PAUSE = 0.05
 """The rest of a key's sequence comes within this time, or it is Escape itself [s]."""
 
@@ -80,10 +83,8 @@ def restore_terminal(descriptor: int, before: list[Any] | None) -> None:
     import termios
 
     # TCSANOW: draining what was written would wait for ever on a terminal that somebody has stopped.
-    try:
+    with suppress(termios.error):
         termios.tcsetattr(descriptor, termios.TCSANOW, before)
-    except termios.error:
-        return
 
 
 def _take_single_keys(descriptor: int) -> None:
@@ -113,7 +114,7 @@ class UnixKeyboard:
         EOFError
             If the terminal is gone.
         """
-        if not self._has_more(patience):
+        if not select.select([self._descriptor], [], [], patience)[0]:
             return []
         text = self._receive()
         # Over a slow line a sequence may come in pieces.
@@ -122,9 +123,6 @@ class UnixKeyboard:
         ):
             text += self._receive()
         return split_keys(text)
-
-    def _has_more(self, patience: float) -> bool:
-        return bool(select.select([self._descriptor], [], [], patience)[0])
 
     def _receive(self) -> str:
         try:
@@ -169,23 +167,9 @@ def split_keys(text: str) -> list[str]:
     >>> split_keys("p\x1b[24~\r\x1b[A\x1b[Z")
     ['p', 'f12', 'enter', 'up']
     """
-    keys: list[str] = []
-    place = 0
-    while place < len(text):
-        if text.startswith(("\x1b[", "\x1bO"), place):
-            end = place + 2
-            while end < len(text) and not ("@" <= text[end] <= "~"):
-                end += 1
-            name = _NAMED_KEYS.get(text[place : end + 1])
-            keys += [name] if name else []
-            place = end + 1
-            continue
-        letter = text[place]
-        name = _NAMES.get(letter)
-        if name or letter.isprintable():
-            keys.append(name or letter)
-        place += 1
-    return keys
+    named = {**_NAMED_KEYS, **_NAMES}
+    keys = (named.get(typed, typed) for typed in _KEY.findall(text))
+    return [key for key in keys if key.isprintable()]
 
 
 LONGEST_NOTE = 500

@@ -73,17 +73,13 @@ def typed_keys(keys: Mapping[str, Sequence[str]], answers: Sequence[str]) -> dic
     >>> typed_keys({"left": ["left", "num_4"], "both": ["n"], "right": ["right", "2"]}, ("left", "both", "right"))
     {'left': ['left', '4', '1'], 'both': ['5'], 'right': ['right', '2', '3']}
     """
+    given = [(name, answer) for answer in answers for name in keys[answer] if name not in OWN_KEYS]
+    wanted = [(name, answer) for name, answer in given if not name.startswith("num_")]
+    wanted += [(name[4:], answer) for name, answer in given if name[:4] == "num_" and name[4:].isdecimal()]
+    wanted += [(str(place), answer) for place, answer in enumerate(answers, start=1)]
     taken: dict[str, str] = {}
-    for answer in answers:
-        for name in keys[answer]:
-            if name not in OWN_KEYS and not name.startswith("num_"):
-                taken.setdefault(name, answer)
-    for answer in answers:
-        for name in keys[answer]:
-            if name[:4] == "num_" and name[4:].isdecimal():
-                taken.setdefault(name[4:], answer)
-    for place, answer in enumerate(answers, start=1):
-        taken.setdefault(str(place), answer)
+    for key, answer in wanted:
+        taken.setdefault(key, answer)
     for answer in answers:
         if answer not in taken.values():
             free = (key for key in f"123456789{ascii_lowercase}" if key not in taken and key not in OWN_KEYS)
