@@ -5,12 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import pytest
-
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig import Simulator, open_rig
 from modaltouch.rig.latency import CommandLatency
-from modaltouch.system.clock import VirtualClock
 
 APPARATUS = Path(__file__).parents[2] / "protocols" / "apparatus" / "beam_100x6x2.yaml"
 GOOD = CommandLatency("TCPIP::x::INSTR", "TEKTRONIX,AFG3022B,1,2", 50, 0.3, 1e-3, 2e-3, 3e-3, 1e-3, 2e-3, 3e-3)
@@ -34,14 +31,3 @@ def test_what_a_person_should_do_is_said() -> None:
     assert GOOD.verdict.endswith("are off within 2.0 ms (95 %): good.")
     assert "begins that much later" in replace(GOOD, level_p95=0.03).verdict
     assert "too slow. Connect the generator directly" in replace(GOOD, level_p95=0.2).verdict
-
-
-def test_too_few_commands_are_refused() -> None:
-    """There is no 95th percentile of five."""
-    clock, parts = VirtualClock(0.0), Apparatus.read(APPARATUS)
-    with (
-        Simulator(parts, clock=clock) as simulator,
-        open_rig(simulator.address, parts, **simulator.driver_options) as rig,
-        pytest.raises(ValueError, match="given 5 commands; allowed: 10 or more"),
-    ):
-        rig.command_latency(5)

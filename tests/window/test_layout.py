@@ -116,16 +116,3 @@ def test_zones_stand_in_order_and_touch_each_other(n_zones: int) -> None:
     assert layout.beam().x == pytest.approx(0)
     for left, right in itertools.pairwise(places):
         assert left.right == pytest.approx(right.left)
-
-
-@pytest.mark.parametrize(("width", "height"), [(0, 600), (800, 0), (-1, -1)])
-def test_a_window_without_area_is_refused(width: int, height: int) -> None:
-    """Expected: the message names what was given."""
-    with pytest.raises(ValueError, match=f"given a window of {width} x {height} pixels"):
-        lay_out(width, height, ZONES, PAPER)
-
-
-def test_a_beam_without_zones_is_refused() -> None:
-    """Expected: the message names what is allowed."""
-    with pytest.raises(ValueError, match="at least one of each"):
-        lay_out(800, 600, (), PAPER)

@@ -296,18 +296,6 @@ def test_feedback_says_where_it_was_stronger(experiment: Experiment, expected: s
         assert words == (texts.practice_agreed if answer == expected else getattr(texts, f"practice_was_{expected}"))
 
 
-def test_a_finger_that_never_touches_is_refused(experiment: Experiment) -> None:
-    """Expected: the message names the finger and those that can touch."""
-    with pytest.raises(ValueError, match="given the finger 'left thumb'; allowed: left or right, then index"):
-        draw_hands(
-            lay_out(800, 600, ("A", "B"), AnswerList.of({})),
-            DARK,
-            ("A", "B"),
-            ("left thumb", "right index"),
-            ("x", "y"),
-        )
-
-
 def test_an_unknown_pair_of_fingers_has_no_picture(experiment: Experiment, trial: Trial) -> None:
     """Expected: three zones draw as well as five, and the middle pair has the name of its zones."""
     layout = lay_out(1280, 800, ("X", "Y", "Z"), AnswerList.of({}))

@@ -8,7 +8,7 @@ import pytest
 from modaltouch.planning.observer import Observer, Participant
 from modaltouch.protocol.trial import Condition, Trial
 from modaltouch.system.clock import VirtualClock
-from modaltouch.window import WindowOptions, open_window
+from modaltouch.window import open_window
 from modaltouch.window.interface import Presentation, Progress
 from modaltouch.window.simulated import Answerer, SimulatedParticipant
 
@@ -124,18 +124,3 @@ def test_an_observer_is_needed_to_simulate(experiment: object) -> None:
     protocol, texts = experiment.protocol, experiment.texts  # type: ignore[attr-defined]
     with pytest.raises(ValueError, match="given answers by 'robot' and no observer; give `answerer`"):
         open_window("robot", protocol, texts, zones=("A", "B"), tick=lambda: None, log=lambda event, **facts: None)
-
-
-def test_an_unknown_theme_is_refused(experiment: object) -> None:
-    """Expected: the message names the themes there are."""
-    protocol, texts = experiment.protocol, experiment.texts  # type: ignore[attr-defined]
-    with pytest.raises(ValueError, match="given the theme 'pink'; allowed: dark, light"):
-        open_window(
-            "window",
-            protocol,
-            texts,
-            zones=("A", "B"),
-            tick=lambda: None,
-            log=lambda event, **facts: None,
-            options=WindowOptions(theme="pink"),
-        )

@@ -46,9 +46,3 @@ def test_round_corners_never_pass_the_box() -> None:
     shape = rounded(Box(0, 0, 2, 1), 5, "#000000")
     xs, ys = zip(*shape.corners, strict=True)
     assert (min(xs), max(xs), min(ys), max(ys)) == pytest.approx((-1, 1, -0.5, 0.5))
-
-
-def test_a_line_is_no_polygon() -> None:
-    """Expected: the message says how many corners there must be."""
-    with pytest.raises(ValueError, match="given 2 corners; allowed: 3 or more"):
-        cover(np.array([(0.0, 0.0), (1.0, 1.0)]))

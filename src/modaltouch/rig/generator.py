@@ -131,8 +131,6 @@ class Generator:
         ------
         RigError
             If the instrument is lost.
-        ValueError
-            If fewer than 10 commands are asked for.
         """
         from modaltouch.rig.latency import measure
 

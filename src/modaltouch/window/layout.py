@@ -86,16 +86,7 @@ def lay_out(
         Names of the zones from the left.
     answers : AnswerList
         Answers that are offered.
-
-    Raises
-    ------
-    ValueError
-        If the window has no area, or there is no zone or answer to show.
     """
-    if width_px < 1 or height_px < 1:
-        raise ValueError(f"given a window of {width_px} x {height_px} pixels; allowed: at least 1 x 1")
-    if not zones or not answers:
-        raise ValueError(f"given zones {zones} and answers {answers}; allowed: at least one of each")
     width = width_px / height_px
     unit = min(1.0, width / _FULL_ASPECT)
     type_scale = max(unit, min(1.0, 0.2 + 0.8 * width))

@@ -108,7 +108,7 @@ def open_window(
     WindowError
         If the window cannot be opened.
     ValueError
-        If the theme is unknown, or an observer is missing.
+        If an observer is missing.
     """
     if answers != "window" and answerer is None:
         raise ValueError(f"given answers by {answers!r} and no observer; give `answerer`, or answers by 'window'")
@@ -148,8 +148,6 @@ def _open_screen(title: str, options: WindowOptions, clock: Clock) -> Screen:
     from modaltouch.window.screen import Screen
     from modaltouch.window.theme import THEMES
 
-    if options.theme not in THEMES:
-        raise ValueError(f"given the theme {options.theme!r}; allowed: {', '.join(THEMES)}")
     return Screen(
         size=options.size,
         fullscreen=options.fullscreen,

@@ -57,15 +57,7 @@ def draw_hands(
         Those fingers, such as ``left index``.
     names : tuple of str
         What the participant calls them.
-
-    Raises
-    ------
-    ValueError
-        If a finger is none that touches the beam.
     """
-    for finger in fingers:
-        if finger not in {f"{side} {name}" for side in ("left", "right") for name in ("index", "middle")}:
-            raise ValueError(f"given the finger {finger!r}; allowed: left or right, then index or middle")
     colours = (theme.left, theme.right)
     tips = {finger: (layout.zones[zone].x, layout.zones[zone].y) for finger, zone in zip(fingers, zones, strict=True)}
     fills = dict(zip(fingers, colours, strict=True))

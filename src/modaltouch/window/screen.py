@@ -41,14 +41,7 @@ def cover(corners: NDArray[np.float64]) -> Coverage:
     ----------
     corners : (n_corners, 2) array
         Corners in order, either way round [pixels], y upwards.
-
-    Raises
-    ------
-    ValueError
-        If there are fewer than three corners.
     """
-    if len(corners) < 3:
-        raise ValueError(f"given {len(corners)} corners; allowed: 3 or more")
     left, bottom = (math.floor(low) - 1 for low in corners.min(axis=0))
     right, top = (math.ceil(high) + 1 for high in corners.max(axis=0))
     x = np.arange(left, right, dtype=np.float32) + np.float32(0.5)
@@ -274,29 +267,12 @@ class Screen:
             return self._tap.poll()
 
     def type_key(self, key: str, *, down: bool) -> None:
-        """Put a key press or release into the window's own event queue, as if a person had typed it.
-
-        Raises
-        ------
-        ValueError
-            If no key has that name.
-        """
+        """Put a key press or release into the window's own event queue, as if a person had typed it."""
         from pyglet.window import key as keys
 
         name = key.upper() if not key.isdigit() else f"_{key}"
-        symbol = getattr(keys, name, None)
-        if symbol is None:
-            raise ValueError(f"given the key {key!r}; allowed: a key name of pyglet, such as left, space, num_4 or a")
+        symbol = getattr(keys, name)
         self._window.winHandle.dispatch_event("on_key_press" if down else "on_key_release", symbol, 0)
-
-    def fits(self, words: Words) -> bool:
-        """Return whether the words lie inside their box."""
-        width, height = self._measure(self._stimuli(words)[0])
-        return width <= words.box.width and height <= words.box.height
-
-    def shrinks(self, words: Words) -> float:
-        """Return the share of its intended size at which the text is drawn, 1 where it fits as it is."""
-        return float(self._stimuli(words)[0].height) / words.size
 
     def close(self) -> None:
         """Close the window; never raises."""

@@ -119,9 +119,3 @@ def test_fades_rise_and_fall_without_a_jump() -> None:
     assert heard[1100] == 1
     assert heard[-1] == 0
     assert np.abs(np.diff(heard)).max() < 1.01 * np.pi / 2 / 1000
-
-
-def test_a_sampling_rate_without_sound_is_refused() -> None:
-    """Nothing of the band from 20 Hz would be left."""
-    with pytest.raises(ValueError, match="sampling rate of 40.0 Hz; allowed: above 80 Hz"):
-        make_noise("pink", 40.0)
