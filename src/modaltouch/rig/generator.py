@@ -216,33 +216,30 @@ class Generator:
                 self._player.choose(which)
                 read_back = self._player.prepare(commanded, silent=silent)
                 self._firing = replace(self._firing, confirmed_amplitude=numbers(read_back))
-                self._begin(n_bursts, silent=silent)
+                self._begin(self._firing, n_bursts, silent=silent)
             except (Unconfirmed, LinkError) as error:
-                self._give_up(error)
+                self._give_up(self._firing, error)
         return self._firing
 
-    def _give_up(self, error: Unconfirmed | LinkError) -> None:
+    def _give_up(self, firing: Firing, error: Unconfirmed | LinkError) -> None:
         """Switch off a stimulus that did not begin as it should, and keep why."""
         read_back, reason = error.read_back if isinstance(error, Unconfirmed) else (), str(error)
-        if self._firing is not None:
-            self._firing = replace(self._firing, confirmed_amplitude=numbers(read_back), reason=reason)
+        self._firing = replace(firing, confirmed_amplitude=numbers(read_back), reason=reason)
         self._log("unconfirmed", reason=reason)
         if isinstance(error, LinkError):
             # A trigger of its own may still be on its way over it.
             self._connection.link.close(broken=True)
         self._switch_off("starting the stimulus")
         # While this computer stands still, nothing is held against the instrument.
-        if self._firing is not None and self._connection.guard.held_up() > HELD_UP:
+        if self._connection.guard.held_up() > HELD_UP:
             self._firing = replace(self._firing, stalled=True)
         if isinstance(error, Unconfirmed):
             # Whoever changed a setting is to find it as it was for the next try.
             self._connection.restore("starting the stimulus", (), self._player.replay)
 
-    def _begin(self, n_bursts: int, *, silent: bool) -> None:
+    def _begin(self, firing: Firing, n_bursts: int, *, silent: bool) -> None:
         """Switch the outputs on and let the first burst go, and keep when that was."""
-        firing, clock = self._firing, self._clock
-        if firing is None:
-            raise RigError("a stimulus was begun before it was prepared; the outputs are off; report this")
+        clock = self._clock
         started = clock.now()
         self._player.switch_on()
         on = clock.now()
