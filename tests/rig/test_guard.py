@@ -76,7 +76,7 @@ def test_exchange_longer_than_the_limit_is_no_stall(rig: Generator, single_link:
     """While the instrument is slow over one message, it is the instrument that is waited for."""
     rig.fire(0.1)
     single_link.faults.inject("slow_command", when="IDN", value=LIMIT + 0.4)
-    rig._connection.link.ask("*IDN?", timeout=3)
+    rig._connection.controls.ask("*IDN?", timeout=3)
     assert single_link.outputs == (True, True)
 
 
@@ -135,7 +135,7 @@ def test_signal_in_the_midst_of_an_exchange_mixes_up_no_answers(rig: Generator, 
     def raise_it(*_: object) -> None:
         raise KeyboardInterrupt
 
-    link = rig._connection.link
+    link = rig._connection.controls
     before = signal.signal(signal.SIGUSR2, raise_it)
     try:
         single_link.faults.inject("delayed_reply", when="IDN", value=0.3)

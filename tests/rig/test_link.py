@@ -40,7 +40,7 @@ def link(heard: Any) -> Callable[[object], tuple[Link, Transport]]:
 
     def open_link(reply: object) -> tuple[Link, Transport]:
         transport = Transport(reply)
-        opened = Link(transport, log=heard, timeout=0.5)
+        opened = Link(transport, log=heard, timeout=0.5, copy_timeout=1)
         opened.open()
         return opened, transport
 
@@ -107,7 +107,7 @@ def test_longer_wait_holds_for_one_exchange(link: Callable[..., Any]) -> None:
 def test_codes_come_as_an_array(link: Callable[..., Any], heard: Any) -> None:
     """A definite block, two bytes each, big-endian; what follows it is not looked at (IEEE 488.2, 8.7.9)."""
     opened, _ = link(b"#16" + bytes([0, 1, 0, 2, 0x3F, 0xFE]) + b"\n")
-    codes = opened.read_codes("DATA?", timeout=1)
+    codes = opened.read_codes("DATA?")
     assert codes.dtype == np.uint16
     assert codes.tolist() == [1, 2, 16382]
     assert heard.of("scpi")[-1]["reply"].startswith("<6 bytes, blake2b ")
@@ -118,7 +118,7 @@ def test_reply_that_is_no_whole_block_is_an_error(link: Callable[..., Any], repl
     """No head, no length, or fewer bytes than it announces."""
     opened, _ = link(reply)
     with pytest.raises(LinkError, match="is no block|announces 5 bytes, 2 came"):
-        opened.read_codes("DATA?", timeout=1)
+        opened.read_codes("DATA?")
 
 
 @pytest.mark.parametrize(
@@ -133,7 +133,7 @@ def test_failure_to_open_is_told(heard: Any, fault: Exception, kind: type[Except
     transport = Transport(b"")
     transport.open = Mock(side_effect=fault)  # type: ignore[method-assign]
     with pytest.raises(kind, match=words):
-        Link(transport, log=heard, timeout=1).open()
+        Link(transport, log=heard, timeout=1, copy_timeout=1).open()
     assert heard.of("link")[0]["failed"].startswith(type(fault).__name__)
 
 

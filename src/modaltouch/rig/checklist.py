@@ -19,7 +19,7 @@ from modaltouch.rig.catalogue import instrument_of
 from modaltouch.rig.connection import Connection, Patience
 from modaltouch.rig.controls import Unconfirmed
 from modaltouch.rig.instrument import Setting
-from modaltouch.rig.link import InUse, Link, LinkError, Log, describe_error, split_reply
+from modaltouch.rig.link import InUse, LinkError, Log, describe_error, split_reply
 from modaltouch.rig.visa import VisaSession
 from modaltouch.rig.watchdog_client import WatchdogClient
 from modaltouch.stimulus import Burst
@@ -35,37 +35,12 @@ N_TRIGGERS, BURST_LENGTH = 50, 0.05
 State = Literal["found", "person", "unanswered"]
 
 
-@dataclass(frozen=True)
-class QuestionedInstrument:
-    """What a question may use."""
-
-    connection: Connection
-    patience: Patience
-
-    @property
-    def link(self) -> Link:
-        """The session."""
-        return self.connection.link
-
-    def ask(self, message: str) -> str:
-        """Return a reply; a copy may take its time."""
-        return self.link.ask(message, timeout=self.patience.copy)
-
-    def level(self, amplitude: float) -> Setting:
-        """Return the setting of an amplitude of output 1 [V peak to peak]."""
-        return self.connection.instrument.level(1, amplitude)
-
-    def errors(self) -> list[str]:
-        """Empty the error queue."""
-        return self.connection.controls.pending_errors()
-
-
 Finding = tuple[State, str, str]
 """State, answer and advice."""
 
 
-def _settings(bench: QuestionedInstrument) -> Finding:
-    identity = bench.connection.identity
+def _settings(connection: Connection) -> Finding:
+    identity = connection.identity
     return (
         "found",
         f"{identity}; outputs off; takes its settings and reads them back",
@@ -87,9 +62,9 @@ SKEW: Finding = (
 )
 
 
-def _timer(bench: QuestionedInstrument) -> Finding:
-    bench.ask(f":TRIG:TIM {REPETITION_PERIOD:.12g}S;:TRIG:TIM?")
-    period = float(bench.ask("TRIG:TIM?"))
+def _timer(connection: Connection) -> Finding:
+    connection.controls.ask(f":TRIG:TIM {REPETITION_PERIOD:.12g}S;:TRIG:TIM?")
+    period = float(connection.controls.ask("TRIG:TIM?"))
     off = period / REPETITION_PERIOD - 1
     return (
         "found",
@@ -98,45 +73,45 @@ def _timer(bench: QuestionedInstrument) -> Finding:
     )
 
 
-def _copy_time(bench: QuestionedInstrument) -> Finding:
-    filled = bench.ask("DATA:CAT?")
+def _copy_time(connection: Connection) -> Finding:
+    filled = connection.controls.ask("DATA:CAT?")
     kept = "USER4" in filled
     if kept:
-        bench.ask("DATA:COPY EMEM,USER4;*OPC?")
+        connection.controls.ask("DATA:COPY EMEM,USER4;*OPC?", timeout=connection.patience.copy)
     else:
-        bench.ask(f"DATA:DEF EMEM,{N_POINTS};*OPC?")
-    n_points = bench.ask("DATA:POIN? EMEM")
+        connection.controls.ask(f"DATA:DEF EMEM,{N_POINTS};*OPC?", timeout=connection.patience.copy)
+    n_points = connection.controls.ask("DATA:POIN? EMEM")
     started = time.perf_counter()
-    bench.ask("DATA:COPY USER4,EMEM;*OPC?")
+    connection.controls.ask("DATA:COPY USER4,EMEM;*OPC?", timeout=connection.patience.copy)
     took = time.perf_counter() - started
     if not kept:
-        bench.ask("DATA:DEL USER4;*OPC?")
-    errors = bench.errors()
+        connection.controls.ask("DATA:DEL USER4;*OPC?", timeout=connection.patience.copy)
+    errors = connection.controls.pending_errors()
     if errors:
         return "unanswered", ", ".join(errors), "unlock USER4 at the instrument (Edit menu) and ask again"
-    enough = took < bench.patience.copy / 2
+    enough = took < connection.patience.copy / 2
     return (
         "found",
         f"{took * 1e3:.1f} ms for {n_points} points into USER4 (whose content was kept)",
-        f"{'well' if enough else 'BARELY'} within the {bench.patience.copy:g} s that the driver waits",
+        f"{'well' if enough else 'BARELY'} within the {connection.patience.copy:g} s that the driver waits",
     )
 
 
-def _second_edit_memory(bench: QuestionedInstrument) -> Finding:
-    bench.ask("*CLS;*OPC?")
+def _second_edit_memory(connection: Connection) -> Finding:
+    connection.controls.ask("*CLS;*OPC?")
     try:
-        reply = bench.link.ask("DATA:POIN? EMEM2")
+        reply = connection.controls.ask("DATA:POIN? EMEM2")
     except LinkError:
-        bench.connection.restore("question 4", (), lambda: None)
+        connection.restore("question 4", (), lambda: None)
         return "found", "no: it does not answer to EMEM2", "the driver uses one edit memory in any case"
-    errors = bench.errors()
+    errors = connection.controls.pending_errors()
     answer = f"no: {', '.join(errors)}" if errors else f"yes: it has {reply} points"
     return "found", answer, "the driver uses one edit memory in any case"
 
 
-def _raw_socket(bench: QuestionedInstrument) -> Finding:
-    host = (bench.connection.address.split("::") + [""])[1]
-    if not bench.connection.address.upper().startswith("TCPIP") or "," in host:
+def _raw_socket(connection: Connection) -> Finding:
+    host = (connection.address.split("::") + [""])[1]
+    if not connection.address.upper().startswith("TCPIP") or "," in host:
         return "unanswered", "not reached over its network address", "ask again over TCPIP::<address>::INSTR"
     open_ports = [str(port) for port in RAW_PORTS if _answers(host, port)]
     answer = f"yes, on port {' and '.join(open_ports)}" if open_ports else f"no, neither on port {RAW_PORTS}"
@@ -152,13 +127,13 @@ def _answers(host: str, port: int) -> bool:
         return False
 
 
-def _ranges(bench: QuestionedInstrument) -> Finding:
+def _ranges(connection: Connection) -> Finding:
     took = {}
     for amplitude in STEPS:
-        if amplitude / 2 > bench.connection.limits.level:
+        if amplitude / 2 > connection.limits.level:
             break
-        took[amplitude] = min(_time_of_change(bench, amplitude) for _ in range(N_CHANGES))
-    bench.connection.controls.apply([bench.level(bench.connection.limits.quiet_amplitude)])
+        took[amplitude] = min(_time_of_change(connection, amplitude) for _ in range(N_CHANGES))
+    connection.controls.apply([connection.instrument.level(1, connection.limits.quiet_amplitude)])
     slowest = max(took, key=lambda amplitude: took[amplitude])
     usual = sorted(took.values())[len(took) // 2]
     where = f"passes {slowest:g} Vpp, which took longest" if took[slowest] > 3 * usual else "goes through all of these"
@@ -171,22 +146,22 @@ def _ranges(bench: QuestionedInstrument) -> Finding:
     )
 
 
-def _time_of_change(bench: QuestionedInstrument, amplitude: float) -> float:
+def _time_of_change(connection: Connection, amplitude: float) -> float:
     """Return how long going from the lowest level to another takes [s]."""
-    bench.connection.controls.apply([bench.level(STEPS[0])])
+    connection.controls.apply([connection.instrument.level(1, STEPS[0])])
     started = time.perf_counter()
-    bench.connection.controls.apply([bench.level(amplitude)])
+    connection.controls.apply([connection.instrument.level(1, amplitude)])
     return time.perf_counter() - started
 
 
-def _limits(bench: QuestionedInstrument) -> Finding:
-    controls, level = bench.connection.controls, bench.connection.limits.level
+def _limits(connection: Connection) -> Finding:
+    controls, level = connection.controls, connection.limits.level
     source = "SOUR1:VOLT"
     controls.apply([Setting(f"{source}:LIM:HIGH", 1.0, "V"), Setting(f"{source}:LIM:LOW", -1.0, "V")])
-    bench.ask("*CLS;*OPC?")
-    reply = float(split_reply(bench.ask(f":{source} 4VPP;:{source}?"))[-1])
-    errors = bench.errors()
-    controls.apply([bench.level(bench.connection.limits.quiet_amplitude)])
+    connection.controls.ask("*CLS;*OPC?")
+    reply = float(split_reply(connection.controls.ask(f":{source} 4VPP;:{source}?"))[-1])
+    errors = connection.controls.pending_errors()
+    controls.apply([connection.instrument.level(1, connection.limits.quiet_amplitude)])
     controls.apply([Setting(f"{source}:LIM:HIGH", level, "V"), Setting(f"{source}:LIM:LOW", -level, "V")])
     if reply > 2.001:
         return "found", f"4 Vpp is accepted beyond a limit of 1 V (reads {reply:g})", "DO NOT rely on VOLTage:LIMit"
@@ -194,20 +169,20 @@ def _limits(bench: QuestionedInstrument) -> Finding:
     return "found", f"4 Vpp beyond a limit of 1 V is {how}; the level reads {reply:g} Vpp", "the limit holds"
 
 
-def _error_queue(bench: QuestionedInstrument) -> Finding:
-    bench.ask("*CLS;*OPC?")
+def _error_queue(connection: Connection) -> Finding:
+    connection.controls.ask("*CLS;*OPC?")
     for _ in range(N_ERRORS):
-        bench.link.ask("*OPC?;:NONSENSE:HEADER")
-    errors = bench.errors()
+        connection.controls.ask("*OPC?;:NONSENSE:HEADER")
+    errors = connection.controls.pending_errors()
     if not errors:
         return "found", "no error after an undefined header", "errors go unseen: rely on what is read back"
     depth = f"{len(errors)} entries" if len(errors) < N_ERRORS else f"at least {N_ERRORS} entries"
     return "found", f"first {errors[0]}, last {errors[-1]}; {depth}", "the driver empties it after every setting"
 
 
-def _block_end(bench: QuestionedInstrument) -> Finding:
-    bench.ask("DATA:DEF EMEM,1000;*OPC?")
-    reply = bench.link.ask_raw("DATA:DATA? EMEM", timeout=bench.patience.copy)
+def _block_end(connection: Connection) -> Finding:
+    connection.controls.ask("DATA:DEF EMEM,1000;*OPC?")
+    reply = connection.controls.ask_raw("DATA:DATA? EMEM")
     n_digits = int(reply[1:2])
     end = 2 + n_digits + int(reply[2 : 2 + n_digits])
     return (
@@ -217,11 +192,11 @@ def _block_end(bench: QuestionedInstrument) -> Finding:
     )
 
 
-def _sessions(bench: QuestionedInstrument) -> Finding:
-    second = VisaSession(bench.connection.address, shares=True)
+def _sessions(connection: Connection) -> Finding:
+    second = VisaSession(connection.address, shares=True)
     try:
         second.open()
-        second.exchange(b"*IDN?\n", timeout=bench.patience.reply, reply=True)
+        second.exchange(b"*IDN?\n", timeout=connection.patience.reply, reply=True)
     except InUse as error:
         return (
             "found",
@@ -240,17 +215,17 @@ def _sessions(bench: QuestionedInstrument) -> Finding:
     )
 
 
-def _trigger(bench: QuestionedInstrument) -> Finding:
-    controls = bench.connection.controls
-    controls.apply(bench.connection.instrument.on_all(bench.connection.instrument.commands.stopped))
-    for channel in bench.connection.instrument.channels:
+def _trigger(connection: Connection) -> Finding:
+    controls = connection.controls
+    controls.apply(connection.instrument.on_all(connection.instrument.commands.stopped))
+    for channel in connection.instrument.channels:
         source = f"SOUR{channel}"
         controls.apply_each([Setting(f"{source}:FREQ", 20.0, "HZ"), Setting(f"{source}:BURS:STAT", "ON")])
     command = controls.trigger_command()
     took = []
     for _ in range(N_TRIGGERS):
         started = time.perf_counter()
-        bench.link.send(command)
+        controls.send(command)
         took.append((time.perf_counter() - started) * 1e3)
         time.sleep(BURST_LENGTH)
     took.sort()
@@ -264,16 +239,16 @@ def _trigger(bench: QuestionedInstrument) -> Finding:
     )
 
 
-def _after_link_loss(bench: QuestionedInstrument) -> Finding:
-    controls = bench.connection.controls
-    controls.apply(bench.connection.instrument.on_all(bench.connection.instrument.commands.stopped))
-    for channel in bench.connection.instrument.channels:
-        controls.apply_each(bench.connection.limits.quiet_settings(channel))
+def _after_link_loss(connection: Connection) -> Finding:
+    controls = connection.controls
+    controls.apply(connection.instrument.on_all(connection.instrument.commands.stopped))
+    for channel in connection.instrument.channels:
+        controls.apply_each(connection.limits.quiet_settings(channel))
         # In burst, with a trigger that never comes, the output rests.
         controls.apply_each([Setting(f"SOUR{channel}:FREQ", 20.0, "HZ"), Setting(f"SOUR{channel}:BURS:STAT", "ON")])
     controls.outputs_on()
-    bench.link.close(broken=True)
-    found = bench.connection.restore("question 12", (), lambda: None)
+    controls.close(broken=True)
+    found = connection.restore("question 12", (), lambda: None)
     state = "still on" if any(found.outputs) else "off"
     return (
         "found",
@@ -284,15 +259,15 @@ def _after_link_loss(bench: QuestionedInstrument) -> Finding:
     )
 
 
-def _amplitude(bench: QuestionedInstrument) -> Finding:
-    instrument, controls = bench.connection.instrument, bench.connection.controls
+def _amplitude(connection: Connection) -> Finding:
+    instrument, controls = connection.instrument, connection.controls
     zero, most = instrument.converter.mid_code, 2 * instrument.highest_output
     codes = np.full((1, 64), zero, dtype=np.uint16)
     codes[0, 16:32], codes[0, 32:48] = zero + zero // 2, zero - zero // 2
     (memory,) = controls.store([(1, codes[0])])
     half = Burst(codes, BURST_LENGTH, 1 / REPETITION_PERIOD, 0.1, (1.0,), instrument.converter)
     controls.apply_each(instrument.burst_settings(1, memory, half, continuous=False))
-    reached = float(bench.ask(f"{bench.level(1.0).query} MAX"))
+    reached = float(connection.controls.ask(f"{connection.instrument.level(1, 1.0).query} MAX"))
     controls.reset()
     answer = f"a record of half the codes reaches {reached:.4g} Vpp, where all codes reach {most:g} Vpp"
     if not math.isclose(reached, most * float(half.shares[0]), rel_tol=0.01):
@@ -301,9 +276,9 @@ def _amplitude(bench: QuestionedInstrument) -> Finding:
     return "found", answer, f"an amplitude is that of {meant}, as the driver takes it"
 
 
-QUESTIONS: tuple[tuple[int, str, Callable[[QuestionedInstrument], Finding]], ...] = (
+QUESTIONS: tuple[tuple[int, str, Callable[[Connection], Finding]], ...] = (
     (0, "Does it take the driver's settings?", _settings),
-    (1, "Where does the output rest between bursts?", lambda bench: IDLE_LEVEL),
+    (1, "Where does the output rest between bursts?", lambda connection: IDLE_LEVEL),
     (2, "What does the trigger timer make of 1/7 s?", _timer),
     (3, "How long does storing a record take?", _copy_time),
     (4, "Is there a second edit memory?", _second_edit_memory),
@@ -312,7 +287,7 @@ QUESTIONS: tuple[tuple[int, str, Callable[[QuestionedInstrument], Finding]], ...
     (7, "Is a level beyond VOLTage:LIMit refused or cut?", _limits),
     (8, "What does the error queue say, and how much does it hold?", _error_queue),
     (9, "How does a block reply end?", _block_end),
-    (10, "How far apart do the channels start?", lambda bench: SKEW),
+    (10, "How far apart do the channels start?", lambda connection: SKEW),
     (11, "Does it admit a second session?", _sessions),
     (12, "What do the outputs do when the link is lost?", _after_link_loss),
     (13, "How soon after its command does a burst begin?", _trigger),
@@ -382,18 +357,16 @@ def check_rig(
     RigError
         If there is no such instrument at the address, or its outputs cannot be switched off afterwards.
     """
-    patience = patience or Patience()
     connection = Connection(
         address,
         apparatus,
         guard=WatchdogClient(address, instrument_of(apparatus).off),
         log=log,
-        patience=patience,
+        patience=patience or Patience(),
     )
     try:
         connection.open()
-        bench = QuestionedInstrument(connection, patience)
-        rows = [_ask(bench, *entry) for entry in QUESTIONS if entry[0] in connection.instrument.questions]
+        rows = [_ask(connection, *entry) for entry in QUESTIONS if entry[0] in connection.instrument.questions]
         connection.switch_off("the check", (), lambda: None)
     except BaseException:
         connection.close(clean=False)
@@ -402,12 +375,10 @@ def check_rig(
     return rows
 
 
-def _ask(
-    bench: QuestionedInstrument, number: int, question: str, find: Callable[[QuestionedInstrument], Finding]
-) -> Row:
+def _ask(connection: Connection, number: int, question: str, find: Callable[[Connection], Finding]) -> Row:
     """Answer one question; whatever it breaks is mended before the next."""
     try:
-        return Row(number, question, *find(bench))
+        return Row(number, question, *find(connection))
     except (LinkError, Unconfirmed) as error:
-        bench.connection.restore(f"question {number}", (), lambda: None)
+        connection.restore(f"question {number}", (), lambda: None)
         return Row(number, question, "unanswered", str(error), "ask again; if it stays so, look at the instrument")

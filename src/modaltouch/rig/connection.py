@@ -11,7 +11,7 @@ from modaltouch.rig.catalogue import instrument_of, instruments
 from modaltouch.rig.controls import Controls, Unconfirmed
 from modaltouch.rig.instrument import Setting
 from modaltouch.rig.interface import RigError
-from modaltouch.rig.link import InUse, Link, LinkError, Log
+from modaltouch.rig.link import InUse, LinkError, Log
 from modaltouch.rig.pacing import BurstPlayer
 from modaltouch.system import SYSTEM_CLOCK, Clock
 
@@ -116,10 +116,10 @@ class Connection:
         self.guard = guard
         self._expected_model = apparatus.generator.model
         self._log = log
-        self._patience = patience
+        self.patience = patience
         self._clock = clock
-        self.link = Link(guard, log=log, timeout=patience.reply)
-        self.controls = Controls(self.link, self.instrument, revive=self._revive, log=log, copy_timeout=patience.copy)
+        times = {"timeout": patience.reply, "copy_timeout": patience.copy}
+        self.controls = Controls(guard, self.instrument, revive=self._revive, log=log, **times)
 
     def open(self) -> None:
         """Reach the instrument, see that it is the right one, and bring it to a known state, outputs off.
@@ -130,8 +130,8 @@ class Connection:
             If no such instrument answers, or it does not take its settings.
         """
         try:
-            self.link.open()
-            self.identity = self.controls.identify()
+            self.controls.open()
+            self.identity = self.controls.ask("*IDN?")
             self._refuse_stranger()
             self.controls.outputs_off()
             self.controls.clear_errors()
@@ -187,9 +187,9 @@ class Connection:
         Parameters and errors are those of `switch_off`.
         """
         last: Exception = LinkError("it was not tried")
-        for attempt in range(self._patience.tries):
+        for attempt in range(self.patience.tries):
             if attempt:
-                self._clock.sleep(self._patience.pause * 2 ** (attempt - 1))
+                self._clock.sleep(self.patience.pause * 2 ** (attempt - 1))
             try:
                 outputs, errors = self._revive()
                 found = OutputState(outputs, tuple(self.controls.differences(expected)), errors, renewed=True)
@@ -198,7 +198,7 @@ class Connection:
                 self._prepare()
                 replay()
                 # A trigger that the old connection had on its way is played now if ever, with the outputs off.
-                self._clock.sleep(self._patience.quarantine)
+                self._clock.sleep(self.patience.quarantine)
             except (LinkError, Unconfirmed) as error:
                 last = error
                 self._log("reconnect_failed", attempt=attempt + 1, reason=str(error))
@@ -212,7 +212,7 @@ class Connection:
                 )
                 return found
         raise RigError(
-            f"{doing} failed, and so did {self._patience.tries} new connections to {self.address}: {last}; "
+            f"{doing} failed, and so did {self.patience.tries} new connections to {self.address}: {last}; "
             f"{self._last_resort()}; see that the generator is on and connected, then go on with "
             "`modaltouch resume`"
         ) from last
@@ -221,7 +221,7 @@ class Connection:
         """Return what the error queue says over a new connection: a refused query stays silent."""
         errors = []
         with contextlib.suppress(LinkError):
-            self.link.open()
+            self.controls.open()
             errors = self.controls.pending_errors()
         return f" (it reports {', '.join(errors)})" if errors else ""
 
@@ -235,8 +235,8 @@ class Connection:
 
     def _revive(self) -> tuple[tuple[bool, ...], tuple[str, ...]]:
         """Open the connection anew, to the same instrument, outputs off; return what `outputs_off` does."""
-        self.link.open()
-        identity = self.controls.identify()
+        self.controls.open()
+        identity = self.controls.ask("*IDN?")
         if identity != self.identity:
             raise RigError(
                 f"{self.address} now answers as '{identity}', before as '{self.identity}'; the outputs of the "

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.rig.instrument import Instrument, Setting
-from modaltouch.rig.link import Link, Log, split_reply
+from modaltouch.rig.link import Link, Transport, split_reply
 
 NO_ERROR, UNDEFINED_HEADER = 0, -113
 QUERIES_PER_MESSAGE = 12
@@ -29,23 +30,21 @@ class Unconfirmed(Exception):  # noqa: N818
         self.read_back = read_back
 
 
-class Controls:
-    """Sets, reads back and uploads over one link; raises LinkError or Unconfirmed where that is not confirmed.
+class Controls(Link):
+    """A link that sets, reads back and uploads; raises LinkError or Unconfirmed where that is not confirmed.
 
     It is the `modaltouch.rig.instrument.Desk` of the way in which the instrument keeps its records.
 
     Parameters
     ----------
-    link : Link
-        An open session.
+    transport : Transport
+        The way to the instrument, not open yet.
     instrument : Instrument
         At its other end.
     revive : callable
         Opens the session anew after a failed exchange, to the same instrument, outputs off.
-    log : callable
-        Takes events.
-    copy_timeout : float
-        Longest wait for an upload, a copy between memories or ``*OPC?`` [s].
+    **options
+        Log and times of the link.
 
     Attributes
     ----------
@@ -54,28 +53,22 @@ class Controls:
     """
 
     def __init__(
-        self, link: Link, instrument: Instrument, *, revive: Callable[[], object], log: Log, copy_timeout: float
+        self, transport: Transport, instrument: Instrument, *, revive: Callable[[], object], **options: Any
     ) -> None:
-        self._link = link
+        super().__init__(transport, **options)
         self._instrument = instrument
         self._table = instrument.commands
         self.revive = revive
-        self.log = log
-        self._copy_timeout = copy_timeout
         self.stored: dict[str, str] = {}
-
-    def identify(self) -> str:
-        """Return the reply to ``*IDN?``."""
-        return self._link.ask("*IDN?")
 
     def clear_errors(self) -> None:
         """Empty the error queue, whatever was left in it; the log keeps it."""
-        self._link.ask("*CLS;*OPC?")
+        self.ask("*CLS;*OPC?")
 
     def reset(self) -> None:
         """Restore the defaults, outputs off; memories stay, but are to be read before they are trusted."""
         self.stored.clear()
-        self._link.ask("*RST;*OPC?", timeout=self._copy_timeout)
+        self.ask("*RST;*OPC?", timeout=self._copy_timeout)
         self._refuse_errors("*RST", self.pending_errors())
 
     def outputs_off(self) -> tuple[tuple[bool, ...], tuple[str, ...]]:
@@ -83,7 +76,7 @@ class Controls:
         outputs = [self._table.output.filled(channel=channel) for channel in self._instrument.channels]
         asked = ";".join(f":{output.query}" for output in outputs)
         off = ";".join(f":{output.off.command}" for output in outputs)
-        replies = split_reply(self._link.ask(f"{asked};{off};{asked};:SYST:ERR?"))
+        replies = split_reply(self.ask(f"{asked};{off};{asked};:SYST:ERR?"))
         n = len(outputs)
         if len(replies) != 2 * n + 1 or any(reply != "0" for reply in replies[n : 2 * n]):
             raise Unconfirmed(f"asked whether its outputs are off, the generator says {replies[n : 2 * n]}")
@@ -99,7 +92,7 @@ class Controls:
         """
         *first, last = self._table.triggers
         for command in first:
-            reply = self._link.ask(f":{command};:SYST:ERR?")
+            reply = self.ask(f":{command};:SYST:ERR?")
             if _error_number(reply) == NO_ERROR:
                 return command
             self.clear_errors()
@@ -115,7 +108,7 @@ class Controls:
         """Make settings in one message, read each back, read the error queue, and return what was read back."""
         commands = ";:".join(setting.command for setting in settings)
         queries = ";:".join(setting.query for setting in settings)
-        replies = split_reply(self._link.ask(f":{commands};:{queries};:SYST:ERR?"))
+        replies = split_reply(self.ask(f":{commands};:{queries};:SYST:ERR?"))
         if len(replies) != len(settings) + 1:
             raise Unconfirmed(f"to '{commands}' the generator answers {replies}")
         read_back = tuple(replies[:-1])
@@ -135,7 +128,7 @@ class Controls:
         wrong = []
         for start in range(0, len(settings), QUERIES_PER_MESSAGE):
             part = settings[start : start + QUERIES_PER_MESSAGE]
-            replies = split_reply(self._link.ask(":" + ";:".join(setting.query for setting in part)))
+            replies = split_reply(self.ask(":" + ";:".join(setting.query for setting in part)))
             if len(replies) != len(part):
                 raise Unconfirmed(f"{len(part)} settings were asked for, {len(replies)} came: {replies}")
             wrong += _differences(part, replies)
@@ -143,7 +136,7 @@ class Controls:
 
     def command(self, command: str) -> None:
         """Send a command that has nothing to read back, and read the error queue."""
-        self._refuse_errors(command, [self._link.ask(f":{command};:SYST:ERR?")])
+        self._refuse_errors(command, [self.ask(f":{command};:SYST:ERR?")])
 
     def store(self, records: Sequence[tuple[int, NDArray[np.uint16]]]) -> list[str]:
         """Have records in memories, each verified for its channel, and return what names them in the table.
@@ -164,26 +157,10 @@ class Controls:
                 raise Unconfirmed(f"a record of {codes.size} points: the generator holds 2 to {most}")
         return self._instrument.records.store(self, records)
 
-    def ask(self, query: str) -> str:
-        """Return the reply to a query."""
-        return self._link.ask(query)
-
-    def ask_raw(self, query: str) -> bytes:
-        """Return the reply to a query as it comes; it may take as long as a copy."""
-        return self._link.ask_raw(query, timeout=self._copy_timeout)
-
-    def read_codes(self, query: str) -> NDArray[np.uint16]:
-        """Return the codes of a block, two bytes each, big-endian."""
-        return self._link.read_codes(query, timeout=self._copy_timeout)
-
-    def send_block(self, command: str, block: bytes) -> None:
-        """Send a command whose last argument is a block."""
-        self._link.send_block(command, block, timeout=self._copy_timeout)
-
     def complete(self, what: str, message: str, *queries: str) -> list[str]:
         """Wait in one message until all is done, read the error queue, and return the replies to further queries."""
         whole = ";:".join([message, "SYST:ERR?", *queries])
-        replies = split_reply(self._link.ask(whole, timeout=self._copy_timeout))
+        replies = split_reply(self.ask(whole, timeout=self._copy_timeout))
         if len(replies) != len(queries) + 2:
             raise Unconfirmed(f"to '{what}' the generator answers {replies}")
         if _error_number(replies[1]) != NO_ERROR:
@@ -195,7 +172,7 @@ class Controls:
         """Empty the error queue and return what was in it."""
         errors = []
         for _ in range(MOST_ERRORS):
-            reply = self._link.ask("SYST:ERR?")
+            reply = self.ask("SYST:ERR?")
             if _error_number(reply) == NO_ERROR:
                 break
             errors.append(reply)

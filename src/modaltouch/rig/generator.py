@@ -228,7 +228,7 @@ class Generator:
         self._log("unconfirmed", reason=reason)
         if isinstance(error, LinkError):
             # A trigger of its own may still be on its way over it.
-            self._connection.link.close(broken=True)
+            self._connection.controls.close(broken=True)
         self._switch_off("starting the stimulus")
         # While this computer stands still, nothing is held against the instrument.
         if self._connection.guard.held_up() > HELD_UP:
@@ -309,7 +309,7 @@ class Generator:
                 self.end()
             if fault:
                 # Its trigger may still be on its way: the connection that carries it is given up, and it with it.
-                self._connection.link.close(broken=True)
+                self._connection.controls.close(broken=True)
             off = self._clock.now()
             found = self._switch_off("switching the outputs off")
             if at_once:

@@ -83,14 +83,15 @@ class Link:
         The way there, not open yet.
     log : callable
         Takes ``scpi`` events: sent, reply, seconds.
-    timeout : float
-        Longest wait for a reply [s].
+    timeout, copy_timeout : float
+        Longest wait for a reply; for an upload, a copy between memories or ``*OPC?`` [s].
     """
 
-    def __init__(self, transport: Transport, *, log: Log, timeout: float) -> None:
+    def __init__(self, transport: Transport, *, log: Log, timeout: float, copy_timeout: float) -> None:
         self._transport = transport
-        self._log = log
+        self.log = log
         self._timeout = timeout
+        self._copy_timeout = copy_timeout
         self._open = False
 
     @property
@@ -114,12 +115,12 @@ class Link:
             shut = self._transport.open()
         # Backends raise VisaIOError, OSError, ValueError and plain Exception here.
         except Exception as error:
-            self._log("link", did="open", failed=describe_error(error), seconds=_since(started))
+            self.log("link", did="open", failed=describe_error(error), seconds=_since(started))
             if isinstance(error, InUse):
                 raise
             raise LinkError(f"it cannot be opened ({describe_error(error)})") from error
         self._open = True
-        self._log("link", did="open", others=shut, seconds=_since(started))
+        self.log("link", did="open", others=shut, seconds=_since(started))
 
     def close(self, *, broken: bool = False) -> None:
         """End the session, whatever state it is in; without a word to the other end if it is broken."""
@@ -129,7 +130,7 @@ class Link:
             with contextlib.suppress(Exception):
                 self._transport.close(broken=broken)
 
-    def ask(self, message: str, *, timeout: float | None = None) -> str:
+    def ask(self, query: str, *, timeout: float | None = None) -> str:
         """Send a message that contains a query and return the reply."""
 
         def read(reply: bytes, facts: dict[str, str]) -> str:
@@ -139,28 +140,28 @@ class Link:
                 raise ValueError(f"reply {text!r} is not text")
             return text
 
-        return self._exchange(message, message.encode("ascii"), timeout, read)
+        return self._exchange(query, query.encode("ascii"), timeout, read)
 
     def send(self, message: str) -> None:
         """Send a message that asks nothing; return once the instrument has taken it."""
         self._exchange(message, message.encode("ascii"), None, None)
 
-    def send_block(self, command: str, block: bytes, *, timeout: float) -> None:
+    def send_block(self, command: str, block: bytes) -> None:
         """Send a command whose last argument is a definite block."""
         length = str(len(block))
         message = f"{command},#{len(length)}{length}".encode("ascii") + block
-        self._exchange(f"{command},{describe_block(block)}", message, timeout, None)
+        self._exchange(f"{command},{describe_block(block)}", message, self._copy_timeout, None)
 
-    def ask_raw(self, query: str, *, timeout: float) -> bytes:
-        """Ask for a reply and return it as it comes, terminator and all."""
+    def ask_raw(self, query: str) -> bytes:
+        """Ask for a reply and return it as it comes, terminator and all; it may take as long as a copy."""
 
         def read(reply: bytes, facts: dict[str, str]) -> bytes:
             facts["reply"] = describe_block(reply)
             return reply
 
-        return self._exchange(query, query.encode("ascii"), timeout, read)
+        return self._exchange(query, query.encode("ascii"), self._copy_timeout, read)
 
-    def read_codes(self, query: str, *, timeout: float) -> NDArray[np.uint16]:
+    def read_codes(self, query: str) -> NDArray[np.uint16]:
         """Ask for a block of codes of two bytes, big-endian, and return them."""
         import numpy as np  # the watchdog process does without it
 
@@ -172,7 +173,7 @@ class Link:
             facts["reply"] = describe_block(reply[start:end])
             return codes
 
-        return self._exchange(query, query.encode("ascii"), timeout, read)
+        return self._exchange(query, query.encode("ascii"), self._copy_timeout, read)
 
     def _exchange(
         self,
@@ -194,13 +195,13 @@ class Link:
                 value = read(reply, facts)
         except Exception as error:
             self.close(broken=True)
-            self._log("scpi", sent=shown, **facts, failed=describe_error(error), seconds=_since(started))
+            self.log("scpi", sent=shown, **facts, failed=describe_error(error), seconds=_since(started))
             raise LinkError(f"'{shown[:60]}' failed ({describe_error(error)})") from error
         except BaseException:
             # Cut by a signal: a reply may still be on its way, so the session is of no more use.
             self.close(broken=True)
             raise
-        self._log("scpi", sent=shown, **facts, seconds=_since(started))
+        self.log("scpi", sent=shown, **facts, seconds=_since(started))
         return typing.cast("T", value)
 
 
