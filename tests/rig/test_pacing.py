@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import pytest
 from hypothesis import given
@@ -257,8 +257,8 @@ def test_order_and_report_pass_through_a_pipe() -> None:
     report = Report(
         due=3, played=2, dropped=1, first=(1.0, 1.1), last=(2.0, 2.1), latest=0.1, ended="failed", reason="r"
     )
-    assert Order(**ORDER.as_dict()) == ORDER
-    assert Report(**report.as_dict()) == report
+    assert Order(**asdict(ORDER)) == ORDER
+    assert Report(**asdict(report)) == report
 
 
 def test_end_lets_no_further_burst_go() -> None:

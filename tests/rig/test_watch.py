@@ -11,6 +11,7 @@ import struct
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -394,7 +395,7 @@ def master() -> Iterator[Master]:
 
 def order(n_bursts: int, command: str = "*TRG") -> bytes:
     """Return bursts 1,000 s apart, the first of them now."""
-    return json.dumps(Order(command, n_bursts, SYSTEM_CLOCK.now(), 1000.0, 0.05, 1.0).as_dict()).encode()
+    return json.dumps(asdict(Order(command, n_bursts, SYSTEM_CLOCK.now(), 1000.0, 0.05, 1.0))).encode()
 
 
 @pytest.mark.parametrize("how", [END, REPORT, PLAY])
@@ -464,7 +465,7 @@ def test_bursts_asked_for_in_the_last_moment_end_with_the_pipe() -> None:
     instrument = Waiting()
     master = Master(instrument)
     later = Order("*TRG", 5, SYSTEM_CLOCK.now() + 1000.0, 1.0, 0.05, 1.0)
-    master.pipe.write(ask(1, b"*IDN?\n"), frame(PLAY, 2, json.dumps(later.as_dict()).encode()))
+    master.pipe.write(ask(1, b"*IDN?\n"), frame(PLAY, 2, json.dumps(asdict(later)).encode()))
     master.pipe.close()
     instrument.may_answer.set()
     master.serving.join(10)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import threading
 import typing
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Literal
 
 from modaltouch.rig.link import Transport, describe_error
 from modaltouch.system import Clock
@@ -61,10 +61,6 @@ class Order:
         """How late a burst may begin, so that rhythm and burst are whole [s]."""
         return min(LATEST * self.period, self.period - self.duration)
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return the order as plain values."""
-        return asdict(self)
-
 
 @dataclass
 class Report:
@@ -93,10 +89,6 @@ class Report:
     latest: float = 0.0
     ended: Ending = ""
     reason: str = ""
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the report as plain values."""
-        return asdict(self)
 
 
 class BurstPlayer(Transport, typing.Protocol):

@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 import typing
+from dataclasses import asdict
 from typing import Any
 
 from modaltouch.rig.interface import RigError
@@ -148,7 +149,7 @@ class WatchdogClient:
     def play(self, order: Order) -> Report:
         """Have bursts played; return the report as it stands after the first."""
         limit = max(order.first - time.perf_counter(), 0.0) + order.timeout + OVERHEAD
-        return _report(self._request(PLAY, json.dumps(order.as_dict()).encode(), limit))
+        return _report(self._request(PLAY, json.dumps(asdict(order)).encode(), limit))
 
     def look(self) -> Report:
         """Return what was played so far."""

@@ -25,6 +25,7 @@ import sys
 import threading
 import typing
 from collections.abc import Callable, Iterator
+from dataclasses import asdict
 
 from modaltouch.rig.link import InUse, Transport, describe_error
 from modaltouch.rig.pacing import PATIENCE, Order, Pacer
@@ -228,7 +229,7 @@ class WatchdogProcess:
         return self._told()
 
     def _told(self) -> bytes:
-        return b"{}" if self._pacer is None else json.dumps(self._pacer.report.as_dict()).encode()
+        return b"{}" if self._pacer is None else json.dumps(asdict(self._pacer.report)).encode()
 
     def _lost(self) -> str:
         """Return why the bursts ended before anybody asked for it; empty while all is well."""

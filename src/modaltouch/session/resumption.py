@@ -49,10 +49,6 @@ class SessionInterruption:
     clock_set_back_s: float
     cut_trial: dict[str, Any] | None
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return it as plain values for the record."""
-        return asdict(self)
-
 
 def examine_interruption(session: Session, *, now: datetime, clock: float, boot: str) -> SessionInterruption:
     """Return how a session was interrupted.
@@ -168,7 +164,7 @@ def go_on(
         If the log is damaged, in use, or cannot be written.
     """
     log = SessionLog.reopen(place.log, timed_by=clock)
-    log.append("resume", at=at, interruption=cut.as_dict(), **facts)
+    log.append("resume", at=at, interruption=asdict(cut), **facts)
     if cut.cut_trial is not None:
         log.append("trial_cut", trial=cut.cut_trial, reason=f"interrupted ({cut.reason})")
     lines = answers_to_ask_again(log.session, schedule, at)
@@ -204,9 +200,9 @@ def begin_anew(
     """
     with SessionLog.reopen(old.log) as log:
         if log.session.begun_anew_as is None:
-            log.append("closed", begun_anew_as=place.session, interruption=cut.as_dict())
+            log.append("closed", begun_anew_as=place.session, interruption=asdict(cut))
         log.write_view(old)
-    begun = {"session": old.session, "interruption": cut.as_dict()}
+    begun = {"session": old.session, "interruption": asdict(cut)}
     return SessionLog.create(place.log, "start", timed_by=clock, **facts, begins_anew=begun)
 
 
