@@ -1,7 +1,7 @@
-"""A table in a text file -> columns of coded words that know their place.
+"""A table in a text file -> columns of words that know their line.
 
 Commas, semicolons and tabs separate; a byte-order mark, any line ends and blank lines are taken as they come.
-Every column is held as its different words and one small integer a row, so memory stays a few bytes a field.
+Every column is a pandas categorical, so memory stays a few bytes a field.
 """
 
 from __future__ import annotations
@@ -9,40 +9,21 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
-from collections.abc import Iterable, Sequence
+import sys
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
+from typing import TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
+import pandas as pd
 
 from modaltouch.protocol import InputError, Problem, suggest
 
 SEPARATORS = {",": "comma", ";": "semicolon", "\t": "tab"}
-CHUNK_ROWS = 1_000
-"""Rows held as text at a time; few, as the collector of garbage goes through them again and again."""
 MOST_LISTED = 20
 """How many faults of one kind are listed one by one before the rest is only counted."""
 
-
-@dataclass(frozen=True, eq=False)
-class Column:
-    """One column: `words[codes[row]]` is the field of a row, without surrounding space."""
-
-    name: str
-    place: int
-    words: tuple[str, ...]
-    codes: NDArray[np.int64]
-
-    def first_rows(self) -> NDArray[np.int64]:
-        """Return the first row of every word."""
-        _, first = np.unique(self.codes, return_index=True)
-        return np.asarray(first, dtype=np.int64)
-
-    def counts(self) -> NDArray[np.int64]:
-        """Return how many rows hold each word."""
-        return np.bincount(self.codes, minlength=len(self.words))
+Fault = TypeVar("Fault")
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,10 +34,8 @@ class Table:
     ----------
     file : str
         File as it was named.
-    columns : dict of str to Column
-        Columns by name, in the file's order.
-    lines : (n_rows,) array of int
-        Line of each row in the file.
+    fields : DataFrame
+        Fields without surrounding space, as categorical columns in the file's order; the index is each row's line.
     separator : str
         What separates the fields.
     sha256 : str
@@ -66,22 +45,42 @@ class Table:
     """
 
     file: str
-    columns: dict[str, Column]
-    lines: NDArray[np.int64]
+    fields: pd.DataFrame
     separator: str
     sha256: str
     text: str
 
-    @property
-    def n_rows(self) -> int:
-        """Number of rows."""
-        return int(self.lines.size)
+    def problem(self, line: int, column: str, given: str, allowed: str, remedy: str = "") -> Problem:
+        """Return a problem at the place of one field."""
+        character = self._character(line, self.fields.columns.tolist().index(column))
+        return Problem(self.file, line, character, column, given, allowed, remedy)
 
-    def problem(self, row: int, column: str, given: str, allowed: str, remedy: str = "") -> Problem:
-        """Return a problem at the place of one field; row -1 is the header."""
-        line = 1 if row < 0 else int(self.lines[row])
-        place = self.columns[column].place if column in self.columns else 0
-        return Problem(self.file, line, self._character(line, place), column, given, allowed, remedy)
+    def check_words(
+        self, column: pd.Series, is_sound: Callable[[str], bool], allowed: str, say: Callable[[str], tuple[str, str]]
+    ) -> list[Problem]:
+        """Return a problem for each unsound word of a column, at its first line.
+
+        Parameters
+        ----------
+        column : Series
+            A column of `fields`, or some of its rows.
+        is_sound : callable
+            Whether a word may stand there.
+        allowed : str
+            What is allowed.
+        say : callable
+            What was given and what to do, of a word.
+        """
+        counts = column.value_counts(sort=False)
+        faulty = [(str(word), n) for word, n in counts[counts > 0].items() if not is_sound(str(word))]
+
+        def problem(fault: tuple[str, int]) -> Problem:
+            word, n = fault
+            given, remedy = say(word)
+            given += f" (in {n} rows)" if n > 1 else ""
+            return self.problem(int(column.index[column == word][0]), str(column.name), given, allowed, remedy)
+
+        return list_faults(self.file, faulty, f"words of this kind under {column.name}", problem)
 
     def _character(self, line: int, place: int) -> int:
         text = self.text.split("\n", line)[line - 1]
@@ -94,6 +93,15 @@ class Table:
             elif character == self.separator and not quoted:
                 seen += 1
         return len(text) + 1 if seen == place else 1
+
+
+def list_faults(
+    file: str, faults: Sequence[Fault], what: str, problem: Callable[[Fault], Problem], allowed: str = "none of them"
+) -> list[Problem]:
+    """Return a problem for each of the first faults, and one that counts the rest."""
+    beyond = len(faults) - MOST_LISTED
+    rest = [Problem(file, 1, 1, "", f"{beyond} more {what}", allowed)] if beyond > 0 else []
+    return [*map(problem, faults[:MOST_LISTED]), *rest]
 
 
 def read_table(path: Path, required: Sequence[str]) -> Table:
@@ -116,8 +124,7 @@ def read_table(path: Path, required: Sequence[str]) -> Table:
     file = str(path)
     separator = _find_separator(text, required)
     reader = csv.reader(io.StringIO(text), delimiter=separator, skipinitialspace=True, strict=True)
-    # A row is blank only if its first field is, so most rows are told by that one.
-    rows = ((reader.line_num, row) for row in reader if row and (row[0].strip() or any(field.strip() for field in row)))
+    rows = ((reader.line_num, row) for row in reader if any(map(str.strip, row)))
     try:
         header_line, header = next(rows, (0, []))
         header = [name.strip() for name in header]
@@ -126,17 +133,16 @@ def read_table(path: Path, required: Sequence[str]) -> Table:
         if not header:
             raise InputError([_whole(file, "an empty file", _form(required), "write the answers into it")])
         _check_header(file, header_line, header, required, text)
-        words, codes, lines, problems = _encode(file, header, rows, separator)
+        fields, problems = _read_fields(file, header, rows, separator)
     except csv.Error as error:
         given = f"a line that is not CSV ({error})"
         where = Problem(file, reader.line_num, 1, "", given, "fields in matching quotes", "repair that line")
         raise InputError([where]) from error
-    if not lines.size and not problems:
+    if fields.empty and not problems:
         problems = [_whole(file, "a header without any row", "one row for each answer", "write the answers into it")]
     if problems:
         raise InputError(problems)
-    columns = {name: Column(name, i, words[i], codes[i]) for i, name in enumerate(header)}
-    return Table(file, columns, lines, separator, hashlib.sha256(data).hexdigest(), text)
+    return Table(file, fields, separator, hashlib.sha256(data).hexdigest(), text)
 
 
 def _whole(file: str, given: str, allowed: str, remedy: str) -> Problem:
@@ -195,57 +201,28 @@ def _check_header(file: str, line: int, header: list[str], required: Sequence[st
         raise InputError(problems)
 
 
-class _Vocabulary(dict[str, int]):
-    """Gives every word of a column its code, without the space around it; a known word costs one look-up."""
-
-    def __init__(self) -> None:
-        self.words: list[str] = []
-
-    def __missing__(self, field: str) -> int:
-        word = field.strip()
-        code = self.get(word, len(self.words))
-        if code == len(self.words):
-            self.words.append(word)
-            self[word] = code
-        self[field] = code
-        return code
-
-
-def _encode(
+def _read_fields(
     file: str, header: list[str], rows: Iterable[tuple[int, list[str]]], separator: str
-) -> tuple[list[tuple[str, ...]], list[NDArray[np.int64]], NDArray[np.int64], list[Problem]]:
-    vocabularies = [_Vocabulary() for _ in header]
-    coded: list[list[NDArray[np.int64]]] = [[] for _ in header]
-    lines: list[NDArray[np.int64]] = []
-    problems: list[Problem] = []
-    n_wrong, width, iterator = 0, len(header), iter(rows)
-    while chunk := list(islice(iterator, CHUNK_ROWS)):
-        for place, (line, row) in enumerate(chunk):
-            if len(row) > width and not any(field.strip() for field in row[width:]):
-                chunk[place] = (line, row[:width])
-        wrong = [(line, len(row)) for line, row in chunk if len(row) != width]
-        problems += [_length(file, line, n, header, separator) for line, n in wrong[: MOST_LISTED - len(problems)]]
-        n_wrong += len(wrong)
-        sound = [item for item in chunk if len(item[1]) == width]
-        lines.append(np.array([line for line, _ in sound], dtype=np.int64))
-        fields = zip(*(row for _, row in sound), strict=True) if sound else ([] for _ in header)
-        for vocabulary, parts, column in zip(vocabularies, coded, fields, strict=True):
-            parts.append(np.fromiter(map(vocabulary.__getitem__, column), dtype=np.int64, count=len(sound)))
-    if n_wrong > len(problems):
-        rest = f"{n_wrong - len(problems)} more rows of a wrong length"
-        problems = [*problems, _whole(file, rest, f"{width} fields in every row", "")]
-    empty = np.zeros(0, dtype=np.int64)
-    return (
-        [tuple(vocabulary.words) for vocabulary in vocabularies],
-        [np.concatenate(parts) if parts else empty for parts in coded],
-        np.concatenate(lines) if lines else empty,
-        problems,
-    )
+) -> tuple[pd.DataFrame, list[Problem]]:
+    """Return the fields of all rows as long as the header, and a problem for every other."""
+    columns: list[list[str]] = [[] for _ in header]
+    lines: list[int] = []
+    wrong: list[tuple[int, int]] = []
+    for line, row in rows:
+        if len(row) < len(header) or any(map(str.strip, row[len(header) :])):
+            wrong.append((line, len(row)))
+            continue
+        lines.append(line)
+        for column, field in zip(columns, row, strict=False):
+            column.append(sys.intern(field.strip()))
 
+    def problem(fault: tuple[int, int]) -> Problem:
+        line, found = fault
+        remedy = "give every row one field for each column"
+        if separator == "," and found > len(header):
+            remedy += "; a decimal comma makes two fields of one: write 80.5, or separate fields by semicolons"
+        return Problem(file, line, 1, "", f"{found} fields", f"{len(header)} fields, as in the header", remedy)
 
-def _length(file: str, line: int, found: int, header: list[str], separator: str) -> Problem:
-    remedy = "give every row one field for each column"
-    if separator == "," and found > len(header):
-        remedy += "; a decimal comma makes two fields of one: write 80.5, or separate fields by semicolons"
-    allowed = f"{len(header)} fields, as in the header"
-    return Problem(file, line, 1, "", f"{found} fields", allowed, remedy)
+    problems = list_faults(file, wrong, "rows of a wrong length", problem, f"{len(header)} fields in every row")
+    coded = {name: pd.Categorical(columns.pop(0)) for name in header}  # so that each list of words ends with its turn
+    return pd.DataFrame(coded, index=lines), problems
