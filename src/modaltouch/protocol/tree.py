@@ -7,9 +7,9 @@ made of them.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, NoReturn
 
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
@@ -71,10 +71,6 @@ class Node:
         Line and column of each key, where the value is a mapping.
     text : str
         A scalar as it was written.
-    size : int
-        Number of values in it, itself included, every alias counted as what it stands for.
-    depth : int
-        Number of lists and mappings nested in it, itself included.
     """
 
     content: Scalar | list[Node] | dict[str, Node]
@@ -82,8 +78,28 @@ class Node:
     column: int
     keys: dict[str, tuple[int, int]] = field(default_factory=dict)
     text: str = ""
-    size: int = 1
-    depth: int = 0
+
+    @property
+    def children(self) -> list[Node]:
+        """The values in it."""
+        if isinstance(self.content, dict):
+            return list(self.content.values())
+        return self.content if isinstance(self.content, list) else []
+
+    @cached_property
+    def size(self) -> int:
+        """Number of values in it, itself included, every alias counted as what it stands for."""
+        return 1 + sum(child.size for child in self.children)
+
+    @cached_property
+    def depth(self) -> int:
+        """Number of lists and mappings nested in it, itself included."""
+        return 1 + max((child.depth for child in self.children), default=0) if self.is_nested else 0
+
+    @property
+    def is_nested(self) -> bool:
+        """Whether it is a list or a mapping."""
+        return isinstance(self.content, list | dict)
 
     def plain(self) -> Any:
         """Return the value as plain lists, dicts and scalars."""
@@ -117,32 +133,26 @@ def parse_tree(source: Source) -> tuple[Node | None, list[Problem]]:
     problems : list of Problem
         Syntax, doubled keys, tags, aliases without an anchor, excess.
     """
-    builder = _Builder(str(source.path))
+    reader = _Reader(str(source.path), source.text)
     try:
-        for event in _events(source.text):
-            builder.take(event)
+        root = reader.document()
     except _Stop:
-        return None, builder.problems
+        return None, reader.problems
     except (YAMLError, ValueError, AttributeError) as error:  # the parser itself fails so on some directives
-        builder.problems.append(_syntax_problem(str(source.path), source.text, error))
-        return None, builder.problems
-    root = builder.root
+        reader.problems.append(_syntax_problem(str(source.path), source.text, error))
+        return None, reader.problems
     if root is None or root.content is None:
-        builder.report(1, 1, "an empty file", "keys and values in YAML", "compare with the shipped files")
-        return None, builder.problems
+        reader.report(1, 1, "an empty file", "keys and values in YAML", "compare with the shipped files")
+        return None, reader.problems
     if not isinstance(root.content, dict):
         given = f"a {'list' if isinstance(root.content, list) else 'single value'} at the top"
-        builder.report(root.line, root.column, given, "`key: value` lines", "compare with the shipped files")
-        return None, builder.problems
-    return root, builder.problems
+        reader.report(root.line, root.column, given, "`key: value` lines", "compare with the shipped files")
+        return None, reader.problems
+    return root, reader.problems
 
 
 class _Stop(Exception):  # noqa: N818
     """The text is not worth reading further."""
-
-
-def _events(text: str) -> Iterator[Any]:
-    yield from YAML(typ="safe", pure=True).parse(text)
 
 
 def _syntax_problem(file: str, text: str, error: Exception) -> Problem:
@@ -169,146 +179,97 @@ def _line_and_column(text: str, position: int) -> tuple[int, int]:
     return before.count("\n") + 1, position - (before.rfind("\n") + 1) + 1
 
 
-@dataclass
-class _Open:
-    """A list or mapping whose end has not been read."""
+class _Reader:
+    """Makes nodes of the parser's events; the depth that it allows is far below that of Python's stack."""
 
-    node: Node
-    anchor: str | None
-    key: str | None = None
-    key_place: tuple[int, int] = (1, 1)
-    awaits_key: bool = True
-    sound_key: bool = True
-    size: int = 1
-    depth: int = 1
-
-
-class _Builder:
-    """Takes the parser's events one by one; iterative, so that no nesting exhausts the stack."""
-
-    def __init__(self, file: str) -> None:
+    def __init__(self, file: str, text: str) -> None:
         self.file = file
-        self.root: Node | None = None
         self.problems: list[Problem] = []
-        self._stack: list[_Open] = []
+        self._events = YAML(typ="safe", pure=True).parse(text)
         self._anchors: dict[str, Node] = {}
-        self._n_documents = 0
         self._size = 0
 
     def report(self, line: int, column: int, given: str, allowed: str, remedy: str = "", path: str = "") -> None:
         self.problems.append(Problem(self.file, line, column, path, given, allowed, remedy))
 
-    def take(self, event: Any) -> None:
-        kind = type(event).__name__
-        if kind == "DocumentStartEvent":
-            self._n_documents += 1
-            if self._n_documents > 1:
-                line, column = _place(event)
-                self.report(line, column, "a second document after `---`", "one document in a file", "remove it")
-                raise _Stop
-        elif kind in ("MappingStartEvent", "SequenceStartEvent"):
-            self._begin(event, {} if kind == "MappingStartEvent" else [])
-        elif kind in ("MappingEndEvent", "SequenceEndEvent"):
-            self._end()
-        elif kind == "ScalarEvent":
-            self._refuse_tag(event)
-            plain = event.implicit[0] and event.tag is None
-            content = resolve(event.value) if plain else event.value
-            node = Node(content, *_place(event), text=event.value)
-            self._count(node, event)
-            if event.anchor:
-                self._anchors[event.anchor] = node
-            self._add(node)
-        elif kind == "AliasEvent":
-            self._alias(event)
+    def document(self) -> Node | None:
+        """Return the value of the one document, None where there is none."""
+        root = None
+        for event in self._events:
+            if type(event).__name__ == "DocumentStartEvent":
+                if root is not None:
+                    self._stop(event, "a second document after `---`", "one document in a file", "remove it")
+                root = self._value(next(self._events), ())
+        return root
 
-    def _alias(self, event: Any) -> None:
-        line, column = _place(event)
+    def _stop(self, event: Any, given: str, allowed: str, remedy: str = "") -> NoReturn:
+        self.report(*_place(event), given, allowed, remedy)
+        raise _Stop
+
+    def _value(self, event: Any, path: tuple[str | int, ...]) -> Node:
+        """Return the value that begins with an event, under the steps that lead to it."""
+        kind = type(event).__name__
+        if kind == "AliasEvent":
+            return self._alias(event, len(path))
+        if event.tag is not None:
+            tag = str(event.tag).replace("tag:yaml.org,2002:", "!!")
+            self.report(*_place(event), f"the tag `{tag}`", "plain values without tags", "remove the tag")
+        self._bound(event, 1, len(path) + (kind != "ScalarEvent"))
+        if kind == "ScalarEvent":
+            is_plain = event.implicit[0] and event.tag is None
+            node = Node(resolve(event.value) if is_plain else event.value, *_place(event), text=event.value)
+        else:
+            node = self._list(event, path) if kind == "SequenceStartEvent" else self._mapping(event, path)
+        if event.anchor:
+            self._anchors[event.anchor] = node
+        return node
+
+    def _alias(self, event: Any, depth: int) -> Node:
         node = self._anchors.get(event.anchor)
         if node is None:
             given = f"`*{event.anchor}`, which stands for nothing"
-            self.report(line, column, given, f"an anchor `&{event.anchor}` completed before it")
-            node = Node(None, line, column)
-        self._bound_depth(node.depth, line, column)
-        self._count(node, event)
-        self._add(node)
+            self.report(*_place(event), given, f"an anchor `&{event.anchor}` completed before it")
+            node = Node(None, *_place(event))
+        self._bound(event, node.size, depth + node.depth)
+        return node
 
-    def _begin(self, event: Any, content: list[Node] | dict[str, Node]) -> None:
-        self._refuse_tag(event)
-        line, column = _place(event)
-        self._bound_depth(1, line, column)
-        self._size += 1
-        self._stack.append(_Open(Node(content, line, column), event.anchor))
-
-    def _bound_depth(self, depth: int, line: int, column: int) -> None:
-        if len(self._stack) + depth > DEPTH_LIMIT:
+    def _bound(self, event: Any, size: int, depth: int) -> None:
+        """Stop where a value makes the file too large or nests too deep."""
+        self._size += size
+        if depth > DEPTH_LIMIT:
             given = f"lists and mappings nested deeper than {DEPTH_LIMIT}"
-            self.report(line, column, given, f"at most {DEPTH_LIMIT} levels")
-            raise _Stop
-
-    def _end(self) -> None:
-        closed = self._stack.pop()
-        node = replace(closed.node, size=closed.size, depth=closed.depth)
-        if closed.anchor:
-            self._anchors[closed.anchor] = node
-        self._add(node)
-
-    def _count(self, node: Node, event: Any) -> None:
-        self._size += node.size
+            self._stop(event, given, f"at most {DEPTH_LIMIT} levels")
         if self._size > VALUE_LIMIT:
-            line, column = _place(event)
-            self.report(line, column, f"more than {VALUE_LIMIT} values", f"at most {VALUE_LIMIT}, aliases counted out")
-            raise _Stop
+            self._stop(event, f"more than {VALUE_LIMIT} values", f"at most {VALUE_LIMIT}, aliases counted out")
 
-    def _add(self, node: Node) -> None:
-        if not self._stack:
-            self.root = node
-            return
-        parent = self._stack[-1]
-        parent.depth = max(parent.depth, node.depth + 1)
-        if isinstance(parent.node.content, list):
-            parent.node.content.append(node)
-            parent.size += node.size
-        elif parent.awaits_key:
-            self._take_key(parent, node)
-        elif isinstance(parent.node.content, dict):
-            parent.awaits_key = True
-            parent.size += node.size
-            if parent.sound_key and parent.key is not None:
-                parent.node.content[parent.key] = node
-                parent.node.keys[parent.key] = parent.key_place
+    def _list(self, start: Any, path: tuple[str | int, ...]) -> Node:
+        content: list[Node] = []
+        while type(event := next(self._events)).__name__ != "SequenceEndEvent":
+            content.append(self._value(event, (*path, len(content))))
+        return Node(content, *_place(start))
 
-    def _take_key(self, parent: _Open, node: Node) -> None:
-        parent.awaits_key = False
-        parent.sound_key = False
-        if not isinstance(node.content, str):
-            word = node.text or "a list, a mapping or nothing"
-            remedy = f'write "{node.text}" in quotes' if node.text else "write a word before the colon"
-            self.report(node.line, node.column, f"{word} as a key", "a word as a key", remedy)
-        elif node.content in parent.node.keys:
-            first = parent.node.keys[node.content][0]
-            given = f"`{node.content}` a second time (first in line {first})"
-            self.report(
-                node.line, node.column, given, "each key once", "remove one of them", path=self._path_to(node.content)
-            )
-            # What stands under it is read on and told by this name, but not kept.
-            parent.key = node.content
-        else:
-            parent.sound_key = True
-            parent.key, parent.key_place = node.content, (node.line, node.column)
+    def _mapping(self, start: Any, path: tuple[str | int, ...]) -> Node:
+        content: dict[str, Node] = {}
+        keys: dict[str, tuple[int, int]] = {}
+        while type(event := next(self._events)).__name__ != "MappingEndEvent":
+            key = self._value(event, (*path, ""))
+            is_new = self._check_key(key, keys, path)
+            value = self._value(next(self._events), (*path, key.text))
+            if is_new:
+                content[key.text], keys[key.text] = value, (key.line, key.column)
+        return Node(content, *_place(start), keys)
 
-    def _path_to(self, key: str) -> str:
-        """Return the full path of a key of the mapping that is being read."""
-        steps = [
-            len(each.node.content) if isinstance(each.node.content, list) else each.key for each in self._stack[:-1]
-        ]
-        return format_path([*(step for step in steps if step is not None), key])
-
-    def _refuse_tag(self, event: Any) -> None:
-        if event.tag is not None:
-            line, column = _place(event)
-            tag = str(event.tag).replace("tag:yaml.org,2002:", "!!")
-            self.report(line, column, f"the tag `{tag}`", "plain values without tags", "remove the tag")
+    def _check_key(self, key: Node, keys: dict[str, tuple[int, int]], path: tuple[str | int, ...]) -> bool:
+        """Return whether a key is a word that the mapping has not yet; what stands under another is not kept."""
+        if not isinstance(key.content, str):
+            word = key.text or "a list, a mapping or nothing"
+            remedy = f'write "{key.text}" in quotes' if key.text else "write a word before the colon"
+            self.report(key.line, key.column, f"{word} as a key", "a word as a key", remedy)
+        elif key.content in keys:
+            given = f"`{key.content}` a second time (first in line {keys[key.content][0]})"
+            place = format_path([*path, key.content])
+            self.report(key.line, key.column, given, "each key once", "remove one of them", place)
+        return isinstance(key.content, str) and key.content not in keys
 
 
 def _place(event: Any) -> tuple[int, int]:
