@@ -98,9 +98,9 @@ def test_the_report_says_the_numbers(analysis) -> None:
     """Counts and p of dominance in (A, C), no information in (B, D), aliasing among the limits."""
     page = Page(analysis.files["report.html"].read_text(encoding="utf-8"))
     shown = re.sub(r"\s+", " ", page.shown)
-    assert "39 C, 0 A, 1 both of 40 answers, 10 of 10 participants lean to C" in shown
+    assert "39 C, 0 A, 1 both of 40 answers; 10 of 10 participants lean to C" in shown
     assert "p = 0.002, Holm p = 0.012" in shown
-    assert "no information" in shown
+    assert "No information" in shown
     assert "In (B, D) zone, side and finger go together" in shown
 
 

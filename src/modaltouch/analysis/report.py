@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Any
 
 import pandas as pd
@@ -36,35 +35,8 @@ HEADINGS = {
 }
 """Questions of the analysis plan, then the further ones; other families of tests are headed by what they ask."""
 
-
-@dataclass(frozen=True)
-class Paragraph:
-    """One question answered in words."""
-
-    question: str
-    heading: str
-    text: str
-
-
-def write_paragraphs(findings: Sequence[Finding], answers: AnswerCounts) -> tuple[Paragraph, ...]:
-    """Return a paragraph for each question that the findings answer.
-
-    Parameters
-    ----------
-    findings : sequence of Finding
-        Rows of the statistics.
-    answers : AnswerCounts
-        Counts of the answers.
-    """
-    headings = _headings(answers)
-    writers = {"a1": _chance, "a2": _dominance, "b": _level, "c": _conditions, "d": _pairs, "e": _agreement}
-    paragraphs = []
-    for question, heading in headings.items():
-        own = [finding for finding in findings if finding.question == question]
-        if own:
-            text = writers[question](own, answers) if question in writers else _plain(question, own, answers)
-            paragraphs.append(Paragraph(question, heading, text))
-    return tuple(paragraphs)
+MOST_TOLD = 12
+"""Most findings of a kind that are told one by one in words."""
 
 
 def _headings(answers: AnswerCounts) -> dict[str, str]:
@@ -97,156 +69,52 @@ def say_interval(finding: Finding) -> str:
     return f"{say_number(finding.estimate)} [{bounds}]"
 
 
-def _chance(own: Sequence[Finding], answers: AnswerCounts) -> str:
-    nothing, felt = answers.answers.naming(), _join([answers.answers[place].name for place in answers.felt])
-    beyond = [finding for finding in own if finding.p_holm <= ALPHA]
-    rest = [finding.scope for finding in own if finding.p_holm > ALPHA]
-    text = (
-        f"In {len(beyond)} of {len(own)} cells the answers of the {answers.n_participants} participants differ from "
-        f"an even split over {felt} (exact multinomial test ordered by likelihood ratio, Holm-corrected "
-        f"over {len(own)} cells, p ≤ {ALPHA:g})."
-    )
-    if nothing is not None:
-        text += (
-            f" “{nothing.name.capitalize()}” is left out of this test, which asks where something was felt; it counts "
-            "in every share."
-        )
-    if rest and beyond:
-        text += f" They do not in {_join(rest)}."
-    least = own[0].p_min
-    if least * len(own) > ALPHA:
-        text += (
-            f" Even a unanimous cell could not pass the correction: its p is {say_number(least)}; "
-            "more participants are needed, so this question stays open."
-        )
-    return text
-
-
-def _dominance(own: Sequence[Finding], answers: AnswerCounts) -> str:
-    sentences = []
-    both = answers.answers.naming("left", "right")
-    equal = "" if both is None else f", “{both.name}” counting zero"
-    for finding in (f for f in own if f.family):
-        counts, leaning = finding.note.split("; ")[-2:]
-        sentences.append(
-            f"{finding.scope}: {counts}, {leaning}; net dominance {say_interval(finding)}, {_verdict(finding)}."
-        )
-    return (
-        f"Net dominance over all levels (dominant less other answers{equal}), exact sign flips over "
-        f"participants, Holm over {_family(own)}. " + " ".join(sentences)
-    )
-
-
-def _level(own: Sequence[Finding], answers: AnswerCounts) -> str:
-    if len(answers.levels) < 2:
-        return "Only one level was presented, so nothing can be said about the level."
-    trend_of = "the dominant answer" if answers.compares else "each answer"
-    tested = [f for f in own if f.family]
-    open_ones = [f for f in tested if f.p_min > ALPHA]
-    text = (
-        f"Trend of {trend_of} over {answers.levels[0]:g} to {answers.scale.say(answers.levels[-1])}, levels "
-        f"shuffled within participants (exact), Holm over {_family(own)}. "
-    )
-    step, several = answers.scale.step_in_words, len({f.quantity for f in tested}) > 1 and not answers.compares
-
-    def _of(finding: Finding) -> str:
-        return f"{finding.scope}, {finding.quantity}" if several else finding.scope
-
-    text += " ".join(f"{_of(f)}: {say_interval(f)} per {step}, {_verdict(f)}." for f in tested if f not in open_ones)
-    if open_ones:
-        text += (
-            f" No information on {_join([_of(f) for f in open_ones])}: too few participants changed their answer "
-            "between levels for any trend to show. This is not evidence that the level does not matter."
-        )
-    return text
-
-
-def _conditions(own: Sequence[Finding], answers: AnswerCounts) -> str:
-    text = f"Whole-participant swaps of the finger conditions (exact sign flips), Holm over {_family(own)}. "
-    text += _sum_up(own, quantity=True)
-    widest = max(max(abs(f.low), abs(f.high)) for f in own)
-    return text + (
-        f" The data show the conditions to be alike only within the bounds of these intervals, {widest:.2f} at the "
-        "widest. A difference that is not significant does not show that the conditions are alike."
-    )
-
-
-def _pairs(own: Sequence[Finding], answers: AnswerCounts) -> str:
-    shares = [label for label, _ in answers.effects(answers.pairs[0])][1 if answers.compares else 0 :]
-    if not shares:
-        told = " ".join(f"{finding.scope}: {_verdict(finding)}." for finding in own)
-        return f"Any association of pair and answer (answers shuffled, Monte Carlo). {told}"
-    named = " and of ".join(f"“{label}”" for label in shares)
-    text = (
-        f"Share of {named}, compared between pairs within participants (exact sign flips), Holm over {_family(own)}. "
-    )
-    return text + _sum_up([f for f in own if f.family], quantity=len(shares) > 1)
-
-
-def _agreement(own: Sequence[Finding], answers: AnswerCounts) -> str:
-    if answers.n_participants < 2:
-        return "One participant alone: agreement between participants has no meaning."
-    text = (
-        "Gwet's AC1 (1 where all agree; kappa is undefined there and is not used), and whether participants differ "
-        "from each other (answers shuffled over participants, Monte Carlo). "
-    )
-    return text + _sum_up([f for f in own if f.quantity == "Gwet AC1"])
-
-
-def _plain(question: str, own: Sequence[Finding], answers: AnswerCounts) -> str:
-    if question == "f":
-        shares = [f for f in own if f.name.startswith("Korn")]
-        return (
-            "Shares over all levels with intervals over participants (Korn-Graubard): "
-            + "; ".join(f"{f.scope} {f.quantity} {say_interval(f)}" for f in shares)
-            + ". Paired differences of single cells (Tango) and matched odds ratios are in tests.csv."
-        )
+def _summarise(own: Sequence[Finding]) -> str:
+    """Return what the findings of a question show, what they do not, and on what they hold no information."""
     estimates = [f for f in own if math.isnan(f.p)]
-    text = _sum_up([f for f in own if f not in estimates], quantity=True)
-    text += " ".join(f"{f.scope}: {f.quantity} {say_interval(f)} ({f.note})." for f in estimates)
-    nothing = answers.answers.naming()
-    caution = {
-        "catch": " Catch trials are in no other table or test; in those, "
-        f"“{nothing.name if nothing else ''}” on a trial with a stimulus counts for neither zone and not for "
-        "both, and shares are of all answers.",
-        "time": " Bursts repeat at a fixed rate, so reaction times come in steps of one burst period.",
-        "order": " The paper does not state the order of the two finger conditions.",
+    silent = [f for f in own if f.p_min > ALPHA]
+    told = [f for f in own if f.p_min <= ALPHA]
+    shown = [f for f in told if (f.p if math.isnan(f.p_holm) else f.p_holm) <= ALPHA]
+    groups = {
+        "Significant": shown,
+        "Not significant": [f for f in told if f not in shown],
+        f"No information, as no outcome could have given p ≤ {ALPHA:g}": silent,
+        "Estimates": estimates,
     }
-    return text + caution.get(question, "")
+    return " ".join(f"{words}: {_list(group)}." for words, group in groups.items() if group)
 
 
-def _sum_up(findings: Sequence[Finding], *, quantity: bool = False) -> str:
-    """Return the tests that could have shown something one by one, then those that could not in one sentence."""
+def _list(findings: Sequence[Finding]) -> str:
+    if len(findings) > MOST_TOLD:
+        return f"{len(findings)}, in the tables below"
+    return "; ".join(
+        f"{f.scope}, {f.quantity} {say_interval(f)}{_verdict(f)}" + (f" ({f.note})" if f.note else "") for f in findings
+    )
 
-    def estimate(finding: Finding) -> str:
-        return f"{finding.scope}{', ' + finding.quantity if quantity else ''}: {say_interval(finding)}"
 
-    told = [f"{estimate(f)}, {_verdict(f)}." for f in findings if f.p_min <= ALPHA]
-    silent = [estimate(f) for f in findings if f.p_min > ALPHA]
-    if silent:
-        told.append(
-            f"No information, as no outcome could have given p ≤ {ALPHA:g}, on these, whose estimates stand alone: "
-            + "; ".join(silent)
-            + "."
-        )
-    return " ".join(told)
+def _cautions(answers: AnswerCounts) -> dict[str, str]:
+    """Return what a reader of a question's numbers should know, by question."""
+    felt = [answers.answers[place].name for place in answers.felt]
+    return {
+        "a1": f"Cells are tested against an even split over {', '.join(felt[:-1])} and {felt[-1]}; "
+        "an answer that nothing was felt is left out of this test, and counts in every share.",
+        "b": "A lack of information is not evidence that the level does not matter.",
+        "c": "The conditions are alike only within the bounds of these intervals. A difference that is not significant "
+        "does not show that the conditions are alike.",
+        "e": "Gwet's AC1 is 1 where all agree; kappa is undefined there and is not used."
+        if answers.n_participants > 1
+        else "One participant alone: agreement between participants has no meaning.",
+        "catch": "Catch trials are in no other table or test.",
+        "time": "Bursts repeat at a fixed rate, so reaction times come in steps of one burst period.",
+        "order": "The paper does not state the order of the two finger conditions.",
+    }
 
 
 def _verdict(finding: Finding) -> str:
-    if finding.p_min > ALPHA:
-        return f"no information (whatever the answers, p could not fall below {say_number(finding.p_min)})"
+    if math.isnan(finding.p) or finding.p_min > ALPHA:
+        return ""
     corrected = "" if math.isnan(finding.p_holm) else f", Holm p {say_p(finding.p_holm)}"
-    least = "the smallest possible" if finding.p <= finding.p_min else f"smallest possible {say_number(finding.p_min)}"
-    return f"p {say_p(finding.p)}{corrected} ({least})"
-
-
-def _family(own: Iterable[Finding]) -> int:
-    first = [f.family for f in own if f.family]
-    return sum(name == first[0] for name in first) if first else 0
-
-
-def _join(words: Sequence[str]) -> str:
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
+    return f", p {say_p(finding.p)}{corrected}"
 
 
 def report_files(analysis: Analysis, pictures: Sequence[ReportFigure]) -> dict[str, Any]:
@@ -265,8 +133,7 @@ def report_files(analysis: Analysis, pictures: Sequence[ReportFigure]) -> dict[s
         n_answers=int(answers.counts.sum()),
         levels=[format(level, "g") for level in answers.levels],
         tables={condition: _zone_rows(answers, condition) for condition in answers.finger_conditions},
-        paragraphs=write_paragraphs(analysis.findings, answers),
-        tests=_test_tables(analysis.findings, answers),
+        tests=list_questions(analysis.findings, answers),
         catches=catch_rows(answers, analysis.responses.catches),
         catch_words=[*(answer.name for answer in answers.answers if answer.says_nothing_felt), *felt]
         if answers.offers_none
@@ -359,17 +226,27 @@ def _zone_rows(answers: AnswerCounts, condition: str) -> list[dict[str, Any]]:
     ]
 
 
-def _test_tables(findings: Sequence[Finding], answers: AnswerCounts) -> list[dict[str, Any]]:
-    """Return the statistics question by question, each test or estimate a table of its own."""
-    tables = []
+def list_questions(findings: Sequence[Finding], answers: AnswerCounts) -> list[dict[str, Any]]:
+    """Return the statistics question by question: in words, and each test or estimate as a table of its own.
+
+    Parameters
+    ----------
+    findings : sequence of Finding
+        Rows of the statistics.
+    answers : AnswerCounts
+        Counts of the answers.
+    """
+    tables, cautions = [], _cautions(answers)
     for question, heading in _headings(answers).items():
+        own = [finding for finding in findings if finding.question == question]
         groups: dict[str, list[dict[str, Any]]] = {}
-        for finding in (finding for finding in findings if finding.question == question):
+        for finding in own:
             groups.setdefault(finding.name, []).append(_test_row(finding))
         if groups:
             parts = [{"name": name, "lines": lines, "tested": any(row["p"] != "–" for row in lines)}
                      for name, lines in groups.items()]  # fmt: skip
-            tables.append({"question": question, "heading": heading, "parts": parts})
+            words = f"{_summarise(own)} {cautions.get(question, '')}"
+            tables.append({"question": question, "heading": heading, "words": words, "parts": parts})
     return tables
 
 
