@@ -21,9 +21,10 @@ def test_each_question_has_its_paragraph(paper_frame) -> None:
 
 def test_numbers_are_filled_in(paper_frame) -> None:
     """Counts, net dominance, p and Holm's p of (C, E) with one hand."""
-    text = paragraphs(paper_frame)["a2"]
-    assert "one_hand C-E, P(C) - P(E) 0.95 [" in text
-    assert "p = 0.002, Holm p = 0.012 (38 C, 0 E, 2 both of 40 answers; 10 of 10 participants lean to C)" in text
+    assert "one_hand C-E, P(C) - P(E) 0.95 [0.622, 0.991], p = 0.002, Holm p = 0.012" in paragraphs(paper_frame)["a2"]
+    rows = find(count_answers(paper_frame), paper_frame)
+    (row,) = [row for row in rows if (row.question, row.scope, row.quantity) == ("a2", "one_hand C-E", "P(C) - P(E)")]
+    assert row.note == "38 C, 0 E, 2 both of 40 answers; 10 of 10 participants lean to C"
 
 
 def test_absence_of_evidence_is_not_called_evidence(paper_frame) -> None:
@@ -43,7 +44,7 @@ def test_one_level_and_one_participant_are_said_plainly(build) -> None:
     """No trend with one level, no agreement with one participant."""
     frame = build["tidy"](build["paper"](1))
     told = paragraphs(frame[frame["velocity_mm_s"] == 80])
-    assert "one level only: a trend needs two" in told["b"]
+    assert "One level only: a trend needs two" in told["b"]
     assert "One participant alone" in told["e"]
 
 

@@ -70,7 +70,8 @@ def say_interval(finding: Finding) -> str:
 
 
 def _summarise(own: Sequence[Finding]) -> str:
-    """Return what the findings of a question show, what they do not, and on what they hold no information."""
+    """Return what the tests of a question show, what they do not, and on what they hold no information."""
+    own = [f for f in own if f.family] or own
     estimates = [f for f in own if math.isnan(f.p)]
     silent = [f for f in own if f.p_min > ALPHA]
     told = [f for f in own if f.p_min <= ALPHA]
@@ -87,9 +88,8 @@ def _summarise(own: Sequence[Finding]) -> str:
 def _list(findings: Sequence[Finding]) -> str:
     if len(findings) > MOST_TOLD:
         return f"{len(findings)}, in the tables below"
-    return "; ".join(
-        f"{f.scope}, {f.quantity} {say_interval(f)}{_verdict(f)}" + (f" ({f.note})" if f.note else "") for f in findings
-    )
+    told = [f"{f.scope}, {f.quantity} {say_interval(f)}" if f.quantity else f.scope for f in findings]
+    return "; ".join(f"{words}{_verdict(finding)}" for words, finding in zip(told, findings, strict=True))
 
 
 def _cautions(answers: AnswerCounts) -> dict[str, str]:
@@ -98,7 +98,9 @@ def _cautions(answers: AnswerCounts) -> dict[str, str]:
     return {
         "a1": f"Cells are tested against an even split over {', '.join(felt[:-1])} and {felt[-1]}; "
         "an answer that nothing was felt is left out of this test, and counts in every share.",
-        "b": "A lack of information is not evidence that the level does not matter.",
+        "b": "A lack of information is not evidence that the level does not matter."
+        if len(answers.levels) > 1
+        else "One level only: a trend needs two.",
         "c": "The conditions are alike only within the bounds of these intervals. A difference that is not significant "
         "does not show that the conditions are alike.",
         "e": "Gwet's AC1 is 1 where all agree; kappa is undefined there and is not used."
