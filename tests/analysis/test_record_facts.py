@@ -32,15 +32,15 @@ def test_a_table_has_no_record_to_tell_of() -> None:
 def test_planned_and_confirmed_stand_side_by_side() -> None:
     """Two sessions at one level: sent 1.5 and 2 Vpp, read back 1.5 and 2.01."""
     (row,) = facts(session("p01"), session("p02")).presented
-    assert (row.level, row.n_trials, row.n_confirmed) == ("80", 2, 2)
-    assert (row.commanded, row.confirmed) == ("1.5, 2", "1.5, 2.01")
+    assert (row["level"], row["n_trials"], row["n_confirmed"]) == ("80", 2, 2)
+    assert (row["commanded"], row["confirmed"]) == ("1.5, 2", "1.5, 2.01")
 
 
 def test_what_went_wrong_is_counted_with_its_sessions() -> None:
     """A cut trial and a resumed sitting of the second participant."""
     found = facts(session("p01"), session("p02", {"event": "trial_cut", "n": 3}, {"event": "resume", "n": 4}))
     assert ("trials cut and offered again", 1, "p02 (session 1)") in found.faults
-    assert [row["n_events"] for row in found.sessions] == [0, 2]
+    assert [row.n_events for row in found.sessions] == [0, 2]
 
 
 def test_settings_that_differ_are_listed() -> None:
@@ -60,4 +60,4 @@ def test_troubles_of_the_rig_are_found_among_its_exchanges() -> None:
     """Ordinary commands are no deviation, a lost connection is."""
     lost = {"event": "rig", "n": 3, "exchanges": [{"what": "scpi"}, {"what": "connection_lost"}]}
     calm = {"event": "rig", "n": 3, "exchanges": [{"what": "scpi"}]}
-    assert [row["n_events"] for row in facts(session("p1", lost), session("p2", calm)).sessions] == [1, 0]
+    assert [row.n_events for row in facts(session("p1", lost), session("p2", calm)).sessions] == [1, 0]

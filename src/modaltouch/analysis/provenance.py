@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from itertools import groupby
 from typing import Any
 
 from modaltouch.record import Session
 
-Ranges = list[tuple[float, float]] | None
-"""Lowest and highest value of each channel; None where trials differ in their number of channels."""
+Presented = tuple[str, float, tuple[float, ...], tuple[float, ...], bool]
 
 FAULTS = {
     "trial_cut": "trials cut and offered again",
@@ -29,64 +29,26 @@ RIG_TROUBLES = frozenset(
 
 
 @dataclass(frozen=True)
-class ConfirmedLevel:
-    """One level of one finger condition, as planned and as the instrument confirmed it."""
-
-    finger_condition: str
-    level: str
-    n_trials: int
-    n_confirmed: int
-    commanded: str
-    confirmed: str
-
-
-@dataclass(frozen=True)
 class RecordFacts:
     """What the report says of the sessions.
 
     Attributes
     ----------
-    sessions : tuple of dict
-        One for each session: participant, session, day, number of answers, number of events that need a look.
-    presented : tuple of ConfirmedLevel
-        Planned against confirmed, level by level.
+    sessions : tuple of SessionFacts
+        The sessions themselves.
+    presented : tuple of dict
+        Planned against confirmed, level by level: finger condition, level, numbers of trials and of those confirmed,
+        amplitudes sent and read back in words.
     faults : tuple of (str, int, str)
         Kind, number, and in which sessions.
     settings : dict of str to str
         Instrument, seed, hashes and versions, the same for all sessions or listed.
     """
 
-    sessions: tuple[dict[str, Any], ...]
-    presented: tuple[ConfirmedLevel, ...]
+    sessions: tuple[SessionFacts, ...]
+    presented: tuple[dict[str, Any], ...]
     faults: tuple[tuple[str, int, str], ...]
     settings: dict[str, str]
-
-
-@dataclass
-class LevelFacts:
-    """What was sent and read back at one level of one finger condition.
-
-    Attributes
-    ----------
-    n_trials, n_confirmed : int
-        Answers, and those whose stimulus the instrument confirmed.
-    commanded, confirmed : list of (float, float), or None
-        Lowest and highest amplitude of each channel, sent and read back [V peak to peak]; None where trials tell
-        different numbers of channels.
-    """
-
-    n_trials: int = 0
-    n_confirmed: int = 0
-    commanded: Ranges = field(default_factory=list)
-    confirmed: Ranges = field(default_factory=list)
-
-    def add(self, other: LevelFacts) -> None:
-        """Take the trials of another session in."""
-        first = self.n_trials == 0
-        self.n_trials += other.n_trials
-        self.n_confirmed += other.n_confirmed
-        self.commanded = other.commanded if first else _widen(self.commanded, other.commanded)
-        self.confirmed = other.confirmed if first else _widen(self.confirmed, other.confirmed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,8 +65,9 @@ class SessionFacts:
         Date of its beginning.
     n_answers, n_practice : int
         Answers that count, and those of practice.
-    levels : dict
-        What was presented, by finger condition and level: peak velocity [mm/s], or multiple of the own threshold.
+    presented : Counter
+        Trials that were presented alike: finger condition, level (peak velocity [mm/s], or multiple of the own
+        threshold), amplitudes of all channels as sent and as read back [V peak to peak], whether confirmed.
     faults : Counter
         Events that need a look, by kind.
     settings : dict
@@ -118,7 +81,7 @@ class SessionFacts:
     day: str
     n_answers: int
     n_practice: int
-    levels: dict[tuple[str, float], LevelFacts]
+    presented: Counter[Presented]
     faults: Counter[str]
     settings: dict[str, object]
     threshold_mm_s: float | None = None
@@ -128,24 +91,23 @@ class SessionFacts:
         """Participant and session in words."""
         return f"{self.participant} (session {self.number})"
 
+    @property
+    def n_events(self) -> int:
+        """Number of events that need a look."""
+        return self.faults.total()
+
 
 def take_facts(session: Session) -> SessionFacts:
     """Return what a session's log tells beside the answers."""
-    start, trials, multiples = session.start, session.trials, session.multiples
+    start, trials = session.start, session.trials
     counted = [event for event in trials if not event["trial"]["practice"]]
-    by_level: dict[tuple[str, float], list[dict[str, Any]]] = {}
-    for event in counted:
-        condition = event["trial"]["condition"]
-        velocity = float(condition["velocity_mm_s"])
-        key = (str(condition["finger_condition"]), multiples.get(velocity, velocity))
-        by_level.setdefault(key, []).append(event)
     return SessionFacts(
         participant=session.participant,
         number=start.get("session", 1),
         day=str(start.get("time", ""))[:10],
         n_answers=len(counted),
         n_practice=len(trials) - len(counted),
-        levels={key: _level_facts(events) for key, events in by_level.items()},
+        presented=Counter(_presentation(event, session.multiples) for event in counted),
         faults=Counter(kind for event in session.events for kind in _kinds_of_fault(event)),
         settings=_settings_of(start),
         threshold_mm_s=(start.get("sensation_levels") or {}).get("threshold_mm_s"),
@@ -156,62 +118,37 @@ def describe_record(sessions: Sequence[SessionFacts]) -> RecordFacts | None:
     """Return what the logs of the analysed sessions tell; None for a CSV, which has none."""
     if not sessions:
         return None
-    return RecordFacts(
-        tuple(_session_row(session) for session in sessions),
-        tuple(_presented(sessions)),
-        tuple(_faults(sessions)),
-        _settings(sessions),
-    )
+    return RecordFacts(tuple(sessions), tuple(_presented(sessions)), tuple(_faults(sessions)), _settings(sessions))
 
 
-def _session_row(session: SessionFacts) -> dict[str, Any]:
-    return {
-        "participant": session.participant,
-        "session": session.number,
-        "day": session.day,
-        "n_answers": session.n_answers,
-        "n_practice": session.n_practice,
-        "n_events": session.faults.total(),
-        "threshold_mm_s": session.threshold_mm_s,
-    }
+def _presentation(event: dict[str, Any], multiples: dict[float, float]) -> Presented:
+    """Return how one trial was presented."""
+    condition, told = event["trial"]["condition"], event.get("confirmed", {})
+    velocity = float(condition["velocity_mm_s"])
+    sent = tuple(event.get("commanded", {}).get("amplitude_Vpp", ()))
+    read = tuple(told.get("confirmed_amplitude", ()))
+    return condition["finger_condition"], multiples.get(velocity, velocity), sent, read, bool(told.get("confirmed"))
 
 
-def _level_facts(events: Sequence[dict[str, Any]]) -> LevelFacts:
-    """Return what a session's trials at one level tell of it."""
-    sent = [event.get("commanded", {}).get("amplitude_Vpp", []) for event in events]
-    confirmed = [event.get("confirmed", {}) for event in events]
-    read = [told.get("confirmed_amplitude", []) for told in confirmed]
-    n_confirmed = sum(bool(told.get("confirmed")) for told in confirmed)
-    return LevelFacts(len(events), n_confirmed, _ranges(sent), _ranges(read))
+def _presented(sessions: Sequence[SessionFacts]) -> Iterator[dict[str, Any]]:
+    together = sum((session.presented for session in sessions), Counter[Presented]())
+    for (finger_condition, level), own in groupby(sorted(together), key=lambda each: each[:2]):
+        alike = list(own)
+        yield {
+            "finger_condition": finger_condition,
+            "level": f"{level:g}",
+            "n_trials": sum(together[each] for each in alike),
+            "n_confirmed": sum(together[each] for each in alike if each[-1]),
+            "commanded": _in_words([sent for *_, sent, _, _ in alike]),
+            "confirmed": _in_words([read for *_, read, _ in alike]),
+        }
 
 
-def _ranges(amplitudes: Sequence[Sequence[float]]) -> Ranges:
-    """Return the lowest and highest amplitude of each channel over trials."""
-    if len({len(each) for each in amplitudes}) > 1:
-        return None
-    return [(min(channel), max(channel)) for channel in zip(*amplitudes, strict=True)]
-
-
-def _widen(ranges: Ranges, others: Ranges) -> Ranges:
-    if ranges is None or others is None or len(ranges) != len(others):
-        return None
-    return [(min(a, c), max(b, d)) for (a, b), (c, d) in zip(ranges, others, strict=True)]
-
-
-def _presented(sessions: Sequence[SessionFacts]) -> Iterator[ConfirmedLevel]:
-    together: dict[tuple[str, float], LevelFacts] = {}
-    for session in sessions:
-        for key, level in session.levels.items():
-            together.setdefault(key, LevelFacts()).add(level)
-    for (finger_condition, planned), level in sorted(together.items(), key=lambda item: item[0]):
-        sent, read = _in_words(level.commanded), _in_words(level.confirmed)
-        yield ConfirmedLevel(finger_condition, f"{planned:g}", level.n_trials, level.n_confirmed, sent, read)
-
-
-def _in_words(ranges: Ranges) -> str:
+def _in_words(amplitudes: Sequence[tuple[float, ...]]) -> str:
     """Return the amplitude of each channel over trials, as in ``1.234, 0.987 to 0.988``."""
-    if ranges is None:
+    if len({len(each) for each in amplitudes}) > 1:
         return "not recorded"
+    ranges = [(min(channel), max(channel)) for channel in zip(*amplitudes, strict=True)]
     return ", ".join(f"{low:g}" if low == high else f"{low:g} to {high:g}" for low, high in ranges)
 
 
