@@ -182,7 +182,7 @@ def test_the_overview_tells_all_answers_apart(build, n, n_pairs) -> None:
             (line.get_color(), line.get_marker(), line.get_linestyle(), line.get_markerfacecolor())
             for line in axes.lines if line.get_label()[0] != "_" or line.get_marker() in "os^DvP"
         ]  # fmt: skip
-        assert len(set(looks)) == len(looks) == (n - 1) * (2 if n == 3 else 1)
+        assert len(set(looks)) == len(looks) == n - 1
         assert not legend.get_window_extent().overlaps(axes.get_window_extent())
 
 

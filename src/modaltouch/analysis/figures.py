@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from modaltouch.analysis.counts import AnswerCounts, Pair
 from modaltouch.analysis.intervals import clopper_pearson, korn_graubard
 from modaltouch.analysis.scale import scale_of
-from modaltouch.report import CONDITION_COLOURS, FAINT, INK, PAIR_COLOURS, house_style, quiet_grid
+from modaltouch.report import FAINT, INK, PAIR_COLOURS, house_style, quiet_grid
 
 ANSWER_COLOURS = {"dominant": "#0b3c8c", "both": "#c9ced6", "other": "#d1603d"}
 
@@ -216,29 +216,17 @@ def _draw_group(
 
 
 def draw_overview(answers: AnswerCounts) -> Figure:
-    """Return the share of the dominant zone, or of the first answer, over level, a panel for each pair.
-
-    Where more than two shares are to be told apart, each finger condition has a row of its own, each answer a colour.
-    """
-    are_many = len(answers.effects(answers.pairs[0])) > 2
-    rows = answers.finger_conditions if are_many else ("",)
+    """Return the share of every answer but the last over level, a panel for each pair and finger condition."""
     width = min(2.4 * len(answers.pairs) + 0.6, 12)
-    height = 2.9 if not are_many else 0.9 + 2.1 * len(rows)
+    height = 0.9 + 2.1 * len(answers.finger_conditions)
     with house_style():
         figure = Figure(figsize=(width, height))
-        grid = figure.subplots(len(rows), len(answers.pairs), sharex=True, sharey=True, squeeze=False)
-        for f, (panels, condition) in enumerate(zip(grid, rows, strict=True)):
-            for q, (axes, pair) in enumerate(zip(panels, answers.pairs, strict=True)):
-                if are_many:
-                    _draw_answers(axes, answers, f, q)
-                else:
-                    _draw_effects(axes, answers, q)
-                zones = f"({pair.left}, {pair.right})"
-                axes.set_title(f"{pair.dominant} of {zones}" if answers.compares else zones)
-                axes.set_xticks(range(len(answers.levels)), [format(level, "g") for level in answers.levels])
-                axes.set_ylim(-0.03, 1.03)
-                quiet_grid(axes)
-            panels[0].set_ylabel(f"share of answers\n{condition}" if condition else "share of answers")
+        shape = len(answers.finger_conditions), len(answers.pairs)
+        grid = figure.subplots(*shape, sharex=True, sharey=True, squeeze=False)
+        for f, q, _ in answers.pair_cells:
+            _draw_answers(grid[f][q], answers, f, q)
+        for panels, condition in zip(grid, answers.finger_conditions, strict=True):
+            panels[0].set_ylabel(f"share of answers\n{condition}")
         middle = grid[-1][(len(answers.pairs) - 1) // 2]
         middle.set_xlabel(answers.scale.quantity, x=0.5 if len(answers.pairs) % 2 else 1.04)
         handles, labels = grid[0][0].get_legend_handles_labels()
@@ -246,35 +234,29 @@ def draw_overview(answers: AnswerCounts) -> Figure:
         # Panels keep their height, however many lines the legend has.
         figure.set_figheight(height + 0.17 * max(-(-len(labels) // n_columns) - 2, 0))
         figure.legend(handles, labels, loc="outside lower center", ncols=n_columns, frameon=False)
-        figure.suptitle(_fitted(f"{describe_effects(answers)}, {_sample(answers)}", width), fontsize=TITLE_SIZE)
+        figure.suptitle(_fitted(f"Share of answers (95 % intervals), {_sample(answers)}", width), fontsize=TITLE_SIZE)
     return figure
-
-
-def _draw_effects(axes: Axes, answers: AnswerCounts, q: int) -> None:
-    """Draw the first share of a pair with its intervals and the other one without, a colour for each condition."""
-    (_, main), *others = answers.effects(answers.pairs[q])
-    for f, condition in enumerate(answers.finger_conditions):
-        places = np.arange(len(answers.levels), dtype=float) + 0.16 * (f - (len(answers.finger_conditions) - 1) / 2)
-        colour, marker, line = CONDITION_COLOURS[f % len(CONDITION_COLOURS)], MARKERS[f % 6], LINES[f % 4]
-        style = {"marker": marker, "linestyle": line, "markersize": 4.5, "linewidth": 1.1}
-        _draw_shares(axes, places, answers.counts[:, f, q, :, main], answers.n_repetitions, colour, condition, style)
-        for label, place in others:
-            share = answers.counts[:, f, q, :, place].mean(axis=0) / answers.n_repetitions
-            axes.plot(
-                places, share, color=FAINT, marker=marker, markersize=3, linewidth=0.7, linestyle=line,
-                markerfacecolor="white", label=f"{condition}: {label}",
-            )  # fmt: skip
 
 
 def _draw_answers(axes: Axes, answers: AnswerCounts, f: int, q: int) -> None:
     """Draw the share of each answer of a pair in one finger condition, with a colour, marker and line of its own."""
-    effects = answers.effects(answers.pairs[q])
+    pair = answers.pairs[q]
+    effects, zones = answers.effects(pair), f"({pair.left}, {pair.right})"
     for i, (label, place) in enumerate(effects):
-        places = np.arange(len(answers.levels), dtype=float) + 0.09 * (i - (len(effects) - 1) / 2)
-        style = {"marker": MARKERS[i % 6], "linestyle": LINES[i % 4], "markersize": 4.5, "linewidth": 1.0}
-        chosen, colour = answers.counts[:, f, q, :, place], OTHER_COLOURS[i % len(OTHER_COLOURS)]
-        style |= {"markeredgecolor": INK, "markeredgewidth": 0.4}
-        _draw_shares(axes, places, chosen, answers.n_repetitions, colour, label, style)
+        name = "dominant zone" if answers.compares and i == 0 else label
+        chosen = answers.counts[:, f, q, :, place]
+        share = korn_graubard(chosen.T, answers.n_repetitions)
+        axes.errorbar(
+            np.arange(len(answers.levels), dtype=float) + 0.09 * (i - (len(effects) - 1) / 2),
+            share.estimate,
+            yerr=np.maximum([share.estimate - share.low, share.high - share.estimate], 0),
+            color=OTHER_COLOURS[i % len(OTHER_COLOURS)], marker=MARKERS[i % 6], linestyle=LINES[i % 4], label=name,
+            markersize=4.5, markeredgecolor=INK, markeredgewidth=0.4, linewidth=1.0, elinewidth=0.8, capsize=2,
+        )  # fmt: skip
+    axes.set_title(f"{pair.dominant} of {zones}" if answers.compares else zones)
+    axes.set_xticks(range(len(answers.levels)), [format(level, "g") for level in answers.levels])
+    axes.set_ylim(-0.03, 1.03)
+    quiet_grid(axes)
 
 
 def _columns(labels: Sequence[str], width: float, most: int) -> int:
@@ -289,30 +271,6 @@ def _columns(labels: Sequence[str], width: float, most: int) -> int:
 def _fitted(title: str, width: float) -> str:
     """Return a title in as many lines as a figure [inch] needs."""
     return textwrap.fill(title, int(width / (TITLE_SIZE * LETTER)))
-
-
-def describe_effects(answers: AnswerCounts) -> str:
-    """Return which shares the overview shows, as its title says it."""
-    (first, _), *others = answers.effects(answers.pairs[0])
-    if len(others) > 1:
-        return f"Every answer but “{answers.answers[-1].name}”, which has the rest (95 % intervals)"
-    main = "Dominant zone" if answers.compares else f"“{first}”"
-    named = " and ".join(f"“{label}”" for label, _ in others)
-    return f"{main} (filled, 95 % intervals)" + (f" and {named} (open)" if named else "")
-
-
-def _draw_shares(
-    axes: Axes,
-    places: NDArray[np.float64],
-    chosen: NDArray[np.int64],
-    n_repetitions: int,
-    colour: str,
-    label: str,
-    style: dict[str, Any],
-) -> None:
-    share = korn_graubard(chosen.T, n_repetitions)
-    spread = np.maximum([share.estimate - share.low, share.high - share.estimate], 0)
-    axes.errorbar(places, share.estimate, yerr=spread, color=colour, capsize=2, label=label, elinewidth=0.8, **style)
 
 
 def draw_participants(answers: AnswerCounts) -> Figure:
