@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from modaltouch.cli.exit_status import reporting
 from modaltouch.cli.measurement import bars, give
 from modaltouch.cli.options import JSON, MEASURED_RIG, PROTOCOL
+from modaltouch.cli.tables import print_table
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from modaltouch.protocol import Calibration
 
 
@@ -47,8 +46,8 @@ def _show(calibration: Calibration, out: Path, protocol: Path) -> None:
     from rich.console import Console
 
     console = Console()
-    for name in calibration.by_stimulus:
-        _show_stimulus(console, name, calibration)
+    for name, own in calibration.by_stimulus.items():
+        _show_stimulus(name, own)
     noise = max(mode.uncertainty_mm_s for own in calibration.by_stimulus.values() for mode in own.modes)
     amplifier = calibration.amplifier
     corner = "not known" if amplifier.bandwidth_kHz is None else f"{amplifier.bandwidth_kHz:.0f} kHz"
@@ -60,32 +59,28 @@ def _show(calibration: Calibration, out: Path, protocol: Path) -> None:
     console.print(f"Next: modaltouch run {protocol} --calibration {out}", markup=False)
 
 
-def _show_stimulus(console: Console, name: str, calibration: Calibration) -> None:
+def _show_stimulus(name: str, own: Any) -> None:
     """Print what was reached with one stimulus."""
-    from rich.table import Table
-
-    whose, own = f"Stimulus {name}: " if name else "", calibration.by_stimulus[name]
-    title = "errors at the focusing instant, as measured"
-    turns = Table(title=f"{whose}{title}" if whose else title.capitalize(), title_justify="left")
-    for heading in ("iteration", "worst velocity error mm/s", "worst w eta error mm/s", "peak voltage V"):
-        turns.add_column(heading, justify="right")
-    for each in own.iterations:
-        turns.add_row(
+    whose = f"Stimulus {name}: " if name else ""
+    turns = [
+        (
             str(each.iteration) if each.iteration else "before",
             f"{each.worst_velocity_error_mm_s:.3f}",
             f"{each.worst_displacement_error_mm_s:.3f}",
             f"{each.peak_voltage_V:.0f}",
         )
-    console.print(turns)
-    title = "levels at the centre of the focus zone, mm/s"
-    levels = Table(title=f"{whose}{title}" if whose else title.capitalize(), title_justify="left")
-    for heading in ("level", "at the focusing instant", "highest over the burst", "amplitude Vpp"):
-        levels.add_column(heading, justify="right")
-    for level in own.levels:
-        levels.add_row(
+        for each in own.iterations
+    ]
+    headings = ("iteration", "worst velocity error mm/s", "worst w eta error mm/s", "peak voltage V")
+    print_table(f"{whose}Errors at the focusing instant, as measured", headings, turns)
+    levels = [
+        (
             f"{level.velocity_mm_s:g}",
             f"{level.at_focus_mm_s:.1f} ± {level.uncertainty_mm_s:.1f}",
             f"{level.highest_mm_s:.1f}",
             " ".join(f"{volts:.4g}" for volts in level.amplitude_Vpp),
         )
-    console.print(levels)
+        for level in own.levels
+    ]
+    headings = ("level", "at the focusing instant", "highest over the burst", "amplitude Vpp")
+    print_table(f"{whose}Levels at the centre of the focus zone, mm/s", headings, levels)

@@ -10,6 +10,7 @@ import typer
 from modaltouch.cli.exit_status import reporting
 from modaltouch.cli.measurement import bars, give
 from modaltouch.cli.options import JSON, PROTOCOL
+from modaltouch.cli.tables import print_table
 
 COLUMNS = {
     "at_focus_mm_s": "at focus mm/s",
@@ -64,19 +65,15 @@ def compare(
 def _show(lines: list[dict[str, Any]], paragraphs: list[str], values: dict[str, Any]) -> None:
     """Print the methods side by side, what the numbers say, and where the page is."""
     from rich.console import Console
-    from rich.table import Table
 
-    console, methods = Console(), values["methods"]
+    methods = values["methods"]
     title = f"Target: {values['velocity_mm_s']:g} mm/s at the focus; the best of each column bold"
-    table = Table(title=title, title_justify="left")
-    table.add_column("method", no_wrap=True)
     shown = [line for line in lines if line["key"] in COLUMNS and methods[0].get(line["key"]) is not None]
-    for line in shown:
-        table.add_column(COLUMNS[line["key"]], justify="right")
+    rows = []
     for number, method in enumerate(methods):
         cells = [line["cells"][number] for line in shown]
-        table.add_row(method["name"], *(f"[bold]{cell['text']}[/]" if cell["best"] else cell["text"] for cell in cells))
-    console.print(table)
+        rows.append((method["name"], *(f"[bold]{cell['text']}[/]" if cell["best"] else cell["text"] for cell in cells)))
+    print_table(title, ("method", *(COLUMNS[line["key"]] for line in shown)), rows)
     for words in paragraphs:
-        console.print(words, highlight=False)
+        Console().print(words, highlight=False)
     print(values["files"]["comparison.html"])

@@ -108,10 +108,6 @@ def identify(
         give(report, _show, json_output=json_output)
 
 
-WIDE = 88
-"""Columns of a terminal from which the picked peaks are shown too."""
-
-
 def _show(result: dict[str, Any]) -> None:
     """Print what was identified: Table I, what half-power cannot say, what else was seen, where it was written."""
     from rich.console import Console
@@ -121,7 +117,7 @@ def _show(result: dict[str, Any]) -> None:
     wanted = result.get("table_modes")
     listed = [mode for mode in result["modes"] if wanted is None or mode["label"] in wanted]
     gains = [name for name in result["sets"] if any(name in mode["gain_mm_s2_per_V"] for mode in result["modes"])]
-    console.print(_table(Table, listed, gains, wide=console.width >= WIDE))
+    console.print(_table(Table, listed, gains))
     if gains:
         console.print("[dim]Gains in mm/s^2 per V at the beam[/]")
     for reason, names in _unresolved(listed).items():
@@ -145,8 +141,8 @@ def _show(result: dict[str, Any]) -> None:
         )
 
 
-def _table(table_kind: Any, modes: list[dict[str, Any]], gains: list[str], *, wide: bool) -> Any:
-    """Return Table I; in a wide terminal with the picked peaks too."""
+def _table(table_kind: Any, modes: list[dict[str, Any]], gains: list[str]) -> Any:
+    """Return Table I."""
     table = table_kind(
         title="Table I by joint fit, in brackets the half-width of the 95 % interval in the last digits; half-power "
         "beside it",
@@ -155,8 +151,7 @@ def _table(table_kind: Any, modes: list[dict[str, Any]], gains: list[str], *, wi
         pad_edge=False,
         padding=(0, 1, 0, 0),
     )
-    peak = ["f peak"] if wide else []
-    for heading in ("mode", "f [Hz]", "xi", *(f"G {name}" for name in gains), "MAC", *peak, "xi half"):
+    for heading in ("mode", "f [Hz]", "xi", *(f"G {name}" for name in gains), "MAC", "xi half"):
         table.add_column(heading, justify="right", no_wrap=True)
     for mode in modes:
         half = mode["half_power"]
@@ -166,7 +161,6 @@ def _table(table_kind: Any, modes: list[dict[str, Any]], gains: list[str], *, wi
             _with_interval(mode["damping_ratio"]),
             *(_with_interval(mode["gain_mm_s2_per_V"].get(name)) for name in gains),
             _plain(mode["mac"], ".4f"),
-            *([_plain(half["peak_frequency_Hz"], ".6g")] if wide else []),
             _plain(half["damping_ratio"], ".4f") if half["resolved"] else "-",
         )
     return table

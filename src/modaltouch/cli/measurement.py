@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import typer
 
 from modaltouch.cli.exit_status import print_json
+from modaltouch.cli.tables import make_bars
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
@@ -32,13 +33,9 @@ def give(report: LabReport, show: Callable[[dict[str, Any]], None], *, json_outp
 @contextmanager
 def bars() -> Iterator[MeasurementProgress]:
     """Show on standard error what is being done and how far it is; ask there for the vibrometer to be aimed."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
     from modaltouch.lab import MeasurementProgress
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    shown = Progress(*columns, console=Console(stderr=True))
+    shown = make_bars()
     tasks: dict[str, TaskID] = {}
     aimed: list[float] = []
 

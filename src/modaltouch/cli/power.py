@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from modaltouch.cli.exit_status import INTERRUPTED, print_json, reporting
-from modaltouch.cli.options import JSON, OBSERVER, PROTOCOL, progress
+from modaltouch.cli.options import JSON, OBSERVER, PROTOCOL
+from modaltouch.cli.tables import print_table, progress
 
 if TYPE_CHECKING:
     from modaltouch.planning import Power
 
 _MOST_PARTICIPANTS, _MOST_ANSWERS = 1000, 10_000
-_MOST_LINES = 12
 
 PARTICIPANTS = Annotated[
     str, typer.Option("--participants", "-n", help="Sizes of the cohort: 6:40, 6:40:2 or 8,12,16.")
@@ -198,7 +199,6 @@ def tell(found: Power, target: float) -> None:
     """
     from rich.console import Console
     from rich.markup import escape
-    from rich.table import Table
 
     console = Console()
     study = found.study
@@ -209,57 +209,25 @@ def tell(found: Power, target: float) -> None:
         f"which at least one test of a family is significant at {study.alpha:g} after Holm's correction, in per cent "
         "with a 95 % interval"
     )
-    for repetitions in sorted({row["n_repetitions"] for row in found.families}):
-        rows = [row for row in found.families if row["n_repetitions"] == repetitions]
-        table = Table(
-            title=f"n participants, {repetitions} repetition{'s' if repetitions > 1 else ''}", title_justify="left"
-        )
-        for heading in ("n", *study.families):
-            table.add_column(heading, justify="right", no_wrap=True)
-        numbers = sorted({row["n_participants"] for row in rows})
-        for n in _thinned(numbers):
-            table.add_row(str(n), *(_cell(row) for row in rows if row["n_participants"] == n))
-        console.print(table)
+    for n_repetitions, own in groupby(found.families, key=lambda row: row["n_repetitions"]):
+        rows = [(str(n), *map(_cell, of_size)) for n, of_size in groupby(own, key=lambda row: row["n_participants"])]
+        print_table(f"n participants, {n_repetitions} repetitions", ("n", *study.families), rows, n_words=0)
     if not study.null:
-        _tell_needed(console, Table, found.needed(target), target)
-    _tell_floors(console, [vars(floor) for floor in found.floors])
-
-
-def _thinned(numbers: list[int]) -> list[int]:
-    """Return a dozen of many numbers, first and last among them."""
-    if len(numbers) <= _MOST_LINES:
-        return numbers
-    return [numbers[round(i * (len(numbers) - 1) / (_MOST_LINES - 1))] for i in range(_MOST_LINES)]
+        rows = [
+            (row["family"], row["scope"], str(row["n_repetitions"]), str(row["n_participants"] or "more"))
+            for row in found.needed(target)
+            if row["family"] != "a1" or row["scope"] == "any test"
+        ]
+        headings = ("question", "test", "repetitions", "participants")
+        print_table(f"Participants for a power of {target:g}", headings, rows, n_words=2)
+    for floor in found.floors:
+        least = floor.least_participants
+        reach = "no number of participants" if least is None else f"fewer than {least} participants"
+        where = f"{floor.family} ({floor.n_tests} tests, {floor.n_repetitions} repetitions)"
+        console.print(f"[dim]{where}: {reach} can {'' if least is None else 'never '}be significant[/]")
 
 
 def _cell(row: dict[str, Any]) -> str:
     if not row["reachable"]:
         return "never"
     return f"{100 * row['power']:.0f} ({100 * row['low']:.0f}-{100 * row['high']:.0f})"
-
-
-def _tell_needed(console: Any, table_kind: Any, rows: list[dict[str, Any]], target: float) -> None:
-    repetitions = sorted({row["n_repetitions"] for row in rows})
-    table = table_kind(title=f"Participants for a power of {target:g}", title_justify="left")
-    for heading in ("question", "test", *(f"{r} rep." for r in repetitions)):
-        table.add_column(heading)
-    by_test: dict[tuple[str, str], dict[int, Any]] = {}
-    for row in rows:
-        by_test.setdefault((row["family"], row["scope"]), {})[row["n_repetitions"]] = row["n_participants"]
-    for (family, scope), numbers in by_test.items():
-        if family != "a1" or scope == "any test":
-            table.add_row(family, scope, *(str(numbers.get(r) or "more") for r in repetitions))
-    console.print(table)
-
-
-def _tell_floors(console: Any, floors: list[dict[str, Any]]) -> None:
-    for family in dict.fromkeys(floor["family"] for floor in floors):
-        own = [floor for floor in floors if floor["family"] == family]
-        least = [floor["least_participants"] for floor in own]
-        where = f"{family} ({own[0]['n_tests']} tests)"
-        if least == [None] * len(least):
-            console.print(f"[dim]{where}: no number of participants can make it significant[/]")
-            continue
-        numbers = ", ".join(dict.fromkeys(str(n) for n in least))
-        per = f" ({', '.join(str(floor['n_repetitions']) for floor in own)} repetitions)" if "," in numbers else ""
-        console.print(f"[dim]{where}: fewer than {numbers} participants{per} can never be significant[/]")

@@ -1,4 +1,4 @@
-"""What ``modaltouch run`` asks for where it was not given: which rig, who, which session, and whether to start."""
+"""What ``modaltouch run`` asks for where it was not given: which rig, who, and whether to start."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from modaltouch.session import Setup
 
 _NUMBERED = re.compile(r"([A-Za-z]*)(\d+)\Z")
-_NAME = re.compile(r"[A-Z]?[a-z]{2,}\Z|[A-Za-z]{3,}\Z")
 
 
 def can_ask() -> bool:
@@ -84,15 +83,9 @@ def ask_participant(dataset: Path) -> str:
         words = "Participant id (a code of letters and digits, never a name)"
         participant = str(_prompt(words, default=propose_participant(dataset))).strip()
         try:
-            SessionFolder.check_participant(participant)
+            return SessionFolder.check_participant(participant)
         except RecordError as error:
             typer.secho(str(error), err=True, fg=typer.colors.RED)
-            continue
-        if not _NAME.match(participant):
-            return participant
-        question = f"'{participant}' looks like a name; ids stay in the data for ever. Use it all the same?"
-        if _confirm(question):
-            return participant
 
 
 def propose_participant(dataset: Path) -> str:
@@ -109,55 +102,6 @@ def propose_participant(dataset: Path) -> str:
         return "p01"
     letters, digits = max(numbered, key=lambda parts: int(parts[1]))
     return f"{letters}{int(digits) + 1:0{len(digits)}d}"
-
-
-def ask_session(dataset: Path, participant: str, n_sessions: int) -> int | None:
-    """Return the number of the participant's session, asked for with the next free one proposed.
-
-    None stands for the participant's next, where there is none yet or no terminal to ask in.
-
-    Parameters
-    ----------
-    dataset : Path
-        Where the sessions so far are.
-    participant : str
-        Participant id.
-    n_sessions : int
-        Sessions that the protocol gives each participant.
-    """
-    from modaltouch.record import read_session
-
-    logs = {
-        int(log.parents[1].name[4:]): log
-        for log in dataset.glob(f"sub-{participant}/ses-*/beh/session.jsonl")
-        if log.parents[1].name[4:].isdecimal()
-    }
-    if not logs or not can_ask():
-        return None
-    for number, log in sorted(logs.items()):
-        session = read_session(log)
-        if session.is_running:
-            state = "being run now, by another program"
-        elif not session.is_readable:
-            state = f"cannot be read: {(*session.problems, 'has no start record')[0]}"
-        elif session.complete:
-            state = "complete"
-        elif session.begun_anew_as:
-            state = f"begun anew as session {session.begun_anew_as}"
-        else:
-            state = f"{session.n_answered} answers, not complete: go on with `modaltouch resume {log.parent}`"
-        typer.echo(f"{participant} has session {number}: {state}", err=True)
-    n_held = sum(session.begun_anew_as is None for session in map(read_session, logs.values()))
-    if n_held >= n_sessions:
-        has_had = "its one session" if n_sessions == 1 else f"all {n_sessions} sessions"
-        said = f"{participant} has had {has_had} of the protocol: another would be one more; Ctrl-C leaves"
-        typer.secho(said, err=True, fg=typer.colors.YELLOW)
-    while True:
-        given = str(_prompt("Session number", default=max(logs) + 1))
-        if given.isdecimal() and int(given) >= 1 and int(given) not in logs:
-            return int(given)
-        said = f"given {given!r}; allowed: a number from 1 that is not taken"
-        typer.secho(said, err=True, fg=typer.colors.RED)
 
 
 def wait_for_start(setup: Setup, rig: str) -> None:
@@ -185,11 +129,3 @@ def _prompt(words: str, *, default: object, shown: bool = True) -> object:
         typer.echo("", err=True)
         leave(INTERRUPTED, "not started; nothing was recorded")
     return answer
-
-
-def _confirm(question: str) -> bool:
-    try:
-        return typer.confirm(question, default=False, err=sys.stderr.isatty())
-    except typer.Abort:
-        typer.echo("", err=True)
-        leave(INTERRUPTED, "not started; nothing was recorded")

@@ -31,8 +31,8 @@ from modaltouch.cli.options import (
     THEME,
     THEME_AGAIN,
     ThemeChoice,
-    progress,
 )
+from modaltouch.cli.tables import progress
 
 if TYPE_CHECKING:
     from modaltouch.record import Session
@@ -67,9 +67,7 @@ PARTICIPANT = Annotated[
 ]
 SESSION_NUMBER = Annotated[
     int | None,
-    typer.Option(
-        "--session", "-s", min=1, help="Number of the session.", show_default="the participant's next, or asked"
-    ),
+    typer.Option("--session", "-s", min=1, help="Number of the session.", show_default="the participant's next"),
 ]
 PILOT = Annotated[bool, typer.Option("--pilot", help="Mark the session as a pilot, whose data are kept apart.")]
 YES = Annotated[bool, typer.Option("--yes", "-y", help="Begin without asking.")]
@@ -114,7 +112,7 @@ def run(
     Every answer is on the disk before the next trial. If anything ends the session early, the outputs are off
     and `modaltouch resume` goes on where it stopped.
     """
-    from modaltouch.cli.prompts import ask_participant, ask_rig, ask_session, can_ask, wait_for_start
+    from modaltouch.cli.prompts import ask_participant, ask_rig, can_ask, wait_for_start
     from modaltouch.preflight import examine
 
     with reporting(json_output=json_output):
@@ -125,12 +123,9 @@ def run(
 
         rig = rig or ask_rig(can_ask() and not yes and not json_output)
         mode = mode_of(rig, answers.value, pilot=pilot)
-        design = preflight.experiment.protocol
-        dataset = SessionFolder.dataset_of(results, mode, design.protocol)
+        dataset = SessionFolder.dataset_of(results, mode, preflight.experiment.protocol.protocol)
         participant = ask_participant(dataset) if participant is None else participant
         SessionFolder.check_participant(participant)
-        if session is None and not (yes or json_output):
-            session = ask_session(dataset, participant, design.schedule.sessions)
         setup = wire_run(
             preflight, participant, session=session, rig=rig, answers=answers.value, pilot=pilot, seed=seed,
             results=results, window_options=window_options, threshold_mm_s=threshold,

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from modaltouch.cli.exit_status import print_json, reporting
-from modaltouch.cli.options import CALIBRATION, JSON, PROTOCOL, RESULTS, SEED, USUAL_OBSERVER, progress
+from modaltouch.cli.options import CALIBRATION, JSON, PROTOCOL, RESULTS, SEED, USUAL_OBSERVER
+from modaltouch.cli.tables import progress
 
 if TYPE_CHECKING:
     from modaltouch.protocol import Protocol

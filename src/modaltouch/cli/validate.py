@@ -10,6 +10,7 @@ import typer
 from modaltouch.cli.exit_status import reporting
 from modaltouch.cli.measurement import bars, give
 from modaltouch.cli.options import CALIBRATION, JSON, MEASURED_RIG, PROTOCOL
+from modaltouch.cli.tables import print_table
 
 
 def validate(
@@ -50,15 +51,8 @@ def validate(
 
 def _show(lines: list[dict[str, Any]], values: dict[str, Any]) -> None:
     """Print the laws side by side, and where the page is."""
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(title=f"Measured at {values['laws'][0]['velocity_mm_s']:g} mm/s", title_justify="left")
-    table.add_column("quantity [unit]")
-    for law in values["laws"]:
-        table.add_column(f"law {law['law']}", justify="right", no_wrap=True)
-    for line in lines:
-        name = line["quantity"] if line["unit"] == "1" else f"{line['quantity']} \\[{line['unit']}]"
-        table.add_row(name, *line["cells"])
-    Console().print(table)
+    headings = ("quantity [unit]", *(f"law {law['law']}" for law in values["laws"]))
+    names = [f"{line['quantity']} \\[{line['unit']}]" if line["unit"] != "1" else line["quantity"] for line in lines]
+    rows = [(name, *line["cells"]) for name, line in zip(names, lines, strict=True)]
+    print_table(f"Measured at {values['laws'][0]['velocity_mm_s']:g} mm/s", headings, rows)
     print(values["files"]["validation.html"])
