@@ -198,9 +198,8 @@ class Schedule:
         Raises
         ------
         ValueError
-            If an argument is out of bounds or no order keeps the protocol's limit on runs.
+            If no order keeps the protocol's limit on runs.
         """
-        _check_arguments(participant, seed, session)
         decided = given or Turn.of(participant, seed, session)
         turn = decided.number
         orders = _orders_of_finger_conditions(protocol)
@@ -254,15 +253,6 @@ def _place(finger_condition: str, cell: Cell, placement: Placement) -> Condition
     """Return a cell under a participant's fingers; on a beam turned end to end, left and right change places."""
     left, right = reversed(cell[0]) if placement.startswith("mirrored") else cell[0]
     return Condition(finger_condition, left, right, cell[1], placement, cell[2])
-
-
-def _check_arguments(participant: str, seed: int, session: int) -> None:
-    if not participant:
-        raise ValueError("participant is empty; give an identifier such as p01")
-    if seed < 0:
-        raise ValueError(f"the seed is {seed}; it must be 0 or above")
-    if session < 1:
-        raise ValueError(f"the session is {session}; sessions count from 1")
 
 
 def _purpose_of_order(finger_condition: str) -> str:

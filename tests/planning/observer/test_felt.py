@@ -46,7 +46,7 @@ def test_other_front_ends_read_a_whole_repetition(preflight: Preflight) -> None:
     voltage = np.zeros((2, int(timing.sampling_rate / 7)))
     voltage[:, : timing.n_samples] = stimulus.voltage_played(level)
     history = velocity_history(stimulus.model, voltage, timing, [0.0], stimulus.amplifier)
-    expected = sense("rms", history, timing.sampling_rate, timing.focusing_instant)[0]
+    expected = sense("rms", history, timing.sampling_rate)[0]
     assert FeltSpeeds(stimulus, {"C": 0.0}, "rms").at("C", level) == pytest.approx(expected, rel=1e-3)
 
 

@@ -119,11 +119,3 @@ def test_the_likelihood_of_a_population_without_spread_is_multinomial() -> None:
         left, right = still.draw_crowd(np.random.default_rng(0), ()).shares(SPEEDS, CONDITIONS, facing)
         expected += float((data.counts[person] * np.log(np.stack([left, 1 - left - right, right], axis=-1))).sum())
     assert log_likelihood(still, data) == pytest.approx(expected, rel=1e-12)
-
-
-def test_answers_that_do_not_fit_their_cells_are_refused() -> None:
-    """Expected: the message gives the shapes, and what they should be."""
-    with pytest.raises(ValueError, match=r"counts of shape \(2, 3, 3\), 6 speeds"):
-        RecordedAnswers(np.ones((2, 3, 3), dtype=np.int64), SPEEDS, CONDITIONS, np.ones(2))
-    with pytest.raises(ValueError, match="no answer to fit"):
-        RecordedAnswers(np.zeros((2, 6, 3), dtype=np.int64), SPEEDS, CONDITIONS, np.ones(2))

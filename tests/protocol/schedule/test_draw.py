@@ -162,20 +162,6 @@ def test_the_record_holds_what_an_order_was_drawn_from() -> None:
     assert (record["n_trials"], record["n_practice_trials"]) == (24, 3)
 
 
-@pytest.mark.parametrize(
-    ("participant", "seed", "session", "fault"),
-    [
-        ("", 1, 1, "participant is empty"),
-        ("p01", -1, 1, "the seed is -1; it must be 0 or above"),
-        ("p01", 1, 0, "the session is 0; sessions count from 1"),
-    ],
-)
-def test_arguments_out_of_bounds_are_refused(participant: str, seed: int, session: int, fault: str) -> None:
-    """Each message says what was given."""
-    with pytest.raises(ValueError, match=fault):
-        Schedule.draw(PAPER, participant, seed, session)
-
-
 def test_a_limit_that_no_order_keeps_is_refused_with_its_reason() -> None:
     """Four trials of the one pair come four times running."""
     protocol = changed("conditions", zone_pairs=(("A", "C"),))

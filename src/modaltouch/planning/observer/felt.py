@@ -25,7 +25,7 @@ class FeltSpeeds:
     zones : mapping of str to float
         Centres of the zones, origin at mid-beam [m].
     front_end : str
-        One of `modaltouch.planning.observer.population.FRONT_ENDS`.
+        What a finger makes of the velocity under it.
     """
 
     def __init__(self, stimulus: Stimulus, zones: Mapping[str, float], front_end: FrontEnd) -> None:
@@ -63,6 +63,6 @@ class FeltSpeeds:
             values = np.abs(stimulus.velocity_at_focus(places, level))
         else:
             # A whole repetition: a beam that is released free goes on after the burst.
-            history, timing = stimulus.velocity_history(places, level, whole_period=True), stimulus.timing
-            values = sense(self._front_end, history, timing.sampling_rate, timing.focusing_instant)
+            history = stimulus.velocity_history(places, level, whole_period=True)
+            values = sense(self._front_end, history, stimulus.timing.sampling_rate)
         return {name: float(value) / level for name, value in zip(self._zones, values, strict=True)}

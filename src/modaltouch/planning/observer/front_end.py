@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from modaltouch.planning.observer.population import FRONT_ENDS, FrontEnd
+from modaltouch.planning.observer.population import FrontEnd
 
 FloatArray = NDArray[np.float64]
 
@@ -26,44 +26,24 @@ ORDER = 4
 """Order of the Butterworth response at `CUT_OFF`, applied without a shift in time."""
 
 
-def sense(front_end: FrontEnd, history: ArrayLike, sampling_rate: float, instant: float) -> FloatArray:
+def sense(front_end: FrontEnd, history: ArrayLike, sampling_rate: float) -> FloatArray:
     """Return what fingers feel of the velocity under them, (n_places,) array [m/s].
 
     Parameters
     ----------
-    front_end : str
-        One of `FRONT_ENDS`.
+    front_end : {"rms", "below_1_khz", "envelope"}
+        Those that need the whole history.
     history : (n_places, n_samples) array
         Velocity over one repetition of the burst [m/s].
     sampling_rate : float
         Samples per second [Hz].
-    instant : float
-        The focusing instant, from the first sample [s].
-
-    Raises
-    ------
-    ValueError
-        If the front end is unknown, or the focusing instant outside the history.
     """
     velocity = np.atleast_2d(np.asarray(history, dtype=float))
-    if front_end == "peak":
-        return np.asarray(np.abs(velocity).max(axis=1))
     if front_end == "rms":
         return np.asarray(np.sqrt((velocity**2).mean(axis=1)))
-    if front_end == "below_1_khz":
-        return np.asarray(np.abs(smooth(velocity, sampling_rate)).max(axis=1))
-    if front_end == "envelope":
-        return np.asarray(smooth(np.abs(velocity), sampling_rate).max(axis=1))
-    if front_end != "peak_at_focus":
-        raise ValueError(f"given the front end {front_end!r}; allowed: {', '.join(FRONT_ENDS)}")
-    place = instant * sampling_rate
-    last = velocity.shape[1] - 1
-    if not 0 <= place <= last:
-        raise ValueError(
-            f"the focusing instant {instant:g} s lies outside the {velocity.shape[1]} samples; give the history of "
-            "a whole repetition"
-        )
-    return np.array([abs(np.interp(place, np.arange(last + 1), row)) for row in velocity])
+    low = front_end == "below_1_khz"
+    felt = np.abs(smooth(velocity, sampling_rate)) if low else smooth(np.abs(velocity), sampling_rate)
+    return np.asarray(felt.max(axis=1))
 
 
 def smooth(velocity: FloatArray, sampling_rate: float) -> FloatArray:

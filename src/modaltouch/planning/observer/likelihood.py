@@ -41,25 +41,6 @@ class RecordedAnswers:
     finger_conditions: tuple[str, ...]
     facing: FloatArray
 
-    def __post_init__(self) -> None:
-        """Refuse arrays that do not fit each other.
-
-        Raises
-        ------
-        ValueError
-            If shapes differ, or there is no answer.
-        """
-        n_participants, n_cells = self.counts.shape[:2]
-        sizes = (n_cells, len(self.finger_conditions), len(self.speeds))
-        if self.counts.shape[2:] != (3,) or len(set(sizes)) != 1 or self.facing.shape != (n_participants,):
-            raise ValueError(
-                f"counts of shape {self.counts.shape}, {len(self.speeds)} speeds, {len(self.finger_conditions)} finger "
-                f"conditions and {self.facing.shape} facings do not fit: give participants by cells by 3 answers, one "
-                "row of speeds and one finger condition to each cell, one facing to each participant"
-            )
-        if not self.counts.any():
-            raise ValueError("there is no answer to fit: give at least one")
-
     @classmethod
     def joined(cls, parts: Sequence[Self]) -> Self:
         """Return the answers of the same participants to several stimuli, cell after cell.

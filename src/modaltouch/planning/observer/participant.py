@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,7 +16,6 @@ REFERENCE = 0.1
 """Intensity at which `Participant.noise` holds [m/s]; it matters only where `near_miss` is not zero."""
 
 _LEAST_FLOOR = 1e-12
-_SIGNED = ("side_bias", "near_miss")
 
 
 @dataclass(frozen=True)
@@ -86,21 +85,6 @@ class Participant:
     near_miss: float = 0.0
     internal_noise: float = 0.0
 
-    def __post_init__(self) -> None:
-        """Refuse numbers without a meaning.
-
-        Raises
-        ------
-        ValueError
-            If one is not finite, negative where it must not be, or a lapse rate above 1.
-        """
-        for item in fields(self):
-            value = getattr(self, item.name)
-            least = -math.inf if item.name in _SIGNED else 0.0
-            most = 1.0 if item.name == "lapse_rate" else math.inf
-            if not (math.isfinite(value) and least <= value <= most):
-                raise ValueError(f"{item.name}: given {value}; allowed: a finite number from {least:g} to {most:g}")
-
     @property
     def floor(self) -> float:
         """Detection speed, kept off zero so that two still fingers have a ratio [m/s]."""
@@ -147,13 +131,7 @@ class Participant:
             What the two fingers feel [m/s].
         finger_condition : str
             ``one_hand`` or another.
-
-        Raises
-        ------
-        ValueError
-            If a speed is negative or not finite.
         """
-        _refuse_speeds(speed_left, speed_right)
         ratio = math.log((speed_right + self.floor) / (speed_left + self.floor))
         return (1 + self.suppression_in(finger_condition)) * ratio + self.side_bias
 
@@ -175,17 +153,11 @@ class Participant:
             Source of chance; the same number of draws is taken for every answer.
         answers : AnswerList, optional
             Answers that are offered; by default those of the paper.
-
-        Raises
-        ------
-        ValueError
-            If a speed is negative or not finite.
         """
         answers = AnswerList.of({}) if answers is None else answers
         nothing = answers.naming()
         draw, lapse, guess, pace = rng.standard_normal(), rng.random(), rng.random(), rng.standard_normal()
         doubt = rng.standard_normal() if nothing is not None else 0.0
-        _refuse_speeds(speed_left, speed_right)
         if self.internal_noise:
             speed_left, speed_right = (
                 max(speed + self.internal_noise * rng.standard_normal(), 0.0) for speed in (speed_left, speed_right)
@@ -216,9 +188,3 @@ def _name(answers: AnswerList, felt: float, criterion: float, guess: float) -> s
         return naming[0]
     side = 1 if felt > 0 else -1
     return naming.get(side) or naming.get(0) or naming[-side]
-
-
-def _refuse_speeds(speed_left: float, speed_right: float) -> None:
-    for side, speed in (("left", speed_left), ("right", speed_right)):
-        if not (math.isfinite(speed) and speed >= 0):
-            raise ValueError(f"given {speed} m/s under the {side} finger; allowed: a finite speed, 0 or more")
