@@ -26,15 +26,15 @@ def test_the_slope_is_the_likeliest_one() -> None:
         return -np.log(norm.cdf(cuts[y + 1] - values[0] * x) - norm.cdf(cuts[y] - values[0] * x)).sum()
 
     best = minimize(loss, [0.5, -0.5, 0.0]).x
-    fit = fit_ordered_probit(x, y, who)
-    assert fit.slope.estimate == pytest.approx(best[0], abs=2e-3)
-    assert not fit.separated
+    slope, note = fit_ordered_probit(x, y, who)
+    assert slope.estimate == pytest.approx(best[0], abs=2e-3)
+    assert "not estimable" not in note
 
 
 def test_the_true_slope_lies_in_the_interval() -> None:
     """Recovery on a synthetic set of 400 answers."""
-    fit = fit_ordered_probit(*simulate(1.2, seed=3))
-    assert fit.slope.low < 1.2 < fit.slope.high
+    slope, note = fit_ordered_probit(*simulate(1.2, seed=3))
+    assert slope.low < 1.2 < slope.high
 
 
 @pytest.mark.parametrize(
@@ -49,10 +49,9 @@ def test_the_true_slope_lies_in_the_interval() -> None:
 )
 def test_what_cannot_be_fitted_is_called_not_estimable(x, y, words) -> None:
     """Separation and lack of variation give no number at all."""
-    fit = fit_ordered_probit(x, y, [1, 1, 2, 2, 3, 3])
-    assert fit.separated
-    assert math.isnan(fit.slope.estimate)
-    assert words in fit.note
+    slope, note = fit_ordered_probit(x, y, [1, 1, 2, 2, 3, 3])
+    assert math.isnan(slope.estimate)
+    assert words in note
 
 
 def test_nearly_all_alike_gives_a_flag_or_a_bounded_slope() -> None:
@@ -60,5 +59,5 @@ def test_nearly_all_alike_gives_a_flag_or_a_bounded_slope() -> None:
     x = np.tile([-1.0, 1.0], 40)
     y = np.where(x > 0, 2, 0)
     y[0] = 1
-    fit = fit_ordered_probit(x, y, np.arange(80) % 10)
-    assert fit.separated or abs(fit.slope.estimate) <= 10
+    slope, note = fit_ordered_probit(x, y, np.arange(80) % 10)
+    assert "not estimable" in note or abs(slope.estimate) <= 10

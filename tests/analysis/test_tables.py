@@ -61,12 +61,6 @@ def test_an_unknown_finger_condition_is_refused_with_those_there_are(paper_frame
         zone_table(count_answers(paper_frame), "feet")
 
 
-def test_a_participant_without_a_cell_is_refused(paper_frame) -> None:
-    """The Python door keeps the same rule as the CSV's."""
-    with pytest.raises(ValueError, match="participant p01 has 0 answers in one_hand A-C 80 mm/s, others 1"):
-        count_answers(paper_frame.iloc[1:])
-
-
 def test_an_unknown_word_is_refused(paper_frame) -> None:
     """The Python door keeps the same rule as the CSV's."""
     with pytest.raises(ValueError, match="response 'up' is not an answer: allowed are left, right, both"):

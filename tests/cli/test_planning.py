@@ -27,7 +27,7 @@ def run(*words: object) -> Result:
 
 
 def test_power_json_is_one_object_with_everything(tmp_path: Path) -> None:
-    """Power with its interval, widths, floors, contour plot, seed; progress on standard error."""
+    """Power with its interval, widths, floors, picture, seed; progress on standard error."""
     done = run(
         "power", PROTOCOL, "--participants", "6:10:2", "--reps", "1,2", "--observer", "near_miss",
         "--experiments", 40, "--seed", 3, "--out", tmp_path / "plan", "--json",

@@ -76,7 +76,7 @@ def ac1_interval(answers: ArrayLike) -> Interval:
     estimate = gwet_ac1(total) if n > 1 else math.nan
     if n < 3:
         return Interval(estimate, -1.0, 1.0, n)
-    left_out = np.array([gwet_ac1(total - one) for one in table]) if n <= 200 else _grouped_jackknife(table, total)
+    left_out = np.array([gwet_ac1(total - one) for one in table])
     if np.ptp(left_out) < 1e-12:
         low = min(_least_ac1(1 - ((1 - CONFIDENCE) / 2) ** (1 / n)), estimate)
         return Interval(estimate, low, max(estimate, low), n)
@@ -110,10 +110,3 @@ def _least_ac1(deviating: float) -> float:
     alike, alike_chance = (1 - u) ** 2 + u**2, u * (1 - u)
     spread, spread_chance = (1 - u) ** 2 + u**2 / 2, u - 0.75 * u**2
     return min((alike - alike_chance) / (1 - alike_chance), (spread - spread_chance) / (1 - spread_chance))
-
-
-def _grouped_jackknife(table: FloatArray, total: FloatArray) -> FloatArray:
-    """Return AC1 without each of a hundred groups of participants, in place of one at a time."""
-    groups = np.array_split(np.arange(len(table)), 100)
-    size = len(table) // 100
-    return np.array([gwet_ac1(total - table[group[:size]].sum(axis=0)) for group in groups])

@@ -92,26 +92,30 @@ def catch_findings(answers: AnswerCounts, catches: Catches) -> Iterator[Finding]
     answers, catches
         As `catch_rows` takes them.
     """
-    *rows, total = catch_rows(answers, catches) or (None,)
-    if total is None or not answers.offers_none:
+    rows = catch_rows(answers, catches)
+    if not rows or not answers.offers_none:
         return
-    n = len(rows)
+    *own, total = rows
     if total.n_catch:
-        alarms = [row.n_false_alarms for row in rows if row is not None]
         words = ", ".join(f"{n_given} {word}" for word, n_given in total.answers.items())
-        yield _rate("false alarms", alarms, [row.n_catch for row in rows if row is not None], words, total)
-    misses = [row.n_missed for row in rows if row is not None]
+        alarms = [row.n_false_alarms for row in own]
+        yield _rate("false alarms", alarms, [row.n_catch for row in own], words, total)
     note = f"{total.n_missed} of {total.n_driven} answers"
-    yield _rate("misses", misses, [row.n_driven for row in rows if row is not None], note, total)
+    yield _rate("misses", [row.n_missed for row in own], [row.n_driven for row in own], note, total)
     if total.n_catch:
         driven = np.array([total.n_missed, total.n_driven - total.n_missed])
         silent = np.array([total.n_catch - total.n_false_alarms, total.n_false_alarms])
         sensitivity, criterion = detection(driven, silent)
-        interval, note = Interval(sensitivity, np.nan, np.nan, n), f"criterion c {criterion:.2f}"
         yield finding_of(
-            "catch", "detection, log-linear correction", "all", None, "d'", interval, n,
-            notes=[note, "all answers together, so no interval"],
-        )  # fmt: skip
+            "catch",
+            "detection, log-linear correction",
+            "all",
+            None,
+            "d'",
+            Interval(sensitivity, np.nan, np.nan, len(own)),
+            len(own),
+            notes=[f"criterion c {criterion:.2f}", "all answers together, so no interval"],
+        )
 
 
 def _missed(answers: AnswerCounts) -> list[int]:

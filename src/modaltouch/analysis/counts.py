@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
-from typing import Literal, TypeVar
+from typing import Literal
 
 import numpy as np
 import pandas as pd
@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 
 from modaltouch.analysis.scale import VELOCITY, LevelScale, scale_of
 from modaltouch.protocol import AnswerList
-
-T = TypeVar("T")
 
 PAPER_CONDITIONS = ("one_hand", "two_hands")
 
@@ -267,7 +265,7 @@ def count_answers(frame: pd.DataFrame, focus: str = "", offered: AnswerList | No
     Parameters
     ----------
     frame : DataFrame
-        Tidy answers; a column ``n`` counts equal ones.
+        Tidy answers, every participant's in every cell equally often; a column ``n`` counts equal ones.
     focus : str
         Zone of the focus; guessed by `find_focus` if empty.
     offered : AnswerList, optional
@@ -280,35 +278,36 @@ def count_answers(frame: pd.DataFrame, focus: str = "", offered: AnswerList | No
     Raises
     ------
     ValueError
-        If a participant lacks a cell, or has more answers in one cell than in another.
+        If a response is none of the answers.
     """
-    (who, participants), (fingers, conditions) = (_coded(frame[name]) for name in ("participant", "finger_condition"))
-    (left, left_zones), (right, right_zones) = (_coded(frame[name]) for name in ("zone_left", "zone_right"))
-    joint, pairing = np.unique(left * len(right_zones) + right, return_inverse=True)
-    zones = [(left_zones[code // len(right_zones)], right_zones[code % len(right_zones)]) for code in joint.tolist()]
+    participants = sorted(map(str, frame["participant"].unique()), key=_natural)
+    conditions = _ordered_conditions([str(name) for name in frame["finger_condition"].unique()])
+    touched = sorted({*map(str, frame["zone_left"].unique()), *map(str, frame["zone_right"].unique())})
+    left, right = (_codes(frame[name], touched) for name in ("zone_left", "zone_right"))
+    joint, pairing = np.unique(left * len(touched) + right, return_inverse=True)
+    zones = [(touched[code // len(touched)], touched[code % len(touched)]) for code in joint.tolist()]
     scale = scale_of(frame.columns)
     levels, level = np.unique(frame[scale.column].to_numpy(dtype=float), return_inverse=True)
     focus = focus or find_focus(zones)
-    given, words = _coded(frame["response"])
+    given = set(frame["response"].unique())
     if offered is None:
-        offered = AnswerList.of_words(("none",) if "none" in (*words, *_categories(frame["response"])) else ())
-    unknown = sorted(set(words) - set(offered.names))
-    if unknown:
+        words = frame["response"].astype("category").cat.categories
+        offered = AnswerList.of_words(("none",) if "none" in words else ())
+    if unknown := sorted(given - set(offered.names)):
         raise ValueError(f"response {unknown[0]!r} is not an answer: allowed are {', '.join(offered.ranked.names)}")
-    answer = np.array([offered.names.index(word) for word in words], dtype=np.int64)[given]
-    participants, who = _reordered(participants, who, sorted(participants, key=_natural))
-    conditions, fingers = _reordered(conditions, fingers, _ordered_conditions(conditions))
-    zones, pairing = _reordered(zones, pairing, sorted(zones))
-    pairs = tuple(Pair.of(*pair, focus) for pair in zones)
+    places = (
+        _codes(frame["participant"], participants),
+        _codes(frame["finger_condition"], conditions),
+        pairing,
+        level,
+        _codes(frame["response"], offered.names),
+    )
     counts = np.zeros((len(participants), len(conditions), len(zones), len(levels), len(offered)), dtype=np.int64)
-    weights = frame["n"].to_numpy() if "n" in frame.columns else np.ones(len(frame), dtype=np.int64)
-    np.add.at(counts, (who, fingers, pairing, level, answer), weights)
-    said = [scale.say(each) for each in levels.tolist()]
-    _refuse_imbalance(counts.sum(axis=-1), participants, conditions, pairs, said)
+    np.add.at(counts, places, frame["n"].to_numpy() if "n" in frame.columns else 1)
     return AnswerCounts(
         tuple(participants),
         tuple(conditions),
-        pairs,
+        tuple(Pair.of(*pair, focus) for pair in zones),
         tuple(levels.tolist()),
         counts,
         int(counts[0, 0, 0, 0].sum()),
@@ -348,21 +347,9 @@ def _natural(name: str) -> tuple[tuple[int, int, str], ...]:
     return tuple((0, int(part), "") if part.isdecimal() else (1, 0, part) for part in parts)
 
 
-def _coded(column: pd.Series) -> tuple[NDArray[np.int64], list[str]]:
-    """Return the code of every row and the words that occur, in order of appearance or of the categories."""
-    codes, words = pd.factorize(column, use_na_sentinel=False)
-    return np.asarray(codes, dtype=np.int64), [str(word) for word in words]
-
-
-def _categories(column: pd.Series) -> list[str]:
-    """Return the words that a column may hold, as far as it says."""
-    return list(column.cat.categories) if isinstance(column.dtype, pd.CategoricalDtype) else []
-
-
-def _reordered(values: list[T], codes: NDArray[np.int64], order: list[T]) -> tuple[list[T], NDArray[np.int64]]:
-    """Return values in another order, and the codes that still name the same ones."""
-    places = {value: place for place, value in enumerate(order)}
-    return order, np.array([places[value] for value in values], dtype=np.int64)[codes]
+def _codes(column: pd.Series, words: Sequence[str]) -> NDArray[np.int64]:
+    """Return the place of each row's word among some words."""
+    return np.asarray(pd.Categorical(column, categories=list(words)).codes, dtype=np.int64)
 
 
 def _mirrored(frame: pd.DataFrame) -> frozenset[str]:
@@ -370,20 +357,3 @@ def _mirrored(frame: pd.DataFrame) -> frozenset[str]:
         return frozenset()
     turned = frame["placement"].astype(str).str.startswith("mirrored")
     return frozenset(frame.loc[turned, "participant"].astype(str))
-
-
-def _refuse_imbalance(
-    totals: NDArray[np.int64],
-    participants: Sequence[str],
-    conditions: Sequence[str],
-    pairs: Sequence[Pair],
-    levels: Sequence[str],
-) -> None:
-    if totals.min() == totals.max() > 0:
-        return
-    p, f, q, v = (int(i) for i in np.unravel_index(int(totals.argmin()), totals.shape))
-    cell = f"{conditions[f]} {pairs[q].label} {levels[v]}"
-    raise ValueError(
-        f"participant {participants[p]} has {totals[p, f, q, v]} answers in {cell}, others {totals.max()}: "
-        "every participant must have answered every cell equally often; read the file with read_responses"
-    )

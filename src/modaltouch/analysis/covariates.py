@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
 from statistics import NormalDist
 from typing import Any
@@ -26,26 +26,7 @@ LARGEST = 10.0
 """A coefficient or standard error beyond this is taken as a sign of separation (probit units)."""
 
 
-@dataclass(frozen=True)
-class ProbitFit:
-    """An ordered probit fit.
-
-    Attributes
-    ----------
-    slope : Interval
-        Coefficient with its interval over participants; not a number where it cannot be estimated.
-    separated : bool
-        Whether separation, or lack of variation, made the fit meaningless.
-    note : str
-        What a reader must know.
-    """
-
-    slope: Interval
-    separated: bool
-    note: str
-
-
-def fit_ordered_probit(predictor: ArrayLike, answers: ArrayLike, participants: ArrayLike) -> ProbitFit:
+def fit_ordered_probit(predictor: ArrayLike, answers: ArrayLike, participants: ArrayLike) -> tuple[Interval, str]:
     """Return the ordered probit of answers on one predictor, errors clustered by participant; never a p value.
 
     Parameters
@@ -57,6 +38,13 @@ def fit_ordered_probit(predictor: ArrayLike, answers: ArrayLike, participants: A
     participants : (n,) array
         Who answered.
 
+    Returns
+    -------
+    slope : Interval
+        Coefficient with its interval over participants; not a number where it cannot be estimated.
+    note : str
+        What a reader must know.
+
     References
     ----------
     McCullagh, "Regression models for ordinal data", J. R. Stat. Soc. B 42 (1980) 109-142.
@@ -65,17 +53,15 @@ def fit_ordered_probit(predictor: ArrayLike, answers: ArrayLike, participants: A
     x, y = np.asarray(predictor, dtype=float), np.asarray(answers, dtype=int)
     _, groups = np.unique(np.asarray(participants), return_inverse=True)
     reason = _unfit(x, y, groups)
-    if reason:
-        return ProbitFit(Interval(math.nan, math.nan, math.nan, 0.0), True, f"not estimable: {reason}")
-    slope, error = _maximise(x, y, groups)
-    if not (math.isfinite(slope) and math.isfinite(error)) or abs(slope) > LARGEST or error > LARGEST:
-        note = f"not estimable: separation (coefficient {slope:.3g}, standard error {error:.3g})"
-        return ProbitFit(Interval(math.nan, math.nan, math.nan, 0.0), True, note)
+    slope, error = (math.nan, math.nan) if reason else _maximise(x, y, groups)
+    if not (abs(slope) <= LARGEST and error <= LARGEST):
+        reason = reason or f"separation (coefficient {slope:.3g}, standard error {error:.3g})"
+        return Interval(math.nan, math.nan, math.nan, 0.0), f"not estimable: {reason}"
     half = NormalDist().inv_cdf(1 - (1 - CONFIDENCE) / 2) * error
     n = int(groups.max()) + 1
     note = f"secondary model; standard error {error:.2g} clustered over {n} participants"
     note += f", which is too small for fewer than {FEW} of them" if n < FEW else ""
-    return ProbitFit(Interval(slope, slope - half, slope + half, n), False, note)
+    return Interval(slope, slope - half, slope + half, n), note
 
 
 def _unfit(x: np.ndarray, y: np.ndarray, groups: np.ndarray) -> str:
@@ -129,8 +115,8 @@ def secondary_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[F
     """
     if answers.compares:
         yield from side_findings(answers)
-    if answers.compares and has_values(frame, "trial"):
-        yield from order_findings(answers, frame)
+        if has_values(frame, "trial"):
+            yield from order_findings(answers, frame)
     if has_values(frame, "response_time"):
         yield from time_findings(answers, frame)
     if answers.compares and has_values(frame, "speed_left_mm_s") and has_values(frame, "speed_right_mm_s"):
@@ -292,10 +278,10 @@ def speed_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Findi
         # What names no finger lies outside that order.
         own = (frame["finger_condition"].astype(str) == condition).to_numpy() & (places >= 0)
         groups = frame["participant"].astype(str).to_numpy()[own]
-        fit = fit_ordered_probit(ratio[own], places[own], groups)
+        slope, note = fit_ordered_probit(ratio[own], places[own], groups)
         yield finding_of(
             "speed", "ordered probit on the log ratio of predicted speeds", condition, None,
-            "probit slope per doubling of right over left", fit.slope, answers.n_participants, notes=[fit.note],
+            "probit slope per doubling of right over left", slope, answers.n_participants, notes=[note],
         )  # fmt: skip
 
 

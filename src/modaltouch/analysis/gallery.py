@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import pandas as pd
-
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.covariate_figures import draw_order, draw_side, draw_speeds, draw_times
-from modaltouch.analysis.covariates import known_to
 from modaltouch.analysis.figures import draw_counts, draw_overview, draw_participants
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.tables import figure_names, zone_table
@@ -26,7 +23,7 @@ def draw_all(answers: AnswerCounts, responses: Responses) -> tuple[ReportFigure,
         ReportFigure(
             "overview",
             draw_overview(answers),
-            f"{_shares(answers)} over the level, all finger conditions. Error bars: 95 % intervals over participants.",
+            "Share of every answer but the last over the level. Error bars: 95 % intervals over participants.",
             "answers",
         )
     )
@@ -48,8 +45,8 @@ def draw_all(answers: AnswerCounts, responses: Responses) -> tuple[ReportFigure,
         (
             "reaction_times",
             draw_times(answers, frame),
-            f"{_rhythm(responses)} An answer may wait for the next burst, so reaction times are quantised and small "
-            f"differences mean little.{_known(frame)} Answers too early to be answers are left out.",
+            "An answer may wait for the next burst, so reaction times are quantised and small differences mean little. "
+            "Answers too early to be answers are left out.",
         ),
         (
             "speed_ratio",
@@ -66,23 +63,6 @@ def draw_all(answers: AnswerCounts, responses: Responses) -> tuple[ReportFigure,
         ReportFigure(name, figure, caption, "further") for name, figure, caption in further if figure is not None
     ]
     return tuple(pictures)
-
-
-def _shares(answers: AnswerCounts) -> str:
-    first, *others = [f"“{label}”" for label, _ in answers.effects(answers.pairs[0])]
-    return "Share of " + " and of ".join(["the dominant zone" if answers.compares else first, *others])
-
-
-def _rhythm(responses: Responses) -> str:
-    rate = responses.start.get("design", {}).get("stimulus", {}).get("repetition_rate_Hz")
-    if not rate:
-        return "The stimulus repeats at a fixed rate."
-    return f"Bursts repeat at {rate:g} Hz, one every {1000 / rate:.0f} ms."
-
-
-def _known(frame: pd.DataFrame) -> str:
-    known = known_to(frame)
-    return f" They are known to {known * 1e3:.2g} ms (95 % of them)." if known else ""
 
 
 def _bars(answers: AnswerCounts) -> list[ReportFigure]:

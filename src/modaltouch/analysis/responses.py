@@ -152,7 +152,7 @@ class Responses:
         Raises
         ------
         ValueError
-            If a participant lacks a cell, or has more answers in one cell than in another.
+            If a response is none of the answers.
         """
         from modaltouch.analysis.counts import count_answers
 

@@ -40,7 +40,7 @@ def power(
     target: Annotated[float, typer.Option(min=0.01, max=0.999, help="Power to reach.")] = 0.8,
     jobs: Annotated[int, typer.Option("--jobs", "-j", min=1, max=256, help="Processes that share the work.")] = 1,
     out: Annotated[
-        Path | None, typer.Option(help="Folder for tables and the contour plot.", show_default="nothing is written")
+        Path | None, typer.Option(help="Folder for tables and the picture.", show_default="nothing is written")
     ] = None,
     json_output: JSON = False,
 ) -> None:

@@ -6,10 +6,8 @@ import textwrap
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from modaltouch.analysis import STATISTICS
 from modaltouch.planning.power import Power
@@ -23,9 +21,6 @@ from modaltouch.report import (
     write_files,
 )
 from modaltouch.system import version
-
-_LINES = {0.5: "dotted", 0.8: "solid", 0.95: "dashed"}
-"""Contours that are drawn, and how."""
 
 _COLUMNS = 3
 _LINE_STYLES = ("-", "--", ":", "-.")
@@ -63,8 +58,7 @@ def write_power(folder: Path, power: Power, target: float = 0.8) -> dict[str, Pa
 def draw_power(power: Power, target: float = 0.8) -> Figure:
     """Return the picture of a plan, one panel for each family of tests, with the power that is wanted marked.
 
-    Participants run along the abscissa. With several numbers of repetitions, contours of equal power show how
-    participants and repetitions stand in for each other; with one, curves with their Monte Carlo intervals.
+    Participants run along the abscissa; each number of repetitions has a curve with its Monte Carlo intervals.
     """
     families = power.study.families
     n_rows = -(-len(families) // _COLUMNS)
@@ -76,39 +70,11 @@ def draw_power(power: Power, target: float = 0.8) -> Figure:
                 place.set_axis_off()
                 continue
             rows = [row for row in power.families if row["family"] == panel]
-            if _is_grid(rows):
-                _draw_contours(place, rows)
-            else:
-                _draw_curves(place, rows, power.study.alpha if power.study.null else target)
+            _draw_curves(place, rows, power.study.alpha if power.study.null else target)
             place.set_title(textwrap.fill(f"{panel}: {STATISTICS[panel].asks}?", 38), fontsize=8.5)
             place.set_xlabel("participants")
-        if any(_is_grid([row for row in power.families if row["family"] == family]) for family in families):
-            handles = [Line2D([], [], color=INK, ls=style, lw=1.0, label=f"{line:g}") for line, style in _LINES.items()]
-            figure.legend(handles=handles, title="contours", loc="outside right upper", frameon=False)
         figure.suptitle(_headline(power), fontsize=9, color=INK)
     return figure
-
-
-def _is_grid(rows: list[dict[str, Any]]) -> bool:
-    """Return whether every number of participants was simulated with each of two or more repetitions."""
-    n, r = ({row[key] for row in rows} for key in ("n_participants", "n_repetitions"))
-    return len(n) > 1 and len(r) > 1 and len(n) * len(r) == len(rows)
-
-
-def _draw_contours(place: Axes, rows: list[dict[str, Any]]) -> None:
-    n, r = (sorted({row[key] for row in rows}) for key in ("n_participants", "n_repetitions"))
-    found = {(row["n_participants"], row["n_repetitions"]): row["power"] for row in rows}
-    height = np.array([[found[x, y] for x in n] for y in r])
-    place.contourf(n, r, height, levels=np.linspace(0, 1, 11), cmap="Blues", vmin=0, vmax=1.15)
-    within = [line for line in _LINES if height.min() < line < height.max()]
-    if within:
-        styles = [_LINES[line] for line in within]
-        place.contour(n, r, height, levels=within, colors=INK, linewidths=1.0, linestyles=styles)
-    else:
-        middle = f"{height.min():.2g}" if np.ptp(height) < 0.005 else f"{height.min():.2g} to {height.max():.2g}"
-        place.text(0.5, 0.5, middle, ha="center", va="center", transform=place.transAxes, fontsize=8)
-    place.set_yticks(r)
-    place.set_ylabel("repetitions")
 
 
 def _draw_curves(place: Axes, rows: list[dict[str, Any]], mark: float) -> None:
