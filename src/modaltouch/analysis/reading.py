@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from modaltouch.analysis.responses import Responses
-from modaltouch.protocol import AnswerList, InputError, Problem
+from modaltouch.protocol import AnswerList, InputError
 
 
 def read_responses(
@@ -34,23 +34,18 @@ def read_responses(
     place = Path(path)
     if not place.exists():
         remedy = "check the name; results lie under results/<protocol> unless --results said otherwise"
-        raise InputError(
-            [Problem(str(place), 0, 0, "", "no such file or folder", "a CSV file or a results folder", remedy)]
-        )
-    is_recorded = place.is_dir() or place.suffix == ".jsonl"
-    if is_recorded and answers is not None:
-        given, remedy = "a protocol with recorded sessions, which hold their own", "leave the option out"
-        raise InputError([Problem(str(place), 0, 0, "", given, "a protocol only with a CSV file", remedy)])
-    if is_recorded:
+        raise InputError.of(place, "no such file or folder", "a CSV file or a results folder", remedy)
+    if place.is_dir() or place.suffix == ".jsonl":
+        if answers is not None:
+            given = "a protocol with recorded sessions, which hold their own"
+            raise InputError.of(place, given, "a protocol only with a CSV file", "leave the option out")
         from modaltouch.analysis.results_tree import read_tree
 
         return read_tree(place, mode, stimulus)
-    if stimulus:
-        given, remedy = f"stimulus {stimulus!r} with a CSV file", "leave out its other rows, and the option"
-        raise InputError([Problem(str(place), 0, 0, "", given, "a stimulus only with recorded sessions", remedy)])
-    if mode:
-        given, remedy = f"mode {mode!r} with a CSV file", "leave the mode out, or give a results folder"
-        raise InputError([Problem(str(place), 0, 0, "", given, "a mode only with recorded sessions", remedy)])
+    for name, value in (("stimulus", stimulus), ("mode", mode)):
+        if value:
+            allowed = f"a {name} only with recorded sessions"
+            raise InputError.of(place, f"{name} {value!r} with a CSV file", allowed, "leave the option out")
     from modaltouch.analysis.tidy import read_csv
 
     return read_csv(place, answers)

@@ -10,9 +10,9 @@ import gc
 import hashlib
 import sys
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,7 @@ from modaltouch.analysis.responses import (
     unmirror,
 )
 from modaltouch.analysis.scale import OWN_THRESHOLD, VELOCITY, scale_of
-from modaltouch.protocol import TIME_OUT, AnswerList, InputError, Problem
+from modaltouch.protocol import TIME_OUT, AnswerList, InputError
 from modaltouch.record import RecordError, Session, SessionFolder, audit_session, read_session
 
 
@@ -43,9 +43,7 @@ class SessionAnswers:
     mode, participant, protocol : str
         What the log says of itself; empty where it cannot be read.
     reason : str
-        Why it stays out; empty if it is analysed.
-    unfit : str
-        Why it would stay out though its mode and protocol are the right ones.
+        Why it stays out though its mode is the right one; empty if it is fit to be analysed.
     digest : str
         SHA-256 of the log.
     rows : tuple of tuple
@@ -56,10 +54,9 @@ class SessionAnswers:
         Zone at which the vibration was focused, if known.
     foci : dict of str to str
         Zone in focus of each of several stimuli.
-    in_multiples : bool
-        Whether its levels are told as multiples of the participant's own threshold.
-    is_adaptive : bool
-        Whether its levels followed from the answers; its rows then hold the catch trials too, at 0 mm/s.
+    levels : {"fixed", "adaptive", "calibrated"}
+        What sets its levels: the protocol; the answers, and then its rows hold the catch trials too, at 0 mm/s; or
+        the participant's own threshold, and then they are multiples of it.
     answers : AnswerList
         What could be answered.
     catches : Counter
@@ -71,21 +68,19 @@ class SessionAnswers:
     participant: str = ""
     protocol: str = ""
     reason: str = ""
-    unfit: str = ""
     digest: str = ""
     rows: tuple[tuple[Any, ...], ...] = ()
     facts: SessionFacts | None = None
     focus: str = ""
     answers: AnswerList = field(default_factory=lambda: AnswerList.of({}))
     catches: Counter[str] = field(default_factory=Counter)
-    is_adaptive: bool = False
-    in_multiples: bool = False
+    levels: str = "fixed"
     foci: dict[str, str] = field(default_factory=dict)
 
 
 def _rows(session: Session) -> tuple[tuple[Any, ...], ...]:
     """Return the answers of a session that count, in the order of `COLUMNS`; catch trials only of adaptive ones."""
-    rows, with_catches = [], is_adaptive(session)
+    rows, with_catches = [], _levels(session) == "adaptive"
     for row in session.table():
         if row["practice"] or (row["catch"] and not with_catches):
             continue
@@ -96,9 +91,11 @@ def _rows(session: Session) -> tuple[tuple[Any, ...], ...]:
     return tuple(rows)
 
 
-def is_adaptive(session: Session) -> bool:
-    """Return whether the levels of a session followed from its answers."""
-    return bool(session.start.get("design", {}).get("adaptive"))
+def _levels(session: Session) -> str:
+    """Return what sets the levels of a session."""
+    if session.start.get("design", {}).get("adaptive"):
+        return "adaptive"
+    return "calibrated" if session.multiples else "fixed"
 
 
 COLUMNS = (
@@ -138,19 +135,20 @@ def open_log(path: Path) -> SessionAnswers:
     if not session.start:
         damage = f"damaged: {session.chain.problems[0]}" if session.chain.problems else "cut before it began"
         return SessionAnswers(path, reason=damage)
-    found = SessionAnswers(path, session.mode, session.participant, session.protocol, unfit=_unfit(session))
-    if found.unfit:
-        return found
+    if reason := _unfit(session):
+        return SessionAnswers(path, session.mode, session.participant, session.protocol, reason)
     design = session.start.get("design", {})
-    return replace(
-        found,
-        digest=_digest(path),
+    return SessionAnswers(
+        path,
+        session.mode,
+        session.participant,
+        session.protocol,
+        digest=hashlib.sha256(path.read_bytes()).hexdigest(),
         rows=_rows(session),
         facts=take_facts(session),
         focus=str(design.get("stimulus", {}).get("focus", "")),
         answers=AnswerList.of(design.get("answers", {})),
-        is_adaptive=is_adaptive(session),
-        in_multiples=bool(session.multiples),
+        levels=_levels(session),
         foci={
             name: str(own.get("focus") or design.get("stimulus", {}).get("focus", ""))
             for name, own in design.get("stimuli", {}).items()
@@ -173,14 +171,7 @@ def _unfit(session: Session) -> str:
     return ""
 
 
-def _digest(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
-
-
 MODES = ("real", "pilot", "simulated")
-
-_FIXED, _ADAPTIVE, _IN_MULTIPLES = "fixed", "adaptive", "calibrated"
-"""What sets the levels of a session: the protocol, the answers, or the participant's own threshold."""
 
 
 def read_tree(place: Path, mode: str | None = None, stimulus: str | None = None) -> Responses:
@@ -201,45 +192,74 @@ def read_tree(place: Path, mode: str | None = None, stimulus: str | None = None)
         If there is no session to analyse, or the folder mixes modes or protocols without a choice.
     """
     if mode is not None and mode not in MODES:
-        _refuse(place, f"mode {mode!r}", ", ".join(MODES), "choose one of them")
+        raise InputError.of(place, f"mode {mode!r}", ", ".join(MODES), "choose one of them")
     with _no_search_for_cycles():
         found = [open_log(path) for path in find_logs(place)]
     if not found:
         remedy = f"give the folder that `modaltouch run` wrote to; it holds files named {SessionFolder.LOG_NAME}"
-        _refuse(place, "a folder without a recorded session", "a results folder", remedy)
-    chosen = mode or _choose_mode(place, found)
-    found = [_mark(item, _other_mode(item, chosen)) for item in found]
-    _refuse_protocols(place, [item.protocol for item in found if not item.reason])
-    found = [_mark(item, item.unfit) for item in found]
-    kind = _kind_of_levels(place, [item for item in found if not item.reason])
-    is_adaptive = kind == _ADAPTIVE
-    found = found if is_adaptive else _even_out(found)
-    left_out = tuple(ExcludedSource(str(item.path.parent), item.reason) for item in found if item.reason)
-    taken = [item for item in found if not item.reason]
+        raise InputError.of(place, "a folder without a recorded session", "a results folder", remedy)
+    one = "give the folder of one of them"
+    modes = [item.mode for item in found if item.mode]
+    is_real = "real" in modes or not modes
+    chosen = mode or ("real" if is_real else _only(place, "modes", modes, f"choose with --mode, or {one}"))
+    left_out: list[ExcludedSource] = []
+    of_mode = _sort(found, left_out, lambda item: _other_mode(item, chosen))
+    _only(place, "protocols", [f"of {item.protocol!r}" for item in of_mode if item.mode], one)
+    taken = _sort(of_mode, left_out, lambda item: item.reason)
+    levels = _only(place, "kinds of levels", [item.levels for item in taken], f"{one}; name the other protocol anew")
+    if levels != "adaptive":
+        fewest, seen = min(Counter(item.participant for item in taken).values(), default=0), Counter[str]()
+        taken = _sort(taken, left_out, lambda item: _surplus(item, fewest, seen))
     if not taken:
         counted = Counter(item.reason for item in left_out)
         listed = "; ".join(f"{n} {reason}" for reason, n in counted.most_common(5))
         remedy = "finish one with `modaltouch resume`, or choose another mode or folder"
-        _refuse(place, f"no session that can be analysed ({listed})", "at least one complete session", remedy)
+        given = f"no session that can be analysed ({listed})"
+        raise InputError.of(place, given, "at least one complete session", remedy)
     answers = _one_list(place, taken)
     frame = pd.DataFrame([row for item in taken for row in item.rows], columns=list(COLUMNS))
     frame = unmirror(frame.astype(dict.fromkeys(_NUMBERS, float)), answers)
-    if kind == _IN_MULTIPLES:
+    if levels == "calibrated":
         frame = frame.rename(columns={VELOCITY.column: OWN_THRESHOLD.column})
-    foci = taken[0].foci
-    if is_adaptive and stimulus is not None:
-        given, remedy = f"stimulus {stimulus!r} with adaptive sessions", "leave the option out: each run is of one"
-        _refuse(place, given, "all stimuli together", remedy)
-    if not is_adaptive:
+    if levels != "adaptive":
         frame = _choose_stimulus(place, frame, stimulus)
         _refuse_designs(place, frame)
+    elif stimulus is not None:
+        given, remedy = f"stimulus {stimulus!r} with adaptive sessions", "leave the option out: each run is of one"
+        raise InputError.of(place, given, "all stimuli together", remedy)
     frame["response"] = pd.Categorical(frame["response"], categories=list(answers.ranked.names))
     digest = hashlib.sha256("".join(item.digest for item in taken).encode()).hexdigest()
-    facts = tuple(item.facts for item in taken if item.facts is not None)
-    start = read_session(taken[0].path).start
-    source = AnswerSource(str(place), "results", digest, chosen)
-    focus = foci.get(stimulus or "", taken[0].focus)
-    return Responses(frame, facts, left_out, source, focus, start, _sum_catches(taken), stimulus or "", foci, answers)
+    foci = taken[0].foci
+    return Responses(
+        frame,
+        tuple(item.facts for item in taken if item.facts is not None),
+        tuple(sorted(left_out, key=lambda item: Path(item.source))),
+        AnswerSource(str(place), "results", digest, chosen),
+        foci.get(stimulus or "", taken[0].focus),
+        read_session(taken[0].path).start,
+        _sum_catches(taken),
+        stimulus or "",
+        foci,
+        answers,
+    )
+
+
+def _sort(
+    items: Sequence[SessionAnswers], left_out: list[ExcludedSource], reason_of: Callable[[SessionAnswers], str]
+) -> list[SessionAnswers]:
+    """Return the sessions without a reason to leave them out, and add the others to those that stay out."""
+    reasons = [(item, reason_of(item)) for item in items]
+    left_out += [ExcludedSource(str(item.path.parent), reason) for item, reason in reasons if reason]
+    return [item for item, reason in reasons if not reason]
+
+
+def _only(place: Path, what: str, values: Sequence[str], remedy: str) -> str:
+    """Return the value that all sessions share, empty without any; refuse several."""
+    counted = Counter(values)
+    if len(counted) > 1:
+        listed = ", ".join(f"{n} {value}" for value, n in counted.most_common())
+        raise InputError.of(place, f"sessions of several {what} ({listed})", "sessions of one alone", remedy)
+    return next(iter(counted), "")
 
 
 def _one_list(place: Path, taken: Sequence[SessionAnswers]) -> AnswerList:
@@ -249,7 +269,7 @@ def _one_list(place: Path, taken: Sequence[SessionAnswers]) -> AnswerList:
         if not set(item.answers) <= set(longest):
             given = f"sessions with the answers {', '.join(longest.names)}, and with {', '.join(item.answers.names)}"
             remedy = "give the folder of one of them; name the other protocol anew"
-            _refuse(place, given, "the same answers under the name of one protocol", remedy)
+            raise InputError.of(place, given, "the same answers under the name of one protocol", remedy)
     return longest
 
 
@@ -279,32 +299,16 @@ def find_logs(place: Path) -> list[Path]:
     return [place] if place.is_file() else sorted(place.rglob(SessionFolder.LOG_NAME))
 
 
-def _mark(item: SessionAnswers, reason: str) -> SessionAnswers:
-    return item if item.reason or not reason else replace(item, reason=reason)
-
-
-def _choose_mode(place: Path, found: Sequence[SessionAnswers]) -> str:
-    counted = Counter(item.mode for item in found if item.mode)
-    if "real" in counted or not counted:
-        return "real"
-    if len(counted) > 1:
-        listed = ", ".join(f"{n} {mode}" for mode, n in counted.most_common())
-        remedy = "choose with --mode, or give the folder of one of them"
-        _refuse(place, f"sessions of several modes ({listed})", "sessions of one mode", remedy)
-    return next(iter(counted))
-
-
 def _other_mode(item: SessionAnswers, chosen: str) -> str:
     if not item.mode or item.mode == chosen:
         return ""
     return f"{item.mode}, not {chosen} (choose with --mode {item.mode})"
 
 
-def _refuse_protocols(place: Path, protocols: Sequence[str]) -> None:
-    names = Counter(protocols)
-    if len(names) > 1:
-        listed = ", ".join(f"{n} of {name!r}" for name, n in names.most_common())
-        _refuse(place, f"sessions of several protocols ({listed})", "one protocol", "give the folder of one of them")
+def _surplus(item: SessionAnswers, fewest: int, seen: Counter[str]) -> str:
+    seen[item.participant] += 1
+    beyond = seen[item.participant] > fewest
+    return f"session beyond the first {fewest}: not every participant has as many" if beyond else ""
 
 
 def _choose_stimulus(place: Path, frame: pd.DataFrame, stimulus: str | None) -> pd.DataFrame:
@@ -313,22 +317,13 @@ def _choose_stimulus(place: Path, frame: pd.DataFrame, stimulus: str | None) -> 
     listed = ", ".join(names) or "sessions have one alone"
     if stimulus is None and len(names) > 1:
         remedy = "`modaltouch analyse` takes one with --stimulus, `modaltouch fit` all of them, with their protocol"
-        _refuse(place, f"sessions with several stimuli ({listed})", "one stimulus", remedy)
+        raise InputError.of(place, f"sessions with several stimuli ({listed})", "one stimulus", remedy)
     if stimulus is not None and stimulus not in names:
         remedy = "choose one of them, or leave the option out; a fit needs the protocol that was answered"
-        _refuse(place, f"stimulus {stimulus!r}", listed, remedy)
+        raise InputError.of(place, f"stimulus {stimulus!r}", listed, remedy)
     if stimulus is None:
         return frame
     return frame[frame["stimulus"] == stimulus].reset_index(drop=True)
-
-
-def _kind_of_levels(place: Path, found: Sequence[SessionAnswers]) -> str:
-    """Return what sets the levels of all sessions; refuse sessions that differ in it."""
-    kinds = {_ADAPTIVE if item.is_adaptive else _IN_MULTIPLES if item.in_multiples else _FIXED for item in found}
-    if len(kinds) > 1:
-        given = f"sessions with {' and '.join(sorted(kinds))} levels under the name of one protocol"
-        _refuse(place, given, "one of them", "give the folder of one of them; name the other protocol anew")
-    return next(iter(kinds), _FIXED)
 
 
 def _refuse_designs(place: Path, frame: pd.DataFrame) -> None:
@@ -343,23 +338,4 @@ def _refuse_designs(place: Path, frame: pd.DataFrame) -> None:
     shown = f"{odd[0]} has {answers.loc[odd[0], cells[0]]} in {cell}, others up to {usual}"
     given = f"participants who answered different conditions ({len(odd)} of {len(answers)}; {shown})"
     remedy = "give a folder with the sessions of one version of the protocol"
-    _refuse(place, given, "the same conditions, equally often, for every participant", remedy)
-
-
-def _even_out(found: Sequence[SessionAnswers]) -> list[SessionAnswers]:
-    """Keep as many sessions of every participant as the one with fewest has."""
-    usable = Counter(item.participant for item in found if not item.reason)
-    fewest = min(usable.values(), default=0)
-    taken: Counter[str] = Counter()
-    evened = []
-    for item in found:
-        if not item.reason:
-            taken[item.participant] += 1
-            if taken[item.participant] > fewest:
-                item = _mark(item, f"session beyond the first {fewest}: not every participant has as many")
-        evened.append(item)
-    return evened
-
-
-def _refuse(place: Path, given: str, allowed: str, remedy: str) -> None:
-    raise InputError([Problem(str(place), 0, 0, "", given, allowed, remedy)])
+    raise InputError.of(place, given, "the same conditions, equally often, for every participant", remedy)

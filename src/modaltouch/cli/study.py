@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import NoReturn
 
 from modaltouch.cli.simulate import analyses
-from modaltouch.protocol import Findings, InputError, Problem, Protocol, Source
+from modaltouch.protocol import Findings, InputError, Protocol, Source
 from modaltouch.system import version
 
 
@@ -31,7 +30,7 @@ def write_study(folder: Path, template: str) -> tuple[Path, ...]:
     with ExitStack() as undo:
         try:
             if folder.exists() and (held := next(folder.iterdir(), None)):
-                _refuse(folder, f"a folder that holds {held.name}", "a folder that is new or empty")
+                raise InputError.of(folder, f"a folder that holds {held.name}", "a folder that is new or empty")
             for place, text in contents.items():
                 file = folder / place
                 for parent in reversed([each for each in file.parents if not each.exists()]):
@@ -42,7 +41,8 @@ def write_study(folder: Path, template: str) -> tuple[Path, ...]:
                     undo.callback(_remove, file)
                     opened.write(text)
         except OSError as error:
-            _refuse(folder, f"a folder that cannot be written ({error.strerror})", "one that you may write to")
+            given = f"a folder that cannot be written ({error.strerror})"
+            raise InputError.of(folder, given, "one that you may write to") from error
         undo.pop_all()
     return tuple(folder / place for place in contents)
 
@@ -51,7 +51,7 @@ def _contents(template: str) -> dict[str, str]:
     """Return the text of each file by its place in the study, its protocol first."""
     known = Source.shipped("protocol")
     if template not in known:
-        _refuse("--from", f"{template!r}, which is no shipped protocol", ", ".join(known))
+        raise InputError.of("--from", f"{template!r}, which is no shipped protocol", ", ".join(known))
     experiments = [Findings.read(known[template]).experiment()]
     if own := experiments[0].protocol.conditions.sensation_levels:
         experiments.append(Findings.read(known[own.thresholds_from]).experiment())
@@ -81,10 +81,6 @@ def _readme(protocols: list[Protocol]) -> Iterator[str]:
     for command in analyses(protocol, f"results/{name}"):
         yield f"| `{command}` | the same of the participants |"
     yield f"\nYour beam goes into `protocols/{protocol.apparatus}`, your words into `protocols/{protocol.texts}`."
-
-
-def _refuse(place: Path | str, given: str, allowed: str) -> NoReturn:
-    raise InputError([Problem(str(place), 0, 0, "", given, allowed)])
 
 
 def _remove(path: Path) -> None:

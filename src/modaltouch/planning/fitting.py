@@ -15,7 +15,7 @@ from modaltouch.planning.observer.fit import Fit, fit_observer
 from modaltouch.planning.observer.likelihood import RecordedAnswers
 from modaltouch.planning.presented import refuse_answers
 from modaltouch.preflight import Preflight
-from modaltouch.protocol import InputError, Problem
+from modaltouch.protocol import InputError
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,13 +100,13 @@ def _refuse_unnamed(path: Path, stimuli: tuple[str, ...]) -> None:
     """Refuse answers that do not say to which of several stimuli they are."""
     if stimuli and path.is_file() and path.suffix != ".jsonl":
         given, remedy = "a CSV file, which does not say to which stimulus an answer is", "give the sessions themselves"
-        raise InputError([Problem(str(path), 1, 1, "", given, f"sessions with {', '.join(stimuli)}", remedy)])
+        raise InputError.of(path, given, f"sessions with {', '.join(stimuli)}", remedy)
 
 
 def _refuse_adaptive(path: Path, *, is_adaptive: bool) -> None:
     if is_adaptive:
         given, remedy = "adaptive sessions, which have no table of counts", "see them with `modaltouch analyse`"
-        raise InputError([Problem(str(path), 1, 1, "", given, "sessions with fixed levels", remedy)])
+        raise InputError.of(path, given, "sessions with fixed levels", remedy)
 
 
 def _count(preflight: Preflight, path: Path, responses: Responses) -> AnswerCounts:
@@ -115,13 +115,13 @@ def _count(preflight: Preflight, path: Path, responses: Responses) -> AnswerCoun
     _refuse_adaptive(path, is_adaptive=responses.is_adaptive)
     if responses.in_multiples:
         given = "sessions with levels calibrated by participant, each of whom felt other velocities"
-        raise InputError([Problem(str(path), 1, 1, "", given, "sessions with the same levels for all", "")])
+        raise InputError.of(path, given, "sessions with the same levels for all")
     answers = responses.count(experiment.protocol.stimulus.focus)
     zones = experiment.apparatus.zones
     for zone in dict.fromkeys(zone for pair in answers.pairs for zone in (pair.left, pair.right)):
         if zone not in zones:
             known = ", ".join(zones)
-            raise InputError([Problem(str(path), 1, 1, "", f"answers about the zone {zone!r}", known, remedy)])
+            raise InputError.of(path, f"answers about the zone {zone!r}", known, remedy)
     return answers
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
-from typing import Any
+from pathlib import Path
+from typing import Any, Self
 
 from pydantic_core import PydanticCustomError
 
@@ -63,6 +64,19 @@ class InputError(Exception):
     def __init__(self, problems: Iterable[Problem]) -> None:
         self.problems: tuple[Problem, ...] = tuple(sorted(set(problems)))
         super().__init__("\n".join(str(problem) for problem in self.problems))
+
+    @classmethod
+    def of(cls, file: Path | str, given: str, allowed: str, remedy: str = "") -> Self:
+        """Return the one problem of a file or folder as a whole.
+
+        Parameters
+        ----------
+        file : Path or str
+            Which one.
+        given, allowed, remedy : str
+            As `Problem` has them.
+        """
+        return cls([Problem(str(file), 0, 0, "", given, allowed, remedy)])
 
 
 def fault(given: str, allowed: str, remedy: str = "") -> PydanticCustomError:
