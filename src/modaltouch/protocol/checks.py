@@ -39,7 +39,6 @@ def check_protocol(reading: Reading[Protocol]) -> list[Problem]:
         *check_adaptive(reading),
         *check_sensation_levels(reading),
         *_check_keys(reading),
-        *_check_times(reading),
     ]
 
 
@@ -258,13 +257,6 @@ def _check_key(reading: Reading[Protocol], path: tuple[str | int, ...], name: st
         allowed = "left, right, up, down, space, enter, letters, digits, num_0 to num_9, f1 to f20 and the like"
         remedy = f"did you mean '{meant}'?" if meant else "write it in small letters"
         yield reading.problem(path, f"'{name}', which is no key's name", allowed, remedy)
-
-
-def _check_times(reading: Reading[Protocol]) -> Iterator[Problem]:
-    for key in ("presentation_s", "longest_presentation_s", "question_delay_s", "pause_s", "settling_s"):
-        value = reading.sound("answers", key)
-        if value is not None and value > 600:
-            yield reading.problem(("answers", key), f"{value:g} s", "at most 600 s", "shorten it")
 
 
 LEAST_SAMPLES_PER_CYCLE = 2.5

@@ -113,19 +113,5 @@ def suggest(word: str, known: Iterable[str]) -> str:
     wanted = word.casefold().replace("-", "_").replace(" ", "_")
     if wanted in folded:
         return folded[wanted]
-    same_stem = [name for name in names if _stem(name) == _stem(word)]
-    if len(same_stem) == 1:
-        return same_stem[0]
     close = difflib.get_close_matches(wanted, list(folded), n=1, cutoff=0.7)
     return folded[close[0]] if close else ""
-
-
-_UNITS = "m mm cm um s ms us ns hz khz mhz v mv kv vpp per percent a ma rad deg m2 s2 mm2 cm2"
-
-
-def _stem(name: str) -> str:
-    """Return a key's name without its unit."""
-    words, units = name.casefold().split("_"), _UNITS.split()
-    while len(words) > 1 and words[-1] in units:
-        words.pop()
-    return "_".join(words)

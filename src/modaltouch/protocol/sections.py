@@ -17,6 +17,7 @@ FingerCondition = Literal["one_hand", "two_hands"]
 AnswerWay = Literal["free_hand", "lifting", "foot_switch", "experimenter"]
 Placement = Literal["normal", "mirrored", "swapped", "mirrored_swapped"]
 ZonePair = tuple[ZoneName, ZoneName]
+Seconds = Annotated[NotNegative, Field(le=600)]
 KeyName = Annotated[Text, Field(json_schema_extra={"x-allowed": "the name of a key"})]
 
 _UNIQUE = {"uniqueItems": True}
@@ -164,12 +165,12 @@ class AnswersSection(Section):
         "Bursts of the stimulus where it stops before the question; null where presentation_s says how long it is.",
         default=None,
     )
-    presentation_s: Positive | None = described(
+    presentation_s: Annotated[Positive, Field(le=600)] | None = described(
         "Length of the stimulus where it stops before the question, a whole number of bursts [s]; null for as many as "
         "are nearest to 2 s.",
         default=None,
     )
-    longest_presentation_s: Positive | None = described(
+    longest_presentation_s: Annotated[Positive, Field(le=600)] | None = described(
         "Longest stimulus where it plays until the answer, a whole number of bursts [s]; null for as many as are "
         "nearest to 60 s.",
         default=None,
@@ -178,13 +179,13 @@ class AnswersSection(Section):
         "What follows the longest stimulus: the question stays with the beam at rest, or the trial ends as timed out.",
         default="ask",
     )
-    question_delay_s: NotNegative = described("From the first burst to the question [s].", default=0.5)
-    pause_s: NotNegative = described(
+    question_delay_s: Seconds = described("From the first burst to the question [s].", default=0.5)
+    pause_s: Seconds = described(
         "Between an answer, or a key to go on, and the next stimulus [s]; settling_s where that is longer and a hand "
         "of those on the beam has to come back to it.",
         default=1.0,
     )
-    settling_s: NotNegative = described(
+    settling_s: Seconds = described(
         "The same where a hand or finger of those on the beam presses: in two_hands without foot switch or "
         "experimenter, and in lifting [s]; the participant sees a countdown.",
         default=1.5,
