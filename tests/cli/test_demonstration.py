@@ -39,5 +39,5 @@ def test_a_number_that_another_demonstration_takes_meanwhile_is_passed_over(
     assert tried == [2, 3, 4]
     assert [line.split()[1] for line in said[:-1]] == ["2", "3", "4"]
     traces = root / "derivatives" / "sub-demo_ses-4"
-    assert outcome.session == root / "sub-demo" / "ses-4" / "beh"
-    assert (outcome.screenshots, outcome.report) == (traces / "screenshots", traces / "analysis" / "report.html")
+    assert outcome["session"] == root / "sub-demo" / "ses-4" / "beh"
+    assert (outcome["screenshots"], outcome["report"]) == (traces / "screenshots", traces / "analysis" / "report.html")

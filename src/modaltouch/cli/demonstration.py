@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from modaltouch.analysis import analyse
@@ -17,25 +17,6 @@ from modaltouch.window import WindowOptions
 PARTICIPANT = "demo"
 
 
-@dataclass(frozen=True)
-class DemonstrationResult:
-    """Where a demonstration left its traces.
-
-    Attributes
-    ----------
-    session : Path
-        Folder of the session's record.
-    screenshots : Path
-        Folder with a picture of each kind of screen.
-    report : Path
-        The HTML report.
-    """
-
-    session: Path
-    screenshots: Path
-    report: Path
-
-
 def demonstrate(
     results: Path,
     *,
@@ -43,7 +24,7 @@ def demonstrate(
     window_options: WindowOptions,
     tell: Callable[[str], None],
     on_progress: Callable[[int, int], None],
-) -> DemonstrationResult:
+) -> dict[str, Path]:
     """Run the demonstration and return where its traces are.
 
     Parameters
@@ -85,4 +66,4 @@ def demonstrate(
                 break
     tell(f"{session.n_answered} answers recorded; now the analysis.")
     analysis = analyse(session.path.parent, traces / "analysis", mode="simulated")
-    return DemonstrationResult(session.path.parent, screenshots, analysis.files["report.html"])
+    return {"session": session.path.parent, "screenshots": screenshots, "report": analysis.files["report.html"]}

@@ -209,14 +209,13 @@ def demo(
     with reporting(json_output=json_output):
         window_options = _window_options(False, size, theme, 0, None)
         with progress("trials answered") as on_progress:
-            outcome = demonstrate(
+            places = demonstrate(
                 results,
                 seed=seed,
                 window_options=window_options,
                 tell=partial(typer.echo, err=json_output),
                 on_progress=on_progress,
             )
-        places = {"session": outcome.session, "screenshots": outcome.screenshots, "report": outcome.report}
         if json_output:
             print_json({name: str(path) for name, path in places.items()})
         else:

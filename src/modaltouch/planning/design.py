@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -86,8 +86,3 @@ class Design:
     def scopes(self, family: str) -> tuple[str, ...]:
         """Return what each test of a family, one of `STATISTICS`, is about, worded by the analysis."""
         return self._scopes[family]
-
-    def without_differences(self) -> Design:
-        """Return the design with both fingers feeling alike everywhere: nothing is there to be found."""
-        alike = np.full_like(self.speeds, float(self.speeds.mean()))
-        return replace(self, speeds=alike)

@@ -54,9 +54,13 @@ class Study:
     alpha: float = ALPHA
 
     @cached_property
-    def null_design(self) -> Design:
-        """The design with nothing to be found."""
-        return self.design.without_differences()
+    def simulated(self) -> tuple[Design, Observer]:
+        """What is simulated: for false alarms both fingers feel alike everywhere, and nobody prefers a side."""
+        if not self.null:
+            return self.design, self.observer
+        alike = np.full_like(self.design.speeds, float(self.design.speeds.mean()))
+        typical = replace(self.observer.typical, side_bias=0.0)
+        return replace(self.design, speeds=alike), replace(self.observer, typical=typical)
 
     def seed_of(self, job: Job) -> np.random.SeedSequence:
         """Return the seed of a job: spawned from the study's, the same whichever other jobs there are."""
@@ -137,8 +141,7 @@ def divide(design: Design, sizes: Iterable[tuple[int, int]], n_experiments: int)
 def run_job(study: Study, job: Job) -> Tallies:
     """Return what comes out of the experiments of a job, family by family."""
     observed, guessed = (np.random.default_rng(seed) for seed in study.seed_of(job).spawn(2))
-    design = study.null_design if study.null else study.design
-    observer = unbiased(study.observer) if study.null else study.observer
+    design, observer = study.simulated
     answers = simulate(design, observer, job, observed)
     tallies = {}
     for family in study.families:
@@ -146,11 +149,6 @@ def run_job(study: Study, job: Job) -> Tallies:
         asked = simulate(design, Observer(Participant(lapse_rate=1.0)), job, guessed) if guesses else answers
         tallies[family] = count_significant(asked, family, study.alpha)
     return tallies
-
-
-def unbiased(observer: Observer) -> Observer:
-    """Return the observer without a side that the population prefers; its participants differ as before."""
-    return replace(observer, typical=replace(observer.typical, side_bias=0.0))
 
 
 def simulate(design: Design, observer: Observer, job: Job, rng: np.random.Generator) -> AnswerCounts:

@@ -219,10 +219,8 @@ def plan(
     """
     jobs = divide(study.design, sizes, n_experiments)
     told = told_to_stop or (lambda: False)
-    here = n_processes == 1 or len(jobs) == 1
-    results = _run_here(study, jobs, told) if here else _run_shared(study, jobs, told, n_processes)
     done: dict[Job, Tallies] = {}
-    for job, tallies in results:
+    for job, tallies in _run_all(study, jobs, told, min(n_processes, len(jobs))):
         done[job] = tallies
         if on_progress is not None:
             on_progress(len(done), len(jobs))
@@ -235,14 +233,7 @@ def plan(
     return Power(study, tuple(sizes), n_experiments, added)
 
 
-def _run_here(study: Study, jobs: Sequence[Job], told_to_stop: Callable[[], bool]) -> Iterator[tuple[Job, Tallies]]:
-    for job in jobs:
-        if told_to_stop():
-            return
-        yield job, run_job(study, job)
-
-
-def _run_shared(
+def _run_all(
     study: Study, jobs: Sequence[Job], told_to_stop: Callable[[], bool], n_processes: int
 ) -> Iterator[tuple[Job, Tallies]]:
     import joblib

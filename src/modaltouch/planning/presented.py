@@ -30,14 +30,14 @@ def designs_for(preflight: Preflight, observer: Observer) -> dict[str, Design]:
     InputError
         If anything is wrong with the protocol, or its levels follow from answers or differ between participants.
     """
-    reading = preflight.findings.protocol
-    if reading is not None and preflight.experiment.protocol.adaptive is not None:
+    findings = preflight.findings
+    if preflight.experiment.protocol.adaptive is not None:
         given, remedy = "adaptive runs, which have no fixed conditions", "plan with a protocol of fixed levels"
-        raise InputError([reading.problem(("adaptive",), given, "fixed levels", remedy)])
-    if reading is not None and preflight.experiment.protocol.conditions.sensation_levels is not None:
+        raise InputError([findings.problem(("adaptive",), given, "fixed levels", remedy)])
+    if preflight.experiment.protocol.conditions.sensation_levels is not None:
         given = "levels calibrated by participant, which depend on thresholds not yet known"
         remedy = "plan with peak velocities as you expect them"
-        raise InputError([reading.problem(("conditions", "sensation_levels"), given, "fixed levels", remedy)])
+        raise InputError([findings.problem(("conditions", "sensation_levels"), given, "fixed levels", remedy)])
     refuse_answers(preflight)
     placements = _placements(preflight.experiment.protocol)
     return {name: _design(name, part, observer, placements) for name, part in preflight.parts.items()}

@@ -62,10 +62,8 @@ def render(figure: Figure, kind: str) -> bytes:
             if engine is not None:
                 engine.execute(figure)
                 figure.set_layout_engine(None)
-            if kind == "svg":
-                figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": "modaltouch"})
-            else:
-                figure.savefig(buffer, format="png", dpi=PNG_DPI, metadata={"Software": "modaltouch"})
+            told = {"svg": {"Date": None, "Creator": "modaltouch"}, "png": {"Software": "modaltouch"}}
+            figure.savefig(buffer, format=kind, dpi=PNG_DPI, metadata=told[kind])
     return buffer.getvalue()
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -87,14 +88,21 @@ def _mark_levels(axis: Axis) -> None:
     axis.set_minor_locator(NullLocator())
 
 
-def _band(span: object, line: object, threshold: ThresholdEstimate | None, bounds: tuple[float, float]) -> None:
-    """Draw a threshold and its interval across a picture."""
-    if threshold is None or not (callable(span) and callable(line)):
-        return
+def _in_mm_s(threshold: ThresholdEstimate, bounds: tuple[float, float]) -> tuple[float, float, float]:
+    """Return a threshold between the ends of its interval [mm/s]; an open end lies beyond the picture."""
     low = bounds[0] / 10 if threshold.low is None else 10 ** (threshold.low / 20)
     high = bounds[1] * 10 if threshold.high is None else 10 ** (threshold.high / 20)
-    span(low, high, color="#e6ecf6", zorder=0, linewidth=0)
-    line(10 ** (threshold.value / 20), color=INK, linewidth=0.9, linestyle=(0, (4, 2)), zorder=1)
+    return low, 10 ** (threshold.value / 20), high
+
+
+def _band(
+    span: Callable[..., Any], line: Callable[..., Any], threshold: ThresholdEstimate | None, bounds: tuple[float, float]
+) -> None:
+    """Draw a threshold and its interval across a picture."""
+    if threshold is not None:
+        low, value, high = _in_mm_s(threshold, bounds)
+        span(low, high, color="#e6ecf6", zorder=0, linewidth=0)
+        line(value, color=INK, linewidth=0.9, linestyle=(0, (4, 2)), zorder=1)
 
 
 def draw_thresholds(runs: Sequence[Run], bounds: tuple[float, float]) -> Figure:
@@ -140,7 +148,6 @@ def _draw_kind(axes: Axes, runs: Sequence[Run], heights: np.ndarray, k: int, bou
             succeeded = run.fitted.n_successes == run.fitted.n_trials
             axes.plot(bounds[0] / 1.2 if succeeded else bounds[1] * 1.2, height, marker="x", color=colour, ms=5)
             continue
-        low = bounds[0] / 10 if threshold.low is None else 10 ** (threshold.low / 20)
-        high = bounds[1] * 10 if threshold.high is None else 10 ** (threshold.high / 20)
+        low, value, high = _in_mm_s(threshold, bounds)
         axes.plot([low, high], [height, height], color=colour, linewidth=1.2, alpha=0.8)
-        axes.plot(10 ** (threshold.value / 20), height, marker=marker, color=colour, ms=5, linestyle="")
+        axes.plot(value, height, marker=marker, color=colour, ms=5, linestyle="")
