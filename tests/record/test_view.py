@@ -11,6 +11,7 @@ from modaltouch.record.folders import SessionFolder
 from modaltouch.record.session import Session
 from modaltouch.record.view import (
     COLUMNS,
+    LINE,
     table_text,
     write_view,
 )
@@ -153,7 +154,7 @@ def test_the_side_file_says_what_the_table_is_of(place, session):
     assert side["SessionLog"] == {"File": "session.jsonl", "lines": 7, "check": "ab" * 32}
     assert place.table.read_text() == table_text(session)
     described = {name: column for name, column in side.items() if name not in ("TaskName", "Mode", "SessionLog")}
-    assert list(described) == list(COLUMNS)
+    assert list(described) == [*COLUMNS, *LINE]
     for name, column in described.items():
         assert set(column) <= {"Description", "Levels", "Units"}, name
         assert column["Description"].strip(), name

@@ -9,7 +9,7 @@ from typing import Any
 import pandas as pd
 
 from modaltouch.analysis.catches import catch_rows
-from modaltouch.analysis.counts import AnswerCounts
+from modaltouch.analysis.counts import AnswerCounts, Pair
 from modaltouch.analysis.findings import ALPHA, Finding
 from modaltouch.analysis.intervals import tango
 from modaltouch.analysis.outcome import Analysis
@@ -152,64 +152,67 @@ def report_files(analysis: Analysis, pictures: Sequence[ReportFigure]) -> dict[s
 
 def design_limits(analysis: Analysis) -> list[str]:
     """Return what the design of these answers cannot tell, in words."""
-    answers = analysis.answers
+    answers, n = analysis.answers, analysis.answers.n_participants
     pairs = {(pair.left, pair.right) for pair in answers.pairs}
-    limits = []
-    if not answers.compares:
-        limits.append(
+    tied = [pair for pair in answers.pairs if not pair.focused and (pair.right, pair.left) not in pairs]
+    both, nothing = (answers.answers.naming(*fingers) for fingers in (("left", "right"), ()))
+    known = [
+        (
+            analysis.responses.source.mode == "simulated",
+            "These answers come from a simulated participant or a simulated rig. They say nothing about people.",
+        ),
+        (
+            not answers.compares,
             f"The answers ({', '.join(answers.answers.names)}) do not name each finger alone, so no zone is dominant: "
             "there is no net dominance (a2), no prevalence of it, no side bias, no drift of it and no fit to the ratio "
-            "of speeds. Cells are tested against an even split, and each answer by itself."
-        )
-    for pair in answers.pairs if answers.compares else ():
-        if not pair.focused and (pair.right, pair.left) not in pairs and not answers.mirrored:
-            limits.append(
-                f"In ({pair.left}, {pair.right}) zone, side and finger go together: {pair.left} lies on the left "
-                f"under one and the same finger, so a preference for {pair.left} cannot be separated from one for "
-                "that side or finger. Mirrored placement, or swapped hands in half the participants, would separate "
-                "them."
-            )
-    if answers.scale == OWN_THRESHOLD:
-        limits.append(
+            "of speeds. Cells are tested against an even split, and each answer by itself.",
+        ),
+        *((answers.compares and not answers.mirrored, _alias(pair)) for pair in tied),
+        (
+            answers.scale == OWN_THRESHOLD,
             "Levels are multiples of each participant's own threshold as a session before found it. How uncertain "
-            "those thresholds are is in the reports of those sessions; no interval or test here takes it in."
-        )
-    if answers.both_place is not None:
-        limits.append(
-            f"“{answers.answers[answers.both_place].name.capitalize()}” mixes two things, feeling both fingers alike "
-            "and being unable to tell; the question does not separate them."
-        )
-    nothing = answers.answers.naming()
-    if nothing is None:
-        limits.append(
+            "those thresholds are is in the reports of those sessions; no interval or test here takes it in.",
+        ),
+        (
+            both is not None,
+            f"“{both.name.capitalize() if both else ''}” mixes two things, feeling both fingers alike and being "
+            "unable to tell; the question does not separate them.",
+        ),
+        (
+            nothing is None,
             "No answer says that nothing was felt, so a trial without a stimulus cannot be answered correctly: lapses "
-            "and guessing stay unknown."
-        )
-    elif not analysis.responses.catches:
-        limits.append(
-            f"“{nothing.name.capitalize()}” was an answer, but no trial was without a stimulus, so false alarms stay "
-            "unknown."
-        )
-    n = answers.n_participants
-    if n < 8:
-        limits.append(
+            "and guessing stay unknown.",
+        ),
+        (
+            nothing is not None and not analysis.responses.catches,
+            f"“{nothing.name.capitalize() if nothing else ''}” was an answer, but no trial was without a stimulus, so "
+            "false alarms stay unknown.",
+        ),
+        (
+            n < 8,
             f"With {n} participants no sign-flip test can pass Holm's correction over six tests: its smallest p is "
-            f"2/2^{n} = {2.0 ** (1 - n):.3g}. Eight are the fewest that can."
-        )
-    limits.append(
-        f"Equivalence of the finger conditions can be shown at best within {tango(0, 0, n).high:.2f} in one cell, "
-        f"with {n} participants (half width of Tango's interval without any discordant pair)."
-    )
-    if "trial" not in analysis.responses.frame.columns and len(answers.finger_conditions) > 1:
-        limits.append(
+            f"2/2^{n} = {2.0 ** (1 - n):.3g}. Eight are the fewest that can.",
+        ),
+        (
+            True,
+            f"Equivalence of the finger conditions can be shown at best within {tango(0, 0, n).high:.2f} in one cell, "
+            f"with {n} participants (half width of Tango's interval without any discordant pair).",
+        ),
+        (
+            "trial" not in analysis.responses.frame.columns and len(answers.finger_conditions) > 1,
             "The table does not give the order of the finger conditions; unless it was balanced, an order effect "
-            "passes for an effect of the fingers."
-        )
-    if analysis.responses.source.mode == "simulated":
-        limits.insert(
-            0, "These answers come from a simulated participant or a simulated rig. They say nothing about people."
-        )
-    return limits
+            "passes for an effect of the fingers.",
+        ),
+    ]
+    return [limit for holds, limit in known if holds]
+
+
+def _alias(pair: Pair) -> str:
+    return (
+        f"In ({pair.left}, {pair.right}) zone, side and finger go together: {pair.left} lies on the left under one and "
+        f"the same finger, so a preference for {pair.left} cannot be separated from one for that side or finger. "
+        "Mirrored placement, or swapped hands in half the participants, would separate them."
+    )
 
 
 def _title(analysis: Analysis) -> str:

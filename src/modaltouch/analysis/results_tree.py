@@ -217,16 +217,7 @@ def read_tree(place: Path, mode: str | None = None, stimulus: str | None = None)
         given = f"no session that can be analysed ({listed})"
         raise InputError.of(place, given, "at least one complete session", remedy)
     answers = _one_list(place, taken)
-    frame = pd.DataFrame([row for item in taken for row in item.rows], columns=list(COLUMNS))
-    frame = unmirror(frame.astype(dict.fromkeys(_NUMBERS, float)), answers)
-    if levels == "calibrated":
-        frame = frame.rename(columns={VELOCITY.column: OWN_THRESHOLD.column})
-    if levels != "adaptive":
-        frame = _choose_stimulus(place, frame, stimulus)
-        _refuse_designs(place, frame)
-    elif stimulus is not None:
-        given, remedy = f"stimulus {stimulus!r} with adaptive sessions", "leave the option out: each run is of one"
-        raise InputError.of(place, given, "all stimuli together", remedy)
+    frame = _join(place, taken, levels, answers, stimulus)
     frame["response"] = pd.Categorical(frame["response"], categories=list(answers.ranked.names))
     digest = hashlib.sha256("".join(item.digest for item in taken).encode()).hexdigest()
     foci = taken[0].foci
@@ -242,6 +233,23 @@ def read_tree(place: Path, mode: str | None = None, stimulus: str | None = None)
         foci,
         answers,
     )
+
+
+def _join(
+    place: Path, taken: Sequence[SessionAnswers], levels: str, answers: AnswerList, stimulus: str | None
+) -> pd.DataFrame:
+    """Return the tidy table of the sessions' answers, to one stimulus where their levels are fixed."""
+    frame = pd.DataFrame([row for item in taken for row in item.rows], columns=list(COLUMNS))
+    frame = unmirror(frame.astype(dict.fromkeys(_NUMBERS, float)), answers)
+    if levels == "calibrated":
+        frame = frame.rename(columns={VELOCITY.column: OWN_THRESHOLD.column})
+    if levels != "adaptive":
+        frame = _choose_stimulus(place, frame, stimulus)
+        _refuse_designs(place, frame)
+    elif stimulus is not None:
+        given, remedy = f"stimulus {stimulus!r} with adaptive sessions", "leave the option out: each run is of one"
+        raise InputError.of(place, given, "all stimuli together", remedy)
+    return frame
 
 
 def _sort(

@@ -10,7 +10,7 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
-from itertools import pairwise
+from itertools import groupby, pairwise
 from math import comb
 
 from modaltouch.protocol.streams import Stream
@@ -232,9 +232,4 @@ def longest_run(order: Sequence[object]) -> int:
     >>> longest_run("ABBBA")
     3
     """
-    longest = run = 0
-    previous: object = None
-    for place, item in enumerate(order):
-        run = run + 1 if place and item == previous else 1
-        longest, previous = max(longest, run), item
-    return longest
+    return max((len(list(run)) for _, run in groupby(order)), default=0)

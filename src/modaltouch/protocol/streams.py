@@ -8,7 +8,9 @@ every version, and an order must be recomputable years later.
 from __future__ import annotations
 
 import hashlib
+from bisect import bisect_right
 from collections.abc import Iterable, Sequence
+from itertools import accumulate
 from typing import TypeVar
 
 import numpy as np
@@ -86,9 +88,5 @@ class Stream:
 
     def weighted(self, weights: Sequence[int]) -> int:
         """Return an index drawn with whole-number weights, exactly."""
-        place = self.below(sum(weights))
-        for index, weight in enumerate(weights):
-            if place < weight:
-                return index
-            place -= weight
-        raise ValueError(f"the weights sum to {sum(weights)}; at least one must be above 0")
+        totals = list(accumulate(weights))
+        return bisect_right(totals, self.below(totals[-1]))

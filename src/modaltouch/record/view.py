@@ -58,7 +58,6 @@ COLUMNS: dict[str, dict[str, Any]] = {
         "Description": "The instrument confirmed amplitude and state before the trial and still at its end",
         "Levels": {"0": "no", "1": "yes"},
     },
-    "log_line": {"Description": f"Number of the line in {LOG_NAME}"},
 }
 
 COUNTED: dict[str, dict[str, Any]] = {
@@ -90,6 +89,10 @@ COUNTED: dict[str, dict[str, Any]] = {
     "speed_right_mm_s": {"Description": "Predicted peak speed of the beam under the right finger", "Units": "mm/s"},
 }
 """Columns of sessions whose bursts are counted, since format 2 of the log."""
+
+LINE: dict[str, dict[str, Any]] = {
+    "log_line": {"Description": f"Number of the line in {LOG_NAME}"},
+}
 
 _FORMATS = {
     **dict.fromkeys(("velocity_mm_s", "multiple_of_threshold", "speed_left_mm_s", "speed_right_mm_s"), "g"),
@@ -159,20 +162,16 @@ def table_text(session: Session) -> str:
 def _columns(session: Session) -> dict[str, dict[str, Any]]:
     """Return the columns of a session's table: those for catch trials and the answer none only where it has them."""
     design = session.start.get("design", {})
-    columns = dict(COLUMNS)
-    if session.start.get("schema", 1) > 1:
-        line = columns.pop("log_line")
-        columns |= {**COUNTED, "log_line": line}
-    if design.get("schedule", {}).get("catch_trials"):
-        columns["catch"] = CATCH
-    if session.multiples:
-        columns["multiple_of_threshold"] = MULTIPLE
-    if design.get("masking"):
-        columns["masked"] = MASKED
-    if design.get("stimuli"):
-        columns["stimulus"] = STIMULUS
-    columns["response"] = _describe_answers(design.get("answers", {}))
-    return columns
+    known = (
+        (True, COLUMNS | {"response": _describe_answers(design.get("answers", {}))}),
+        (session.start.get("schema", 1) > 1, COUNTED),
+        (True, LINE),
+        (design.get("schedule", {}).get("catch_trials"), {"catch": CATCH}),
+        (session.multiples, {"multiple_of_threshold": MULTIPLE}),
+        (design.get("masking"), {"masked": MASKED}),
+        (design.get("stimuli"), {"stimulus": STIMULUS}),
+    )
+    return {name: column for held, columns in known if held for name, column in columns.items()}
 
 
 def _describe_answers(section: dict[str, Any]) -> dict[str, Any]:
