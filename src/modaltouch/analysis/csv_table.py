@@ -19,7 +19,7 @@ import pandas as pd
 
 from modaltouch.protocol import InputError, Problem, suggest
 
-SEPARATORS = {",": "comma", ";": "semicolon", "\t": "tab"}
+SEPARATORS = (",", ";", "\t")
 MOST_LISTED = 20
 """How many faults of one kind are listed one by one before the rest is only counted."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.covariate_figures import draw_order, draw_side, draw_speeds, draw_times
+from modaltouch.analysis.fields import draw_fields
 from modaltouch.analysis.figures import draw_counts, draw_overview, draw_participants
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.tables import figure_names, zone_table
@@ -18,51 +19,44 @@ INTERVALS = "Error bars: exact 95 % intervals (Clopper-Pearson) over participant
 
 def draw_all(answers: AnswerCounts, responses: Responses) -> tuple[ReportFigure, ...]:
     """Return every figure that the answers allow."""
-    pictures = list(_bars(answers))
-    pictures.append(
-        ReportFigure(
+    frame = responses.frame
+    drawn = (
+        (
             "overview",
             draw_overview(answers),
             "Share of every answer but the last over the level. Error bars: 95 % intervals over participants.",
             "answers",
-        )
-    )
-    pictures.append(
-        ReportFigure("participants", draw_participants(answers), "Every participant's answer in every cell.", "answers")
-    )
-    frame = responses.frame
-    further = (
+        ),
+        ("participants", draw_participants(answers), "Every participant's answer in every cell.", "answers"),
+        ("fields", draw_fields(responses.start, responses.stimulus), FIELDS, "stimulus"),
         (
             "side_bias",
             draw_side(answers) if answers.compares else None,
             "Each point is a participant, shaken a little so that equal ones show.",
+            "further",
         ),
         (
             "order",
             draw_order(answers, frame) if answers.compares else None,
             "Share of the dominant zone against the place in the session.",
+            "further",
         ),
         (
             "reaction_times",
             draw_times(answers, frame),
             "An answer may wait for the next burst, so reaction times are quantised and small differences mean little. "
             "Answers too early to be answers are left out.",
+            "further",
         ),
         (
             "speed_ratio",
             draw_speeds(answers, frame) if answers.compares else None,
             "Predicted peak speeds come from the identified modes of the beam, not from a measurement.",
+            "further",
         ),
     )
-    if responses.sessions:
-        from modaltouch.analysis.fields import draw_fields
-
-        fields = draw_fields(responses.start, responses.stimulus)
-        pictures += [ReportFigure("fields", fields, FIELDS, "stimulus")] if fields is not None else []
-    pictures += [
-        ReportFigure(name, figure, caption, "further") for name, figure, caption in further if figure is not None
-    ]
-    return tuple(pictures)
+    known = (ReportFigure(name, figure, *said) for name, figure, *said in drawn if figure is not None)
+    return (*_bars(answers), *known)
 
 
 def _bars(answers: AnswerCounts) -> list[ReportFigure]:

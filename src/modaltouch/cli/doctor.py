@@ -8,10 +8,10 @@ import shutil
 import sys
 import tempfile
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from modaltouch.system import sync_file, versions
 
@@ -36,10 +36,6 @@ class MachineCheck:
     state: Literal["ok", "warning", "fault"]
     found: str
     remedy: str = ""
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the finding as plain values."""
-        return asdict(self)
 
 
 def examine_machine(results: Path) -> tuple[MachineCheck, ...]:

@@ -77,7 +77,7 @@ def doctor(
             return
         findings = examine_machine(results)
         if json_output:
-            print_json({"findings": [finding.as_dict() for finding in findings]})
+            print_json({"findings": [vars(finding) for finding in findings]})
         else:
             for finding in findings:
                 word, colour = MARKS[finding.state]

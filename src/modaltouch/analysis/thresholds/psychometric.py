@@ -221,17 +221,17 @@ def fit_psychometric(
 def _why_not(x: FloatArray, hits: FloatArray, tries: FloatArray, gain: float, threshold: float) -> str:
     """Return why these answers give no threshold; empty where they do."""
     lowest, highest = (10 ** (level / 20) for level in (x[0], x[-1]))
-    if hits.sum() == tries.sum():
-        return f"every answer was a success: the threshold lies below {lowest:.3g} mm/s, or there is none"
-    if hits.sum() == 0:
-        return f"no answer was a success: the threshold lies above {highest:.3g} mm/s, or there is none"
-    if gain < DROP:
-        return "successes do not depend on the level: a constant chance explains the answers as well"
-    if threshold < x[0]:
-        return f"the threshold lies below the levels that were presented, from {lowest:.3g} mm/s"
-    if threshold > x[-1]:
-        return f"the threshold lies above the levels that were presented, up to {highest:.3g} mm/s"
-    return ""
+    reasons = (
+        (
+            hits.sum() == tries.sum(),
+            f"every answer was a success: the threshold lies below {lowest:.3g} mm/s, or there is none",
+        ),
+        (hits.sum() == 0, f"no answer was a success: the threshold lies above {highest:.3g} mm/s, or there is none"),
+        (gain < DROP, "successes do not depend on the level: a constant chance explains the answers as well"),
+        (threshold < x[0], f"the threshold lies below the levels that were presented, from {lowest:.3g} mm/s"),
+        (threshold > x[-1], f"the threshold lies above the levels that were presented, up to {highest:.3g} mm/s"),
+    )
+    return next((reason for holds, reason in reasons if holds), "")
 
 
 def _estimate(values: FloatArray, profile: FloatArray) -> ThresholdEstimate:
