@@ -266,6 +266,11 @@ def _get_amplitude(afg: Afg) -> Callable[[int, Arguments], str]:
 ROOT = "TRACe|DATA"
 
 
+def memory_commands(afg: Afg) -> dict[str, Command]:
+    """Return the commands of the edit memory and the USER memories."""
+    return _record_commands(afg) | _point_commands(afg) | _user_commands(afg)
+
+
 def _record_commands(afg: Afg) -> dict[str, Command]:
     def write(channel: int, arguments: Arguments) -> None:
         name, block = exactly(arguments, 2)

@@ -170,7 +170,7 @@ class Links:
             return struct.pack(">iiII", _NOT_ACCESSIBLE, 0, 0, 0)
         with self._guard:
             n_links = sum(link.panel == (name == PANEL) for link in self._links.values())
-            if n_links >= (PEOPLE_AT_THE_PANEL if name == PANEL else self._device.afg.behaviour.max_sessions):
+            if n_links >= (PEOPLE_AT_THE_PANEL if name == PANEL else self._device.max_sessions):
                 return struct.pack(">iiII", _OUT_OF_RESOURCES, 0, 0, 0)
             link = _Link(next(self._numbers), panel=name == PANEL)
             self._links[link.number] = link
@@ -198,7 +198,7 @@ class Links:
         link.arriving += data
         if len(link.arriving) > LARGEST_MESSAGE:
             link.arriving.clear()
-            self._device.afg.fail(ScpiError(-363))
+            self._device.fail(ScpiError(-363))
         elif flags & _FLAG_END:
             message, link.arriving = bytes(link.arriving), bytearray()
             self._carry_out(link, message)
@@ -206,7 +206,7 @@ class Links:
 
     def _carry_out(self, link: _Link, message: bytes) -> None:
         if link.leaving:
-            self._device.afg.fail(ScpiError(-410))
+            self._device.fail(ScpiError(-410))
             link.leaving = b""
         reply = self._device.perform(message) if link.panel else self._device.execute(message, link.number)
         if reply.hang_up:
@@ -220,7 +220,7 @@ class Links:
         if error or link is None:
             return struct.pack(">iiI", error, 0, 0)
         if not link.leaving:
-            self._device.afg.fail(ScpiError(-420))
+            self._device.fail(ScpiError(-420))
             link.ready_at = float("inf")
         wait = link.ready_at - time.monotonic()
         if wait > 0:
@@ -240,7 +240,7 @@ class Links:
         link = self._of(struct.unpack_from(">i", parameters)[0], own)
         if link is None:
             return struct.pack(">iI", _INVALID_LINK, 0)
-        return struct.pack(">iI", _NO_ERROR, self._device.afg.status_byte | (16 if link.leaving else 0))
+        return struct.pack(">iI", _NO_ERROR, self._device.status_byte | (16 if link.leaving else 0))
 
     def _trigger(self, parameters: bytes, own: set[int]) -> bytes:
         number, flags, lock_timeout = struct.unpack_from(">iiI", parameters)
