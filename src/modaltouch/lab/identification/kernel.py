@@ -225,20 +225,8 @@ def evaluate(
     scale : float
         Unit of the delay among the parameters [s].
     """
-    omega, n_modes = problem.omega, natural_frequency.size
-    own = 2 * np.pi * natural_frequency[:, None]
-    ratio = damping_ratio[:, None]
-    turn = problem.low_pass * np.exp(-1j * problem.turning * delay)
-    dynamic = 1 / (own**2 - omega**2 + 2j * ratio * own * omega)
-    driven = 1j * omega * dynamic * turn
-    by_frequency = -driven * dynamic * (2 * own + 2j * ratio * omega) * (own * ratio)
-    by_damping = -driven * dynamic * (2j * own * omega) * ratio
-    relative = omega / omega[-1]
-    rest = np.stack([turn, 1j * turn, relative * turn, 1j * relative * turn])
-    columns = np.concatenate([driven * own * ratio, rest])
-    slopes = np.concatenate([by_frequency, by_damping]) * np.concatenate([own * ratio] * 2)
-    everything = np.concatenate([columns, slopes, -1j * problem.turning * scale * columns])
-    grouped = problem.bins.mean(everything) * problem.weight
+    n_modes = natural_frequency.size
+    grouped = _columns(problem, natural_frequency, damping_ratio, delay, scale) * problem.weight
     real = np.concatenate([grouped.real, grouped.imag], axis=1).T
     n_columns = n_modes + N_REST
     basis, factor = np.linalg.qr(real[:, :n_columns])
@@ -261,3 +249,41 @@ def evaluate(
         lost=lost[:, : 2 * n_modes],
         lost_turned=lost[:, 2 * n_modes :],
     )
+
+
+def _columns(
+    problem: LeastSquaresProblem, natural_frequency: FloatArray, damping_ratio: FloatArray, delay: float, scale: float
+) -> ComplexArray:
+    """Return what the responses are made of, and how it changes, averaged over the groups of bins.
+
+    Returns
+    -------
+    (4 n_modes + 2 N_REST, n_groups) complex array
+        Columns of the modes and of the rest; changes of the modes' columns by natural frequency, then by damping ratio;
+        changes of all columns by the delay.
+    """
+    omega, n_modes = problem.omega, natural_frequency.size
+    turn = problem.low_pass * np.exp(-1j * problem.turning * delay)
+    driving, by_delay = 1j * omega * turn, -1j * problem.turning * scale
+    square = omega**2
+    mean = problem.bins.mean
+    result = np.empty((4 * n_modes + 2 * N_REST, problem.bins.start.size), dtype=complex)
+    columns, by_frequency, by_damping, turned = np.split(result, np.cumsum([n_modes + N_REST, n_modes, n_modes]))
+    # Mode by mode, so that what is computed stays in the cache.
+    for mode, (own, ratio) in enumerate(zip(2 * np.pi * natural_frequency, damping_ratio, strict=True)):
+        dynamic = np.empty(omega.size, dtype=complex)
+        dynamic.real, dynamic.imag = own**2 - square, 2 * ratio * own * omega
+        np.reciprocal(dynamic, out=dynamic)
+        column = driving * dynamic
+        column *= own * ratio
+        columns[mode] = mean(column)
+        turned[mode] = mean(column * by_delay)
+        column *= dynamic
+        column *= -own * ratio
+        steeper = mean(column * omega)
+        by_frequency[mode] = 2 * own * mean(column) + 2j * ratio * steeper
+        by_damping[mode] = 2j * steeper
+    relative = omega / omega[-1]
+    for place, column in enumerate((turn, 1j * turn, relative * turn, 1j * relative * turn), start=n_modes):
+        columns[place], turned[place] = mean(column), mean(column * by_delay)
+    return result
