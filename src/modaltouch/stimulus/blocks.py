@@ -265,13 +265,16 @@ class BlockKernel:
         """
         n_whole, rest = divmod(out.shape[1], SHORT)
         sides: dict[tuple[tuple[int, ...], int], FloatArray] = {}
+        written: dict[tuple[tuple[int, ...], int], tuple[int, ...]] = {}
         for (inputs, states, table), row in zip(self._tables, out, strict=True):
-            # Outputs of the same inputs share one left side; only its states are written anew.
+            # Outputs of the same inputs share one left side; only its states are written anew, where they are others.
             key = (inputs, len(states))
             if key not in sides:
                 sides[key] = _inputs_beside(blocks, inputs, len(states))
             side = sides[key]
-            _write_states(side, begin, states)
+            if written.get(key) != states:
+                _write_states(side, begin, states)
+                written[key] = states
             np.matmul(side[:n_whole], table, out=row[: n_whole * SHORT].reshape(n_whole, SHORT))
             if rest:
                 row[n_whole * SHORT :] = side[n_whole] @ table[:, :rest]
