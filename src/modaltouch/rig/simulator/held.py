@@ -68,9 +68,16 @@ class Held:
         """Return times since the latest burst began [s]; those before a single burst stay negative."""
         if self.delay:
             time = time - self.delay
-        if math.isinf(self.period) or (time.min() >= 0 and time.max() < self.period):
+        if math.isinf(self.period):
             return time
-        return np.mod(time, self.period)
+        first, last = time.min(), time.max()
+        if first >= 0 and last < self.period:
+            return time
+        if first < -self.period or last >= 2 * self.period:
+            return np.mod(time, self.period)
+        since = np.where(time < 0, time + self.period, time)
+        np.subtract(since, self.period, out=since, where=since >= self.period)
+        return since
 
 
 def start_state(system: DiagonalSystem, held: Held) -> ComplexArray:

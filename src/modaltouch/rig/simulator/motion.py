@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Self
 
@@ -17,8 +19,88 @@ ComplexArray = NDArray[np.complex128]
 SAME_POLE = 1e-6
 """Relative distance below which two poles count as one [1]."""
 
-DECAYED_AT_ONCE = 8192
-"""Instants of a decay computed together: bounds the memory."""
+AT_ONCE = 8192
+"""Instants computed together: bounds the memory, and keeps what is computed in the cache."""
+
+SPARE = 64
+"""Computed instants beyond the last that is asked for: records of another jitter find theirs [1]."""
+
+
+@dataclass(frozen=True, eq=False)
+class StateHistory:
+    """States of a beam while bursts repeat, from which the motion of every point is read.
+
+    Attributes
+    ----------
+    system : DiagonalSystem
+        The beam behind its amplifier.
+    held : Held
+        What is played.
+    hold : float
+        Time between computed instants [s].
+    voltage : (n_channels, n_instants) array
+        As played, at the computed instants [V].
+    begin : (n_states, n_blocks) complex array
+        States before each block of instants.
+    last : (n_states,) complex array
+        State at the end of a burst.
+    end : float
+        Up to when it is computed, from the first sample of a burst at the beam [s]; infinite for a whole burst.
+    """
+
+    system: DiagonalSystem
+    held: Held
+    hold: float
+    voltage: FloatArray
+    begin: ComplexArray
+    last: ComplexArray
+    end: float
+
+    @classmethod
+    def of(cls, system: DiagonalSystem, held: Held, span: tuple[float, float]) -> Self:
+        """Return the states among bursts that have repeated for long.
+
+        Parameters
+        ----------
+        system : DiagonalSystem
+            The beam behind its amplifier.
+        held : Held
+            What is played.
+        span : (float, float)
+            First and last instant that will be asked for, from the first sample of a burst at the beam [s].
+        """
+        voltage, hold = refined(system, held)
+        n_instants, end = voltage.shape[1], math.inf
+        # What lies before a burst, or after its period, is the end of another.
+        if span[0] >= held.delay and span[1] < held.delay + held.period:
+            n_needed = int((span[1] - held.delay) / hold) + 2 + SPARE
+            if n_needed < n_instants:
+                n_instants, end = n_needed, held.delay + (n_needed - 2) * hold
+        state = start_state(system, held)
+        kernel = BlockKernel.of(system, np.empty((0, state.size), dtype=complex), hold)
+        # One sample more than is played, so that the last instant is the end of the burst.
+        voltage = np.pad(voltage[:, :n_instants], ((0, 0), (0, 1)))
+        begin, _ = kernel.states(BlockKernel.blocks(voltage), state)
+        last = system.held_states(held.voltage, held.hold).sum(axis=0) + state * np.exp(system.exponent * held.duration)
+        return cls(system, held, hold, voltage, begin, last, end)
+
+    def covers(self, span: tuple[float, float]) -> bool:
+        """Return whether every instant of a span is computed."""
+        return math.isinf(self.end) or (span[0] >= self.held.delay and span[1] < self.end)
+
+    def motion(self, output: ComplexArray) -> Motion:
+        """Return an output that is the real part of ``output @ state``; `output` is an (n_states,) complex array."""
+        system = self.system
+        kernel = BlockKernel.of(system, np.stack([output, output * system.exponent]), self.hold)
+        course = np.empty((2, self.voltage.shape[1]))
+        kernel.respond(BlockKernel.blocks(self.voltage), self.begin, course)
+        value, slope = course[0], course[1] * self.hold
+        # The voltage adds its own part to the slope at once, from each instant until the next.
+        push = (output @ system.input_gain).real @ self.voltage[:, :-1] * self.hold
+        step = np.diff(value)
+        from_left, from_right = slope[:-1] + push - step, step - (slope[1:] + push)
+        cubic = np.stack([value[:-1], step + from_left, from_right - 2 * from_left, from_left - from_right])
+        return Motion(self.held, self.hold, cubic, system.exponent, output * self.last)
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,56 +113,17 @@ class Motion:
         What is played.
     hold : float
         Time between computed instants [s].
-    value : (n_instants,) array
-        Output at the computed instants of a burst.
-    slope : (n_instants,) array
-        Its slope there, but for the part that the voltage adds at once [1/s].
-    push : (n_instants - 1,) array
-        That part, after each instant until the next [1/s].
+    cubic : (4, n_instants) array
+        Coefficients, from the constant on, of the output from each computed instant (0) to the next (1).
     exponent, decay : (n_states,) complex array
         After the burst the output is the real part of the sum of ``decay * exp(exponent * time)``.
     """
 
     held: Held
     hold: float
-    value: FloatArray
-    slope: FloatArray
-    push: FloatArray
+    cubic: FloatArray
     exponent: ComplexArray
     decay: ComplexArray
-
-    @classmethod
-    def of(cls, system: DiagonalSystem, output: ComplexArray, held: Held, span: tuple[float, float]) -> Self:
-        """Return an output that is the real part of ``output @ state``, among bursts that have repeated for long.
-
-        Parameters
-        ----------
-        system : DiagonalSystem
-            The beam behind its amplifier.
-        output : (n_states,) complex array
-            What is read off the states.
-        held : Held
-            What is played.
-        span : (float, float)
-            First and last instant that will be asked for, from the first sample of a burst at the beam [s].
-        """
-        voltage, hold = refined(system, held)
-        span = span[0] - held.delay, span[1] - held.delay
-        # What lies before a burst, or after its period, is the end of another.
-        within = span[0] >= 0 and span[1] < held.period
-        n_needed = min(voltage.shape[1], int(span[1] / hold) + 2) if within else voltage.shape[1]
-        state = start_state(system, held)
-        rows = np.stack([output, output * system.exponent])
-        kernel = BlockKernel.of(system, rows, hold)
-        # One sample more than is played, so that the last instant is the end of the burst.
-        blocks = BlockKernel.blocks(np.pad(voltage[:, :n_needed], ((0, 0), (0, 1))))
-        begin, _ = kernel.states(blocks, state)
-        course = np.empty((2, n_needed + 1))
-        kernel.respond(blocks, begin, course)
-        at_end = system.held_states(held.voltage, held.hold)
-        last = at_end.sum(axis=0) + state * np.exp(system.exponent * held.duration)
-        push = (output @ system.input_gain).real @ voltage[:, :n_needed]
-        return cls(held, hold, course[0], course[1], push, system.exponent, output * last)
 
     def at(self, time: FloatArray) -> FloatArray:
         """Return the output at instants since the first sample of a burst reached the beam.
@@ -94,26 +137,25 @@ class Motion:
             Instants [s].
         """
         since = self.held.within_period(time)
-        if since.min() >= 0 and since.max() < self.held.duration:
-            return self._during(since)
-        result = np.zeros(time.size)
-        during = (since >= 0) & (since < self.held.duration)
-        result[during] = self._during(since[during])
-        after = np.flatnonzero(since >= self.held.duration)
-        for start in range(0, after.size, DECAYED_AT_ONCE):
-            some = after[start : start + DECAYED_AT_ONCE]
-            result[some] = (np.exp(np.outer(since[some] - self.held.duration, self.exponent)) @ self.decay).real
+        result = np.empty(time.size)
+        for start in range(0, since.size, AT_ONCE):
+            some, out = since[start : start + AT_ONCE], result[start : start + AT_ONCE]
+            if some.min() >= 0 and some.max() < self.held.duration:
+                out[:] = self._during(some)
+                continue
+            out[:] = 0.0
+            during, after = (some >= 0) & (some < self.held.duration), some >= self.held.duration
+            out[during] = self._during(some[during])
+            out[after] = (np.exp(np.outer(some[after] - self.held.duration, self.exponent)) @ self.decay).real
         return result
 
     def _during(self, since: FloatArray) -> FloatArray:
-        place = since / self.hold
-        index = np.minimum(place.astype(np.intp), self.push.size - 1)
-        part = place - index
-        left, push = self.value[index], self.push[index]
-        step = self.value[index + 1] - left
-        from_left = (self.slope[index] + push) * self.hold - step
-        from_right = step - (self.slope[index + 1] + push) * self.hold
-        return np.asarray(left + part * (step + (1 - part) * (from_left * (1 - part) + from_right * part)))
+        part = since / self.hold
+        index = part.astype(np.intp)
+        np.minimum(index, self.cubic.shape[1] - 1, out=index)
+        part -= index
+        zeroth, first, second, third = (row[index] for row in self.cubic)
+        return np.asarray(zeroth + part * (first + part * (second + part * third)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,22 +205,59 @@ class DriveVoltage:
         time : (n_times,) array
             Instants [s].
         """
-        since, row = self.held.within_period(time), self.held.voltage[self.channel]
-        index = np.clip((since / self.held.hold).astype(np.intp), 0, row.size)
-        target = np.append(row, 0.0)[index]
-        if self.pole is not None:
-            left = np.maximum(since - index * self.held.hold, 0.0)
-            target = target + (self.before[index] - target) * np.exp(-self.pole * left)
-        return np.asarray(np.where(since < 0, 0.0, target) + self.held.rest[self.channel])
+        since, index, left = self._places(time)
+        target, change = self._parts(index, left)
+        return np.asarray(np.where(since < 0, 0.0, target + change) + self.held.rest[self.channel])
+
+    def moved(self, time: FloatArray, shifts: FloatArray) -> Iterator[FloatArray]:
+        """Yield the voltage at instants moved by each shift in turn [V], each in an array of its own.
+
+        Parameters
+        ----------
+        time : (n_times,) array
+            Instants since the first sample of a burst reached the beam [s].
+        shifts : (n_shifts,) array
+            How far they move [s].
+        """
+        since, index, left = self._places(time)
+        target, change = self._parts(index, left)
+        target += self.held.rest[self.channel]
+        furthest = float(np.abs(shifts).max())
+        # What a shift may bring into another sample, or another burst, is computed anew.
+        held = index < self.held.voltage.shape[1]
+        crossing = (left <= furthest) | held & (left >= self.held.hold - furthest)
+        crossing |= (since <= furthest) | (since >= self.held.period - furthest)
+        anew = np.flatnonzero(crossing)
+        for shift in shifts:
+            faded = 1.0 if self.pole is None else math.exp(-self.pole * shift)
+            voltage = change * faded
+            voltage += target
+            if anew.size:
+                voltage[anew] = self.at(time[anew] + shift)
+            yield voltage
+
+    def _places(self, time: FloatArray) -> tuple[FloatArray, NDArray[np.intp], FloatArray]:
+        """Return times since the latest burst began, the sample held then, and for how long it is [s, 1, s]."""
+        since = self.held.within_period(time)
+        index = np.clip((since / self.held.hold).astype(np.intp), 0, self.held.voltage.shape[1])
+        return since, index, np.maximum(since - index * self.held.hold, 0.0)
+
+    def _parts(self, index: NDArray[np.intp], left: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return what the amplifier tends to, as a change from rest, and what it still has to go [V]."""
+        target = np.append(self.held.voltage[self.channel], 0.0)[index]
+        if self.pole is None:
+            return target, np.zeros(target.size)
+        return target, (self.before[index] - target) * np.exp(-self.pole * left)
 
 
 def low_passed(
     system: DiagonalSystem, output: ComplexArray, bandwidth: float | None
 ) -> tuple[DiagonalSystem, ComplexArray]:
-    r"""Return equations and output behind a first-order low-pass, which is one state more.
+    r"""Return equations and output behind a first-order low-pass, which is a state more for each channel.
 
-    The state :math:`w = y - Re(\sum_j c_j x_j)` with :math:`c_j = r_j p/(p + s_j)` for an output r.x obeys an equation
-    of its own, :math:`\dot w = -p w - Re(c B) v`.
+    The difference :math:`w = y - Re(\sum_j c_j x_j)` with :math:`c_j = r_j p/(p + s_j)` for an output r.x obeys an
+    equation of its own, :math:`\dot w = -p w - Re(c B) v`: it is -Re(c B) q of the voltages v behind
+    :math:`\dot q = -p q + v`. The equations are so the same for every output.
 
     Parameters
     ----------
@@ -196,12 +275,13 @@ def low_passed(
         # Two equal poles have no uncoupled form; a millionth apart they differ from it by a millionth.
         pole *= 1 + SAME_POLE
     passed = output * pole / (pole + system.exponent)
-    none = np.zeros((system.n_modes, 1))
+    n_channels = system.input_gain.shape[1]
+    none = np.zeros((system.n_modes, n_channels))
     behind = DiagonalSystem(
-        exponent=np.append(system.exponent, -pole),
-        input_gain=np.concatenate([system.input_gain, -(passed @ system.input_gain).real[None]]),
+        exponent=np.append(system.exponent, np.full(n_channels, -pole)),
+        input_gain=np.concatenate([system.input_gain, np.eye(n_channels)]),
         velocity=np.concatenate([system.velocity, none], axis=1),
         displacement=np.concatenate([system.displacement, none], axis=1),
         delay=system.delay,
     )
-    return behind, np.append(passed, 1.0)
+    return behind, np.append(passed, -(passed @ system.input_gain).real)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from modaltouch.rig.acquisition import Acquisition, Inputs, Recording, Scope
 from modaltouch.rig.interface import RigError
-from modaltouch.rig.simulator.motion import DriveVoltage, Motion
+from modaltouch.rig.simulator.motion import Motion
 from modaltouch.rig.simulator.timeline import Playback
 from modaltouch.rig.simulator.twin import Twin
 
@@ -52,6 +52,7 @@ class SimulatedScope(Scope):
         )
         # A stream of its own: what is measured leaves the beam as it is.
         self._rng = np.random.default_rng([twin.seed, 1])
+        self._deviates = np.empty(0)
         self.configure(Acquisition())
 
     @property
@@ -118,15 +119,21 @@ class SimulatedScope(Scope):
             span=(float(elapsed[0] - reach), float(elapsed[-1] + reach)),
         )
         drives = [self._twin.drive(playbacks, number - 1) for number in asked.drives]
+        voltages = [
+            (np.zeros(asked.n_samples) for _ in jitter) if drive is None else drive.moved(elapsed, jitter)
+            for drive in drives
+        ]
         velocity = np.empty((asked.n_records, asked.n_samples))
-        voltage = np.zeros((asked.n_records, len(drives), asked.n_samples))
+        voltage = np.empty((asked.n_records, len(drives), asked.n_samples))
         overloaded: dict[str, bool] = {}
         for record, exact in enumerate(_moved(motions, elapsed - late, jitter)):
-            velocity[record], over = self._velocity(exact)
+            over = self._see_velocity(exact)
+            velocity[record] = exact
             overloaded["velocity"] = overloaded.get("velocity", False) or over
-            for row, (number, drive) in enumerate(zip(asked.drives, drives, strict=True)):
-                voltage[record, row], over = self._voltage(drive, elapsed + jitter[record])
-                name = f"drive {number}"
+            for row, (number, drive) in enumerate(zip(asked.drives, voltages, strict=True)):
+                volts, name = next(drive), f"drive {number}"
+                over = self._convert(volts, self._inputs.attenuation, self._ranges[1])
+                voltage[record, row] = volts
                 overloaded[name] = overloaded.get(name, False) or over
         names = tuple(name for name, over in overloaded.items() if over)
         return Recording(position, nominal, velocity, voltage, self._rate, names)
@@ -134,18 +141,14 @@ class SimulatedScope(Scope):
     def close(self) -> None:
         """Release the scope, which holds nothing."""
 
-    def _velocity(self, exact: FloatArray) -> tuple[FloatArray, bool]:
-        """Return the velocity as the scope has it [m/s], and whether its range was passed."""
+    def _see_velocity(self, values: FloatArray) -> bool:
+        """Turn a velocity in place into what the scope has of it [m/s], and return whether its range was passed."""
         limit = self._inputs.highest_velocity
-        seen = exact + self._vibrometer_noise(exact.size)
-        volts, over = self._convert(np.clip(seen, -limit, limit) / self._inputs.sensitivity, self._ranges[0])
-        return volts * self._inputs.sensitivity, over or bool(np.abs(seen).max() > limit)
-
-    def _voltage(self, drive: DriveVoltage | None, time: FloatArray) -> tuple[FloatArray, bool]:
-        """Return the voltage at the beam as the scope has it [V], and whether its range was passed."""
-        exact = np.zeros(time.size) if drive is None else drive.at(time)
-        volts, over = self._convert(exact / self._inputs.attenuation, self._ranges[1])
-        return volts * self._inputs.attenuation, over
+        values += self._vibrometer_noise(values.size)
+        beyond = bool(values.max() > limit or values.min() < -limit)
+        if beyond:
+            np.clip(values, -limit, limit, out=values)
+        return self._convert(values, self._inputs.sensitivity, self._ranges[0]) or beyond
 
     def _vibrometer_noise(self, n_samples: int) -> FloatArray:
         """Return white noise behind the vibrometer's low-pass, as sampled [m/s]: all its power, folded where it must.
@@ -155,31 +158,56 @@ class SimulatedScope(Scope):
         true = self._twin.apparatus.twin.vibrometer
         density = true.noise_um_s_per_sqrt_Hz * 1e-6
         if true.bandwidth_kHz is None:
-            return np.asarray(density * np.sqrt(self._rate / 2) * self._rng.standard_normal(n_samples))
+            return np.asarray(density * np.sqrt(self._rate / 2) * self._normal(n_samples))
         corner = true.bandwidth_kHz * 1e3
         decay = 2 * np.pi * corner / self._rate
         spread = density * np.sqrt(np.pi / 2 * corner * -np.expm1(-2 * decay))
-        # What is older than the lead is forgotten. Sample + c * sample before + ... is a product of sums of two.
-        lead = int(-np.log(FORGOTTEN) / decay)
-        noise = spread * self._rng.standard_normal(lead + n_samples)
-        step = 1
-        while step <= lead:
-            noise[step:] += np.exp(-decay * step) * noise[:-step]
-            step *= 2
-        return np.asarray(noise[lead:])
+        from scipy.signal import lfilter
 
-    def _convert(self, volts: FloatArray, input_range: float) -> tuple[FloatArray, bool]:
-        """Return what the converter makes of an input [V], and whether it reached its end."""
+        # What is older than the lead is forgotten.
+        lead = int(-np.log(FORGOTTEN) / decay)
+        white = self._normal(lead + n_samples)
+        white *= spread
+        return np.asarray(lfilter([1.0], [1.0, -np.exp(-decay)], white)[lead:])
+
+    def _normal(self, n: int) -> FloatArray:
+        """Return normal deviates [1], in the same memory every time."""
+        if self._deviates.size < n:
+            self._deviates = np.empty(n)
+        return self._rng.standard_normal(out=self._deviates[:n])
+
+    def _convert(self, values: FloatArray, per_volt: float, input_range: float) -> bool:
+        """Turn values in place into what the converter makes of them, and return whether it reached its end.
+
+        Parameters
+        ----------
+        values : (n_samples,) array
+            What is measured.
+        per_volt : float
+            What a volt at the input stands for.
+        input_range : float
+            Largest voltage at the input [V].
+        """
         scope = self._twin.apparatus.twin.scope
         highest = 2 ** (scope.bits - 1) - 1
         step = input_range / highest
-        noise = scope.noise_steps * self._rng.standard_normal(volts.size) if scope.noise_steps else 0.0
-        steps = np.clip(np.round(volts / step + noise), -highest, highest)
-        return steps * step, bool(np.abs(steps).max() >= highest)
+        values /= per_volt
+        values /= step
+        if scope.noise_steps:
+            noise = self._normal(values.size)
+            noise *= scope.noise_steps
+            values += noise
+        np.rint(values, out=values)
+        over = bool(values.max() >= highest or values.min() <= -highest)
+        if over:
+            np.clip(values, -highest, highest, out=values)
+        values *= step
+        values *= per_volt
+        return over
 
 
 def _moved(motions: Sequence[Motion], time: FloatArray, shifts: FloatArray) -> Iterator[FloatArray]:
-    """Yield the velocity at instants moved by each shift in turn [m/s]."""
+    """Yield the velocity at instants moved by each shift in turn [m/s], each in an array of its own."""
 
     def exact(when: FloatArray) -> FloatArray:
         return np.asarray(sum((motion.at(when) for motion in motions), np.zeros(when.size)))
@@ -192,6 +220,8 @@ def _moved(motions: Sequence[Motion], time: FloatArray, shifts: FloatArray) -> I
         return
     # Many records of a small jitter share three computations.
     middle = exact(time)
-    slope = (exact(time + furthest) - exact(time - furthest)) / (2 * furthest) if furthest > 0 else 0.0
+    slope = (exact(time + furthest) - exact(time - furthest)) / (2 * furthest) if furthest > 0 else np.zeros(time.size)
     for shift in shifts:
-        yield middle + shift * slope
+        moved = shift * slope
+        moved += middle
+        yield moved

@@ -18,7 +18,7 @@ from modaltouch.rig.simulator.true_beam import generator_gains, true_amplifier, 
 from modaltouch.stimulus import DiagonalSystem
 
 if TYPE_CHECKING:
-    from modaltouch.rig.simulator.motion import DriveVoltage, Motion
+    from modaltouch.rig.simulator.motion import DriveVoltage, Motion, StateHistory
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -78,6 +78,7 @@ class Twin:
     n_computed: int = field(default=0, init=False)
     _felt: dict[Setting, dict[tuple[float, ...], float]] = field(default_factory=dict, init=False, repr=False)
     _systems: dict[tuple[float, ...], DiagonalSystem] = field(default_factory=dict, init=False, repr=False)
+    _histories: tuple[object, list[StateHistory]] | None = field(default=None, init=False, repr=False)
 
     def __post_init__(self) -> None:
         self.beam = true_beam(self.apparatus, self.seed)
@@ -172,10 +173,14 @@ class Twin:
             return []
         system = self.system(touched)
         output = self.beam.shapes(position, offset)[:, 0] @ system.velocity
-        from modaltouch.rig.simulator.motion import Motion, low_passed
+        from modaltouch.rig.simulator.motion import StateHistory, low_passed
 
         system, output = low_passed(system, output, bandwidth)
-        return [Motion.of(system, output, held, span) for held in self.held_of(playbacks)]
+        key = tuple(playbacks), tuple(touched), bandwidth
+        # The states are those of the whole beam: the next point of a scan needs none of its own.
+        if self._histories is None or self._histories[0] != key or not all(h.covers(span) for h in self._histories[1]):
+            self._histories = key, [StateHistory.of(system, held, span) for held in self.held_of(playbacks)]
+        return [history.motion(output) for history in self._histories[1]]
 
     def drive(self, playbacks: Sequence[Playback | None], channel: int) -> DriveVoltage | None:
         """Return the voltage at the beam of a channel, counted from 0; None where nothing plays."""
@@ -302,9 +307,10 @@ def _common_peak(system: DiagonalSystem, output: ComplexArray, parts: Sequence[H
     ends = max(part.delay + LONGEST_SILENCE * part.duration for part in parts)
     span = 0.0, min(parts[0].period, ends)
     times = np.arange(*span, step)
-    from modaltouch.rig.simulator.motion import Motion
+    from modaltouch.rig.simulator.motion import StateHistory
 
-    return float(np.abs(sum(Motion.of(system, output, part, span).at(times) for part in parts)).max())
+    total = sum(StateHistory.of(system, part, span).motion(output).at(times) for part in parts)
+    return float(np.abs(total).max())
 
 
 @functools.lru_cache(maxsize=8)
