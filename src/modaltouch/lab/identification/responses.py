@@ -127,12 +127,19 @@ class Spectra:
         self.highest = highest
 
     def __call__(self, recording: Recording) -> Mapping[str, NDArray[Any]]:
-        """Return averaged spectra of the velocity and of the first drive."""
+        """Return averaged spectra of the velocity and of the first drive.
+
+        They are transformed in single precision, which adds a millionth of a converter's noise.
+        """
+        from scipy.fft import rfft
+
         n = recording.time.size
         frequency = np.fft.rfftfreq(n, 1 / recording.sampling_rate)
         kept = slice(1, int(np.searchsorted(frequency, self.highest, side="right")))
-        velocity = np.fft.rfft(recording.velocity)[:, kept] / n
-        drive = np.fft.rfft(recording.drive[:, 0])[:, kept] / n
+        velocity, drive = (
+            np.asarray(rfft(np.asarray(records, dtype=np.float32))[:, kept], dtype=complex) / n
+            for records in (recording.velocity, recording.drive[:, 0])
+        )
         return {
             "frequency": frequency[kept],
             "drive_power": (np.abs(drive) ** 2).mean(axis=0),
