@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
 
-from modaltouch.system import SYSTEM_CLOCK, Clock
+from modaltouch.system import SYSTEM_CLOCK, Clock, VirtualClock
 from modaltouch.window.interface import AnswerWindow, Log, Tick
 
 if TYPE_CHECKING:
@@ -18,6 +18,10 @@ if TYPE_CHECKING:
 
 AnswersBy = Literal["window", "simulated", "robot"]
 """A person at the window; an observer model without a window; an observer model typing into the real window."""
+
+
+_STEP, _VIRTUAL_STEP = 1e-3, 1e-2
+"""Time between two ticks of a simulated participant: by a real clock, and by a virtual one, where nobody waits [s]."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +121,13 @@ def open_window(
 
         until, after = protocol.answers.stimulus_until, protocol.answers.after_longest
         return SimulatedParticipant(
-            answerer, tick=tick, log=log, stimulus_until=until, after_longest=after, clock=clock
+            answerer,
+            tick=tick,
+            log=log,
+            stimulus_until=until,
+            after_longest=after,
+            clock=clock,
+            step=_VIRTUAL_STEP if isinstance(clock, VirtualClock) else _STEP,
         )
     from modaltouch.window.participant import ParticipantWindow
     from modaltouch.window.robot import Robot
