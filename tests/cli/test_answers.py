@@ -16,6 +16,8 @@ from typer.testing import CliRunner
 from modaltouch.analysis.exact import multinomial_test
 from modaltouch.cli import app
 
+pytestmark = pytest.mark.usefixtures("svg_alone")
+
 SHIPPED = Path(__file__).parents[2] / "protocols"
 GRADES, SIDES = ("stronger", "weaker"), ("left", "right")
 KEYS = {
