@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,8 +12,19 @@ from numpy.typing import ArrayLike
 from modaltouch.lab.arrays import ComplexArray, FloatArray
 from modaltouch.stimulus import Amplifier, ModalModel, TargetField, Timing
 
+if TYPE_CHECKING:
+    from scipy.signal import CZT
+
 STEP = 0.8e-6
 """How long rivals hold a voltage at least: 14 steps to a period of the highest mode of Table I [s]."""
+
+
+@lru_cache(maxsize=4)
+def _transform(n_bins: int, n: int, begin: float, turn: float) -> CZT:
+    """Return the chirp z-transform of bins at instants whose phases begin at one and turn by another [rad]."""
+    from scipy.signal import CZT
+
+    return CZT(n_bins, n, w=np.exp(1j * turn), a=np.exp(-1j * begin))
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,10 +68,8 @@ class TransferFunctions:
         n : int
             Instants.
         """
-        from scipy.signal import CZT
-
         turn = 2 * np.pi * self.spacing
-        transform = CZT(self.frequency.size, n, w=np.exp(1j * turn * step), a=np.exp(-1j * turn * first))
+        transform = _transform(self.frequency.size, n, turn * first, turn * step)
         carrier = np.exp(2j * np.pi * self.frequency[0] * (first + step * np.arange(n)))
         return np.asarray(2 * self.spacing * (carrier * transform(spectrum)).real)
 
