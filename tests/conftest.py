@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from _pytest.doctest import DoctestModule
 from hypothesis import HealthCheck, settings
 
 SHIPPED = Path(__file__).parents[1] / "protocols"
@@ -54,6 +55,12 @@ _ANY_MACHINE: dict[str, Any] = {"deadline": None, "suppress_health_check": [Heal
 settings.register_profile("modaltouch", derandomize=True, **_ANY_MACHINE)
 settings.register_profile("search", derandomize=False, max_examples=500, **_ANY_MACHINE)
 settings.load_profile("modaltouch")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collect_file() -> Generator[None, list[pytest.Collector], list[pytest.Collector]]:
+    """Look for doctests in the source alone: looking through the tests takes every process seconds."""
+    return [found for found in (yield) if not isinstance(found, DoctestModule)]
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -14,6 +14,8 @@ from modaltouch.cli.study import write_study
 from modaltouch.protocol.problems import InputError
 from modaltouch.protocol.source import Source
 
+pytestmark = pytest.mark.usefixtures("svg_alone")
+
 
 def run(*words):
     """Run ``modaltouch`` in this process and return what it came to."""

@@ -15,6 +15,8 @@ from modaltouch.cli.commands import app
 from modaltouch.planning import power as planning_power
 from modaltouch.planning.experiments import Job, Study, run_job
 
+pytestmark = pytest.mark.usefixtures("svg_alone")
+
 ROOT = Path(__file__).parents[2]
 PROTOCOL = ROOT / "protocols" / "differentiated_stimulation.yaml"
 DEMO = ROOT / "protocols" / "demo.yaml"

@@ -16,6 +16,8 @@ from modaltouch.lab.comparison.contest import contend, true_delay, without_misma
 from modaltouch.lab.comparison.results import Criterion, criteria, paragraphs, rows_of
 from modaltouch.rig import Simulator
 
+pytestmark = pytest.mark.usefixtures("svg_alone")
+
 SHIPPED = Path(__file__).parents[3] / "protocols" / "differentiated_stimulation.yaml"
 ABOUT = {"title": "A <title>", "protocol": "p.yaml", "apparatus": "beam", "seed": 1, "n_records": 2, "commit": ""}
 
