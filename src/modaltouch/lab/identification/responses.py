@@ -136,8 +136,9 @@ class Spectra:
         n = recording.time.size
         frequency = np.fft.rfftfreq(n, 1 / recording.sampling_rate)
         kept = slice(1, int(np.searchsorted(frequency, self.highest, side="right")))
+        # One record after the other: all of them together take a hundred megabytes.
         velocity, drive = (
-            np.asarray(rfft(np.asarray(records, dtype=np.float32))[:, kept], dtype=complex) / n
+            np.array([np.array(rfft(record.astype(np.float32))[kept], dtype=complex) / n for record in records])
             for records in (recording.velocity, recording.drive[:, 0])
         )
         return {
