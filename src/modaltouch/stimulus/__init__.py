@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from modaltouch.stimulus.correction import Correction
     from modaltouch.stimulus.drive import Law, Release
     from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
+    from modaltouch.stimulus.fingers import Finger
     from modaltouch.stimulus.measured_shapes import MeasuredShapes
     from modaltouch.stimulus.modes import ModalModel
-    from modaltouch.stimulus.patches import patch_gains
     from modaltouch.stimulus.quantisation import Converter
     from modaltouch.stimulus.reachability import Taper
     from modaltouch.stimulus.sample_count import cheapest_samples
@@ -39,6 +39,7 @@ else:
             "burst": "Burst",
             "correction": "Correction",
             "drive": "Law Release",
+            "fingers": "Finger",
             "dynamics": "Amplifier DiagonalSystem",
             "measured_shapes": "MeasuredShapes",
             "modes": "ModalModel",
@@ -46,7 +47,6 @@ else:
             "reachability": "Taper",
             "sample_count": "cheapest_samples",
             "sensitivity": "focus_sensitivity scatter",
-            "patches": "patch_gains",
             "shapes": "characteristic_root mode_shapes",
             "stimulus": "Stimulus design_stimulus",
             "target_field": "TargetField",
@@ -63,6 +63,7 @@ __all__ = [
     "Converter",
     "Correction",
     "DiagonalSystem",
+    "Finger",
     "Law",
     "MeasuredShapes",
     "ModalModel",
@@ -77,7 +78,6 @@ __all__ = [
     "design_stimulus",
     "focus_sensitivity",
     "mode_shapes",
-    "patch_gains",
     "peak_velocity",
     "scatter",
 ]

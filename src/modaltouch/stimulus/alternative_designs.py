@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from modaltouch.stimulus.drive import Drive, Steering, exact_drive
+from modaltouch.stimulus.drive import Drive, Steering, exact_drive, polished
 from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.quantities import FloatArray
@@ -53,7 +53,7 @@ def least_norm(steering: Steering, p: float) -> Drive:
     every = np.tile(weight[0], rows.shape[1])
     g = _newton(flat, every, steering.goal * scale, p) @ flat
     voltage = (every * np.sign(g) * np.abs(g) ** (1 / (p - 1))).reshape(rows.shape[1:])
-    return _polished(steering, voltage)
+    return polished(steering, voltage)
 
 
 def _newton(rows: FloatArray, weight: FloatArray, goal: FloatArray, p: float) -> FloatArray:
@@ -138,7 +138,7 @@ def least_peak(steering: Steering, held_steps: int = 1024) -> Drive:
     voltage = np.zeros(rows.shape[1:])
     steps = solved.x[:-1].reshape(rows.shape[1], -1) * unit
     voltage[:, 1:-1] = np.repeat(steps, np.diff(np.append(begins, step_of.size)), axis=1)
-    return _polished(steering, voltage)
+    return polished(steering, voltage)
 
 
 def _rows(reach: ReachabilityGramian) -> FloatArray:
@@ -147,24 +147,6 @@ def _rows(reach: ReachabilityGramian) -> FloatArray:
     powers = decay(reach.exponent, reach.hold, ago)
     rows = (reach.row.reshape(-1, reach.exponent.size) @ powers).real
     return np.asarray(rows.reshape(*reach.row.shape[:2], -1))
-
-
-def _polished(steering: Steering, voltage: FloatArray) -> Drive:
-    """Return the drive of voltages until the focus, with the least energy added that takes their residual out."""
-    change, residual = np.empty_like(voltage), np.inf
-    for _ in range(3):
-        short, state = steering.short(voltage)
-        now = float(np.abs(short).max())
-        if now >= residual:
-            break
-        residual = now
-        steering.reach.write(steering.solver.solve(short), change)
-        voltage = voltage + change
-    short, state = steering.short(voltage)
-    whole = np.zeros((len(voltage), steering.timing.n_samples))
-    whole[:, : voltage.shape[1]] = voltage
-    steering.end(whole, state)
-    return Drive(whole, steering.solver.condition_number, float(np.abs(short).max()), voltage.shape[1])
 
 
 def compare_designs(steering: Steering, amplifier: Amplifier, unmodelled: ModalModel) -> list[dict[str, float | str]]:

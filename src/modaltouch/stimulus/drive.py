@@ -23,16 +23,19 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.stimulus.dynamics import DiagonalSystem
+from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.quantities import ComplexArray, FloatArray
 from modaltouch.stimulus.reachability import GramianSolver, ReachabilityGramian, Taper
 from modaltouch.stimulus.timing import Timing
+
+if TYPE_CHECKING:
+    from modaltouch.stimulus.real_form import RealSystem
 
 Law = Literal["exact", "paper"]
 Release = Literal["braked", "free"]
@@ -44,6 +47,9 @@ FALL = 0.4e-3
 """Length of the taper before the focus, which keeps the speed after it from passing the speed at it [s]."""
 
 _REFINEMENTS = 8
+_POLISHED = 9e-13
+"""Residual of coupled modes, as a fraction of the largest target, above which it is taken out once more [1]."""
+
 _ROUNDING = 16 * float(np.finfo(float).eps)
 """A residual this small, as a fraction of the largest target, is rounding: no refinement lessens it [1]."""
 
@@ -117,6 +123,8 @@ class Steering:
         Modal velocities at the focusing instant [m/s].
     displacement : (n_modes,) array
         Modal displacements times angular frequency there; 0 but where a calibration wants others [m/s].
+    amplifier : Amplifier, optional
+        The one of `system`, for fingers whose eigenvectors are lost.
     """
 
     model: ModalModel
@@ -125,11 +133,17 @@ class Steering:
     release: Release
     velocity: FloatArray
     displacement: FloatArray
+    amplifier: Amplifier | None = None
 
     @cached_property
     def driven(self) -> NDArray[np.intp]:
-        """Indices of the modes that any channel drives."""
-        return np.flatnonzero(self.model.modal_gain.any(axis=1))
+        """Indices of the modes that any channel drives, and of those that fingers couple to them."""
+        driven = np.asarray(self.model.modal_gain.any(axis=1))
+        if self.model.fingers:
+            from modaltouch.stimulus.fingers import coupled_with
+
+            driven = coupled_with(driven, self.model.loads)
+        return np.flatnonzero(driven)
 
     @cached_property
     def read(self) -> ComplexArray:
@@ -187,7 +201,19 @@ class Steering:
     def short(self, voltage: FloatArray) -> tuple[FloatArray, ComplexArray]:
         """Return by how much voltages from the start of the burst fall short of the goal, and the state they reach."""
         state = self.system.state_at(voltage, self.timing, self.timing.focusing_instant)
-        return self.goal - (self.read @ state).real, state
+        if self._real is None:
+            return self.goal - (self.read @ state).real, state
+        reached = self._real.reached(voltage, self.timing, self.timing.focusing_instant)
+        return self.goal - reached.reshape(2, -1)[:, self.driven].ravel(), state
+
+    @cached_property
+    def _real(self) -> RealSystem | None:
+        """The equations as they are, where `system` is that of fingers a few parts in 1e9 off; None elsewhere."""
+        if self.system.exact:
+            return None
+        from modaltouch.stimulus.real_form import RealSystem
+
+        return RealSystem.of(self.model, self.amplifier)
 
     def end(self, voltage: FloatArray, state: ComplexArray) -> None:
         """Write the voltages after the focus into those of the whole burst, given the state at the focus."""
@@ -210,10 +236,14 @@ class Steering:
         timing, driven = self.timing, self.driven
         n_left = timing.n_samples - start
         self._check_enough(n_left, "after the focusing instant, or release it `free`")
-        # What is read at rest are the modes' own states: the amplifier's die out by themselves within the silence.
+        # What is read at rest are the beam's own states: the amplifier's die out by themselves within the silence.
         read = np.zeros((2 * driven.size, self.system.exponent.size), dtype=complex)
-        read[np.arange(driven.size), driven] = 1.0
-        read[np.arange(driven.size) + driven.size, driven] = -1j
+        if self.model.fingers:
+            n_beam = self.system.n_beam
+            read[:, :n_beam] = self.read[:, :n_beam]
+        else:
+            read[np.arange(driven.size), driven] = 1.0
+            read[np.arange(driven.size) + driven.size, driven] = -1j
         reach = self._reach(read, n_left, RISE)
         left = state * np.exp(self.system.exponent * (timing.duration - start * timing.hold))
         weight = self._solver(reach).solve(-(read @ left).real)
@@ -246,7 +276,8 @@ def exact_drive(steering: Steering) -> Drive:
     weight = np.zeros_like(goal)
     best, kept, kept_state = np.inf, weight, np.zeros(reach.exponent.size, dtype=complex)
     short = goal
-    for _ in range(_REFINEMENTS):
+    few = (2 if steering.system.exact else 1) if steering.system.coupled else _REFINEMENTS
+    for _ in range(few):
         weight = weight + solver.solve(short)
         reach.write(weight, before)
         short, state = steering.short(before)
@@ -258,5 +289,26 @@ def exact_drive(steering: Steering) -> Drive:
             break
     if kept is not weight:
         reach.write(kept, before)
+    if steering.system.coupled and best > _POLISHED * float(np.abs(goal).max()):
+        # What is left is small beside exponentials that all but cancel: added by itself, it is not lost among them.
+        return polished(steering, before, rounds=1)
     steering.end(voltage, kept_state)
     return Drive(voltage, solver.condition_number, best, reach.taper.n_samples)
+
+
+def polished(steering: Steering, voltage: FloatArray, rounds: int = 3) -> Drive:
+    """Return the drive of voltages until the focus, with the least energy added that takes their residual out."""
+    change, residual = np.empty_like(voltage), np.inf
+    for _ in range(rounds):
+        short, state = steering.short(voltage)
+        now = float(np.abs(short).max())
+        if now >= residual:
+            break
+        residual = now
+        steering.reach.write(steering.solver.solve(short), change)
+        voltage = voltage + change
+    short, state = steering.short(voltage)
+    whole = np.zeros((len(voltage), steering.timing.n_samples))
+    whole[:, : voltage.shape[1]] = voltage
+    steering.end(whole, state)
+    return Drive(whole, steering.solver.condition_number, float(np.abs(short).max()), voltage.shape[1])

@@ -17,8 +17,9 @@ series in d makes further inputs, the steps times powers of d. Few are needed: a
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,9 @@ from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.quantities import ComplexArray, FloatArray, require_positive
 from modaltouch.stimulus.synthesis import BLOCK, CHUNK, decay, ladders
 from modaltouch.stimulus.timing import Timing
+
+if TYPE_CHECKING:
+    from modaltouch.stimulus.fingers import Load
 
 _SERIES_REST = 1e-12
 """Rest of the series in the delay of a step, over its first term: four terms for 90 kHz on 250 MHz [1]."""
@@ -79,6 +83,10 @@ class DiagonalSystem:
         Modal displacements times angular frequency [m/s] are the real part of `displacement @ state`.
     delay : float
         From the generator's output to the beam [s].
+    n_poles : int
+        States of the amplifier, which come last.
+    exact : bool
+        False where fingers had to be taken a little off their values, since their eigenvectors are lost.
     """
 
     exponent: ComplexArray
@@ -86,6 +94,8 @@ class DiagonalSystem:
     velocity: ComplexArray
     displacement: ComplexArray
     delay: float
+    n_poles: int = 0
+    exact: bool = True
 
     @classmethod
     def of(cls, model: ModalModel, amplifier: Amplifier | None = None) -> DiagonalSystem:
@@ -98,34 +108,87 @@ class DiagonalSystem:
         amplifier : Amplifier, optional
             Its pole and delay count; its gain does not, since voltages are those at the beam. None for neither.
         """
-        s = model.exponent
-        gain = model.modal_gain
-        read_velocity = 1 - 1j * s.real / s.imag
-        read_displacement = -1j * model.angular_frequency / s.imag
+        given = model.angular_frequency, model.damping_ratio, model.modal_gain
+        return cls.of_modes(*given, model.loads, amplifier)
+
+    @classmethod
+    def of_modes(
+        cls,
+        omega: FloatArray,
+        damping_ratio: FloatArray,
+        gain: FloatArray,
+        loads: Sequence[Load] = (),
+        amplifier: Amplifier | None = None,
+    ) -> DiagonalSystem:
+        """Return the equations of modes, which fingers may couple.
+
+        Parameters
+        ----------
+        omega, damping_ratio : (n_modes,) array
+            Angular frequencies [rad/s] and damping ratios [1] of the free modes.
+        gain : (n_modes, n_channels) array
+            Modal accelerations per volt at the beam [m/s^2 per V].
+        loads : sequence of Load
+            Each finger, after its contact over the beam's moving mass, (n_modes, n_modes) array [1/kg].
+        amplifier : Amplifier, optional
+            As for `of`.
+        """
+        if not loads:
+            s = omega * (-damping_ratio + 1j * np.sqrt((1 - damping_ratio) * (1 + damping_ratio)))
+            read_velocity, read_displacement = np.diag(1 - 1j * s.real / s.imag), np.diag(-1j * omega / s.imag)
+            return cls.behind(amplifier, s, gain.astype(complex), read_velocity, read_displacement)
+        from modaltouch.stimulus.fingers import uncouple
+
+        uncoupled, exact = uncouple(omega, damping_ratio, gain, loads)
+        return replace(cls.behind(amplifier, *uncoupled), exact=exact)
+
+    @classmethod
+    def behind(
+        cls,
+        amplifier: Amplifier | None,
+        exponent: ComplexArray,
+        input_gain: ComplexArray,
+        velocity: ComplexArray,
+        displacement: ComplexArray,
+    ) -> DiagonalSystem:
+        """Return uncoupled equations with an amplifier put before them, which leaves them uncoupled.
+
+        Parameters
+        ----------
+        amplifier : Amplifier or None
+            Its pole and delay count.
+        exponent, input_gain, velocity, displacement
+            Of the beam alone, as the attributes.
+        """
+        delay = 0.0 if amplifier is None else amplifier.delay
         if amplifier is None or amplifier.bandwidth is None:
-            return cls(
-                exponent=s,
-                input_gain=gain.astype(complex),
-                velocity=np.diag(read_velocity),
-                displacement=np.diag(read_displacement),
-                delay=0.0 if amplifier is None else amplifier.delay,
-            )
-        pole = 2 * np.pi * amplifier.bandwidth
-        share = 1 / (pole + s)
-        from_mode = np.eye(model.n_modes)
-        from_pole = -share[:, None] * gain
+            return cls(exponent, input_gain, velocity, displacement, delay)
+        pole, n_channels = 2 * np.pi * amplifier.bandwidth, input_gain.shape[1]
+        share = 1 / (pole + exponent)
+        from_beam = np.concatenate([np.eye(exponent.size), -share[:, None] * input_gain], axis=1)
         return cls(
-            exponent=np.concatenate([s, np.full(model.n_channels, -pole, dtype=complex)]),
-            input_gain=np.concatenate([(pole * share)[:, None] * gain, pole * np.eye(model.n_channels)]),
-            velocity=read_velocity[:, None] * np.concatenate([from_mode, from_pole], axis=1),
-            displacement=read_displacement[:, None] * np.concatenate([from_mode, from_pole], axis=1),
-            delay=amplifier.delay,
+            exponent=np.concatenate([exponent, np.full(n_channels, -pole, dtype=complex)]),
+            input_gain=np.concatenate([(pole * share)[:, None] * input_gain, pole * np.eye(n_channels)]),
+            velocity=velocity @ from_beam,
+            displacement=displacement @ from_beam,
+            delay=delay,
+            n_poles=n_channels,
         )
 
     @property
     def n_modes(self) -> int:
-        """Number of modes; their states come first."""
+        """Number of modes."""
         return int(self.velocity.shape[0])
+
+    @property
+    def n_beam(self) -> int:
+        """Number of the beam's states, which come first: one per mode, more where fingers keep it from swinging."""
+        return self.exponent.size - self.n_poles
+
+    @property
+    def coupled(self) -> bool:
+        """Whether fingers make several modes move with one state."""
+        return bool(np.count_nonzero(self.velocity[:, : self.n_beam]) > self.n_modes)
 
     def held_gain(self, hold: float) -> ComplexArray:
         """Return what one volt held for a time [s] leaves in each state, (n_states, n_channels) array."""
@@ -189,7 +252,7 @@ class DiagonalSystem:
         played = voltage[:, :n_whole]
         driven = self.input_gain.T != 0
         states = moments(played, self.exponent, hold, driven) * self.held_gain(hold).T
-        for gain, late in zip(self._late_gains(timing), _late_steps(played, timing, 0, n_whole), strict=False):
+        for gain, late in zip(self._late_gains(timing), late_steps(played, timing, 0, n_whole), strict=False):
             states += moments(late, self.exponent, hold, driven) * gain.T
         if remainder:
             states = states * np.exp(self.exponent * remainder)
@@ -271,12 +334,12 @@ def clock_inputs(voltage: FloatArray, timing: Timing, start: int, stop: int, n_i
     n_channels = len(voltage)
     inputs[:n_channels] = voltage[:, start:stop]
     rows = range(n_channels, n_inputs, n_channels)
-    for row, term in zip(rows, _late_steps(voltage, timing, start, stop), strict=False):
+    for row, term in zip(rows, late_steps(voltage, timing, start, stop), strict=False):
         inputs[row : row + n_channels] = term
     return inputs
 
 
-def _late_steps(voltage: FloatArray, timing: Timing, start: int, stop: int) -> Iterator[FloatArray]:
+def late_steps(voltage: FloatArray, timing: Timing, start: int, stop: int) -> Iterator[FloatArray]:
     """Yield the steps times their delay to the clock, then times its square, and so on: the same array each time."""
     if timing.clock_error is None:
         return

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
@@ -14,6 +15,7 @@ from modaltouch.stimulus.quantities import EXTREME, FloatArray, require_positive
 from modaltouch.stimulus.shapes import mode_shapes
 
 if TYPE_CHECKING:
+    from modaltouch.stimulus.fingers import Finger, Load
     from modaltouch.stimulus.measured_shapes import MeasuredShapes
     from modaltouch.stimulus.timoshenko import TimoshenkoBeam
 
@@ -44,6 +46,10 @@ class ModalModel:
         Measured shapes of every mode, in the order of the labels.
     beam : TimoshenkoBeam, optional
         The bare beam whose shear and rotary inertia shape the bending modes.
+    fingers : tuple of Finger
+        Fingertips on it, which couple the modes; everything else is said of the untouched beam.
+    mass : float, optional
+        Moving mass of the beam [kg], which fingers weigh on.
     """
 
     label: tuple[int, ...]
@@ -54,6 +60,8 @@ class ModalModel:
     theory: Literal["euler_bernoulli", "timoshenko", "measured"] = "euler_bernoulli"
     basis: MeasuredShapes | None = None
     beam: TimoshenkoBeam | None = None
+    fingers: tuple[Finger, ...] = ()
+    mass: float | None = None
 
     def __post_init__(self) -> None:
         """Refuse what is no vibrating beam."""
@@ -66,6 +74,7 @@ class ModalModel:
         require_positive("the length of the beam", self.length, "m", "measure the beam")
         self._check_labels()
         self._check_theory()
+        self._check_fingers()
         for k, frequency, ratio, gain in zip(
             label, self.natural_frequency, self.damping_ratio, self.modal_gain, strict=True
         ):
@@ -109,6 +118,18 @@ class ModalModel:
                 f"{self.label} on {self.length:g} m: give one shape to each mode, in the same order"
             )
 
+    def _check_fingers(self) -> None:
+        if self.mass is not None:
+            require_positive("the moving mass of the beam", self.mass, "kg", "weigh the beam with its patches")
+        elif self.fingers:
+            raise ValueError("fingers lie on a beam of unknown mass; give its moving mass: weigh it with its patches")
+        for finger in self.fingers:
+            if abs(finger.position) > self.length / 2:
+                raise ValueError(
+                    f"a finger lies at {finger.position * 1e3:g} mm, off the beam, which spans "
+                    f"-{self.length * 500:g} to {self.length * 500:g} mm: lay it on the beam"
+                )
+
     @property
     def n_modes(self) -> int:
         """Number of modelled modes."""
@@ -129,6 +150,33 @@ class ModalModel:
         """Complex exponent -a + ib of each mode's free decay, (n_modes,) array [1/s]."""
         damped = np.sqrt((1 - self.damping_ratio) * (1 + self.damping_ratio))
         return self.angular_frequency * (-self.damping_ratio + 1j * damped)
+
+    @cached_property
+    def loads(self) -> tuple[Load, ...]:
+        """What each finger weighs on; empty for a beam that nobody touches."""
+        if self.mass is None:
+            return ()
+        mass, fingers = self.mass, self.fingers
+        if self.basis is None and all(k % 2 for k in self.label):
+            # Symmetric modes alone feel a finger as its mirror image: to the last bit the same, and one design.
+            fingers = tuple(replace(finger, position=-abs(finger.position)) for finger in fingers)
+        ordered = sorted(fingers, key=lambda finger: finger.position)
+        return tuple((finger.contact(self.shapes, self.length) / mass, finger) for finger in ordered)
+
+    def patch_gains(self, patches: Sequence[tuple[float, float]]) -> FloatArray:
+        """Return how strongly patches wired together drive each mode, by theory; see `modaltouch.stimulus.patches`."""
+        from modaltouch.stimulus.patches import patch_gains
+
+        return patch_gains(self.label, patches, self.length)
+
+    @property
+    def untouched(self) -> ModalModel:
+        """The same beam with no finger on it."""
+        return self.touched(())
+
+    def touched(self, fingers: tuple[Finger, ...]) -> ModalModel:
+        """Return the same beam under other fingers."""
+        return self if fingers == self.fingers else replace(self, fingers=fingers)
 
     def shapes(self, position: ArrayLike) -> FloatArray:
         """Return the mode shapes at positions on the beam [m], (n_modes, n_points) array [1]."""

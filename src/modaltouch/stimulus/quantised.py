@@ -104,6 +104,11 @@ class QuantisedStimulus:
         response, _, scale = self._response(unit)
         return bool((response.peak(shapes.T @ self.system.velocity, limit / scale) * scale > limit).any())
 
+    def peak_of(self, unit: FloatArray, output: ComplexArray) -> float:
+        """Return the largest magnitude of one output, (1, n_states) array, until the next burst."""
+        response, _, scale = self._response(unit)
+        return float(response.peak(output)[0]) * scale
+
     def peaks(self, unit: FloatArray, positions: ArrayLike, shapes: FloatArray) -> FloatArray:
         """Return the highest speed at positions with these mode shapes until the next burst [m/s]."""
         place = np.atleast_1d(np.asarray(positions, dtype=float)).tolist()
@@ -169,8 +174,8 @@ class _Walk:
         n_before, remainder = timing.samples_until(timing.focusing_instant - system.delay)
         effect = system.held_gain(timing.hold) * volts_per_code * np.exp(system.exponent * remainder)[:, None]
         read = np.concatenate([system.velocity, system.displacement])
-        step = np.abs(effect[: system.n_modes]).max(axis=1)
-        rate = -system.exponent.real[: system.n_modes] * timing.hold
+        step = np.abs(effect[: system.n_beam]).max(axis=1)
+        rate = -system.exponent.real[: system.n_beam] * timing.hold
         urgent = step > goal
         with np.errstate(over="ignore", divide="ignore"):
             # A mode that hardly decays feels every sample.
@@ -191,7 +196,11 @@ class _Walk:
         self.channel = np.tile(channels, ago.size)
         self.sample = np.repeat(n_before - 1 - ago, channels.size)
         self.move = move.reshape(-1, read.shape[0])
-        self.pull = (move.reshape(ago.size, channels.size, 2, -1) / (reach**2)[:, None, None]).reshape(self.move.shape)
+        if system.coupled:
+            self.pull = _pull_of_coupled(self.move, goal)
+        else:
+            by_mode = move.reshape(ago.size, channels.size, 2, -1) / (reach**2)[:, None, None]
+            self.pull = by_mode.reshape(self.move.shape)
         self.half = 0.5 * np.einsum("ij,ij->i", self.move, self.pull)
 
     def settle(self, error: FloatArray) -> tuple[FloatArray, float]:
@@ -206,6 +215,16 @@ class _Walk:
             change[some] = _changes(pull @ left, move @ pull.T, half[some].tolist())
             left -= change[some] @ move
         return change, float(np.abs(left).max())
+
+
+def _pull_of_coupled(move: FloatArray, goal: float) -> FloatArray:
+    """Return moves, each counted in what it and those still to come can do to the modes together."""
+    pull, left = np.empty_like(move), goal**2 * np.eye(move.shape[1])
+    for start in reversed(range(0, len(move), _TOGETHER)):
+        some = slice(start, start + _TOGETHER)
+        left = left + move[some].T @ move[some]
+        pull[some] = np.linalg.solve(left, move[some].T).T
+    return pull
 
 
 def _changes(gain: FloatArray, together: FloatArray, half: list[float]) -> list[float]:

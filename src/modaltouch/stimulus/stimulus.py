@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,12 +14,16 @@ from modaltouch.stimulus.correction import Correction, LevelCorrections, correct
 from modaltouch.stimulus.drive import Drive, Law, Release, Steering, check_drivable, exact_drive
 from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
 from modaltouch.stimulus.modes import ModalModel
-from modaltouch.stimulus.options import MEANT, Design, Rounding, check_levels, check_options
+from modaltouch.stimulus.options import MEANT, Design, Priority, Rounding, check_levels, check_options
 from modaltouch.stimulus.quantised import QuantisedStimulus, settle
 from modaltouch.stimulus.quantities import FloatArray, require_positive
 from modaltouch.stimulus.target_field import Projection, TargetField
 from modaltouch.stimulus.timing import Timing
 from modaltouch.stimulus.vibration import velocity_history
+
+if TYPE_CHECKING:
+    from modaltouch.stimulus.fingers import Finger
+    from modaltouch.stimulus.touched import TouchedBeam
 
 _FEW = 1024
 """Points up to which mode shapes are kept for the next question."""
@@ -60,6 +65,9 @@ class Stimulus:
     design : str
         Of the exact law: ``least_energy``; ``norm_4`` or ``norm_8``, of less peak voltage for more energy; or
         ``least_peak``, which jumps from end to end and excites what is not modelled.
+    priority : str
+        ``field`` (the whole field, whatever its voltage) or ``level`` (the level at the focus exactly, and the field as
+        nearly as the amplifier's limit allows).
     """
 
     model: ModalModel
@@ -73,6 +81,7 @@ class Stimulus:
     rounding: Rounding = "settled"
     correction: Correction | None = None
     design: Design = "least_energy"
+    priority: Priority = "field"
 
     @cached_property
     def projection(self) -> Projection:
@@ -114,7 +123,9 @@ class Stimulus:
 
     @cached_property
     def _steering(self) -> Steering:
-        return Steering(self.model, self.system, self.timing, self.release, *self.corrected_target)
+        return Steering(
+            self.model, self.system, self.timing, self.release, *self.corrected_target, amplifier=self.amplifier
+        )
 
     @cached_property
     def drive(self) -> Drive:
@@ -123,6 +134,11 @@ class Stimulus:
             from modaltouch.stimulus.paper_drive import paper_drive
 
             return paper_drive(self._steering)
+        if self.priority == "level":
+            from modaltouch.stimulus.level_first import level_first_drive
+
+            focus = self.model.shapes([self.target_field.centre])[:, 0]
+            return level_first_drive(self._steering, focus, self.amplifier.limit)
         if self.design == "least_energy":
             return exact_drive(self._steering)
         from modaltouch.stimulus.alternative_designs import alternative_drive
@@ -189,9 +205,17 @@ class Stimulus:
         codes = converter.round_to_codes(self.voltage, volts_per_code)
         if self.law == "exact" and self.rounding == "settled":
             states = volts_per_code @ self.system.states_by_channel(codes, self.timing, self.timing.focusing_instant)
-            error = np.concatenate(self.corrected_target) - np.concatenate(self.system.read(states))
+            error = self._reached - np.concatenate(self.system.read(states))
             codes = settle(codes, volts_per_code, self.system, self.timing, error, float(np.abs(self.target).max()))
         return QuantisedStimulus(self.system, self.timing, codes)
+
+    @property
+    def _reached(self) -> FloatArray:
+        """What the voltages bring the modes to before rounding, (2 n_modes,) array [m/s]."""
+        if self.priority == "field":
+            return np.concatenate(self.corrected_target)
+        timing = self.timing
+        return np.concatenate(self.system.read(self.system.state_at(self.voltage, timing, timing.focusing_instant)))
 
     def peak_drive(self, velocity: float) -> FloatArray:
         """Return the highest magnitude of each channel's voltage as played at a level, (n_channels,) array [V].
@@ -203,6 +227,12 @@ class Stimulus:
         """
         return self._played.highest * self.volts_per_code(velocity)
 
+    def touched(self, fingers: tuple[Finger, ...]) -> TouchedBeam:
+        """Return the beam under fingers while the codes are played; take `volts_per_code` for what a code is worth."""
+        from modaltouch.stimulus.touched import TouchedBeam
+
+        return TouchedBeam(self.model.touched(fingers), self.amplifier, self.timing, self._played.codes)
+
     def under_law(self, law: Law) -> Stimulus:
         """Return the same stimulus under another drive law; what does not depend on the law is not computed again.
 
@@ -211,7 +241,7 @@ class Stimulus:
         law : str
             ``exact`` or ``paper``.
         """
-        other = replace(self, law=law, design=self.design if law == "exact" else "least_energy")
+        other = replace(self, law=law, design=self.design if law == "exact" else "least_energy", priority="field")
         vars(other).update({name: getattr(self, name) for name in _SHARED})
         return other
 
@@ -403,13 +433,14 @@ def design_stimulus(
     load_factor: float = 1.0,
     rounding: Rounding = "settled",
     design: Design = "least_energy",
+    priority: Priority = "field",
     correction: Correction | None = None,
 ) -> Stimulus:
     """Return the stimulus that makes a target field at the focusing instant.
 
     Parameters
     ----------
-    model, target_field, timing, amplifier, law, release, load_factor, rounding, design, correction
+    model, target_field, timing, amplifier, law, release, load_factor, rounding, design, priority, correction
         As for `Stimulus`.
     levels : tuple of float, optional
         Every level that will be played [m/s]; the target field's own if not given.
@@ -421,7 +452,7 @@ def design_stimulus(
         remedy.
     """
     played = (target_field.velocity,) if levels is None else tuple(levels)
-    check_options(law, release, rounding, design)
+    check_options(law, release, rounding, design, priority)
     check_levels(played, target_field.velocity)
     require_positive("the load factor", load_factor, "", "1 into high impedance, 0.5 into 50 ohm")
     if amplifier.delay >= timing.focusing_instant:
@@ -429,8 +460,7 @@ def design_stimulus(
             f"the delay of the amplifier is {amplifier.delay:g} s, past the focusing instant of "
             f"{timing.focusing_instant:g} s; it must be shorter: focus later, or check the delay"
         )
-    stimulus = Stimulus(
-        model, target_field, timing, amplifier, law, release, played, load_factor, rounding, correction, design=design
-    )
+    given = model, target_field, timing, amplifier, law, release, played, load_factor, rounding, correction
+    stimulus = Stimulus(*given, design=design, priority=priority)
     check_drivable(model, stimulus.target, timing)
     return stimulus

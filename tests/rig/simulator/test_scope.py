@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.protocol.twin import Fingers, ScopeSection, TrueAmplifier, Vibrometer
+from modaltouch.protocol.fingers import FingerSection
+from modaltouch.protocol.twin import ScopeSection, TrueAmplifier, Vibrometer
 from modaltouch.rig.acquisition import Acquisition, Recording
 from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.rig.generator import Generator
@@ -288,7 +289,7 @@ def test_record_before_the_trigger_shows_the_burst_before(at: Callable[..., Reco
 def test_fingers_on_the_beam_are_measured(apparatus: Apparatus, monkeypatch: pytest.MonkeyPatch) -> None:
     """Laid on A and C they damp what the vibrometer sees; lifted, it is as before."""
     monkeypatch.setattr(Simulator, "playbacks", property(lambda self: (sine(229.0, cycles=10), None)))
-    heavy = lab(apparatus, fingers=Fingers(mass_g=0.2, damping_N_s_per_m=1.0))
+    heavy = lab(apparatus, fingers=FingerSection(mass_g=0.2, damping_N_s_per_m=1.0))
     speeds = []
     with Simulator(heavy) as simulator, simulator.scope() as scope:
         scope.configure(Acquisition(sampling_rate=1e6, n_samples=40_000))

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.protocol.twin import Fingers, TrueAmplifier, UnlistedMode
+from modaltouch.protocol.fingers import FingerSection
+from modaltouch.protocol.twin import TrueAmplifier, UnlistedMode
 from modaltouch.rig.simulator.timeline import Playback
 from modaltouch.rig.simulator.true_beam import generator_gains, true_beam
 from modaltouch.rig.simulator.twin import Twin
@@ -106,7 +107,7 @@ def test_even_mode_makes_left_and_right_unlike(
 def test_finger_lowers_the_first_mode_as_a_mass_does(with_twin: Callable[..., Apparatus], apparatus: Apparatus) -> None:
     """Closed form of one mode under a finger: f0 / sqrt(1 + m_f/m) and a = (2 xi w m + c) / (2 (m + m_f)), phi = 1."""
     mode = next(mode for mode in apparatus.modes if mode.label == 1)
-    fingers = Fingers(mass_g=0.33, damping_N_s_per_m=0.4)
+    fingers = FingerSection(mass_g=0.33, damping_N_s_per_m=0.4)
     known = with_twin(apparatus, fingers=fingers, beam_mass_g=3.3).model_copy(update={"modes": (mode,)})
     twin = Twin(known, 1)
     exponent = twin.system((0.02,)).exponent[0]
@@ -122,7 +123,7 @@ def test_two_fingers_load_the_beam_for_each_other(
 ) -> None:
     """What a finger at C feels depends on whether another lies at A; without load it does not."""
     drive = [playback(), playback(hertz=7137.0)]
-    loaded = Twin(with_twin(apparatus, fingers=Fingers(mass_g=0.1, damping_N_s_per_m=0.5)), 1)
+    loaded = Twin(with_twin(apparatus, fingers=FingerSection(mass_g=0.1, damping_N_s_per_m=0.5)), 1)
     free = Twin(with_twin(apparatus), 1)
     assert free.felt(drive, [0.0])[0] == free.felt(drive, [0.0, -0.04])[0]
     assert loaded.felt(drive, [0.0])[0] > 1.01 * loaded.felt(drive, [0.0, -0.04])[0]
@@ -133,7 +134,7 @@ def test_fingers_that_stop_the_beam_from_swinging_are_no_failure(
     playback: Callable[..., Playback], with_twin: Callable[..., Apparatus], apparatus: Apparatus
 ) -> None:
     """50 N s/m make mode 1 overdamped: two real exponents, and a speed that is finite and lower."""
-    heavy = Twin(with_twin(apparatus, fingers=Fingers(mass_g=0.1, damping_N_s_per_m=50.0)), 1)
+    heavy = Twin(with_twin(apparatus, fingers=FingerSection(mass_g=0.1, damping_N_s_per_m=50.0)), 1)
     assert np.sum(heavy.system((0.0,)).exponent.imag == 0) >= 2
     assert (
         0 < heavy.felt([playback(), None], [0.0])[0] < Twin(with_twin(apparatus), 1).felt([playback(), None], [0.0])[0]

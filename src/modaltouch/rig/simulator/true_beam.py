@@ -15,9 +15,6 @@ from modaltouch.stimulus import Amplifier, DiagonalSystem, ModalModel, mode_shap
 
 FloatArray = NDArray[np.float64]
 
-CONTACT_NODES = 12
-"""Points of a contact: exact for the products of shapes that change sign six times within it."""
-
 
 @dataclass(frozen=True, eq=False)
 class TrueBeam:
@@ -96,11 +93,9 @@ class TrueBeam:
         return np.asarray(math.sqrt(24.0) * across / self.width * along)
 
     def equations(self, amplifier: Amplifier, touched: Sequence[float] = ()) -> DiagonalSystem:
-        r"""Return the equations of the beam behind its amplifier, with fingers on it.
+        """Return the equations of the beam behind its amplifier, with fingers on it.
 
-        A finger makes one system of all modes: :math:`M \ddot\eta + C \dot\eta + \Omega^2 \eta = G u` with
-        :math:`M = I + (m_f/m) \langle\varphi\varphi^T\rangle` over the contact, and C likewise. Its complex
-        eigenvectors uncouple it.
+        Fingers couple all modes, torsion included (see `modaltouch.stimulus.fingers`).
 
         Parameters
         ----------
@@ -109,56 +104,17 @@ class TrueBeam:
         touched : sequence of float
             Centres of the contacts, origin at mid-beam [m]; empty for a free beam.
         """
-        omega = 2 * np.pi * self.natural_frequency
-        damping, mass = np.diag(2 * self.damping_ratio * omega), np.eye(self.n_modes)
         fingers = self.apparatus.twin.fingers
-        if fingers is not None and touched:
-            contact = sum(self._contact(place, fingers.contact_width_mm * 1e-3) for place in touched)
-            mass = mass + fingers.mass_g * 1e-3 / self.mass * contact
-            damping = damping + fingers.damping_N_s_per_m / self.mass * contact
-        # In the state (omega eta, eta') both halves have one unit and one size.
-        lower = np.linalg.solve(mass, np.concatenate([-np.diag(omega), -damping, self.modal_gain], axis=1))
-        n = self.n_modes
-        matrix = np.block([[np.zeros((n, n)), np.diag(omega)], [lower[:, : 2 * n]]])
-        exponent, vectors = np.linalg.eig(matrix)
-        force = np.concatenate([np.zeros((n, self.n_channels)), lower[:, 2 * n :]])
-        pushed = np.linalg.solve(vectors, force.astype(complex))
-        # Of each conjugate pair one is enough, counted twice; a mode that fingers stop from swinging has no pair.
-        kept = exponent.imag >= 0
-        weighted = vectors[:, kept] * np.where(exponent[kept].imag > 0, 2.0, 1.0)
-        return _behind(amplifier, exponent[kept], pushed[kept], weighted[n:], weighted[:n])
+        touching = [] if fingers is None else [fingers.at(place) for place in touched]
+        loads = [(finger.contact(self._over_width, self.table.length) / self.mass, finger) for finger in touching]
+        return DiagonalSystem.of_modes(
+            2 * np.pi * self.natural_frequency, self.damping_ratio, self.modal_gain, loads, amplifier
+        )
 
-    def _contact(self, place: float, width: float) -> FloatArray:
-        """Return the mean of shape times shape over a contact, cut at the beam's ends, (n_modes, n_modes) array."""
-        half = self.table.length / 2
-        left, right = max(place - width / 2, -half), min(place + width / 2, half)
-        nodes, weights = np.polynomial.legendre.leggauss(CONTACT_NODES)
-        along = (left + right) / 2 + (right - left) / 2 * nodes
-        # The two Gauss points across are exact for torsion, which grows in proportion.
-        across = self.width / math.sqrt(12.0) * np.repeat([-1.0, 1.0], nodes.size)
-        shapes = self.shapes(np.tile(along, 2), across)
-        return np.asarray((shapes * np.tile(weights, 2) / 4) @ shapes.T)
-
-
-def _behind(
-    amplifier: Amplifier,
-    exponent: NDArray[np.complex128],
-    gain: NDArray[np.complex128],
-    velocity: NDArray[np.complex128],
-    displacement: NDArray[np.complex128],
-) -> DiagonalSystem:
-    """Put the amplifier's pole before uncoupled equations, which leaves them uncoupled (see `stimulus.dynamics`)."""
-    if amplifier.bandwidth is None:
-        return DiagonalSystem(exponent, gain, velocity, displacement, amplifier.delay)
-    pole, n_channels = 2 * np.pi * amplifier.bandwidth, gain.shape[1]
-    share = gain / (pole + exponent)[:, None]
-    return DiagonalSystem(
-        exponent=np.concatenate([exponent, np.full(n_channels, -pole, dtype=complex)]),
-        input_gain=np.concatenate([pole * share, pole * np.eye(n_channels)]),
-        velocity=np.concatenate([velocity, -velocity @ share], axis=1),
-        displacement=np.concatenate([displacement, -displacement @ share], axis=1),
-        delay=amplifier.delay,
-    )
+    def _over_width(self, along: FloatArray) -> FloatArray:
+        """Return the mode shapes on two lines across which torsion, which grows in proportion, has its mean square."""
+        across = self.width / math.sqrt(12.0) * np.repeat([-1.0, 1.0], along.size)
+        return self.shapes(np.tile(along, 2), across)
 
 
 def true_beam(apparatus: Apparatus, seed: int) -> TrueBeam:
@@ -197,7 +153,7 @@ def true_beam(apparatus: Apparatus, seed: int) -> TrueBeam:
         apparatus=apparatus,
         unlisted_gain=unlisted_gain,
         width=apparatus.beam.width_mm * 1e-3,
-        mass=twin.beam_mass_g * 1e-3,
+        mass=apparatus.beam.mass if twin.beam_mass_g is None else twin.beam_mass_g * 1e-3,
     )
 
 

@@ -1,0 +1,97 @@
+"""What the codes of a stimulus do to the beam with fingers on it, whatever beam they were designed for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from modaltouch.stimulus.blocks import BlockKernel
+from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
+from modaltouch.stimulus.fingers import Finger
+from modaltouch.stimulus.modes import ModalModel
+from modaltouch.stimulus.quantised import QuantisedStimulus
+from modaltouch.stimulus.quantities import ComplexArray, FloatArray
+from modaltouch.stimulus.timing import Timing
+
+
+@dataclass(frozen=True, eq=False)
+class TouchedBeam:
+    """A beam under fingers while a burst is played.
+
+    Attributes
+    ----------
+    model : ModalModel
+        The beam with its fingers; without any, the untouched beam.
+    amplifier : Amplifier
+        Its pole and delay count.
+    timing : Timing
+        Clock of the samples.
+    codes : (n_channels, n_samples) array
+        Codes counted from mid-scale [1].
+    """
+
+    model: ModalModel
+    amplifier: Amplifier
+    timing: Timing
+    codes: FloatArray
+
+    @cached_property
+    def _played(self) -> QuantisedStimulus:
+        return QuantisedStimulus(DiagonalSystem.of(self.model, self.amplifier), self.timing, self.codes)
+
+    def velocity_at_focus(self, positions: ArrayLike, unit: FloatArray) -> FloatArray:
+        """Velocity at points of the beam at the focusing instant, (n_positions,) array [m/s].
+
+        Parameters
+        ----------
+        positions : (n_positions,) array_like
+            Where, origin at mid-beam [m].
+        unit : (n_channels,) array
+            What a code is worth at the beam [V].
+        """
+        velocity, _ = self._played.system.read(self._played.states_at_focus(unit))
+        return np.asarray(velocity @ self.model.shapes(positions))
+
+    def peak_velocity(self, positions: ArrayLike, unit: FloatArray) -> FloatArray:
+        """Highest speed at points of the beam until the next burst, (n_positions,) array [m/s]; as above."""
+        return self._played.peaks(unit, positions, self.model.shapes(positions))
+
+    def peak_below(self, frequency: float, position: float, unit: FloatArray) -> float:
+        """Highest speed of what swings slower than a frequency [Hz] at a point of the beam [m], [m/s]."""
+        system = self._played.system
+        slow = np.abs(system.exponent.imag) < 2 * np.pi * frequency
+        return self._played.peak_of(unit, (self.model.shapes([position]).T @ system.velocity) * slow)
+
+    def passes(self, positions: ArrayLike, unit: FloatArray, limit: float) -> bool:
+        """Whether the speed at any of some points passes a limit [m/s]; most blocks are skipped."""
+        return self._played.passes(unit, self.model.shapes(positions), limit)
+
+    def pull(self, unit: FloatArray) -> FloatArray:
+        """Largest force by which each finger would have to stick to the beam to follow it, (n_fingers,) array [N].
+
+        The impedance holds as long as the contact can pull, which skin cannot: where this passes the force with which
+        the finger presses, skin and beam part, and no linear figure holds.
+        """
+        if not self.model.fingers:
+            return np.zeros(0)
+        system, hold = self._played.system, self.timing.hold
+        rows = [_force(self.model, finger, system) for finger in self.model.fingers]
+        at_once = np.stack([direct for _, direct in rows])
+        # The force of an inertia follows the acceleration, in which a step of voltage shows at once.
+        kernel = BlockKernel.of(system, np.stack([row for row, _ in rows]), hold)
+        voltage = self.codes * unit[:, None]
+        force = np.empty((len(rows), voltage.shape[1]))
+        kernel.write(lambda start, stop: voltage[:, start:stop], force)
+        return np.asarray(np.abs(force + at_once @ voltage).max(axis=1))
+
+
+def _force(model: ModalModel, finger: Finger, system: DiagonalSystem) -> tuple[ComplexArray, FloatArray]:
+    """What reads the force of a finger off the states, and what a volt adds to it at once, two (n_...,) arrays."""
+    mean = finger.mean_shape(model.shapes, model.length)
+    velocity = mean @ system.velocity
+    # Each state decays by its own exponent s, and the impedance at s turns its velocity into force.
+    row = velocity * finger.impedance(system.exponent)
+    return row, finger.mass * (velocity @ system.input_gain).real
