@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from modaltouch.protocol.apparatus import Apparatus
     from modaltouch.protocol.calibration import Calibration
     from modaltouch.protocol.findings import Experiment, Findings, Sources
+    from modaltouch.protocol.fingers import FingersFile
     from modaltouch.protocol.levels import Levels
     from modaltouch.protocol.masking import MaskingSection
     from modaltouch.protocol.observers import ObserverFile
@@ -34,6 +35,7 @@ else:
             "answers": "Answer AnswerList",
             "apparatus": "Apparatus",
             "calibration": "Calibration",
+            "fingers": "FingersFile",
             "findings": "Experiment Findings Sources",
             "levels": "Levels",
             "masking": "MaskingSection",
@@ -57,6 +59,7 @@ __all__ = [
     "Calibration",
     "Experiment",
     "Findings",
+    "FingersFile",
     "InputError",
     "Levels",
     "MaskingSection",

@@ -39,6 +39,9 @@ if TYPE_CHECKING:
     from modaltouch.stimulus import ModalModel
 
 
+_ALUMINIUM = 2700.0
+"""Density [kg/m^3]."""
+
 _MEASURED = ("beam", "actuator_sets", "modes", "amplifier", "generator", "acquisition", "twin")
 """Parts that a calibration holds for; names, zones and limits may change."""
 
@@ -49,6 +52,10 @@ class Beam(Section):
     length_mm: Positive = described("Length of the beam [mm].")
     width_mm: Positive = described("Width of the beam [mm].")
     thickness_mm: Positive = described("Thickness of the beam [mm].")
+    mass_g: Positive | None = described(
+        "Moving mass, patches included, on which fingers weigh [g]; null for plain aluminium of these sizes.",
+        default=None,
+    )
     theory: Literal["euler_bernoulli", "timoshenko", "measured"] = described(
         "Where the mode shapes come from: those of a slender uniform free-free beam, of one with shear and rotary "
         "inertia, or of a scan (`measured_shapes`).",
@@ -58,6 +65,13 @@ class Beam(Section):
         "Poisson's ratio, by which the timoshenko theory knows the shear stiffness [1].", default=0.33
     )
     measured_shapes: ShapeTable | None = described("Shapes of a scan, for `theory: measured`.", default=None)
+
+    @property
+    def mass(self) -> float:
+        """Moving mass [kg]."""
+        if self.mass_g is not None:
+            return self.mass_g * 1e-3
+        return _ALUMINIUM * self.length_mm * self.width_mm * self.thickness_mm * 1e-9
 
 
 class Zone(Section):
@@ -249,6 +263,7 @@ class Apparatus(Section):
             theory=beam.theory,
             basis=basis,
             beam=bending,
+            mass=beam.mass,
         )
 
     def amplifier_values(self) -> AmplifierValues:
@@ -282,15 +297,13 @@ class Apparatus(Section):
         Theory gives the ratios among the bending modes (`patch_gains`). The gains that the table has give their common
         factor: the median of what each of them says. A set without any such gain, or without patches, offers nothing.
         """
-        from modaltouch.stimulus import patch_gains
-
-        offered = []
+        offered, model = [], self.modal_model()
         bending = [mode for mode in self.modes if mode.label > 2]
         for name, actuators in self.actuator_sets.items():
             if not (actuators.patches_mm and bending):
                 continue
             ends = [(left * 1e-3, right * 1e-3) for left, right in actuators.patches_mm]
-            unit = patch_gains([mode.label for mode in bending], ends, self.beam.length_mm * 1e-3)
+            unit = model.patch_gains(ends)[[mode.label > 2 for mode in self.modes]]
             felt = np.abs(unit) > _NOTHING * np.abs(unit).max()
             pairs = list(zip(bending, unit.tolist(), felt.tolist(), strict=True))
             factors = [
@@ -315,7 +328,8 @@ class Apparatus(Section):
     @property
     def measured_hash(self) -> str:
         """SHA-256 of the values that a calibration depends on; keys at their default do not count."""
-        values = self.model_dump(mode="json", include=set(_MEASURED), exclude_defaults=True)
+        free = {"beam": {"mass_g"}}  # on which nothing depends that is measured on a beam that nobody touches
+        values = self.model_dump(mode="json", include=set(_MEASURED), exclude=free, exclude_defaults=True)
         return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
     @classmethod

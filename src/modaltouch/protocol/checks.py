@@ -78,6 +78,14 @@ def _check_stimulus(reading: Reading[Protocol]) -> Iterator[Problem]:
     if reading.sound(*section, "law") == "paper" and design not in (None, "least_energy"):
         given = f"{design}, which the paper's law does not know"
         yield reading.problem((*section, "design"), given, "least_energy, or the law exact", "leave it out")
+    usual = {"law": "exact", "design": "least_energy"}
+    for key, value in usual.items() if reading.sound(*section, "priority") == "level" else ():
+        if (other := reading.sound(*section, key)) not in (None, value):
+            given, allowed = f"level, with the {key} {other}", "field, or the law exact of least energy"
+            yield reading.problem((*section, "priority"), given, allowed, "leave one of them out")
+    if reading.sound(*section, "law") == "paper" and reading.sound(*section, "fingers") not in (None, "none"):
+        given = f"{reading.sound(*section, 'fingers')}, which the paper's law does not know"
+        yield reading.problem((*section, "fingers"), given, "none, or the law exact", "leave it out")
     yield from _doubled(reading, (*section, "selected_modes"), "mode")
     n_decomposed = reading.sound(*section, "decomposed_modes")
     for index, label in reading.items(*section, "selected_modes"):

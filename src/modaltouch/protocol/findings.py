@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,11 +14,16 @@ from modaltouch.protocol.problems import InputError, Problem
 from modaltouch.protocol.reading import Reading, read
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.source import YAML_FILE, Source
-from modaltouch.protocol.stimulus_sections import StimulusSection, read_points
+from modaltouch.protocol.stimulus_sections import NO_FINGERS, StimulusSection, read_points
 from modaltouch.protocol.texts import Texts, check_words
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from modaltouch.protocol.calibration import Calibration
+    from modaltouch.protocol.fingers import FingersFile
+    from modaltouch.protocol.placements import Placements
+    from modaltouch.protocol.trial import Condition
 
 
 @dataclass(frozen=True)
@@ -32,6 +38,8 @@ class Sources:
         Path, text and hash of the calibration, where there is one.
     field : Source or None
         The same of the points of the target field, where they stand in a file.
+    fingers : Source or None
+        The same of the fingers that the stimulus is designed for, where there are any.
     """
 
     protocol: Source
@@ -39,11 +47,11 @@ class Sources:
     texts: Source
     calibration: Source | None = None
     field: Source | None = None
+    fingers: Source | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Return path, hash and text of each file for the record."""
-        named = {name: getattr(self, name) for name in ("protocol", "apparatus", "texts", "calibration", "field")}
-        return {name: source.as_dict() for name, source in named.items() if source is not None}
+        return {name: source.as_dict() for name, source in vars(self).items() if source is not None}
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> Sources:
@@ -87,6 +95,8 @@ class Findings:
         The calibration file, where there is one.
     field : Source or None
         The file of the target field's points, where there is one.
+    fingers : Reading or None
+        The fingers that the stimulus is designed for, where there are any.
     """
 
     protocol: Reading[Protocol] | None
@@ -95,6 +105,7 @@ class Findings:
     problems: tuple[Problem, ...]
     calibration: Reading[Calibration] | None = None
     field: Source | None = None
+    fingers: Reading[FingersFile] | None = None
 
     def experiment(self) -> Experiment:
         """Return the experiment.
@@ -110,7 +121,9 @@ class Findings:
         if protocol is None or apparatus is None or texts is None:
             raise InputError(self.problems)
         calibration = None if self.calibration is None else self.calibration.source
-        sources = Sources(self.protocol.source, self.apparatus.source, self.texts.source, calibration, self.field)
+        fingers = None if self.fingers is None else self.fingers.source
+        files = self.protocol.source, self.apparatus.source, self.texts.source
+        sources = Sources(*files, calibration, self.field, fingers)
         return Experiment(protocol, apparatus, texts, sources)
 
     def problem(self, path: Iterable[str | int], given: str, allowed: str, remedy: str = "") -> Problem:
@@ -145,6 +158,57 @@ class Findings:
         """Points in the file of the target field, positions [mm] and relative velocities; None where it is faulty."""
         points, faults = ((), []) if self.field is None else read_points(self.field)
         return None if faults else points
+
+    def under(self, name: str) -> Findings:
+        """Findings with fingers of a file, or shipped ones, instead of those that the protocol names.
+
+        Raises
+        ------
+        InputError
+            With every fault of the file.
+        """
+        from modaltouch.protocol.placements import read_fingers
+
+        reading, problems = read_fingers(Source.find("fingers", name), self.protocol)
+        if problems:
+            raise InputError(problems)
+        return replace(self, fingers=reading)
+
+    @cached_property
+    def placements(self) -> Placements | None:
+        """Where fingers lie in each condition; None on the untouched beam, or where a file is faulty."""
+        fingers = None if self.fingers is None else self.fingers.value
+        protocol = None if self.protocol is None else self.protocol.value
+        apparatus = None if self.apparatus is None else self.apparatus.value
+        if fingers is None or protocol is None or apparatus is None:
+            return None
+        from modaltouch.protocol.placements import Placements
+
+        return Placements(fingers, protocol, apparatus)
+
+    def with_true_fingers(self, rng: np.random.Generator) -> Apparatus:
+        """Apparatus whose twin has a person's fingers, where the stimulus is designed for any; else as it is.
+
+        Parameters
+        ----------
+        rng : numpy.random.Generator
+            Draws the person, with the spread that the file of fingers states.
+        """
+        apparatus = self.experiment().apparatus
+        fingers = None if self.placements is None else self.placements.drawn(rng)
+        if fingers is None or apparatus.twin.fingers is not None:
+            return apparatus
+        return apparatus.model_copy(update={"twin": apparatus.twin.model_copy(update={"fingers": fingers})})
+
+    def placement_of(self, finger_condition: str, left: str, right: str) -> str:
+        """Name of the placement of a finger condition on two zones of a beam that is not turned; empty for none."""
+        from modaltouch.protocol.trial import Condition
+
+        return self.placement(Condition(finger_condition, left, right, velocity_mm_s=0.0))
+
+    def placement(self, condition: Condition) -> str:
+        """Name of the placement of a condition; empty where the stimulus is for the untouched beam."""
+        return "" if self.placements is None else self.placements.name(condition)
 
     def generator_problem(self, identity: str) -> Problem | None:
         """Why the calibration was made with another generator than the one that is open; None if it was not.
@@ -230,7 +294,13 @@ class Findings:
             problems += [*calibration.problems, *check_calibration(calibration, protocol, apparatus)]
         if sources.field is not None:
             problems += read_points(sources.field)[1]
-        return cls(protocol, apparatus, texts, tuple(problems), calibration, sources.field)
+        fingers = None
+        if sources.fingers is not None:
+            from modaltouch.protocol.placements import read_fingers
+
+            fingers, faults = read_fingers(sources.fingers, protocol)
+            problems += faults
+        return cls(protocol, apparatus, texts, tuple(problems), calibration, sources.field, fingers)
 
     @classmethod
     def read(cls, path: Path | str, calibration: Path | None = None, *, uncalibrated: bool = False) -> Findings:
@@ -265,7 +335,12 @@ class Findings:
         field = _load_named(protocol, ("stimulus", "field", "file"), problems)
         if field is not None:
             problems += read_points(field)[1]
-        return cls(protocol, apparatus, texts, tuple(sorted(set(problems))), calibrated, field)
+        fingers = None
+        if protocol.sound("stimulus", "fingers") not in (None, NO_FINGERS):
+            from modaltouch.protocol.placements import load_fingers
+
+            fingers = load_fingers(protocol, problems)
+        return cls(protocol, apparatus, texts, tuple(sorted(set(problems))), calibrated, field, fingers)
 
 
 def _serial(identity: str) -> tuple[str, ...]:
@@ -297,6 +372,9 @@ def _examine_calibration(
         given = "a file, which a calibration does not hold"
         remedy = "write the points into the protocol, under `points`"
         problems.append(protocol.problem(("stimulus", "field", "file"), given, "points, with a calibration", remedy))
+    if protocol.sound("stimulus", "fingers") not in (None, NO_FINGERS):
+        given = f"{protocol.sound('stimulus', 'fingers')}, with a calibration, which is one of the untouched beam"
+        problems.append(protocol.problem(("stimulus", "fingers"), given, NO_FINGERS, "leave one of the two out"))
     reading = examine_calibration(source)
     problems += [*reading.problems, *check_calibration(reading, protocol, apparatus), *check_age(reading, protocol)]
     return reading

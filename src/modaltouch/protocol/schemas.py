@@ -10,6 +10,7 @@ from pydantic import BaseModel
 
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.calibration import AnyCalibration
+from modaltouch.protocol.fingers import FingersFile
 from modaltouch.protocol.observers import ObserverFile
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.texts import Texts
@@ -20,12 +21,13 @@ SCHEMAS: dict[str, type[BaseModel]] = {
     "texts": Texts,
     "observer": ObserverFile,
     "calibration": AnyCalibration,
+    "fingers": FingersFile,
 }
 """Model of each kind of file."""
 
 
 def schema(name: str) -> dict[str, Any]:
-    """Return the JSON Schema of ``protocol``, ``apparatus``, ``texts``, ``observer`` or ``calibration``."""
+    """Return the JSON Schema of a kind of file, by its name in `SCHEMAS`."""
     bare = _without(SCHEMAS[name].model_json_schema(), "x-allowed")
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **bare}
 

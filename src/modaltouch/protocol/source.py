@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -17,9 +18,14 @@ SIZE_LIMIT = 256 * 1024
 """Longest file that is read [byte]: a hundred times the shipped ones."""
 
 
-Kind = Literal["protocol", "apparatus", "observer"]
+Kind = Literal["protocol", "apparatus", "observer", "fingers"]
 
-_FOLDERS: dict[Kind, str] = {"protocol": ".", "apparatus": "apparatus", "observer": "observers"}
+_FOLDERS: dict[Kind, str] = {
+    "protocol": ".",
+    "apparatus": "apparatus",
+    "observer": "observers",
+    "fingers": "fingers",
+}
 
 
 @dataclass(frozen=True)
@@ -93,7 +99,7 @@ class Source:
         Parameters
         ----------
         kind : str
-            ``protocol``, ``apparatus`` or ``observer``.
+            ``protocol``, ``apparatus``, ``observer`` or ``fingers``.
         name : path
             The file, or the name of a shipped one; a file that exists wins.
 
@@ -104,6 +110,20 @@ class Source:
         """
         return cls.load(find(kind, name))
 
+    @classmethod
+    def shipped_text(cls, kind: Kind, name: str) -> Source:
+        """Text of a shipped file, under its name alone: where the program is installed says nothing of it.
+
+        Raises
+        ------
+        InputError
+            If there is none of that name, with the names that there are.
+        """
+        known = cls.shipped(kind)
+        if name not in known:
+            raise InputError([_unknown(Path(name), known)])
+        return cls(Path(f"{name}.yaml"), cls.load(known[name]).text)
+
     @staticmethod
     def shipped(kind: Kind) -> dict[str, Path]:
         """Shipped files of a kind by name.
@@ -111,7 +131,7 @@ class Source:
         Parameters
         ----------
         kind : str
-            ``protocol``, ``apparatus`` or ``observer``.
+            ``protocol``, ``apparatus``, ``observer`` or ``fingers``.
         """
         package = Path(__file__).parents[1]
         # In the package once installed, beside the source in a checkout.
@@ -135,7 +155,11 @@ def find(kind: Kind, name: Path | str) -> Path:
     except OSError:  # told by what reads it
         return path
     if str(name) not in known:
-        remedy = f"did you mean '{meant}'?" if (meant := suggest(path.stem, known)) else "check its name"
-        allowed = f"{YAML_FILE}, or one of {', '.join(known)}"
-        raise InputError([Problem(str(name), 1, 1, "", "a file that does not exist", allowed, remedy)])
+        raise InputError([_unknown(path, known)])
     return known[str(name)]
+
+
+def _unknown(path: Path, known: Iterable[str]) -> Problem:
+    remedy = f"did you mean '{meant}'?" if (meant := suggest(path.stem, known)) else "check its name"
+    allowed = f"{YAML_FILE}, or one of {', '.join(known)}"
+    return Problem(str(path), 1, 1, "", "a file that does not exist", allowed, remedy)

@@ -14,6 +14,9 @@ from modaltouch.protocol.reading import Reading
 from modaltouch.protocol.section import Count, Label, Number, Positive, Section, Text, Word, described
 from modaltouch.protocol.source import Source
 
+NO_FINGERS = "none"
+"""What a protocol says whose stimulus is designed for the untouched beam."""
+
 ZoneName = Annotated[Word, Field(json_schema_extra={"x-allowed": "the name of a zone of the beam"})]
 SampleCount = Annotated[int, Field(strict=True, ge=2, le=524_288, multiple_of=2)]
 """As many as any known generator holds; how many that of the apparatus does is checked with its other limits."""
@@ -82,6 +85,16 @@ class StimulusSection(Section):
         "Samples of a burst; 125,000 are held exactly 100 clocks each by the generator.", default=125_000
     )
     repetition_rate_Hz: Positive = described("Bursts per second [Hz].", default=7.0)  # noqa: N815
+    fingers: Text = described(
+        "Fingers that the stimulus is designed for, one design to each pair of zones: none (the untouched beam), a "
+        "file seen from this file, or shipped fingers such as typical.",
+        default=NO_FINGERS,
+    )
+    priority: Literal["field", "level"] = described(
+        "What comes first where the amplifier does not allow both: the whole field, at a level that it allows; or the "
+        "level at the focus, exactly, with the field as near as it allows, which changes the spectrum.",
+        default="field",
+    )
 
 
 class StimulusVariant(Section):

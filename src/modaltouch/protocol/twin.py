@@ -6,6 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from modaltouch.protocol.fingers import FingerSection
 from modaltouch.protocol.problems import fault
 from modaltouch.protocol.section import DampingRatio, Label, NotNegative, Number, Positive, Section, Word, described
 
@@ -34,14 +35,6 @@ class TrueAmplifier(Section):
     limit_V: Positive | None = described("Voltage at which it saturates [V, peak].", default=None)  # noqa: N815
     bandwidth_kHz: Positive | None = described("True corner of its first-order pole [kHz].", default=None)  # noqa: N815
     delay_us: NotNegative | None = described("True delay from generator to beam [us].", default=None)
-
-
-class Fingers(Section):
-    """What a finger adds to the beam where it touches."""
-
-    mass_g: NotNegative = described("Mass that moves with the beam, per finger [g].")
-    damping_N_s_per_m: NotNegative = described("Viscous damping, per finger [N s/m].")  # noqa: N815
-    contact_width_mm: Positive = described("Width of the contact along the beam [mm].", default=10.0)
 
 
 class Vibrometer(Section):
@@ -129,8 +122,10 @@ class TwinSection(Section):
     unlisted_modes: tuple[UnlistedMode, ...] = described(
         "Modes that the beam has and the table has not.", default=(), max_length=200
     )
-    beam_mass_g: Positive = described("Moving mass of the beam, on which fingers weigh [g].", default=3.3)
-    fingers: Fingers | None = described(
+    beam_mass_g: Positive | None = described(
+        "True moving mass of the beam, on which fingers weigh [g]; null for that of the section beam.", default=None
+    )
+    fingers: FingerSection | None = described(
         "What a finger adds to the beam where it touches; null for fingers that only feel.", default=None
     )
     amplifier: TrueAmplifier = described("The amplifier as it is.", default=TrueAmplifier())

@@ -86,7 +86,7 @@ def test_a_50_ohm_load_halves_the_open_circuit_voltage(edit: Edit) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "fault"),
     [
-        ("width_mm: 6", "width_cm: 6", r":9:3: beam.width_cm: .*did you mean 'width_mm'"),
+        ("width_mm: 6", "width_cm: 6", r":8:3: beam.width_cm: .*did you mean 'width_mm'"),
         (
             "E: {centre_mm: 40",
             "E: {centre_mm: 45",
@@ -125,7 +125,7 @@ def test_a_50_ohm_load_halves_the_open_circuit_voltage(edit: Edit) -> None:
         (
             "apparatus: beam_100x6x2",
             "apparatus: ../beam",
-            r":4:12: apparatus: given '../beam', which is no plain file name",
+            r":3:12: apparatus: given '../beam', which is no plain file name",
         ),
         ("limit_V: 250", "limit_V: 250 V", r"write the number alone: 250"),
         ("load: high_impedance", "load: 50", r"generator.load: given 50; allowed: high_impedance, 50_ohm"),

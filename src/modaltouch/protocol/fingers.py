@@ -1,0 +1,126 @@
+"""The keys of a file of fingers: what each fingertip adds to the beam where it touches."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+from pydantic import Discriminator, Field, Tag
+
+from modaltouch.protocol.problems import InputError
+from modaltouch.protocol.reading import read
+from modaltouch.protocol.section import NotNegative, Positive, Section, Text, described
+from modaltouch.protocol.source import Source
+
+if TYPE_CHECKING:
+    from modaltouch.stimulus import Finger
+
+Spread = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=3)]
+
+
+class MaxwellSection(Section):
+    """A spring behind a damper, which gives way in time."""
+
+    stiffness_N_per_mm: Positive = described("Stiffness while it has not given way [N/mm].")  # noqa: N815
+    relaxation_ms: Positive = described("Relaxation time [ms].")
+
+
+class FingerSection(Section):
+    """What a fingertip adds to the beam where it touches."""
+
+    mass_g: NotNegative = described("Mass that moves with the beam [g].")
+    damping_N_s_per_m: NotNegative = described("Viscous damping [N s/m].")  # noqa: N815
+    stiffness_N_per_mm: NotNegative = described("Stiffness [N/mm].", default=0.0)  # noqa: N815
+    contact_width_mm: Positive = described("Width of the contact along the beam [mm].", default=10.0)
+    maxwell: Annotated[tuple[MaxwellSection, ...], Field(max_length=8)] = described(
+        "Springs behind dampers, beside the rest.", default=()
+    )
+
+    def at(self, position: float) -> Finger:
+        """The finger at a place of the beam [m], SI units."""
+        from modaltouch.stimulus import Finger
+
+        return Finger(
+            position,
+            mass=self.mass_g * 1e-3,
+            damping=self.damping_N_s_per_m,
+            stiffness=self.stiffness_N_per_mm * 1e3,
+            width=self.contact_width_mm * 1e-3,
+            maxwell=tuple((each.stiffness_N_per_mm * 1e3, each.relaxation_ms * 1e-3) for each in self.maxwell),
+        )
+
+
+class HandSection(Section):
+    """The fingers of a hand."""
+
+    index: FingerSection | None = described("The index finger.", default=None)
+    middle: FingerSection | None = described("The middle finger.", default=None)
+
+
+class HandsSection(Section):
+    """Fingers by hand."""
+
+    left: HandSection = described("The left hand.", default=HandSection())
+    right: HandSection = described("The right hand.", default=HandSection())
+
+
+def _kind_of_fingers(value: object) -> str:
+    keys = set(value) if isinstance(value, dict) else set()
+    return "hands" if isinstance(value, HandsSection) or keys & {"left", "right"} else "all"
+
+
+class FingerSpread(Section):
+    """How much fingertips differ between people: standard deviations of logarithms."""
+
+    mass: Spread = described("Of the mass.", default=0.0)
+    damping: Spread = described("Of the damping.", default=0.0)
+    stiffness: Spread = described("Of the stiffness.", default=0.0)
+
+    def drawn(self, typical: FingerSection, rng: np.random.Generator) -> FingerSection:
+        """The fingertip of a person, around the typical one."""
+        mass, damping, stiffness = np.exp(rng.standard_normal(3) * (self.mass, self.damping, self.stiffness)).tolist()
+        values = {
+            "mass_g": typical.mass_g * mass,
+            "damping_N_s_per_m": typical.damping_N_s_per_m * damping,
+            "stiffness_N_per_mm": typical.stiffness_N_per_mm * stiffness,
+        }
+        return typical.model_copy(update=values)
+
+
+class FingersFile(Section):
+    """Fingertips on the beam."""
+
+    description: Text = described("What they stand for.", default="")
+    sources: tuple[Text, ...] = described("Where the numbers come from.", default=())
+    fingers: Annotated[
+        Annotated[FingerSection, Tag("all")] | Annotated[HandsSection, Tag("hands")], Discriminator(_kind_of_fingers)
+    ] = described("One for all fingers, or each by hand and finger.")
+    spread: FingerSpread = described("How much they differ between people.", default=FingerSpread())
+
+    def of(self, name: str) -> FingerSection | None:
+        """The fingertip of a name such as ``left index``; None where the file has none of it."""
+        if isinstance(self.fingers, FingerSection):
+            return self.fingers
+        hand, finger = name.split()
+        found: FingerSection | None = getattr(getattr(self.fingers, hand), finger)
+        return found
+
+    @classmethod
+    def read(cls, name: Path | str) -> FingersFile:
+        """Fingers in a file.
+
+        Parameters
+        ----------
+        name : path
+            A YAML file, or the name of shipped fingers, such as ``typical``.
+
+        Raises
+        ------
+        InputError
+            With every fault of the file and its place; or with the shipped names, where there is no such file.
+        """
+        reading = read(Source.find("fingers", name), cls)
+        if reading.value is None:
+            raise InputError(reading.problems)
+        return reading.value

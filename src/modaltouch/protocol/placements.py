@@ -1,0 +1,115 @@
+"""Where fingers lie on the beam in each condition, and with what names the designs for them go."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import TYPE_CHECKING
+
+from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.protocol.fingers import FingerSection, FingersFile
+from modaltouch.protocol.problems import InputError, Problem
+from modaltouch.protocol.reading import Reading, read
+from modaltouch.protocol.sections import Protocol
+from modaltouch.protocol.source import Source
+from modaltouch.protocol.stimulus_sections import NO_FINGERS
+from modaltouch.protocol.trial import FINGERS, Condition
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from modaltouch.stimulus import Finger
+
+
+@dataclass(frozen=True)
+class Placements:
+    """The fingers of a design on its beam.
+
+    Attributes
+    ----------
+    file : FingersFile
+        The fingers.
+    protocol : Protocol
+        The design.
+    apparatus : Apparatus
+        The beam.
+    """
+
+    file: FingersFile
+    protocol: Protocol
+    apparatus: Apparatus
+
+    def all(self) -> dict[str, tuple[Finger, ...]]:
+        """Fingers on the beam, from left to right, by the name of each placement."""
+        design, placed = self.protocol.conditions, {}
+        for condition, place, pair in product(design.finger_conditions, design.placements, design.zone_pairs):
+            left, right = reversed(pair) if place.startswith("mirrored") else pair
+            each = Condition(condition, left, right, velocity_mm_s=0.0, placement=place)
+            placed[self.name(each)] = tuple(
+                section.at(self.apparatus.zones[zone].centre_mm * 1e-3)
+                for zone, finger in self._laid(each)
+                if (section := self.file.of(finger)) is not None
+            )
+        return placed
+
+    def name(self, condition: Condition) -> str:
+        """Name of a condition's placement: its zones from left to right, such as ``A-C``.
+
+        The fingers follow where each has its own values and they are not those of the first finger condition.
+        """
+        laid = self._laid(condition)
+        zones = "-".join(zone for zone, _ in laid)
+        first = self.protocol.conditions.finger_conditions[0]
+        usual = self._laid(replace(condition, finger_condition=first, placement="normal"))
+        if isinstance(self.file.fingers, FingerSection) or laid == usual:
+            return zones
+        return f"{zones} {', '.join(name for _, name in laid)}"
+
+    def drawn(self, rng: np.random.Generator) -> FingerSection | None:
+        """Fingertip of a person; of a file that has each by itself, as its index finger. None where that lacks."""
+        usual = self.file.of(f"{self.protocol.conditions.hand} index")
+        return None if usual is None else self.file.spread.drawn(usual, rng)
+
+    def _laid(self, condition: Condition) -> list[tuple[str, str]]:
+        """Return zones and fingers on them, from the left end of the beam."""
+        laid = zip(condition.pair, condition.fingers(self.protocol.conditions.hand), strict=True)
+        return sorted(laid, key=lambda each: self.apparatus.zones[each[0]].centre_mm)
+
+
+def lacking_fingers(reading: Reading[FingersFile], protocol: Protocol) -> list[Problem]:
+    """Return a problem for each finger of the design that the file lacks."""
+    file, hand = reading.value, protocol.conditions.hand
+    if file is None:
+        return []
+    swapped = any(each.endswith("swapped") for each in protocol.conditions.placements)
+    hands = {hand, "left" if hand == "right" else "right"} if swapped else {hand}
+    needed = {name for each in protocol.conditions.finger_conditions for side in hands for name in FINGERS[each, side]}
+    return [
+        reading.problem(("fingers",), f"no {name} finger", "every finger that lies on the beam", f"add the {name}")
+        for name in sorted(needed)
+        if file.of(name) is None
+    ]
+
+
+def load_fingers(protocol: Reading[Protocol], problems: list[Problem]) -> Reading[FingersFile] | None:
+    """Return the fingers that the protocol names; what is wrong with them goes to `problems`."""
+    name = protocol.sound("stimulus", "fingers")
+    beside = protocol.source.path.parent / name
+    try:
+        source = Source.load(beside) if beside.is_file() else Source.shipped_text("fingers", name)
+    except InputError as error:
+        problems += [
+            protocol.problem(("stimulus", "fingers"), each.given, f"{NO_FINGERS}, {each.allowed}", each.remedy)
+            for each in error.problems
+        ]
+        return None
+    reading, faults = read_fingers(source, protocol)
+    problems += faults
+    return reading
+
+
+def read_fingers(source: Source, protocol: Reading[Protocol] | None) -> tuple[Reading[FingersFile], list[Problem]]:
+    """Return fingers, and what is wrong with them or lacking for the design."""
+    reading = read(source, FingersFile)
+    value = None if protocol is None else protocol.value
+    return reading, [*reading.problems, *([] if value is None else lacking_fingers(reading, value))]
