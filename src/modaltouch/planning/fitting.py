@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -10,10 +11,9 @@ import numpy as np
 
 from modaltouch.analysis import AnswerCounts, Responses, read_responses
 from modaltouch.planning.observer import Observer
-from modaltouch.planning.observer.felt import FeltSpeeds
 from modaltouch.planning.observer.fit import Fit, fit_observer
 from modaltouch.planning.observer.likelihood import RecordedAnswers
-from modaltouch.planning.presented import refuse_answers
+from modaltouch.planning.presented import felt_speeds, refuse_answers
 from modaltouch.preflight import Preflight
 from modaltouch.protocol import InputError
 
@@ -89,8 +89,7 @@ def fit_answers(preflight: Preflight, path: Path, prior: Observer, *, mode: str 
     }
     recorded = []
     for name, part in preflight.parts.items():
-        zones = {zone: each.centre_mm * 1e-3 for zone, each in part.experiment.apparatus.zones.items()}
-        felt = FeltSpeeds(part.stimulus, zones, prior.front_end)
+        felt = felt_speeds(part, prior.front_end)
         recorded.append(_record(_count(part, path, taken[name]), felt))
     # Every session presents all stimuli: their participants are the same.
     return Fitted(fit_observer(RecordedAnswers.joined(recorded), prior), tuple(taken.values()), len(recorded[0].facing))
@@ -125,11 +124,11 @@ def _count(preflight: Preflight, path: Path, responses: Responses) -> AnswerCoun
     return answers
 
 
-def _record(answers: AnswerCounts, felt: FeltSpeeds) -> RecordedAnswers:
+def _record(answers: AnswerCounts, felt: Callable[[str, str, str, float], tuple[float, float]]) -> RecordedAnswers:
     """Return counts as a fit takes them: answers that name no finger tell nothing of left against right."""
     speeds = [
-        [felt.at(zone, level * 1e-3) for zone in (pair.left, pair.right)]
-        for _ in answers.finger_conditions
+        felt(condition, pair.left, pair.right, level * 1e-3)
+        for condition in answers.finger_conditions
         for pair in answers.pairs
         for level in answers.levels
     ]

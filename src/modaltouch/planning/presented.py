@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from modaltouch.analysis import Pair
 from modaltouch.planning.design import Design
 from modaltouch.planning.observer import Observer
 from modaltouch.planning.observer.felt import FeltSpeeds
+from modaltouch.planning.observer.population import FrontEnd
 from modaltouch.preflight import Preflight
 from modaltouch.protocol import InputError, Protocol, Schedule
 
@@ -62,17 +65,43 @@ def refuse_answers(preflight: Preflight) -> None:
 
 def _design(name: str, preflight: Preflight, observer: Observer, placements: tuple[bool, ...]) -> Design:
     """Return the design of a protocol with one of its stimuli alone."""
-    protocol, apparatus = preflight.experiment.protocol, preflight.experiment.apparatus
-    zones = {zone: each.centre_mm * 1e-3 for zone, each in apparatus.zones.items()}
-    felt = FeltSpeeds(preflight.stimulus, zones, observer.front_end)
+    protocol = preflight.experiment.protocol
+    felt = felt_speeds(preflight, observer.front_end)
     conditions = protocol.conditions
     fingers = tuple(sorted(conditions.finger_conditions))
     pairs = tuple(Pair.of(left, right, protocol.stimulus.focus) for left, right in sorted(conditions.zone_pairs))
     levels = tuple(sorted(conditions.peak_velocities_mm_s))
-    by_pair = np.array(
-        [[[felt.at(zone, level * 1e-3) for zone in (pair.left, pair.right)] for level in levels] for pair in pairs]
-    )
-    return Design(protocol.protocol, fingers, pairs, levels, np.stack([by_pair] * len(fingers)), placements, name)
+    speeds = [
+        [[felt(condition, pair.left, pair.right, level * 1e-3) for level in levels] for pair in pairs]
+        for condition in fingers
+    ]
+    return Design(protocol.protocol, fingers, pairs, levels, np.array(speeds), placements, name)
+
+
+def felt_speeds(preflight: Preflight, front_end: FrontEnd) -> Callable[[str, str, str, float], tuple[float, float]]:
+    """Return what tells the speeds that two fingers feel.
+
+    Parameters
+    ----------
+    preflight : Preflight
+        A protocol with a single stimulus; it may be designed for the fingers of each placement.
+    front_end : str
+        Of the observer.
+
+    Returns
+    -------
+    callable
+        Takes the finger condition, the zones under the left and the right finger, and the level [m/s].
+    """
+    zones = {name: zone.centre_mm * 1e-3 for name, zone in preflight.experiment.apparatus.zones.items()}
+    placed = preflight.placed or {"": preflight}
+    speeds = {name: FeltSpeeds(part.stimulus, zones, front_end) for name, part in placed.items()}
+
+    def felt(finger_condition: str, left: str, right: str, velocity: float) -> tuple[float, float]:
+        place = preflight.findings.placement_of(finger_condition, left, right) if preflight.placed else ""
+        return speeds[place].at(left, velocity), speeds[place].at(right, velocity)
+
+    return felt
 
 
 def _placements(protocol: Protocol) -> tuple[bool, ...]:

@@ -77,7 +77,14 @@ def stimulus_warnings(inputs: DesignInputs, stimulus: Stimulus, figures: list[di
     if stimulus.drive.condition_number > 1e6:
         said.append(f"the condition number is {stimulus.drive.condition_number:.1e}: two modes are nearly alike")
     worst = max(figures, key=lambda each: each["worst_modal_error_mm_s"] / each["velocity_mm_s"], default=None)
-    if worst and worst["worst_modal_error_mm_s"] > 1e-3 * worst["velocity_mm_s"]:
+    short = worst and worst["worst_modal_error_mm_s"] > 1e-3 * worst["velocity_mm_s"]
+    if worst and short and stimulus.priority == "level":
+        said.append(
+            f"priority level: at {worst['velocity_mm_s']:g} mm/s the level is exact and a mode misses the field by "
+            f"{worst['worst_modal_error_mm_s']:.2g} mm/s, so that the spectrum is another; do not compare it with "
+            "sessions of priority field"
+        )
+    elif worst and short:
         said.append(
             f"at {worst['velocity_mm_s']:g} mm/s the law `{stimulus.law}` misses a mode by "
             f"{worst['worst_modal_error_mm_s']:.2g} mm/s on the identified beam"
@@ -134,12 +141,13 @@ def default_warnings(taken: list[dict[str, Any]]) -> list[str]:
         As `Findings.defaults` returns them.
     """
     acting = [each for each in taken if each["key"].startswith(_PRESENTED) and not _is_off(each["value"])]
+    acting = [each for each in acting if each["key"] != "stimulus.priority"]  # acts where the amplifier is at its limit
     told = ", ".join(f"{each['key']} {_in_words(each['value'])}" for each in acting)
     return [f"taken by default: {told}"] if told else []
 
 
 def _is_off(value: Any) -> bool:
-    return value is None or value is False or value in ("", {}, [])
+    return value is None or value is False or value in ("", "none", {}, [])
 
 
 def _in_words(value: Any) -> str:

@@ -34,6 +34,8 @@ class Preflight:
         The stimulus of all levels; None where there is none. Of several, the first.
     variants : dict of str to Preflight
         Of several stimuli, the protocol with each of them alone; empty where it has one.
+    placed : dict of str to Preflight
+        Of a stimulus designed for fingers, the design of each placement; empty for the untouched beam.
     """
 
     findings: Findings
@@ -41,6 +43,7 @@ class Preflight:
     inputs: DesignInputs | None
     designed: Stimulus | None
     variants: dict[str, Preflight] = field(default_factory=dict)
+    placed: dict[str, Preflight] = field(default_factory=dict)
 
     def require(self) -> Self:
         """Return the preflight itself if a session may run.
@@ -76,6 +79,23 @@ class Preflight:
         """
         return self.sound[1]
 
+    def of_untouched_beam(self) -> Self:
+        """Return the preflight itself if its stimuli are designed for the untouched beam, which a lab measures.
+
+        Raises
+        ------
+        InputError
+            If they are designed for fingers, or with every problem.
+        """
+        self.require()
+        if self.findings.fingers is not None:
+            given, remedy = (
+                "fingers, while this measures the untouched beam",
+                "make a copy of the protocol without them",
+            )
+            raise InputError([self.findings.problem(("stimulus", "fingers"), given, "none", remedy)])
+        return self
+
     def of_one_stimulus(self) -> Self:
         """Return the preflight itself if the protocol has a single stimulus.
 
@@ -110,6 +130,7 @@ class Preflight:
             findings=replace(self.findings, protocol=own),
             inputs=replace(self.inputs, levels=dict(enumerate(levels_mm_s))),
             variants={name: part.with_levels(levels_mm_s) for name, part in self.variants.items()},
+            placed={name: part.with_levels(levels_mm_s) for name, part in self.placed.items()},
         )
 
     @property
@@ -117,15 +138,37 @@ class Preflight:
         """The protocol with each of its stimuli alone, by name; itself, without a name, where it has one."""
         return self.variants or {"": self}
 
+    @cached_property
+    def designs(self) -> dict[str, Preflight]:
+        """Each design alone: of each stimulus, and where it is designed for fingers of each placement, by both names.
+
+        Without a name where there is one alone.
+        """
+        return {
+            " ".join(filter(None, (name, place))): each
+            for name, part in self.parts.items()
+            for place, each in (part.placed or {"": part}).items()
+        }
+
+    def design_of(self, condition: Any) -> str:
+        """Return the name of the design that a condition is presented with; a catch trial has its placement's first."""
+        names = tuple(self.parts)
+        stimulus = condition.stimulus if condition.stimulus in names else names[0]
+        return " ".join(filter(None, (stimulus, self.findings.placement(condition))))
+
+    def number_of(self, condition: Any) -> int:
+        """Return which of the bursts a condition is presented with."""
+        return tuple(self.designs).index(self.design_of(condition))
+
     @property
     def bursts(self) -> tuple[Burst, ...]:
-        """The burst of each stimulus, in the protocol's order."""
-        return tuple(part.stimulus.burst for part in self.parts.values())
+        """The burst of each design, in the protocol's order."""
+        return tuple(part.stimulus.burst for part in self.designs.values())
 
     @property
     def content_hashes(self) -> dict[str, str]:
-        """Hash of the burst of each stimulus, by name."""
-        return {name: part.stimulus.burst.content_hash for name, part in self.parts.items()}
+        """Hash of the burst of each design, by name."""
+        return {name: part.stimulus.burst.content_hash for name, part in self.designs.items()}
 
     @property
     def sound(self) -> tuple[DesignInputs, Stimulus]:
@@ -150,7 +193,7 @@ class Preflight:
         """
         if trial.condition.is_catch:
             return 0.0, 0.0
-        peaks = self.zone_peaks(trial.condition.stimulus, trial.condition.velocity_mm_s)
+        peaks = self.zone_peaks(self.design_of(trial.condition), trial.condition.velocity_mm_s)
         return peaks[trial.condition.zone_left], peaks[trial.condition.zone_right]
 
     def zone_peaks(self, name: str, level: float) -> dict[str, float]:
@@ -159,11 +202,11 @@ class Preflight:
         Parameters
         ----------
         name : str
-            Which of several stimuli; empty where there is one.
+            Which of several designs; empty where there is one.
         level : float
             Peak velocity at the focus [mm/s].
         """
-        inputs, stimulus = self.parts[name].sound
+        inputs, stimulus = self.designs[name].sound
         peaks = stimulus.peak_velocity(zone_centres(inputs), level * 1e-3)
         return dict(zip(inputs.apparatus.ordered_zones, peaks.tolist(), strict=True))
 
@@ -174,16 +217,24 @@ class Preflight:
             return []
         if self.variants:
             return [{"stimulus": name, **each} for name, part in self.parts.items() for each in part.stimuli]
+        if self.placed:
+            return [{**each, "placement": name} for name, part in self.placed.items() for each in part.stimuli]
         inputs, stimulus = self.sound
         return [stimulus_figures(inputs, stimulus, level) for level in inputs.levels.values()]
 
     @property
     def fields(self) -> list[dict[str, Any]]:
-        """The field of each stimulus at its highest level; empty where anything is wrong."""
+        """The field of each design at its highest level; empty where anything is wrong."""
         if self.problems:
             return []
         return [
-            {**({"stimulus": name} if name else {}), **field_figures(*part.sound)} for name, part in self.parts.items()
+            {
+                **({"stimulus": name} if name else {}),
+                **({"placement": place} if place else {}),
+                **field_figures(*each.sound),
+            }
+            for name, part in self.parts.items()
+            for place, each in (part.placed or {"": part}).items()
         ]
 
     def comparison(self) -> list[dict[str, Any]]:
@@ -192,6 +243,8 @@ class Preflight:
             return []
         if self.variants:
             return [{"stimulus": name, **each} for name, part in self.parts.items() for each in part.comparison()]
+        if self.placed:
+            return []  # the other law is one of the untouched beam
         inputs, stimulus = self.sound
         other: Law = "paper" if stimulus.law == "exact" else "exact"
         compared = stimulus.under_law(other)
@@ -206,13 +259,56 @@ class Preflight:
         inputs, stimulus = self.sound
         return continuous_figures(inputs.apparatus, stimulus, max(inputs.levels.values()) * 1e-3)
 
-    def as_dict(self, *, compare: bool = False) -> dict[str, Any]:
+    def touched(self, fingers: str | None = None) -> list[dict[str, dict[str, Any]]]:
+        """Return what each level of each stimulus does under fingers, by placement (see `preflight.touched`).
+
+        Parameters
+        ----------
+        fingers : str, optional
+            A file of fingers, or shipped ones; those that the protocol names if not given.
+
+        Raises
+        ------
+        InputError
+            With every fault of the file, or of the protocol.
+        """
+        from modaltouch.preflight.touched import touched_figures
+
+        findings = self.require().findings if fingers is None else self.findings.under(fingers)
+        by_placement = ({name: each.sound for name, each in part.placed.items()} for part in self.parts.values())
+        alone = ({"": part.sound} for part in self.parts.values())
+        return [
+            row
+            for placed, one in zip(by_placement, alone, strict=True)
+            for row in touched_figures(findings, placed or one)
+        ]
+
+    def untouched_warning(self) -> str | None:
+        """Return what typical fingers would make of a level for the untouched beam; None of one for fingers."""
+        from modaltouch.preflight.touched import untouched_warning
+
+        return None if self.findings.fingers is not None else untouched_warning(self.findings, *self.sound)
+
+    def drive_arrays(self) -> dict[str, Any]:
+        """Return what the beam gets at the highest level: ``time_s`` and ``voltage_V`` (see `preflight.touched`)."""
+        from modaltouch.preflight.touched import drive_arrays
+
+        return drive_arrays({name: part.sound for name, part in self.designs.items()})
+
+    def as_dict(self, *, compare: bool = False, fingers: str | None = None) -> dict[str, Any]:
         """Return everything as plain values, as ``modaltouch check --json`` prints it.
 
         Parameters
         ----------
         compare : bool
             Whether the other drive law is shown too.
+        fingers : str, optional
+            Fingers under which each level is shown too; those that it is designed for, if not given.
+
+        Raises
+        ------
+        InputError
+            With every fault of the file of fingers.
         """
         reading = self.findings.protocol
         values: dict[str, Any] = {
@@ -229,7 +325,7 @@ class Preflight:
             "problems": [problem.as_dict() for problem in self.problems],
             "warnings": [],
             "defaults": self.findings.defaults(),
-            "stimuli": self.stimuli,
+            "stimuli": self._levels(fingers),
             "contrasts": [],
             "unknown_gains": [],
             "assumed_gains": [],
@@ -263,6 +359,20 @@ class Preflight:
             values |= {"comparison": self.comparison(), "continuous_fallback": self.continuous_fallback()}
         return values
 
+    def _levels(self, fingers: str | None) -> list[dict[str, Any]]:
+        """Return what each level does: of a stimulus designed for fingers, at its first placement and at each."""
+        if self.problems:
+            return []
+        rows = [
+            {**({"stimulus": name} if self.variants else {}), **row}
+            for name, part in self.parts.items()
+            for row in next(iter(part.placed.values()), part).stimuli
+        ]
+        if fingers == "none" or (fingers is None and self.findings.fingers is None):
+            return rows
+        touched = self.touched(fingers)
+        return [{**row, "touched": each} for row, each in zip(rows, touched, strict=True)]
+
     def _stimulus_warnings(self) -> list[str]:
         from modaltouch.preflight.advice import field_warnings, stimulus_warnings
 
@@ -279,7 +389,8 @@ class Preflight:
         return [
             {**({"stimulus": name} if name else {}), **row}
             for name, part in self.parts.items()
-            for row in contrasts(protocol, part.stimuli[-1]["zone_peak_mm_s"])
+            for place, each in (part.placed or {"": part}).items()
+            for row in contrasts(protocol, each.stimuli[-1]["zone_peak_mm_s"], place.split(" ")[0])
         ]
 
     def _calibration(self) -> dict[str, Any] | None:

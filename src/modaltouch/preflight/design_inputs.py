@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from modaltouch.protocol import Apparatus, Findings, Problem, StimulusSection
 from modaltouch.rig import instrument_of
 from modaltouch.stimulus import Correction, Law, Release, Stimulus, TargetField, Timing, design_stimulus
+
+if TYPE_CHECKING:
+    from modaltouch.stimulus import Finger
 
 _NEEDED = ("stimulus", "beam", "actuator_sets", "modes", "amplifier", "generator")
 
@@ -36,6 +40,8 @@ class DesignInputs:
         What a calibration makes of the targets.
     points : tuple of (float, float)
         Positions [mm] and relative velocities of a sampled field.
+    fingers : tuple of Finger
+        Fingertips that lie on the beam; none on the untouched beam.
     """
 
     section: StimulusSection
@@ -45,6 +51,7 @@ class DesignInputs:
     velocity_limit: float
     correction: Correction | None = None
     points: tuple[tuple[float, float], ...] = ()
+    fingers: tuple[Finger, ...] = ()
 
     @property
     def reference(self) -> float:
@@ -145,7 +152,7 @@ def design(
         repetition_rate=section.repetition_rate_Hz,
     )
     return design_stimulus(
-        inputs.apparatus.modal_model(),
+        inputs.apparatus.modal_model().touched(inputs.fingers),
         target_field,
         timing,
         inputs.apparatus.amplifier_values(),
@@ -154,6 +161,7 @@ def design(
         levels=tuple(level * 1e-3 for level in levels) if on_grid else None,
         load_factor=inputs.apparatus.generator.load_factor,
         design=section.design if (law or section.law) == "exact" else "least_energy",
+        priority=section.priority if (law or section.law) == "exact" else "field",
         correction=inputs.correction,
     )
 

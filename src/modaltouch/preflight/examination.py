@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +17,9 @@ from modaltouch.preflight.design_inputs import DesignInputs, design, find_ground
 from modaltouch.protocol import Apparatus, Findings, Problem, Schedule
 from modaltouch.rig import instrument_of
 from modaltouch.stimulus import Burst, Release, Stimulus
+
+if TYPE_CHECKING:
+    from modaltouch.stimulus import Finger
 
 _POINTS_PER_ZONE = 5
 """Points at which a zone's speed is looked at: a quarter of the shortest wavelength of Table I apart."""
@@ -115,7 +120,30 @@ def _moves_fast(inputs: DesignInputs, stimulus: Stimulus) -> bool:
     """Return whether any level may pass the safety limit; the speeds of all rise with the level."""
     limit = inputs.velocity_limit
     highest = max((level for level in inputs.levels.values() if level <= limit), default=0.0)
-    return highest > 0 and stimulus.passes(_zone_points(inputs).ravel(), highest * 1e-3, limit * 1e-3)
+    if highest == 0:
+        return False
+    points, least = _zone_points(inputs).ravel(), limit * 1e-3 / _uncertain(inputs)
+    if stimulus.passes(points, highest * 1e-3, least):
+        return True
+    unit = stimulus.volts_per_code(highest * 1e-3)
+    return any(stimulus.touched(left).passes(points, unit, least) for left in _lifted(inputs))
+
+
+def _lifted(inputs: DesignInputs) -> list[tuple[Finger, ...]]:
+    """Return the fingers that are left on the beam when some are taken away within a burst."""
+    fingers = inputs.fingers
+    return [left for n_left in range(len(fingers)) for left in combinations(fingers, n_left)]
+
+
+def _uncertain(inputs: DesignInputs) -> float:
+    """Return how many times a predicted speed the true one may be, by the upper ends of the gains' intervals [1]."""
+    highest = 1.0
+    for mode in inputs.apparatus.modes:
+        intervals = {} if mode.intervals_95 is None else mode.intervals_95.gain_mm_s2_per_V
+        for name, ends in intervals.items():
+            gain = mode.gain_mm_s2_per_V.get(name, 0.0)
+            highest = max(highest, *(end / gain for end in ends)) if gain else highest
+    return highest
 
 
 def _zone_points(inputs: DesignInputs) -> NDArray[np.float64]:
@@ -131,13 +159,21 @@ def _check_safety(
     limit, zones, points = inputs.velocity_limit, inputs.apparatus.ordered_zones, _zone_points(inputs)
     if level > limit:
         return  # said by the protocol's own check
-    speeds = stimulus.peak_velocity(points.ravel(), level * 1e-3).reshape(points.shape) * 1e3
-    fastest = int(speeds.max(axis=1).argmax())
-    speed = float(speeds.max())
+    unit, uncertain = stimulus.volts_per_code(level * 1e-3), _uncertain(inputs)
+    beams = {"": stimulus.touched(inputs.fingers)}
+    beams |= {
+        f" once {'both fingers are' if not left else 'a finger is'} taken away": stimulus.touched(left)
+        for left in _lifted(inputs)
+    }
+    speeds = {said: beam.peak_velocity(points.ravel(), unit).max() * uncertain for said, beam in beams.items()}
+    said = max(speeds, key=speeds.__getitem__)
+    speed = float(speeds[said]) * 1e3
     # At the focus the codes' rounding may pass a level that is the limit itself.
     if speed > limit * (1 + 1e-3):
-        zone = list(zones)[fastest]
-        given = f"{level:g} mm/s, which moves zone {zone} at {speed:.0f} mm/s"
+        fastest = int(beams[said].peak_velocity(points.ravel(), unit).argmax()) // points.shape[1]
+        if uncertain > 1:
+            said += f", the upper end of the identification's intervals ({uncertain - 1:.1%}) included"
+        given = f"{level:g} mm/s, which moves zone {list(zones)[fastest]} at {speed:.0f} mm/s{said}"
         allowed = f"at most {limit:g} mm/s anywhere in a zone ({_rounded_down(level * limit / speed)} mm/s)"
         remedy = "lower the level; the limit is the safety section of the apparatus"
         yield findings.problem((*_LEVELS, index), given, allowed, remedy)
@@ -184,8 +220,40 @@ def examine_findings(findings: Findings) -> Preflight:
     reading = findings.protocol
     if reading is not None and reading.value is not None and reading.value.stimuli and not findings.problems:
         return _examine_several(findings)
-    problems = list(findings.problems)
-    inputs, stimulus = find_ground(findings), None
+    inputs = find_ground(findings)
+    if findings.fingers is not None and inputs is not None and not findings.problems:
+        return _examine_placements(findings, inputs)
+    return _examine_one(findings, inputs)
+
+
+def _examine_placements(findings: Findings, inputs: DesignInputs) -> Preflight:
+    """Return the check of a stimulus with one design to each placement of the fingers: of each, and of all together."""
+    placed: dict[str, Preflight] = {}
+    for name, fingers in ({} if findings.placements is None else findings.placements.all()).items():
+        own = replace(inputs, fingers=fingers)
+        # Fingers that the modes cannot tell from those of another placement have its design.
+        same = next((each for each in placed.values() if each.inputs and _alike(each.inputs, own)), None)
+        placed[name] = _examine_one(findings, own) if same is None else replace(same, inputs=own)
+    first = next(iter(placed.values()))
+    problems = {
+        replace(problem, given=f"{problem.given} under fingers at {name}")
+        for name, part in placed.items()
+        for problem in part.problems
+    }
+    if not problems:
+        bursts = [each.designed.burst for each in placed.values() if each.designed is not None]
+        problems.update(_check_memories(findings, inputs.apparatus, bursts))
+    return Preflight(findings, tuple(sorted(problems)), first.inputs, first.designed, placed=placed)
+
+
+def _alike(one: DesignInputs, other: DesignInputs) -> bool:
+    first, second = (each.apparatus.modal_model().touched(each.fingers).loads for each in (one, other))
+    return [finger for _, finger in first] == [finger for _, finger in second]
+
+
+def _examine_one(findings: Findings, inputs: DesignInputs | None) -> Preflight:
+    """Return the check of files with a single design."""
+    problems, stimulus = list(findings.problems), None
     if inputs is not None and findings.protocol is not None:
         unplayable = list(_check_generator_itself(inputs, findings))
         problems += unplayable

@@ -87,7 +87,7 @@ def field_figures(inputs: DesignInputs, stimulus: Stimulus) -> dict[str, Any]:
     }
 
 
-def contrasts(protocol: Protocol, zone_peak: dict[str, float]) -> list[dict[str, Any]]:
+def contrasts(protocol: Protocol, zone_peak: dict[str, float], placement: str = "") -> list[dict[str, Any]]:
     """Return for each pair the speeds at its zones and how many times the faster is the slower.
 
     Parameters
@@ -96,9 +96,13 @@ def contrasts(protocol: Protocol, zone_peak: dict[str, float]) -> list[dict[str,
         The design.
     zone_peak : dict of str to float
         Largest speed at the centre of each zone [mm/s].
+    placement : str
+        The pair alone for whose fingers it holds, such as ``A-C``; every pair if empty.
     """
     rows = []
     for left, right in protocol.conditions.zone_pairs:
+        if placement and {left, right} != set(placement.split("-")):
+            continue
         slower, faster = sorted((zone_peak[left], zone_peak[right]))
         rows.append(
             {

@@ -194,7 +194,8 @@ def _check_drive(start: dict[str, Any], restored: RestoredExperiment, place: str
 def _check_shown(start: dict[str, Any], restored: RestoredExperiment, place: str) -> tuple[bool, str]:
     """Return whether the fields and the speeds at the zones, which reports show as recorded, are predicted again."""
     for row in start["stimulus"].get("stimuli", ()):
-        peaks = restored.zone_peaks_mm_s(row.get("stimulus", ""), row["velocity_mm_s"])
+        design = " ".join(filter(None, (row.get("stimulus", ""), row.get("placement", ""))))
+        peaks = restored.zone_peaks_mm_s(design, row["velocity_mm_s"])
         if not _agree(row["zone_peak_mm_s"], peaks):
             return (
                 False,

@@ -51,7 +51,7 @@ class RestoredExperiment:
 
     @cached_property
     def hashes(self) -> dict[str, str]:
-        """Hash of the codes of each stimulus, by name."""
+        """Hash of the codes of each design, by name."""
         return self.preflight.content_hashes
 
     def speeds_mm_s(self, trial: Trial) -> tuple[float, float]:
@@ -59,12 +59,12 @@ class RestoredExperiment:
         condition = trial.condition
         if condition.is_catch:
             return 0.0, 0.0
-        peaks = self.zone_peaks_mm_s(condition.stimulus, condition.velocity_mm_s)
+        peaks = self.zone_peaks_mm_s(self.preflight.design_of(condition), condition.velocity_mm_s)
         return peaks[condition.zone_left], peaks[condition.zone_right]
 
-    def zone_peaks_mm_s(self, stimulus: str, level_mm_s: float) -> dict[str, float]:
-        """Return the predicted peak speed at the centre of each zone, for a stimulus at a level [mm/s]."""
-        key = stimulus, level_mm_s
+    def zone_peaks_mm_s(self, design: str, level_mm_s: float) -> dict[str, float]:
+        """Return the predicted peak speed at the centre of each zone, for a design at a level [mm/s]."""
+        key = design, level_mm_s
         if key not in self._peaks:
             peaks = self.preflight.zone_peaks(*key)
             self._peaks[key] = {zone: peak * 1e3 for zone, peak in peaks.items()}
@@ -77,13 +77,13 @@ class RestoredExperiment:
             self._fields[own_levels_mm_s] = own.fields
         return self._fields[own_levels_mm_s]
 
-    def amplitudes(self, stimulus: str, level_mm_s: float) -> tuple[float, ...]:
-        """Return the amplitude of each channel for a stimulus at a level [V peak to peak].
+    def amplitudes(self, trial: Trial, level_mm_s: float) -> tuple[float, ...]:
+        """Return the amplitude of each channel for the design of a trial at a level [V peak to peak].
 
         Parameters
         ----------
-        stimulus : str
-            Its name; in a catch trial, which has none, the first is set.
+        trial : Trial
+            In a catch trial, which has no stimulus, the first is set.
         level_mm_s : float
             Peak velocity at the focus [mm/s].
 
@@ -92,11 +92,11 @@ class RestoredExperiment:
         RigError
             If the level is beyond a limit.
         """
-        names = self.protocol.stimulus_names
-        which = names.index(stimulus) if stimulus in names else 0
-        key = names[which], level_mm_s
+        name = self.preflight.design_of(trial.condition)
+        key = name, level_mm_s
         if key not in self._amplitudes:
-            self._amplitudes[key] = self._limits.amplitudes(self.preflight.bursts[which], level_mm_s * 1e-3)
+            burst = self.preflight.designs[name].stimulus.burst
+            self._amplitudes[key] = self._limits.amplitudes(burst, level_mm_s * 1e-3)
         return self._amplitudes[key]
 
 

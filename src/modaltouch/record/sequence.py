@@ -64,10 +64,10 @@ def check_amplitudes(event: Event, trial: Trial, given: TrialExpectation) -> Ite
     level = min(given.protocol.conditions.peak_velocities_mm_s) if silent else trial.condition.velocity_mm_s
     sent, back = tuple(confirmed["commanded_amplitude"]), tuple(confirmed["confirmed_amplitude"])
     said = (sent, tuple(event["commanded"]["amplitude_Vpp"])) if "commanded" in event else (sent,)
-    found = trial.condition.stimulus, level, sent, back
+    found = given.restored.preflight.design_of(trial.condition), level, sent, back
     if found in given.restored.agreed and said[-1] == sent:
         return
-    needed = given.restored.amplitudes(trial.condition.stimulus, level)
+    needed = given.restored.amplitudes(trial, level)
     for amplitude in said:
         if amplitude != needed:
             yield f"{level:g} mm/s takes {_listed(needed)} Vpp, {_listed(amplitude)} Vpp were commanded"

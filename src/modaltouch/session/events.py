@@ -46,7 +46,7 @@ def describe_start(preflight: Preflight, schedule: Schedule, place: SessionFolde
             "amplitude_Vpp": list(burst.amplitude),
             "stimuli": preflight.stimuli,
             "fields": preflight.fields,
-            **({"content_hashes": preflight.content_hashes} if experiment.protocol.stimuli else {}),
+            **({"content_hashes": preflight.content_hashes} if len(preflight.designs) > 1 else {}),
         },
     }
 

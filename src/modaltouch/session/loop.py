@@ -50,6 +50,8 @@ class SessionRun:
         What decides the levels of an adaptive run; None where the protocol does.
     speeds : callable
         Predicted peak speeds under the left and the right finger in a trial [m/s].
+    which : callable
+        Which of the loaded bursts a trial is presented with.
     rig, window, log
         The open instrument, answer window and session log.
     save_view : callable
@@ -69,6 +71,7 @@ class SessionRun:
     total: int
     levels: Levels | None
     speeds: Callable[[Trial], tuple[float, float]]
+    which: Callable[[Trial], int]
     rig: Rig
     window: AnswerWindow
     log: SessionLog
@@ -317,11 +320,10 @@ def fire(sitting: SessionRun, trial: Trial) -> Firing:
     # A catch trial does all that one at the lowest level does, but lets no burst go.
     silent = trial.condition.is_catch
     level = min(sitting.protocol.conditions.peak_velocities_mm_s) if silent else trial.condition.velocity_mm_s
-    names, stimulus = sitting.protocol.stimulus_names, trial.condition.stimulus
-    which = names.index(stimulus) if stimulus in names else 0
-    n_bursts = sitting.protocol.answers.n_bursts(sitting.protocol.stimulus_of(stimulus).repetition_rate_Hz)
+    stimulus = sitting.protocol.stimulus_of(trial.condition.stimulus)
+    n_bursts = sitting.protocol.answers.n_bursts(stimulus.repetition_rate_Hz)
     exactly = sitting.protocol.answers.stimulus_until == "question"
-    return sitting.rig.fire(level * 1e-3, n_bursts=n_bursts, exactly=exactly, silent=silent, which=which)
+    return sitting.rig.fire(level * 1e-3, n_bursts=n_bursts, exactly=exactly, silent=silent, which=sitting.which(trial))
 
 
 def _ends(sitting: SessionRun, trial: Trial, firing: Firing) -> float:

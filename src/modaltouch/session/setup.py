@@ -256,6 +256,7 @@ def _sitting(
         total=total,
         levels=levels,
         speeds=setup.preflight.speeds,
+        which=lambda trial: setup.preflight.number_of(trial.condition),
         rig=rig,
         window=window,
         log=log,

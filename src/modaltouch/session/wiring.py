@@ -176,7 +176,9 @@ class SessionParts:
             if self.rig == SIMULATED:
                 from modaltouch.rig import Simulator
 
-                self.simulator = stack.enter_context(Simulator(apparatus, clock=self.clock))
+                who = self.seed, self.place.participant, self.place.session
+                touched = self.preflight.findings.with_true_fingers(Schedule.random_generator(*who, "fingers"))
+                self.simulator = stack.enter_context(Simulator(touched, clock=self.clock))
                 address, options = self.simulator.address, self.simulator.driver_options
             yield stack.enter_context(open_rig(address, apparatus, log=log, **options))
 
@@ -218,7 +220,7 @@ class SessionParts:
         if self.observer.front_end == "peak" or trial.condition.is_catch:
             return peaks
         # The twin tells peaks; what else is felt follows the predicted history, at the twin's size.
-        level, sense = trial.condition.velocity_mm_s * 1e-3, self._senses[trial.condition.stimulus]
+        level, sense = trial.condition.velocity_mm_s * 1e-3, self._senses[self.preflight.design_of(trial.condition)]
         left, right = (
             sense.at(zone, level) * peak / expected
             for zone, peak, expected in zip(trial.condition.pair, peaks, predicted, strict=True)
@@ -227,12 +229,12 @@ class SessionParts:
 
     @cached_property
     def _senses(self) -> dict[str, FeltSpeeds]:
-        """What the observer's front end makes of the predicted velocities of each stimulus."""
+        """What the observer's front end makes of the predicted velocities of each design."""
         from modaltouch.planning import FeltSpeeds
 
         zones = self.preflight.experiment.apparatus.zones
         centres = {name: zone.centre_mm * 1e-3 for name, zone in zones.items()}
-        parts = self.preflight.parts.items()
+        parts = self.preflight.designs.items()
         return {name: FeltSpeeds(part.stimulus, centres, self.observer.front_end) for name, part in parts}
 
 

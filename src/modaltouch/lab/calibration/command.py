@@ -75,7 +75,7 @@ def calibrate(options: CalibrateOptions, progress: MeasurementProgress | None = 
     RigError
         If the rig fails, or is not the one of the apparatus file.
     """
-    preflight = examine(options.protocol, uncalibrated=True).require()
+    preflight = examine(options.protocol, uncalibrated=True).of_untouched_beam()
     experiment, inputs_of = preflight.experiment, design_inputs_of(preflight)
     between = levels_between(experiment.protocol)
     prepare_file(options.out)

@@ -284,7 +284,7 @@ def compare(options: CompareOptions, progress: MeasurementProgress | None = None
     RigError
         If the twin's generator does not confirm a drive.
     """
-    preflight = examine(options.protocol).require()
+    preflight = examine(options.protocol).of_untouched_beam()
     experiment = preflight.experiment
     folder = options.out or Path("comparison") / experiment.protocol.protocol
     refuse_other(folder, COMMAND)
