@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -13,6 +14,11 @@ if TYPE_CHECKING:
     from modaltouch.preflight import Preflight
 _MOST_ROWS = 12
 """Rows of the table of sensitivities that are shown, the worst first."""
+
+_PULL = (
+    "at most: the level under the finger where the amplifier is at its limit. pull: the force by which the skin would "
+    "have to stick to the beam to follow it; a finger that presses with less lifts off, and these speeds do not hold."
+)
 
 
 def check(
@@ -34,6 +40,17 @@ def check(
             "--designs", help="Also show designs of lower peak voltage for the same field, and what they cost."
         ),
     ] = False,
+    fingers: Annotated[
+        str | None,
+        typer.Option(
+            help="Also show each level under fingers: `typical`, or a YAML file; `none` for the untouched beam alone.",
+            show_default="those that the protocol is designed for",
+        ),
+    ] = None,
+    export: Annotated[
+        Path | None,
+        typer.Option(help="Also write the voltages at the beam, at the highest level, into this .npz file."),
+    ] = None,
     tolerance: Annotated[
         float | None,
         typer.Option(
@@ -44,7 +61,8 @@ def check(
 ) -> None:
     """Validate a protocol, synthesise its stimuli and predict the speeds at the zones.
 
-    Nothing is opened and nothing is written. All faults are reported at once, each with file, line and column.
+    Nothing is opened, and nothing written but what --export names. All faults are reported at once, each with file,
+    line and column.
     """
     from modaltouch.preflight import examine
 
@@ -53,26 +71,40 @@ def check(
             raise typer.BadParameter(f"--tolerance is {tolerance:g}; allowed: above 0 and below 1, such as 0.001")
         preflight = examine(protocol, calibration)
         asked = {} if preflight.problems else _explore(preflight, sensitivity, designs, tolerance)
+        if export is not None and not preflight.problems:
+            _export(preflight, export)
         if json_output:
-            print_json(preflight.as_dict(compare=compare) | asked)
+            print_json(preflight.as_dict(compare=compare, fingers=fingers) | asked)
         elif preflight.problems:
             for problem in preflight.problems:
                 typer.secho(str(problem), err=True, fg=typer.colors.RED)
         else:
-            show(preflight, compare=compare)
+            show(preflight, compare=compare, fingers=fingers)
             _show_explored(asked)
         if preflight.problems:
             raise typer.Exit(BAD_INPUT)
 
 
-def show(preflight: Preflight, *, compare: bool = False) -> None:
+def _export(preflight: Preflight, file: Path) -> None:
+    """Write the voltages at the beam."""
+    import numpy as np
+
+    if file.suffix != ".npz":
+        raise typer.BadParameter(f"--export is {file}; allowed: a file whose name ends with .npz, such as drive.npz")
+    try:
+        np.savez_compressed(file, **preflight.drive_arrays())
+    except OSError as error:
+        raise typer.BadParameter(f"--export cannot write {file} ({error.strerror}); choose another file") from None
+
+
+def show(preflight: Preflight, *, compare: bool = False, fingers: str | None = None) -> None:
     """Print what a session of this protocol will be."""
     from rich.console import Console
     from rich.markup import escape
     from rich.table import Table
 
     console = Console()
-    values = preflight.as_dict(compare=compare)
+    values = preflight.as_dict(compare=compare, fingers=fingers)
     catches = f" ({values['n_catch_trials']} of them catch trials)" if values["n_catch_trials"] else ""
     console.print(
         f"[bold]{escape(values['title'] or values['protocol'])}[/]: {values['n_trials']} trials{catches} and "
@@ -100,6 +132,11 @@ def show(preflight: Preflight, *, compare: bool = False) -> None:
             f"{own['thresholds_mm_s'][0]:g} to {own['thresholds_mm_s'][1]:.4g} mm/s; below, the bounds of all levels"
         )
     console.print(_level_table(Table, stimuli))
+    if any("touched" in each for each in stimuli):
+        console.print(_touched_table(Table, stimuli))
+        console.print(f"[dim]{_PULL}[/]")
+    elif fingers is None and (said := preflight.untouched_warning()):
+        console.print(f"[yellow]{escape(said)}[/]")
     if stimuli[-1]["release"] == "free":
         console.print(
             f"Released freely, at {stimuli[-1]['velocity_mm_s']:g} mm/s the first burst misses a mode by "
@@ -198,6 +235,34 @@ def _level_table(table_kind: Any, stimuli: list[dict[str, Any]]) -> Any:
             f"{stimulus['worst_modal_error_mm_s']:.1e}",
             ", ".join(map(_in_two_digits, stimulus["peak_drive_V"].values())),
         )
+    return table
+
+
+def _touched_table(table_kind: Any, stimuli: list[dict[str, Any]]) -> Any:
+    focus, zones = stimuli[0]["focus"], list(stimuli[0]["zone_peak_mm_s"])
+    table = table_kind(title="The same with fingers on the beam", title_justify="left")
+    several = "stimulus" in stimuli[0]
+    for heading in (
+        *(["stimulus"] if several else []),
+        "level mm/s",
+        "fingers at",
+        *zones,
+        f"{focus} at focus mm/s",
+        f"{focus} at most mm/s",
+        "pull N",
+    ):
+        table.add_column(heading, justify="left" if heading in ("stimulus", "fingers at") else "right")
+    for stimulus in stimuli:
+        for place, found in stimulus["touched"].items():
+            table.add_row(
+                *([stimulus["stimulus"]] if several else []),
+                f"{stimulus['velocity_mm_s']:g}",
+                place,
+                *(_in_two_digits(found["zone_peak_mm_s"][zone]) for zone in zones),
+                _in_two_digits(found["zone_at_focus_mm_s"][focus]),
+                _in_two_digits(found["attainable_mm_s"]),
+                f"{found['pull_N']:.2f}",
+            )
     return table
 
 
