@@ -35,10 +35,11 @@ def draw_fields(start: dict[str, Any], stimulus: str = "") -> Figure | None:
     with house_style():
         figure = Figure(figsize=(7.6, 2.9))
         left, right = figure.subplots(1, 2, width_ratios=(3, 2))
-        _draw_field(left, fields[0])
+        _draw_field(left, fields)
         _draw_zones(right, stimuli)
         whose = f" (levels of participant {start['participant']})" if start.get("sensation_levels") else ""
-        figure.suptitle(f"Stimulus: focus {fields[0]['focus']}, law {fields[0]['law']}{whose}", fontsize=9)
+        touched = ", under the fingers that it is designed for" if "placement" in fields[0] else ""
+        figure.suptitle(f"Stimulus: focus {fields[0]['focus']}, law {fields[0]['law']}{touched}{whose}", fontsize=9)
     return figure
 
 
@@ -59,32 +60,46 @@ def _predict_again(start: dict[str, Any]) -> list[dict[str, Any]]:
         return []
 
 
-def _draw_field(axes: Axes, field: dict[str, Any]) -> None:
-    half = field["length_mm"] / 2
-    target, predicted = field["target_mm_s"], field["predicted_mm_s"]
-    place = np.linspace(-half, half, len(predicted))
+def _draw_field(axes: Axes, fields: list[dict[str, Any]]) -> None:
+    field = fields[0]
+    half, target = field["length_mm"] / 2, field["target_mm_s"]
+    place = np.linspace(-half, half, len(target))
+    reached = [each["predicted_mm_s"] for each in fields]
     for name, (first, last) in field["zones_mm"].items():
         axes.axvspan(first, last, color="#eef2f7", linewidth=0.8, ec="white", zorder=0)
         centre = (first + last) / 2
         axes.text(centre, 0.97, name, ha="center", va="top", color=FAINT, transform=axes.get_xaxis_transform())
     axes.plot(place, target, color=INK, linestyle="--", linewidth=1, label="target")
-    axes.plot(place, predicted, color=CONDITION_COLOURS[0], linewidth=1.6, label="predicted")
-    axes.set_ylim(min(0, 1.1 * min(predicted)), 1.16 * max(*target, *predicted))
+    for i, (each, predicted) in enumerate(zip(fields, reached, strict=True)):
+        label = f"predicted, {each['placement']}" if "placement" in each else "predicted"
+        style: dict[str, Any] = {
+            "color": CONDITION_COLOURS[i % len(CONDITION_COLOURS)],
+            "linestyle": ("-", "--", ":")[i % 3],
+        }
+        axes.plot(place, predicted, linewidth=1.6, label=label, **style)
+    axes.set_ylim(min(0, 1.1 * np.min(reached)), 1.16 * max(np.max(target), np.max(reached)))
     axes.set_xlabel("place along the beam [mm]")
     axes.set_ylabel(f"velocity at the focusing\ninstant [mm/s], level {field['velocity_mm_s']:g}")
     axes.legend(frameon=False, loc="center left", fontsize=7)
 
 
 def _draw_zones(axes: Axes, stimuli: list[dict[str, Any]]) -> None:
-    for i, stimulus in enumerate(stimuli):
+    highest = max((each["velocity_mm_s"] for each in stimuli), default=0.0)
+    placed = [each for each in stimuli if "placement" in each and each["velocity_mm_s"] == highest]
+    for i, stimulus in enumerate(placed or stimuli):
         zones = stimulus["zone_peak_mm_s"]
         style: dict[str, Any] = {"marker": "os^Dvp"[i % 6], "color": CONDITION_COLOURS[i % len(CONDITION_COLOURS)]}
-        label = format(float(stimulus["velocity_mm_s"]), "g")
+        label = stimulus["placement"] if placed else format(float(stimulus["velocity_mm_s"]), "g")
         axes.plot(list(zones), list(zones.values()), linewidth=0.8, markersize=4, label=label, **style)
     axes.set_ylim(0, None)
     axes.set_xlabel("zone")
     axes.set_ylabel("peak speed [mm/s]")
     axes.legend(
-        title="level [mm/s]", frameon=False, fontsize=7, title_fontsize=7, loc="upper left", bbox_to_anchor=(1, 1)
+        title="fingers at" if placed else "level [mm/s]",
+        frameon=False,
+        fontsize=7,
+        title_fontsize=7,
+        loc="upper left",
+        bbox_to_anchor=(1, 1),
     )
     quiet_grid(axes)
