@@ -1,0 +1,186 @@
+"""Designs for the beam under fingers: how near the level comes, at what voltage, how exactly and at what cost.
+
+Writes ``results/benchmarks/fingers.json`` and ``fingers.png``. Forty placements of two fingers, drawn from the wide
+range of the literature, on each of three pairs of zones; the beam has even modes and cross gains that its table lacks,
+and its values are off by 0.1 % in frequency, 2 % in damping and 2 % in gain. Each design is judged on that beam.
+"""
+
+import sys
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from bars import RESULTS, at_most, write
+from peers import race
+from threadpoolctl import threadpool_limits
+
+from modaltouch.preflight import examine
+from modaltouch.protocol import Apparatus
+from modaltouch.stimulus import Finger, ModalModel, Stimulus
+from modaltouch.stimulus.fingers import CoupledModes
+
+PAIRS = {"A-C": (-0.04, 0.0), "B-D": (-0.02, 0.02), "C-E": (0.0, 0.04)}
+N_DRAWS, LEVEL, LIMIT = 40, 0.2, 250.0
+TYPICAL = (0.08e-3, 0.5, 500.0)
+CRITICAL = 0.15e-3
+"""Mass of the finger whose damping is made critical [kg]."""
+
+
+def true_beam(apparatus: Apparatus, rng: np.random.Generator) -> ModalModel:
+    """Return a beam with the modes that the table lacks, and values off those that it has."""
+    table = apparatus.modal_model()
+    unlisted = [mode for mode in apparatus.twin.unlisted_modes if mode.family == "bending"]
+    further = np.zeros((len(unlisted), table.n_channels))
+    for row, mode in zip(further, unlisted, strict=True):
+        for name, gain in mode.gain_mm_s2_per_V.items():
+            row[apparatus.actuator_sets[name].channel - 1] = gain * 1e-3
+    strongest = np.take_along_axis(table.modal_gain, np.abs(table.modal_gain).argmax(axis=1)[:, None], axis=1)
+    gain = np.where(table.modal_gain == 0, apparatus.twin.cross_gain * strongest, table.modal_gain)
+    off = np.exp(rng.standard_normal((4, table.n_modes)) * np.array([[1e-3], [0.02], [0.02], [0.02]]))
+    return ModalModel(
+        label=table.label + tuple(mode.label for mode in unlisted),
+        natural_frequency=np.append(table.natural_frequency * off[0], [mode.natural_frequency_Hz for mode in unlisted]),
+        damping_ratio=np.append(table.damping_ratio * off[1], [mode.damping_ratio for mode in unlisted]),
+        modal_gain=np.concatenate([gain * off[2:].T, further]),
+        length=table.length,
+        mass=table.mass,
+    )
+
+
+def draw_fingers(pair: tuple[float, float], rng: np.random.Generator) -> tuple[Finger, ...]:
+    """Return two fingers alike to 20 %, their places off by 2 mm."""
+    mass, damping = np.exp(rng.uniform(np.log([2e-5, 0.1]), np.log([3e-4, 2.0])))
+    base = np.array([mass, damping, rng.uniform(0.0, 2000.0)])
+    return tuple(
+        Finger(place + 2e-3 * rng.standard_normal(), *(base * np.exp(0.2 * rng.standard_normal(3)))) for place in pair
+    )
+
+
+def design(stimulus: Stimulus, model: ModalModel, fingers: tuple[Finger, ...], **how: Any) -> Stimulus:
+    """Return the stimulus designed for fingers on a beam."""
+    return replace(stimulus, model=model.touched(fingers), **how)
+
+
+def judge(designed: Stimulus, beam: ModalModel, fingers: tuple[Finger, ...]) -> dict[str, float]:
+    """Return what a design does to the true beam under fingers, over the level, and the voltage that it takes [V]."""
+    played = replace(designed.touched(()), model=beam.touched(fingers))
+    unit, target = designed.volts_per_code(LEVEL), designed.projection.field(np.array([-0.04, -0.02, 0, 0.02, 0.04]))
+    reached = played.velocity_at_focus([-0.04, -0.02, 0.0, 0.02, 0.04], unit)
+    return {
+        "at_C": float(reached[2]) / LEVEL,
+        "worst_zone": float(np.abs(reached - target).max()) / LEVEL,
+        "peak_V": float(designed.peak_voltage.max()),
+    }
+
+
+def summary(rows: list[dict[str, float]]) -> dict[str, float]:
+    """Return what forty placements come to, in per cent of the level."""
+    level, zones, volts = (np.array([row[key] for row in rows]) for key in ("at_C", "worst_zone", "peak_V"))
+    return {
+        "level_mean_percent": 100 * level.mean(),
+        "level_sd_percent": 100 * level.std(ddof=1),
+        "level_missed_p95_percent": 100 * float(np.quantile(np.abs(level - 1), 0.95)),
+        "worst_zone_median_percent": 100 * float(np.median(zones)),
+        "peak_median_V": float(np.median(volts)),
+        "peak_p95_V": float(np.quantile(volts, 0.95)),
+        "attainable_median_mm_s": 1e3 * LEVEL * float(np.median(np.minimum(level, level * LIMIT / volts))),
+    }
+
+
+def placements(stimulus: Stimulus, apparatus: Apparatus) -> dict[str, dict[str, list[dict[str, float]]]]:
+    """Return what each design does in each of forty placements, by pair."""
+    found: dict[str, dict[str, list[dict[str, float]]]] = {}
+    table = apparatus.modal_model()
+    for pair, places in PAIRS.items():
+        rng = np.random.default_rng(16)
+        typical = tuple(Finger(place, *TYPICAL) for place in places)
+        blind = {"free": stimulus, "typical": design(stimulus, table, typical)}
+        rows: dict[str, list[dict[str, float]]] = {}
+        for _ in range(N_DRAWS):
+            beam, fingers = true_beam(apparatus, rng), draw_fingers(places, rng)
+            # A beam that is known takes all its modes into the design, even ones included.
+            known = {
+                "known": design(stimulus, beam, fingers),
+                "known, level first": design(stimulus, beam, fingers, priority="level"),
+            }
+            for name, each in {**blind, **known}.items():
+                rows.setdefault(name, []).append(judge(each, beam, fingers))
+        found[pair] = rows
+    return found
+
+
+def critical_damping(table: ModalModel) -> float:
+    """Return the damping of two fingers, on A and C, at which a pair of exponents meets [N s/m]."""
+
+    def n_real(damping: float) -> int:
+        model = table.touched(tuple(Finger(place, CRITICAL, damping) for place in PAIRS["A-C"]))
+        given = model.angular_frequency, model.damping_ratio, model.modal_gain, model.loads
+        return int((np.linalg.eigvals(CoupledModes.of(*given).matrix).imag == 0).sum())
+
+    low, high = 3.0, 10.0
+    for _ in range(60):
+        middle = (low + high) / 2
+        low, high = (low, middle) if n_real(middle) == n_real(high) else (middle, high)
+    return low
+
+
+def exactness(stimulus: Stimulus, table: ModalModel) -> dict[str, dict[str, float]]:
+    """Return what the loaded plant's target is missed by, float and codes, and the cost beside the free design."""
+    critical = critical_damping(table)
+    plants = {
+        "typical": TYPICAL,
+        "0.15 g, 0.7 N s/m, 0.5 N/mm": (0.15e-3, 0.7, 500.0),
+        "0.3 g, 2 N s/m, 2 N/mm": (0.3e-3, 2.0, 2000.0),
+        "overdamped, 10 N s/m": (CRITICAL, 10.0, 0.0),
+        "overdamped, 30 N s/m": (CRITICAL, 30.0, 0.0),
+        "critically damped": (CRITICAL, critical, 0.0),
+    }
+    rows = {}
+    for name, values in plants.items():
+        fingers = tuple(Finger(place, *values) for place in PAIRS["A-C"])
+        loaded = design(stimulus, table, fingers)
+        largest = float(np.abs(loaded.target).max())
+        times = race(
+            {
+                "free_ms": lambda: replace(stimulus).drive,
+                "loaded_ms": lambda fingers=fingers: design(stimulus, table, fingers).drive,
+            },
+            seconds=2.0,
+        )
+        rows[name] = {
+            **times,
+            "free_designs": times["loaded_ms"] / times["free_ms"],
+            "float_miss": loaded.drive.residual / largest,
+            "codes_miss": loaded.worst_modal_error(LEVEL) / LEVEL,
+            "peak_V": float(loaded.peak_voltage.max()),
+            "eigenvectors": float(loaded.system.exact),
+        }
+    return rows
+
+
+def main() -> int:
+    """Measure, draw and write."""
+    inputs, stimulus = examine("differentiated_stimulation").sound
+    table = inputs.apparatus.modal_model()
+    with threadpool_limits(1):
+        exact = exactness(stimulus, table)
+        rows = placements(stimulus, inputs.apparatus)
+    designs = {pair: {name: summary(each) for name, each in by_name.items()} for pair, by_name in rows.items()}
+    plain = [row for name, row in exact.items() if row["eigenvectors"]]
+    known = [each for by_name in rows.values() for each in by_name["known, level first"]]
+    bars = [
+        at_most("float miss of the loaded plant's target", max(r["float_miss"] for r in exact.values()), 1e-12, ""),
+        at_most("miss of its codes", max(r["codes_miss"] for r in exact.values()), 1e-6, ""),
+        at_most("a loaded design, in free designs", max(r["free_designs"] for r in plain), 3.0),
+        at_most("one where eigenvectors are lost", exact["critically damped"]["free_designs"], 8.0),
+        at_most("level first, known fingers: miss of the level", max(abs(r["at_C"] - 1) for r in known), 1e-3, ""),
+        at_most("level first, known fingers: peak", max(r["peak_V"] for r in known), LIMIT * (1 + 1e-9), "V"),
+    ]
+    from fingers_figure import draw
+
+    draw(stimulus, table, rows, RESULTS / "fingers.png")
+    return write("fingers", {"n_placements": N_DRAWS, "exactness": exact, "designs": designs}, bars)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
