@@ -20,6 +20,9 @@ import modaltouch
 PROTOCOLS = tuple(sorted(file.stem for file in (ROOT / "protocols").glob("*.yaml")))
 LAWS = ("exact", "paper")
 
+UNDER_FINGERS = "under_the_finger"
+"""The paper's law is one of the untouched beam."""
+
 WHO = (("p01", 1, 1), ("p02", 1, 1), ("p02", 1, 2), ("p11", 20_260, 1), ("anna", 1, 1))
 """Participant, seed of the study and session: two who take turns, a further session, another seed, no number."""
 
@@ -47,7 +50,11 @@ COHORT = "simulate differentiated_stimulation -n 10 --results results --json"
 def codes(folder: Path) -> dict[str, Any]:
     """Return hashes of what each channel is given, and the amplitudes, of each stimulus of each protocol and law."""
     with workplace(folder):
-        return {f"{name}, {law}": _drive(name, law) for name in PROTOCOLS for law in LAWS}
+        return {
+            f"{name}, {law}": _drive(name, law)
+            for name in PROTOCOLS
+            for law in (LAWS if name != UNDER_FINGERS else LAWS[:1])
+        }
 
 
 def _drive(name: str, law: str) -> dict[str, Any]:
@@ -62,7 +69,7 @@ def _drive(name: str, law: str) -> dict[str, Any]:
             "amplitude_Vpp": {
                 f"{row['velocity_mm_s']:g}": list(row["amplitude_Vpp"].values())
                 for row in rows
-                if row.get("stimulus", "") == stimulus
+                if " ".join(filter(None, (row.get("stimulus"), row.get("placement")))) == stimulus
             },
         }
         for stimulus, given in codes.items()

@@ -25,10 +25,10 @@ def drive_of(protocol: Path) -> tuple[dict[str, NDArray[np.uint16]], list[dict[s
     Returns
     -------
     codes : dict
-        What the generator is given, a row to each channel, by the name of the stimulus.
+        What the generator is given, a row to each channel, by the name of the design.
     figures : list of dict
-        As ``modaltouch check --json`` shows them, one to each stimulus and level.
+        As a record keeps them, one to each design and level.
     """
     preflight = modaltouch.examine(protocol).require()
-    codes = {name: part.stimulus.burst.codes for name, part in preflight.parts.items()}
-    return codes, preflight.as_dict()["stimuli"]
+    codes = {name: part.stimulus.burst.codes for name, part in preflight.designs.items()}
+    return codes, preflight.stimuli
