@@ -46,9 +46,6 @@ SPLIT = (
 )
 """Files of which each test may run in another process: one takes longer than most files."""
 
-MOST_TEXTS = 64
-"""YAML texts of which a process remembers how they were parsed."""
-
 # How long an example takes says more of what else the machine does than of the test. The suite tries the same examples
 # every time, so that a change is judged by itself; `make fuzz` looks for new ones.
 _ANY_MACHINE: dict[str, Any] = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
@@ -84,30 +81,6 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
             return next(together, str(super()._split_scope(nodeid)))
 
     return Scheduling(config, log)
-
-
-@pytest.fixture(scope="session", autouse=True)
-def _parsed_once() -> Iterator[None]:
-    """Parse each YAML text once in a process: most tests read the shipped protocol and its apparatus again."""
-    from modaltouch.protocol import tree
-
-    parse, kept = tree._events, dict[str, list[Any]]()
-
-    def events(text: str) -> Iterator[Any]:
-        if text not in kept:
-            met = []
-            for event in parse(text):
-                met.append(event)
-                yield event
-            kept[text] = met
-            if len(kept) > MOST_TEXTS:
-                del kept[next(iter(kept))]
-            return
-        yield from kept[text]
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(tree, "_events", events)
-        yield
 
 
 @pytest.fixture(scope="module")

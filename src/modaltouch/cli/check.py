@@ -27,9 +27,7 @@ def check(
     json_output: JSON = False,
     compare: Annotated[
         bool,
-        typer.Option(
-            "--compare", help="Also show the other drive law on the same rig, and the generator without burst mode."
-        ),
+        typer.Option("--compare", help="Also show the other drive law, and the generator without burst mode."),
     ] = False,
     sensitivity: Annotated[
         bool, typer.Option("--sensitivity", help="Also show how well the beam must be identified.")

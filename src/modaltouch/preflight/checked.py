@@ -303,12 +303,7 @@ class Preflight:
         compare : bool
             Whether the other drive law is shown too.
         fingers : str, optional
-            Fingers under which each level is shown too; those that it is designed for, if not given.
-
-        Raises
-        ------
-        InputError
-            With every fault of the file of fingers.
+            As for `touched`; ``none`` shows none.
         """
         reading = self.findings.protocol
         values: dict[str, Any] = {
@@ -317,11 +312,7 @@ class Preflight:
             "file": str(reading.source.path) if reading else None,
             "apparatus": self._apparatus_name(),
             "calibration": self._calibration(),
-            "sensation_levels": None,
-            "n_trials": None,
-            "n_catch_trials": None,
-            "n_practice_trials": None,
-            "estimated_duration_min": None,
+            **dict.fromkeys(_DESIGN_FIGURES),
             "problems": [problem.as_dict() for problem in self.problems],
             "warnings": [],
             "defaults": self.findings.defaults(),
@@ -412,6 +403,9 @@ class Preflight:
         reading = self.findings.apparatus
         name: str | None = reading.sound("apparatus") if reading else None
         return name
+
+
+_DESIGN_FIGURES = ("sensation_levels", "n_trials", "n_catch_trials", "n_practice_trials", "estimated_duration_min")
 
 
 def _design_figures(protocol: Protocol) -> dict[str, Any]:

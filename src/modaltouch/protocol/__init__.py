@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from modaltouch.protocol.apparatus import Apparatus
     from modaltouch.protocol.calibration import Calibration
     from modaltouch.protocol.findings import Experiment, Findings, Sources
-    from modaltouch.protocol.fingers import FingersFile
     from modaltouch.protocol.levels import Levels
     from modaltouch.protocol.masking import MaskingSection
     from modaltouch.protocol.observers import ObserverFile
@@ -35,7 +34,6 @@ else:
             "answers": "Answer AnswerList",
             "apparatus": "Apparatus",
             "calibration": "Calibration",
-            "fingers": "FingersFile",
             "findings": "Experiment Findings Sources",
             "levels": "Levels",
             "masking": "MaskingSection",
@@ -59,7 +57,6 @@ __all__ = [
     "Calibration",
     "Experiment",
     "Findings",
-    "FingersFile",
     "InputError",
     "Levels",
     "MaskingSection",

@@ -298,26 +298,18 @@ class Apparatus(Section):
         factor: the median of what each of them says. A set without any such gain, or without patches, offers nothing.
         """
         offered, model = [], self.modal_model()
-        bending = [mode for mode in self.modes if mode.label > 2]
         for name, actuators in self.actuator_sets.items():
-            if not (actuators.patches_mm and bending):
+            if not actuators.patches_mm:
                 continue
-            ends = [(left * 1e-3, right * 1e-3) for left, right in actuators.patches_mm]
-            unit = model.patch_gains(ends)[[mode.label > 2 for mode in self.modes]]
-            felt = np.abs(unit) > _NOTHING * np.abs(unit).max()
-            pairs = list(zip(bending, unit.tolist(), felt.tolist(), strict=True))
-            factors = [
-                mode.gain_mm_s2_per_V[name] / each
-                for mode, each, feels in pairs
-                if feels and name in mode.gain_mm_s2_per_V and name not in mode.assumed
-            ]
+            # Rigid modes feel no moments.
+            unit = model.patch_gains([(left * 1e-3, right * 1e-3) for left, right in actuators.patches_mm]).tolist()
+            least = _NOTHING * max(map(abs, unit))
+            felt = [(mode, each) for mode, each in zip(self.modes, unit, strict=True) if abs(each) > least]
+            known = {m.label for m, _ in felt if name in m.gain_mm_s2_per_V and name not in m.assumed}
+            factors = [mode.gain_mm_s2_per_V[name] / each for mode, each in felt if mode.label in known]
             if factors:
                 factor = float(np.median(factors))
-                offered += [
-                    (mode.label, name, factor * each)
-                    for mode, each, feels in pairs
-                    if feels and (name not in mode.gain_mm_s2_per_V or name in mode.assumed)
-                ]
+                offered += [(mode.label, name, factor * each) for mode, each in felt if mode.label not in known]
         return tuple(offered)
 
     @property

@@ -7,8 +7,8 @@ made of them.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
 from typing import Any, NoReturn
 
 from ruamel.yaml import YAML
@@ -131,13 +131,20 @@ def parse_tree(source: Source) -> tuple[Node | None, list[Problem]]:
     problems : list of Problem
         Syntax, doubled keys, tags, aliases without an anchor, excess.
     """
-    reader = _Reader(str(source.path), source.text)
+    root, problems = _parsed(source.text)
+    return root, [replace(problem, file=str(source.path)) for problem in problems]
+
+
+@lru_cache(maxsize=16)
+def _parsed(text: str) -> tuple[Node | None, list[Problem]]:
+    """Return the tree of a text, and its faults in a file without a name: parsing costs more than all that follows."""
+    reader = _Reader("", text)
     try:
         root = reader.document()
     except _Stop:
         return None, reader.problems
     except (YAMLError, ValueError, AttributeError) as error:  # the parser itself fails so on some directives
-        reader.problems.append(_syntax_problem(str(source.path), source.text, error))
+        reader.problems.append(_syntax_problem("", text, error))
         return None, reader.problems
     if root is None or root.content is None:
         reader.report(1, 1, "an empty file", "keys and values in YAML", "compare with the shipped files")

@@ -156,18 +156,10 @@ class Stimulus:
         return np.asarray(np.maximum(self.voltage.max(axis=1), -self.voltage.min(axis=1)))
 
     def compare_designs(self, unmodelled: ModalModel) -> list[dict[str, float | str]]:
-        """Return what each design of the exact law costs, and how fast it leaves a mode that the model lacks.
+        """Return what each design costs, and how fast it leaves modes that the model lacks, on the same channels.
 
-        Parameters
-        ----------
-        unmodelled : ModalModel
-            Modes that the design knows nothing of, on the same channels.
-
-        Returns
-        -------
-        list of dict
-            ``name``, ``peak_voltage`` [V], ``energy`` [V^2 s], ``residual`` [m/s] and ``unmodelled_speed``, the
-            largest of |velocity| and |w eta| of those modes at the focusing instant [m/s].
+        Each is a dict of ``name``, ``peak_voltage`` [V], ``energy`` [V^2 s], ``residual`` [m/s] and
+        ``unmodelled_speed``, the largest of |velocity| and |w eta| of those modes at the focusing instant [m/s].
         """
         from modaltouch.stimulus.alternative_designs import compare_designs
 
@@ -349,15 +341,7 @@ class Stimulus:
         return float(np.abs(np.concatenate(achieved) - corrected_target).max())
 
     def velocity_at_focus(self, positions: ArrayLike, velocity: float) -> FloatArray:
-        """Return the velocity at points of the beam at the focusing instant, (n_positions,) array [m/s].
-
-        Parameters
-        ----------
-        positions : (n_positions,) array_like
-            Where, origin at mid-beam [m].
-        velocity : float
-            Level [m/s].
-        """
+        """Return the velocity at points of the beam [m] at the focus, at a level [m/s], (n_positions,) array [m/s]."""
         reached, _ = self.achieved(velocity)
         if np.size(positions) > _FEW:
             return self.model.field(reached, positions)

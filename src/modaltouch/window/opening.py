@@ -120,20 +120,17 @@ def open_window(
         from modaltouch.window.simulated import SimulatedParticipant
 
         until, after = protocol.answers.stimulus_until, protocol.answers.after_longest
+        step = _VIRTUAL_STEP if isinstance(clock, VirtualClock) else _STEP
         return SimulatedParticipant(
-            answerer,
-            tick=tick,
-            log=log,
-            stimulus_until=until,
-            after_longest=after,
-            clock=clock,
-            step=_VIRTUAL_STEP if isinstance(clock, VirtualClock) else _STEP,
+            answerer, tick=tick, log=log, stimulus_until=until, after_longest=after, clock=clock, step=step
         )
     from modaltouch.window.participant import ParticipantWindow
     from modaltouch.window.robot import Robot
     from modaltouch.window.theme import THEMES
 
-    options = options or WindowOptions()
+    options, robot = options or WindowOptions(), None
+    if answers == "robot" and answerer is not None:
+        robot = Robot(answerer, protocol.answers)
     display = _open_screen(protocol.title, options, clock)
     try:
         return ParticipantWindow(
@@ -145,7 +142,7 @@ def open_window(
             tick=tick,
             log=log,
             screenshots=options.screenshots,
-            robot=Robot(answerer, protocol.answers) if answers == "robot" and answerer is not None else None,
+            robot=robot,
             clock=clock,
         )
     except BaseException:
