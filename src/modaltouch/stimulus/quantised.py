@@ -102,7 +102,9 @@ class QuantisedStimulus:
     def passes(self, unit: FloatArray, shapes: FloatArray, limit: float) -> bool:
         """Return whether the speed at points with these mode shapes passes a limit; most blocks are skipped."""
         response, _, scale = self._response(unit)
-        return bool((response.peak(shapes.T @ self.system.velocity, limit / scale) * scale > limit).any())
+        floor = limit / scale
+        # Not multiplied again: rounding would let the floor itself pass.
+        return bool((response.peak(shapes.T @ self.system.velocity, floor) > floor).any())
 
     def peak_of(self, unit: FloatArray, output: ComplexArray) -> float:
         """Return the largest magnitude of one output, (1, n_states) array, until the next burst."""
