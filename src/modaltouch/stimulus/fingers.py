@@ -14,6 +14,7 @@ by a few parts in 1e9 off their values, and what that misses is measured on the 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -23,7 +24,7 @@ from numpy.typing import NDArray
 from modaltouch.stimulus.quantities import ComplexArray, FloatArray, require_finite, require_positive
 
 _NODES = 12
-"""Points of a contact: exact for products of shapes that change sign six times within it."""
+"""Points for each tenth of the beam under a contact: exact for products of shapes that change sign six times there."""
 
 WORST_CONDITION = 1e5
 """Condition number of the eigenvectors above which they are not trusted [1]."""
@@ -111,9 +112,10 @@ class Finger:
 
     def _over_contact(self, shapes: Callable[[FloatArray], FloatArray], length: float) -> tuple[FloatArray, FloatArray]:
         left, right = max(self.position - self.width / 2, -length / 2), min(self.position + self.width / 2, length / 2)
-        nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+        tenths = max(1, math.ceil(10 * (right - left) / length * (1 - 1e-9)))
+        nodes, weights = np.polynomial.legendre.leggauss(_NODES * tenths)
         values = shapes((left + right) / 2 + (right - left) / 2 * nodes)
-        repeats = values.shape[1] // _NODES
+        repeats = values.shape[1] // nodes.size
         return values, np.tile(weights, repeats) / (2 * repeats)
 
 
