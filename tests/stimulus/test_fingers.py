@@ -1,0 +1,553 @@
+"""Fingertips on the beam, judged by matrix exponentials in extended precision that share no code with the engine."""
+
+from dataclasses import replace
+
+import mpmath
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.rig.afg3022b import AFG3022B
+from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
+from modaltouch.stimulus.fingers import CoupledModes, Finger
+from modaltouch.stimulus.modes import ModalModel
+from modaltouch.stimulus.timing import Timing
+
+LONG = np.longdouble
+MASS = 3.3e-3
+LEVEL = 0.2
+ZONE = {"A": -0.04, "B": -0.02, "C": 0.0, "D": 0.02, "E": 0.04}
+PLAIN = Amplifier(gain=25.0, limit=250.0)
+SLOW = Amplifier(gain=25.0, limit=250.0, bandwidth=300e3, delay=1e-6)
+FINE, COARSE = Timing(AFG3022B.converter), Timing(AFG3022B.converter, n_samples=12_500)
+
+FINGERS = [(0.15, 0.7, 0.5), (0.08, 0.45, 0.8), (0.3, 2.0, 2.0), (0.15, 10.0, 0.0), (0.15, 30.0, 0.0)]
+"""Mass [g], damping [N s/m], stiffness [N/mm]; the last two stop mode 1 from swinging."""
+
+RELAXING = ((800.0, 1e-3), (3000.0, 2e-5))
+"""Two Maxwell terms, stiffness [N/m] and relaxation time [s]."""
+
+
+def pair(zones, mass_g, damping, stiffness, **options):
+    """Return two alike fingers on two zones."""
+    return tuple(Finger(ZONE[zone], mass_g * 1e-3, damping, stiffness * 1e3, **options) for zone in zones)
+
+
+# The reference: the same physics from the textbook, in 64-bit mantissas.
+
+
+def shapes_at(label, y):
+    """Mode shapes of a free-free beam of unit length and unit mean square, positive at its right end."""
+    if label <= 2:
+        return np.ones_like(y) if label == 1 else np.sqrt(LONG(12)) * y
+    root = LONG(2 * label - 3) * np.arctan2(LONG(0), LONG(-1)) / 2
+    for _ in range(8):  # Newton's method on cos x = sech x
+        root -= (np.cos(root) - 1 / np.cosh(root)) / (-np.sin(root) + np.tanh(root) / np.cosh(root))
+    if label % 2:
+        return np.cos(root * y) / np.cos(root / 2) + np.cosh(root * y) / np.cosh(root / 2)
+    return np.sin(root * y) / np.sin(root / 2) + np.sinh(root * y) / np.sinh(root / 2)
+
+
+def contact_of(model, finger):
+    """Shapes at the points of a contact, and the weights of a mean over it."""
+    left, right = max(finger.position - finger.width / 2, -0.05), min(finger.position + finger.width / 2, 0.05)
+    nodes, weights = np.polynomial.legendre.leggauss(64)
+    y = ((LONG(left) + LONG(right)) / 2 + (LONG(right) - LONG(left)) / 2 * nodes.astype(LONG)) / LONG(model.length)
+    return np.array([shapes_at(label, y) for label in model.label]), weights.astype(LONG) / 2
+
+
+def inverse(matrix):
+    """Inverse in extended precision, by Newton's method from that in double."""
+    found = np.linalg.inv(matrix.astype(float)).astype(LONG)
+    for _ in range(3):
+        found = found + found @ (np.eye(len(matrix), dtype=LONG) - matrix @ found)
+    return found
+
+
+def exponential(matrix):
+    """Matrix exponential by Taylor's series and squaring."""
+    halvings = max(0, int(np.ceil(np.log2(float(np.abs(matrix).sum(axis=1).max()) + 1e-30))) + 2)
+    scaled = matrix / LONG(2) ** halvings
+    total = term = np.eye(len(matrix), dtype=LONG)
+    for k in range(1, 22):
+        term = term @ scaled / k
+        total = total + term
+    for _ in range(halvings):
+        total = total @ total
+    return total
+
+
+class Coupled:
+    """x' = matrix x + force u of the state (w eta, eta', Maxwell terms by mode, amplifier)."""
+
+    def __init__(self, model, fingers, amplifier=PLAIN):
+        w = 2 * np.arctan2(LONG(0), LONG(-1)) * model.natural_frequency.astype(LONG)
+        n, n_channels = model.modal_gain.shape
+        mass, damping, spring = np.eye(n, dtype=LONG), np.diag(2 * model.damping_ratio.astype(LONG) * w), np.diag(w)
+        terms = []
+        for finger in fingers:
+            at, weights = contact_of(model, finger)
+            spread = (at * weights) @ at.T / LONG(model.mass)
+            mass = mass + LONG(finger.mass) * spread
+            damping = damping + LONG(finger.damping) * spread
+            spring = spring + LONG(finger.stiffness) * spread / w
+            terms += [(LONG(stiffness) * spread, LONG(time)) for stiffness, time in finger.maxwell]
+        size = 2 * n + n * len(terms)
+        pole = amplifier.bandwidth is not None
+        matrix = np.zeros((size + pole * n_channels,) * 2, dtype=LONG)
+        force = np.zeros((len(matrix), n_channels), dtype=LONG)
+        push = inverse(mass)
+        matrix[:n, n : 2 * n] = np.diag(w)
+        matrix[n : 2 * n, :n], matrix[n : 2 * n, n : 2 * n] = -push @ spring, -push @ damping
+        for place, (spread, time) in enumerate(terms):
+            own = slice((2 + place) * n, (3 + place) * n)
+            matrix[n : 2 * n, own] = -push @ spread
+            matrix[own, n : 2 * n], matrix[own, own] = np.eye(n), -np.eye(n) / time
+        gain = push @ model.modal_gain.astype(LONG)
+        if pole:
+            corner = 2 * np.arctan2(LONG(0), LONG(-1)) * LONG(amplifier.bandwidth)
+            matrix[n : 2 * n, size:] = gain
+            matrix[size:, size:], force[size:] = -corner * np.eye(n_channels), corner * np.eye(n_channels)
+        else:
+            force[n : 2 * n] = gain
+        self.n, self.matrix, self.force, self.delay = n, matrix, force, LONG(amplifier.delay)
+
+    def held(self, time):
+        """Decay over a time, and what a volt held for it leaves."""
+        n, n_channels = self.force.shape
+        whole = np.zeros((n + n_channels,) * 2, dtype=LONG)
+        whole[:n, :n], whole[:n, n:] = self.matrix * time, self.force * time
+        grown = exponential(whole)
+        return grown[:n, :n], grown[:n, n:]
+
+    def at(self, voltage, timing, instant):
+        """Modal velocities and w eta at an instant, from rest, each (n_modes,)."""
+        hold = LONG(timing.duration) / timing.n_samples
+        steps = (LONG(instant) - self.delay) / hold
+        n_whole = int(np.floor(steps + LONG(1e-9)))
+        rest = max(LONG(0), steps - n_whole) * hold
+        voltage = np.pad(voltage, ((0, 0), (0, max(0, n_whole + 1 - voltage.shape[1]))))
+        decay, push = self.held(hold)
+        state = self._stepped(voltage[:, :n_whole].astype(LONG), decay, push)
+        if rest > 1e-9 * hold:
+            decay, push = self.held(rest)
+            state = decay @ state + push @ voltage[:, n_whole].astype(LONG)
+        return state[self.n : 2 * self.n].astype(float), state[: self.n].astype(float)
+
+    def on_clock(self, voltage, timing, instant):
+        """The same where each sample begins with the first edge of the clock at or after its time."""
+        period, n_samples = 1 / LONG(timing.converter.clock_rate), timing.n_samples
+        n_clocks = round(timing.duration * timing.converter.clock_rate)
+        begins = [-(-n * n_clocks // n_samples) for n in range(n_samples + 1)]
+        until = round(instant * timing.converter.clock_rate)
+        state, known = np.zeros(len(self.matrix), dtype=LONG), {}
+        for n, begin in enumerate(begins[:-1]):
+            clocks = min(begins[n + 1], until) - begin
+            if clocks <= 0:
+                break
+            if clocks not in known:
+                known[clocks] = self.held(clocks * period)
+            decay, push = known[clocks]
+            state = decay @ state + push @ voltage[:, n]
+        return state[self.n : 2 * self.n].astype(float), state[: self.n].astype(float)
+
+    @staticmethod
+    def _stepped(voltage, decay, push, block=256):
+        rows = [push]
+        for _ in range(block - 1):
+            rows.append(decay @ rows[-1])
+        responses = np.stack(rows[::-1]).transpose(0, 2, 1).reshape(-1, len(decay))
+        filled = np.pad(voltage, ((0, 0), (-voltage.shape[1] % block, 0)))
+        pushed = filled.T.reshape(-1, block * len(voltage)) @ responses
+        whole, state = decay, np.zeros(len(decay), dtype=LONG)
+        for _ in range(block.bit_length() - 1):
+            whole = whole @ whole
+        for each in pushed:
+            state = whole @ state + each
+        return state
+
+    def history(self, voltage, timing, block=256):
+        """States as each sample begins, (n_states, n_samples) array, in double precision."""
+        decay, push = (each.astype(float) for each in self.held(LONG(timing.duration) / timing.n_samples))
+        n_samples = voltage.shape[1]
+        filled = np.pad(voltage, ((0, 0), (0, -n_samples % block))).reshape(len(voltage), -1, block)
+        state, starts = np.zeros((len(decay), filled.shape[1])), []
+        for step in range(block):
+            state = decay @ state + push @ filled[:, :, step]
+        whole, begin = np.linalg.matrix_power(decay, block), np.zeros(len(decay))
+        for ends in state.T:
+            starts.append(begin)
+            begin = whole @ begin + ends
+        states = np.empty((len(decay), *filled.shape[1:]))
+        state = np.array(starts).T
+        for step in range(block):
+            states[:, :, step] = state
+            state = decay @ state + push @ filled[:, :, step]
+        return states.reshape(len(decay), -1)[:, :n_samples]
+
+
+def miss(stimulus, fingers, voltage, amplifier=PLAIN):
+    """Largest deviation of a modal state from its target at the focusing instant [m/s]."""
+    beam = Coupled(stimulus.model, fingers, amplifier)
+    velocity, displacement = beam.at(voltage, stimulus.timing, stimulus.timing.focusing_instant)
+    return max(np.abs(velocity - stimulus.target).max(), np.abs(displacement).max())
+
+
+def left_over(stimulus, fingers, amplifier=PLAIN):
+    """Largest modal state once the burst is over and the amplifier has come to rest [m/s]."""
+    beam = Coupled(stimulus.model, fingers, amplifier)
+    quiet = 0.0 if amplifier.bandwidth is None else 30e-6
+    return np.abs(beam.at(stimulus.voltage, stimulus.timing, stimulus.timing.duration + amplifier.delay + quiet)).max()
+
+
+def longer(timing, n_samples):
+    """Return a burst of as many samples of the same length."""
+    return replace(timing, n_samples=n_samples, duration=timing.hold * n_samples)
+
+
+@pytest.fixture(scope="module")
+def beam(model):
+    """The shipped beam with its mass."""
+    return replace(model, mass=MASS)
+
+
+@pytest.fixture(scope="module")
+def uneven_beam(beam):
+    """The shipped beam with the even bending modes that its section `twin` lists."""
+    twin = Apparatus.read("beam_100x6x2").twin
+    listed = [mode for mode in twin.unlisted_modes if mode.family == "bending"]
+    assert {mode.label % 2 for mode in listed} == {0, 1}
+    names = ("centre", "side")
+    rows = [[(mode.gain_mm_s2_per_V.get(name) or 0.0) * 1e-3 for name in names] for mode in listed]
+    return ModalModel(
+        label=(*beam.label, *(mode.label for mode in listed)),
+        natural_frequency=[*beam.natural_frequency, *(mode.natural_frequency_Hz for mode in listed)],
+        damping_ratio=[*beam.damping_ratio, *(mode.damping_ratio for mode in listed)],
+        modal_gain=[*beam.modal_gain, *rows],
+        length=beam.length,
+        mass=MASS,
+    )
+
+
+@pytest.fixture(scope="module")
+def critical(beam):
+    """Damping at which the two real exponents of 0.15 g on A and C meet, by bisection [N s/m]."""
+
+    def n_real(damping):
+        matrix = Coupled(beam, pair("AC", 0.15, damping, 0.0)).matrix.astype(float)
+        return int((np.linalg.eigvals(matrix).imag == 0).sum())
+
+    below, above = 4.6, 4.9
+    assert (n_real(below), n_real(above)) == (0, 2)
+    for _ in range(60):
+        middle = (below + above) / 2
+        below, above = (middle, above) if n_real(middle) == 0 else (below, middle)
+    assert below == pytest.approx(4.7448, abs=1e-4)
+    return below
+
+
+@pytest.mark.parametrize("amplifier", [PLAIN, SLOW], ids=["plain", "slow"])
+@pytest.mark.parametrize("zones", ["AC", "BD"])
+@pytest.mark.parametrize("values", FINGERS, ids=str)
+def test_the_field_under_the_fingers_is_the_one_asked_for(design, beam, values, zones, amplifier):
+    """All modal states at the focus: voltages within 1e-12 of the level, codes within 1e-6; then at rest again."""
+    fingers = pair(zones, *values)
+    stimulus = design(beam.touched(fingers), amplifier=amplifier)
+    assert stimulus.system.exact
+    assert miss(stimulus, fingers, stimulus.voltage, amplifier) <= 1e-12 * LEVEL
+    assert miss(stimulus, fingers, stimulus.voltage_played(LEVEL), amplifier) <= 1e-6 * LEVEL
+    assert left_over(stimulus, fingers, amplifier) <= 1e-12 * LEVEL
+
+
+def test_the_field_of_the_untouched_beam_is_another_under_fingers(design, beam):
+    """What the design for fingers is for: the same codes without it miss by more than a tenth of the level."""
+    assert miss(design(beam), pair("AC", 0.08, 0.45, 0.8), design(beam).voltage) > 0.1 * LEVEL
+
+
+def test_overdamped_fingers_leave_two_real_exponents(beam):
+    """30 N s/m on A and C: mode 1 creeps back, and 8 modes swing."""
+    exponent = DiagonalSystem.of(beam.touched(pair("AC", 0.15, 30.0, 0.0))).exponent
+    assert (exponent.imag == 0).sum() == 2
+    assert (exponent.imag > 0).sum() == 8
+
+
+@pytest.mark.parametrize("amplifier", [PLAIN, SLOW], ids=["plain", "slow"])
+def test_critical_damping_is_met_although_the_eigenvectors_are_lost(design, beam, critical, amplifier):
+    """Two exponents meet: the law is that of fingers 1e-9 off, its miss is taken out on the equations as they are."""
+    fingers = pair("AC", 0.15, critical, 0.0)
+    stimulus = design(beam.touched(fingers), amplifier=amplifier)
+    _, condition = CoupledModes.of(
+        beam.angular_frequency, beam.damping_ratio, beam.modal_gain, stimulus.model.loads
+    ).uncoupled()
+    assert condition > 1e5
+    assert not stimulus.system.exact
+    assert miss(stimulus, fingers, stimulus.voltage, amplifier) <= 1e-12 * LEVEL
+    assert miss(stimulus, fingers, stimulus.voltage_played(LEVEL), amplifier) <= 1e-6 * LEVEL
+    assert left_over(stimulus, fingers, amplifier) <= 1e-12 * LEVEL
+
+
+@pytest.mark.parametrize("damping", [0.7, None], ids=["light", "critical"])
+def test_an_uneven_clock_is_followed_under_fingers(design, beam, critical, damping):
+    """12,345 samples begin with the clock's edges, not with their times."""
+    fingers = pair("AC", 0.15, critical if damping is None else damping, 0.0)
+    timing = Timing(AFG3022B.converter, n_samples=12_345)
+    assert timing.clock_error is not None
+    stimulus = design(beam.touched(fingers), timing=timing)
+    reference = Coupled(beam, fingers)
+    for voltage, allowed in ((stimulus.voltage, 1e-11), (stimulus.voltage_played(LEVEL), 1e-6)):
+        velocity, displacement = reference.on_clock(voltage, timing, timing.focusing_instant)
+        assert np.abs(velocity - stimulus.target).max() <= allowed * LEVEL
+        assert np.abs(displacement).max() <= allowed * LEVEL
+
+
+@pytest.mark.parametrize("zones", ["AC", "BD"])
+def test_fingers_that_relax_are_met(design, beam, zones):
+    """Springs behind dampers beside mass, damper and spring."""
+    fingers = pair(zones, 0.1, 0.5, 0.3, maxwell=RELAXING)
+    stimulus = design(beam.touched(fingers))
+    assert miss(stimulus, fingers, stimulus.voltage) <= 1e-12 * LEVEL
+    assert miss(stimulus, fingers, stimulus.voltage_played(LEVEL)) <= 1e-6 * LEVEL
+    assert left_over(stimulus, fingers) <= 1e-12 * LEVEL
+
+
+@pytest.mark.parametrize("values", FINGERS[:3], ids=str)
+def test_every_mode_is_steered_on_a_beam_with_even_modes(design, uneven_beam, values):
+    """Fingers at A and C move even modes too: all 19 end where they shall, those not asked for at rest."""
+    fingers = pair("AC", *values)
+    stimulus = design(uneven_beam.touched(fingers))
+    assert (stimulus.target == 0).any()
+    assert miss(stimulus, fingers, stimulus.voltage) <= 1e-12 * LEVEL
+    assert miss(stimulus, fingers, stimulus.voltage_played(LEVEL)) <= 1e-6 * LEVEL
+    assert left_over(stimulus, fingers) <= 1e-12 * LEVEL
+
+
+@given(
+    mass_g=st.floats(0.01, 0.5),
+    damping=st.floats(0.05, 3.0),
+    stiffness=st.floats(0.0, 3.0),
+    left=st.floats(-0.045, -0.01),
+    right=st.floats(0.0, 0.045),
+)
+def test_light_fingers_anywhere_are_met(design, beam, mass_g, damping, stiffness, left, right):
+    """Any two fingertips below 3 N s/m, wherever they lie."""
+    fingers = tuple(Finger(place, mass_g * 1e-3, damping, stiffness * 1e3) for place in (left, right))
+    stimulus = design(beam.touched(fingers), timing=COARSE)
+    bound = max(1e-12, 10 * np.finfo(float).eps * stimulus.drive.condition_number)
+    assert miss(stimulus, fingers, stimulus.voltage) <= bound * LEVEL
+    assert left_over(stimulus, fingers) <= bound * LEVEL
+
+
+@pytest.mark.parametrize("amplifier", [PLAIN, SLOW], ids=["plain", "slow"])
+@pytest.mark.parametrize("options", [{}, {"maxwell": RELAXING}], ids=["plain", "relaxing"])
+@pytest.mark.parametrize("values", [FINGERS[0], FINGERS[4]], ids=str)
+def test_what_fingers_make_of_another_design_is_predicted(design, beam, zones, values, options, amplifier):
+    """Velocity at the focus, highest speed, over points of the beam, by stepping from sample to sample."""
+    fingers = pair("AC", *values, **options)
+    free = design(beam, timing=COARSE, amplifier=amplifier)
+    touched, unit = free.touched(fingers), free.volts_per_code(LEVEL)
+    reference = Coupled(beam, fingers, amplifier)
+    shapes = np.array([shapes_at(label, np.array(zones, dtype=LONG) / LONG(0.1)) for label in beam.label]).astype(float)
+    voltage = free.voltage_played(LEVEL)
+    velocity, _ = reference.at(voltage, COARSE, COARSE.focusing_instant)
+    np.testing.assert_allclose(touched.velocity_at_focus(zones, unit), velocity @ shapes, rtol=0, atol=1e-6 * LEVEL)
+    history = reference.history(np.pad(voltage, ((0, 0), (0, 2500))), longer(COARSE, 15_000))[9:18]
+    speed = np.abs(shapes.T @ history).max(axis=1)
+    np.testing.assert_allclose(touched.peak_velocity(zones, unit), speed, rtol=1e-6)
+    assert touched.passes(zones, unit, speed.max() * (1 - 1e-5))
+    assert not touched.passes(zones, unit, speed.max() * (1 + 1e-5))
+
+
+@pytest.mark.parametrize("amplifier", [PLAIN, SLOW], ids=["plain", "slow"])
+@pytest.mark.parametrize("maxwell", [(), RELAXING], ids=["plain", "relaxing"])
+def test_the_pull_is_the_force_on_each_finger(design, beam, maxwell, amplifier):
+    """|m a + c v + k x| and what the Maxwell terms add, of the mean velocity over the contact, by differences."""
+    fingers = (Finger(-0.04, 0.1e-3, 0.5, 800.0, maxwell=maxwell), Finger(0.0, 0.3e-3, 2.0, 2000.0, maxwell=maxwell))
+    stimulus = design(beam, timing=FINE, amplifier=amplifier)
+    history = Coupled(beam, fingers, amplifier).history(stimulus.voltage_played(LEVEL), FINE)[9:18]
+    pulls, hold = [], FINE.hold
+    for finger in fingers:
+        at, weights = contact_of(beam, finger)
+        velocity = (at @ weights).astype(float) @ history
+        force = finger.mass * np.diff(velocity) / hold
+        middle = (velocity[1:] + velocity[:-1]) / 2
+        place = np.cumsum(middle) * hold - middle * hold / 2
+        force += finger.damping * middle + finger.stiffness * place
+        for stiffness, time in finger.maxwell:
+            fade, branch, row = np.exp(-hold / time), 0.0, np.empty_like(middle)
+            for n, speed in enumerate(middle):
+                row[n] = branch + speed * hold / 2
+                branch = fade * branch + speed * time * (1 - fade)
+            force += stiffness * row
+        pulls.append(np.abs(force).max())
+    found = stimulus.touched(fingers).pull(stimulus.volts_per_code(LEVEL))
+    np.testing.assert_allclose(found, pulls, rtol=5e-3)
+
+
+def test_nobody_pulls_at_an_untouched_beam(shipped):
+    """No finger, no force."""
+    assert shipped.touched(()).pull(shipped.volts_per_code(LEVEL)).size == 0
+
+
+@given(
+    frequency=st.floats(50.0, 2e4),
+    ratio=st.floats(1e-3, 0.2),
+    mass=st.floats(0.0, 3e-3),
+    damping=st.floats(0.0, 20.0),
+    stiffness=st.floats(0.0, 1e4),
+)
+def test_one_rigid_mode_under_a_finger_is_an_oscillator(frequency, ratio, mass, damping, stiffness):
+    """At phi = 1 the product of the exponents is (w^2 + k/m_b)/(1 + m/m_b), their sum -(2 xi w + c/m_b)/(1 + m/m_b)."""
+    w, load = 2 * np.pi * frequency, 1 + mass / MASS
+    square, rate = (w**2 + stiffness / MASS) / load, (2 * ratio * w + damping / MASS) / load
+    assume(abs(rate**2 / 4 - square) > 1e-3 * square)
+    bare = ModalModel((1,), [frequency], [ratio], [[1.0]], 0.1, mass=MASS)
+    exponent = DiagonalSystem.of(bare.touched((Finger(0.013, mass, damping, stiffness),))).exponent
+    roots = np.array([exponent[0], exponent[0].conjugate()]) if exponent.size == 1 else exponent
+    assert roots.prod().real == pytest.approx(square, rel=1e-9)
+    assert -roots.sum().real == pytest.approx(rate, rel=1e-9)
+    if rate**2 < 4 * square:
+        closed = w * np.sqrt((1 + stiffness / (MASS * w**2)) / (1 + mass / MASS))
+        assert abs(exponent[0]) == pytest.approx(closed, rel=1e-9)
+
+
+def test_exponents_under_fingers_are_right_to_the_last_digits(beam):
+    """Against eigenvalues in thirty digits: 1e-13 of each one, also of mode 1, 400 times slower than mode 17."""
+    fingers = pair("BD", 0.15, 0.7, 0.5)
+    matrix = Coupled(beam, fingers).matrix
+    with mpmath.workdps(30):
+        # Each entry as the sum of two doubles, which hold an extended one.
+        high = matrix.astype(float)
+        low = (matrix - high).astype(float)
+        exact = mpmath.matrix(high.tolist()) + mpmath.matrix(low.tolist())
+        values, _ = mpmath.eig(exact)
+        expected = sorted((complex(each) for each in values if each.imag > 0), key=lambda each: each.imag)
+    found = sorted(DiagonalSystem.of(beam.touched(fingers)).exponent, key=lambda each: each.imag)
+    np.testing.assert_allclose(found, expected, rtol=1e-13)
+
+
+@given(place=st.floats(-0.05, 0.05), mass=st.floats(1e-6, 1e-3), stiffness=st.floats(1.0, 5e3))
+def test_a_mass_lowers_every_frequency_and_a_spring_raises_it(beam, place, mass, stiffness):
+    """Rayleigh's theorem, on modes that are all but undamped."""
+    bare = replace(beam, damping_ratio=np.full(9, 1e-7))
+    free = np.sort(bare.angular_frequency)
+    for finger, sign in ((Finger(place, mass=mass), -1), (Finger(place, stiffness=stiffness), 1)):
+        loaded = np.sort(DiagonalSystem.of(bare.touched((finger,))).exponent.imag)
+        assert (sign * (loaded - free) >= -1e-9 * free).all()
+        assert (sign * (loaded - free)).max() > 0
+
+
+@given(
+    values=st.tuples(st.floats(0.0, 1.0), st.floats(0.0, 60.0), st.floats(0.0, 5.0)),
+    places=st.tuples(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05)),
+    maxwell=st.lists(st.tuples(st.floats(1.0, 1e4), st.floats(1e-6, 1.0)), max_size=2),
+)
+def test_fingers_never_feed_the_beam(uneven_beam, values, places, maxwell):
+    """Passive, whatever they are made of: every motion dies out."""
+    mass, damping, stiffness = values
+    fingers = tuple(Finger(at, mass * 1e-3, damping, stiffness * 1e3, maxwell=tuple(maxwell)) for at in places)
+    assert (DiagonalSystem.of(uneven_beam.touched(fingers)).exponent.real < 0).all()
+
+
+def test_a_spring_that_never_gives_way_is_a_spring(design, beam, zones):
+    """A Maxwell term of 1e6 s holds a burst of 0.05 s like the spring itself."""
+    stimulus = design(beam, timing=COARSE)
+    slow, spring = (Finger(0.0, 1e-4, 0.5, k, maxwell=terms) for k, terms in ((0.0, ((900.0, 1e6),)), (900.0, ())))
+    at = [stimulus.touched((each,)).velocity_at_focus(zones, stimulus.volts_per_code(LEVEL)) for each in (slow, spring)]
+    np.testing.assert_allclose(*at, rtol=0, atol=1e-7 * LEVEL)
+    pulls = [stimulus.touched((each,)).pull(stimulus.volts_per_code(LEVEL)) for each in (slow, spring)]
+    np.testing.assert_allclose(*pulls, rtol=1e-6)
+
+
+@pytest.mark.parametrize("time", [1e-8, 1e-9])
+def test_a_spring_that_gives_way_at_once_is_a_damper(design, beam, zones, time):
+    """A Maxwell term is a damper of stiffness times relaxation time, but for a share of w tau."""
+    stimulus = design(beam, timing=COARSE)
+    quick = Finger(0.0, 1e-4, 0.5, 500.0, maxwell=((0.8 / time, time),))
+    damper = Finger(0.0, 1e-4, 1.3, 500.0)
+    unit = stimulus.volts_per_code(LEVEL)
+    at = [stimulus.touched((each,)).velocity_at_focus(zones, unit) for each in (quick, damper)]
+    w = beam.angular_frequency.max()
+    np.testing.assert_allclose(*at, rtol=0, atol=w * time * LEVEL)
+    assert np.abs(at[1] - stimulus.touched(()).velocity_at_focus(zones, unit)).max() > 0.05 * LEVEL
+
+
+def test_mirrored_fingers_on_symmetric_modes_take_the_very_codes(design, beam):
+    """(A, C) and (C, E), to the bit: one design serves both."""
+    left, right = (design(beam.touched(pair(zones, 0.1, 0.7, 0.5))).burst for zones in ("AC", "CE"))
+    assert left.content_hash == right.content_hash
+    assert (left.codes == right.codes).all()
+    assert left.amplitude == right.amplitude
+
+
+def test_mirrored_fingers_on_even_modes_take_other_codes(design, uneven_beam):
+    """An even mode tells left from right."""
+    left, right = (
+        design(uneven_beam.touched(pair(zones, 0.1, 0.7, 0.5)), timing=COARSE).burst.codes for zones in ("AC", "CE")
+    )
+    assert (left != right).any()
+
+
+def test_the_order_of_the_fingers_does_not_matter(design, beam):
+    """The codes are those of the beam, whoever is named first."""
+    two = Finger(-0.04, 1e-4, 0.5, 500.0), Finger(0.0, 2e-4, 0.7, 900.0)
+    first, second = (design(beam.touched(fingers), timing=COARSE).burst.codes for fingers in (two, two[::-1]))
+    assert (first == second).all()
+
+
+def test_without_a_finger_the_codes_are_those_of_the_untouched_beam(design, model, beam, shipped):
+    """To the bit, whether the beam's mass is known or not, and after fingers were lifted."""
+    lifted = beam.touched(pair("AC", 0.1, 0.7, 0.5)).untouched
+    for each in (beam, beam.touched(()), lifted):
+        assert design(each).burst.content_hash == shipped.burst.content_hash
+    unit = shipped.volts_per_code(LEVEL)
+    same = design(beam).touched(())
+    places = list(ZONE.values())
+    assert (same.velocity_at_focus(places, unit) == shipped.velocity_at_focus(places, LEVEL)).all()
+    assert (same.peak_velocity(places, unit) == shipped.peak_velocity(places, LEVEL)).all()
+
+
+@pytest.mark.parametrize("width", [0.002, 0.02, 0.04])
+def test_a_contact_of_any_width_is_averaged(uneven_beam, width):
+    """Means of products of shapes by 64 Gauss points; at the beam's end the contact ends with the beam."""
+    for place in (0.0, 0.018, 0.048):
+        finger = Finger(place, width=width)
+        at, weights = contact_of(uneven_beam, finger)
+        expected = ((at * weights) @ at.T).astype(float)
+        np.testing.assert_allclose(finger.contact(uneven_beam.shapes, 0.1), expected, atol=1e-10)
+        np.testing.assert_allclose(finger.mean_shape(uneven_beam.shapes, 0.1), (at @ weights).astype(float), atol=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"mass": -1e-4}, r"the mass of a finger is -0\.0001 kg; it must be 0 or above"),
+        ({"damping": -1.0}, r"the damping of a finger is -1\.0 N s/m; it must be 0 or above"),
+        ({"stiffness": -1.0}, r"the stiffness of a finger is -1\.0 N/m; it must be 0 or above"),
+        ({"mass": float("nan")}, "the mass of a finger is nan"),
+        ({"damping": float("inf")}, "the damping of a finger is inf"),
+        ({"stiffness": float("nan")}, "the stiffness of a finger is nan"),
+        ({"position": float("nan")}, "the place of a finger is nan"),
+        ({"width": 0.0}, "the width of a contact is 0"),
+        ({"width": float("nan")}, "the width of a contact is nan"),
+        ({"maxwell": ((0.0, 1e-3),)}, "the stiffness of a Maxwell term is 0"),
+        ({"maxwell": ((900.0, 0.0),)}, "the relaxation time of a Maxwell term is 0"),
+        ({"maxwell": ((900.0, float("nan")),)}, "the relaxation time of a Maxwell term is nan"),
+    ],
+)
+def test_what_is_no_finger_is_refused(values, said):
+    """With what was given and what is allowed."""
+    with pytest.raises(ValueError, match=said):
+        Finger(**{"position": 0.0, **values})
+
+
+def test_fingers_beside_the_beam_or_on_one_of_unknown_mass_are_refused(model, beam):
+    """A finger lies on the beam, and weighs on a mass."""
+    with pytest.raises(ValueError, match="a finger lies at 51 mm, off the beam, which spans -50 to 50 mm"):
+        beam.touched((Finger(0.051),))
+    with pytest.raises(ValueError, match="fingers lie on a beam of unknown mass; give its moving mass"):
+        model.touched((Finger(0.0),))
+    for mass in (0.0, -1.0, float("nan")):
+        with pytest.raises(ValueError, match="the moving mass of the beam is"):
+            replace(beam, mass=mass)
