@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 from typing import TYPE_CHECKING
 
@@ -60,7 +60,8 @@ class Placements:
         laid = self._laid(condition)
         zones = "-".join(zone for zone, _ in laid)
         first = self.protocol.conditions.finger_conditions[0]
-        usual = self._laid(replace(condition, finger_condition=first, placement="normal"))
+        left, right = reversed(condition.pair) if condition.is_mirrored else condition.pair
+        usual = self._laid(Condition(first, left, right, condition.velocity_mm_s))
         if isinstance(self.file.fingers, FingerSection) or laid == usual:
             return zones
         return f"{zones} {', '.join(name for _, name in laid)}"
