@@ -96,13 +96,13 @@ def load_fingers(protocol: Reading[Protocol], problems: list[Problem]) -> Readin
     """Return the fingers that the protocol names; what is wrong with them goes to `problems`."""
     name = protocol.sound("stimulus", "fingers")
     beside = protocol.source.path.parent / name
+    own = beside.is_file()
     try:
-        source = Source.load(beside) if beside.is_file() else Source.shipped_text("fingers", name)
+        source = Source.load(beside) if own else Source.shipped_text("fingers", name)
     except InputError as error:
-        problems += [
-            protocol.problem(("stimulus", "fingers"), each.given, f"{NO_FINGERS}, {each.allowed}", each.remedy)
-            for each in error.problems
-        ]
+        found = error.problems[0]
+        given, allowed = f"{name!r}, {found.given} ({beside})", f"{NO_FINGERS}, {found.allowed}"
+        problems.append(found if own else protocol.problem(("stimulus", "fingers"), given, allowed, found.remedy))
         return None
     reading, faults = read_fingers(source, protocol)
     problems += faults
