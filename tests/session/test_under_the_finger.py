@@ -1,0 +1,248 @@
+"""Sessions of a protocol that is designed for fingers: presented, recorded, verified, resumed and analysed."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner, Result
+
+from modaltouch.cli.commands import app
+from modaltouch.preflight import Preflight, examine
+from modaltouch.protocol import Findings
+from modaltouch.record.audit import audit_session
+from modaltouch.record.chain import GENESIS, encode_line, read_chain
+from modaltouch.record.session import Session, read_session
+from modaltouch.session.rewiring import resume, wire_resume
+from modaltouch.session.wiring import simulate_session
+
+PROTOCOLS = Path(__file__).parents[2] / "protocols"
+LEVELS = [40, 60, 80, 100]
+LIGHT = "fingers: {mass_g: 0.06, damping_N_s_per_m: 0.4, stiffness_N_per_mm: 0.4}\nspread: {mass: 0.3, damping: 0.3}\n"
+HEAVY = "fingers: {mass_g: 0.3, damping_N_s_per_m: 2, stiffness_N_per_mm: 2}\n"
+BY_HAND = """\
+fingers:
+  left:
+    index: {mass_g: 0.08, damping_N_s_per_m: 0.5}
+  right:
+    index: {mass_g: 0.05, damping_N_s_per_m: 0.4}
+    middle: {mass_g: 0.1, damping_N_s_per_m: 0.3}
+"""
+
+
+def protocol_for(folder: Path, fingers: str, *changes: tuple[str, str], name: str = "with_catch_trials") -> Path:
+    """Return a copy of a shipped protocol designed for the fingers of a file beside it, at levels that these allow."""
+    shutil.copytree(PROTOCOLS, folder)
+    (folder / "mine.yaml").write_text(fingers, encoding="utf-8")
+    file = folder / f"{name}.yaml"
+    text = file.read_text(encoding="utf-8")
+    designed = ("  focus: C  ", "  fingers: mine.yaml\n  focus: C  "), ("[80, 100, 150, 200]", str(LEVELS))
+    for old, new in (*designed, *changes):
+        assert text.count(old) == 1
+        text = text.replace(old, new)
+    file.write_text(text, encoding="utf-8")
+    return file
+
+
+def run(*words: object) -> Result:
+    """Run the command line in this process."""
+    return CliRunner().invoke(app, [str(word) for word in words])
+
+
+def presented(session: Session) -> list[dict[str, Any]]:
+    """Return the answered trials of a session that were not for practice."""
+    return [event for event in session.trials if not event["trial"]["practice"]]
+
+
+def answered(session: Session) -> list[tuple[bool, int, dict[str, Any], str]]:
+    """Return what was presented and answered, in order."""
+    return [
+        (event["trial"]["practice"], event["trial"]["index"], event["trial"]["condition"], event["response"]["answer"])
+        for event in session.trials
+    ]
+
+
+@pytest.fixture(scope="module")
+def protocol(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The paper's experiment with catch trials, for light fingers."""
+    return protocol_for(tmp_path_factory.mktemp("study") / "protocols", LIGHT)
+
+
+@pytest.fixture(scope="module")
+def preflight(protocol: Path) -> Preflight:
+    """The same, examined."""
+    return examine(protocol).require()
+
+
+@pytest.fixture(scope="module")
+def sessions(tmp_path_factory: pytest.TempPathFactory, preflight: Preflight) -> list[Session]:
+    """Two participants' sessions, simulated."""
+    results = tmp_path_factory.mktemp("results")
+    return [simulate_session(preflight, name, results) for name in ("p01", "p02")]
+
+
+@pytest.fixture
+def copied(sessions: list[Session], tmp_path: Path) -> Path:
+    """The log of the first in a tree of results that a test may spoil."""
+    results = sessions[0].path.parents[5]
+    return Path(shutil.copytree(results, tmp_path / "results")) / sessions[0].path.relative_to(results)
+
+
+def test_every_session_is_whole_and_verified(sessions: list[Session]) -> None:
+    """24 trials, 6 catch trials and 3 for practice; all that is computed again agrees."""
+    for session in sessions:
+        assert session.complete
+        assert len(presented(session)) == 30
+        assert audit_session(Session.find(session.path)).problems == ()
+        assert run("verify", session.path.parent).exit_code == 0
+    assert answered(sessions[0]) != answered(sessions[1])
+
+
+def test_the_planned_speeds_are_those_under_the_fingers(sessions: list[Session], preflight: Preflight) -> None:
+    """Peak speeds at the zones that are touched, under the fingers of that very pair; in a catch trial 0."""
+    touched = {row["velocity_mm_s"]: row["touched"] for row in preflight.as_dict()["stimuli"]}
+    assert list(touched) == LEVELS
+    for event in presented(sessions[0]):
+        condition, planned = event["trial"]["condition"], event["planned"]
+        left, right, level = condition["zone_left"], condition["zone_right"], condition["velocity_mm_s"]
+        peaks = dict.fromkeys("ABCDE", 0.0) if level == 0 else touched[level][f"{left}-{right}"]["zone_peak_mm_s"]
+        speeds = planned["speed_left_mm_s"], planned["speed_right_mm_s"]
+        assert speeds == pytest.approx((peaks[left], peaks[right]), abs=1e-3)
+
+
+def test_each_pair_is_presented_with_its_own_drive(sessions: list[Session], preflight: Preflight) -> None:
+    """The amplitudes that the generator confirmed are those of the design for that pair's fingers."""
+    seen = {}
+    for event in presented(sessions[0]):
+        condition = event["trial"]["condition"]
+        if condition["velocity_mm_s"]:
+            pair = f"{condition['zone_left']}-{condition['zone_right']}"
+            burst = preflight.designs[pair].stimulus.burst
+            sent = tuple(event["confirmed"]["confirmed_amplitude"])
+            assert sent == tuple(burst.amplitude_for(condition["velocity_mm_s"] * 1e-3))
+            seen[pair, condition["velocity_mm_s"]] = sent
+    assert len(seen) == 12
+    assert seen["A-C", 100.0] == seen["C-E", 100.0] != seen["B-D", 100.0]
+
+
+def test_catch_trials_are_as_silent_as_ever(sessions: list[Session]) -> None:
+    """Six in a session, felt nowhere by an observer who does not guess."""
+    for session in sessions:
+        silent = [event for event in presented(session) if event["trial"]["condition"]["velocity_mm_s"] == 0]
+        assert [event["response"]["answer"] for event in silent] == ["none"] * 6
+        assert all(event["catch"] for event in silent)
+
+
+def test_the_record_holds_every_design_and_the_fingers(sessions: list[Session], preflight: Preflight) -> None:
+    """Codes by placement, fields and figures of each, and the text of the file."""
+    start = sessions[0].start
+    assert start["stimulus"]["content_hashes"] == preflight.content_hashes
+    assert list(preflight.content_hashes) == ["A-C", "B-D", "C-E"]
+    assert [(row["placement"], row["velocity_mm_s"]) for row in start["stimulus"]["stimuli"]] == [
+        (pair, level) for pair in preflight.content_hashes for level in LEVELS
+    ]
+    assert start["sources"]["fingers"]["text"] == LIGHT
+
+
+def test_another_file_of_fingers_afterwards_changes_nothing(
+    protocol: Path, sessions: list[Session], copied: Path
+) -> None:
+    """What a session was begun with stands in its record."""
+    own = protocol.with_name("mine.yaml")
+    own.write_text(HEAVY, encoding="utf-8")
+    try:
+        assert audit_session(Session.find(copied)).problems == ()
+        assert run("verify", copied.parent).exit_code == 0
+    finally:
+        own.write_text(LIGHT, encoding="utf-8")
+
+
+def test_fingers_changed_in_the_record_are_noticed(copied: Path) -> None:
+    """Even where every check of the log was made to fit: other fingers take another drive."""
+    check, lines = GENESIS, []
+    for event in read_chain(copied).events:
+        if event["event"] == "start":
+            fingers = event["sources"]["fingers"]
+            fingers["text"] = fingers["text"].replace("mass_g: 0.06", "mass_g: 0.07")
+        line, check = encode_line(event, check)
+        lines.append(line)
+    copied.write_bytes(b"".join(lines))
+    assert any("the drive computed again" in problem for problem in audit_session(Session.find(copied)).problems)
+
+
+@pytest.mark.parametrize("n_lines", [12, 41])
+def test_an_interrupted_session_goes_on_with_the_fingers_it_was_begun_with(
+    protocol: Path, sessions: list[Session], copied: Path, n_lines: int
+) -> None:
+    """Cut at a line, resumed after the file became another: the same trials, answers and speeds as without."""
+    copied.write_bytes(b"".join(copied.read_bytes().splitlines(keepends=True)[:n_lines]))
+    for view in copied.parent.glob("*_beh.*"):
+        view.unlink()  # made after every answer: one of the whole session would tell that lines are gone
+    own = protocol.with_name("mine.yaml")
+    own.write_text(HEAVY, encoding="utf-8")
+    try:
+        done = resume(wire_resume(copied))
+    finally:
+        own.write_text(LIGHT, encoding="utf-8")
+    assert done.complete
+    assert answered(done) == answered(sessions[0])
+    assert [event["planned"] for event in done.trials] == [event["planned"] for event in sessions[0].trials]
+    assert audit_session(Session.find(done.path)).problems == ()
+
+
+def test_participants_are_analysed(sessions: list[Session], tmp_path: Path) -> None:
+    """With the speeds of the record; catch trials are counted apart."""
+    results = sessions[0].path.parents[5]
+    done = run("analyse", results, "--out", tmp_path / "analysis")
+    assert done.exit_code == 0, done.output
+    tests = json.loads((tmp_path / "analysis" / "tests.json").read_text(encoding="utf-8"))
+    catches = [row for row in tests if row["question"] == "catch"]
+    assert [row["estimate"] for row in catches[:2]] == [0, 0]
+
+
+def test_the_same_seed_is_the_same_person(sessions: list[Session], preflight: Preflight, tmp_path: Path) -> None:
+    """Fingers are drawn from seed and name: the answers are the same again."""
+    assert answered(simulate_session(preflight, "p01", tmp_path)) == answered(sessions[0])
+
+
+def test_people_lay_their_own_fingers_on_the_simulated_beam(preflight: Preflight, shipped: Path) -> None:
+    """As the file says people differ: in mass and damping, not in stiffness. Nobody's, where the design has none."""
+    findings = preflight.findings
+    drawn = [findings.with_true_fingers(np.random.default_rng(seed)).twin.fingers for seed in (1, 2, 1)]
+    first, second, again = (
+        (0, 0, 0) if f is None else (f.mass_g, f.damping_N_s_per_m, f.stiffness_N_per_mm) for f in drawn
+    )
+    assert first == again
+    assert first[0] != second[0]
+    assert first[1] != second[1]
+    assert first[2] == second[2] == 0.4
+    untouched = Findings.read(shipped / "demo.yaml")
+    assert untouched.with_true_fingers(np.random.default_rng(1)).twin.fingers is None
+
+
+def test_fingers_by_hand_make_a_design_to_each_placement(tmp_path: Path) -> None:
+    """One hand lies on the beam with other fingers than two hands do."""
+    protocol = protocol_for(
+        tmp_path / "protocols", BY_HAND, ("[[A, C], [B, D], [C, E]]", "[[A, C]]"), name="differentiated_stimulation"
+    )
+    changed = protocol.read_text(encoding="utf-8").replace("  max_same_pair_running: 2\n", "")
+    protocol.write_text(changed, encoding="utf-8")
+    preflight = examine(protocol).require()
+    assert list(preflight.designs) == ["A-C", "A-C left index, right index"]
+    session = simulate_session(preflight, "p01", tmp_path / "results")
+    assert audit_session(Session.find(session.path)).problems == ()
+    read = read_session(session.path)
+    speeds: dict[str, dict[float, tuple[float, float]]] = {"one_hand": {}, "two_hands": {}}
+    for event in presented(read):
+        condition, planned = event["trial"]["condition"], event["planned"]
+        pair = planned["speed_left_mm_s"], planned["speed_right_mm_s"]
+        speeds[condition["finger_condition"]][condition["velocity_mm_s"]] = pair
+    for name, place in (("one_hand", "A-C"), ("two_hands", "A-C left index, right index")):
+        for level, found in speeds[name].items():
+            peaks = preflight.zone_peaks(place, level)
+            assert found == pytest.approx((peaks["A"] * 1e3, peaks["C"] * 1e3), abs=1e-3)
+    assert speeds["one_hand"] != speeds["two_hands"]
