@@ -323,6 +323,28 @@ def test_every_mode_is_steered_on_a_beam_with_even_modes(design, uneven_beam, va
     assert left_over(stimulus, fingers) <= 1e-12 * LEVEL
 
 
+def test_a_mode_that_only_fingers_move_is_steered(design, uneven_beam):
+    """Even modes without any gain: driven through fingers at A and C, left alone by those at B and D."""
+    gain = np.where(np.array(uneven_beam.label)[:, None] % 2, uneven_beam.modal_gain, 0.0)
+    silent = replace(uneven_beam, modal_gain=gain)
+    assert (gain == 0).all(axis=1).sum() == 9
+    for zones in ("AC", "BD"):
+        fingers = pair(zones, 0.15, 0.7, 0.5)
+        stimulus = design(silent.touched(fingers))
+        bound = max(1e-12, 10 * np.finfo(float).eps * stimulus.drive.condition_number)
+        assert miss(stimulus, fingers, stimulus.voltage) <= bound * LEVEL
+        assert left_over(stimulus, fingers) <= bound * LEVEL
+
+
+@pytest.mark.parametrize("name", ["norm_4", "least_peak"])
+def test_designs_of_less_peak_voltage_meet_the_field_too(design, beam, name):
+    """Whatever is asked of the voltages, the states at the focus are the same."""
+    fingers = pair("AC", 0.15, 0.7, 0.5)
+    stimulus = design(beam.touched(fingers), timing=COARSE, design=name)
+    assert miss(stimulus, fingers, stimulus.voltage) <= 1e-11 * LEVEL
+    assert stimulus.peak_voltage.max() < 0.9 * design(beam.touched(fingers), timing=COARSE).peak_voltage.max()
+
+
 @given(
     mass_g=st.floats(0.01, 0.5),
     damping=st.floats(0.05, 3.0),
