@@ -5,7 +5,7 @@ from dataclasses import replace
 import mpmath
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from modaltouch.protocol.apparatus import Apparatus
@@ -345,6 +345,7 @@ def test_designs_of_less_peak_voltage_meet_the_field_too(design, beam, name):
     assert stimulus.peak_voltage.max() < 0.9 * design(beam.touched(fingers), timing=COARSE).peak_voltage.max()
 
 
+@settings(max_examples=40)
 @given(
     mass_g=st.floats(0.01, 0.5),
     damping=st.floats(0.05, 3.0),
@@ -460,6 +461,7 @@ def test_a_mass_lowers_every_frequency_and_a_spring_raises_it(beam, place, mass,
         assert (sign * (loaded - free)).max() > 0
 
 
+@settings(max_examples=40)
 @given(
     values=st.tuples(st.floats(0.0, 1.0), st.floats(0.0, 60.0), st.floats(0.0, 5.0)),
     places=st.tuples(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05)),
