@@ -50,6 +50,9 @@ _REFINEMENTS = 8
 _POLISHED = 9e-13
 """Residual of coupled modes, as a fraction of the largest target, above which it is taken out once more [1]."""
 
+_NEARLY = 1e-6
+"""The same of coupled modes whose eigenvectors are lost: what is left is then taken out by itself [1]."""
+
 _ROUNDING = 16 * float(np.finfo(float).eps)
 """A residual this small, as a fraction of the largest target, is rounding: no refinement lessens it [1]."""
 
@@ -276,8 +279,8 @@ def exact_drive(steering: Steering) -> Drive:
     weight = np.zeros_like(goal)
     best, kept, kept_state = np.inf, weight, np.zeros(reach.exponent.size, dtype=complex)
     short = goal
-    few = (2 if steering.system.exact else 1) if steering.system.coupled else _REFINEMENTS
-    for _ in range(few):
+    enough = _ROUNDING if not steering.system.coupled else _POLISHED if steering.system.exact else _NEARLY
+    for _ in range(_REFINEMENTS):
         weight = weight + solver.solve(short)
         reach.write(weight, before)
         short, state = steering.short(before)
@@ -285,24 +288,27 @@ def exact_drive(steering: Steering) -> Drive:
         if residual >= 0.5 * best:
             break
         best, kept, kept_state = residual, weight, state
-        if residual <= _ROUNDING * float(np.abs(goal).max()):
+        if residual <= enough * float(np.abs(goal).max()):
             break
     if kept is not weight:
         reach.write(kept, before)
     if steering.system.coupled and best > _POLISHED * float(np.abs(goal).max()):
         # What is left is small beside exponentials that all but cancel: added by itself, it is not lost among them.
-        return polished(steering, before, rounds=1)
+        return polished(steering, before, _POLISHED)
     steering.end(voltage, kept_state)
     return Drive(voltage, solver.condition_number, best, reach.taper.n_samples)
 
 
-def polished(steering: Steering, voltage: FloatArray, rounds: int = 3) -> Drive:
-    """Return the drive of voltages until the focus, with the least energy added that takes their residual out."""
+def polished(steering: Steering, voltage: FloatArray, enough: float = 0.0) -> Drive:
+    """Return the drive of voltages until the focus, with the least energy added that takes their residual out.
+
+    A residual of `enough`, as a fraction of the largest target, is left.
+    """
     change, residual = np.empty_like(voltage), np.inf
-    for _ in range(rounds):
+    for _ in range(3):
         short, state = steering.short(voltage)
         now = float(np.abs(short).max())
-        if now >= residual:
+        if now >= residual or now <= enough * float(np.abs(steering.goal).max()):
             break
         residual = now
         steering.reach.write(steering.solver.solve(short), change)
