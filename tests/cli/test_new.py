@@ -81,7 +81,9 @@ def test_a_study_is_a_copy_in_the_shipped_layout(tmp_path):
     write_study(tmp_path / "study", "differentiated_stimulation")
     copied = sorted(file for file in (tmp_path / "study" / "protocols").rglob("*") if file.is_file())
     names = [file.relative_to(tmp_path / "study" / "protocols").as_posix() for file in copied]
-    schemas = [f"schema/{name}.json" for name in ("apparatus", "calibration", "observer", "protocol", "texts")]
+    schemas = [
+        f"schema/{name}.json" for name in ("apparatus", "calibration", "fingers", "observer", "protocol", "texts")
+    ]
     own = ["apparatus/beam_100x6x2.yaml", "differentiated_stimulation.yaml", *schemas, "texts/english.yaml"]
     assert names == own
     assert [file.read_bytes() for file in copied] == [(source / name).read_bytes() for name in names]

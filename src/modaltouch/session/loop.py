@@ -50,14 +50,14 @@ class SessionRun:
         What decides the levels of an adaptive run; None where the protocol does.
     speeds : callable
         Predicted peak speeds under the left and the right finger in a trial [m/s].
-    which : callable
-        Which of the loaded bursts a trial is presented with.
     rig, window, log
         The open instrument, answer window and session log.
     save_view : callable
         Brings the BIDS view up to date with the log.
     tick : callable
         Called between steps; raises when the session was told to end.
+    which : callable
+        Which of the loaded bursts a trial is presented with; the first if not given.
     experimenter : Experimenter
         Is told what happens, and asks for repeats and for the end of the session after a block.
     masking : Masking
@@ -71,12 +71,12 @@ class SessionRun:
     total: int
     levels: Levels | None
     speeds: Callable[[Trial], tuple[float, float]]
-    which: Callable[[Trial], int]
     rig: Rig
     window: AnswerWindow
     log: SessionLog
     save_view: Callable[[], None]
     tick: Callable[[], object]
+    which: Callable[[Trial], int] = lambda _: 0
     experimenter: Experimenter = field(default_factory=Experimenter)
     masking: Masking = field(default_factory=Masking)
     clock: Clock = SYSTEM_CLOCK
