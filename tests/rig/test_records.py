@@ -84,11 +84,21 @@ def test_bursts_change_places_without_an_upload(
         generator.fire(0.1, which=2)
 
 
-def test_more_records_than_memories_are_refused(generator: Generator, make: Callable[..., Burst]) -> None:
+def test_of_more_records_than_memories_those_of_a_burst_are_loaded_before_it_is_fired(
+    generator: Generator, simulator: Simulator, make: Callable[..., Burst], heard: Any
+) -> None:
     """Six different records do not fit into four memories; three bursts that share one channel's do."""
     bursts = [make(seed=seed) for seed in (1, 2, 3)]
-    with pytest.raises(RigError, match="the bursts have 6 records: the generator has 4 memories"):
-        generator.load(*bursts)
+    generator.load(*bursts)
+    assert len(heard.of("record_sent")) == 2
+    for which in (2, 0, 0, 1):
+        assert generator.fire(0.1, which=which).started
+        for channel, codes in zip(simulator.afg.channels.values(), bursts[which].codes, strict=True):
+            assert simulator.afg.user[int(channel.function[4:])] == codes.astype(">u2").tobytes()
+        generator.stop()
+        assert generator.firing is not None
+        assert generator.firing.confirmed
+    assert len(heard.of("record_sent")) == 2 + 3 * 2  # the third fire has what the second loaded
     shared = [replace(each, codes=np.stack([each.codes[0], bursts[0].codes[1]])) for each in bursts]
     generator.load(*shared)
     assert generator.fire(0.1, which=2).started

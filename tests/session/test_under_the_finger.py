@@ -225,14 +225,14 @@ def test_people_lay_their_own_fingers_on_the_simulated_beam(preflight: Preflight
 
 
 def test_fingers_by_hand_make_a_design_to_each_placement(tmp_path: Path) -> None:
-    """One hand lies on the beam with other fingers than two hands do."""
-    protocol = protocol_for(
-        tmp_path / "protocols", BY_HAND, ("[[A, C], [B, D], [C, E]]", "[[A, C]]"), name="differentiated_stimulation"
-    )
+    """One hand lies on the beam with other fingers than two hands do; eight records take turns in four memories."""
+    pairs = "[[A, C], [B, D], [C, E]]", "[[A, C], [B, D]]"
+    protocol = protocol_for(tmp_path / "protocols", BY_HAND, pairs, name="differentiated_stimulation")
     changed = protocol.read_text(encoding="utf-8").replace("  max_same_pair_running: 2\n", "")
     protocol.write_text(changed, encoding="utf-8")
     preflight = examine(protocol).require()
-    assert list(preflight.designs) == ["A-C", "A-C left index, right index"]
+    assert list(preflight.designs) == ["A-C", "B-D", "A-C left index, right index", "B-D left index, right index"]
+    assert len({codes.tobytes() for burst in preflight.bursts for codes in burst.codes}) == 8
     session = simulate_session(preflight, "p01", tmp_path / "results")
     assert audit_session(Session.find(session.path)).problems == ()
     read = read_session(session.path)
@@ -240,6 +240,8 @@ def test_fingers_by_hand_make_a_design_to_each_placement(tmp_path: Path) -> None
     for event in presented(read):
         condition, planned = event["trial"]["condition"], event["planned"]
         pair = planned["speed_left_mm_s"], planned["speed_right_mm_s"]
+        if condition["zone_left"] != "A":
+            continue
         speeds[condition["finger_condition"]][condition["velocity_mm_s"]] = pair
     for name, place in (("one_hand", "A-C"), ("two_hands", "A-C left index, right index")):
         for level, found in speeds[name].items():

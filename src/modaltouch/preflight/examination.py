@@ -240,9 +240,6 @@ def _examine_placements(findings: Findings, inputs: DesignInputs) -> Preflight:
         for name, part in placed.items()
         for problem in part.problems
     }
-    if not problems:
-        bursts = [each.designed.burst for each in placed.values() if each.designed is not None]
-        problems.update(_check_memories(findings, inputs.apparatus, bursts, placed=True))
     return Preflight(findings, tuple(sorted(problems)), first.inputs, first.designed, placed=placed)
 
 
@@ -294,26 +291,24 @@ def _examine_several(findings: Findings) -> Preflight:
     first = next(iter(variants.values()))
     together = Preflight(findings, (), first.inputs, first.designed, variants)
     if not problems and first.inputs is not None:
-        problems.update(_check_memories(findings, first.inputs.apparatus, together.bursts))
+        by_placement: dict[str, list[Burst]] = {}
+        for part in variants.values():
+            for place, each in (part.placed or {"": part}).items():
+                by_placement.setdefault(place, []).append(each.stimulus.burst)
+        for bursts in by_placement.values():
+            problems.update(_check_memories(findings, first.inputs.apparatus, bursts))
     problems.update([*_check_schedule(findings), *_check_masking_level(findings)])
     return replace(together, problems=tuple(sorted(problems)))
 
 
-def _check_memories(
-    findings: Findings, apparatus: Apparatus, bursts: Sequence[Burst], *, placed: bool = False
-) -> Iterator[Problem]:
-    """Yield more records than the generator has memories, of several stimuli or of one for several placements."""
+def _check_memories(findings: Findings, apparatus: Apparatus, bursts: Sequence[Burst]) -> Iterator[Problem]:
+    """Yield more records than the generator has memories; those for other placements are loaded at a placement."""
     n_memories = instrument_of(apparatus).records.n_memories
     n_records = len({record.tobytes() for burst in bursts for record in burst.codes})
     if n_records > n_memories:
-        path: tuple[str, ...] = ("stimuli",)
-        kind, remedy = "stimuli", "take fewer, or make protocols of them"
-        if placed:
-            path, kind = ("stimulus", "fingers"), "placements of fingers"
-            remedy = "give one finger for all, take fewer zone pairs, or make protocols of them"
-        given = f"{len(bursts)} {kind} with {n_records} different records"
-        allowed = f"at most {n_memories}, as many as the generator has memories: two {kind} on two outputs"
-        yield findings.problem(path, given, allowed, remedy)
+        given = f"{len(bursts)} stimuli with {n_records} different records"
+        allowed = f"at most {n_memories}, as many as the generator has memories: two stimuli on two outputs"
+        yield findings.problem(("stimuli",), given, allowed, "take fewer, or make protocols of them")
 
 
 def design_to_fit(inputs: DesignInputs, *, release: Release | None = None) -> Stimulus:

@@ -144,7 +144,8 @@ class Generator:
         burst : Burst
             One record for each of the two outputs.
         *further : Burst
-            More bursts to choose from when firing, as many as the memories hold: two where all records differ.
+            More bursts to choose from when firing. The memories hold two where all records differ; of more, one whose
+            records are not there is loaded before it is fired, which takes as long as this.
 
         Raises
         ------
@@ -199,6 +200,8 @@ class Generator:
         commanded = self._player.amplitudes(velocity, which)
         if self._on:
             self.stop()
+        if not self._player.holds(which):
+            self._load_again(which)
         self._is_counted = exactly
         self._firing = Firing(
             commanded,
@@ -220,6 +223,14 @@ class Generator:
             except (Unconfirmed, LinkError) as error:
                 self._give_up(self._firing, error)
         return self._firing
+
+    def _load_again(self, which: int) -> None:
+        """Have another burst's records in the instrument, which lasts longer than the watchdog waits in a stimulus."""
+        with self._off_after_a_failure("loading the stimulus"):
+            try:
+                self._player.choose(which)
+            except LinkError:
+                self._connection.restore("loading the stimulus", (), self._player.replay)
 
     def _give_up(self, firing: Firing, error: Unconfirmed | LinkError) -> None:
         """Switch off a stimulus that did not begin as it should, and keep why."""

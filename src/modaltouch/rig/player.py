@@ -54,7 +54,7 @@ class Player:
         self._trigger_command = ""
         self._bursts: tuple[Burst, ...] = ()
         self._chosen = 0
-        self._by_burst: tuple[tuple[Setting, ...], ...] = ()
+        self._by_burst: dict[int, tuple[Setting, ...]] = {}
         self._settings: tuple[Setting, ...] = ()
         self._stopped = self._let_go = self._instrument.on_all(self._table.stopped)
         self._levels: tuple[Setting, ...] = ()
@@ -85,7 +85,7 @@ class Player:
         Raises
         ------
         RigError
-            If one does not begin and end at rest, they have more records than the instrument has memories, or the
+            If one does not begin and end at rest or has more records than the instrument has memories, or the
             repetition asks for a timer that it has not.
         """
         self._bursts, self._settings, self._levels = (), (), ()
@@ -96,29 +96,42 @@ class Player:
             )
         for burst in bursts:
             _refuse_steps(burst)
-        records = {codes.tobytes() for burst in bursts for codes in self._records(burst)}
-        n_memories = self._instrument.records.n_memories
-        if len(records) > n_memories:
+        n_records, n_memories = max(map(self._n_records, bursts), default=0), self._instrument.records.n_memories
+        if n_records > n_memories:
             raise RigError(
-                f"the bursts have {len(records)} records: the generator has {n_memories} memories; the outputs are "
-                "off; load fewer bursts"
+                f"a burst has {n_records} records: the generator has {n_memories} memories; the outputs are off; take "
+                "a generator that holds them"
             )
         self._bursts, self._chosen = tuple(bursts), 0
 
+    def _n_records(self, *bursts: Burst) -> int:
+        """Return how many different records bursts have."""
+        return len({codes.tobytes() for burst in bursts for codes in self._records(burst)})
+
+    def holds(self, which: int) -> bool:
+        """Return whether a burst's records are in the instrument, so that settings alone choose it."""
+        return which in self._by_burst
+
     def replay(self) -> None:
-        """Have the records in the instrument and make every setting but the level."""
+        """Have the records in the instrument and make every setting but the level.
+
+        Of more records than it has memories, those of the chosen burst.
+        """
         self._settings = self._levels = ()
+        self._by_burst = {}
         if not self._bursts:
             return
         channels = self._instrument.channels
-        records = [each for burst in self._bursts for each in zip(channels, self._records(burst), strict=True)]
+        fit = self._n_records(*self._bursts) <= self._instrument.records.n_memories
+        held = dict(enumerate(self._bursts)) if fit else {self._chosen: self._bursts[self._chosen]}
+        records = [each for burst in held.values() for each in zip(channels, self._records(burst), strict=True)]
         memories = self._controls.store(records)
-        by_burst: list[list[Setting]] = []
-        for number, burst in enumerate(self._bursts):
-            by_burst.append([])
-            for channel, memory in zip(channels, memories[number * len(channels) :], strict=False):
-                by_burst[-1] += self._instrument.burst_settings(channel, memory, burst, continuous=self._continuous)
-            by_burst[-1] += self._instrument.timer(burst) if self.repetition == "timer" else ()
+        by_burst: dict[int, list[Setting]] = {}
+        for place, (number, burst) in enumerate(held.items()):
+            settings = by_burst[number] = []
+            for channel, memory in zip(channels, memories[place * len(channels) :], strict=False):
+                settings += self._instrument.burst_settings(channel, memory, burst, continuous=self._continuous)
+            settings += self._instrument.timer(burst) if self.repetition == "timer" else ()
         locks = self._instrument.records.locks(memories)
         self._controls.apply_each([*by_burst[self._chosen], *locks])
         if self.repetition == "single" and not self._trigger_command:
@@ -126,13 +139,17 @@ class Player:
             # What that has triggered, behind outputs that are off, is over before the first burst is due.
             self._clock.sleep(2 * max(burst.duration for burst in self._bursts))
         guarded = self._limits.guarded_settings()
-        self._by_burst = tuple((*guarded, *settings, *locks) for settings in by_burst)
+        self._by_burst = {number: (*guarded, *settings, *locks) for number, settings in by_burst.items()}
         self._settings = self._by_burst[self._chosen]
 
     def choose(self, which: int) -> None:
-        """Play one of the bursts from now on; its records are there, so that settings alone change."""
+        """Play one of the bursts from now on; where its records are there, settings alone change."""
         if which == self._chosen or not self._settings:
             self._chosen = which
+            return
+        if not self.holds(which):
+            self._chosen = which
+            self.replay()
             return
         self._chosen, before = which, set(self._settings)
         # First the settings that will be: what fails on the way is found to differ, and made again.
