@@ -378,7 +378,7 @@ class Preflight:
     def _contrasts(self) -> list[dict[str, Any]]:
         protocol = self.experiment.protocol
         return [
-            {**({"stimulus": name} if name else {}), **row}
+            {**({"stimulus": name} if name else {}), **({"placement": place} if place else {}), **row}
             for name, part in self.parts.items()
             for place, each in (part.placed or {"": part}).items()
             for row in contrasts(protocol, each.stimuli[-1]["zone_peak_mm_s"], place.split(" ")[0])
