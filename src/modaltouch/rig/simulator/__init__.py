@@ -128,7 +128,11 @@ class Simulator:
         from modaltouch.rig.local_client import LocalClient
         from modaltouch.rig.visa import VisaSession
 
-        return {"clock": clock, "start_guard": lambda address, off: LocalClient(VisaSession(address), clock)}
+        # No other program knows of this twin; one that had the same port before may still hold the address's lock.
+        return {
+            "clock": clock,
+            "start_guard": lambda address, off: LocalClient(VisaSession(address, shares=True), clock),
+        }
 
     @property
     def outputs(self) -> tuple[bool, ...]:
