@@ -39,9 +39,6 @@ if TYPE_CHECKING:
     from modaltouch.stimulus import ModalModel
 
 
-_ALUMINIUM = 2700.0
-"""Density [kg/m^3]."""
-
 _MEASURED = ("beam", "actuator_sets", "modes", "amplifier", "generator", "acquisition", "twin")
 """Parts that a calibration holds for; names, zones and limits may change."""
 
@@ -68,10 +65,9 @@ class Beam(Section):
 
     @property
     def mass(self) -> float:
-        """Moving mass [kg]."""
-        if self.mass_g is not None:
-            return self.mass_g * 1e-3
-        return _ALUMINIUM * self.length_mm * self.width_mm * self.thickness_mm * 1e-9
+        """Moving mass [kg]; of aluminium 2.7 mg to a cubic millimetre."""
+        aluminium = 2.7e-6 * self.length_mm * self.width_mm * self.thickness_mm
+        return aluminium if self.mass_g is None else self.mass_g * 1e-3
 
 
 class Zone(Section):

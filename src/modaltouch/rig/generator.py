@@ -144,8 +144,7 @@ class Generator:
         burst : Burst
             One record for each of the two outputs.
         *further : Burst
-            More bursts to choose from when firing. The memories hold two where all records differ; of more, one whose
-            records are not there is loaded before it is fired, which takes as long as this.
+            More to choose from when firing; one for whose records there is no memory is loaded before it is fired.
 
         Raises
         ------
@@ -161,12 +160,8 @@ class Generator:
                 "outputs are off; give each output an actuator set in the apparatus file"
             )
         self.stop()
-        with self._off_after_a_failure("loading the stimulus"):
-            self._player.take(bursts)
-            try:
-                self._player.replay()
-            except LinkError:
-                self._connection.restore("loading the stimulus", (), self._player.replay)
+        self._player.take(bursts)
+        self._bring(self._player.replay)
 
     def fire(
         self, velocity: float, *, n_bursts: int = MANY, exactly: bool = False, silent: bool = False, which: int = 0
@@ -201,7 +196,8 @@ class Generator:
         if self._on:
             self.stop()
         if not self._player.holds(which):
-            self._load_again(which)
+            # Lasts longer than the watchdog waits within a stimulus.
+            self._bring(lambda: self._player.choose(which))
         self._is_counted = exactly
         self._firing = Firing(
             commanded,
@@ -224,11 +220,11 @@ class Generator:
                 self._give_up(self._firing, error)
         return self._firing
 
-    def _load_again(self, which: int) -> None:
-        """Have another burst's records in the instrument, which lasts longer than the watchdog waits in a stimulus."""
+    def _bring(self, records: Callable[[], None]) -> None:
+        """Have records in the instrument, over a new connection if the first is lost."""
         with self._off_after_a_failure("loading the stimulus"):
             try:
-                self._player.choose(which)
+                records()
             except LinkError:
                 self._connection.restore("loading the stimulus", (), self._player.replay)
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
 
-from modaltouch.system import SYSTEM_CLOCK, Clock, VirtualClock
+from modaltouch.system import SYSTEM_CLOCK, Clock
 from modaltouch.window.interface import AnswerWindow, Log, Tick
 
 if TYPE_CHECKING:
@@ -18,10 +18,6 @@ if TYPE_CHECKING:
 
 AnswersBy = Literal["window", "simulated", "robot"]
 """A person at the window; an observer model without a window; an observer model typing into the real window."""
-
-
-_STEP, _VIRTUAL_STEP = 1e-3, 1e-2
-"""Time between two ticks of a simulated participant: by a real clock, and by a virtual one, where nobody waits [s]."""
 
 
 @dataclass(frozen=True)
@@ -100,8 +96,7 @@ def open_window(
     Parameters
     ----------
     answers : str
-        ``window`` (a person), ``robot`` (an observer typing into the real window) or ``simulated`` (an observer
-        without a window).
+        As `AnswersBy`: ``window``, ``robot`` or ``simulated``.
     protocol, texts, zones, tick, log, clock
         As for `participant.ParticipantWindow`.
     answerer, options
@@ -109,10 +104,8 @@ def open_window(
 
     Raises
     ------
-    WindowError
-        If the window cannot be opened.
-    ValueError
-        If an observer is missing.
+    WindowError, ValueError
+        If the window cannot be opened, or an observer is missing.
     """
     if answers != "window" and answerer is None:
         raise ValueError(f"given answers by {answers!r} and no observer; give `answerer`, or answers by 'window'")
@@ -120,17 +113,15 @@ def open_window(
         from modaltouch.window.simulated import SimulatedParticipant
 
         until, after = protocol.answers.stimulus_until, protocol.answers.after_longest
-        step = _VIRTUAL_STEP if isinstance(clock, VirtualClock) else _STEP
         return SimulatedParticipant(
-            answerer, tick=tick, log=log, stimulus_until=until, after_longest=after, clock=clock, step=step
+            answerer, tick=tick, log=log, stimulus_until=until, after_longest=after, clock=clock
         )
     from modaltouch.window.participant import ParticipantWindow
     from modaltouch.window.robot import Robot
     from modaltouch.window.theme import THEMES
 
-    options, robot = options or WindowOptions(), None
-    if answers == "robot" and answerer is not None:
-        robot = Robot(answerer, protocol.answers)
+    options = options or WindowOptions()
+    robot = Robot(answerer, protocol.answers) if answers == "robot" and answerer is not None else None
     display = _open_screen(protocol.title, options, clock)
     try:
         return ParticipantWindow(

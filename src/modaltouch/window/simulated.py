@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from modaltouch.protocol import TIME_OUT, AnswerList, Response, Trial
-from modaltouch.system import SYSTEM_CLOCK, Clock
+from modaltouch.system import SYSTEM_CLOCK, Clock, VirtualClock
 from modaltouch.window.interface import AnswerWindow, Log, Presentation, Tick, TrialInterrupted
 
 
@@ -89,8 +89,8 @@ class SimulatedParticipant(AnswerWindow):
         ``ask``, or ``time_out`` where the trial ends with the longest stimulus.
     clock : Clock
         By which reaction times and pauses pass.
-    step : float
-        Time between two ticks [s].
+    step : float, optional
+        Time between two ticks [s]; by a virtual clock, for which nobody waits, ten times as long if not given.
     """
 
     def __init__(
@@ -102,7 +102,7 @@ class SimulatedParticipant(AnswerWindow):
         stimulus_until: str = "answer",
         after_longest: str = "ask",
         clock: Clock = SYSTEM_CLOCK,
-        step: float = 1e-3,
+        step: float | None = None,
     ) -> None:
         self._answerer = answerer
         self._ticks = tick
@@ -110,7 +110,7 @@ class SimulatedParticipant(AnswerWindow):
         self._onset_is = "question" if stimulus_until == "question" else "first_burst"
         self._after_longest = after_longest
         self._clock = clock
-        self._step = step
+        self._step = step or (1e-2 if isinstance(clock, VirtualClock) else 1e-3)
 
     def describe(self) -> dict[str, Any]:
         """Return the backend for the start record."""
