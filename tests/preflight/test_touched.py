@@ -427,3 +427,59 @@ def test_what_measures_the_untouched_beam_refuses_a_design_for_fingers(designed:
     with pytest.raises(InputError, match=r"stimulus.fingers: given fingers, while this measures the untouched beam"):
         designed.of_untouched_beam()
     assert designed.comparison() == []
+
+
+def limited(edit: Edit, limit: float, *changes: tuple[str, str]) -> Path:
+    """Return the paper's design under typical fingers at up to 100 mm/s, with another velocity limit."""
+    designed = ("  focus: C  ", "  fingers: typical\n  focus: C  "), ("[80, 100, 150, 200]", "[40, 100]")
+    file = edit(f"{PAPER}.yaml", *designed)
+    beam = file.parent / "apparatus" / "beam_100x6x2.yaml"
+    text = beam.read_text(encoding="utf-8")
+    for old, new in (("velocity_limit_mm_s: 500", f"velocity_limit_mm_s: {limit:g}"), *changes):
+        assert text.count(old) == 1
+        text = text.replace(old, new)
+    beam.write_text(text, encoding="utf-8")
+    return file
+
+
+def test_a_finger_taken_away_must_not_send_the_beam_over_its_limit(edit: Edit) -> None:
+    """At 100 mm/s the beam moves at up to 114 mm/s within a zone under both fingers, and at 139 without any."""
+    file = limited(edit, 145)
+    assert examine(file).problems == ()
+    beam = file.parent / "apparatus" / "beam_100x6x2.yaml"
+    beam.write_text(beam.read_text(encoding="utf-8").replace("limit_mm_s: 145", "limit_mm_s: 130"), encoding="utf-8")
+    problems = examine(file).problems
+    assert {problem.path for problem in problems} == {"conditions.peak_velocities_mm_s[1]"}
+    assert all("once both fingers are taken away" in problem.given for problem in problems)
+    assert all("at most 130 mm/s anywhere in a zone" in problem.allowed for problem in problems)
+
+
+def test_the_limit_holds_at_the_upper_end_of_identified_gains(edit: Edit) -> None:
+    """A gain that may be a tenth larger than the table says makes a beam that may move a tenth faster."""
+    line = "label: 13, natural_frequency_Hz: 58303, damping_ratio: 0.0101, gain_mm_s2_per_V: {centre: -41448}"
+    interval = "intervals_95: {gain_mm_s2_per_V: {centre: [-45592.8, -41000]}}"
+    file = limited(edit, 145, (line, f"{line}, {interval}"))
+    problems = examine(file).problems
+    assert problems
+    assert all("the upper end of the identification's intervals (10.0%) included" in each.given for each in problems)
+
+
+def test_the_level_first_is_labelled_and_reaches_any_level(edit: Edit) -> None:
+    """The paper's 200 mm/s at 250 V, where the whole field allows 114; the price is said."""
+    preflight = examine(edit(f"{PAPER}.yaml", ("  focus: C  ", "  fingers: typical\n  priority: level\n  focus: C  ")))
+    values = preflight.require().as_dict()
+    assert max(values["stimuli"][-1]["peak_drive_V"].values()) <= 250
+    for found in values["stimuli"][-1]["touched"].values():
+        assert found["zone_at_focus_mm_s"]["C"] == pytest.approx(200, rel=1e-6)
+    (said,) = (warning for warning in values["warnings"] if warning.startswith("priority level"))
+    assert "do not compare it with sessions of priority field" in said
+
+
+@pytest.mark.parametrize(("key", "value"), [("law", "paper"), ("design", "norm_4")])
+def test_the_level_first_is_refused_with_other_laws(edit: Edit, key: str, value: str) -> None:
+    """At the key that asks for it."""
+    changes = [("  focus: C  ", "  priority: level\n  focus: C  ")]
+    changes += [("law: exact  ", "law: paper  ")] if key == "law" else [("  release:", "  design: norm_4\n  release:")]
+    (problem,) = examine(edit(f"{PAPER}.yaml", *changes)).problems
+    assert problem.path == "stimulus.priority"
+    assert problem.given == f"level, with the {key} {value}"

@@ -243,13 +243,13 @@ def _touched_table(table_kind: Any, stimuli: list[dict[str, Any]]) -> Any:
     for heading in (
         *(["stimulus"] if several else []),
         "level mm/s",
-        "fingers at",
+        "pair",
         *zones,
         f"{focus} at focus mm/s",
         f"{focus} at most mm/s",
         "pull N",
     ):
-        table.add_column(heading, justify="left" if heading in ("stimulus", "fingers at") else "right")
+        table.add_column(heading, justify="left" if heading in ("stimulus", "pair") else "right")
     for stimulus in stimuli:
         for place, found in stimulus["touched"].items():
             table.add_row(

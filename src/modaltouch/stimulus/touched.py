@@ -60,9 +60,9 @@ class TouchedBeam:
         return self._played.peaks(unit, positions, self.model.shapes(positions))
 
     def peak_below(self, frequency: float, position: float, unit: FloatArray) -> float:
-        """Highest speed of what swings slower than a frequency [Hz] at a point of the beam [m], [m/s]."""
+        """Highest speed of what swings and decays slower than a frequency [Hz] at a point of the beam [m], [m/s]."""
         system = self._played.system
-        slow = np.abs(system.exponent.imag) < 2 * np.pi * frequency
+        slow = np.abs(system.exponent) < 2 * np.pi * frequency
         return self._played.peak_of(unit, (self.model.shapes([position]).T @ system.velocity) * slow)
 
     def passes(self, positions: ArrayLike, unit: FloatArray, limit: float) -> bool:

@@ -1,0 +1,82 @@
+"""The level at the focus exactly, the field as nearly as the amplifier allows; and the slow part of a burst."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from modaltouch.stimulus.dynamics import Amplifier
+from modaltouch.stimulus.fingers import Finger
+from modaltouch.stimulus.stimulus import Stimulus
+from modaltouch.stimulus.vibration import modal_history
+
+LEVEL = 0.2
+ZONES = np.array([-0.04, -0.02, 0.0, 0.02, 0.04])
+HEAVY = (0.25e-3, 1.5, 1500.0)
+"""Mass [kg], damping [N s/m] and stiffness [N/m], for which the whole field takes 1,000 V on (A,C)."""
+
+
+@pytest.fixture(scope="module")
+def whole(design, model) -> Stimulus:
+    """The whole field under two heavy fingers at A and C."""
+    fingers = tuple(Finger(place, *HEAVY) for place in (-0.04, 0.0))
+    return design(replace(model, mass=3.3e-3).touched(fingers))
+
+
+@pytest.fixture(scope="module")
+def first(whole) -> Stimulus:
+    """The level first, there."""
+    return replace(whole, priority="level")
+
+
+def test_the_level_is_reached_exactly_at_the_limit(whole, first):
+    """The whole field needs four times the 250 V; 0.2 % of the ridge is a few parts in 1000 of the peak."""
+    limit = whole.amplifier.limit
+    assert whole.peak_voltage.max() > 3.5 * limit
+    assert 0.98 * limit < first.peak_voltage.max() <= limit
+    unit = first.volts_per_code(LEVEL)
+    assert first.touched(first.model.fingers).velocity_at_focus([0.0], unit)[0] == pytest.approx(LEVEL, rel=1e-6)
+
+
+def test_the_field_pays_for_it(whole, first):
+    """Other zones and the slow mode are off what the whole field asks for; more volts bring them nearer."""
+    target = whole.projection.field(ZONES)
+
+    def missed(limit: float) -> float:
+        stimulus = replace(first, amplifier=replace(first.amplifier, limit=limit))
+        reached = stimulus.touched(stimulus.model.fingers).velocity_at_focus(ZONES, stimulus.volts_per_code(LEVEL))
+        return float(np.abs(reached - target).max())
+
+    near, middle, far = (missed(limit) for limit in (800.0, 500.0, 250.0))
+    assert 0.002 * LEVEL < near < middle < far < 0.5 * LEVEL
+    fingers = whole.model.fingers
+    slow = [each.touched(fingers).peak_below(1e3, 0.0, each.volts_per_code(LEVEL)) for each in (whole, first)]
+    assert slow[1] < 0.8 * slow[0]
+
+
+def test_where_the_amplifier_allows_the_whole_field_it_is_the_whole_field(design, model):
+    """The untouched beam takes 184 of the 250 V: to the bit the same."""
+    stimulus = design(model)
+    np.testing.assert_array_equal(replace(stimulus, priority="level").burst.codes, stimulus.burst.codes)
+
+
+def test_the_beam_is_at_rest_at_the_end(first):
+    """Braked from whatever state the focus was left in."""
+    reached = first.system.state_at(first.voltage, first.timing, first.timing.duration)
+    assert np.abs(np.concatenate(first.system.read(reached))).max() <= 1e-11 * LEVEL
+
+
+@pytest.mark.parametrize("how", [{"law": "paper"}, {"design": "norm_4"}])
+def test_it_is_a_design_of_the_exact_law_of_least_energy(design, model, how):
+    """Other voltages have no field to let go."""
+    with pytest.raises(ValueError, match="the level first is a design of the law exact of least energy, not of"):
+        design(model, priority="level", **how)
+
+
+def test_what_swings_below_a_kilohertz_is_the_slow_mode_alone(design, model):
+    """Of Table I mode 1, at 229 Hz, a rigid translation: its velocity is that of every point."""
+    stimulus = design(model, amplifier=Amplifier(gain=25.0, limit=250.0))
+    unit = stimulus.volts_per_code(LEVEL)
+    slow = np.abs(modal_history(model, stimulus.voltage_played(LEVEL), stimulus.timing)[0]).max()
+    for place in (0.0, 0.03):
+        assert stimulus.touched(()).peak_below(1e3, place, unit) == pytest.approx(slow, rel=1e-6)
