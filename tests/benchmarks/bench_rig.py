@@ -105,7 +105,7 @@ def measure_driver(simulator: Simulator, rig: Generator) -> dict[str, tuple[floa
     """Return what the driver takes, with everything that it verifies."""
     bursts = iter([make_burst(seed) for seed in range(1, 11)])
     results = {SETUP: median_ms(lambda: rig.load(next(bursts)), 10)}
-    link = rig._connection.link
+    link = rig._connection.controls
     results["query of the error queue, through the watchdog"] = median_ms(lambda: link.ask("SYST:ERR?"), 200)
     burst = make_burst(0)
     rig.load(burst)
