@@ -52,13 +52,13 @@ system: compiled
 demo: install
 	$(PYTHON) -m modaltouch demo
 
-# Four processes keep two cores busy: windows, disks and watchdogs are waited for. Compiled tests are kept, for each
+# Five processes keep two cores busy: windows, disks and watchdogs are waited for. Compiled tests are kept, for each
 # process would compile all of them anew where Python is told to leave no bytecode behind.
 ## test: the whole test suite, window tests included, on two cores
 .PHONY: test
 test: export PYTHONDONTWRITEBYTECODE :=
 test: install
-	$(PYTHON) -m pytest -n 4 --dist loadfile --no-loadscope-reorder
+	$(PYTHON) -m pytest -n 5 --dist loadfile --no-loadscope-reorder
 
 ## check: formatting, lint, types, the import contracts, and no class name with two meanings
 .PHONY: check
