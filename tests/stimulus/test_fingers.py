@@ -538,7 +538,7 @@ def test_the_order_of_the_fingers_does_not_matter(design, beam):
 
 def test_without_a_finger_the_codes_are_those_of_the_untouched_beam(design, model, beam, shipped):
     """To the bit, whether the beam's mass is known or not, and after fingers were lifted."""
-    lifted = beam.touched(pair("AC", 0.1, 0.7, 0.5)).untouched
+    lifted = beam.touched(pair("AC", 0.1, 0.7, 0.5)).touched(())
     for each in (beam, beam.touched(()), lifted):
         assert design(each).burst.content_hash == shipped.burst.content_hash
     unit = shipped.volts_per_code(LEVEL)

@@ -26,7 +26,7 @@ from modaltouch.stimulus.quantities import ComplexArray, FloatArray, require_fin
 _NODES = 12
 """Points for each tenth of the beam under a contact: exact for products of shapes that change sign six times there."""
 
-WORST_CONDITION = 1e5
+_WORST_CONDITION = 1e5
 """Condition number of the eigenvectors above which they are not trusted [1]."""
 
 _OFF = (0.0, 1e-9, 1e-8, 1e-7)
@@ -229,7 +229,7 @@ def uncouple(
         moved = [(contact, finger.scaled(1 + off * (2 + place))) for place, (contact, finger) in enumerate(loads)]
         uncoupled, condition = CoupledModes.of(omega, damping_ratio, gain, moved).uncoupled()
         tried.append((condition, uncoupled, off == 0))
-        if condition <= WORST_CONDITION:
+        if condition <= _WORST_CONDITION:
             break
     _, best, exact = min(tried, key=lambda each: each[0])
     return best, exact

@@ -169,11 +169,6 @@ class ModalModel:
 
         return patch_gains(self.label, patches, self.length)
 
-    @property
-    def untouched(self) -> ModalModel:
-        """The same beam with no finger on it."""
-        return self.touched(())
-
     def touched(self, fingers: tuple[Finger, ...]) -> ModalModel:
         """Return the same beam under other fingers."""
         return self if fingers == self.fingers else replace(self, fingers=fingers)

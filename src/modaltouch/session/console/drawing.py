@@ -19,6 +19,12 @@ STATES = {
     "ended": "ended",
 }
 HELP = ("p pause", "space go on", "r repeat", "n note", "b end after block", "q stop")
+_EFFECT = ": outputs off at once"
+"""What the emergency stop does, said where it fits in a line."""
+
+_WIDE = 60
+"""Columns from which it does."""
+
 _ARROWS = {name: f"{name} arrow" for name in ("left", "right", "up", "down")}
 _BAR = 40
 """Greatest width of the bar of progress [characters]."""
@@ -52,7 +58,7 @@ def draw_session(
     state = STATES.get(str(facts["state"]), str(facts["state"]))
     foot = [
         *_wrap("   ".join(key.replace(" ", "\N{NO-BREAK SPACE}") for key in HELP), width, "dim"),
-        *_wrap(f"{emergency.upper()} or x   EMERGENCY STOP", width, "bold"),
+        *_wrap(f"{emergency.upper()} or x   EMERGENCY STOP{_EFFECT if width >= _WIDE else ''}", width, "bold"),
         *(_wrap(prompt, width, "bold") or [Text("")]),
     ]
     (trial, fingers, predicted), (generator, outputs, error) = (
