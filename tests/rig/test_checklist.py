@@ -8,6 +8,7 @@ import re
 import pytest
 
 from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.rig import checklist
 from modaltouch.rig.checklist import Row, check_rig
 from modaltouch.rig.connection import Patience
 from modaltouch.rig.interface import RigError
@@ -75,6 +76,24 @@ def test_fault_in_a_question_leaves_the_others(apparatus: Apparatus) -> None:
         simulator.faults.inject("lost_reply", when=r"TRIG:TIM\?")
         rows = check_rig(simulator.address, apparatus, patience=PATIENCE)
     assert [row.number for row in rows if row.state == "unanswered"] == [2, 5]
+
+
+def test_scope_measures_the_latency_of_a_trigger(apparatus: Apparatus, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The bounds to be written hold every latency of the twin, and are no more than a scope's question wider."""
+    low, high = 4.0, 9.0
+    monkeypatch.setattr(checklist, "QUESTIONS", [entry for entry in checklist.QUESTIONS if entry[0] == 13])
+    facts = apparatus.model_dump(mode="json")
+    facts["twin"]["generator"]["trigger_latency_ms"] = {"low": low, "high": high}
+    with Simulator(Apparatus.model_validate(facts)) as simulator:
+        (row,) = check_rig(simulator.address, apparatus, patience=PATIENCE, scope=simulator.scope())
+    assert row.state == "found"
+    found = re.search(r"trigger_latency_ms: \{low: ([\d.]+), high: ([\d.]+)\}", row.advice)
+    assert found
+    least, most = float(found[1]), float(found[2])
+    # The instrument takes a trigger after the driver sent it and before the driver hears so: the low bound holds as it
+    # is, the high one may be lower than the twin's by that journey.
+    assert low - 0.6 <= least <= low + 1.0
+    assert most <= high + 0.6
 
 
 def test_absent_instrument_is_an_error(apparatus: Apparatus) -> None:

@@ -7,14 +7,17 @@ from __future__ import annotations
 
 import ctypes
 import sys
+import time
 from typing import Any
 
 import numpy as np
 import pytest
 
 from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.rig.acquisition import Acquisition, PicoScope
+from modaltouch.rig.acquisition import Acquisition
 from modaltouch.rig.interface import RigError
+from modaltouch.rig.scope import PicoScope
+from modaltouch.system import SYSTEM_CLOCK
 
 FULL_SCALE = 32512
 HANDLE = 16384
@@ -196,3 +199,35 @@ def test_missing_library_is_said_only_when_a_scope_is_opened(
     monkeypatch.setitem(sys.modules, "picosdk.ps3000a", None)
     with pytest.raises(RigError, match="cannot be used here .* install the package picosdk"):
         PicoScope(apparatus, aimed.append)
+
+
+def test_trigger_is_timed_between_two_questions(apparatus: Apparatus, aimed: list[float]) -> None:
+    """A trigger that comes 30 ms after the command lies in the interval, which is as long as one question takes."""
+    library = Library()
+    began: list[float] = []
+
+    def send() -> None:
+        time.sleep(0.03)
+        began.append(SYSTEM_CLOCK.now())
+
+    def is_ready(handle: Any, ready: Any) -> None:
+        ready._obj.value = bool(began) and SYSTEM_CLOCK.now() >= began[0] + 100e-6
+
+    with PicoScope(apparatus, aimed.append, driver=library) as scope:
+        library.on_IsReady = is_ready  # type: ignore[method-assign]
+        early, late = scope.time_trigger(send)
+    assert early <= began[0] <= late
+    assert ("RunBlock", 0, 100, 127, 1, None, 0, None, None) in library.calls  # 1 MHz: 125 MHz / (127 - 2)
+
+
+def test_trigger_that_fails_to_be_sent_is_an_error(apparatus: Apparatus, aimed: list[float]) -> None:
+    """What the generator's link raises reaches the caller, not a wait without end."""
+
+    def send() -> None:
+        raise RigError("the link is gone")
+
+    library = Library()
+    with PicoScope(apparatus, aimed.append, driver=library, trigger_wait=0.01) as scope:
+        library.polls = 10**9
+        with pytest.raises(RigError, match="the link is gone"):
+            scope.time_trigger(send)

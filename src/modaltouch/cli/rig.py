@@ -40,6 +40,10 @@ def list_addresses(
 def check(
     address: Annotated[str, typer.Argument(help="VISA address, or `simulated`.", show_default=False)],
     apparatus: APPARATUS = SHIPPED_APPARATUS,
+    scope: Annotated[
+        bool,
+        typer.Option("--scope", help="A PicoScope listens at the trigger output: measure the trigger's latency."),
+    ] = False,
     json_output: JSON = False,
 ) -> None:
     """Find out what a generator really does where its manual is silent, and whether it is fit for a session.
@@ -49,13 +53,17 @@ def check(
     from contextlib import ExitStack
 
     from modaltouch.protocol import Apparatus
-    from modaltouch.rig import Simulator, check_rig
+    from modaltouch.rig import Scope, Simulator, check_rig
 
     with reporting(json_output=json_output), ExitStack() as stack:
         parts = Apparatus.read(apparatus)
+        listens: Scope | None = None
         if address == "simulated":
-            address = stack.enter_context(Simulator(parts)).address
-        rows = check_rig(address, parts)
+            simulator = stack.enter_context(Simulator(parts))
+            address, listens = simulator.address, simulator.scope()
+        elif scope:
+            listens = stack.enter_context(Scope.open(parts, lambda position: None))
+        rows = check_rig(address, parts, scope=listens)
         if json_output:
             print_json({"address": address, "rows": [row.as_dict() for row in rows]})
         else:

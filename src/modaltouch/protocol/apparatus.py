@@ -148,7 +148,7 @@ class GeneratorSection(Section):
         default="single",
     )
     trigger_latency_ms: LatencyBounds | None = described(
-        "From the command that triggers a burst to its first sample, as measured with a scope (`rig check` says how) "
+        "From the command that triggers a burst to its first sample, as `rig check --scope` measures it "
         "[ms]; null where it is unknown, and no instant is then claimed to less than a millisecond.",
         default=None,
     )

@@ -18,22 +18,24 @@ from typing import TYPE_CHECKING
 from modaltouch.system import lazily
 
 if TYPE_CHECKING:
-    from modaltouch.rig.acquisition import Acquisition, Recording, Scope
+    from modaltouch.rig.acquisition import Acquisition, Recording
     from modaltouch.rig.catalogue import instrument_of
     from modaltouch.rig.checklist import check_rig
     from modaltouch.rig.interface import Firing, Rig, RigError, StimulusLost
     from modaltouch.rig.opening import open_rig
+    from modaltouch.rig.scope import Scope
     from modaltouch.rig.simulator import Simulator
     from modaltouch.rig.visa import find_instruments
 else:
     __getattr__ = lazily(
         __name__,
         {
-            "acquisition": "Acquisition Recording Scope",
+            "acquisition": "Acquisition Recording",
             "catalogue": "instrument_of",
             "checklist": "check_rig",
             "interface": "Firing Rig RigError StimulusLost",
             "opening": "open_rig",
+            "scope": "Scope",
             "simulator": "Simulator",
             "visa": "find_instruments",
         },

@@ -10,6 +10,7 @@ import socket
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -20,9 +21,11 @@ from modaltouch.rig.connection import Connection, Patience
 from modaltouch.rig.controls import Unconfirmed
 from modaltouch.rig.instrument import Setting
 from modaltouch.rig.link import InUse, LinkError, Log, describe_error, split_reply
+from modaltouch.rig.scope import Scope
 from modaltouch.rig.visa import VisaSession
 from modaltouch.rig.watchdog_client import WatchdogClient
 from modaltouch.stimulus import Burst
+from modaltouch.system import SYSTEM_CLOCK
 
 REPETITION_PERIOD = 1 / 7
 RAW_PORTS = (4000, 5025)
@@ -215,27 +218,44 @@ def _sessions(connection: Connection) -> Finding:
     )
 
 
-def _trigger(connection: Connection) -> Finding:
+def _trigger(connection: Connection, scope: Scope | None = None) -> Finding:
     controls = connection.controls
     controls.apply(connection.instrument.on_all(connection.instrument.commands.stopped))
     for channel in connection.instrument.channels:
         source = f"SOUR{channel}"
         controls.apply_each([Setting(f"{source}:FREQ", 20.0, "HZ"), Setting(f"{source}:BURS:STAT", "ON")])
     command = controls.trigger_command()
-    took = []
-    for _ in range(N_TRIGGERS):
-        started = time.perf_counter()
+    sent, began, taken = np.empty(N_TRIGGERS), np.full((N_TRIGGERS, 2), np.nan), np.empty(N_TRIGGERS)
+
+    def send() -> None:
+        sent[n] = SYSTEM_CLOCK.now()
         controls.send(command)
-        took.append((time.perf_counter() - started) * 1e3)
-        time.sleep(BURST_LENGTH)
-    took.sort()
+        taken[n] = SYSTEM_CLOCK.now()
+
+    for n in range(N_TRIGGERS):
+        if scope is None:
+            send()
+        else:
+            began[n] = scope.time_trigger(send)
+        SYSTEM_CLOCK.sleep(BURST_LENGTH)
+    took = (taken - sent) * 1e3
+    answer = f"{command} is taken after {np.median(took):.2f} ms, {took.max():.2f} ms at most"
+    if scope is None:
+        return (
+            "person",
+            f"{answer}; when the first sample leaves cannot be seen from the bus",
+            "wire the generator's trigger output to the EXT input of a PicoScope and ask again with --scope, which "
+            "measures generator.trigger_latency_ms; without it no instant is claimed to less than a millisecond",
+        )
+    # The driver counts the least from when it sent, the greatest from when the instrument had taken it.
+    low, high = (began[:, 0] - sent).min() * 1e3, (began[:, 1] - taken).max() * 1e3
+    apart = np.median(np.diff(began, axis=1)) * 1e3
+    low, high = max(0.0, math.floor(low * 10) / 10), max(0.1, math.ceil(high * 10) / 10)
     return (
-        "person",
-        f"{command} is taken after {took[len(took) // 2]:.2f} ms, {took[-1]:.2f} ms at most; when the first sample "
-        "leaves cannot be seen from the bus",
-        "raise a line that an oscilloscope sees (RTS of a serial port) right before the command, measure from its edge "
-        "to the first sample of 50 bursts, and write the least and the greatest as generator.trigger_latency_ms {low, "
-        "high}; without it no instant is claimed to less than a millisecond",
+        "found",
+        f"{answer}; over {N_TRIGGERS} bursts the first sample left at least {low:.1f} ms after it was sent and at most "
+        f"{high:.1f} ms after it was taken, by a scope that was asked every {apart:.2f} ms",
+        f"write under generator: in the apparatus file `trigger_latency_ms: {{low: {low:.1f}, high: {high:.1f}}}`",
     )
 
 
@@ -333,6 +353,7 @@ def check_rig(
     *,
     log: Log = lambda event, **facts: None,
     patience: Patience | None = None,
+    scope: Scope | None = None,
 ) -> list[Row]:
     """Return the answers to every open question about the generator at an address that its value names.
 
@@ -346,6 +367,8 @@ def check_rig(
         Takes every exchange.
     patience : Patience, optional
         How long to wait.
+    scope : Scope, optional
+        At the generator's trigger output; without one the latency of a trigger is left to a person.
 
     Returns
     -------
@@ -366,7 +389,11 @@ def check_rig(
     )
     try:
         connection.open()
-        rows = [_ask(connection, *entry) for entry in QUESTIONS if entry[0] in connection.instrument.questions]
+        rows = [
+            _ask(connection, number, question, partial(_trigger, scope=scope) if find is _trigger else find)
+            for number, question, find in QUESTIONS
+            if number in connection.instrument.questions
+        ]
         connection.switch_off("the check", (), lambda: None)
     except BaseException:
         connection.close(clean=False)

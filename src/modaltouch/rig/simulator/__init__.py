@@ -175,7 +175,8 @@ class Simulator:
         """Return the vibrometer and the scope that stand at this beam; equal seeds give equal noise."""
         from modaltouch.rig.simulator.scope import SimulatedScope
 
-        return SimulatedScope(self.twin, lambda: self.playbacks, lambda: self.touched)
+        timeline = self.afg.timeline
+        return SimulatedScope(self.twin, lambda: self.playbacks, lambda: self.touched, lambda: timeline.commanded)
 
     @property
     def playbacks(self) -> tuple[Playback | None, ...]:

@@ -7,8 +7,9 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.rig.acquisition import Acquisition, Inputs, Recording, Scope
+from modaltouch.rig.acquisition import Acquisition, Inputs, Recording
 from modaltouch.rig.interface import RigError
+from modaltouch.rig.scope import Scope
 from modaltouch.rig.simulator.motion import Motion
 from modaltouch.rig.simulator.timeline import Playback
 from modaltouch.rig.simulator.twin import Twin
@@ -17,6 +18,9 @@ FloatArray = NDArray[np.float64]
 
 FORGOTTEN = 1e-9
 """Correlation below which noise counts as new [1]."""
+
+ASKED_EVERY = 0.5e-3
+"""Time between two questions to a scope by USB whether its record is full [s]."""
 
 SMALL_TURN = 0.01
 """Phase of the fastest mode within the trigger's jitter up to which a record is moved along its slope [rad]."""
@@ -33,6 +37,8 @@ class SimulatedScope(Scope):
         Returns what each generator output sends now.
     touched : callable
         Returns where fingers lie [m].
+    commanded : callable
+        Returns when the generator obeyed the latest trigger [s].
     """
 
     def __init__(
@@ -40,10 +46,12 @@ class SimulatedScope(Scope):
         twin: Twin,
         playing: Callable[[], Sequence[Playback | None]],
         touched: Callable[[], Sequence[float]],
+        commanded: Callable[[], float | None],
     ) -> None:
         self._twin = twin
         self._playing = playing
         self._touched = touched
+        self._commanded = commanded
         knobs = twin.apparatus.acquisition
         self._inputs = Inputs(
             sensitivity=knobs.sensitivity_mm_s_per_V * 1e-3,
@@ -137,6 +145,15 @@ class SimulatedScope(Scope):
                 overloaded[name] = overloaded.get(name, False) or over
         names = tuple(name for name, over in overloaded.items() if over)
         return Recording(position, nominal, velocity, voltage, self._rate, names)
+
+    def time_trigger(self, send: Callable[[], object]) -> tuple[float, float]:
+        """Call `send`, and return between which instants the burst began, as a scope tells that is asked at times."""
+        send()
+        began = self._commanded()
+        if began is None:
+            raise RigError("no trigger came from the generator: it waits for none, or is switched off")
+        empty = began - self._rng.uniform(0, ASKED_EVERY)
+        return empty, empty + ASKED_EVERY
 
     def close(self) -> None:
         """Release the scope, which holds nothing."""

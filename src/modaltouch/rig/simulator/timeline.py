@@ -163,6 +163,8 @@ class Timeline:
         Takes each burst when it ends.
     triggers : tuple of float
         When the latest two bursts began since outputs or trigger source were last switched [s].
+    commanded : float or None
+        When the generator obeyed the latest trigger that was commanded, whatever it sends [s].
     """
 
     def __init__(self, delays: Delays, retrigger: Retrigger = "ignored", seed: int = 0) -> None:
@@ -172,6 +174,7 @@ class Timeline:
         self._phase = self._random.random()
         self.told: Callable[[PlayedBurst], None] | None = None
         self.triggers: tuple[float, ...] = ()
+        self.commanded: float | None = None
         self._now = -math.inf
         self._situation = Situation()
         self._closed: dict[int, float] = {}
@@ -199,7 +202,8 @@ class Timeline:
     def trigger(self, now: float, link: int) -> None:
         """Take a trigger that was commanded over a link."""
         self.advance(now)
-        self._take(now, now + self._random.uniform(*self._delays.latency), link)
+        self.commanded = now + self._random.uniform(*self._delays.latency)
+        self._take(now, self.commanded, link)
 
     def abort(self, now: float) -> None:
         """End the burst that a trigger began."""

@@ -1,0 +1,311 @@
+"""The scope behind the vibrometer: what a simulated and a real one have in common, and a PicoScope 3000."""
+
+from __future__ import annotations
+
+import abc
+import contextlib
+import ctypes
+import importlib
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modaltouch.protocol import Apparatus
+from modaltouch.rig.acquisition import INPUT_RANGES, Acquisition, Inputs, Recording
+from modaltouch.rig.interface import RigError
+from modaltouch.system import SYSTEM_CLOCK
+
+
+class Scope(abc.ABC):
+    """A vibrometer with a scope behind it, simulated or real."""
+
+    @staticmethod
+    def open(apparatus: Apparatus, aim: Callable[[float], None]) -> Scope:
+        """Return the scope of an apparatus, a PicoScope; `aim` brings the vibrometer's spot to a position [m].
+
+        Raises
+        ------
+        RigError
+            If its library or the scope is not found.
+        """
+        return PicoScope(apparatus, aim)
+
+    @property
+    @abc.abstractmethod
+    def identity(self) -> str:
+        """Model and serial number."""
+
+    @abc.abstractmethod
+    def configure(self, acquisition: Acquisition) -> Acquisition:
+        """Make the settings, and return them as the scope has them.
+
+        Raises
+        ------
+        RigError
+            If the scope cannot do what is asked.
+        """
+
+    @abc.abstractmethod
+    def measure(self, position: float) -> Recording:
+        """Return velocity and drive at a position [m from mid-beam].
+
+        Raises
+        ------
+        RigError
+            If no trigger comes, or the scope fails.
+        """
+
+    @abc.abstractmethod
+    def time_trigger(self, send: Callable[[], object]) -> tuple[float, float]:
+        """Call `send`, which triggers one burst, and return between which instants it began [s].
+
+        Raises
+        ------
+        RigError
+            If no trigger comes.
+        """
+
+    @abc.abstractmethod
+    def close(self) -> None:
+        """Release the scope; never raises."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+OK, NOT_FOUND = 0, 3
+POWER_NOT_CONNECTED, NOT_A_USB3_PORT = 282, 286
+"""Statuses of Pico's library; with the last two a scope goes on, fed by USB."""
+
+VARIANT, SERIAL = 3, 4
+"""What is asked of a unit."""
+
+DC, RISING, EXTERNAL = 1, 2, 4
+EXTERNAL_THRESHOLD = 6553
+"""1 V of the external trigger's 5 V, in counts of 32767."""
+
+FIRST_RANGE = 2
+"""Pico's number of the range of 50 mV, the first of INPUT_RANGES."""
+
+CLOCK = 125e6
+"""Sampling rates are whole fractions of it, by time bases from 3 on [Hz]."""
+
+ALL_INPUTS = (0, 1, 2, 3)
+
+SHORT = Acquisition(sampling_rate=1e6, n_samples=100, drives=())
+"""Record whose end tells when its trigger came."""
+
+ARMED = 0.02
+"""A scope waits for its trigger this long after it was told to [s]."""
+
+
+class PicoScope(Scope):
+    """Velocity and drive through a PicoScope 3000 of series A, B or D.
+
+    Parameters
+    ----------
+    apparatus : Apparatus
+        Its section ``acquisition`` says what a volt stands for.
+    aim : callable
+        Brings the vibrometer's spot to a position [m from mid-beam] and returns when it is there: a stage, or a person
+        who is asked.
+    trigger_wait : float
+        Longest wait for the generator's trigger [s].
+    driver : object, optional
+        What has the functions of Pico's library; looked for where it is left out.
+
+    Raises
+    ------
+    RigError
+        If the library or the scope is not found.
+    """
+
+    def __init__(
+        self,
+        apparatus: Apparatus,
+        aim: Callable[[float], None],
+        *,
+        trigger_wait: float = 2.0,
+        driver: Any = None,
+    ) -> None:
+        self._driver = load_driver() if driver is None else driver
+        self._aim = aim
+        self._trigger_wait = trigger_wait
+        knobs = apparatus.acquisition
+        self._inputs = Inputs(knobs.sensitivity_mm_s_per_V * 1e-3, knobs.range_mm_s * 1e-3, knobs.probe_attenuation)
+        self._handle = ctypes.c_int16()
+        self._open = False
+        self._start()
+        try:
+            self._identity = f"PicoScope {self._about(VARIANT)}, serial {self._about(SERIAL)}"
+            highest = ctypes.c_int16()
+            self._call("MaximumValue", ctypes.byref(highest))
+            self._full_scale = highest.value
+            self.configure(Acquisition())
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def identity(self) -> str:
+        """Model and serial number."""
+        return self._identity
+
+    def configure(self, acquisition: Acquisition) -> Acquisition:
+        """Make the settings, and return them."""
+        if acquisition.sampling_rate > CLOCK:
+            raise RigError(
+                f"{acquisition.sampling_rate:g} samples per second are asked for: at most {CLOCK:g}; lower the "
+                "sampling rate"
+            )
+        velocity_range, drive_range = self._inputs.ranges(acquisition)
+        wanted = {0: velocity_range} | dict.fromkeys(acquisition.drives, drive_range)
+        for channel in ALL_INPUTS:
+            number = INPUT_RANGES.index(wanted.get(channel, INPUT_RANGES[-1])) + FIRST_RANGE
+            self._call("SetChannel", channel, int(channel in wanted), DC, number, 0.0)
+        time_base = round(CLOCK / acquisition.sampling_rate) + 2
+        interval, room = ctypes.c_float(), ctypes.c_int32()
+        self._call(
+            "GetTimebase2",
+            time_base,
+            acquisition.n_samples,
+            ctypes.byref(interval),
+            1,
+            ctypes.byref(room),
+            0,
+            failing=f"{acquisition.n_samples} samples of {acquisition.n_channels} channels do not fit its memory",
+        )
+        rate = 1e9 / interval.value
+        delay = max(0, round(acquisition.start * rate))
+        self._call("SetSimpleTrigger", 1, EXTERNAL, EXTERNAL_THRESHOLD, RISING, delay, 0)
+        self._asked, self._time_base, self._ranges, self._rate = acquisition, time_base, wanted, rate
+        return acquisition
+
+    def measure(self, position: float) -> Recording:
+        """Return velocity and drive at a position [m from mid-beam]."""
+        self._aim(position)
+        asked = self._asked
+        counts = np.zeros((asked.n_records, asked.n_channels, asked.n_samples), dtype=np.int16)
+        over = 0
+        for record in counts:
+            over |= self._record(record)
+        first = round(asked.start * self._rate)
+        scale = {0: self._inputs.sensitivity} | dict.fromkeys(asked.drives, self._inputs.attenuation)
+        values = [
+            counts[:, row].astype(float) * (self._ranges[channel] / self._full_scale * scale[channel])
+            for row, channel in enumerate(self._used)
+        ]
+        names = ("velocity", *(f"drive {number}" for number in asked.drives))
+        cut = {name for name, channel in zip(names, self._used, strict=True) if over >> channel & 1}
+        if np.abs(values[0]).max() > self._inputs.highest_velocity:
+            cut.add("velocity")
+        return Recording(
+            position=position,
+            time=(first + np.arange(asked.n_samples)) / self._rate,
+            velocity=values[0],
+            drive=np.stack(values[1:], axis=1) if asked.drives else np.empty((asked.n_records, 0, asked.n_samples)),
+            sampling_rate=self._rate,
+            overloaded=tuple(name for name in names if name in cut),
+        )
+
+    def time_trigger(self, send: Callable[[], object]) -> tuple[float, float]:
+        """Call `send`, and return between which instants the burst began: of two questions whether a record is full."""
+        self.configure(SHORT)
+        self._call("RunBlock", 0, SHORT.n_samples, self._time_base, 1, None, 0, None, None)
+        SYSTEM_CLOCK.sleep(ARMED)
+        with ThreadPoolExecutor(1) as beside:
+            sent = beside.submit(send)
+            try:
+                empty, full = self._wait(self._trigger_wait, pause=0.0)
+            finally:
+                sent.result()  # raises what kept the command from being sent, which is why no trigger came
+        lasted = SHORT.n_samples / self._rate
+        return empty - lasted, full - lasted
+
+    def close(self) -> None:
+        """Release the scope; never raises."""
+        if self._open:
+            self._open = False
+            for name in ("Stop", "CloseUnit"):
+                with contextlib.suppress(RigError, OSError):
+                    self._call(name)
+
+    @property
+    def _used(self) -> tuple[int, ...]:
+        """Inputs in use: that of the vibrometer, then one to each drive."""
+        return (0, *self._asked.drives)
+
+    def _start(self) -> None:
+        status = self._driver.ps3000aOpenUnit(ctypes.byref(self._handle), None)
+        if status == NOT_FOUND:
+            raise RigError("no PicoScope 3000 is found: connect it by USB, and close other programs that use it")
+        self._open = True
+        if status in (POWER_NOT_CONNECTED, NOT_A_USB3_PORT):
+            self._call("ChangePowerSource", status)
+        elif status != OK:
+            self._open = False
+            raise RigError(f"the PicoScope does not open (status {status} of Pico's library): connect it anew")
+
+    def _about(self, what: int) -> str:
+        text, needed = ctypes.create_string_buffer(32), ctypes.c_int16()
+        self._call("GetUnitInfo", text, len(text), ctypes.byref(needed), what)
+        return text.value.decode("ascii", "replace")
+
+    def _record(self, counts: NDArray[np.int16]) -> int:
+        """Take one record, (n_channels, n_samples) array of counts, and return which inputs were overloaded."""
+        n_samples = self._asked.n_samples
+        n_before = min(n_samples, max(0, -round(self._asked.start * self._rate)))
+        self._call("RunBlock", n_before, n_samples - n_before, self._time_base, 1, None, 0, None, None)
+        self._wait(self._trigger_wait + abs(self._asked.start) + n_samples / self._rate)
+        for channel, row in zip(self._used, counts, strict=True):
+            buffer = row.ctypes.data_as(ctypes.POINTER(ctypes.c_int16))
+            self._call("SetDataBuffer", channel, buffer, n_samples, 0, 0)
+        came, over = ctypes.c_uint32(n_samples), ctypes.c_int16()
+        self._call("GetValues", 0, ctypes.byref(came), 1, 0, 0, ctypes.byref(over))
+        if came.value != n_samples:
+            raise RigError(f"{n_samples} samples were asked of the PicoScope, {came.value} came: measure again")
+        return over.value
+
+    def _wait(self, longest: float, pause: float = 1e-3) -> tuple[float, float]:
+        """Return the last instant at which the record was not full, and the first at which it was [s]."""
+        ready, empty = ctypes.c_int16(), SYSTEM_CLOCK.now()
+        deadline = empty + longest
+        while True:
+            asked = SYSTEM_CLOCK.now()
+            self._call("IsReady", ctypes.byref(ready))
+            if ready.value:
+                return empty, SYSTEM_CLOCK.now()
+            empty = asked
+            if empty > deadline:
+                self._call("Stop")
+                raise RigError(
+                    f"no trigger came within {longest:g} s: wire the generator's trigger output to the scope's EXT "
+                    "input, and let the generator play"
+                )
+            time.sleep(pause)
+
+    def _call(self, name: str, *arguments: Any, failing: str = "") -> None:
+        """Call a function of Pico's library for this scope, and refuse every status but success."""
+        status = getattr(self._driver, f"ps3000a{name}")(self._handle, *arguments)
+        if status != OK:
+            why = failing or "connect it anew, and see Pico's list of statuses"
+            raise RigError(f"the PicoScope refuses {name} (status {status} of Pico's library): {why}")
+
+
+def load_driver() -> Any:
+    """Return what has the functions of Pico's library."""
+    try:
+        return importlib.import_module("picosdk.ps3000a").ps3000a
+    # The package raises errors of its own where the native library is missing, already at import.
+    except Exception as error:
+        raise RigError(
+            f"a PicoScope cannot be used here ({error}): install the package picosdk and Pico's PicoSDK, or measure "
+            "on the simulated rig"
+        ) from error
