@@ -87,7 +87,7 @@ def test_scope_measures_the_latency_of_a_trigger(apparatus: Apparatus, monkeypat
     with Simulator(Apparatus.model_validate(facts)) as simulator:
         (row,) = check_rig(simulator.address, apparatus, patience=PATIENCE, scope=simulator.scope())
     assert row.state == "found"
-    found = re.search(r"trigger_latency_ms: \{low: ([\d.]+), high: ([\d.]+)\}", row.advice)
+    found = re.search(r"trigger_latency_ms: \{low: ([\d.]+), high: ([\d.]+)\}", row.answer)
     assert found
     least, most = float(found[1]), float(found[2])
     # The instrument takes a trigger after the driver sent it and before the driver hears so: the low bound holds as it

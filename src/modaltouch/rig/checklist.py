@@ -253,9 +253,10 @@ def _trigger(connection: Connection, scope: Scope | None = None) -> Finding:
     low, high = max(0.0, math.floor(low * 10) / 10), max(0.1, math.ceil(high * 10) / 10)
     return (
         "found",
-        f"{answer}; over {N_TRIGGERS} bursts the first sample left at least {low:.1f} ms after it was sent and at most "
-        f"{high:.1f} ms after it was taken, by a scope that was asked every {apart:.2f} ms",
-        f"write under generator: in the apparatus file `trigger_latency_ms: {{low: {low:.1f}, high: {high:.1f}}}`",
+        f"{answer}; by a scope that was asked every {apart:.2f} ms the first sample of {N_TRIGGERS} bursts left at "
+        "least `low` after its trigger was sent and at most `high` after it was taken: trigger_latency_ms: "
+        f"{{low: {low:.1f}, high: {high:.1f}}}",
+        "write this under generator: in the apparatus file; reaction times are then counted from these bounds",
     )
 
 
