@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 
 from modaltouch.protocol.apparatus import Apparatus, LatencyBounds
+from modaltouch.protocol.fingers import FingerSection
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.interface import Bursts, RigError
 from modaltouch.rig.pacing import HELD_UP
@@ -243,6 +245,38 @@ def test_wired_bursts_are_counted_by_their_source(
     assert rig.firing is not None
     assert (rig.firing.confirmed, rig.firing.reason, rig.firing.repetition) == (True, "", "wired")
     assert rig.firing.bursts == Bursts()
+
+
+def test_fingers_lie_where_the_followed_session_places_them(
+    apparatus: Apparatus, guard: Any, burst: Burst, heard: Any, clock: VirtualClock, tmp_path: Path
+) -> None:
+    """A log of another process, half written at first: each burst is felt by the fingers of its own placement."""
+    heavy = FingerSection(mass_g=0.2, damping_N_s_per_m=1.0)
+    touched = apparatus.model_copy(update={"twin": apparatus.twin.model_copy(update={"fingers": heavy})})
+    log, played = tmp_path / "session.jsonl", tmp_path / "played.jsonl"
+    lines = [
+        f'{{"n":{n},"event":"placement","zone_left":"{left}","zone_right":"{right}"}}\n'
+        for n, (left, right) in enumerate(("AC", "BD"))
+    ]
+    with Simulator(touched, clock=clock, played=played, follow=log) as simulator:
+        expected = []
+        with Generator(simulator.address, touched, log=heard, start_guard=guard, clock=clock) as rig:
+            rig.load(burst)
+            for n, text in enumerate((None, lines[0][:30], lines[0][30:], lines[1])):
+                if text is not None:
+                    with log.open("a", encoding="utf-8") as growing:
+                        growing.write(text)
+                rig.fire(0.2, n_bursts=1)
+                clock.sleep(0.2)
+                expected.append(simulator.felt_velocity(("", "", "AC", "BD")[n]) * 1e3)
+                rig.stop()
+                while not played.exists() or len(played.read_text(encoding="utf-8").splitlines()) <= n:
+                    time.sleep(1e-3)
+    told = [json.loads(line)["finger_peak_mm_s"] for line in played.read_text(encoding="utf-8").splitlines()]
+    assert [list(each) for each in told] == [[], [], ["A", "C"], ["B", "D"]]
+    for fingers, speeds in zip(told, expected, strict=True):
+        # The twin speaks of one burst from rest, the log of one after many.
+        assert list(fingers.values()) == pytest.approx(speeds, rel=1e-3)
 
 
 def test_wired_firing_is_confirmed_as_far_as_its_settings_go(

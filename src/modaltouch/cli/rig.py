@@ -80,16 +80,21 @@ def simulate(
         Path | None,
         typer.Option(metavar="FILE", help="Append a JSON line for each burst when it ends.", show_default=False),
     ] = None,
+    follow: Annotated[
+        Path | None,
+        typer.Option(metavar="LOG", help="Log of the session, whose placements lay fingers here.", show_default=False),
+    ] = None,
 ) -> None:
     """Run a simulated rig for other programs, on this machine alone, until it is interrupted.
 
     The first line on standard output is its VISA address. `--played` tells what it really played: `start_s` and
     `end_s` on this machine's monotonic clock, whether the burst is `whole`, `amplitude_Vpp` of both outputs, the peak
     speed `zone_peak_mm_s` at each zone's centre, and the `link` that triggered it: 0 for the front panel, null for a
-    burst that came by itself.
+    burst that came by itself. With `--follow FOLDER/session.jsonl`, which may begin later, fingers lie where that
+    session places them, and `finger_peak_mm_s` is the peak speed under each.
     """
     from modaltouch.protocol import Apparatus
     from modaltouch.rig import Simulator
 
     with reporting():
-        Simulator(Apparatus.read(apparatus), seed, port=port, played=played).serve()
+        Simulator(Apparatus.read(apparatus), seed, port=port, played=played, follow=follow).serve()

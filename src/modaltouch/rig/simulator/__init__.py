@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from modaltouch.protocol import Apparatus
 from modaltouch.rig.simulator.commands import afg_twin
+from modaltouch.rig.simulator.followed import FollowedSession
 from modaltouch.rig.simulator.instrument import Faults, SimulatedInstrument
 from modaltouch.rig.simulator.state import Behaviour
 from modaltouch.rig.simulator.timeline import Delays, Playback
@@ -59,6 +60,8 @@ class Simulator:
         By which it plays; its transport waits in real time.
     played : Path, optional
         File that gets a line for each burst when it ends; times are those of `clock`.
+    follow : Path, optional
+        Log of the session that plays, in whatever process: its placements say there where fingers lie.
     sends : tuple of Playback or None, optional
         What the outputs send, instead of what the generator is told.
 
@@ -88,6 +91,7 @@ class Simulator:
         behaviour: Behaviour | None = None,
         clock: Clock = SYSTEM_CLOCK,
         played: Path | None = None,
+        follow: Path | None = None,
         sends: tuple[Playback | None, ...] | None = None,
     ) -> None:
         self.apparatus = apparatus
@@ -101,10 +105,11 @@ class Simulator:
         self.twin = Twin(apparatus, seed)
         self.touched: tuple[float, ...] = ()
         self._played: PlayedLog | None = None
+        self._followed = None if follow is None else FollowedSession(follow)
         if played is not None:
             from modaltouch.rig.simulator.played import PlayedLog
 
-            self._played = PlayedLog(played, self.twin, self.afg.settle, lambda: self.touched)
+            self._played = PlayedLog(played, self.twin, self.afg.settle, self._places)
             self.afg.timeline.told = self._played.take
         self._instrument = SimulatedInstrument(self.afg, table, self.faults)
         self._port = port
@@ -192,6 +197,12 @@ class Simulator:
     def touch(self, places: Sequence[str | float]) -> None:
         """Lay fingers on the beam for whatever is measured from now on; nowhere for an empty sequence."""
         self.touched = tuple(self.position(place) for place in places)
+
+    def _places(self) -> Sequence[str | float]:
+        """Return where fingers lie: zones of this beam in the session that is followed, else as they were laid."""
+        if self._followed is None:
+            return self.touched
+        return [zone for zone in self._followed.zones() if zone in self.apparatus.zones]
 
     def position(self, place: str | float) -> float:
         """Return the centre of a zone, or the position that is given [m]."""

@@ -35,7 +35,7 @@ class PlayedLog:
     settle : callable
         Has every burst that has ended by now given to `take`.
     touched : callable
-        Returns where fingers lie [m].
+        Returns where fingers lie, the names of zones or positions [m].
 
     Raises
     ------
@@ -44,7 +44,7 @@ class PlayedLog:
     """
 
     def __init__(
-        self, path: Path, twin: Twin, settle: Callable[[], None], touched: Callable[[], Sequence[float]]
+        self, path: Path, twin: Twin, settle: Callable[[], None], touched: Callable[[], Sequence[str | float]]
     ) -> None:
         try:
             # The file stays open until `close`.
@@ -93,13 +93,16 @@ class PlayedLog:
         zones = {name: zone.centre_mm * 1e-3 for name, zone in self._twin.apparatus.zones.items()}
         sent = played.sent if played.whole else tuple(map(_passed, played.sent, played.passed))
         alone = [None if playback is None or tripped else replace(playback, period=math.inf) for playback in sent]
-        peaks = self._twin.felt(alone, list(zones.values()), touched=self._touched())
+        touched = {str(place): zones[place] if isinstance(place, str) else place for place in self._touched()}
+        places = [*zones.values(), *touched.values()]
+        peaks = (self._twin.felt(alone, places, touched=tuple(touched.values())) * 1e3).round(4).tolist()
         return {
             "start_s": round(played.start, 9),
             "end_s": round(played.end, 9),
             "whole": played.whole,
             "amplitude_Vpp": [0.0 if playback is None else abs(playback.amplitude) for playback in played.sent],
-            "zone_peak_mm_s": {name: round(peak * 1e3, 4) for name, peak in zip(zones, peaks.tolist(), strict=True)},
+            "zone_peak_mm_s": dict(zip(zones, peaks, strict=False)),
+            "finger_peak_mm_s": dict(zip(touched, peaks[len(zones) :], strict=True)),
             "link": played.link,
         }
 
