@@ -50,6 +50,12 @@ SPACING = Annotated[
 SEED = Annotated[
     int | None, typer.Option(min=0, help="Seed of the simulated rig, instead of that in the apparatus file.")
 ]
+EXPORT = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE", help="Write responses and shapes for other programs: FILE.uff or FILE.csv.", show_default=False
+    ),
+]
 
 
 def identify(
@@ -70,6 +76,7 @@ def identify(
     lowest_Hz: LOWEST = None,
     spacing_Hz: SPACING = None,
     seed: SEED = None,
+    export: EXPORT = None,
     json_output: JSON = False,
 ) -> None:
     """Identify natural frequencies, damping ratios, gains and shapes of a beam, each with its 95 % interval.
@@ -99,6 +106,7 @@ def identify(
             conjugated=conjugated,
             spacing=spacing_Hz,
             seed=seed,
+            export=export,
         )
         try:
             with bars() as progress:

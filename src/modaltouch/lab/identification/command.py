@@ -22,6 +22,7 @@ from modaltouch.lab.identification.excitation import (
     excite,
     highest_needed,
 )
+from modaltouch.lab.identification.export import check_export, export
 from modaltouch.lab.identification.files import ResponseFormat, read_responses
 from modaltouch.lab.identification.joint_fit import identify as fit_jointly
 from modaltouch.lab.identification.joint_fit import identify_each
@@ -81,6 +82,8 @@ class IdentifyOptions:
         Distance of the bins of a file of bare numbers [Hz].
     seed : int or None
         Of the simulated rig, instead of its own.
+    export : Path or None
+        File that gets the responses and shapes for other programs.
     """
 
     apparatus: Path
@@ -100,6 +103,7 @@ class IdentifyOptions:
     conjugated: bool = False
     spacing: float | None = None
     seed: int | None = None
+    export: Path | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,6 +124,8 @@ class IdentificationReport:
         Modes of the new table.
     apparatus : (str, str) or None
         Name and text of the apparatus file; None where there are no shapes, and so no gains.
+    export : Path or None
+        File that gets the responses and shapes for other programs.
     """
 
     found: Identification
@@ -128,6 +134,7 @@ class IdentificationReport:
     folder: Path
     labels: tuple[int, ...] = ()
     apparatus: tuple[str, str] | None = None
+    export: Path | None = None
 
     def write(self) -> dict[str, Any]:
         """Write table, shapes, figures and apparatus file, and return the plain values with the path of each file.
@@ -138,6 +145,9 @@ class IdentificationReport:
             If the folder holds something else, or cannot be written.
         """
         written = write_identification(self.folder, self.found, self.apparatus, {"sources": self.sources})
+        if self.export is not None:
+            export(self.found, self.export)
+            written[self.export.name] = self.export
         table = {} if self.apparatus is None else {"table_modes": list(self.labels)}
         return {
             **as_dict(self.found),
@@ -173,6 +183,8 @@ def identify(options: IdentifyOptions, progress: MeasurementProgress | None = No
         If the rig fails.
     """
     heard = progress or MeasurementProgress()
+    if options.export is not None:
+        check_export(options.export)
     scanned = options.files[0] if len(options.files) == 1 and options.files[0].is_dir() else None
     if options.files and scanned is None:
         responses = _read(options)
@@ -180,7 +192,8 @@ def identify(options: IdentifyOptions, progress: MeasurementProgress | None = No
             refuse_other(options.out, COMMAND)
             with _fitting(heard):
                 found = identify_each(responses)
-            return IdentificationReport(found, "file", [path.name for path in options.files], options.out)
+            sources = [path.name for path in options.files]
+            return IdentificationReport(found, "file", sources, options.out, export=options.export)
         beam = _Beam(options)
         facts = {
             "date": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
@@ -313,4 +326,5 @@ class _Beam:
         if self.options.modes == "all":
             labels = tuple(mode.label for mode in found.modes if mode.label is not None)
         apparatus = identified_apparatus(self.source, found, labels, facts)
-        return IdentificationReport(found, facts["mode"], facts["source"], self.options.out, labels, apparatus)
+        out, beside = self.options.out, self.options.export
+        return IdentificationReport(found, facts["mode"], facts["source"], out, labels, apparatus, beside)
