@@ -1,9 +1,10 @@
 from __future__ import annotations
 
+import pandas as pd
 import pytest
 
 from modaltouch.analysis.counts import count_answers
-from modaltouch.analysis.report import list_questions, say_p
+from modaltouch.analysis.report import list_questions, say_p, speed_rows
 from modaltouch.analysis.statistics import find
 from modaltouch.report import say_number
 
@@ -61,3 +62,16 @@ def test_numbers_are_said_in_three_digits(value, text) -> None:
 def test_p_values_are_said_as_in_a_paper(p, text) -> None:
     """Two digits; below 0.001 a bound."""
     assert say_p(p) == text
+
+
+def test_speeds_under_the_fingers_stand_beside_the_level_asked() -> None:
+    """One number where all sessions agree, the lowest and the highest where not; nothing without predicted speeds."""
+    rows = [("two_hands", "A", "C", 80.0, 49.2, 80.4), ("two_hands", "A", "C", 80.0, 51.0, 80.1),
+            ("two_hands", "C", "E", 200.0, 200.0, 123.0)]  # fmt: skip
+    columns = ["finger_condition", "zone_left", "zone_right", "velocity_mm_s", "speed_left_mm_s", "speed_right_mm_s"]
+    frame = pd.DataFrame(rows, columns=columns)
+    assert speed_rows(frame) == [
+        {"finger_condition": "two_hands", "pair": "A-C", "cells": ["49\u201351 | 80", ""]},
+        {"finger_condition": "two_hands", "pair": "C-E", "cells": ["", "200 | 123"]},
+    ]
+    assert speed_rows(frame.drop(columns="speed_left_mm_s")) == []

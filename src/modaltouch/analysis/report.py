@@ -10,9 +10,11 @@ import pandas as pd
 
 from modaltouch.analysis.catches import catch_rows
 from modaltouch.analysis.counts import AnswerCounts, Pair
+from modaltouch.analysis.covariates import has_values
 from modaltouch.analysis.findings import ALPHA, Finding
 from modaltouch.analysis.intervals import tango
 from modaltouch.analysis.outcome import Analysis
+from modaltouch.analysis.responses import cell_of
 from modaltouch.analysis.scale import OWN_THRESHOLD
 from modaltouch.analysis.statistics import STATISTICS, questions
 from modaltouch.analysis.tables import zone_table
@@ -135,6 +137,7 @@ def report_files(analysis: Analysis, pictures: Sequence[ReportFigure]) -> dict[s
         n_answers=int(answers.counts.sum()),
         levels=[format(level, "g") for level in answers.levels],
         tables={condition: _zone_rows(answers, condition) for condition in answers.finger_conditions},
+        speeds=speed_rows(analysis.responses.frame),
         tests=list_questions(analysis.findings, answers),
         catches=catch_rows(answers, analysis.responses.catches),
         catch_words=[*(answer.name for answer in answers.answers if answer.says_nothing_felt), *felt]
@@ -228,6 +231,29 @@ def _zone_rows(answers: AnswerCounts, condition: str) -> list[dict[str, Any]]:
     return [
         {"pair": pair, "answer": answer, "cells": [f"{int(k)}" for k in row], "of": total}
         for (pair, answer), row in zip(table.index, table.to_numpy(), strict=True)
+    ]
+
+
+def speed_rows(frame: pd.DataFrame) -> list[dict[str, Any]]:
+    """Return the peak speeds predicted under the left and the right finger [mm/s], a row for each pair of zones.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Tidy answers; without ``speed_left_mm_s`` and ``speed_right_mm_s`` there is no row.
+    """
+    sides = ["speed_left_mm_s", "speed_right_mm_s"]
+    if not all(has_values(frame, side) for side in sides):
+        return []
+    *pair, level = cell_of(frame.columns)
+    bounds = frame.groupby([*pair, level], observed=True)[sides].agg(["min", "max"])
+    said = bounds.round().astype(int).astype(str).apply(
+        lambda row: " | ".join("–".join(dict.fromkeys(row[side])) for side in sides), axis=1
+    )  # fmt: skip
+    rows = said.unstack(level).fillna("")
+    return [
+        {"finger_condition": condition, "pair": f"{left}-{right}", "cells": list(cells)}
+        for (condition, left, right), cells in zip(rows.index, rows.to_numpy(), strict=True)
     ]
 
 
