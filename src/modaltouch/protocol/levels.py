@@ -17,10 +17,13 @@ from itertools import product
 from typing import Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from modaltouch.protocol.adaptive import StaircaseSection
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.trial import Condition, Trial
+
+FloatArray = NDArray[np.float64]
 
 Run = tuple[str, str, str, str]
 """A finger condition, the zones under the left and the right finger, and a stimulus."""
@@ -132,9 +135,12 @@ MARGIN = 12.0
 SPREADS = (1.0, 2.0, 4.0, 8.0, 12.0)
 """Standard deviations of the function that are thought possible [dB]."""
 
+_PARAMETERS = (0, 1, 2, 3)
+"""Axes of the likelihoods that are parameters of the function; answers and levels follow."""
+
 
 class Quest:
-    """A run of QUEST+, built with the package questplus, which PsychoPy brings along.
+    """A run of QUEST+, whose likelihoods are those of the package questplus, which PsychoPy brings along.
 
     Parameters
     ----------
@@ -153,7 +159,7 @@ class Quest:
         low, high = bounds
         self._start = start
         levels = np.linspace(low, high, 1 + max(1, round((high - low) / STEP)))
-        self._quest: Any = QuestPlus(
+        quest: Any = QuestPlus(
             stim_domain={"intensity": np.unique(np.append(levels, start))},
             param_domain={
                 "mean": np.arange(low - MARGIN, high + MARGIN + STEP / 2, STEP / 2),
@@ -164,35 +170,34 @@ class Quest:
             outcome_domain={"response": ["yes", "no"]},
             func="norm_cdf",
             stim_scale="linear",
-            stim_selection_method="min_entropy",
-            param_estimation_method="mean",
         )
-        self._taken: list[tuple[float, bool]] = []
+        self._levels: FloatArray = quest.stim_domain["intensity"]
+        self._prior: FloatArray = quest.prior.values
+        # Bare arrays: the labelled ones of questplus cost eight times as much at every answer.
+        self._likelihood: FloatArray = quest.likelihoods.transpose(*quest.prior.dims, "response", "intensity").values
+        self._posterior, self._taken = self._prior, list[tuple[float, bool]]()
 
     def another(self) -> Self:
         """Return a run by the same rule at its beginning; it shares the likelihoods, which are slow to compute."""
-        run = copy.copy(self)
-        run._quest = copy.copy(self._quest)
-        run._begin_anew()
-        return run
+        return copy.copy(self)
 
     def next_level(self, history: Sequence[tuple[float, bool]]) -> float:
         """Return the level of the next trial [dB]."""
         if list(history[: len(self._taken)]) != self._taken:
-            self._begin_anew()
+            self._posterior, self._taken = self._prior, []
         for level, success in history[len(self._taken) :]:
-            self._quest.update(stim=self._nearest(level), outcome={"response": "yes" if success else "no"})
-            self._taken.append((level, success))
-        if not self._taken:
-            return self._start
-        return float(self._quest.next_stim["intensity"])
+            # The record has the level that was presented to four digits.
+            nearest = np.abs(self._levels - level).argmin()
+            posterior = self._posterior * self._likelihood[..., 0 if success else 1, nearest]
+            self._posterior = posterior / posterior.sum()
+        self._taken = list(history)
+        return self._most_telling() if self._taken else self._start
 
-    def _begin_anew(self) -> None:
-        self._quest.posterior = self._quest.prior.copy(deep=True)
-        self._quest.stim_history, self._quest.resp_history = [], []
-        self._taken = []
-
-    def _nearest(self, level: float) -> dict[str, float]:
-        """Return the level of the domain that was presented, which the record has to four digits."""
-        domain = self._quest.stim_domain["intensity"]
-        return {"intensity": float(domain[np.argmin(np.abs(domain - level))])}
+    def _most_telling(self) -> float:
+        """Return the level after whose answer the least entropy is expected: Watson (2017), equations (8) to (10)."""
+        joint = self._posterior[..., None, None] * self._likelihood
+        chance = joint.sum(axis=_PARAMETERS)
+        after = joint / chance
+        with np.errstate(divide="ignore", invalid="ignore"):  # what is impossible adds nothing
+            entropy = -np.nansum(after * np.log(after), axis=_PARAMETERS)
+        return float(self._levels[(chance * entropy).sum(axis=0).argmin()])
