@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Generator, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -83,14 +84,28 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     return Scheduling(config, log)
 
 
-@pytest.fixture(scope="module")
-def svg_alone() -> Iterator[None]:
-    """Draw every figure as SVG and leave its PNG blank, where a file's claims are not of pictures."""
+@contextmanager
+def _blank(*kinds: str) -> Iterator[None]:
+    """Make every figure, and leave its files of some kinds undrawn: drawing takes longer than most analyses."""
     from modaltouch.report import style
 
     render = style.render
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(style, "render", lambda figure, kind: render(figure, kind) if kind == "svg" else b"")
+        patch.setattr(style, "render", lambda figure, kind: b"<svg/>" if kind in kinds else render(figure, kind))
+        yield
+
+
+@pytest.fixture(scope="module")
+def svg_alone() -> Iterator[None]:
+    """Draw every figure as SVG and leave its PNG blank, where one format shows what a file claims."""
+    with _blank("png"):
+        yield
+
+
+@pytest.fixture(scope="module")
+def undrawn() -> Iterator[None]:
+    """Leave the files of every figure blank, where a file's claims are not of pictures."""
+    with _blank("png", "svg"):
         yield
 
 

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from modaltouch.analysis.exact import multinomial_test
 from modaltouch.cli import app
 
-pytestmark = pytest.mark.usefixtures("svg_alone")
+pytestmark = pytest.mark.usefixtures("undrawn")
 
 SHIPPED = Path(__file__).parents[2] / "protocols"
 GRADES, SIDES = ("stronger", "weaker"), ("left", "right")

@@ -14,7 +14,7 @@ from modaltouch.cli.study import write_study
 from modaltouch.protocol.problems import InputError
 from modaltouch.protocol.source import Source
 
-pytestmark = pytest.mark.usefixtures("svg_alone")
+pytestmark = pytest.mark.usefixtures("undrawn")
 
 
 def run(*words):

@@ -15,7 +15,7 @@ from modaltouch.cli.commands import app
 from modaltouch.planning import power as planning_power
 from modaltouch.planning.experiments import Job, Study, run_job
 
-pytestmark = pytest.mark.usefixtures("svg_alone")
+pytestmark = pytest.mark.usefixtures("undrawn")
 
 ROOT = Path(__file__).parents[2]
 PROTOCOL = ROOT / "protocols" / "differentiated_stimulation.yaml"

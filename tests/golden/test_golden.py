@@ -15,10 +15,12 @@ from freezing import differences, load
 from outside import ROOT, workplace
 from sayings import MISPLACED, OUTPUTS, REFUSALS, Output, Refusal
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 NEED_A_WINDOW_OR_A_SCAN = {"modaltouch demo", "modaltouch compare", "modaltouch validate"}
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def cohort(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of the analysis of the simulated cohort."""
     with workplace(tmp_path_factory.mktemp("cohort") / "place"):

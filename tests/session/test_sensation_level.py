@@ -29,7 +29,7 @@ from modaltouch.session.setup import begin
 from modaltouch.session.wiring import wire_run
 from modaltouch.window.interface import SessionStopped
 
-pytestmark = pytest.mark.usefixtures("svg_alone")
+pytestmark = pytest.mark.usefixtures("undrawn")
 
 PROTOCOLS = Path(__file__).parents[2] / "protocols"
 FAINT = Observer(Participant(detection_speed=0.015, lapse_rate=0.01), name="faint")

@@ -20,6 +20,8 @@ from modaltouch.record.session import Session, read_session
 from modaltouch.session.rewiring import resume, wire_resume
 from modaltouch.session.wiring import simulate_session
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 PROTOCOLS = Path(__file__).parents[2] / "protocols"
 LEVELS = [40, 60, 80, 100]
 LIGHT = "fingers: {mass_g: 0.06, damping_N_s_per_m: 0.4, stiffness_N_per_mm: 0.4}\nspread: {mass: 0.3, damping: 0.3}\n"

@@ -13,6 +13,8 @@ from modaltouch.lab.validation.key_figures import findings
 from modaltouch.record.chain import RecordError
 from modaltouch.report.output import write_files
 
+pytestmark = pytest.mark.usefixtures("svg_alone")
+
 OCCASION = {
     "title": "A <title>",
     "protocol": "p.yaml",
@@ -95,7 +97,7 @@ def test_command_reads_kept_scans_without_a_rig(written, kept, tmp_path):
     assert done.exit_code == 0, done.output
     values = json.loads(done.stdout)
     assert [law["law"] for law in values["laws"]] == ["exact", "paper"]
-    for name in ("fig_5.svg", "fig_6.svg", "fig_7.png", "fig_8.png", "fig_5_exact.csv"):
+    for name in ("fig_5.svg", "fig_6.svg", "fig_7.svg", "fig_8.svg", "fig_5_exact.csv"):
         assert (tmp_path / "o" / name).read_bytes() == written[0][name].read_bytes(), name
 
 
