@@ -50,6 +50,9 @@ class Vibrometer(Section):
     offset_mm: Number = described(
         "How far off the mid-line its spot lies [mm across the beam], where torsion shows.", default=0.2
     )
+    dropouts_Hz: NotNegative = described(  # noqa: N815
+        "How often its light is lost for 0.2 ms, as by a loose sensor or dark speckles [Hz].", default=0.0
+    )
 
 
 class ScopeSection(Section):
@@ -118,6 +121,17 @@ class TwinSection(Section):
     )
     generator_gain_mismatch: Annotated[float, Field(strict=True, ge=0, lt=0.5)] = described(
         "Relative standard deviation of the generator's output voltages, one error to each output [1].", default=0.0
+    )
+    frequency_drift: Annotated[float, Field(strict=True, ge=-0.01, le=0.01)] = described(
+        "Relative change of every natural frequency from one measurement to the next, as of a beam that warms [1].",
+        default=0.0,
+    )
+    softening: Annotated[float, Field(strict=True, ge=-0.2, le=0.2)] = described(
+        "Relative fall of every natural frequency at the amplifier's limit; with the square of a burst's peak [1].",
+        default=0.0,
+    )
+    hysteresis: Annotated[float, Field(strict=True, ge=0, lt=1)] = described(
+        "Share of the actuators' force at the amplifier's limit that lags behind the voltage [1].", default=0.0
     )
     unlisted_modes: tuple[UnlistedMode, ...] = described(
         "Modes that the beam has and the table has not.", default=(), max_length=200

@@ -22,6 +22,9 @@ FORGOTTEN = 1e-9
 ASKED_EVERY = 0.5e-3
 """Time between two questions to a scope by USB whether its record is full [s]."""
 
+DROPOUT = 0.2e-3
+"""For how long the vibrometer loses its light [s]."""
+
 SMALL_TURN = 0.01
 """Phase of the fastest mode within the trigger's jitter up to which a record is moved along its slope [rad]."""
 
@@ -105,6 +108,7 @@ class SimulatedScope(Scope):
             If the position is not on the beam.
         """
         asked, true = self._asked, self._twin.apparatus.twin
+        self._twin.n_measured += 1
         playbacks = self._playing()
         if not any(playbacks):
             raise RigError(
@@ -161,11 +165,18 @@ class SimulatedScope(Scope):
     def _see_velocity(self, values: FloatArray) -> bool:
         """Turn a velocity in place into what the scope has of it [m/s], and return whether its range was passed."""
         limit = self._inputs.highest_velocity
+        for start in self._dropouts(values.size):
+            values[start : start + max(1, int(DROPOUT * self._rate))] = 0.0
         values += self._vibrometer_noise(values.size)
         beyond = bool(values.max() > limit or values.min() < -limit)
         if beyond:
             np.clip(values, -limit, limit, out=values)
         return self._convert(values, self._inputs.sensitivity, self._ranges[0]) or beyond
+
+    def _dropouts(self, n_samples: int) -> list[int]:
+        """Return at which samples the vibrometer loses its light."""
+        often = self._twin.apparatus.twin.vibrometer.dropouts_Hz * n_samples / self._rate
+        return self._rng.integers(n_samples, size=self._rng.poisson(often)).tolist() if often else []
 
     def _vibrometer_noise(self, n_samples: int) -> FloatArray:
         """Return white noise behind the vibrometer's low-pass, as sampled [m/s]: all its power, folded where it must.

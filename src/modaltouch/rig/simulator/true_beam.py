@@ -92,7 +92,7 @@ class TrueBeam:
         along = (-1) ** order * np.cos(order * math.pi * (x / self.table.length + 0.5))
         return np.asarray(math.sqrt(24.0) * across / self.width * along)
 
-    def equations(self, amplifier: Amplifier, touched: Sequence[float] = ()) -> DiagonalSystem:
+    def equations(self, amplifier: Amplifier, touched: Sequence[float] = (), stretch: float = 1.0) -> DiagonalSystem:
         """Return the equations of the beam behind its amplifier, with fingers on it.
 
         Fingers couple all modes, torsion included (see `modaltouch.stimulus.fingers`).
@@ -103,12 +103,14 @@ class TrueBeam:
             Its pole and delay count; voltages are those it would give without them.
         touched : sequence of float
             Centres of the contacts, origin at mid-beam [m]; empty for a free beam.
+        stretch : float
+            Factor of every natural frequency [1].
         """
         fingers = self.apparatus.twin.fingers
         touching = [] if fingers is None else [fingers.at(place) for place in touched]
         loads = [(finger.contact(self._over_width, self.table.length) / self.mass, finger) for finger in touching]
         return DiagonalSystem.of_modes(
-            2 * np.pi * self.natural_frequency, self.damping_ratio, self.modal_gain, loads, amplifier
+            2 * np.pi * stretch * self.natural_frequency, self.damping_ratio, self.modal_gain, loads, amplifier
         )
 
     def _over_width(self, along: FloatArray) -> FloatArray:
@@ -170,6 +172,44 @@ def generator_gains(apparatus: Apparatus, seed: int) -> FloatArray:
     n_channels = apparatus.modal_model().n_channels
     draw = np.random.default_rng(seed).spawn(4)[3].standard_normal(n_channels)
     return np.asarray(np.exp(apparatus.twin.generator_gain_mismatch * draw))
+
+
+PLAYS = (0.2, 0.4, 0.6, 0.8)
+"""Half widths of the play operators, as parts of the amplifier's limit [1]."""
+
+
+def lagging(voltage: FloatArray, share: float, limit: float) -> FloatArray:
+    r"""Return the voltages that would have an actuator without hysteresis give the same force.
+
+    A share of it follows play operators of equal weight, :math:`y_k = \max(v_k - r, \min(v_k + r, y_{k-1}))` (Prandtl
+    and Ishlinskii; Visintin 1994, Differential Models of Hysteresis, sec. III.2). Their half widths are evenly spread:
+    loops then grow with the square of the voltage, as by Rayleigh's law for piezoelectric ceramics (Damjanovic 1997,
+    J. Appl. Phys. 82, 1788).
+
+    Parameters
+    ----------
+    voltage : (n_channels, n_samples) array
+        Of bursts that repeat, as a change from rest [V].
+    share : float
+        Of the force that lags [1].
+    limit : float
+        Of the amplifier [V].
+    """
+    result = (1 - share) * voltage
+    for row, volts in zip(result, voltage, strict=True):
+        turns = np.append(np.flatnonzero(np.diff(np.sign(np.diff(volts)))) + 1, volts.size - 1)
+        # Between two turns the voltage is monotone: what was reached at the first of them tells the rest.
+        part = np.searchsorted(turns, np.arange(volts.size))
+        for width in np.array(PLAYS) * limit:
+            reached = 0.0
+            for _ in range(2):  # the second burst begins where the first one, and so every other, ends
+                before = []
+                for volt in volts[turns].tolist():
+                    before.append(reached)
+                    reached = max(volt - width, min(volt + width, reached))
+            play = np.clip(np.array(before)[part], volts - width, volts + width)
+            row += share / len(PLAYS) * (play - reached)
+    return np.asarray(result)
 
 
 def true_amplifier(apparatus: Apparatus) -> Amplifier:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from modaltouch.protocol import Apparatus
 from modaltouch.rig.simulator.held import LONGEST_SILENCE, Held, peak, refined, state_at
 from modaltouch.rig.simulator.timeline import Playback
-from modaltouch.rig.simulator.true_beam import generator_gains, true_amplifier, true_beam
+from modaltouch.rig.simulator.true_beam import generator_gains, lagging, true_amplifier, true_beam
 from modaltouch.stimulus import DiagonalSystem
 
 if TYPE_CHECKING:
@@ -69,14 +69,19 @@ class Twin:
     tripped : bool
         Whether the amplifier's protection has cut its output.
     n_computed : int
-        Peaks computed so far: another level of the same records needs none, as long as nothing saturates.
+        Peaks computed so far: another level of the same records needs none, as long as beam and amplifier are linear.
+    n_measured : int
+        Measurements so far, with each of which the beam drifts.
     """
 
     apparatus: Apparatus
     seed: int
     tripped: bool = False
     n_computed: int = field(default=0, init=False)
-    _felt: dict[Setting, dict[tuple[float, ...], float]] = field(default_factory=dict, init=False, repr=False)
+    n_measured: int = field(default=0, init=False)
+    _felt: dict[tuple[float, Setting], dict[tuple[float, ...], float]] = field(
+        default_factory=dict, init=False, repr=False
+    )
     _systems: dict[tuple[float, ...], DiagonalSystem] = field(default_factory=dict, init=False, repr=False)
     _histories: tuple[object, list[StateHistory]] | None = field(default=None, init=False, repr=False)
 
@@ -87,12 +92,33 @@ class Twin:
             self.amplifier.gain * self.apparatus.generator.load_factor
         )
 
-    def system(self, touched: Sequence[float] = ()) -> DiagonalSystem:
-        """Return the equations of the beam with fingers at some places, behind its amplifier."""
-        key = tuple(touched) if self.beam.apparatus.twin.fingers is not None else ()
-        if key not in self._systems:
-            self._systems[key] = self.beam.equations(self.amplifier, key)
-        return self._systems[key]
+    def system(self, touched: Sequence[float] = (), stretch: float = 1.0) -> DiagonalSystem:
+        """Return the equations of the beam with fingers at some places, behind its amplifier.
+
+        Parameters
+        ----------
+        touched : sequence of float
+            Where fingers lie [m].
+        stretch : float
+            Factor of every natural frequency, as `stretch` gives it [1].
+        """
+        places = tuple(touched) if self.beam.apparatus.twin.fingers is not None else ()
+        if (stretch, *places) not in self._systems:
+            # A beam that drifts has another one with each measurement.
+            for oldest in list(self._systems)[:-SETTINGS_KEPT]:
+                self._systems.pop(oldest, None)
+            self._systems[stretch, *places] = self.beam.equations(self.amplifier, places, stretch)
+        return self._systems[stretch, *places]
+
+    def stretch(self, playbacks: Sequence[Playback | None]) -> float:
+        """Return the factor of every natural frequency while something plays [1].
+
+        Softening is that of a Duffing oscillator, in proportion to the amplitude squared (Nayfeh & Mook 1979, Nonlinear
+        Oscillations, sec. 4.1), linearised: the whole burst meets the frequencies of its highest voltage.
+        """
+        twin = self.apparatus.twin
+        highest = min(max(self._peak_voltages(playbacks), default=0.0) / self.amplifier.limit, 1.0)
+        return 1.0 + twin.frequency_drift * self.n_measured - twin.softening * highest**2
 
     def felt(
         self,
@@ -120,10 +146,10 @@ class Twin:
         level = max((abs(playback.amplitude) for playback in playbacks if playback is not None), default=0.0)
         if self.tripped or level == 0:
             return np.zeros(len(positions))
-        setting, scale = tuple(playbacks), 1.0
-        if not self._any_saturates(playbacks):
+        setting, scale, stretch = tuple(playbacks), 1.0, self.stretch(playbacks)
+        if self._is_linear(playbacks):
             setting, scale = _at_unit_level(playbacks, level), level
-        felt = self._felt.setdefault(_once(setting), {})
+        felt = self._felt.setdefault((stretch, _once(setting)), {})
         for oldest in list(self._felt)[:-SETTINGS_KEPT]:
             self._felt.pop(oldest, None)
         # Fingers that weigh change the beam for each other; others feel it as it is.
@@ -135,7 +161,7 @@ class Twin:
         missing = [x for x in dict.fromkeys(positions) if (x, *fingers) not in felt]
         if missing:
             self.n_computed += 1
-            peaks = self._peaks(_once(setting), missing, fingers)
+            peaks = self._peaks(_once(setting), missing, self.system(fingers, stretch))
             felt.update({(x, *fingers): speed for x, speed in zip(missing, peaks, strict=True)})
         return scale * np.array([felt[(x, *fingers)] for x in positions])
 
@@ -171,15 +197,16 @@ class Twin:
         """
         if self.tripped:
             return []
-        system = self.system(touched)
+        stretch = self.stretch(playbacks)
+        system = self.system(touched, stretch)
         output = self.beam.shapes(position, offset)[:, 0] @ system.velocity
         from modaltouch.rig.simulator.motion import StateHistory, low_passed
 
         system, output = low_passed(system, output, bandwidth)
-        key = tuple(playbacks), tuple(touched), bandwidth
+        key = tuple(playbacks), tuple(touched), bandwidth, stretch
         # The states are those of the whole beam: the next point of a scan needs none of its own.
         if self._histories is None or self._histories[0] != key or not all(h.covers(span) for h in self._histories[1]):
-            self._histories = key, [StateHistory.of(system, held, span) for held in self.held_of(playbacks)]
+            self._histories = key, [StateHistory.of(system, held, span) for held in self.forces_of(playbacks)]
         return [history.motion(output) for history in self._histories[1]]
 
     def drive(self, playbacks: Sequence[Playback | None], channel: int) -> DriveVoltage | None:
@@ -212,9 +239,9 @@ class Twin:
         touched : sequence of float
             Where fingers lie [m].
         """
-        system = self.system(touched)
+        system = self.system(touched, self.stretch(playbacks))
         state = np.zeros(system.exponent.size, dtype=complex)
-        for held in () if self.tripped else self.held_of(playbacks):
+        for held in () if self.tripped else self.forces_of(playbacks):
             state = state + state_at(system, held, instant, first=first)
         velocity, displacement = (system.velocity @ state).real, (system.displacement @ state).real
         n_listed = self.beam.table.n_modes
@@ -232,6 +259,12 @@ class Twin:
         return [
             self._held([p if p is not None and _clock(p) == clock else None for p in playbacks]) for clock in clocks
         ]
+
+    def forces_of(self, playbacks: Sequence[Playback | None]) -> list[Held]:
+        """Return what moves the beam, as volts: what the amplifier gives, behind the actuators' hysteresis."""
+        share, limit = self.apparatus.twin.hysteresis, self.amplifier.limit
+        volts = self.held_of(playbacks)
+        return [replace(held, voltage=lagging(held.voltage, share, limit)) for held in volts] if share else volts
 
     def _held(self, together: Sequence[Playback | None]) -> Held:
         first = next(playback for playback in together if playback is not None)
@@ -256,23 +289,23 @@ class Twin:
         rest = float(np.clip((playback.idle_code - zero) * scale + shift, -limit, limit))
         return np.asarray(np.clip((codes - zero) * scale + shift, -limit, limit) - rest), rest
 
-    def _any_saturates(self, playbacks: Sequence[Playback | None]) -> bool:
-        """Return whether the amplifier reaches its limit."""
-        return any(
-            (
-                abs(playback.amplitude) / 2 * record_peak(playback.record, playback.converter.mid_code)
-                + abs(playback.offset)
-            )
-            * gain
-            > self.amplifier.limit
-            for playback, gain in zip(playbacks, self._gains, strict=False)
-            if playback is not None
-        )
+    def _is_linear(self, playbacks: Sequence[Playback | None]) -> bool:
+        """Return whether another level would move the beam in proportion."""
+        twin = self.apparatus.twin
+        saturates = any(peak > self.amplifier.limit for peak in self._peak_voltages(playbacks))
+        return not (saturates or twin.softening or twin.hysteresis)
 
-    def _peaks(self, setting: Setting, positions: Sequence[float], touched: Sequence[float]) -> list[float]:
-        system = self.system(touched)
+    def _peak_voltages(self, playbacks: Sequence[Playback | None]) -> list[float]:
+        """Return the highest voltage that each output commands at the beam [V]."""
+        return [
+            (abs(each.amplitude) / 2 * record_peak(each.record, each.converter.mid_code) + abs(each.offset)) * gain
+            for each, gain in zip(playbacks, self._gains.tolist(), strict=False)
+            if each is not None
+        ]
+
+    def _peaks(self, setting: Setting, positions: Sequence[float], system: DiagonalSystem) -> list[float]:
         output = self.beam.shapes(positions).T @ system.velocity
-        parts = self.held_of(setting)
+        parts = self.forces_of(setting)
         if len(parts) > 1 and len({part.period for part in parts}) == 1:
             return [_common_peak(system, row, parts) for row in output]
         # Bursts of unequal rate slide past each other, so that sooner or later their peaks meet.
