@@ -21,6 +21,9 @@ def calibrate(
     out: Annotated[Path, typer.Option(help="File for the calibration; never overwritten.", show_default=False)],
     rig: MEASURED_RIG = "simulated",
     person: Annotated[str, typer.Option(help="Who calibrates, for the file.", show_default="nobody named")] = "",
+    accept: Annotated[
+        bool, typer.Option("--accept", help="Write a calibration that misses its limits too, with a mark.")
+    ] = False,
     json_output: JSON = False,
 ) -> None:
     """Measure what each stimulus really does at the focusing instant, and correct its targets until both agree.
@@ -30,20 +33,22 @@ def calibrate(
     noise does not explain. Last, every velocity level is verified at the focus; where adaptive runs
     or participants have levels of their own, the bounds and three levels between them at equal ratios (2, 6.325, 20,
     63.25 and 200 of 2 to 200 mm/s). Of a protocol with
-    several stimuli all are calibrated, into one file. Nothing is written before the end.
+    several stimuli all are calibrated, into one file. Nothing is written before the end, and nothing that misses the
+    protocol's `calibration.limits`, unless --accept is given: `run` then takes it with --with-marked-calibration alone.
     """
     from modaltouch.lab import CalibrateOptions
     from modaltouch.lab import calibrate as measure
 
     with reporting(json_output=json_output):
         with bars() as progress:
-            report = measure(CalibrateOptions(protocol, out, rig, person), progress)
+            report = measure(CalibrateOptions(protocol, out, rig, person, accept), progress)
         give(report, lambda _: _show(report.calibration, out, protocol), json_output=json_output)
 
 
 def _show(calibration: Calibration, out: Path, protocol: Path) -> None:
     """Print what was reached."""
     from rich.console import Console
+    from rich.markup import escape
 
     console = Console()
     for name, own in calibration.by_stimulus.items():
@@ -52,9 +57,10 @@ def _show(calibration: Calibration, out: Path, protocol: Path) -> None:
     amplifier = calibration.amplifier
     corner = "not known" if amplifier.bandwidth_kHz is None else f"{amplifier.bandwidth_kHz:.0f} kHz"
     console.print(
-        f"Amplifier: delay {amplifier.delay_us:.2f} us, corner {corner}; errors are known to {noise:.2f} mm/s "
-        "(95 %, noise alone)"
+        f"Amplifier: delay {amplifier.delay_us:.2f} us, corner {corner}; errors are known to {noise:.2f} mm/s (95 %)"
     )
+    if calibration.mark:
+        console.print(f"[yellow]Marked: {escape(calibration.mark)}[/]")
     console.print(f"Written: {out}", markup=False)
     console.print(f"Next: modaltouch run {protocol} --calibration {out}", markup=False)
 

@@ -189,6 +189,10 @@ class AcquisitionSection(Section):
         "what is not known of it shifts the focus in time [us].",
         default=0.0,
     )
+    trigger_latency_uncertainty_us: NotNegative = described(
+        "Half width of the 95 % interval of that time, which a calibration counts among its uncertainties [us].",
+        default=0.05,
+    )
 
 
 class Sound(Section):

@@ -77,7 +77,9 @@ class CalibratedMode(Section):
         "Errors of velocity and of displacement times angular frequency before [mm/s]."
     )
     error_after_mm_s: tuple[Number, Number] = described("The same after [mm/s].")
-    uncertainty_mm_s: NotNegative = described("Half width of the 95 % interval of each error, from noise [mm/s].")
+    uncertainty_mm_s: NotNegative = described(
+        "Half width of the 95 % interval of each error: noise, disagreement of the points, vibrometer, trigger [mm/s]."
+    )
 
 
 class CalibratedLevel(Section):
@@ -91,6 +93,22 @@ class CalibratedLevel(Section):
     at_focus_mm_s: Number = described("Velocity measured at the focusing instant [mm/s].")
     uncertainty_mm_s: NotNegative = described("Half width of its 95 % interval, from noise [mm/s].")
     highest_mm_s: NotNegative = described("Highest speed over the whole burst there [mm/s].")
+
+
+class MissedLimit(Section):
+    """A limit of the protocol, or of what a calibration believes, that was missed."""
+
+    limit: Word = described(
+        "velocity_mm_s, displacement_mm_s, level_percent: as in the protocol's limits; frequencies_mm_s: what changed "
+        "natural frequencies make of the focus; drive_percent: what the amplifier's peaks lack."
+    )
+    level_mm_s: Positive = described("At which level [mm/s].")
+    reached: NotNegative = described("What was reached, with its uncertainty, in the unit of the limit.")
+    allowed: NotNegative = described("What was allowed.")
+
+    def __str__(self) -> str:
+        """Return the limit in words."""
+        return f"{self.limit} of {self.reached:.3g} at {self.level_mm_s:g} mm/s, allowed {self.allowed:g}"
 
 
 class IterationFigures(Section):
@@ -123,6 +141,16 @@ class Calibration(Section):
     @abstractmethod
     def by_stimulus(self) -> dict[str, CalibratedStimulus]:
         """What holds for each stimulus, by its name; without a name where the protocol has one alone."""
+
+    @property
+    def mark(self) -> str:
+        """Which limits it misses, and why; empty for one that has proved itself."""
+        own = [
+            (f"stimulus {name}: " if name else "") + f"{', '.join(map(str, each.missed))}; {'; '.join(each.causes)}"
+            for name, each in self.by_stimulus.items()
+            if each.missed
+        ]
+        return "; ".join(own)
 
     def alone(self, name: str) -> CalibrationFile | None:
         """Return the calibration of one stimulus alone; None where there is none of that name.
@@ -159,6 +187,10 @@ class CalibratedStimulus(Section):
     iterations: tuple[IterationFigures, ...] = described("The turns of the loop.", min_length=1)
     modes: tuple[CalibratedMode, ...] = described("The modelled modes.", min_length=1, max_length=200)
     levels: tuple[CalibratedLevel, ...] = described("The velocity levels.", min_length=1, max_length=100)
+    missed: tuple[MissedLimit, ...] = described(
+        "Marks it: the limits that it misses; none for a proved one.", default=()
+    )
+    causes: tuple[Text, ...] = described("Why it misses them, with the remedy.", default=())
 
     @property
     def worst_error_mm_s(self) -> float:

@@ -247,6 +247,16 @@ class AnswersSection(Section):
         return max(self.pause_s, self.settling_s) if self.settles(finger_condition) else self.pause_s
 
 
+class CalibrationLimits(Section):
+    """What a calibration may leave at most, its uncertainty included; one that misses them is marked."""
+
+    velocity_mm_s: Positive = described("Error of a modal velocity at the focusing instant [mm/s].", default=0.3)
+    displacement_mm_s: Positive = described(
+        "Modal displacement times angular frequency there, desired to be 0 [mm/s].", default=0.3
+    )
+    level_percent: Positive = described("Deviation of a level at the focus [percent].", default=1.0)
+
+
 class CalibrationSection(Section):
     """Which calibration the stimulus needs."""
 
@@ -258,6 +268,10 @@ class CalibrationSection(Section):
     )
     required: bool = Field(
         strict=True, default=False, description="Whether a session without a calibration is refused."
+    )
+    limits: CalibrationLimits = described(
+        "What a calibration may leave at most, its uncertainty included; one that misses them is marked.",
+        default=CalibrationLimits(),
     )
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from modaltouch.lab.arrays import FloatArray
+from modaltouch.lab.calibration.doubts import refuse_doubtful_velocity
 from modaltouch.lab.calibration.plant import DriveDelay
 from modaltouch.lab.laboratory import Laboratory, MeasurementProgress
 from modaltouch.rig import Acquisition, Recording, RigError
@@ -212,6 +213,8 @@ class DecayRecorder:
         Of the stimulus, where there are several.
     margin : float
         From the focusing instant to the first sample of a decay [s].
+    n_taken : int
+        Records taken so far.
     """
 
     bench: Laboratory
@@ -226,6 +229,7 @@ class DecayRecorder:
     _step: str = field(default="", init=False)
     _done: int = field(default=0, init=False)
     _total: int = field(default=0, init=False)
+    n_taken: int = field(default=0, init=False)
 
     def begin(self, step: str, n_records: int) -> None:
         """Announce a step, and how many records it takes."""
@@ -242,7 +246,9 @@ class DecayRecorder:
         """Begin the records of decays late enough for the drive to have ended at the beam."""
         self.margin = max(MARGIN, drive.delay + 10 * drive.lag + MARGIN / 2)
 
-    def decays(self, burst: Burst, level: float, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def decays(
+        self, burst: Burst, level: float, points: FloatArray, highest: float | None = None
+    ) -> tuple[FloatArray, FloatArray]:
         """Return the free decay after the focusing instant.
 
         Parameters
@@ -253,6 +259,8 @@ class DecayRecorder:
             At which it is played [m/s].
         points : (n_points,) array
             Where [m].
+        highest : float, optional
+            Highest speed to be expected; the end of the vibrometer's range if not given [m/s].
 
         Returns
         -------
@@ -263,13 +271,14 @@ class DecayRecorder:
         """
         self.bench.load(burst)
         asked = self._decay()
-        time, rows, highest = np.zeros(0), np.zeros((points.size, asked.n_samples)), None
+        time, rows = np.zeros(0), np.zeros((points.size, asked.n_samples))
         # Back and forth, so that a spot that is moved by hand is moved less.
         self._forth = not self._forth
         order = np.arange(points.size)[:: 1 if self._forth else -1]
         for place in order.tolist():
             point = float(points[place])
             recording = self._within(point, level, asked, highest)
+            refuse_doubtful_velocity(recording)
             highest = max(highest or 0.0, float(np.abs(recording.velocity).max()))
             time = recording.time
             rows[place] = recording.velocity.mean(axis=0)
@@ -317,6 +326,28 @@ class DecayRecorder:
         decay = self._within(point, level, self._decay(2 * N_RECORDS), highest)
         return decay.time, decay.velocity.mean(axis=0, keepdims=True), highest
 
+    def drive_about(self, instant: float, level: float, volts: float) -> tuple[FloatArray, FloatArray]:
+        """Return the drive of all channels of the loaded burst within `SWEEP` seconds about an instant.
+
+        Parameters
+        ----------
+        instant : float
+            From the first sample of the burst [s].
+        level : float
+            At which it is played [m/s].
+        volts : float
+            Highest voltage at the beam to be expected [V].
+
+        Returns
+        -------
+        time : (n_samples,) array
+            By the scope's clock, from the trigger [s].
+        drive : (n_channels, n_samples) array
+            Averaged over records [V].
+        """
+        taken = self._drive(instant - SWEEP / 2, level, volts)
+        return taken.time, taken.drive.mean(axis=0)
+
     def drive(self, burst: Burst, volts: float) -> list[Recording]:
         """Return the drive of both channels in the first and in the last `SWEEP` seconds of a burst.
 
@@ -328,15 +359,14 @@ class DecayRecorder:
             Highest voltage at the beam to be expected [V].
         """
         self.bench.load(burst)
+        return [self._drive(start, burst.velocity, volts) for start in (0.0, self.timing.duration - SWEEP)]
+
+    def _drive(self, start: float, level: float, volts: float) -> Recording:
         rate = max(self.rate, 2.0e6)
         drives = tuple(range(1, self.model.n_channels + 1))
-        taken = []
-        for start in (0.0, self.timing.duration - SWEEP):
-            asked = Acquisition(
-                rate, int((SWEEP + MARGIN) * rate), N_RECORDS, drives, start, drive_range=HEADROOM * volts
-            )
-            taken.append(self._within(0.0, burst.velocity, asked, None))
-        return taken
+        n_samples = int((SWEEP + MARGIN) * rate)
+        asked = Acquisition(rate, n_samples, N_RECORDS, drives, max(start, 0.0), drive_range=HEADROOM * volts)
+        return self._within(0.0, level, asked, None)
 
     def _within(self, point: float, level: float, asked: Acquisition, highest: float | None) -> Recording:
         """Return a record that nothing overloads; ranges are widened as far as it takes."""
@@ -347,6 +377,7 @@ class DecayRecorder:
             recording = self.bench.record(point, level, asked)
             if not recording.overloaded:
                 self._done += 1
+                self.n_taken += 1
                 self.progress.show(self._step, self._done, self._total)
                 return replace(recording, time=recording.time + self.latency)
             wide = asked.velocity_range is None or asked.velocity_range >= self.highest_velocity

@@ -10,10 +10,12 @@ from typing import Any
 
 from modaltouch.lab.calibration.file import calibration_of, write_calibration
 from modaltouch.lab.calibration.loop import calibrate_each
+from modaltouch.lab.calibration.proof import mark_of
 from modaltouch.lab.laboratory import SIMULATED, MeasurementProgress, open_laboratory
 from modaltouch.preflight import DesignInputs, Preflight, examine
 from modaltouch.protocol import Calibration, InputError, Problem, Protocol
 from modaltouch.record import prepare_file
+from modaltouch.rig import RigError
 
 
 @dataclass(frozen=True)
@@ -30,12 +32,15 @@ class CalibrateOptions:
         ``simulated``, or the generator's VISA address.
     person : str
         Who calibrates, for the file.
+    accept : bool
+        Whether one that misses its limits is written, with a mark.
     """
 
     protocol: Path
     out: Path
     rig: str = SIMULATED
     person: str = ""
+    accept: bool = False
 
 
 @dataclass(frozen=True)
@@ -73,7 +78,7 @@ def calibrate(options: CalibrateOptions, progress: MeasurementProgress | None = 
     RecordError
         If the file cannot be written, or exists.
     RigError
-        If the rig fails, or is not the one of the apparatus file.
+        If the rig fails, is not the one of the apparatus file, or leaves more than ``calibration.limits`` allows.
     """
     preflight = examine(options.protocol, uncalibrated=True).of_untouched_beam()
     experiment, inputs_of = preflight.experiment, design_inputs_of(preflight)
@@ -93,6 +98,12 @@ def calibrate(options: CalibrateOptions, progress: MeasurementProgress | None = 
             mode=laboratory.mode,
             person=options.person,
             made=datetime.now().astimezone(),
+            marks={name: mark_of(outcome, experiment.protocol) for name, outcome in outcomes.items()},
+        )
+    if calibration.mark and not options.accept:
+        raise RigError(
+            f"the calibration misses its limits: {calibration.mark}; the outputs are off and nothing is written; with "
+            "--accept it is written with a mark, and used with --with-marked-calibration"
         )
     return CalibrationReport(calibration, options.out)
 

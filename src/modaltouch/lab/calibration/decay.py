@@ -10,7 +10,7 @@ out of the noise, so that they do not bias the others.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -46,12 +46,15 @@ class Decay:
         Standard error of each residue, real or imaginary part [m/s].
     noise : float
         Standard deviation of what is left over [m/s].
+    pole_error : (n_poles,) complex array
+        How far the poles of the records lie from those given, to first order; 0 where they were fitted [1/s].
     """
 
     pole: ComplexArray
     residue: ComplexArray
     spread: FloatArray
     noise: float
+    pole_error: ComplexArray
 
 
 def fit_residues(time: FloatArray, records: FloatArray, pole: ComplexArray) -> Decay:
@@ -66,7 +69,8 @@ def fit_residues(time: FloatArray, records: FloatArray, pole: ComplexArray) -> D
     pole : (n_poles,) complex array
         Poles [1/s].
     """
-    return _Projection(time, records, pole).decay()
+    projection = _Projection(time, records, pole)
+    return replace(projection.decay(), pole_error=projection.newton_step())
 
 
 def fit_poles(time: FloatArray, records: FloatArray, pole: ComplexArray) -> Decay:
@@ -175,6 +179,7 @@ class _Projection:
             residue=weight[:n] + 1j * weight[n:],
             spread=noise * np.sqrt(0.5 * (variance[:n] + variance[n:])),
             noise=float(noise),
+            pole_error=np.zeros_like(self.pole),
         )
 
     def newton_step(self) -> ComplexArray:

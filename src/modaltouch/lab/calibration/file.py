@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from modaltouch.lab.arrays import FloatArray
-from modaltouch.lab.calibration.plant import ModalState, Plant
+from modaltouch.lab.calibration.plant import INTERVAL, ModalState, Plant
 from modaltouch.preflight import DesignInputs
 from modaltouch.protocol import Apparatus, Calibration
 from modaltouch.record import prepare_file, replace_file
@@ -34,12 +34,15 @@ class Iteration:
         Largest of velocity, and of w eta [m/s].
     peak_voltage : float
         Highest voltage at the beam [V].
+    n_taken : int
+        Records taken up to then, from the first on.
     """
 
     number: int
     state: ModalState
     errors: tuple[float, float]
     peak_voltage: float
+    n_taken: int
 
     @property
     def worst(self) -> float:
@@ -108,6 +111,14 @@ class CalibrationResult:
         The one whose targets are kept.
     levels : tuple of Level
         As verified.
+    halfway : Iteration
+        What the modes do at another level, in the same form.
+    halfway_level : float
+        That level [m/s].
+    drive_peak : (n_channels,) array
+        Highest voltage that each output commands at the beam at the highest level [V].
+    drive_shortfall : (n_channels,) array
+        What the measured drive lacks there [1].
     """
 
     inputs: DesignInputs
@@ -119,6 +130,10 @@ class CalibrationResult:
     turns: tuple[Iteration, ...]
     best: Iteration
     levels: tuple[Level, ...]
+    halfway: Iteration
+    halfway_level: float
+    drive_peak: FloatArray
+    drive_shortfall: FloatArray
 
 
 CERTAIN = 3.0
@@ -180,9 +195,6 @@ def _digits(value: float) -> float:
     return float(f"{value:.9g}")
 
 
-INTERVAL = 1.96
-"""Half width of a 95 % interval, in standard errors [1]."""
-
 HEAD = """\
 # What makes these stimuli true on this rig: written by `modaltouch calibrate`, read by `modaltouch run`.
 # It holds for one apparatus file, the stimuli in it and one generator; measure again rather than edit it.
@@ -199,6 +211,7 @@ def calibration_of(
     mode: str,
     person: str,
     made: datetime,
+    marks: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> Calibration:
     """Return a finished calibration in the form and the units of its file.
 
@@ -218,7 +231,10 @@ def calibration_of(
         Who made it.
     made : datetime
         When, with its offset from UTC.
+    marks : mapping of str to mapping, optional
+        ``missed`` and ``causes`` of each stimulus; none of what has been proved.
     """
+    marks = marks or {}
     change = commit()
     shared = {
         "calibration": 1,
@@ -231,8 +247,9 @@ def calibration_of(
         **_of_rig(next(iter(outcomes.values()))),
     }
     if "" in outcomes:
-        return Calibration.of({**shared, **_own(outcomes[""])})
-    return Calibration.of({**shared, "stimuli": {name: _own(outcome) for name, outcome in outcomes.items()}})
+        return Calibration.of({**shared, **_own(outcomes[""]), **marks.get("", {})})
+    own = {name: {**_own(outcome), **marks.get(name, {})} for name, outcome in outcomes.items()}
+    return Calibration.of({**shared, "stimuli": own})
 
 
 def _of_rig(outcome: CalibrationResult) -> dict[str, Any]:
@@ -304,7 +321,7 @@ def _modes(outcome: CalibrationResult) -> list[dict[str, Any]]:
                 "target_displacement_mm_s": round(corrected_target.displacement[row] * 1e3, DIGITS),
                 "error_before_mm_s": errors[0],
                 "error_after_mm_s": errors[1],
-                "uncertainty_mm_s": round(INTERVAL * after.spread[row] * 1e3, 4),
+                "uncertainty_mm_s": round(float(after.half_width[row]) * 1e3, 4),
             }
         )
     return rows

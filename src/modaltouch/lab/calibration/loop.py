@@ -9,6 +9,7 @@ import numpy as np
 
 from modaltouch.lab.arrays import FloatArray
 from modaltouch.lab.calibration.acquisition import (
+    HEADROOM,
     DecayRecorder,
     commanded_voltage,
     identifying_burst,
@@ -17,6 +18,12 @@ from modaltouch.lab.calibration.acquisition import (
     timing_voltage,
 )
 from modaltouch.lab.calibration.decay import find_poles, fit_residues
+from modaltouch.lab.calibration.doubts import (
+    peak_shortfall,
+    refuse_changing_beam,
+    refuse_doubtful_drive,
+    refuse_doubtful_plant,
+)
 from modaltouch.lab.calibration.file import (
     DIGITS,
     CalibrationResult,
@@ -26,99 +33,17 @@ from modaltouch.lab.calibration.file import (
     refined_apparatus,
     significant,
 )
-from modaltouch.lab.calibration.plant import DriveDelay, Plant, fit_drive, identify_plant
+from modaltouch.lab.calibration.plant import (
+    Plant,
+    fit_drive,
+    identify_plant,
+    predicted_drive,
+)
 from modaltouch.lab.laboratory import Laboratory, MeasurementProgress
 from modaltouch.preflight import DesignInputs, design_to_fit
 from modaltouch.protocol import Apparatus
 from modaltouch.rig import RigError
-from modaltouch.stimulus import Burst, Correction, ModalModel, Stimulus
-
-GAINS = (0.67, 1.5)
-"""Measured over commanded drive that is believed [1]: beyond, a probe or a switch is not as the file says."""
-
-NOTHING = 0.02
-"""Measured over commanded drive below which there is none [1]."""
-
-LARGEST_REST = 0.3
-"""Part of the measured drive that delay, lag and gain may leave unexplained [1]: noise alone leaves a twentieth."""
-
-LEAST_CERTAINTY = 8.0
-"""Standard errors by which a mode's swing must stand out of the noise [1]."""
-
-FURTHEST = 0.05
-"""How far a natural frequency may lie from the listed one [1]: further, it may be another mode's."""
-
-LARGEST_PHASE = 0.2
-"""Phase that the vibrometer's delay and lag may leave unexplained [rad]."""
-
-
-def refuse_doubtful_drive(drive: DriveDelay) -> None:
-    """Refuse a measured drive that is not the commanded one behind an amplifier."""
-    believed = drive.rest <= LARGEST_REST
-    for number, gain in enumerate(drive.gain, start=1):
-        if (believed or abs(gain) < NOTHING) and not GAINS[0] <= gain <= GAINS[1]:
-            raise RigError(
-                f"the drive measured at the beam is {gain:.2f} times what output {number} commands: allowed "
-                f"{GAINS[0]:g} to {GAINS[1]:g}; the outputs are off; see whether the amplifier is on and its gain as "
-                "in the apparatus file, the probe at its output, and `acquisition.probe_attenuation` right"
-            )
-    if not believed:
-        raise RigError(
-            f"of the drive measured at the beam, {drive.rest:.0%} is not the commanded one behind a delay and a lag: "
-            f"allowed at most {LARGEST_REST:.0%}; the outputs are off; see whether the probes are at the amplifier's "
-            "outputs and it does not saturate"
-        )
-
-
-def refuse_doubtful_plant(plant: Plant, listed: ModalModel, margin: float) -> None:
-    """Refuse modes that are not seen, or are not those of the table."""
-    found = plant.model
-    for row, label in enumerate(listed.label):
-        if not plant.certainty[row] >= LEAST_CERTAINTY:
-            raise RigError(
-                f"mode {label} at {listed.natural_frequency[row]:.0f} Hz is not seen: it stands out of the noise by "
-                f"{plant.certainty[row]:.1f} standard errors, needed are {LEAST_CERTAINTY:g}; the outputs are off; see "
-                "whether the vibrometer is focused on the beam and its signal reaches the scope"
-            )
-        moved = found.natural_frequency[row] / listed.natural_frequency[row] - 1
-        if abs(moved) > FURTHEST:
-            raise RigError(
-                f"mode {label} was found at {found.natural_frequency[row]:.0f} Hz, {moved:+.1%} from the listed "
-                f"{listed.natural_frequency[row]:.0f} Hz: allowed {FURTHEST:.0%}; the outputs are off; identify the "
-                "beam anew with `modaltouch identify`"
-            )
-    _refuse_phases(plant, margin)
-    known = listed.modal_gain != 0
-    ratio = np.where(known, found.modal_gain / np.where(known, listed.modal_gain, 1.0), 1.0)
-    if (ratio[known] < 0).all():
-        raise RigError(
-            "every mode moves against the sign of its listed gain: the vibrometer's signal or the drive is inverted; "
-            "the outputs are off; turn the signal round"
-        )
-    for row, channel in np.argwhere((ratio < 0.4) | (ratio > 2.5)).tolist():
-        raise RigError(
-            f"the gain of mode {listed.label[row]} by output {channel + 1} was found as "
-            f"{found.modal_gain[row, channel] * 1e3:.4g} mm/s^2 per V, listed is "
-            f"{listed.modal_gain[row, channel] * 1e3:.4g}: allowed 0.4 to 2.5 times that; the outputs are off; see "
-            "whether the sets are wired as listed, or identify the beam anew with `modaltouch identify`"
-        )
-
-
-def _refuse_phases(plant: Plant, margin: float) -> None:
-    """Refuse a vibrometer that is no delay and low-pass, or so late that the records begin before its signal."""
-    vibrometer = plant.vibrometer
-    if vibrometer.rest > LARGEST_PHASE:
-        raise RigError(
-            f"the modes' phases differ by {vibrometer.rest:.2f} rad from those of a delay and a low-pass: allowed "
-            f"{LARGEST_PHASE:g} rad; the outputs are off; see which filters the vibrometer has switched on"
-        )
-    if vibrometer.delay + 10 * vibrometer.lag > margin:
-        raise RigError(
-            f"the vibrometer is {vibrometer.delay * 1e6:.0f} us late, with a low-pass of {vibrometer.lag * 1e6:.1f} "
-            f"us: allowed together with ten times the latter {margin * 1e6:.0f} us; the outputs are off; switch on a "
-            "faster filter"
-        )
-
+from modaltouch.stimulus import Burst, Correction, Stimulus
 
 MOST_ITERATIONS = 4
 """Turns of the loop at most; two settle it."""
@@ -218,6 +143,7 @@ class _Loop:
         between: Sequence[float],
         name: str,
     ) -> None:
+        self._name = name
         self._asked = sorted({level * 1e-3 for level in (*inputs.levels.values(), *between)})
         self._bench, self._apparatus, self._inputs, self._progress = bench, apparatus, inputs, progress
         self._listed = design_to_fit(inputs, release="free")
@@ -244,7 +170,7 @@ class _Loop:
         # What is listed commands volts of the listed amplifier.
         self._refuse_beyond_limit(float(self._listed.peak_voltage.max()) * max(plant.drive.gain))
         turns = [self._measure(0, self._listed, plant)]
-        corrected_target = np.stack([self._target, np.zeros_like(self._target)])
+        corrected_target = listed_target = np.stack([self._target, np.zeros_like(self._target)])
         stimulus = self._corrected(refined, self._correction(corrected_target))
         self._refuse_beyond_limit(float(stimulus.peak_voltage.max()))
         best, kept = self._measure(1, stimulus, plant), corrected_target
@@ -261,19 +187,31 @@ class _Loop:
             if turns[-1].worst >= best.worst:
                 break
             best, kept = turns[-1], corrected_target
+        if not self._name and turns[0].worst < best.worst:
+            # What several stimuli share, the rig as identified, is not that of the file.
+            best, kept, refined = turns[0], listed_target, self._apparatus
         correction = self._correction(kept)
         levels = self._levels(plant, refined, correction)
-        corrections = tuple((level.velocity, level.factor) for level in levels)
+        correction = replace(correction, corrections=tuple((level.velocity, level.factor) for level in levels))
+        stimulus = self._corrected(refined, correction)
+        commanded, shortfall = self._saturation(stimulus, plant)
+        halfway_level = min(self._asked, key=lambda level: abs(level - self._reference / 2))
+        self._recorder.begin(f"modes at {halfway_level * 1e3:g} mm/s", self._points.size)
+        halfway = self._turn(len(turns), stimulus, plant, halfway_level, HEADROOM * halfway_level)
         return CalibrationResult(
             inputs=self._inputs,
             plant=plant,
             refined=refined,
             target=self._target,
-            correction=replace(correction, corrections=corrections),
+            correction=correction,
             points=self._points,
             turns=tuple(turns),
             best=best,
             levels=levels,
+            halfway=halfway,
+            halfway_level=halfway_level,
+            drive_peak=commanded,
+            drive_shortfall=shortfall,
         )
 
     def _refuse_beyond_limit(self, needed: float) -> None:
@@ -318,9 +256,21 @@ class _Loop:
             rows.append(decay)
         since = time / (1 + drive.clock) - timing.focusing_instant
         decays = find_poles(since, np.concatenate(rows), listed.model.exponent)
-        plant = identify_plant(listed.model, listed.amplifier, drive, decays, self._shapes, voltages, timing)
+        refuse_changing_beam([fit_residues(since, each, decays.pole) for each in rows], self._shapes)
+        corner = self._apparatus.acquisition.vibrometer_bandwidth_kHz
+        plant = identify_plant(
+            listed.model,
+            listed.amplifier,
+            drive,
+            decays,
+            self._shapes,
+            voltages,
+            timing,
+            None if corner is None else corner * 1e3,
+        )
         refuse_doubtful_plant(plant, listed.model, self._recorder.margin)
-        return plant
+        latency_doubt = self._apparatus.acquisition.trigger_latency_uncertainty_us * 1e-6
+        return replace(plant, latency_doubt=latency_doubt)
 
     def _corrected(self, refined: Apparatus, correction: Correction) -> Stimulus:
         return design_to_fit(corrected_inputs(self._inputs, refined, correction), release="free")
@@ -333,12 +283,35 @@ class _Loop:
     def _measure(self, number: int, stimulus: Stimulus, plant: Plant) -> Iteration:
         """Play a stimulus at the reference level and return what the modes do at the focusing instant."""
         self._recorder.begin("before" if number == 0 else f"iteration {number}", self._points.size)
-        time, decay = self._recorder.decays(stimulus.burst, self._reference, self._points)
-        fitted = fit_residues(plant.decay_time(time, self._timing), decay, plant.pole)
-        state = plant.state(fitted, self._shapes)
-        turn = Iteration(number, state, state.error(self._target), float(stimulus.peak_voltage.max()))
+        turn = self._turn(number, stimulus, plant, self._reference)
         self._progress.say(str(turn))
         return turn
+
+    def _turn(
+        self, number: int, stimulus: Stimulus, plant: Plant, level: float, highest: float | None = None
+    ) -> Iteration:
+        time, decay = self._recorder.decays(stimulus.burst, level, self._points, highest)
+        state = plant.state(fit_residues(plant.decay_time(time, self._timing), decay, plant.pole), self._shapes)
+        scale = level / self._reference
+        return Iteration(
+            number=number,
+            state=state,
+            errors=state.error(self._target * scale),
+            peak_voltage=float(stimulus.peak_voltage.max()) * scale,
+            n_taken=self._recorder.n_taken,
+        )
+
+    def _saturation(self, stimulus: Stimulus, plant: Plant) -> tuple[FloatArray, FloatArray]:
+        """Return the peak drive of each output at the highest level [V], and what the measured one lacks of it [1]."""
+        level, listed = self._asked[-1], self._listed
+        commanded = commanded_voltage(stimulus.burst, listed.amplifier.gain * listed.load_factor, level)
+        highest = np.abs(commanded).max(axis=0)
+        self._recorder.begin("drive", 1)
+        time, measured = self._recorder.drive_about(
+            float(highest.argmax()) * self._timing.hold, level, float(highest.max())
+        )
+        predicted = predicted_drive(plant.drive, commanded, time, self._timing)
+        return np.abs(predicted).max(axis=1), peak_shortfall(predicted, measured)
 
     def _levels(self, plant: Plant, refined: Apparatus, correction: Correction) -> tuple[Level, ...]:
         """Measure every level at the focus, with amplitudes in proportion and then, where that is off, as measured."""
@@ -374,9 +347,5 @@ def _trim(level: Level) -> float:
     if abs(level.at_focus - level.velocity) < max(LEAST_TRIM * level.velocity, 3 * level.spread):
         return 1.0
     factor = level.velocity / level.at_focus if level.at_focus > 0 else float("inf")
-    if not 0.5 < factor < 2:
-        raise RigError(
-            f"the level of {level.velocity * 1e3:g} mm/s reaches {level.at_focus * 1e3:.1f} mm/s at the focus: the rig "
-            "does not follow its amplitude; the outputs are off; see whether the amplifier saturates"
-        )
-    return round(factor, 6)
+    # A rig that is off by so much is no trim's to mend: the level misses its limit.
+    return round(factor, 6) if 0.5 < factor < 2 else 1.0

@@ -7,7 +7,7 @@ The drive measured at the beam is the commanded one behind an amplifier of first
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
@@ -22,6 +22,12 @@ LONGEST = 100e-6
 
 FORGOTTEN = 30.0
 """Lags after which nothing is left of a voltage [1]."""
+
+INTERVAL = 1.96
+"""Half width of a 95 % interval, in standard errors [1]."""
+
+SLIP_NOISE = 5.0
+"""Standard errors of a mode's velocity up to which its slip may be noise: 2 for a fitted pole, 2.45 for 95 % [1]."""
 
 SHORTEST_LAG = 20e-9
 """Lag below which the amplifier counts as following at once [s]."""
@@ -110,6 +116,24 @@ def fit_drive(recordings: list[Recording], commanded: FloatArray, timing: Timing
     )
 
 
+def predicted_drive(drive: DriveDelay, commanded: FloatArray, time: FloatArray, timing: Timing) -> FloatArray:
+    """Return the drive to be measured where the amplifier is linear, (n_channels, n_times) array [V].
+
+    Parameters
+    ----------
+    drive : DriveDelay
+        How it follows what is commanded.
+    commanded : (n_channels, n_samples) array
+        Voltages at the beam, by the apparatus file's gain [V].
+    time : (n_times,) array
+        By the scope's clock, from the generator's first sample [s].
+    timing : Timing
+        Clock of the samples.
+    """
+    course = _Lagged(commanded, timing.hold, drive.lag).at(time / (1 + drive.clock) - drive.delay)
+    return np.asarray(np.array(drive.gain)[:, None] * course)
+
+
 class _Lagged:
     """Held samples behind a first-order lag, exact at every instant."""
 
@@ -144,18 +168,33 @@ class VibrometerDelay:
         Time constant of its low-pass [s].
     rest : float
         Root mean square of the phases that delay and lag leave unexplained, each weighted by its certainty [rad].
+    covariance : (2, 2) array
+        Of delay and lag, by the fit and what it leaves over [s^2].
     """
 
     delay: float
     lag: float
     rest: float
+    covariance: FloatArray = field(default_factory=lambda: np.zeros((2, 2)), compare=False)
 
     def response(self, pole: ComplexArray) -> ComplexArray:
         """Return what the vibrometer makes of a decay e^{st}, (n_poles,) complex array [1]."""
         return np.asarray(np.exp(-pole * self.delay) / (1 + pole * self.lag))
 
+    def spread(self, pole: ComplexArray) -> FloatArray:
+        """Return the standard error of the response, as a part of it, (n_poles,) array [1]."""
+        slope = np.stack([-pole, -pole / (1 + pole * self.lag)], axis=1)
+        variance = np.einsum("ki,ij,kj->k", slope, self.covariance, slope.conj()).real
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
-def fit_vibrometer(pole: ComplexArray, ratio: ComplexArray, spread: FloatArray, sign: FloatArray) -> VibrometerDelay:
+
+DATA_SHEET = 0.2
+"""Part by which a vibrometer's corner may differ from its data sheet, one standard deviation [1]."""
+
+
+def fit_vibrometer(
+    pole: ComplexArray, ratio: ComplexArray, spread: FloatArray, sign: FloatArray, bandwidth: float | None = None
+) -> VibrometerDelay:
     """Return the vibrometer's delay and lag from responses that without it would be real.
 
     Parameters
@@ -168,6 +207,8 @@ def fit_vibrometer(pole: ComplexArray, ratio: ComplexArray, spread: FloatArray, 
         Their standard errors; infinite where there is none [m/s^2 per V].
     sign : (n_modes, n_channels) array
         Sign of the gain as listed; 0 where it is not known.
+    bandwidth : float, optional
+        Corner of its low-pass by its data sheet, without which phases hardly tell lag from delay [Hz].
     """
     from scipy.optimize import least_squares
 
@@ -179,8 +220,11 @@ def fit_vibrometer(pole: ComplexArray, ratio: ComplexArray, spread: FloatArray, 
         lag = VibrometerDelay(values[0] * 1e-6, abs(values[1]) * 1e-6, 0.0)
         return np.asarray(ratio / lag.response(pole)[:, None])
 
+    expected = 0.5 if bandwidth is None else 1e6 / (2 * np.pi * bandwidth)
+    doubt = 1.0 if bandwidth is None else DATA_SHEET * expected
+
     def rest(values: FloatArray) -> FloatArray:
-        return np.asarray((turned(values).imag * weight).ravel())
+        return np.append((turned(values).imag * weight).ravel(), (abs(values[1]) - expected) / doubt)
 
     def astray(delay: float) -> float:
         # A signal that is inverted as a whole is no later for it.
@@ -198,7 +242,10 @@ def fit_vibrometer(pole: ComplexArray, ratio: ComplexArray, spread: FloatArray, 
     lag = VibrometerDelay(float(found.x[0]) * 1e-6, abs(float(found.x[1])) * 1e-6, 0.0)
     phase = (turned(found.x).imag / size)[np.isfinite(spread)]
     certainty = (weight * size)[np.isfinite(spread)] ** 2
-    return VibrometerDelay(lag.delay, lag.lag, float(np.sqrt(np.sum(certainty * phase**2) / np.sum(certainty))))
+    n_left = max(1, phase.size - 2)
+    covariance = np.linalg.pinv(found.jac.T @ found.jac) * max(1.0, 2 * float(found.cost) / n_left) * 1e-12
+    unexplained = float(np.sqrt(np.sum(certainty * phase**2) / np.sum(certainty)))
+    return VibrometerDelay(lag.delay, lag.lag, unexplained, covariance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,11 +260,29 @@ class ModalState:
         Modal displacements times natural angular frequency, w eta [m/s].
     spread : (n_modes,) array
         Standard error of each, from the noise of the records [m/s].
+    half_width : (n_modes,) array
+        Of the 95 % interval of each: noise, or what the points disagree by where that is more, with what vibrometer,
+        trigger and natural frequencies leave unknown [m/s].
+    change : (n_modes,) array
+        How far the natural frequencies lie from the identified ones, as a part of them [1].
+    disagreement : (n_modes,) array
+        Standard error of each by what the points disagree by [m/s].
+    slip : (n_modes,) array
+        What that, and another damping, do to each: swing times error of the pole, over its decay rate [m/s].
     """
 
     velocity: FloatArray
     displacement: FloatArray
     spread: FloatArray
+    half_width: FloatArray = field(default_factory=lambda: np.zeros(1))
+    change: FloatArray = field(default_factory=lambda: np.zeros(1))
+    disagreement: FloatArray = field(default_factory=lambda: np.zeros(1))
+    slip: FloatArray = field(default_factory=lambda: np.zeros(1))
+
+    @property
+    def shown_slip(self) -> FloatArray:
+        """Slip that noise does not explain, (n_modes,) array [m/s]."""
+        return np.maximum(self.slip - SLIP_NOISE * self.spread, 0.0)
 
     def error(self, target: FloatArray) -> tuple[float, float]:
         """Return the largest errors of velocity and of w eta against target velocities and rest [m/s]."""
@@ -242,6 +307,8 @@ class Plant:
         Poles of modes that the table lacks [1/s].
     certainty : (n_modes,) array
         How far each mode's swing stood out of the noise when it was identified, in standard errors [1].
+    latency_doubt : float
+        Half width of the 95 % interval of the time from the generator's first sample to the scope's [s].
     """
 
     model: ModalModel
@@ -250,6 +317,7 @@ class Plant:
     vibrometer: VibrometerDelay
     unlisted: ComplexArray
     certainty: FloatArray
+    latency_doubt: float = 0.0
 
     @property
     def pole(self) -> ComplexArray:
@@ -270,11 +338,27 @@ class Plant:
         shapes : (n_modes, n_records) array
             Mode shapes at the points of its records [1].
         """
-        n = self.model.n_modes
-        swing = modal_swings(decay, shapes) / self.vibrometer.response(self.model.exponent)
-        spread = decay.spread[:n] / np.sqrt((shapes**2).sum(axis=1))
-        turned = self.model.angular_frequency * swing / self.model.exponent
-        return ModalState(swing.real, turned.real, spread)
+        n, size, pole = self.model.n_modes, np.sqrt((shapes**2).sum(axis=1)), self.model.exponent
+        seen = modal_swings(decay, shapes)
+        swing = seen / self.vibrometer.response(pole)
+        spread = decay.spread[:n] / size
+        disagreement = (np.abs(decay.residue[:n] - seen[:, None] * shapes) ** 2).sum(axis=1)
+        by_points = np.sqrt(disagreement / (2 * max(1, shapes.shape[1] - 1))) / size
+        either = np.hypot(np.maximum(spread, by_points), np.abs(swing) * self.vibrometer.spread(pole))
+        # Another time of the trigger turns velocity into displacement and back.
+        late = self.model.angular_frequency * np.abs(swing) * self.latency_doubt
+        error = decay.pole_error[:n]
+        turned = self.model.angular_frequency * swing / pole
+        state = ModalState(
+            velocity=swing.real,
+            displacement=turned.real,
+            spread=spread,
+            change=error.imag / pole.imag,
+            disagreement=by_points,
+            slip=np.abs(swing * error / pole.real),
+        )
+        # Averaged over the decay, a residue misses half of what its pole does.
+        return replace(state, half_width=INTERVAL * either + late + state.shown_slip / 2)
 
 
 def modal_swings(decay: Decay, shapes: FloatArray) -> ComplexArray:
@@ -304,6 +388,7 @@ def identify_plant(
     shapes: FloatArray,
     voltages: list[FloatArray],
     timing: Timing,
+    vibrometer_bandwidth: float | None = None,
 ) -> Plant:
     """Return the rig behind the decays of probes, one on each channel.
 
@@ -323,6 +408,8 @@ def identify_plant(
         What each probe commands at the beam [V]; one channel in each.
     timing : Timing
         Clock of the samples.
+    vibrometer_bandwidth : float, optional
+        Corner of the vibrometer's low-pass by its data sheet [Hz].
     """
     n_modes, n_points = shapes.shape
     pole = decay.pole[:n_modes]
@@ -340,7 +427,7 @@ def identify_plant(
         unit = unit_responses(refined, drive, voltage, timing)[:, channel]
         ratio[:, channel] = swing / unit
         spread[:, channel] = decay.spread[:n_modes] / np.sqrt((shapes**2).sum(axis=1)) / np.abs(unit)
-    vibrometer = fit_vibrometer(pole, ratio, spread, np.sign(model.modal_gain))
+    vibrometer = fit_vibrometer(pole, ratio, spread, np.sign(model.modal_gain), vibrometer_bandwidth)
     strongest = max(drive.gain)
     gain = (ratio / vibrometer.response(pole)[:, None]).real
     return Plant(

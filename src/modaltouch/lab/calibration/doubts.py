@@ -1,0 +1,181 @@
+"""What a calibration refuses to believe: drives, velocities and modes that are not those of the listed rig."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+
+from modaltouch.lab.arrays import FloatArray
+from modaltouch.lab.calibration.decay import Decay
+from modaltouch.lab.calibration.plant import DriveDelay, Plant, modal_swings
+from modaltouch.rig import Recording, RigError
+from modaltouch.stimulus import ModalModel
+
+GAINS = (0.67, 1.5)
+"""Measured over commanded drive that is believed [1]: beyond, a probe or a switch is not as the file says."""
+
+NOTHING = 0.02
+"""Measured over commanded drive below which there is none [1]."""
+
+LARGEST_REST = 0.3
+"""Part of the measured drive that delay, lag and gain may leave unexplained [1]: noise alone leaves a twentieth."""
+
+LEAST_CERTAINTY = 8.0
+"""Standard errors by which a mode's swing must stand out of the noise [1]."""
+
+FURTHEST = 0.05
+"""How far a natural frequency may lie from the listed one [1]: further, it may be another mode's."""
+
+LARGEST_STRAIN = 0.2
+"""Change of a natural frequency between two probes, over the mode's decay rate [1]."""
+
+LARGEST_PHASE = 0.2
+"""Phase that the vibrometer's delay and lag may leave unexplained [rad]."""
+
+LEAST_COHERENCE = 0.3
+"""Share of a velocity's power that must come again with every burst [1]."""
+
+FAR_OFF = 6.0
+"""Standard deviations from which a sample is no noise but a gap, or a blow [1]."""
+
+MOST_FAR_OFF = 5e-5
+"""Share of such samples that is believed [1]."""
+
+
+def refuse_doubtful_drive(drive: DriveDelay) -> None:
+    """Refuse a measured drive that is not the commanded one behind an amplifier."""
+    believed = drive.rest <= LARGEST_REST
+    for number, gain in enumerate(drive.gain, start=1):
+        if (believed or abs(gain) < NOTHING) and not GAINS[0] <= gain <= GAINS[1]:
+            raise RigError(
+                f"the drive measured at the beam is {gain:.2f} times what output {number} commands: allowed "
+                f"{GAINS[0]:g} to {GAINS[1]:g}; the outputs are off; see whether the amplifier is on and its gain as "
+                "in the apparatus file, the probe at its output, and `acquisition.probe_attenuation` right"
+            )
+    if not believed:
+        raise RigError(
+            f"of the drive measured at the beam, {drive.rest:.0%} is not the commanded one behind a delay and a lag: "
+            f"allowed at most {LARGEST_REST:.0%}; the outputs are off; see whether the probes are at the amplifier's "
+            "outputs and it does not saturate"
+        )
+
+
+def refuse_changing_beam(decays: Sequence[Decay], shapes: FloatArray) -> None:
+    """Refuse a beam whose frequencies change between the probes."""
+    n, size = len(shapes), np.sqrt((shapes**2).sum(axis=1))
+    for one, other in itertools.pairwise(decays):
+        moved = np.abs(one.pole_error.imag - other.pole_error.imag)[:n] / -one.pole.real[:n]
+        # Only what both probes move well tells of it.
+        least = np.minimum(
+            *(np.abs(modal_swings(each, shapes)) * size / np.maximum(each.spread[:n], 1e-30) for each in (one, other))
+        )
+        doubtful = (moved > LARGEST_STRAIN) & (moved * least > 5 * 2 * np.sqrt(2))
+        if doubtful.any():
+            mode = int(np.argmax(np.where(doubtful, moved, 0.0)))
+            raise RigError(
+                f"the mode near {one.pole.imag[mode] / (2 * np.pi):.0f} Hz moved by {moved[mode]:.0%} of its half "
+                f"bandwidth between the probes of two outputs: allowed {LARGEST_STRAIN:.0%}; the outputs are off; the "
+                "beam drifts, or its frequencies change with the amplitude: let beam, patches and amplifier come to a "
+                "steady temperature, see whether patches and suspension are sound, and calibrate again"
+            )
+
+
+def refuse_doubtful_plant(plant: Plant, listed: ModalModel, margin: float) -> None:
+    """Refuse modes that are not seen, or are not those of the table."""
+    found = plant.model
+    for row, label in enumerate(listed.label):
+        if not plant.certainty[row] >= LEAST_CERTAINTY:
+            raise RigError(
+                f"mode {label} at {listed.natural_frequency[row]:.0f} Hz is not seen: it stands out of the noise by "
+                f"{plant.certainty[row]:.1f} standard errors, needed are {LEAST_CERTAINTY:g}; the outputs are off; see "
+                "whether the vibrometer is focused on the beam and its signal reaches the scope"
+            )
+        moved = found.natural_frequency[row] / listed.natural_frequency[row] - 1
+        if abs(moved) > FURTHEST:
+            raise RigError(
+                f"mode {label} was found at {found.natural_frequency[row]:.0f} Hz, {moved:+.1%} from the listed "
+                f"{listed.natural_frequency[row]:.0f} Hz: allowed {FURTHEST:.0%}; the outputs are off; identify the "
+                "beam anew with `modaltouch identify`"
+            )
+    _refuse_phases(plant, margin)
+    known = listed.modal_gain != 0
+    ratio = np.where(known, found.modal_gain / np.where(known, listed.modal_gain, 1.0), 1.0)
+    if (ratio[known] < 0).all():
+        raise RigError(
+            "every mode moves against the sign of its listed gain: the vibrometer's signal or the drive is inverted; "
+            "the outputs are off; turn the signal round"
+        )
+    for row, channel in np.argwhere((ratio < 0.4) | (ratio > 2.5)).tolist():
+        raise RigError(
+            f"the gain of mode {listed.label[row]} by output {channel + 1} was found as "
+            f"{found.modal_gain[row, channel] * 1e3:.4g} mm/s^2 per V, listed is "
+            f"{listed.modal_gain[row, channel] * 1e3:.4g}: allowed 0.4 to 2.5 times that; the outputs are off; see "
+            "whether the sets are wired as listed, or identify the beam anew with `modaltouch identify`"
+        )
+
+
+def _refuse_phases(plant: Plant, margin: float) -> None:
+    """Refuse a vibrometer that is no delay and low-pass, or so late that the records begin before its signal."""
+    vibrometer = plant.vibrometer
+    if vibrometer.rest > LARGEST_PHASE:
+        raise RigError(
+            f"the modes' phases differ by {vibrometer.rest:.2f} rad from those of a delay and a low-pass: allowed "
+            f"{LARGEST_PHASE:g} rad; the outputs are off; see which filters the vibrometer has switched on"
+        )
+    if vibrometer.delay + 10 * vibrometer.lag > margin:
+        raise RigError(
+            f"the vibrometer is {vibrometer.delay * 1e6:.0f} us late, with a low-pass of {vibrometer.lag * 1e6:.1f} "
+            f"us: allowed together with ten times the latter {margin * 1e6:.0f} us; the outputs are off; switch on a "
+            "faster filter"
+        )
+
+
+def refuse_doubtful_velocity(recording: Recording) -> None:
+    """Refuse records of a decay that differ from burst to burst, as those of a loose sensor do."""
+    velocity = recording.velocity
+    n_records = len(velocity)
+    off = velocity - np.median(velocity, axis=0)
+    # Not by the median: within a step of the converter most samples agree.
+    noise = float(np.quantile(np.abs(off), 0.95)) / 1.96
+    power = float(np.mean(velocity**2))
+    if n_records < 4 or power == 0:
+        return
+    # Noise that is averaged over n records keeps an nth of its power.
+    steady = (float(np.mean(velocity.mean(axis=0) ** 2)) - power / n_records) * n_records / (n_records - 1) / power
+    far = float(np.mean(np.abs(off) > FAR_OFF * max(noise, 1e-12)))
+    remedy = (
+        "the outputs are off; see whether the sensor is fastened, in focus and on a spot that reflects, and the beam "
+        "touches nothing; measure again"
+    )
+    where = f"at {recording.position * 1e3:g} mm"
+    if noise > 0 and far > MOST_FAR_OFF:
+        raise RigError(
+            f"{where} the velocity has gaps or blows: {far:.3%} of its samples lie beyond {FAR_OFF:g} standard "
+            f"deviations of the noise, allowed {MOST_FAR_OFF:.3%}; {remedy}"
+        )
+    if steady < LEAST_COHERENCE:
+        raise RigError(
+            f"{where} the velocity differs from burst to burst: {max(steady, 0.0):.0%} of its power comes again, "
+            f"needed are {LEAST_COHERENCE:.0%}; {remedy}"
+        )
+
+
+def peak_shortfall(predicted: FloatArray, measured: FloatArray) -> FloatArray:
+    """Return what the peaks of a drive lack against its lower half, (n_channels,) array [1]; 0 where it keeps up.
+
+    Parameters
+    ----------
+    predicted, measured : (n_channels, n_times) array
+        Drive [V].
+    """
+    lacking = np.zeros(len(predicted))
+    for channel, (want, have) in enumerate(zip(predicted, measured, strict=True)):
+        size = np.abs(want) / np.abs(predicted).max()
+        # Below a quarter of the range the converter's steps show.
+        if size.max() > 0.25:
+            high, low = size > 0.9 * size.max(), (size < 0.5 * size.max()) & (size > 0.1 * size.max())
+            gains = [float(have[part] @ want[part] / (want[part] @ want[part])) for part in (high, low)]
+            lacking[channel] = max(0.0, 1 - gains[0] / gains[1])
+    return lacking
