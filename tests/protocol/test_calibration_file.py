@@ -242,3 +242,28 @@ def test_a_record_is_restored_with_its_calibration_however_old(calibrate: Callab
     assert restored.stimulus.burst.content_hash == begun.stimulus.burst.content_hash
     plain = examine(protocol, uncalibrated=True).stimulus.burst.content_hash
     assert restored.stimulus.burst.content_hash != plain
+
+
+MARK = """\
+missed:
+- {limit: drive_percent, level_mm_s: 200, reached: 13.6, allowed: 1}
+causes: [the amplifier saturates]
+"""
+
+
+def test_a_marked_calibration_is_taken_on_purpose_only(edit: Callable, tmp_path: Path) -> None:
+    """Refused with limit, cause and option at its line; taken with the mark's option, which check and record say."""
+    protocol = edit("demo.yaml")
+    file = tmp_path / "marked.yaml"
+    file.write_text(text_for(protocol.parent / "apparatus" / "beam_100x6x2.yaml") + MARK, encoding="utf-8")
+    (problem,) = examine(protocol, file).problems
+    line = file.read_text(encoding="utf-8").splitlines().index("missed:") + 2
+    assert str(problem).startswith(f"{file}:{line}:")
+    assert "drive_percent 13.6 at 200 mm/s (allowed 1), since the amplifier saturates" in problem.given
+    assert "--with-marked-calibration" in problem.remedy
+    preflight = examine(protocol, file, marked=True).require()
+    told = preflight.as_dict()
+    assert told["calibration"]["mark"] == preflight.calibration_mark
+    assert told["warnings"][0].startswith("the calibration misses its limits: drive_percent 13.6 at 200 mm/s")
+    restored = examine_findings(Findings.restored(preflight.experiment.sources)).require()
+    assert restored.calibration_mark == preflight.calibration_mark

@@ -181,6 +181,7 @@ def _settings_of(start: dict[str, Any]) -> dict[str, object]:
         "rig address": start.get("rig", {}).get("address"),
         "protocol": start.get("protocol"),
         "apparatus": start.get("apparatus"),
+        "calibration": start.get("calibration_mark") and f"misses its limits: {start['calibration_mark']}",
         "masking noise": _masking_in_words(start.get("masking")),
         "study seed": start.get("seed"),
         "burst": str(start.get("stimulus", {}).get("content_hash", ""))[:16],

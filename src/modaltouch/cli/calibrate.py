@@ -62,7 +62,8 @@ def _show(calibration: Calibration, out: Path, protocol: Path) -> None:
     if calibration.mark:
         console.print(f"[yellow]Marked: {escape(calibration.mark)}[/]")
     console.print(f"Written: {out}", markup=False)
-    console.print(f"Next: modaltouch run {protocol} --calibration {out}", markup=False)
+    marked = " --with-marked-calibration" if calibration.mark else ""
+    console.print(f"Next: modaltouch run {protocol} --calibration {out}{marked}", markup=False)
 
 
 def _show_stimulus(name: str, own: Any) -> None:

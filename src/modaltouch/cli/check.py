@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from modaltouch.cli.exit_status import BAD_INPUT, print_json, reporting
-from modaltouch.cli.options import CALIBRATION, JSON, PROTOCOL
+from modaltouch.cli.options import CALIBRATION, JSON, PROTOCOL, WITH_MARKED
 
 if TYPE_CHECKING:
     from modaltouch.preflight import Preflight
@@ -24,6 +24,7 @@ _PULL = (
 def check(
     protocol: PROTOCOL,
     calibration: CALIBRATION = None,
+    with_marked_calibration: WITH_MARKED = False,
     json_output: JSON = False,
     compare: Annotated[
         bool,
@@ -67,7 +68,7 @@ def check(
     with reporting(json_output=json_output):
         if tolerance is not None and not 0 < tolerance < 1:
             raise typer.BadParameter(f"--tolerance is {tolerance:g}; allowed: above 0 and below 1, such as 0.001")
-        preflight = examine(protocol, calibration)
+        preflight = examine(protocol, calibration, marked=with_marked_calibration)
         asked = {} if preflight.problems else _explore(preflight, sensitivity, designs, tolerance)
         if export is not None and not preflight.problems:
             _export(preflight, export)

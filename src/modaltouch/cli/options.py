@@ -27,6 +27,10 @@ CALIBRATION = Annotated[
         help="Calibration file to use, as `modaltouch calibrate` wrote it.", show_default="the one the protocol names"
     ),
 ]
+WITH_MARKED = Annotated[
+    bool,
+    typer.Option("--with-marked-calibration", help="Take a calibration that is marked since it misses its limits."),
+]
 APPARATUS = Annotated[Path, typer.Option("--apparatus", help="Apparatus: a YAML file, or a shipped one.")]
 _OBSERVER = "Who is simulated: a YAML file, or a shipped observer such as `paper` or `near_miss`."
 OBSERVER = Annotated[str, typer.Option(help=_OBSERVER)]

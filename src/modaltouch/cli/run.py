@@ -30,6 +30,7 @@ from modaltouch.cli.options import (
     SIZE_AGAIN,
     THEME,
     THEME_AGAIN,
+    WITH_MARKED,
     ThemeChoice,
 )
 from modaltouch.cli.tables import progress
@@ -100,6 +101,7 @@ def run(
     events: EVENTS = None,
     plain: PLAIN = False,
     calibration: CALIBRATION = None,
+    with_marked_calibration: WITH_MARKED = False,
     threshold: THRESHOLD = None,
     yes: YES = False,
     json_output: JSON = False,
@@ -117,7 +119,7 @@ def run(
 
     with reporting(json_output=json_output):
         window_options = _window_options(fullscreen, size, theme, screen, screenshots)
-        preflight = examine(protocol, calibration).require()
+        preflight = examine(protocol, calibration, marked=with_marked_calibration).require()
         from modaltouch.record import SessionFolder
         from modaltouch.session import mode_of, wire_run
 

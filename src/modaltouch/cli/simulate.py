@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from modaltouch.cli.exit_status import print_json, reporting
-from modaltouch.cli.options import CALIBRATION, JSON, PROTOCOL, RESULTS, SEED, USUAL_OBSERVER
+from modaltouch.cli.options import CALIBRATION, JSON, PROTOCOL, RESULTS, SEED, USUAL_OBSERVER, WITH_MARKED
 from modaltouch.cli.tables import progress
 
 if TYPE_CHECKING:
@@ -22,6 +22,7 @@ def simulate(
     observer: USUAL_OBSERVER = None,
     results: RESULTS = Path("results"),
     calibration: CALIBRATION = None,
+    with_marked_calibration: WITH_MARKED = False,
     json_output: JSON = False,
 ) -> None:
     """Run a cohort of simulated participants through the same code on the simulated rig."""
@@ -32,7 +33,7 @@ def simulate(
     with reporting(json_output=json_output):
         # An observer that does not exist is told before a protocol is designed.
         given = None if observer is None else read_observer(observer)
-        preflight = examine(protocol, calibration).require()
+        preflight = examine(protocol, calibration, marked=with_marked_calibration).require()
         population = given or read_observer(usual_observer(preflight.experiment.protocol))
         sessions = []
         with progress("participants") as on_progress:

@@ -154,8 +154,12 @@ class Laboratory:
                 return recording
             if firing is None or not firing.stalled:
                 break
-        reason = "nothing was played" if firing is None else firing.reason
-        raise RigError(f"at {position * 1e3:g} mm the record is void: {reason}; the outputs are off; measure again")
+        reason, remedy = "nothing was played" if firing is None else firing.reason, "measure again"
+        if firing is not None and firing.stalled:
+            remedy = (
+                f"this computer is too busy to keep them on, {ATTEMPTS} times in a row; end other programs, {remedy}"
+            )
+        raise RigError(f"at {position * 1e3:g} mm the record is void: {reason}; the outputs are off; {remedy}")
 
     def _record_once(
         self, position: float, velocity: float, acquisition: Acquisition

@@ -332,6 +332,7 @@ class Preflight:
         protocol, apparatus = self.experiment.protocol, inputs.apparatus
         values |= {
             "warnings": [
+                *self._marks(),
                 *self._stimulus_warnings(),
                 *answer_warnings(protocol),
                 *repetition_warnings(self.experiment.apparatus),
@@ -384,6 +385,15 @@ class Preflight:
             for row in contrasts(protocol, each.stimuli[-1]["zone_peak_mm_s"], place.split(" ")[0])
         ]
 
+    def _marks(self) -> list[str]:
+        return [f"the calibration misses its limits: {self.calibration_mark}"] if self.calibration_mark else []
+
+    @property
+    def calibration_mark(self) -> str:
+        """Which limits the calibration misses, and why; empty for a proved one, and without any."""
+        reading = self.findings.calibration
+        return "" if reading is None or reading.value is None else reading.value.mark
+
     def _calibration(self) -> dict[str, Any] | None:
         """Return which calibration is used and how far from the target it left the beam; None without one."""
         reading = self.findings.calibration
@@ -397,6 +407,7 @@ class Preflight:
             "generator": value.instruments.generator,
             "reference_mm_s": max(each.reference_mm_s for each in value.by_stimulus.values()),
             "worst_modal_error_mm_s": max(each.worst_error_mm_s for each in value.by_stimulus.values()),
+            "mark": value.mark,
         }
 
     def _apparatus_name(self) -> str | None:

@@ -189,7 +189,9 @@ def _rounded_up(value: float) -> str:
     return f"{math.ceil(value):d}" if value >= 10 else f"{math.ceil(value * 10) / 10:g}"
 
 
-def examine(path: Path | str, calibration: Path | None = None, *, uncalibrated: bool = False) -> Preflight:
+def examine(
+    path: Path | str, calibration: Path | None = None, *, uncalibrated: bool = False, marked: bool = False
+) -> Preflight:
     """Return the whole check of a protocol: files, limits, predictions; no hardware is touched.
 
     Parameters
@@ -200,13 +202,15 @@ def examine(path: Path | str, calibration: Path | None = None, *, uncalibrated: 
         Calibration file to use instead of the one that the protocol names.
     uncalibrated : bool
         Whether no calibration is read, although the protocol names or requires one: to make one, or to plan.
+    marked : bool
+        Whether a calibration may be marked, since it misses its limits.
 
     Returns
     -------
     Preflight
         With every fault in its `problems`; nothing is raised for a faulty file.
     """
-    return examine_findings(Findings.read(path, calibration, uncalibrated=uncalibrated))
+    return examine_findings(Findings.read(path, calibration, uncalibrated=uncalibrated, marked=marked))
 
 
 def examine_findings(findings: Findings) -> Preflight:

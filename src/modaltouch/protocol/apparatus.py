@@ -87,17 +87,14 @@ class ActuatorSet(Section):
 
     channel: Annotated[int, Field(strict=True, ge=1, le=2)] = described("Generator output that feeds the set.")
     patches_mm: tuple[tuple[Number, Number], ...] = described(
-        "Left and right end of each patch [mm from mid-beam], by which the check offers gains that the table lacks.",
-        default=(),
+        "Left and right end of each patch [mm from mid-beam], by which `check` offers missing gains.", default=()
     )
 
 
 class Mode(Section):
     """A modelled vibration mode: one line of Table I."""
 
-    label: Label = described(
-        "Number of the mode: 1 rigid translation, 2 rigid rotation, k from 3 on the bending mode k - 2."
-    )
+    label: Label = described("Number of the mode: 1 rigid translation, 2 rigid rotation, k from 3 on bending k - 2.")
     natural_frequency_Hz: Positive = described("Natural frequency [Hz].")  # noqa: N815
     damping_ratio: DampingRatio = described("Damping ratio [1].")
     gain_mm_s2_per_V: dict[Word, Number] = described(  # noqa: N815
@@ -190,8 +187,7 @@ class AcquisitionSection(Section):
         default=0.0,
     )
     trigger_latency_uncertainty_us: NotNegative = described(
-        "Half width of the 95 % interval of that time, which a calibration counts among its uncertainties [us].",
-        default=0.05,
+        "Half width of that time's 95 % interval, part of a calibration's uncertainty [us].", default=0.05
     )
 
 

@@ -108,7 +108,7 @@ class MissedLimit(Section):
 
     def __str__(self) -> str:
         """Return the limit in words."""
-        return f"{self.limit} of {self.reached:.3g} at {self.level_mm_s:g} mm/s, allowed {self.allowed:g}"
+        return f"{self.limit} {self.reached:.3g} at {self.level_mm_s:g} mm/s (allowed {self.allowed:g})"
 
 
 class IterationFigures(Section):
@@ -146,7 +146,8 @@ class Calibration(Section):
     def mark(self) -> str:
         """Which limits it misses, and why; empty for one that has proved itself."""
         own = [
-            (f"stimulus {name}: " if name else "") + f"{', '.join(map(str, each.missed))}; {'; '.join(each.causes)}"
+            (f"stimulus {name}: " if name else "")
+            + f"{', '.join(map(str, each.missed))}, since {'; '.join(each.causes)}"
             for name, each in self.by_stimulus.items()
             if each.missed
         ]
@@ -273,6 +274,23 @@ def check_calibration(
     if only is None or others:
         return problems
     return [*problems, *_check_stimulus(calibration, only, protocol, apparatus), *_check_levels(only, protocol)]
+
+
+def check_mark(calibration: Reading[Calibration]) -> list[Problem]:
+    """Return why a calibration is marked: which limits of its protocol each stimulus missed when it was made."""
+    if calibration.value is None:
+        return []
+    remedy = "remove the cause and calibrate again, or take it as it is with --with-marked-calibration"
+    return [
+        calibration.problem(
+            (("stimuli", name) if name else ()) + ("missed",),
+            f"{', '.join(map(str, own.missed))}, since {'; '.join(own.causes)}",
+            "a calibration within its limits",
+            remedy,
+        )
+        for name, own in calibration.value.by_stimulus.items()
+        if own.missed
+    ]
 
 
 def calibration_alone(reading: Reading[Calibration], name: str) -> Reading[Calibration]:

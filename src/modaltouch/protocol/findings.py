@@ -303,7 +303,9 @@ class Findings:
         return cls(protocol, apparatus, texts, tuple(problems), calibration, sources.field, fingers)
 
     @classmethod
-    def read(cls, path: Path | str, calibration: Path | None = None, *, uncalibrated: bool = False) -> Findings:
+    def read(
+        cls, path: Path | str, calibration: Path | None = None, *, uncalibrated: bool = False, marked: bool = False
+    ) -> Findings:
         """Findings in a protocol file and the files that it names.
 
         Parameters
@@ -314,6 +316,8 @@ class Findings:
             Calibration file to use instead of the one that the protocol names.
         uncalibrated : bool
             Whether no calibration is read, although the protocol names or requires one: to make one, or to plan.
+        marked : bool
+            Whether a calibration may be marked, since it misses its limits.
         """
         try:
             source = Source.find("protocol", path)
@@ -332,6 +336,10 @@ class Findings:
             problems += [*texts.problems, *check_words(protocol, texts)]
         problems += check_timing(protocol, apparatus)
         calibrated = None if uncalibrated else _examine_calibration(protocol, apparatus, calibration, problems)
+        if calibrated is not None and not marked:
+            from modaltouch.protocol.calibration import check_mark
+
+            problems += check_mark(calibrated)
         field = _load_named(protocol, ("stimulus", "field", "file"), problems)
         if field is not None:
             problems += read_points(field)[1]

@@ -38,6 +38,7 @@ def describe_start(preflight: Preflight, schedule: Schedule, place: SessionFolde
         "language": experiment.texts.language,
         "design": experiment.protocol.model_dump(mode="json"),
         "sources": experiment.sources.as_dict(),
+        **({"calibration_mark": preflight.calibration_mark} if preflight.calibration_mark else {}),
         "schedule": schedule.as_dict(),
         **({"adaptive": adaptive.algorithm} if adaptive is not None else {}),
         "stimulus": {

@@ -16,9 +16,11 @@ import numpy as np
 import pytest
 
 from modaltouch.__main__ import main
+from modaltouch.analysis.provenance import take_facts
 from modaltouch.lab.laboratory import Laboratory, open_laboratory
 from modaltouch.preflight import examine
 from modaltouch.record.chain import read_chain
+from modaltouch.record.session import Session
 from modaltouch.rig.acquisition import Recording
 
 N_BEAMS = int(os.environ.get("MODALTOUCH_CALIBRATED_BEAMS", "1"))
@@ -101,6 +103,21 @@ def test_session_keeps_its_calibration(made: Path, edit: Callable, tmp_path: Pat
     assert start["stimulus"]["content_hash"] != examine(protocol).stimulus.burst.content_hash
     copy.unlink()
     assert command("verify", log) == 0
+
+
+def test_a_marked_calibration_is_said_in_record_and_report(made: Path, edit: Callable, tmp_path: Path) -> None:
+    """`simulate`, as `run`: refused without the option; with it the log's first line and the report's table say it."""
+    protocol, marked = edit("demo.yaml"), tmp_path / "marked.yaml"
+    mark = "missed:\n- {limit: level_percent, level_mm_s: 200, reached: 2, allowed: 1}\ncauses: [a test]\n"
+    unmarked = made.read_text(encoding="utf-8").replace("missed: []\n", "").replace("causes: []\n", "")
+    marked.write_text(unmarked + mark, encoding="utf-8")
+    words = ("simulate", protocol, "-n", 1, "--results", tmp_path / "results", "--calibration", marked)
+    assert command(*words) == 2
+    assert command(*words, "--with-marked-calibration") == 0
+    (log,) = (tmp_path / "results").rglob("session.jsonl")
+    said = "level_percent 2 at 200 mm/s (allowed 1), since a test"
+    assert read_chain(log).events[0]["calibration_mark"] == said
+    assert take_facts(Session.find(log)).settings["calibration"] == f"misses its limits: {said}"
 
 
 def test_another_generator_is_refused(

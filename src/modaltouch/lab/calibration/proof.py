@@ -112,8 +112,8 @@ def _causes(outcome: CalibrationResult, protocol: Protocol, missed: list[Missed]
         )
     else:
         yield (
-            "the records do not show it; identify the beam anew with `modaltouch identify`, and calibrate with what it "
-            "finds"
+            "of something that the records do not show; identify the beam anew with `modaltouch identify`, and "
+            "calibrate with what it finds"
         )
 
 
@@ -136,8 +136,8 @@ def _changed_frequencies(outcome: CalibrationResult) -> str:
     if abs(parts[2]) > abs(parts[1]):
         return (
             f"the natural frequencies change with the amplitude: mode {label} by {parts[2]:+.2g} of itself "
-            f"from {volts.min():.0f} to {volts.max():.0f} V; lower the highest level, bring the levels closer together, "
-            "and see whether patches and suspension are sound"
+            f"from {volts.min():.0f} to {volts.max():.0f} V; lower the highest level, bring the levels closer "
+            "together, and see whether patches and suspension are sound"
         )
     return (
         f"the beam drifts: the natural frequency of mode {label} changed by {parts[1]:+.2g} of itself from the first "

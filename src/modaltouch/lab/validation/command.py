@@ -168,7 +168,7 @@ def validate(options: ValidateOptions, progress: MeasurementProgress | None = No
     RigError
         If the rig fails.
     """
-    preflight = examine(options.protocol, options.calibration).of_untouched_beam().of_one_stimulus()
+    preflight = examine(options.protocol, options.calibration, marked=True).of_untouched_beam().of_one_stimulus()
     experiment = preflight.experiment
     folder = options.out or Path("validation") / experiment.protocol.protocol
     refuse_other(folder, COMMAND)

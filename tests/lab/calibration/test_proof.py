@@ -1,0 +1,194 @@
+"""What a calibration may say it has reached: limits, the cause of each that is missed, and the mark."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from modaltouch.lab.calibration import command
+from modaltouch.lab.calibration.doubts import peak_shortfall
+from modaltouch.lab.calibration.file import CalibrationResult
+from modaltouch.lab.calibration.loop import calibrate
+from modaltouch.lab.calibration.plant import VibrometerDelay
+from modaltouch.lab.calibration.proof import mark_of
+from modaltouch.preflight import Preflight
+from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.protocol.calibration import check_mark, examine_calibration
+from modaltouch.protocol.sections import CalibrationLimits, Protocol
+from modaltouch.protocol.source import Source
+from modaltouch.rig.interface import RigError
+
+
+@pytest.fixture(scope="module")
+def outcome(preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable) -> CalibrationResult:
+    """The shipped twin, calibrated."""
+    return calibrate(make_bench(shipped_apparatus, 1), shipped_apparatus, preflight.inputs)
+
+
+def spoilt(apparatus: Apparatus, **twin: Any) -> Apparatus:
+    """Return an apparatus whose twin departs from a linear, constant rig; `limit_V` and `dropouts_Hz` lie deeper."""
+    amplifier = apparatus.twin.amplifier.model_copy(update={"limit_V": twin.pop("limit_V", None)})
+    vibrometer = apparatus.twin.vibrometer.model_copy(update={"dropouts_Hz": twin.pop("dropouts_Hz", 0.0)})
+    changed = {**twin, "amplifier": amplifier, "vibrometer": vibrometer}
+    return apparatus.model_copy(update={"twin": apparatus.twin.model_copy(update=changed)})
+
+
+def limited(protocol: Protocol, **limits: float) -> Protocol:
+    """Return a protocol with other limits."""
+    section = protocol.calibration.model_copy(update={"limits": CalibrationLimits(**limits)})
+    return protocol.model_copy(update={"calibration": section})
+
+
+def test_what_is_proved_has_no_mark(preflight: Preflight, outcome: CalibrationResult) -> None:
+    """The shipped twin keeps the default limits of 0.3 mm/s and 1 %, its uncertainty counted against it."""
+    assert mark_of(outcome, preflight.experiment.protocol) == {"missed": [], "causes": []}
+
+
+@pytest.mark.parametrize(
+    ("limits", "missed"),
+    [
+        ({"velocity_mm_s": 0.02}, {"velocity_mm_s"}),
+        ({"displacement_mm_s": 0.02}, {"displacement_mm_s", "frequencies_mm_s"}),
+        ({"level_percent": 0.01}, {"level_percent"}),
+    ],
+)
+def test_each_limit_of_the_protocol_counts(
+    preflight: Preflight, outcome: CalibrationResult, limits: dict[str, float], missed: set[str]
+) -> None:
+    """Tighter than what is known of the state, it is missed, and what was allowed is said."""
+    mark = mark_of(outcome, limited(preflight.experiment.protocol, **limits))
+    assert {each["limit"] for each in mark["missed"]} == missed
+    assert all(each["reached"] > each["allowed"] in limits.values() for each in mark["missed"])
+    assert mark["causes"]
+
+
+def test_what_is_no_number_is_missed(preflight: Preflight, outcome: CalibrationResult) -> None:
+    """A fit that failed proves nothing."""
+    state = replace(outcome.best.state, velocity=np.full_like(outcome.target, np.nan))
+    failed = replace(outcome, best=replace(outcome.best, state=state))
+    (first, *_) = mark_of(failed, preflight.experiment.protocol)["missed"]
+    assert (first["limit"], first["reached"]) == ("velocity_mm_s", 1e9)
+
+
+@pytest.mark.parametrize(
+    ("departures", "missed", "cause"),
+    [
+        ({"limit_V": 150.0}, "drive_percent", "the amplifier saturates: output 1 commands 1.. V,.*; lower the highest"),
+        ({"softening": 0.002}, "displacement_mm_s", "the natural frequencies change with the amplitude: mode 1 by -"),
+    ],
+    ids=["saturation", "softening"],
+)
+def test_cause_is_named(
+    preflight: Preflight,
+    shipped_apparatus: Apparatus,
+    make_bench: Callable,
+    departures: dict[str, float],
+    missed: str,
+    cause: str,
+) -> None:
+    """A departure of the twin: the limit that it costs, and one cause with its remedy."""
+    bench = make_bench(spoilt(shipped_apparatus, **departures), 0)
+    mark = mark_of(calibrate(bench, shipped_apparatus, preflight.inputs), preflight.experiment.protocol)
+    assert missed in {each["limit"] for each in mark["missed"]}
+    assert re.match(cause, "".join(mark["causes"]))
+
+
+def test_a_drift_is_named_and_the_best_turn_kept(
+    preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable
+) -> None:
+    """1e-4 a record makes every turn worse than the one before: the stimulus as listed, the first, is kept."""
+    bench = make_bench(spoilt(shipped_apparatus, frequency_drift=-1e-4), 0)
+    outcome = calibrate(bench, shipped_apparatus, preflight.inputs)
+    worst = [turn.worst for turn in outcome.turns]
+    assert worst == sorted(worst)
+    assert outcome.best is outcome.turns[0]
+    assert outcome.refined is shipped_apparatus
+    assert np.abs(outcome.correction.velocity - outcome.target).max() < 1e-8
+    mark = mark_of(outcome, preflight.experiment.protocol)
+    assert "frequencies_mm_s" in {each["limit"] for each in mark["missed"]}
+    assert re.match(r"the beam drifts: .* mode 1 changed by -0\.003.*steady temperature", "".join(mark["causes"]))
+
+
+def test_other_causes_are_told_from_the_states(preflight: Preflight, outcome: CalibrationResult) -> None:
+    """The same calibration, but for a state halfway, a noise or a point that is off."""
+    state, protocol = outcome.best.state, preflight.experiment.protocol
+
+    def cause(**changed: Any) -> str:
+        best = replace(outcome.best, state=replace(state, **changed))
+        turned = replace(outcome, best=best, turns=(*outcome.turns[:-1], best))
+        return "".join(mark_of(turned, protocol)["causes"])
+
+    half = replace(outcome.halfway.state, velocity=outcome.halfway.state.velocity * 1.05)
+    tilted = replace(outcome, halfway=replace(outcome.halfway, state=half))
+    assert mark_of(tilted, protocol)["causes"][0].startswith("the beam does not follow in proportion")
+    far = state.velocity + 1e-3
+    assert cause(spread=state.spread + 1e-4, velocity=far).startswith("the velocity is noisy: 0.")
+    assert cause(disagreement=state.spread + 1e-3, velocity=far).startswith("the points along the beam do not agree")
+    assert cause(velocity=far).startswith("of something that the records do not show")
+
+
+@pytest.mark.parametrize(
+    ("departures", "said"),
+    [
+        ({"dropouts_Hz": 20.0}, r"the velocity has gaps or blows: 0\.\d+% of its samples .*; see whether the sensor"),
+        ({"frequency_drift": 5e-4}, r"moved by \d+% of its half bandwidth between the probes .* steady temperature"),
+    ],
+    ids=["loose sensor", "strong drift"],
+)
+def test_what_cannot_be_identified_is_refused(
+    preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable, departures: dict[str, float], said: str
+) -> None:
+    """Before anything is corrected, for its own reason: no wiring is blamed for a drift."""
+    with pytest.raises(RigError, match=said):
+        calibrate(make_bench(spoilt(shipped_apparatus, **departures), 0), shipped_apparatus, preflight.inputs)
+
+
+@pytest.mark.parametrize("accept", [False, True])
+def test_what_misses_is_written_only_if_accepted(
+    accept: bool, outcome: CalibrationResult, edit: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without --accept nothing, and the message has limit, cause and way out; with it a file that carries its mark."""
+    limits = "calibration: {limits: {velocity_mm_s: 0.02}}\n\nschedule:"
+    protocol = edit("differentiated_stimulation.yaml", ("\nschedule:", f"\n{limits}"))
+    monkeypatch.setattr(command, "calibrate_each", lambda *_: {"": outcome})
+    options = command.CalibrateOptions(protocol, tmp_path / "c.yaml", accept=accept)
+    if not accept:
+        with pytest.raises(RigError, match=r"velocity_mm_s 0\.\d+ at 200 mm/s \(allowed 0\.02\).*nothing is.*--accept"):
+            command.calibrate(options)
+        assert not options.out.exists()
+        return
+    command.calibrate(options).write()
+    reading = examine_calibration(Source.load(options.out))
+    assert reading.problems == ()
+    (problem,) = check_mark(reading)
+    assert problem.path == "missed"
+    assert problem.line > 1
+    assert "--with-marked-calibration" in problem.remedy
+
+
+def test_peaks_that_lack_are_told_from_a_gain() -> None:
+    """A drive of 1.1 times the predicted lacks nothing; clipped at 90 % of its peak it lacks a twentieth there."""
+    time = np.linspace(0, 1, 5000)
+    wave = np.stack([np.sin(40 * time) * time, 0.1 * time])
+    assert peak_shortfall(wave, 1.1 * wave) == pytest.approx([0, 0], abs=1e-12)
+    lacking = peak_shortfall(wave, np.clip(wave, -0.9 * np.abs(wave).max(), 0.9 * np.abs(wave).max()))
+    assert 0.02 < lacking[0] < 0.1
+    assert lacking[1] == 0
+
+
+def test_a_lag_that_phases_hardly_tell_makes_high_modes_uncertain() -> None:
+    """Delay and lag against each other, 0.1 us each: the phase stays, a mode of 88 kHz is known to some per cent."""
+    covariance = 1e-14 * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    lag = VibrometerDelay(4e-6, 0.64e-6, 0.0, covariance)
+    pole = 2j * np.pi * np.array([229.0, 87855.0])
+    low, high = lag.spread(pole)
+    other = VibrometerDelay(3.9e-6, 0.74e-6, 0.0)
+    assert high == pytest.approx(np.abs(lag.response(pole) / other.response(pole) - 1)[1], rel=0.1)
+    assert 0.01 < high < 0.04
+    assert low < 1e-6
