@@ -42,8 +42,8 @@ def _missed(outcome: CalibrationResult, protocol: Protocol) -> Iterator[Missed]:
     for turn, level in ((outcome.best, reference), (outcome.halfway, outcome.halfway_level * 1e3)):
         target = outcome.target * level / reference
         reached = (
-            np.abs(turn.state.velocity - target) + turn.state.half_width,
-            np.abs(turn.state.displacement) + turn.state.half_width,
+            np.hypot(turn.state.velocity - target, turn.state.half_width),
+            np.hypot(turn.state.displacement, turn.state.half_width),
         )
         for what, each, allowed in zip(
             ("velocity", "displacement"), reached, (limits.velocity_mm_s, limits.displacement_mm_s), strict=True
