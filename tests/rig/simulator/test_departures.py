@@ -10,9 +10,9 @@ import pytest
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.twin import TwinSection
 from modaltouch.rig.acquisition import Acquisition
+from modaltouch.rig.simulator.hysteresis import PLAYS, lagging
 from modaltouch.rig.simulator.scope import SimulatedScope
 from modaltouch.rig.simulator.timeline import Playback
-from modaltouch.rig.simulator.true_beam import PLAYS, lagging
 from modaltouch.rig.simulator.twin import Twin
 
 

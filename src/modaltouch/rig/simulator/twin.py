@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from modaltouch.protocol import Apparatus
 from modaltouch.rig.simulator.held import LONGEST_SILENCE, Held, peak, refined, state_at
 from modaltouch.rig.simulator.timeline import Playback
-from modaltouch.rig.simulator.true_beam import generator_gains, lagging, true_amplifier, true_beam
+from modaltouch.rig.simulator.true_beam import generator_gains, true_amplifier, true_beam
 from modaltouch.stimulus import DiagonalSystem
 
 if TYPE_CHECKING:
@@ -263,8 +263,11 @@ class Twin:
     def forces_of(self, playbacks: Sequence[Playback | None]) -> list[Held]:
         """Return what moves the beam, as volts: what the amplifier gives, behind the actuators' hysteresis."""
         share, limit = self.apparatus.twin.hysteresis, self.amplifier.limit
-        volts = self.held_of(playbacks)
-        return [replace(held, voltage=lagging(held.voltage, share, limit)) for held in volts] if share else volts
+        if not share:
+            return self.held_of(playbacks)
+        from modaltouch.rig.simulator.hysteresis import lagging
+
+        return [replace(held, voltage=lagging(held.voltage, share, limit)) for held in self.held_of(playbacks)]
 
     def _held(self, together: Sequence[Playback | None]) -> Held:
         first = next(playback for playback in together if playback is not None)
