@@ -137,9 +137,10 @@ def test_other_causes_are_told_from_the_states(preflight: Preflight, outcome: Ca
     ("departures", "said"),
     [
         ({"dropouts_Hz": 20.0}, r"the velocity has gaps or blows: 0\.\d+% of its samples .*; see whether the sensor"),
+        ({"limit_V": 60.0}, r"the amplifier saturates: of the 1\d\d V of output 1 the measured peaks lack \d\d%"),
         ({"frequency_drift": 5e-4}, r"moved by \d+% of its half bandwidth between the probes .* steady temperature"),
     ],
-    ids=["loose sensor", "strong drift"],
+    ids=["loose sensor", "strong saturation", "strong drift"],
 )
 def test_what_cannot_be_identified_is_refused(
     preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable, departures: dict[str, float], said: str

@@ -28,6 +28,9 @@ LEAST_CERTAINTY = 8.0
 FURTHEST = 0.05
 """How far a natural frequency may lie from the listed one [1]: further, it may be another mode's."""
 
+MOST_LACKING = 0.5
+"""What the peaks of the measured drive may lack of the listed stimulus [1]; of the calibrated one, a hundredth."""
+
 LARGEST_STRAIN = 0.2
 """Change of a natural frequency between two probes, over the mode's decay rate [1]."""
 
@@ -159,6 +162,24 @@ def refuse_doubtful_velocity(recording: Recording) -> None:
         raise RigError(
             f"{where} the velocity differs from burst to burst: {max(steady, 0.0):.0%} of its power comes again, "
             f"needed are {LEAST_COHERENCE:.0%}; {remedy}"
+        )
+
+
+def refuse_saturation(predicted: FloatArray, measured: FloatArray) -> None:
+    """Refuse an amplifier that saturates so far below its limit that the rig cannot be identified.
+
+    Parameters
+    ----------
+    predicted, measured : (n_channels, n_times) array
+        Drive [V].
+    """
+    lacking = peak_shortfall(predicted, measured)
+    output = int(lacking.argmax())
+    if lacking[output] > MOST_LACKING:
+        raise RigError(
+            f"the amplifier saturates: of the {np.abs(predicted[output]).max():.0f} V of output {output + 1} "
+            f"the measured peaks lack {lacking[output]:.0%}, allowed {MOST_LACKING:.0%}; the outputs are off; see "
+            "whether its supply is whole, give amplifier.limit_V its true value, and lower the levels to it"
         )
 
 

@@ -23,6 +23,7 @@ from modaltouch.lab.calibration.doubts import (
     refuse_changing_beam,
     refuse_doubtful_drive,
     refuse_doubtful_plant,
+    refuse_saturation,
 )
 from modaltouch.lab.calibration.file import (
     DIGITS,
@@ -170,6 +171,7 @@ class _Loop:
         # What is listed commands volts of the listed amplifier.
         self._refuse_beyond_limit(float(self._listed.peak_voltage.max()) * max(plant.drive.gain))
         turns = [self._measure(0, self._listed, plant)]
+        refuse_saturation(*self._drives("drive before", self._listed, plant))
         corrected_target = listed_target = np.stack([self._target, np.zeros_like(self._target)])
         stimulus = self._corrected(refined, self._correction(corrected_target))
         self._refuse_beyond_limit(float(stimulus.peak_voltage.max()))
@@ -194,9 +196,9 @@ class _Loop:
         levels = self._levels(plant, refined, correction)
         correction = replace(correction, corrections=tuple((level.velocity, level.factor) for level in levels))
         stimulus = self._corrected(refined, correction)
-        commanded, shortfall = self._saturation(stimulus, plant)
+        drives = self._drives("drive", stimulus, plant)
         halfway_level = min(self._asked, key=lambda level: abs(level - self._reference / 2))
-        self._recorder.begin(f"modes at {halfway_level * 1e3:g} mm/s", self._points.size)
+        self._recorder.begin(f"at {halfway_level * 1e3:g} mm/s", self._points.size)
         halfway = self._turn(len(turns), stimulus, plant, halfway_level, HEADROOM * halfway_level)
         return CalibrationResult(
             inputs=self._inputs,
@@ -210,8 +212,8 @@ class _Loop:
             levels=levels,
             halfway=halfway,
             halfway_level=halfway_level,
-            drive_peak=commanded,
-            drive_shortfall=shortfall,
+            drive_peak=np.abs(drives[0]).max(axis=1),
+            drive_shortfall=peak_shortfall(*drives),
         )
 
     def _refuse_beyond_limit(self, needed: float) -> None:
@@ -301,17 +303,16 @@ class _Loop:
             n_taken=self._recorder.n_taken,
         )
 
-    def _saturation(self, stimulus: Stimulus, plant: Plant) -> tuple[FloatArray, FloatArray]:
-        """Return the peak drive of each output at the highest level [V], and what the measured one lacks of it [1]."""
+    def _drives(self, name: str, stimulus: Stimulus, plant: Plant) -> tuple[FloatArray, FloatArray]:
+        """Return the drive of the loaded stimulus about its peak at the highest level, predicted and measured [V]."""
         level, listed = self._asked[-1], self._listed
         commanded = commanded_voltage(stimulus.burst, listed.amplifier.gain * listed.load_factor, level)
         highest = np.abs(commanded).max(axis=0)
-        self._recorder.begin("drive", 1)
+        self._recorder.begin(name, 1)
         time, measured = self._recorder.drive_about(
             float(highest.argmax()) * self._timing.hold, level, float(highest.max())
         )
-        predicted = predicted_drive(plant.drive, commanded, time, self._timing)
-        return np.abs(predicted).max(axis=1), peak_shortfall(predicted, measured)
+        return predicted_drive(plant.drive, commanded, time, self._timing), measured
 
     def _levels(self, plant: Plant, refined: Apparatus, correction: Correction) -> tuple[Level, ...]:
         """Measure every level at the focus, with amplitudes in proportion and then, where that is off, as measured."""
