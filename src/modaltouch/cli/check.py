@@ -35,9 +35,7 @@ def check(
     ] = False,
     designs: Annotated[
         bool,
-        typer.Option(
-            "--designs", help="Also show designs of lower peak voltage for the same field, and what they cost."
-        ),
+        typer.Option("--designs", help="Also show designs of lower peak voltage for the field, and their cost."),
     ] = False,
     fingers: Annotated[
         str | None,
