@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -112,6 +113,9 @@ FEWEST_PHASES = 3
 
 LEAST_ROTATION = 0.8
 """Phase that a resonance turns through its half-power bandwidth at least, a half pi without noise [rad]."""
+
+RESONANCE_REST, CLEARLY_LESS = 0.1, 0.6
+"""Part of the power about a peak that a resonance leaves at most, and of what the other rotation leaves [1]."""
 
 WRONG_QUANTITY = 0.15
 """How much better the phases must fit another quantity than a velocity [mean cosine of twice the phase]."""
@@ -277,6 +281,30 @@ def _ratio(width: float, frequency: float, spacing: float) -> float:
     return float(np.clip(width * spacing / (2 * frequency), 10 * DAMPING_BOUNDS[0], DAMPING_BOUNDS[1] / 2))
 
 
+def _rises(responses: FrequencyResponses, peaks: Sequence[_Peak]) -> bool:
+    """Return whether the highest peaks are resonances of conjugated responses, and none as they are; noise is neither.
+
+    A resonance and a straight line are fitted about each, of either sense of rotation.
+    """
+    left = np.zeros(2)
+    whole = 0.0
+    for peak in sorted((each for each in peaks if each.rotates), key=lambda each: -each.height)[:FEWEST_PHASES]:
+        width = max(peak.width, responses.spacing)
+        near = np.abs(responses.frequency - peak.frequency) <= 6 * width
+        x = (responses.frequency[near] - peak.frequency) / width
+        share = peak.share[:, near].T
+        whole += float((np.abs(share - share.mean(axis=0)) ** 2).sum())
+        for sense, sign in enumerate((1, -1)):
+            rests = []
+            for place, ratio in itertools.product(np.linspace(-1, 1, 9), np.geomspace(0.02, 3, 12)):
+                columns = np.stack([1 / (sign * ratio + 1j * (x - place)), np.ones(x.size), x], axis=1)
+                basis = np.linalg.qr(columns)[0]
+                rests.append(float((np.abs(share - basis @ (basis.conj().T @ share)) ** 2).sum()))
+            left[sense] += min(rests)
+    falling, rising = left
+    return bool(rising < RESONANCE_REST * whole and rising < CLEARLY_LESS * falling)
+
+
 def first_delay(responses: FrequencyResponses, peaks: Sequence[_Peak]) -> float:
     """Return the delay with which the responses are real at their peaks [s].
 
@@ -284,7 +312,7 @@ def first_delay(responses: FrequencyResponses, peaks: Sequence[_Peak]) -> float:
     cancel, so that its frequency need not be known well.
     """
     turning = sum(np.sign(peak.rotation) * np.sqrt(peak.height) for peak in peaks if peak.rotates)
-    if turning > 0:
+    if turning > 0 and _rises(responses, peaks):
         raise ValueError(
             "the phase of the responses rises through their resonances, where that of a beam falls: they are "
             "conjugated, as by the time law exp(-i w t); say so with --conjugated, or export them by exp(+i w t)"
