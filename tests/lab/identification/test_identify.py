@@ -138,6 +138,17 @@ def test_conjugated_responses_are_refused(make) -> None:
         identify(replace(plain, response=np.conj(plain.response)), LENGTH)
 
 
+def test_error_that_all_points_share_is_no_resonance(make, beam: TrueBeam) -> None:
+    """The measured drive errs by 3 in 1,000, equally at all points: every further pole is one of the beam's own."""
+    plain = small(make(0))
+    rng = np.random.default_rng(1)
+    n_bins = plain.frequency.size
+    shared = 1 + 3e-3 * (rng.standard_normal((2, 1, n_bins)) + 1j * rng.standard_normal((2, 1, n_bins)))
+    found = identify(replace(plain, response=plain.response * shared), LENGTH)
+    own = np.array([mode.natural_frequency.value for mode in found.modes])
+    assert np.abs(own[:, None] / beam.natural_frequency - 1).min(axis=1).max() < 0.05
+
+
 @pytest.mark.parametrize("flipped", [False, True])
 def test_sign_of_the_gain_is_the_drive_s(make, beam: TrueBeam, flipped: bool) -> None:
     """A patch glued the other way round: every gain of its set changes its sign, the shapes keep theirs."""

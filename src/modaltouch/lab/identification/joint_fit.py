@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from modaltouch.lab.arrays import ComplexArray, FloatArray
 from modaltouch.lab.identification.estimates import NORMAL_95, Estimate, Identification, IdentifiedMode
@@ -98,30 +99,47 @@ def find_more(
     responses: FrequencyResponses, poles: Poles, problem: LeastSquaresProblem, fit: Evaluation, most: int
 ) -> tuple[Poles, LeastSquaresProblem, Evaluation]:
     """Return the poles with further ones where the fit leaves a peak that noise does not explain."""
+    poles, problem, fit = _sound_ones(responses, poles, problem, fit)
+    passed: list[float] = []
     for _ in range(most):
-        peak = _left_over(problem, fit)
-        if peak is None or poles.natural_frequency.size >= MOST_POLES:
+        peak = _left_over(problem, fit, passed)
+        if peak is None or poles.natural_frequency.size >= MOST_POLES or len(passed) == MOST_PASSED:
             break
         tried = poles.and_one(*peak)
         finer = make_problem(responses, tried)
         _, before = refine(finer, poles, most=3)
         refined, after = refine(finer, tried)
-        new = np.ptp(refined.natural_frequency) > 0 and _sound(refined)
-        if not new or after.cost > before.cost - 0.5 * SIGNIFICANT * problem.response.shape[1] ** 0.5:
-            break
-        poles, problem, fit = refined, finer, after
-    return poles, problem, fit
+        apart = np.diff(refined.natural_frequency) > 0.05 * (refined.damping_ratio * refined.natural_frequency)[:-1]
+        new = bool(apart.all() and _sound(after).all())
+        if new and after.cost < before.cost - 0.5 * SIGNIFICANT * problem.response.shape[1] ** 0.5:
+            poles, problem, fit = refined, finer, after
+        else:
+            passed.append(peak[0])
+    return _sound_ones(responses, poles, problem, fit)
 
 
-def _sound(poles: Poles) -> bool:
-    """Return whether every pole is a mode, apart from its neighbours."""
-    apart = np.diff(poles.natural_frequency) > 0.05 * (poles.damping_ratio * poles.natural_frequency)[:-1]
+def _sound(fit: Evaluation) -> NDArray[np.bool_]:
+    """Return which poles are modes, with a damping that is told from none: that of a chance in few bins is not."""
     low, high = DAMPING_BOUNDS
-    return bool(apart.all() and (poles.damping_ratio > 2 * low).all() and (poles.damping_ratio < 0.9 * high).all())
+    possible = (fit.damping_ratio > 2 * low) & (fit.damping_ratio < 0.9 * high)
+    return np.asarray(possible & (fit.deviation[fit.n_modes : -1] < 1 / SURE))
 
 
-def _left_over(problem: LeastSquaresProblem, fit: Evaluation) -> tuple[float, float] | None:
-    """Return frequency and rough damping of the highest peak of what a fit leaves, or None."""
+def _sound_ones(
+    responses: FrequencyResponses, poles: Poles, problem: LeastSquaresProblem, fit: Evaluation
+) -> tuple[Poles, LeastSquaresProblem, Evaluation]:
+    """Return the poles that are modes, and the fit of them; all of them where none is, for their intervals say it."""
+    kept = _sound(fit)
+    if kept.all() or not kept.any():
+        return poles, problem, fit
+    fewer = Poles(poles.natural_frequency[kept], poles.damping_ratio[kept], poles.delay)
+    problem = make_problem(responses, fewer)
+    fewer, fit = refine(problem, fewer)
+    return _sound_ones(responses, fewer, problem, fit)
+
+
+def _left_over(problem: LeastSquaresProblem, fit: Evaluation, passed: Sequence[float]) -> tuple[float, float] | None:
+    """Return frequency and rough damping of the highest peak of what a fit leaves, but those passed over, or None."""
     n = problem.bins.start.size
     left = (fit.rest[:n] + 1j * fit.rest[n:]).T
     frequency = problem.bins.centre
@@ -129,6 +147,7 @@ def _left_over(problem: LeastSquaresProblem, fit: Evaluation) -> tuple[float, fl
     for ratio in (0.004, 0.012, 0.03):
         # Each response against the course of a mode there: what it would explain, summed over the responses.
         candidate = frequency[:: max(1, n // 1500)]
+        candidate = candidate[[all(abs(own / other - 1) > NEAR for other in passed) for own in candidate]]
         course = _course(problem, candidate, ratio, fit.delay)
         overlap = (np.conj(course) @ left.T).real / np.linalg.norm(course, axis=1)[:, None]
         n_responses = left.shape[0]
@@ -152,6 +171,15 @@ def _course(problem: LeastSquaresProblem, natural_frequency: FloatArray, ratio: 
 
 WINDOW, FEWEST_IN_WINDOW = 10.0, 20
 """Half-width of a window about a lone peak, in half-power half-bandwidths, and the least bins of one [1]."""
+
+SURE = 6.0
+"""Deviations of its damping from none from which a pole of many responses is a mode [1]."""
+
+NEAR = 0.01
+"""Relative distance within which a peak that was no resonance is not tried again [1]."""
+
+MOST_PASSED = 3
+"""Peaks that are no resonances after which no more are tried."""
 
 MOST_ADDED = 20
 """Poles that may be added to those of the first peaks."""
@@ -239,7 +267,9 @@ def identify_each(responses: FrequencyResponses) -> Identification:
         modes.append(replace(mode, half_power=peak))
         misfit.append(found.misfit)
     if not modes:
-        raise ValueError("no peak of the responses can be fitted by a resonance: measure with finer bins")
+        raise ValueError(
+            "no peak of the responses can be fitted by a resonance: average more, or measure with finer bins"
+        )
     unknown = Estimate(float("nan"), float("nan"), float("nan"))
     return Identification(tuple(modes), unknown, float(np.median(misfit)), responses, None)
 
@@ -256,10 +286,7 @@ class _Reading:
 
     def identification(self) -> Identification:
         fit = self.fit
-        variance = 2 * fit.cost / max(fit.n_free, 1)
-        # Of scatter that is independent from response to response, or common to all of a bin: the wider of both.
-        moved = fit.scores @ fit.covariance
-        deviation = np.sqrt(np.maximum(np.diag(fit.covariance) * variance, (moved**2).sum(axis=0)))
+        variance, deviation = fit.variance, fit.deviation
         scale = 1 / float(self.problem.omega[-1])
         local = np.sqrt(self._local_misfit(variance) / variance)
         residue = self._residue()
@@ -267,10 +294,15 @@ class _Reading:
         modes = tuple(
             self._mode(k, residue[k], labels[k], float(likeness[k]), deviation, float(local[k]), variance)
             for k in range(fit.n_modes)
+            # A pole beyond the band stands for all modes there, and is none of them.
+            if fit.n_modes == 1
+            or self.responses.frequency[0] <= fit.natural_frequency[k] <= self.responses.frequency[-1]
         )
         return Identification(
             modes=modes,
-            delay=Estimate.of(fit.delay, float(deviation[-1]) * scale * float(local.max(initial=1.0))),
+            delay=Estimate.of(
+                fit.delay, float(deviation[-1]) * scale * float(local.max(initial=1.0))
+            ),
             misfit=variance,
             responses=self.responses,
             length=self.length,

@@ -208,6 +208,20 @@ class Evaluation:
         """Of the parameters (frequency over damping, log damping, delay times scale) for responses of unit variance."""
         return np.asarray(np.linalg.pinv(self.curvature, hermitian=True))
 
+    @property
+    def variance(self) -> float:
+        """Mean square of what is left, by the degrees of freedom."""
+        return 2 * self.cost / max(self.n_free, 1)
+
+    @cached_property
+    def deviation(self) -> FloatArray:
+        """Of the parameters, in the units of the covariance, (2 n_modes + 1,) array.
+
+        Of scatter that is independent from response to response, or common to all of a bin: the wider of both.
+        """
+        moved = self.scores @ self.covariance
+        return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance) * self.variance, (moved**2).sum(axis=0))))
+
 
 def evaluate(
     problem: LeastSquaresProblem, natural_frequency: FloatArray, damping_ratio: FloatArray, delay: float, scale: float
