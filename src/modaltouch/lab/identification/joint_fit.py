@@ -99,8 +99,8 @@ def find_more(
     responses: FrequencyResponses, poles: Poles, problem: LeastSquaresProblem, fit: Evaluation, most: int
 ) -> tuple[Poles, LeastSquaresProblem, Evaluation]:
     """Return the poles with further ones where the fit leaves a peak that noise does not explain."""
-    poles, problem, fit = _sound_ones(responses, poles, problem, fit)
-    passed: list[float] = []
+    poles, problem, fit = _sound_ones(responses, poles, problem, fit, SURE / 2)
+    passed: list[tuple[float, float]] = []
     for _ in range(most):
         peak = _left_over(problem, fit, passed)
         if peak is None or poles.natural_frequency.size >= MOST_POLES or len(passed) == MOST_PASSED:
@@ -109,36 +109,43 @@ def find_more(
         finer = make_problem(responses, tried)
         _, before = refine(finer, poles, most=3)
         refined, after = refine(finer, tried)
+        refined, finer, after = _sound_ones(responses, refined, finer, after, SURE / 2)
         apart = np.diff(refined.natural_frequency) > 0.05 * (refined.damping_ratio * refined.natural_frequency)[:-1]
-        new = bool(apart.all() and _sound(after).all())
-        if new and after.cost < before.cost - 0.5 * SIGNIFICANT * problem.response.shape[1] ** 0.5:
+        grown = refined.natural_frequency.size > poles.natural_frequency.size
+        new = grown or refined.near(*peak) > poles.near(*peak)
+        if new and apart.all() and after.cost < before.cost - 0.5 * SIGNIFICANT * problem.response.shape[1] ** 0.5:
             poles, problem, fit = refined, finer, after
         else:
-            passed.append(peak[0])
-    return _sound_ones(responses, poles, problem, fit)
+            passed.append(peak)
+    # While a mode is missing the deviations of the others are those of what it leaves.
+    return _sound_ones(responses, poles, problem, fit, SURE)
 
 
-def _sound(fit: Evaluation) -> NDArray[np.bool_]:
+def _sound(fit: Evaluation, highest: float, sure: float) -> NDArray[np.bool_]:
     """Return which poles are modes, with a damping that is told from none: that of a chance in few bins is not."""
     low, high = DAMPING_BOUNDS
     possible = (fit.damping_ratio > 2 * low) & (fit.damping_ratio < 0.9 * high)
-    return np.asarray(possible & (fit.deviation[fit.n_modes : -1] < 1 / SURE))
+    # Of a pole beyond the band, which stands for the modes there, only the flank is seen.
+    beyond = fit.natural_frequency > highest
+    return np.asarray(beyond | (possible & (fit.deviation[fit.n_modes : -1] < 1 / sure)))
 
 
 def _sound_ones(
-    responses: FrequencyResponses, poles: Poles, problem: LeastSquaresProblem, fit: Evaluation
+    responses: FrequencyResponses, poles: Poles, problem: LeastSquaresProblem, fit: Evaluation, sure: float
 ) -> tuple[Poles, LeastSquaresProblem, Evaluation]:
     """Return the poles that are modes, and the fit of them; all of them where none is, for their intervals say it."""
-    kept = _sound(fit)
+    kept = _sound(fit, float(responses.frequency[-1]), sure)
     if kept.all() or not kept.any():
         return poles, problem, fit
     fewer = Poles(poles.natural_frequency[kept], poles.damping_ratio[kept], poles.delay)
     problem = make_problem(responses, fewer)
     fewer, fit = refine(problem, fewer)
-    return _sound_ones(responses, fewer, problem, fit)
+    return _sound_ones(responses, fewer, problem, fit, sure)
 
 
-def _left_over(problem: LeastSquaresProblem, fit: Evaluation, passed: Sequence[float]) -> tuple[float, float] | None:
+def _left_over(
+    problem: LeastSquaresProblem, fit: Evaluation, passed: Sequence[tuple[float, float]]
+) -> tuple[float, float] | None:
     """Return frequency and rough damping of the highest peak of what a fit leaves, but those passed over, or None."""
     n = problem.bins.start.size
     left = (fit.rest[:n] + 1j * fit.rest[n:]).T
@@ -146,8 +153,8 @@ def _left_over(problem: LeastSquaresProblem, fit: Evaluation, passed: Sequence[f
     best, where = SIGNIFICANT**2, None
     for ratio in (0.004, 0.012, 0.03):
         # Each response against the course of a mode there: what it would explain, summed over the responses.
-        candidate = frequency[:: max(1, n // 1500)]
-        candidate = candidate[[all(abs(own / other - 1) > NEAR for other in passed) for own in candidate]]
+        candidate = np.append(frequency[:: max(1, n // 1500)], frequency[-1] * BEYOND)
+        candidate = candidate[[all(abs(own / f - 1) > max(2 * wide, NEAR) for f, wide in passed) for own in candidate]]
         course = _course(problem, candidate, ratio, fit.delay)
         overlap = (np.conj(course) @ left.T).real / np.linalg.norm(course, axis=1)[:, None]
         n_responses = left.shape[0]
@@ -174,6 +181,9 @@ WINDOW, FEWEST_IN_WINDOW = 10.0, 20
 
 SURE = 6.0
 """Deviations of its damping from none from which a pole of many responses is a mode [1]."""
+
+BEYOND = np.array([1.02, 1.06, 1.15, 1.3])
+"""Where poles beyond the band are tried, over its highest frequency [1]."""
 
 NEAR = 0.01
 """Relative distance within which a peak that was no resonance is not tried again [1]."""

@@ -147,6 +147,10 @@ class Poles:
         order = np.argsort(self.natural_frequency)
         return Poles(self.natural_frequency[order], self.damping_ratio[order], self.delay)
 
+    def near(self, frequency: float, damping_ratio: float) -> int:
+        """Return how many lie within two bandwidths of a damping ratio about a frequency."""
+        return int((np.abs(self.natural_frequency / frequency - 1) <= 4 * damping_ratio).sum())
+
     def and_one(self, frequency: float, damping_ratio: float) -> Poles:
         """Return one pole more."""
         return Poles(
