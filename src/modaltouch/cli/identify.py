@@ -47,6 +47,10 @@ LOWEST = Annotated[
 SPACING = Annotated[
     float | None, typer.Option("--spacing-Hz", help="Frequency step of a file that holds numbers alone.")
 ]
+LEAVE_OUT = Annotated[
+    list[float] | None,
+    typer.Option("--leave-out", help="Position whose responses are not used [mm], repeatable.", show_default="none"),
+]
 SEED = Annotated[
     int | None, typer.Option(min=0, help="Seed of the simulated rig, instead of that in the apparatus file.")
 ]
@@ -77,6 +81,7 @@ def identify(
     spacing_Hz: SPACING = None,
     seed: SEED = None,
     export: EXPORT = None,
+    leave_out: LEAVE_OUT = None,
     json_output: JSON = False,
 ) -> None:
     """Identify natural frequencies, damping ratios, gains and shapes of a beam, each with its 95 % interval.
@@ -107,6 +112,7 @@ def identify(
             spacing=spacing_Hz,
             seed=seed,
             export=export,
+            leave_out=tuple(place * 1e-3 for place in leave_out or ()),
         )
         try:
             with bars() as progress:
@@ -133,6 +139,9 @@ def _show(result: dict[str, Any]) -> None:
     others = [f"{mode['natural_frequency_Hz']['value']:.0f}" for mode in result["modes"] if mode not in listed]
     if others:
         console.print(f"[dim]Also seen, and kept out of the table: {', '.join(others)} Hz[/]")
+    console.print(f"[dim]M{result['misfit_verdict'][1:]}[/]")
+    for warning in result["warnings"]:
+        console.print(f"[yellow]{warning[:1].upper()}{warning[1:]}[/]")
     beam = result["free_free"]
     if beam is not None:
         verdict = "are" if beam["recognised"] else "are not"

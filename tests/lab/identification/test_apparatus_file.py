@@ -14,7 +14,8 @@ from typer.testing import CliRunner
 
 from modaltouch.cli.commands import app
 from modaltouch.lab.identification.estimates import Estimate, Identification
-from modaltouch.lab.identification.report import check_modes, identified_apparatus, write_identification
+from modaltouch.lab.identification.report import identified_apparatus, write_identification
+from modaltouch.lab.identification.verdict import check_modes
 from modaltouch.protocol import InputError
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.source import Source

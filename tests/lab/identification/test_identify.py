@@ -138,6 +138,22 @@ def test_conjugated_responses_are_refused(make) -> None:
         identify(replace(plain, response=np.conj(plain.response)), LENGTH)
 
 
+@pytest.mark.parametrize("offset", [-1e-3, 0.3e-3, 1.3e-3, 5e-3])
+def test_time_offset_is_found_and_taken_off(make, beam: TrueBeam, offset: float) -> None:
+    """Motion behind its excitation: the delay is offset and vibrometer, and frequency and gain stay in their bars."""
+    plain = small(make(3))
+    late = plain.response * np.exp(-2j * np.pi * plain.frequency * offset)
+    found = identify(replace(plain, response=late), LENGTH, most=0)
+    assert found.responses.offset == pytest.approx(offset, abs=2e-5)
+    assert found.delay.value == pytest.approx(offset + 4e-6, abs=1e-7)
+    for label in (3, 5, 7, 9, 11):
+        k = beam.table.label.index(label)
+        strongest = int(np.abs(beam.table.modal_gain[k]).argmax())
+        mode = found.mode(label)
+        assert mode.natural_frequency.value == pytest.approx(beam.table.natural_frequency[k], rel=1e-3)
+        assert mode.gain[strongest].value == pytest.approx(beam.table.modal_gain[k, strongest], rel=0.05)
+
+
 def test_error_that_all_points_share_is_no_resonance(make, beam: TrueBeam) -> None:
     """The measured drive errs by 3 in 1,000, equally at all points: every further pole is one of the beam's own."""
     plain = small(make(0))

@@ -29,12 +29,12 @@ from modaltouch.lab.identification.joint_fit import identify_each
 from modaltouch.lab.identification.report import (
     COMMAND,
     as_dict,
-    check_modes,
     identified_apparatus,
     write_identification,
 )
 from modaltouch.lab.identification.responses import FrequencyResponses, Quantity, responses_of
 from modaltouch.lab.identification.shapes import check_points
+from modaltouch.lab.identification.verdict import check_all, check_gains, check_modes
 from modaltouch.lab.laboratory import SIMULATED, MeasurementProgress, open_laboratory
 from modaltouch.lab.scan import Scan, read_scan
 from modaltouch.protocol import Apparatus, Source
@@ -84,6 +84,8 @@ class IdentifyOptions:
         Of the simulated rig, instead of its own.
     export : Path or None
         File that gets the responses and shapes for other programs.
+    leave_out : tuple of float
+        Positions whose responses are not used [m].
     """
 
     apparatus: Path
@@ -104,6 +106,7 @@ class IdentifyOptions:
     spacing: float | None = None
     seed: int | None = None
     export: Path | None = None
+    leave_out: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,6 +195,7 @@ def identify(options: IdentifyOptions, progress: MeasurementProgress | None = No
             refuse_other(options.out, COMMAND)
             with _fitting(heard):
                 found = identify_each(responses)
+            check_all(found)
             sources = [path.name for path in options.files]
             return IdentificationReport(found, "file", sources, options.out, export=options.export)
         beam = _Beam(options)
@@ -317,11 +321,14 @@ class _Beam:
     ) -> IdentificationReport:
         """Return the modes, and the apparatus file with the new table."""
         refuse_other(self.options.out, COMMAND)
+        if self.options.leave_out:
+            responses = responses.without(self.options.leave_out)
         if responses.positions is not None:
             check_points(responses.positions, self.labels, self.length)
         with _fitting(progress):
             found = fit_jointly(responses, self.length, clock_tolerance=CLOCK_TOLERANCE)
         check_modes(found, self.labels)
+        check_gains(found, self.apparatus)
         labels = self.labels
         if self.options.modes == "all":
             labels = tuple(mode.label for mode in found.modes if mode.label is not None)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from modaltouch.lab.arrays import FloatArray
 from modaltouch.lab.identification.peaks import HalfPower
 from modaltouch.lab.identification.responses import FrequencyResponses
+from modaltouch.lab.identification.rest import Rest
 
 NORMAL_95 = 1.959963984540054
 """Half-width of a 95 % interval in standard deviations."""
@@ -63,6 +64,8 @@ class IdentifiedMode:
         What peak and half-power bandwidth make of the gain [m/s^2 per V], sign included; NaN without a shape.
     coherence : float
         Median over the points at the peak, for the excitation that drives it most [1]; NaN where unknown.
+    rest : Rest
+        What the fit leaves about it.
     """
 
     label: int | None
@@ -74,6 +77,7 @@ class IdentifiedMode:
     half_power: HalfPower
     half_power_gain: float
     coherence: float
+    rest: Rest
 
 
 @dataclass(frozen=True, eq=False)

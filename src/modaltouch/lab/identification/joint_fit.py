@@ -21,7 +21,9 @@ from modaltouch.lab.identification.peaks import (
     first_poles,
     half_power,
 )
+from modaltouch.lab.identification.points import refuse_odd_point
 from modaltouch.lab.identification.responses import FrequencyResponses
+from modaltouch.lab.identification.rest import rest_about
 from modaltouch.lab.identification.shapes import label_shapes, unit_shape
 
 
@@ -226,6 +228,8 @@ def identify(
     ValueError
         If nothing stands out, or the responses cannot be those of a velocity.
     """
+    if start is None:
+        responses = responses.aligned()
     poles = first_poles(responses, length) if start is None else start
     problem = make_problem(responses, poles, phase_at)
     poles, fit = refine(problem, poles)
@@ -250,6 +254,7 @@ def identify_each(responses: FrequencyResponses) -> Identification:
     ValueError
         If nothing stands out, or the responses cannot be those of a velocity.
     """
+    responses = responses.aligned()
     poles = first_poles(responses, None)
     middle = (poles.natural_frequency[1:] + poles.natural_frequency[:-1]) / 2
     left = np.append(responses.frequency[0], middle)
@@ -311,7 +316,7 @@ class _Reading:
         return Identification(
             modes=modes,
             delay=Estimate.of(
-                fit.delay, float(deviation[-1]) * scale * float(local.max(initial=1.0))
+                fit.delay + self.responses.offset, float(deviation[-1]) * scale * float(local.max(initial=1.0))
             ),
             misfit=variance,
             responses=self.responses,
@@ -352,6 +357,7 @@ class _Reading:
             half_power=peak,
             half_power_gain=self._half_power_gain(peak, residue, shape, int(driver), int(point)),
             coherence=self._coherence(residue, frequency),
+            rest=rest_about(self.problem, fit, k, self.responses.response.shape[0]),
         )
 
     def _residue(self) -> FloatArray:
@@ -373,6 +379,7 @@ class _Reading:
         if positions is None or self.length is None or positions.size < 3:
             return [None] * n_modes, np.full(n_modes, np.nan)
         scaled = residue / np.sqrt(self._level)[None, :, None]
+        refuse_odd_point(scaled, positions, self.length, self.responses.sets)
         common = np.array([np.linalg.svd(each, full_matrices=False)[2][0] for each in scaled])
         return label_shapes(common, positions, self.length)
 

@@ -10,47 +10,13 @@ from typing import Any
 
 from modaltouch.lab.identification.estimates import Estimate, Identification, IdentifiedMode
 from modaltouch.lab.identification.shapes import recognise
+from modaltouch.lab.identification.verdict import misfit_verdict, warnings
 from modaltouch.protocol import Apparatus, Source
 from modaltouch.report import figure_files, refuse_other, write_files
 from modaltouch.system import version
 
-LEAST_COHERENCE = 0.5
-"""Median coherence at a mode's peak below which nothing of it is believed [1]."""
-
 COMMAND = "identify"
 """The command that owns the folder."""
-
-
-def check_modes(identification: Identification, labels: Sequence[int]) -> None:
-    """Refuse an identification that lacks a mode, or has seen it too weakly.
-
-    Parameters
-    ----------
-    identification : Identification
-        What was found.
-    labels : sequence of int
-        Modes that are wanted.
-
-    Raises
-    ------
-    ValueError
-        With every mode that is missing or incoherent, and what to do.
-    """
-    found = {mode.label: mode for mode in identification.modes if mode.label is not None}
-    lines = []
-    for label in labels:
-        if label not in found:
-            lines.append(
-                f"mode {label} was not found: no resonance has its shape; drive harder, average more, or look higher "
-                "with --highest-kHz"
-            )
-        elif found[label].coherence < LEAST_COHERENCE:
-            lines.append(
-                f"mode {label} has a coherence of {found[label].coherence:.2f} at its peak, at least "
-                f"{LEAST_COHERENCE:g} is needed: drive harder (--drive-V) or average more (--averages)"
-            )
-    if lines:
-        raise ValueError("\n".join(lines))
 
 
 def mode_values(mode: IdentifiedMode, sets: Sequence[str]) -> dict[str, Any]:
@@ -63,6 +29,7 @@ def mode_values(mode: IdentifiedMode, sets: Sequence[str]) -> dict[str, Any]:
         "gain_mm_s2_per_V": gains,
         "mac": _number(mode.mac),
         "coherence": _number(mode.coherence),
+        "left": {"share": _number(mode.rest.share), "smooth": _number(mode.rest.smooth), "cause": mode.rest.cause},
         "half_power": {
             "peak_frequency_Hz": _number(mode.half_power.peak_frequency),
             "damping_ratio": _number(mode.half_power.damping_ratio),
@@ -87,7 +54,10 @@ def as_dict(identification: Identification) -> dict[str, Any]:
         "n_averages": responses.n_averages,
         "resolution_Hz": responses.spacing,
         "velocity_delay_us": _pair(identification.delay, 1e6) if known else None,
+        "time_offset_us": _number(responses.offset * 1e6),
         "misfit": identification.misfit,
+        "misfit_verdict": misfit_verdict(identification),
+        "warnings": warnings(identification),
         "modes": [mode_values(mode, responses.sets) for mode in identification.modes],
         "free_free": None if beam is None else beam.as_dict(),
     }
@@ -244,6 +214,7 @@ def _figures(identification: Identification) -> dict[str, Any]:
         "velocity_delay_us": _round(delay.value * 1e6),
         "velocity_delay_interval_us": _interval(delay, 1e6),
         "misfit": _round(identification.misfit, 4),
+        "warnings": warnings(identification),
     }
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -20,6 +20,15 @@ QUANTITIES: tuple[Quantity, ...] = ("velocity", "displacement", "acceleration")
 
 NOISE_WINDOW = 33
 """Bins over which the noise is pooled: it varies slowly where the excitation does [1]."""
+
+LONGEST_OFFSET = 20e-3
+"""Time offset between excitation and response up to which one is looked for [s]."""
+
+CLEAR_LINE = 0.5
+"""Part of the phases that must agree on a time offset [1]."""
+
+SAME_PLACE = 5e-6
+"""Distance within which a position that is named is a measured one [m]."""
 
 FEW_POINTS = 5
 """Points below which a median over them is none."""
@@ -45,6 +54,10 @@ class FrequencyResponses:
         Records that were averaged.
     bandwidth : float or None
         Corner of the vibrometer's first-order low-pass, which the responses still contain [Hz].
+    offset : float
+        Time between excitation and response that was taken off [s].
+    marks : tuple of str
+        What a result of them has to say, a sentence each.
     """
 
     frequency: FloatArray
@@ -54,6 +67,8 @@ class FrequencyResponses:
     coherence: FloatArray | None = None
     n_averages: int = 1
     bandwidth: float | None = None
+    offset: float = 0.0
+    marks: tuple[str, ...] = ()
 
     @property
     def n_points(self) -> int:
@@ -91,6 +106,45 @@ class FrequencyResponses:
         scale = n_free / (n_free - 1 / 3 + 0.024 / n_free)
         floor = (1e-7 * np.abs(self.response).max(axis=(1, 2))) ** 2
         return np.asarray(np.maximum(smooth * scale, floor[:, None]))
+
+    def aligned(self) -> FrequencyResponses:
+        r"""Return the responses without the time offset of motion against excitation that their phase slope shows.
+
+        The square of a response of real residues behind an offset has the phase :math:`\pi - 2\omega\tau` but near its
+        resonances, whatever the sign of a shape: over the whole band that phase adds up to a line at :math:`2\tau`. An
+        offset that turns the phase by less than half a cycle over the band is left for the fit's delay.
+        """
+        power = np.abs(self.response) ** 2
+        squares = (self.response**2 / np.maximum(power + self.noise[:, None], 1e-300)).sum(axis=(0, 1))
+        n_fft = 1 << int(np.ceil(np.log2(16 * squares.size)))
+        line = np.abs(np.fft.ifft(squares, n_fft)) * n_fft / max(float(np.abs(squares).sum()), 1e-300)
+        time = np.fft.fftfreq(n_fft, self.spacing) / 2
+        line[np.abs(time) > min(LONGEST_OFFSET, 1 / (8 * self.spacing))] = 0.0
+        resolution = 1 / (2 * (self.frequency[-1] - self.frequency[0]))
+        offset = float(time[line.argmax()])
+        if abs(offset) <= resolution or line.max() < max(CLEAR_LINE, 1.2 * line[np.abs(time) <= resolution].max()):
+            return self
+        turned = self.response * np.exp(2j * np.pi * self.frequency * offset)
+        return replace(self, response=turned, offset=self.offset + offset)
+
+    def without(self, places: Sequence[float]) -> FrequencyResponses:
+        """Return the responses but those at some places [m], and the mark that says so."""
+        positions = np.array([]) if self.positions is None else self.positions
+        left_out = np.zeros(positions.size, dtype=bool)
+        for place in places:
+            at = np.isclose(positions, place, rtol=0.0, atol=SAME_PLACE)
+            if not at.any():
+                held = ", ".join(f"{each * 1e3:g}" for each in positions) or "none"
+                raise ValueError(f"--leave-out {place * 1e3:g} is no measured position; allowed are {held} mm")
+            left_out |= at
+        named = ", ".join(f"{place * 1e3:g}" for place in positions[left_out])
+        return replace(
+            self,
+            response=self.response[:, ~left_out],
+            positions=positions[~left_out],
+            coherence=None if self.coherence is None else self.coherence[:, ~left_out],
+            marks=(*self.marks, f"the responses at {named} mm were left out"),
+        )
 
     def between(self, lowest: float, highest: float) -> FrequencyResponses:
         """Return the responses of a band [Hz]."""

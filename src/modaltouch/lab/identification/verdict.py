@@ -1,0 +1,190 @@
+"""What an identification is worth: what is refused, with its most probable cause, and what is marked."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from modaltouch.lab.identification.estimates import Identification, IdentifiedMode
+from modaltouch.lab.identification.rest import REMEDIES
+from modaltouch.protocol import Apparatus
+
+LEAST_COHERENCE = 0.5
+"""Median coherence below which nothing of a mode is believed at its peak, and over the band is marked [1]."""
+
+MOST_LEFT = 0.1
+"""Amplitude of what the fit leaves about a mode over that of the responses, from which it is refused [1]."""
+
+FEWEST_GAINS = 3
+"""Listed gains from which a common factor is seen."""
+
+MARKED = {"nonlinearity": 0.004, "drift": 0.004}
+"""The same of what goes smoothly over frequency, from which it is marked, by its cause [1]."""
+
+WELL_FITTED = 3.0
+"""Misfit up to which what is left is the noise alone [1]."""
+
+MARKED_ELSE = 0.02
+"""The same of any other cause [1]."""
+
+
+def check_modes(identification: Identification, labels: Sequence[int]) -> None:
+    """Refuse an identification that lacks a mode, has seen it too weakly, or does not fit it.
+
+    Parameters
+    ----------
+    identification : Identification
+        What was found.
+    labels : sequence of int
+        Modes that are wanted.
+
+    Raises
+    ------
+    ValueError
+        With every mode that is missing, incoherent or badly fitted, and what to do.
+    """
+    found = {mode.label: mode for mode in identification.modes if mode.label is not None}
+    spoilt = identification.misfit > WELL_FITTED or any(mode.rest.share > MARKED_ELSE for mode in identification.modes)
+    split = _split(identification.modes)
+    remedy = "" if spoilt or split else "; drive harder, average more, or look higher with --highest-kHz"
+    lines = []
+    for label in labels:
+        if label not in found:
+            lines.append(f"mode {label} was not found: no resonance has its shape{remedy}")
+        else:
+            lines += _faults(f"mode {label}", found[label])
+    if lines and split:
+        lines.append(split)
+    elif lines and spoilt:
+        lines.append(_cause(identification.modes))
+    if lines:
+        raise ValueError("\n".join(lines))
+
+
+def _split(modes: Sequence[IdentifiedMode]) -> str:
+    """Return what two resonances say, one of no mode's shape, within a half-power bandwidth; nothing without them."""
+    for one, other in pairwise(modes):
+        apart = other.natural_frequency.value - one.natural_frequency.value
+        width = 2 * one.natural_frequency.value * one.damping_ratio.value
+        if apart < width and None in (one.label, other.label):
+            return (
+                f"the resonances at {one.natural_frequency.value:.6g} and {other.natural_frequency.value:.6g} Hz are "
+                "within one width, as those of one mode that moved: the most probable cause is drift or nonlinearity: "
+                f"{REMEDIES['drift']}, or {REMEDIES['nonlinearity']}"
+            )
+    return ""
+
+
+def check_all(identification: Identification) -> None:
+    """Refuse an identification without shapes of which most modes are incoherent or badly fitted."""
+    modes = identification.modes
+    faults = [_faults(f"the mode at {mode.natural_frequency.value:.6g} Hz", mode) for mode in modes]
+    if 2 * sum(bool(each) for each in faults) > len(modes):
+        cause = [_cause(modes)] if any(mode.rest.share > MOST_LEFT for mode in modes) else []
+        raise ValueError("\n".join([*(line for each in faults for line in each), *cause]))
+
+
+FACTORS = {9.80665: "an acceleration in g taken for m/s^2, or the other way round", 1e3: "milli taken for a whole unit"}
+"""Factors between units that are taken for each other, and what they mean."""
+
+SPREAD = 0.1
+"""How far the gains of all modes may lie from one factor that is named [1]."""
+
+
+def check_gains(identification: Identification, apparatus: Apparatus) -> None:
+    """Refuse gains that are all those of the apparatus file times a factor between two units.
+
+    Parameters
+    ----------
+    identification : Identification
+        What was found.
+    apparatus : Apparatus
+        The table of the same beam; where fewer than three of its gains were found nothing is said.
+
+    Raises
+    ------
+    ValueError
+        With the factor, and which units it is between.
+    """
+    found = {mode.label: mode for mode in identification.modes}
+    sets = identification.responses.sets
+    listed = [
+        (found[mode.label].gain[sets.index(name)].value * 1e3 / value, found[mode.label].natural_frequency.value)
+        for mode in apparatus.modes
+        for name, value in mode.gain_mm_s2_per_V.items()
+        if mode.label in found and found[mode.label].gain and name in sets and value
+    ]
+    if len(listed) < FEWEST_GAINS:
+        return
+    ratio, frequency = np.abs(np.array(listed)).T
+    for power, quantity in ((0, ""), (1, " times 2 pi f"), (-1, " over 2 pi f")):
+        each = ratio / (2 * np.pi * frequency) ** power
+        factor = float(np.median(each))
+        meaning = "another motion than --quantity says" if power and abs(factor - 1) < SPREAD else ""
+        for size, units in FACTORS.items():
+            if min(abs(factor / size - 1), abs(factor * size - 1)) < SPREAD:
+                meaning = units
+        if meaning and np.abs(each / factor - 1).max() < SPREAD:
+            raise ValueError(
+                f"all gains are {factor:.3g}{quantity} times those of {apparatus.apparatus}: {meaning}; see the units "
+                "of the measurement, or name the file of this beam with --apparatus"
+            )
+
+
+def _faults(name: str, mode: IdentifiedMode) -> list[str]:
+    lines = []
+    if mode.coherence < LEAST_COHERENCE:
+        lines.append(
+            f"{name} has a coherence of {mode.coherence:.2f} at its peak, at least {LEAST_COHERENCE:g} is needed: "
+            "drive harder (--drive-V) or average more (--averages)"
+        )
+    if mode.rest.share > MOST_LEFT:
+        lines.append(
+            f"{name} is not fitted: {mode.rest.share:.0%} of the response about it is left, at most {MOST_LEFT:.0%} "
+            "is allowed"
+        )
+    return lines
+
+
+def _cause(modes: Sequence[IdentifiedMode]) -> str:
+    """Return the cause of most of what is left, and its remedy."""
+    weight: dict[str, float] = {}
+    for mode in modes:
+        weight[mode.rest.cause] = weight.get(mode.rest.cause, 0.0) + mode.rest.share
+    cause = max(weight, key=lambda each: weight[each])
+    return f"the most probable cause is {cause}: {REMEDIES[cause]}"
+
+
+def warnings(identification: Identification) -> list[str]:
+    """Return what has to be known of a result that is not refused, a sentence each."""
+    responses, said = identification.responses, list(identification.responses.marks)
+    if responses.offset:
+        said.append(
+            f"the motion is {abs(responses.offset) * 1e3:.4g} ms {'behind' if responses.offset > 0 else 'before'} its "
+            "excitation, by the slope of the phase over frequency; this offset was taken off"
+        )
+    if responses.coherence is not None and (median := float(np.median(responses.coherence))) < LEAST_COHERENCE:
+        said.append(f"the median coherence over the band is {median:.2f}, below {LEAST_COHERENCE:g}: average more")
+    marked = [mode for mode in identification.modes if mode.rest.smooth > MARKED.get(mode.rest.cause, MARKED_ELSE)]
+    badly = [mode for mode in identification.modes if mode.rest.share > MOST_LEFT and mode not in marked]
+    for chosen in (marked, badly):
+        if chosen:
+            names = ", ".join(str(each.label or f"{each.natural_frequency.value:.6g} Hz") for each in chosen)
+            left = max(max(each.rest.smooth, each.rest.share) for each in chosen)
+            said.append(
+                f"up to {left:.1%} of the response about {names} is left, and the intervals may not hold it: "
+                f"{_cause(chosen)}"
+            )
+    if identification.misfit > WELL_FITTED:
+        split = _split(identification.modes) if identification.length else ""
+        said.append(split or f"{misfit_verdict(identification)}: the intervals are widened by it, and may not hold it")
+    return said
+
+
+def misfit_verdict(identification: Identification) -> str:
+    """Return what the misfit means, in words."""
+    left = max(mode.rest.share for mode in identification.modes)
+    means = "the noise alone" if identification.misfit <= WELL_FITTED else "more than the noise"
+    return f"misfit {identification.misfit:.3g}, {means}; at most {left:.1%} of the response about a mode is left"

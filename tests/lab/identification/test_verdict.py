@@ -1,0 +1,91 @@
+"""What a spoilt measurement is told: the fault, where it is, and what to do; a mark where the result is kept."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import spoilt
+
+from modaltouch.lab.identification.joint_fit import identify
+from modaltouch.lab.identification.responses import FrequencyResponses
+from modaltouch.lab.identification.verdict import check_gains, check_modes, misfit_verdict, warnings
+from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.rig.simulator.true_beam import TrueBeam
+
+
+def measured(beam: TrueBeam, **fault: float) -> FrequencyResponses:
+    """Return responses with the noise of a good measurement, about the lower modes."""
+    return spoilt.measured(*spoilt.response_of(beam, **fault), seed=0).between(1200, 9400)
+
+
+@pytest.fixture(scope="module")
+def clean(beam: TrueBeam) -> FrequencyResponses:
+    """Return responses without a fault."""
+    return spoilt.measured(*spoilt.response_of(beam), seed=0)
+
+
+def test_clean_responses_bear_no_mark(clean: FrequencyResponses, apparatus: Apparatus) -> None:
+    """Nothing is left but noise, nothing is warned of, and the misfit's verdict says so."""
+    found = identify(clean, 0.1)
+    check_modes(found, spoilt.LABELS)
+    check_gains(found, apparatus)
+    assert warnings(found) == []
+    assert misfit_verdict(found).startswith("misfit 0.9") or misfit_verdict(found).startswith("misfit 1")
+    assert "the noise alone" in misfit_verdict(found)
+
+
+@pytest.mark.parametrize(("factor", "said"), [(-1.0, "inverted"), (9.81, r"9\.\d+ times too large")])
+def test_odd_point_is_named_and_may_be_left_out(clean: FrequencyResponses, factor: float, said: str) -> None:
+    """The point at -35 mm by its factor, with the option that leaves it out; without it the others are fitted."""
+    response = clean.response.copy()
+    response[:, 3] *= factor
+    odd = replace(clean, response=response)
+    with pytest.raises(ValueError, match=rf"the response at -35 mm is {said} beside.* --leave-out -35$"):
+        identify(odd, 0.1, most=0)
+    mended = odd.without([-0.035])
+    assert mended.n_points == 20
+    assert mended.marks == ("the responses at -35 mm were left out",)
+    with pytest.raises(ValueError, match="--leave-out 1 is no measured position; allowed are -50, -45"):
+        odd.without([0.001])
+
+
+def test_one_set_that_is_inverted_at_a_point_is_named(clean: FrequencyResponses) -> None:
+    """Turned for the side set alone: the set stands beside the position."""
+    response = clean.response.copy()
+    response[1, 17] *= -1
+    with pytest.raises(ValueError, match="the response to side at 35 mm is inverted"):
+        identify(replace(clean, response=response), 0.1, most=0)
+
+
+def test_nonlinear_beam_is_marked_and_then_refused(beam: TrueBeam) -> None:
+    """Modes that fall by a third and by three half-widths at their peak: marked, refused; by their own shapes."""
+    found = identify(measured(beam, softening=0.1), 0.1)
+    assert any("most probable cause is nonlinearity: drive at half the voltage" in said for said in warnings(found))
+    found = identify(measured(beam, softening=3.0), 0.1)
+    with pytest.raises(ValueError, match=r"(?s)is not fitted: .* is left, at most 10% is allowed.*nonlinearity"):
+        check_modes(found, (3, 5))
+
+
+def test_beam_that_drifts_in_a_scan_is_marked(beam: TrueBeam) -> None:
+    """By two parts in a thousand from end to end: what is left grows along the beam."""
+    found = identify(measured(beam, drift=2e-3), 0.1)
+    assert any("drift: let the beam warm up" in said for said in warnings(found))
+
+
+def test_gains_between_two_units_are_named(clean: FrequencyResponses, apparatus: Apparatus) -> None:
+    """In g for m/s^2, and differentiated once too often."""
+    turn = 2 * np.pi * clean.frequency
+    small = identify(replace(clean, response=clean.response / 9.80665), 0.1, most=0)
+    with pytest.raises(ValueError, match=r"all gains are 0\.10. times those of beam_100x6x2: an acceleration in g"):
+        check_gains(small, apparatus)
+    steep = identify(replace(clean, response=clean.response * turn), 0.1, most=0)
+    with pytest.raises(ValueError, match=r"all gains are .* times 2 pi f times those of .*: another motion than"):
+        check_gains(steep, apparatus)
+
+
+def test_low_coherence_over_the_band_is_said(beam: TrueBeam) -> None:
+    """Median of 0.2 where every peak is still seen."""
+    found = identify(spoilt.measured(*spoilt.response_of(beam), seed=0, noise=50.0), 0.1, most=0)
+    assert any("the median coherence over the band is 0." in said and "below 0.5" in said for said in warnings(found))

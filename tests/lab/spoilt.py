@@ -1,0 +1,201 @@
+"""Responses of the twin's beam with one fault each: every result outside its interval must bear a mark.
+
+``python tests/lab/spoilt.py --cases 1000 --out results/benchmarks/spoilt.json``
+
+A *mark* is a refusal, or a sentence among the warnings of the result. A case is *silently wrong* if it bears none and
+a natural frequency, damping ratio or gain of modes 1 to 11 is further from the twin's than twice the half-width of its
+95 % interval. A refusal is *right* if it names the true cause, by a word of `CAUSES`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from modaltouch.lab.identification.estimates import Identification
+from modaltouch.lab.identification.joint_fit import identify
+from modaltouch.lab.identification.responses import FrequencyResponses
+from modaltouch.lab.identification.verdict import check_gains, check_modes, warnings
+from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.rig.simulator.true_beam import TrueBeam, true_beam
+
+APPARATUS = Path(__file__).parents[2] / "protocols" / "apparatus" / "beam_100x6x2.yaml"
+LENGTH, PERIOD = 0.1, 131_072 / 500e3
+N_POINTS, N_AVERAGES, HIGHEST = 21, 10, 33e3
+DELAY, BANDWIDTH = 4e-6, 250e3
+LABELS = (1, 3, 5, 7, 9, 11)
+GRAVITY = 9.80665
+
+
+def response_of(beam: TrueBeam, *, softening: float = 0.0, drift: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Return frequencies, and velocity responses of both sets at all points, (2, n_points, n_bins).
+
+    Parameters
+    ----------
+    beam : TrueBeam
+        The beam.
+    softening : float
+        How many half-power half-bandwidths each mode falls at its own highest velocity; its stiffness falls by the
+        square of the velocity (Duffing).
+    drift : float
+        By which part the natural frequencies rise from the first point to the last.
+    """
+    frequency = np.arange(int(50 * PERIOD) + 1, int(HIGHEST * PERIOD)) / PERIOD
+    places = np.linspace(-LENGTH / 2, LENGTH / 2, N_POINTS)
+    omega, own, ratio = 2 * np.pi * frequency, 2 * np.pi * beam.natural_frequency[:, None], beam.damping_ratio[:, None]
+    late = np.exp(-1j * omega * DELAY) / (1 + 1j * frequency / BANDWIDTH)
+    shapes = beam.shapes(places, 0.2e-3)
+    response = np.empty((2, N_POINTS, frequency.size), dtype=complex)
+    for each, gain in zip(response, beam.modal_gain.T[:, :, None], strict=True):
+        resistance = 2j * ratio * own * omega - omega**2
+        power = np.zeros((own.size, omega.size))
+        for _ in range(60 if softening else 0):
+            stiffness = own**2 * (1 - 2 * ratio * softening * power)
+            velocity = np.abs(omega * gain / (stiffness + resistance))
+            highest = np.abs(beam.modal_gain).max(axis=1)[:, None] / (2 * ratio * own)
+            power = 0.7 * power + 0.3 * (velocity / highest) ** 2
+        for point, place in enumerate(np.linspace(-0.5, 0.5, N_POINTS)):
+            if point == 0 or drift:
+                stiffness = own**2 * (1 - 2 * ratio * softening * power) * (1 + drift * place) ** 2
+                dynamic = 1j * omega * gain / (stiffness + resistance)
+            each[point] = shapes[:, point] @ dynamic * late
+    return frequency, response
+
+
+def measured(frequency: np.ndarray, response: np.ndarray, seed: int, noise: float = 1.0) -> FrequencyResponses:
+    """Return estimated responses with a noise of 0.02 of the median response, or a multiple of it."""
+    rng = np.random.default_rng(seed)
+    power = (noise * 0.02 * np.median(np.abs(response))) ** 2 * N_AVERAGES
+    scatter = rng.standard_normal(response.shape) + 1j * rng.standard_normal(response.shape)
+    response = response + scatter * np.sqrt(power / 2 / N_AVERAGES)
+    residual = rng.gamma(N_AVERAGES - 1, 1.0, response.shape) * power / N_AVERAGES
+    signal = np.abs(response) ** 2
+    places = np.linspace(-LENGTH / 2, LENGTH / 2, N_POINTS)
+    coherence = signal / (signal + residual)
+    return FrequencyResponses(frequency, response, places, ("centre", "side"), coherence, N_AVERAGES, BANDWIDTH)
+
+
+Fault = Callable[[TrueBeam, np.random.Generator], tuple[np.ndarray, np.ndarray, float]]
+
+
+def _clean(beam: TrueBeam, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, float]:
+    return (*response_of(beam), 1.0)
+
+
+def _offset(beam: TrueBeam, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, float]:
+    frequency, response = response_of(beam)
+    return frequency, response * np.exp(-2j * np.pi * frequency * rng.uniform(0, 5e-3)), 1.0
+
+
+def _nonlinear(beam: TrueBeam, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, float]:
+    return (*response_of(beam, softening=float(np.exp(rng.uniform(np.log(0.1), np.log(3))))), 1.0)
+
+
+def _drift(beam: TrueBeam, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, float]:
+    return (*response_of(beam, drift=float(np.exp(rng.uniform(np.log(5e-4), np.log(1e-2))))), 1.0)
+
+
+def _point(factor: Callable[[np.random.Generator], float]) -> Fault:
+    def fault(beam: TrueBeam, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, float]:
+        frequency, response = response_of(beam)
+        response[:, rng.integers(N_POINTS)] *= factor(rng)
+        return frequency, response, 1.0
+
+    return fault
+
+
+def _incoherent(beam: TrueBeam, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, float]:
+    return (*response_of(beam), float(rng.uniform(20, 100)))
+
+
+def _units(beam: TrueBeam, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, float]:
+    frequency, response = response_of(beam)
+    return frequency, response * rng.choice([GRAVITY, 1 / GRAVITY, 1e3, 1e-3]), 1.0
+
+
+FAULTS: dict[str, Fault] = {
+    "clean": _clean,
+    "offset": _offset,
+    "nonlinear": _nonlinear,
+    "drift": _drift,
+    "inverted point": _point(lambda rng: -1.0),
+    "scaled point": _point(lambda rng: float(rng.choice([0.1, 0.5, 2.0, GRAVITY]))),
+    "low coherence": _incoherent,
+    "wrong units": _units,
+}
+
+CAUSES = {
+    "offset": "ms",
+    "nonlinear": "nonlinearity",
+    "drift": "drift",
+    "inverted point": "inverted",
+    "scaled point": "times too",
+    "low coherence": "average more",
+    "wrong units": "times those of",
+}
+"""What a right refusal says, by the fault."""
+
+
+def is_wrong(found: Identification, beam: TrueBeam) -> bool:
+    """Return whether a number is further from the true one than twice the half-width of its interval."""
+    for label in LABELS:
+        mode, k = found.mode(label), beam.table.label.index(label)
+        numbers = (mode.natural_frequency, mode.damping_ratio, *mode.gain)
+        true = (beam.table.natural_frequency[k], beam.table.damping_ratio[k], *beam.table.modal_gain[k])
+        if any(abs(a.value - b) > 2 * (a.high - a.value) for a, b in zip(numbers, true, strict=True)):
+            return True
+    return False
+
+
+def outcome(name: str, seed: int, apparatus: Apparatus) -> dict[str, bool]:
+    """Return what came of one case: marked, refused, refused with the true cause, silently wrong."""
+    rng = np.random.default_rng(seed)
+    beam = true_beam(apparatus, int(rng.integers(1 << 31)))
+    frequency, response, noise = FAULTS[name](beam, rng)
+    responses = measured(frequency, response, seed, noise)
+    try:
+        found = identify(responses, LENGTH)
+        check_modes(found, LABELS)
+        check_gains(found, apparatus)
+    except ValueError as error:
+        return {"marked": True, "refused": True, "right": CAUSES.get(name, "\0") in str(error), "silently_wrong": False}
+    marked = bool(warnings(found))
+    return {
+        "marked": marked,
+        "refused": False,
+        "right": False,
+        "silently_wrong": not marked and is_wrong(found, beam),
+    }
+
+
+def main() -> None:
+    """Run the cases, the faults in turn, and write how many of each were marked, refused and right."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cases", type=int, default=1000)
+    parser.add_argument("--out", type=Path, required=True)
+    options = parser.parse_args()
+    apparatus = Apparatus.read(APPARATUS)
+    kinds: dict[str, dict[str, int]] = {name: {"n": 0} for name in FAULTS}
+    for seed in range(options.cases):
+        name = tuple(FAULTS)[seed % len(FAULTS)]
+        kinds[name]["n"] += 1
+        for key, value in outcome(name, seed, apparatus).items():
+            kinds[name][key] = kinds[name].get(key, 0) + value
+        spoilt = [each for fault, each in kinds.items() if fault != "clean"]
+        refused = sum(each.get("refused", 0) for each in spoilt)
+        right = sum(each.get("right", 0) for each in spoilt)
+        totals = {
+            "n": seed + 1,
+            "n_silently_wrong": sum(each.get("silently_wrong", 0) for each in kinds.values()),
+            "right_of_refusals": right / refused if refused else None,
+            "kinds": kinds,
+        }
+        options.out.write_text(json.dumps(totals, indent=2) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
