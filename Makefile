@@ -127,6 +127,11 @@ doorstep: install
 stalls: install
 	$(PYTHON) tests/session/stalls.py --demos 20 --out results/benchmarks/stalls.json
 
+## spoilt: 1,000 identifications of beams with one fault each; which are marked, refused and right, in results/benchmarks
+.PHONY: spoilt
+spoilt: install
+	$(PYTHON) tests/lab/spoilt.py --cases 1000 --out results/benchmarks/spoilt.json
+
 ## soak-identification: intervals judged by 200 seeds, and all nine modes through the whole driver, chirp and multisine
 .PHONY: soak-identification
 soak-identification: install
