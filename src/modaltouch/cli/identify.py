@@ -51,6 +51,9 @@ LEAVE_OUT = Annotated[
     list[float] | None,
     typer.Option("--leave-out", help="Position whose responses are not used [mm], repeatable.", show_default="none"),
 ]
+USE_CLIPPED = Annotated[
+    bool, typer.Option("--use-clipped", help="Use the free decay after the last saturated sample of a record.")
+]
 SEED = Annotated[
     int | None, typer.Option(min=0, help="Seed of the simulated rig, instead of that in the apparatus file.")
 ]
@@ -82,6 +85,7 @@ def identify(
     seed: SEED = None,
     export: EXPORT = None,
     leave_out: LEAVE_OUT = None,
+    use_clipped: USE_CLIPPED = False,
     json_output: JSON = False,
 ) -> None:
     """Identify natural frequencies, damping ratios, gains and shapes of a beam, each with its 95 % interval.
@@ -113,6 +117,7 @@ def identify(
             seed=seed,
             export=export,
             leave_out=tuple(place * 1e-3 for place in leave_out or ()),
+            use_clipped=use_clipped,
         )
         try:
             with bars() as progress:

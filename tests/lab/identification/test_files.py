@@ -246,6 +246,16 @@ def test_unknown_units_and_saturated_records_are_refused(tmp_path: Path) -> None
         read_responses([write_lvm(tmp_path / "b.lvm", clipped=True)])
 
 
+def test_free_decay_of_a_saturated_record_is_used_if_asked(tmp_path: Path) -> None:
+    """After the last saturated sample: the first mode within 0.1 %, damping within 5 %, and the mark that says so."""
+    path = write_lvm(tmp_path / "b.lvm", clipped=True)
+    responses = read_responses([path], ResponseFormat(use_clipped=True))
+    assert responses.marks[0].startswith("the record b.lvm was saturated: its free decay from ")
+    found = identify_each(responses.between(60, 900))
+    assert found.modes[0].natural_frequency.value == pytest.approx(120, rel=1e-3)
+    assert found.modes[0].damping_ratio.value == pytest.approx(0.012, rel=0.05)
+
+
 def test_set_missing_at_a_position_is_named(tmp_path: Path, frequency: np.ndarray) -> None:
     """Two excitations, one of them at one position only."""
     path = write_csv(tmp_path / "modes.csv", frequency)

@@ -86,6 +86,8 @@ class IdentifyOptions:
         File that gets the responses and shapes for other programs.
     leave_out : tuple of float
         Positions whose responses are not used [m].
+    use_clipped : bool
+        Whether the free decay after the last saturated sample of a record is used.
     """
 
     apparatus: Path
@@ -107,6 +109,7 @@ class IdentifyOptions:
     seed: int | None = None
     export: Path | None = None
     leave_out: tuple[float, ...] = ()
+    use_clipped: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,7 +226,7 @@ def identify(options: IdentifyOptions, progress: MeasurementProgress | None = No
 
 def _read(options: IdentifyOptions) -> FrequencyResponses:
     """Return the responses of files, within the band that is asked for."""
-    how = ResponseFormat(options.quantity, options.conjugated, options.spacing, options.averages)
+    how = ResponseFormat(options.quantity, options.conjugated, options.spacing, options.averages, options.use_clipped)
     responses = read_responses(options.files, how)
     if options.lowest is None and options.highest is None:
         return responses

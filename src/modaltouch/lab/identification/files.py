@@ -6,7 +6,7 @@ import csv
 import math
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -33,12 +33,15 @@ class ResponseFormat:
         Distance of two bins of a file that holds bare numbers [Hz].
     n_averages : int
         Records behind each response, where there is a coherence.
+    use_clipped : bool
+        Whether the free decay after the last saturated sample of a motion is used.
     """
 
     quantity: Quantity | None = None
     conjugated: bool = False
     spacing: float | None = None
     n_averages: int = 1
+    use_clipped: bool = False
 
 
 class _Part(NamedTuple):
@@ -48,6 +51,7 @@ class _Part(NamedTuple):
     response: dict[Key, ComplexArray]
     coherence: dict[Key, FloatArray]
     quantity: Quantity | None
+    marks: tuple[str, ...] = ()
 
 
 UNITS: dict[str, tuple[Quantity, float]] = {
@@ -63,6 +67,9 @@ UNITS: dict[str, tuple[Quantity, float]] = {
     "um": ("displacement", 1e-6),
 }
 """Units of motion: what they are of, and their size in SI."""
+
+MOST_AT_END = 3
+"""Samples at its highest or lowest value up to which a record was not saturated."""
 
 DRIVES = {"v": 1.0, "volt": 1.0, "volts": 1.0, "mv": 1e-3, "n": 1.0, "newton": 1.0, "newtons": 1.0, "kn": 1e3}
 """Units of excitation and their size in SI, folded to small letters."""
@@ -102,24 +109,39 @@ def _read_lvm(path: Path, how: ResponseFormat) -> _Part:
         raise ValueError(f"{path}: holds {len(rows)} samples; at least 64 are needed")
     record = np.array(rows).T
     quantity, size = UNITS[units[motion[0]]]
-    _refuse_cut(path, record, units)
     step = number(fields["Delta_X"][motion[0]])
-    frequency, response = transfer(
-        record[motion[0]] * size, record[drive[0]] * DRIVES[units[drive[0]].casefold()], step
-    )
-    return _Part(frequency, {(units[drive[0]], None): response}, {}, quantity)
+    moved, driven = record[motion[0]] * size, record[drive[0]] * DRIVES[units[drive[0]].casefold()]
+    frequency, response = transfer(moved, driven, step)
+    key = (units[drive[0]], None)
+    last = [_last_cut(path, row, unit, step, how.use_clipped) for row, unit in zip(record, units, strict=True)]
+    if max(last) < 0:
+        return _Part(frequency, {key: response}, {}, quantity)
+    if last[drive[0]] >= 0:
+        raise ValueError(f"{path}: its excitation was saturated, and nothing can be divided by it: measure again")
+    # Only natural frequencies and damping ratios are read off it, each mode with a phase of its own.
+    decay = np.where(np.arange(moved.size) > max(last), moved - moved[: _quiet(moved)].mean(), 0.0)
+    spectrum = np.fft.rfft(np.roll(decay, -max(last) - 1))[: frequency.size]
+    mark = f"the record {path.name} was saturated: its free decay from {(max(last) + 1) * step * 1e3:.4g} ms on was used alone"
+    return _Part(frequency, {key: np.asarray(spectrum, dtype=complex)}, {}, quantity, (mark,))
 
 
-def _refuse_cut(path: Path, record: FloatArray, units: Sequence[str]) -> None:
-    """Refuse a record that stays at its highest or lowest value, as a converter at its end does."""
-    for row, unit in zip(record, units, strict=True):
-        for end in (row.max(), row.min()):
-            run = int((row == end).sum())
-            if run > 3 and abs(end) > 0.5 * np.abs(row).max():
-                raise ValueError(
-                    f"{path}: the channel in {unit} stays at {end:g} for {run} samples: it was saturated; measure "
-                    "again with a wider range"
-                )
+def _last_cut(path: Path, row: FloatArray, unit: str, step: float, use_clipped: bool) -> int:
+    """Return the last sample at which a record stays at its highest or lowest value, as a converter does; else -1."""
+    cut = [np.flatnonzero(row == end) for end in (row.max(), row.min()) if abs(end) > 0.5 * np.abs(row).max()]
+    cut = [at for at in cut if at.size > MOST_AT_END]
+    last = max((int(at[-1]) for at in cut), default=-1)
+    if cut and not use_clipped:
+        raise ValueError(
+            f"{path}: the channel in {unit} stays at {row[cut[0][0]]:g} for {cut[0].size} samples: it was saturated; "
+            f"measure again with a wider range, or use its free decay from {(last + 1) * step * 1e3:.4g} ms on with "
+            "--use-clipped"
+        )
+    return last
+
+
+def _quiet(record: FloatArray) -> int:
+    """Return how many first samples count as zero."""
+    return max(8, record.size // 2500)
 
 
 def transfer(motion: FloatArray, drive: FloatArray, step: float) -> tuple[FloatArray, ComplexArray]:
@@ -139,7 +161,7 @@ def transfer(motion: FloatArray, drive: FloatArray, step: float) -> tuple[FloatA
     response : (n_bins,) complex array
         Spectrum over spectrum.
     """
-    quiet = max(8, motion.size // 2500)
+    quiet = _quiet(motion)
     motion, drive = motion - motion[:quiet].mean(), drive - drive[:quiet].mean()
     spectrum = np.fft.rfft(drive)
     frequency = np.fft.rfftfreq(drive.size, step)
@@ -258,7 +280,8 @@ def read_responses(paths: Sequence[Path], how: ResponseFormat | None = None) -> 
             response[name] = as_velocity(part.frequency, np.conj(values) if how.conjugated else values, quantity)
             if key in part.coherence:
                 coherence[name] = part.coherence[key]
-    return _assemble(first_path, first.frequency, response, coherence, how.n_averages)
+    marks = tuple(mark for _, part in parts for mark in part.marks)
+    return replace(_assemble(first_path, first.frequency, response, coherence, how.n_averages), marks=marks)
 
 
 def _quantity(path: Path, part: _Part, how: ResponseFormat) -> Quantity:
