@@ -121,7 +121,8 @@ def _read_lvm(path: Path, how: ResponseFormat) -> _Part:
     # Only natural frequencies and damping ratios are read off it, each mode with a phase of its own.
     decay = np.where(np.arange(moved.size) > max(last), moved - moved[: _quiet(moved)].mean(), 0.0)
     spectrum = np.fft.rfft(np.roll(decay, -max(last) - 1))[: frequency.size]
-    mark = f"the record {path.name} was saturated: its free decay from {(max(last) + 1) * step * 1e3:.4g} ms on was used alone"
+    since = (max(last) + 1) * step * 1e3
+    mark = f"the record {path.name} was saturated: its free decay from {since:.4g} ms on was used alone"
     return _Part(frequency, {key: np.asarray(spectrum, dtype=complex)}, {}, quantity, (mark,))
 
 
