@@ -13,10 +13,12 @@ from modaltouch.lab.identification.export import check_export, export
 from modaltouch.lab.identification.files import ResponseFormat, read_responses
 from modaltouch.lab.identification.peaks import HalfPower
 from modaltouch.lab.identification.responses import FrequencyResponses
+from modaltouch.lab.identification.rest import Rest
 from modaltouch.protocol import InputError
 from modaltouch.record import RecordError
 
 POSITIONS = np.array([-0.04, -0.01, 0.02, 0.04])
+REST = Rest(0.01, 0.0, "noise")
 
 
 @pytest.fixture
@@ -28,7 +30,9 @@ def found() -> Identification:
     frequency = 100 + 0.25 * np.arange(40)
     half = HalfPower(104.0, 1.0, 0.01, 6.0)
     modes = tuple(
-        IdentifiedMode(label, Estimate.of(104.0, 0.1), Estimate.of(0.01, 1e-4), (), shape, np.nan, half, np.nan, np.nan)
+        IdentifiedMode(
+            label, Estimate.of(104.0, 0.1), Estimate.of(0.01, 1e-4), (), shape, np.nan, half, np.nan, np.nan, REST
+        )
         for label, shape in ((1, np.array([1.0, -0.5, 0.25, 1.5])), (None, None))
     )
     responses = FrequencyResponses(frequency, response, POSITIONS, ("centre", "side"), coherence, 4)

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from modaltouch.protocol import Apparatus
 from modaltouch.rig.simulator.commands import afg_twin
-from modaltouch.rig.simulator.followed import FollowedSession
 from modaltouch.rig.simulator.instrument import Faults, SimulatedInstrument
 from modaltouch.rig.simulator.state import Behaviour
 from modaltouch.rig.simulator.timeline import Delays, Playback
@@ -29,6 +28,7 @@ from modaltouch.rig.simulator.vxi11 import Vxi11Server
 from modaltouch.system import SYSTEM_CLOCK, Clock, VirtualClock
 
 if TYPE_CHECKING:
+    from modaltouch.rig.simulator.followed import FollowedSession
     from modaltouch.rig.simulator.played import PlayedLog
     from modaltouch.rig.simulator.scope import SimulatedScope
     from modaltouch.rig.simulator.scpi import CommandTable
@@ -105,7 +105,11 @@ class Simulator:
         self.twin = Twin(apparatus, seed)
         self.touched: tuple[float, ...] = ()
         self._played: PlayedLog | None = None
-        self._followed = None if follow is None else FollowedSession(follow)
+        self._followed: FollowedSession | None = None
+        if follow is not None:
+            from modaltouch.rig.simulator.followed import FollowedSession
+
+            self._followed = FollowedSession(follow)
         if played is not None:
             from modaltouch.rig.simulator.played import PlayedLog
 

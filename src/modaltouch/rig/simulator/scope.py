@@ -49,7 +49,7 @@ class SimulatedScope(Scope):
         twin: Twin,
         playing: Callable[[], Sequence[Playback | None]],
         touched: Callable[[], Sequence[float]],
-        commanded: Callable[[], float | None],
+        commanded: Callable[[], float | None] = lambda: None,
     ) -> None:
         self._twin = twin
         self._playing = playing
