@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from modaltouch.stimulus.fingers import Finger
     from modaltouch.stimulus.measured_shapes import MeasuredShapes
     from modaltouch.stimulus.modes import ModalModel
+    from modaltouch.stimulus.probe import Probe
     from modaltouch.stimulus.quantisation import Converter
     from modaltouch.stimulus.reachability import Taper
     from modaltouch.stimulus.sample_count import cheapest_samples
@@ -43,6 +44,7 @@ else:
             "dynamics": "Amplifier DiagonalSystem",
             "measured_shapes": "MeasuredShapes",
             "modes": "ModalModel",
+            "probe": "Probe",
             "quantisation": "Converter",
             "reachability": "Taper",
             "sample_count": "cheapest_samples",
@@ -67,6 +69,7 @@ __all__ = [
     "Law",
     "MeasuredShapes",
     "ModalModel",
+    "Probe",
     "Release",
     "Stimulus",
     "Taper",

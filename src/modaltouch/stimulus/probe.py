@@ -1,0 +1,375 @@
+r"""What a probe says of a beam and of the fingers on it: natural frequencies, damping, gains, impedances, places.
+
+A probe is the velocity of one point per volt at single frequencies. With the impedance :math:`Z` of each finger,
+
+.. math:: H_c = e^{-s\tau}\,\varphi(x_0)^T Y G_c, \qquad
+   Y = \left[s + 2\xi\omega + \omega^2/s + \sum Z W / m_b\right]^{-1}, \qquad
+   dH_c = -e^{-s\tau}\,\varphi^T Y\, d(Y^{-1})\, Y G_c.
+
+It is fitted by least squares over the values of the beam and, of each finger, the logarithms of mass, damping and
+stiffness, and the place, all of them with wide priors. The values of the untouched beam, with their covariance, are the
+prior of the next fit, so that the covariance of what a drive does under the fingers holds all that is uncertain.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modaltouch.stimulus.fingers import Finger
+from modaltouch.stimulus.modes import ModalModel
+from modaltouch.stimulus.quantities import ComplexArray, FloatArray
+
+_BEAM_SPREAD = (0.005, 0.1, 0.1, 20.0)
+"""Prior standard deviations: natural frequency, damping ratio [1], gain [strongest of its mode], delay [us]."""
+
+_FINGER_SPREAD = (1.0, 1.0, 1.5, 2.5)
+"""Prior standard deviations: logarithms of mass, damping and stiffness, place [mm]."""
+
+_RELAXATION = (1e-5, 1e-4, 1e-3)
+"""Relaxation times of the Maxwell terms [s]."""
+
+_TERM_DAMPING, _TERM_SPREAD = 0.1, 2.5
+"""Prior of a Maxwell term: stiffness times relaxation time [N s/m], and the standard deviation of its logarithm."""
+
+_SHIFT = 3e-3
+"""By which fits begin beside the expected places, to either side, until one of them is good [m]."""
+
+_MODEL_ERROR = 1e-3
+"""What no beam is described better than, of each response [1]."""
+
+_STEP = 1e-3
+"""By which a parameter of a finger is moved for its derivative [its unit]."""
+
+_DELAYS = np.arange(0.0, 60e-6, 0.25e-6)
+"""Delays of the velocity that are tried [s]."""
+
+_MOST_EVALUATIONS = 40
+"""Of a fit that does not end; a good one takes five to fifteen."""
+
+_GOOD, _WORST = 2.0, 8.0
+"""Misfit up to which no other form of impedance is tried, and above which a probe is refused [1]."""
+
+_OUTLIER, _MOST_OUTLIERS = 4.0, 0.1
+"""Standard deviations from which a line is not of the listed modes (torsion), and the share of them allowed."""
+
+_WEAK = 0.1
+"""Median share of noise in the responses above which a probe is too weak [1]."""
+
+_MOVED = 3.0
+"""Variance between records, over that of their noise, above which something moved [1]."""
+
+_SHRUNK = 0.05
+"""Part of the standard deviations by which parameters are moved, to stay where all is linear [1]."""
+
+
+@dataclass(frozen=True, eq=False)
+class ProbedBeam:
+    """A beam as probes know it.
+
+    Attributes
+    ----------
+    model : ModalModel
+        The beam, with its fingers.
+    delay : float
+        Of the velocity against the drive, beyond the vibrometer's low-pass [s].
+    covariance : (n_parameters, n_parameters) array
+        Of natural frequencies and damping ratios (logarithms), gains (parts of the strongest of each mode), delay [us];
+        then of each finger mass, damping, stiffness (logarithms), place [mm] and Maxwell terms (logarithms).
+    misfit : float
+        Mean square of what the fit leaves, over that of the noise [1].
+    trusted : (n_lines,) array of bool
+        Lines of the probe that the listed modes explain.
+    """
+
+    model: ModalModel
+    delay: float
+    covariance: FloatArray
+    misfit: float
+    trusted: NDArray[np.bool_]
+
+    @property
+    def n_beam(self) -> int:
+        """Number of parameters of the untouched beam."""
+        return self.model.n_modes * (2 + self.model.n_channels) + 1
+
+    def spread(self, figures: Callable[[ModalModel], FloatArray]) -> FloatArray:
+        """Standard deviations of figures of the beam, by the covariance, (n_figures,) array.
+
+        Parameters
+        ----------
+        figures : callable
+            Returns them for a beam under fingers.
+        """
+        root, middle = np.linalg.cholesky(self.covariance) * _SHRUNK, figures(self.model)
+        slopes = np.array([figures(self.moved(column).model) - middle for column in root.T]) / _SHRUNK
+        return np.asarray(np.sqrt((slopes**2).sum(axis=0)))
+
+    def moved(self, step: FloatArray) -> ProbedBeam:
+        """The same with its parameters moved, in the units of the covariance."""
+        model, n = self.model, self.model.n_modes
+        ratio = np.exp(step[: 2 * n])
+        fingers, start = [], self.n_beam
+        for finger in model.fingers:
+            stop = start + 4 + len(finger.maxwell)
+            fingers.append(_moved(finger, step[start:stop], model.length))
+            start = stop
+        moved = replace(
+            model,
+            natural_frequency=model.natural_frequency * ratio[:n],
+            damping_ratio=np.minimum(model.damping_ratio * ratio[n:], 0.99),
+            modal_gain=model.modal_gain + step[2 * n : self.n_beam - 1].reshape(n, -1) * _strongest(model),
+            fingers=tuple(fingers),
+        )
+        return replace(self, model=moved, delay=self.delay + float(step[self.n_beam - 1]) * 1e-6)
+
+    def laid(self, fingers: Sequence[Finger]) -> ProbedBeam:
+        """The same untouched beam under fingers of which little is known."""
+        spreads = [[*_FINGER_SPREAD, *[_TERM_SPREAD] * len(finger.maxwell)] for finger in fingers]
+        n, sizes = self.n_beam, np.concatenate(spreads)
+        covariance = np.diag(np.append(np.zeros(n), sizes**2))
+        covariance[:n, :n] = self.covariance[:n, :n]
+        return replace(self, model=self.model.touched(tuple(fingers)), covariance=covariance)
+
+
+@dataclass(frozen=True, eq=False)
+class Probe:
+    """Velocity of a point of a beam per volt at single frequencies.
+
+    Attributes
+    ----------
+    position : float
+        Where it was measured, origin at mid-beam [m].
+    frequency : (n_lines,) array
+        [Hz].
+    channel : (n_lines,) array of int
+        Which drives at each frequency, from 0.
+    response : (n_lines,) complex array
+        Velocity per volt at the beam [m/s per V].
+    deviation : (n_lines,) array
+        Standard deviation of its real and of its imaginary part, by noise [m/s per V].
+    """
+
+    position: float
+    frequency: FloatArray
+    channel: NDArray[np.intp]
+    response: ComplexArray
+    deviation: FloatArray
+
+    @classmethod
+    def averaged(cls, probes: Sequence[Probe]) -> Probe:
+        """Mean of records of the same lines.
+
+        Raises
+        ------
+        ValueError
+            If they differ by more than their noise, as when a finger moves.
+        """
+        response = np.array([probe.response for probe in probes])
+        mean, n = response.mean(axis=0), len(probes)
+        scatter = float((np.abs(response - mean) ** 2 / probes[0].deviation ** 2).mean()) * n / (n - 1) / 2
+        if scatter > _MOVED:
+            raise ValueError(
+                f"the records of the probe differ by {scatter:.0f} times the variance of their noise, at most "
+                f"{_MOVED:g} is allowed: something moved; keep the fingers still, or off, and probe again"
+            )
+        return replace(probes[0], response=mean, deviation=probes[0].deviation / np.sqrt(n))
+
+    @staticmethod
+    def check_table(model: ModalModel) -> None:
+        """Refuse a table of modes that no probe of fingers can be judged by.
+
+        Raises
+        ------
+        ValueError
+            If it lacks modes.
+        """
+        lacking = sorted(set(range(1, max(model.label) + 1)) - set(model.label))
+        if lacking:
+            raise ValueError(
+                f"the table lacks modes {', '.join(map(str, lacking))}, which fingers couple to the others; allowed: "
+                "every mode up to the highest; run `modaltouch identify --modes all`, and name its apparatus file in "
+                "the protocol"
+            )
+
+    def untouched(self, model: ModalModel) -> ProbedBeam:
+        """The beam that nobody touches.
+
+        Parameters
+        ----------
+        model : ModalModel
+            The beam as identified, with all its modes.
+
+        Raises
+        ------
+        ValueError
+            If the table lacks modes, or the probe is too weak.
+        """
+        self.check_table(model)
+        noise = float(np.median(self.deviation / np.abs(self.response)))
+        if noise > _WEAK:
+            raise ValueError(
+                f"the probe is too weak: half of its responses hold more than {noise:.0%} of noise, allowed are "
+                f"{_WEAK:.0%}; probe at a higher speed, or look whether the vibrometer sees the beam"
+            )
+        start = _identified(model)
+        turned = self._responses(start)[0] * np.exp(-2j * np.pi * np.outer(_DELAYS, self.frequency))
+        missed = (np.abs((turned - self.response) / self.deviation) ** 2).sum(axis=1)
+        start = replace(start, delay=float(_DELAYS[missed.argmin()]), trusted=np.ones(self.frequency.size, dtype=bool))
+        found = self._fitted(start)
+        trusted = self._missed(found) <= _OUTLIER
+        if not trusted.all():
+            found = self._fitted(replace(start, trusted=trusted))
+        if found.misfit > _WORST or trusted.mean() < 1 - _MOST_OUTLIERS:
+            raise ValueError(
+                f"the modes of the table do not describe the untouched beam: misfit {found.misfit:.1f}, at most "
+                f"{_WORST:g} is allowed, and {1 - trusted.mean():.0%} of the frequencies are off; take all hands off; "
+                "if that does not help run `modaltouch identify --modes all`"
+            )
+        return found
+
+    def touched(self, free: ProbedBeam, fingers: Sequence[Finger]) -> ProbedBeam:
+        """The beam under fingers, and these.
+
+        Parameters
+        ----------
+        free : ProbedBeam
+            The same beam untouched, by a probe of the same lines.
+        fingers : sequence of Finger
+            Those that are expected.
+
+        Raises
+        ------
+        ValueError
+            If no finger is felt, or no impedance describes what is.
+        """
+        felt = float((self._missed(free)[free.trusted] ** 2).mean())
+        if felt <= _GOOD:
+            raise ValueError(
+                f"no finger is felt on the beam: it is the untouched one but for noise (misfit {felt:.1f}); lay the "
+                "fingers on, and probe again"
+            )
+        terms = tuple((_TERM_DAMPING / time, time) for time in _RELAXATION)
+        found = replace(free, misfit=np.inf)
+        for shift in [(0.0,) * len(fingers), *itertools.product((_SHIFT, -_SHIFT), repeat=len(fingers))]:
+            near = [replace(each, position=each.position + by) for each, by in zip(fingers, shift, strict=True)]
+            for start in (near, [replace(each, maxwell=terms) for each in near]):
+                if found.misfit > _GOOD:
+                    found = min(found, self._fitted(free.laid(start)), key=lambda each: each.misfit)
+        if found.misfit > _WORST:
+            raise ValueError(
+                f"no mass, damper and springs describe the fingers: misfit {found.misfit:.1f}, at most {_WORST:g} is "
+                "allowed; see that each finger lies on its zone and nothing else touches the beam, and probe again"
+            )
+        return found
+
+    def _missed(self, beam: ProbedBeam) -> FloatArray:
+        """What a beam misses of each response, over its uncertainty, (n_lines,) array [1]."""
+        missed = np.abs(self._responses(beam)[0] - self.response) / self._uncertainty
+        return np.asarray(missed / np.sqrt(2))
+
+    @property
+    def _uncertainty(self) -> FloatArray:
+        return np.hypot(self.deviation, _MODEL_ERROR * np.abs(self.response))
+
+    def _fitted(self, prior: ProbedBeam) -> ProbedBeam:
+        """The beam that the probe says, fingers and all, from what was known before."""
+        from scipy.optimize import least_squares
+
+        deviation = np.where(prior.trusted, self._uncertainty, np.inf)
+        whitened = np.linalg.inv(np.linalg.cholesky(prior.covariance))
+        known: dict[bytes, tuple[FloatArray, FloatArray]] = {}
+
+        def at(step: FloatArray) -> tuple[FloatArray, FloatArray]:
+            key = step.tobytes()
+            if key not in known:
+                response, slope = self._responses(prior.moved(step))
+                rest, slope = (response - self.response) / deviation, slope / deviation[:, None]
+                known.clear()
+                known[key] = (
+                    np.concatenate([rest.real, rest.imag, whitened @ step]),
+                    np.concatenate([slope.real, slope.imag, whitened]),
+                )
+            return known[key]
+
+        begin = np.zeros(len(whitened))
+        found = least_squares(
+            lambda step: at(step)[0], begin, lambda step: at(step)[1], method="lm", max_nfev=_MOST_EVALUATIONS
+        )
+        rest, slope = at(found.x)
+        misfit = float((rest[: -begin.size] ** 2).sum()) / (2 * int(prior.trusted.sum()))
+        covariance: FloatArray = np.linalg.inv(slope.T @ slope).astype(float) * max(misfit, 1.0)
+        return replace(prior.moved(found.x), covariance=covariance, misfit=misfit)
+
+    def _responses(self, beam: ProbedBeam) -> tuple[ComplexArray, ComplexArray]:
+        """Responses of a beam, (n_lines,) array, and their derivatives, (n_lines, n_parameters) array."""
+        model, n, rows = beam.model, beam.model.n_modes, np.arange(self.frequency.size)
+        s: ComplexArray = (2j * np.pi * self.frequency[:, None]).astype(complex)
+        omega, xi = model.angular_frequency, model.damping_ratio
+        inverse = np.zeros((rows.size, n, n), dtype=complex)
+        inverse[:, np.arange(n), np.arange(n)] = s + 2 * xi * omega + omega**2 / s
+        for contact, finger in model.loads:
+            inverse += finger.impedance(s)[:, :, None] * contact
+        gain = model.modal_gain.T[self.channel]
+        sides = np.stack([np.broadcast_to(model.shapes([self.position])[:, 0], gain.shape), gain], axis=2)
+        left, right = np.moveaxis(np.linalg.solve(inverse, sides), 2, 0)
+        left = left * np.exp(-s * beam.delay)
+        response, through = (left * gain).sum(axis=1), -left * right
+        gains = np.zeros((rows.size, n, model.n_channels), dtype=complex)
+        gains[rows, :, self.channel] = left * _strongest(model)[:, 0]
+        slopes = [
+            through * (2 * xi * omega + 2 * omega**2 / s),
+            through * (2 * xi * omega),
+            gains.reshape(rows.size, -1),
+            -1e-6 * s * response[:, None],
+        ]
+        for finger in model.fingers:
+            slopes += _slopes(model, finger, s, left, right)
+        return response, np.concatenate(slopes, axis=1)
+
+
+def _slopes(
+    model: ModalModel, finger: Finger, s: ComplexArray, left: ComplexArray, right: ComplexArray
+) -> Iterator[ComplexArray]:
+    """Derivatives by each parameter of a finger, each an (n_lines, 1) array."""
+    n = 4 + len(finger.maxwell)
+    contact = model.touched((finger,)).loads[0][0]
+    by_impedance = -((left @ contact) * right).sum(axis=1)[:, None]
+    for number in range(n):
+        low, high = (_moved(finger, side * _STEP * np.eye(n)[number], model.length) for side in (-1, 1))
+        if number == 3:
+            ends = [model.touched((each,)).loads[0][0] for each in (low, high)]
+            turned = -((left @ (ends[1] - ends[0])) * right).sum(axis=1)[:, None]
+            yield turned * finger.impedance(s) / (2 * _STEP)
+        else:
+            yield by_impedance * (high.impedance(s) - low.impedance(s)) / (2 * _STEP)
+
+
+def _moved(finger: Finger, step: FloatArray, length: float) -> Finger:
+    """A finger with its parameters moved, in the units of the covariance."""
+    ratio = np.exp(np.clip(step, -20, 20)).tolist()
+    return replace(
+        finger,
+        position=float(np.clip(finger.position + step[3] * 1e-3, -length / 2, length / 2)),
+        mass=finger.mass * ratio[0],
+        damping=finger.damping * ratio[1],
+        stiffness=finger.stiffness * ratio[2],
+        maxwell=tuple((spring * r, time) for (spring, time), r in zip(finger.maxwell, ratio[4:], strict=True)),
+    )
+
+
+def _identified(model: ModalModel) -> ProbedBeam:
+    """The untouched beam of a table, before any probe."""
+    n = model.n_modes
+    sizes = np.repeat(_BEAM_SPREAD, [n, n, n * model.n_channels, 1])
+    return ProbedBeam(model.touched(()), 0.0, np.diag(sizes**2), np.inf, np.ones(0, dtype=bool))
+
+
+def _strongest(model: ModalModel) -> FloatArray:
+    """Largest gain of each mode, (n_modes, 1) array; of one that nothing drives, the median of the others."""
+    size = np.abs(model.modal_gain).max(axis=1, keepdims=True)
+    return np.asarray(np.where(size > 0, size, np.median(size[size > 0])))

@@ -1,0 +1,173 @@
+"""Probes of a beam under fingers whose values are known, fitted and refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from modaltouch.stimulus.fingers import Finger
+from modaltouch.stimulus.modes import ModalModel
+from modaltouch.stimulus.probe import Probe, ProbedBeam
+
+FREQUENCY = np.repeat(np.geomspace(60.0, 15e3, 90), 2) * np.tile([1.0, 1.01], 90)
+CHANNEL = np.tile([0, 1], 90)
+LASER = 0.049
+EXPECTED = (Finger(-0.04, 8e-5, 0.5, 500.0), Finger(0.0, 8e-5, 0.5, 500.0))
+TRUE = (Finger(-0.0415, 1.5e-4, 0.9, 900.0), Finger(0.001, 1.1e-4, 0.7, 700.0))
+
+
+@pytest.fixture(scope="module")
+def table():
+    """Six modes, even ones too, each driven by both outputs."""
+    gain = np.array([[0.11, 0.01], [0.02, -0.05], [0.65, 0.06], [0.2, 0.5], [0.6, 6.5], [0.4, -1.2]])
+    frequency, ratio = np.array([229.0, 310, 2553, 4550, 7137, 9800]), np.array([0.044, 0.04, 0.017, 0.02, 0.026, 0.02])
+    return ModalModel((1, 2, 3, 4, 5, 6), frequency, ratio, gain, 0.1, mass=3.3e-3)
+
+
+@pytest.fixture(scope="module")
+def beam(table):
+    """The same with values off by 0.1 % in frequency, 2 % in damping and gain."""
+    off = np.exp(np.random.default_rng(3).standard_normal((4, 6)) * np.array([[1e-3], [0.02], [0.02], [0.02]]))
+    return replace(
+        table,
+        natural_frequency=table.natural_frequency * off[0],
+        damping_ratio=table.damping_ratio * off[1],
+        modal_gain=table.modal_gain * off[2:].T,
+    )
+
+
+def responses(model, delay=0.0):
+    """Velocity per volt, each line by the solution of the coupled modes' equations."""
+    s, omega = 2j * np.pi * FREQUENCY, model.angular_frequency
+    rows = []
+    for each, channel in zip(s, CHANNEL, strict=True):
+        stiff = np.diag(each + 2 * model.damping_ratio * omega + omega**2 / each)
+        for finger in model.fingers:
+            contact = finger.contact(model.shapes, model.length) / model.mass
+            stiff = stiff + complex(finger.impedance(np.array(each))) * contact
+        motion = np.linalg.solve(stiff, model.modal_gain[:, channel])
+        rows.append(model.shapes([LASER])[:, 0] @ motion * np.exp(-each * delay))
+    return np.array(rows)
+
+
+def measured(model, seed=0, noise=0.003):
+    """A probe of a beam, with noise, behind a vibrometer that is 4 us late."""
+    exact = responses(model, 4e-6)
+    deviation = noise * np.sqrt(np.abs(exact) * np.abs(exact).mean())
+    rng = np.random.default_rng(seed)
+    drawn = rng.standard_normal(exact.size) + 1j * rng.standard_normal(exact.size)
+    return Probe(LASER, FREQUENCY, CHANNEL, exact + deviation * drawn, deviation)
+
+
+@pytest.fixture(scope="module")
+def free(table, beam):
+    """The untouched beam, by a probe."""
+    return measured(beam).untouched(table)
+
+
+@pytest.fixture(scope="module")
+def found(beam, free):
+    """The beam under fingers, by a probe."""
+    return measured(beam.touched(TRUE), seed=1).touched(free, EXPECTED)
+
+
+def test_the_untouched_beam_is_found(beam, free):
+    """Natural frequencies, damping, gains and the delay, within four standard deviations each."""
+    steps = np.concatenate(
+        [
+            np.log(beam.natural_frequency / free.model.natural_frequency),
+            np.log(beam.damping_ratio / free.model.damping_ratio),
+            ((beam.modal_gain - free.model.modal_gain) / np.abs(beam.modal_gain).max(axis=1, keepdims=True)).ravel(),
+            [(4e-6 - free.delay) * 1e6],
+        ]
+    )
+    assert np.all(np.abs(steps) < 4 * np.sqrt(np.diag(free.covariance)))
+    assert free.trusted.all()
+    assert 0.5 < free.misfit < 1.5
+
+
+def test_fingers_are_found_where_they_lie(found):
+    """Mass, damping, stiffness and place of each, by the covariance that goes with them."""
+    deviation = np.sqrt(np.diag(found.covariance))[found.n_beam :].reshape(2, 4)
+    for finger, true, spread in zip(found.model.fingers, TRUE, deviation, strict=True):
+        off = [np.log(getattr(finger, name) / getattr(true, name)) for name in ("mass", "damping", "stiffness")]
+        assert np.all(np.abs([*off, (finger.position - true.position) * 1e3]) < 4 * spread)
+    assert deviation[:, 0].max() < 0.05
+    assert 0.5 < found.misfit < 1.5
+
+
+def test_spread_of_a_figure_is_that_of_its_parameter(found):
+    """Of figures that are one parameter each, their standard deviations."""
+    spread = found.spread(lambda model: np.log([finger.mass for finger in model.fingers]))
+    known = np.sqrt(np.diag(found.covariance))[[found.n_beam, found.n_beam + 4]]
+    assert spread == pytest.approx(known, rel=1e-3)
+
+
+def test_slopes_are_differences_of_responses(beam):
+    """Every derivative, a Maxwell term's too, against central differences of responses."""
+    relaxing = replace(TRUE[0], maxwell=((2000.0, 1e-4),))
+    n = 6 * 4 + 1 + 5 + 4
+    known = ProbedBeam(beam.touched((relaxing, TRUE[1])), 4e-6, np.eye(n), 1.0, np.ones(180, dtype=bool))
+    probe = measured(beam)
+    _, slopes = probe._responses(known)
+    for number in range(n):
+        low, high = (probe._responses(known.moved(side * 1e-5 * np.eye(n)[number]))[0] for side in (-1, 1))
+        size = np.abs(slopes[:, number]).max()
+        assert slopes[:, number] == pytest.approx((high - low) / 2e-5, abs=2e-4 * size), number
+
+
+def test_fingers_that_relax_get_springs_behind_dampers(beam, free):
+    """A mass with two Maxwell terms: no mass, damper and spring describes it, and the responses of the fit do."""
+    relaxing = tuple(replace(each, damping=0.05, maxwell=((3000.0, 2e-4), (20e3, 2e-5))) for each in TRUE)
+    under = measured(beam.touched(relaxing), seed=2).touched(free, EXPECTED)
+    assert all(len(finger.maxwell) == 3 for finger in under.model.fingers)
+    assert under.misfit < 2
+    exact = responses(beam.touched(relaxing))
+    assert np.median(np.abs(responses(under.model) / exact - 1)) < 1e-2
+
+
+def test_table_without_even_modes_is_refused(table):
+    """Fingers couple even modes to the others: what lacks in the table would be taken for the fingers."""
+    odd = replace(
+        table,
+        label=table.label[::2],
+        natural_frequency=table.natural_frequency[::2],
+        damping_ratio=table.damping_ratio[::2],
+        modal_gain=table.modal_gain[::2],
+    )
+    with pytest.raises(ValueError, match=r"the table lacks modes 2, 4, which .* run `modaltouch identify --modes all`"):
+        measured(table).untouched(odd)
+
+
+def test_beam_that_is_none_of_the_table_is_refused(table, beam):
+    """Hands that were not taken off, or another beam."""
+    with pytest.raises(ValueError, match=r"do not describe the untouched beam: misfit [\d.]+, .*; take all hands off"):
+        measured(beam.touched(TRUE)).untouched(table)
+
+
+def test_weak_probe_is_refused(table, beam):
+    """Half of the responses in their noise."""
+    with pytest.raises(ValueError, match=r"too weak: half of its responses hold more than \d+% of noise"):
+        measured(beam, noise=1.0).untouched(table)
+
+
+def test_no_finger_is_said(beam, free):
+    """The same beam once more."""
+    with pytest.raises(ValueError, match=r"no finger is felt .* lay the fingers on, and probe again"):
+        measured(beam, seed=4).touched(free, EXPECTED)
+
+
+def test_finger_that_moves_is_said(beam):
+    """Two records with a millimetre between them; those of a finger that lies still are averaged."""
+    still = [measured(beam.touched(TRUE), seed) for seed in (5, 6)]
+    assert Probe.averaged(still).deviation == pytest.approx(still[0].deviation / np.sqrt(2))
+    moved = replace(TRUE[0], position=TRUE[0].position + 1e-3)
+    with pytest.raises(ValueError, match=r"differ by \d+ times the variance of their noise, .*: something moved"):
+        Probe.averaged([still[0], measured(beam.touched((moved, TRUE[1])), 7)])
+
+
+def test_what_is_no_finger_is_refused(beam, free):
+    """A third contact that nobody expects."""
+    third = Finger(0.03, 2e-3, 9.0, 9000.0)
+    with pytest.raises(ValueError, match=r"no mass, damper and springs describe the fingers: misfit [\d.]+"):
+        measured(beam.touched((*TRUE, third)), seed=8).touched(free, EXPECTED)
