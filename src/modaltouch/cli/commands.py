@@ -23,6 +23,7 @@ MODULES = {
     "power": "power",
     "fit": "fit",
     "identify": "identify",
+    "fingers": "fingers",
     "validate": "validate",
     "compare": "compare",
     "verify": "records",

@@ -49,7 +49,7 @@ def bars() -> Iterator[MeasurementProgress]:
         """Ask once for a place, however many records follow each other there."""
         if aimed != [position]:
             with _aside(shown):
-                _ask_to_aim(position)
+                ask_for(f"Aim the vibrometer at {position * 1e3:+.2f} mm from mid-beam")
             aimed[:] = [position]
 
     try:
@@ -72,13 +72,13 @@ def _aside(bars: Progress) -> Iterator[None]:
         bars.start()
 
 
-def _ask_to_aim(position: float) -> None:
-    """Ask for the vibrometer's spot to be brought to a position [m from mid-beam], and wait until it is there."""
-    typer.echo(f"Aim the vibrometer at {position * 1e3:+.2f} mm from mid-beam, then press Enter.", err=True)
+def ask_for(words: str) -> None:
+    """Ask for something to be done at the beam, and wait until it is."""
+    typer.echo(f"{words}, then press Enter.", err=True)
     try:
         input()
     except EOFError:
         raise typer.BadParameter(
-            "nobody is there to aim the vibrometer (standard input is closed); allowed: a terminal; start the "
-            "command from one"
+            "nobody is there to aim the vibrometer or to lay fingers on (standard input is closed); allowed: a "
+            "terminal; start the command from one"
         ) from None

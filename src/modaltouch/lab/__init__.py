@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from modaltouch.lab.comparison.command import CompareOptions, compare
     from modaltouch.lab.identification.command import IdentifyOptions, identify
     from modaltouch.lab.laboratory import MeasurementProgress, TooFewPointsError
+    from modaltouch.lab.probe.command import ProbeOptions, probe_fingers
     from modaltouch.lab.validation.command import ValidateOptions, validate
 else:
     __getattr__ = lazily(
@@ -25,6 +26,7 @@ else:
             "comparison.command": "CompareOptions compare",
             "identification.command": "IdentifyOptions identify",
             "laboratory": "MeasurementProgress TooFewPointsError",
+            "probe.command": "ProbeOptions probe_fingers",
             "validation.command": "ValidateOptions validate",
         },
     )
@@ -34,10 +36,12 @@ __all__ = [
     "CompareOptions",
     "IdentifyOptions",
     "MeasurementProgress",
+    "ProbeOptions",
     "TooFewPointsError",
     "ValidateOptions",
     "calibrate",
     "compare",
     "identify",
+    "probe_fingers",
     "validate",
 ]

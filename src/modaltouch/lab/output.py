@@ -15,3 +15,18 @@ def rounded(value: Any, digits: int) -> Any:
     if isinstance(value, list):
         return [rounded(each, digits) for each in value]
     return round(value, digits) if isinstance(value, float) else value
+
+
+def yaml_text(values: dict[str, Any]) -> str:
+    """Plain values as YAML, their innermost lists and mappings on one line."""
+    import io
+
+    from ruamel.yaml import YAML
+
+    yaml = YAML()
+    yaml.default_flow_style = None
+    yaml.width = 200
+    yaml.allow_unicode = True
+    stream = io.StringIO()
+    yaml.dump(values, stream)
+    return stream.getvalue()

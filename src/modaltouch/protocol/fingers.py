@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from pydantic import Discriminator, Field, Tag
 
+from modaltouch.protocol.identified import Interval
 from modaltouch.protocol.problems import InputError
 from modaltouch.protocol.reading import read
-from modaltouch.protocol.section import NotNegative, Positive, Section, Text, described
+from modaltouch.protocol.section import NotNegative, Number, Positive, Section, Text, described
 from modaltouch.protocol.source import Source
 
 if TYPE_CHECKING:
@@ -37,18 +38,42 @@ class FingerSection(Section):
         "Springs behind dampers, beside the rest.", default=()
     )
 
-    def at(self, position: float) -> Finger:
-        """The finger at a place of the beam [m], SI units."""
+    offset_mm: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-10, le=10)] = described(
+        "From the centre of the zone on which it lies, to the right [mm].", default=0.0
+    )
+
+    @classmethod
+    def of(cls, finger: Finger, centre: float) -> FingerSection:
+        """The finger on a zone with its centre at a place of the beam [m], to five digits."""
+        values = {
+            "mass_g": finger.mass * 1e3,
+            "damping_N_s_per_m": finger.damping,
+            "stiffness_N_per_mm": finger.stiffness * 1e-3,
+            "contact_width_mm": finger.width * 1e3,
+            "offset_mm": (finger.position - centre) * 1e3,
+        }
+        terms = [
+            {"stiffness_N_per_mm": _short(stiffness * 1e-3), "relaxation_ms": _short(time * 1e3)}
+            for stiffness, time in finger.maxwell
+        ]
+        return cls.model_validate({**{key: _short(value) for key, value in values.items()}, "maxwell": terms})
+
+    def at(self, centre: float) -> Finger:
+        """The finger on a zone with its centre at a place of the beam [m], SI units."""
         from modaltouch.stimulus import Finger
 
         return Finger(
-            position,
+            centre + self.offset_mm * 1e-3,
             mass=self.mass_g * 1e-3,
             damping=self.damping_N_s_per_m,
             stiffness=self.stiffness_N_per_mm * 1e3,
             width=self.contact_width_mm * 1e-3,
             maxwell=tuple((each.stiffness_N_per_mm * 1e3, each.relaxation_ms * 1e-3) for each in self.maxwell),
         )
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.5g}")
 
 
 class HandSection(Section):
@@ -88,6 +113,20 @@ class FingerSpread(Section):
         return typical.model_copy(update=values)
 
 
+class FingerProbe(Section):
+    """A probe that fingers were measured by."""
+
+    placement: Text = described("Zones from left to right, and the fingers on them.")
+    date: Text = described("When it was taken.")
+    mode: Text = described("simulated or real.")
+    misfit: NotNegative = described("Mean square of what the fit leaves over that of the noise [1].")
+    level_percent: Interval = described("95 % interval of the level at the focus, of the level asked [%].")
+    covariance: Annotated[tuple[tuple[Number, ...], ...], Field(max_length=100)] = described(
+        "Of logarithms of mass, damping and stiffness, of the offset [mm] and of logarithms of the stiffnesses in "
+        "`maxwell`, finger after finger."
+    )
+
+
 class FingersFile(Section):
     """Fingertips on the beam."""
 
@@ -97,6 +136,9 @@ class FingersFile(Section):
         Annotated[FingerSection, Tag("all")] | Annotated[HandsSection, Tag("hands")], Discriminator(_kind_of_fingers)
     ] = described("One for all fingers, or each by hand and finger.")
     spread: FingerSpread = described("How much they differ between people.", default=FingerSpread())
+    probes: Annotated[tuple[FingerProbe, ...], Field(max_length=100)] = described(
+        "The probes that they were measured by, as `modaltouch fingers probe` wrote them.", default=()
+    )
 
     def of(self, name: str) -> FingerSection | None:
         """The fingertip of a name such as ``left index``; None where the file has none of it."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.fingers import FingerSection, FingersFile
@@ -46,7 +46,7 @@ class Placements:
             left, right = reversed(pair) if place.startswith("mirrored") else pair
             each = Condition(condition, left, right, velocity_mm_s=0.0, placement=place)
             placed[self.name(each)] = tuple(
-                section.at(self.apparatus.zones[zone].centre_mm * 1e-3)
+                section.at(self._centre(zone))
                 for zone, finger in self._laid(each)
                 if (section := self.file.of(finger)) is not None
             )
@@ -70,6 +70,33 @@ class Placements:
         """Fingertip of a person; of a file that has each by itself, as its index finger. None where that lacks."""
         usual = self.file.of(f"{self.protocol.conditions.hand} index")
         return None if usual is None else self.file.spread.drawn(usual, rng)
+
+    def expected(self, finger_condition: str, left: str, right: str) -> dict[str, tuple[str, Finger]]:
+        """Zone and values of each finger of a finger condition, by its name, from the left end of the beam."""
+        laid = self._laid(Condition(finger_condition, left, right, velocity_mm_s=0.0))
+        found = [(name, zone, self.file.of(name)) for zone, name in laid]
+        return {name: (zone, each.at(self._centre(zone))) for name, zone, each in found if each is not None}
+
+    def probed(self, fingers: dict[str, tuple[str, Finger]], probes: list[dict[str, Any]]) -> FingersFile:
+        """A file of fingers as measured.
+
+        Parameters
+        ----------
+        fingers : dict of str to (str, Finger)
+            Zone and values of each, by its name.
+        probes : list of dict
+            Values of each `FingerProbe`.
+        """
+        hands: dict[str, dict[str, Any]] = {}
+        for name, (zone, finger) in fingers.items():
+            hand, which = name.split()
+            section = FingerSection.of(finger, self._centre(zone))
+            hands.setdefault(hand, {})[which] = section.model_dump(mode="json", exclude_defaults=True)
+        about = {"description": f"Measured by `modaltouch fingers probe` for {self.protocol.protocol}"}
+        return FingersFile.model_validate({**about, "fingers": hands, "probes": probes})
+
+    def _centre(self, zone: str) -> float:
+        return self.apparatus.zones[zone].centre_mm * 1e-3
 
     def _laid(self, condition: Condition) -> list[tuple[str, str]]:
         """Return zones and fingers on them, from the left end of the beam."""

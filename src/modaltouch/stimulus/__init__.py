@@ -3,7 +3,8 @@
 In go the modes of a beam (`ModalModel`), a velocity field at an instant (`TargetField`), the clock (`Timing`) and the
 `Amplifier`. `design_stimulus` returns a `Stimulus`: voltages, codes and amplitudes (`Burst`), and what they do to the
 beam at every level. `focus_sensitivity`, `scatter` and `cheapest_samples` tell how well the beam must be identified and
-how few samples will do. `DiagonalSystem` and `BlockKernel` carry any voltages forward, for the simulated rig.
+how few samples will do. `DiagonalSystem` and `BlockKernel` carry any voltages forward, for the simulated rig. A `Probe`
+tells the beam from measured responses, fingers and all.
 """
 
 from __future__ import annotations

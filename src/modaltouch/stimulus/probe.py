@@ -51,7 +51,7 @@ _DELAYS = np.arange(0.0, 60e-6, 0.25e-6)
 _MOST_EVALUATIONS = 40
 """Of a fit that does not end; a good one takes five to fifteen."""
 
-_GOOD, _WORST = 2.0, 8.0
+_GOOD, _WORST = 3.0, 10.0
 """Misfit up to which no other form of impedance is tried, and above which a probe is refused [1]."""
 
 _OUTLIER, _MOST_OUTLIERS = 4.0, 0.1

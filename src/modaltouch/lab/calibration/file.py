@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -13,6 +12,7 @@ import numpy as np
 
 from modaltouch.lab.arrays import FloatArray
 from modaltouch.lab.calibration.plant import INTERVAL, ModalState, Plant
+from modaltouch.lab.output import yaml_text
 from modaltouch.preflight import DesignInputs
 from modaltouch.protocol import Apparatus, Calibration
 from modaltouch.record import prepare_file, replace_file
@@ -329,15 +329,7 @@ def _modes(outcome: CalibrationResult) -> list[dict[str, Any]]:
 
 def calibration_text(calibration: Calibration) -> str:
     """Return the text of a calibration file."""
-    from ruamel.yaml import YAML
-
-    yaml = YAML()
-    yaml.default_flow_style = None
-    yaml.width = 200
-    yaml.allow_unicode = True
-    stream = io.StringIO()
-    yaml.dump(calibration.model_dump(mode="json"), stream)
-    return HEAD + stream.getvalue()
+    return HEAD + yaml_text(calibration.model_dump(mode="json"))
 
 
 def write_calibration(path: Path, calibration: Calibration) -> None:

@@ -1,0 +1,225 @@
+"""What a probe plays and records: sines of both outputs at once, each at its own frequencies, and their responses.
+
+Half the frequencies are spread evenly over the logarithm, the others lie about the resonances. The outputs take them in
+turn, so that one record tells both apart, and the noise is what is found between them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modaltouch.lab.arrays import ComplexArray, FloatArray
+from modaltouch.lab.identification.excitation import OVERSAMPLING, RATE
+from modaltouch.lab.laboratory import Laboratory
+from modaltouch.protocol import Apparatus
+from modaltouch.rig import Acquisition, Recording, RigError, instrument_of
+from modaltouch.stimulus import Burst, DiagonalSystem, Finger, ModalModel, Probe
+
+N_SAMPLES = 65_536
+"""Samples of a period, held at `RATE`: 0.131 s."""
+
+SPACING = RATE / N_SAMPLES
+"""Distance of two bins [Hz]."""
+
+LOWEST, HIGHEST, N_SPREAD = 60.0, 100e3, 60
+"""Where the frequencies that are spread evenly begin and end [Hz], and how many they are."""
+
+NEAR = (0.96, 0.98, 0.99, 1.0, 1.01, 1.02, 1.04)
+"""Where they lie about a resonance, over its frequency [1]."""
+
+FURTHEST = 115e3
+"""Highest frequency of all [Hz]."""
+
+N_RECORDS = 2
+"""Periods that are recorded one by one: a finger that moves makes them differ."""
+
+GAP = 4
+"""Bins between two frequencies: so far the windowed records of an unlike clock keep them apart."""
+
+EVEN = 0.75
+"""Power of the response by which its drive is lowered: 1 moves the beam alike at all frequencies [1]."""
+
+SMOOTH = 5
+"""Degree of the polynomials of frequency by which amplifier and delay turn the commanded drive [1]."""
+
+N_SILENT = 25
+"""Neighbouring bins that nothing plays, of whose powers the median tells the noise [1]."""
+
+ROOM = 0.8
+"""Part of the amplifier's limit that a probe may use [1]."""
+
+HEADROOM = 1.5
+"""Range of scope and vibrometer over what is predicted [1]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Excitation:
+    """The sines of a probe.
+
+    Attributes
+    ----------
+    burst : Burst
+        One period, as the generator plays it.
+    bins : (n_lines,) array of int
+        Frequencies, over that of the period, increasing.
+    channel : (n_lines,) array of int
+        Output that plays each, from 0.
+    voltage : float
+        Highest voltage at the beam [V].
+    """
+
+    burst: Burst
+    bins: NDArray[np.intp]
+    channel: NDArray[np.intp]
+    voltage: float
+
+    @classmethod
+    def of(
+        cls, apparatus: Apparatus, model: ModalModel, fingers: Sequence[Finger], laser: float, speed: float
+    ) -> Excitation:
+        """Sines that move the beam at no more than a speed, with and without fingers.
+
+        Parameters
+        ----------
+        apparatus : Apparatus
+            Amplifier and generator.
+        model : ModalModel
+            The beam, known roughly.
+        fingers : sequence of Finger
+            Those that are expected.
+        laser : float
+            Where the vibrometer aims [m].
+        speed : float
+            Highest at the fingers and at the laser [m/s].
+        """
+        bins, channel = _lines(model)
+        places = [laser, *(finger.position for finger in fingers)]
+        free, touched = (_responses(each, places, bins) for each in (model.touched(()), model.touched(tuple(fingers))))
+        # Where the beam moves much it is driven less: all frequencies come out of the noise.
+        size = np.abs(free[0][channel, np.arange(bins.size)]) ** -EVEN
+        line = size * np.exp(1j * np.pi * np.arange(bins.size) ** 2 / bins.size)
+        own = np.where(channel == np.arange(model.n_channels)[:, None], line, 0)
+        moved = np.array(
+            [[_wave(each, line, bins) for each, line in zip(place, own, strict=True)] for place in (*free, *touched)]
+        )
+        # Each output moves the beam as much as the other.
+        share = 1 / np.abs(moved).max(axis=(0, 2))
+        voltage = np.stack([_wave(1.0, row, bins) for row in own]) * share[:, None]
+        # A generator begins and ends at zero: a period begins where that costs the least.
+        quietest = int((np.abs(voltage) + np.abs(np.roll(voltage, 1, axis=1))).max(axis=0).argmin())
+        voltage = np.roll(voltage, -quietest, axis=1)
+        highest = float(np.abs(np.tensordot(share, moved, (0, 1))).max())
+        limit = ROOM * apparatus.amplifier.limit_V
+        voltage *= np.minimum(speed / highest, limit / np.abs(voltage).max(axis=1))[:, None]
+        return cls(_burst(apparatus, voltage, speed), bins, channel, float(np.abs(voltage).max()))
+
+    def probe(self, laboratory: Laboratory, laser: float, speed: float, bandwidth: float | None) -> list[Probe]:
+        """Responses of a point of the beam, each period by itself; the burst is loaded.
+
+        Parameters
+        ----------
+        laboratory : Laboratory
+            Opened with ``repetition="continuous"``.
+        laser : float
+            Where the vibrometer aims [m].
+        speed : float
+            Highest that is to be expected there [m/s].
+        bandwidth : float or None
+            Corner of the vibrometer's low-pass [Hz].
+
+        Raises
+        ------
+        RigError
+            If the rig fails, or something was overloaded in its widest range.
+        """
+        rate = OVERSAMPLING * RATE
+        asked = Acquisition(
+            sampling_rate=rate,
+            n_samples=int(OVERSAMPLING * N_SAMPLES),
+            n_records=N_RECORDS,
+            drives=tuple(range(1, len(self.burst.codes) + 1)),
+            velocity_range=min(HEADROOM * speed, laboratory.apparatus.acquisition.range_mm_s * 1e-3),
+            drive_range=HEADROOM * self.voltage,
+        )
+        recording = laboratory.record(laser, self.burst.velocity, asked)
+        if recording.overloaded:
+            raise RigError(
+                f"{', '.join(recording.overloaded)} is overloaded; the outputs are off; choose a wider range at the "
+                "vibrometer, and say so in the apparatus file, or lower --speed-mm-s"
+            )
+        return [self._response(recording, number, bandwidth) for number in range(N_RECORDS)]
+
+    def _response(self, recording: Recording, number: int, bandwidth: float | None) -> Probe:
+        from scipy.fft import rfft
+
+        n = recording.time.size
+        window = 1 - np.cos(2 * np.pi * (np.arange(n) + 0.5) / n)
+        velocity, *drive = rfft(np.stack([recording.velocity[number], *recording.drive[number]]) * window)
+        frequency = self.bins * recording.sampling_rate / n
+        own = self._drive(np.stack(drive)[self.channel, self.bins])
+        low_pass = 1.0 if bandwidth is None else 1 + 1j * frequency / bandwidth
+        deviation = self._noise(velocity) * np.abs(low_pass / own) / np.sqrt(2)
+        return Probe(recording.position, frequency, self.channel, velocity[self.bins] / own * low_pass, deviation)
+
+    def _drive(self, measured: ComplexArray) -> ComplexArray:
+        """The measured drive at each frequency, without its noise: the commanded one times a smooth course."""
+        commanded = np.fft.rfft(self.burst.converter.signed(self.burst.codes))[self.channel, self.bins]
+        smooth = np.empty_like(measured)
+        for channel in range(len(self.burst.codes)):
+            row = self.channel == channel
+            course = np.polynomial.chebyshev.chebvander(2 * self.bins[row] / self.bins[-1] - 1, SMOOTH)
+            part = course * commanded[row, None]
+            smooth[row] = part @ np.linalg.lstsq(part, measured[row], rcond=None)[0]
+        return smooth
+
+    def _noise(self, spectrum: ComplexArray) -> FloatArray:
+        """Root mean square of the noise at each frequency, from the bins that nothing plays, (n_lines,) array."""
+        near = self.bins[:, None] + np.arange(1 - GAP, GAP)
+        silent = np.setdiff1d(np.arange(GAP, int(self.bins[-1]) + 2 * N_SILENT), near)
+        silent = silent[: silent.size // N_SILENT * N_SILENT]
+        power = np.median(np.abs(spectrum[silent]).reshape(-1, N_SILENT) ** 2, axis=1) / np.log(2)
+        return np.asarray(np.sqrt(np.interp(self.bins, silent.reshape(-1, N_SILENT).mean(axis=1), power)))
+
+
+def _lines(model: ModalModel) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Bins that are played, increasing, and which output plays each."""
+    near = np.outer(model.natural_frequency, NEAR).ravel()
+    wanted = np.concatenate([np.geomspace(LOWEST, HIGHEST, N_SPREAD), near[(near > LOWEST) & (near < FURTHEST)]])
+    n = model.n_channels
+    first = np.unique(np.round(wanted / (SPACING * GAP * n)).astype(np.intp)) * GAP * n
+    return (first[:, None] + GAP * np.arange(n)).ravel(), np.tile(np.arange(n), first.size)
+
+
+def _responses(model: ModalModel, places: Sequence[float], bins: NDArray[np.intp]) -> ComplexArray:
+    """Velocity per volt, (n_places, n_channels, n_lines) array."""
+    system, s = DiagonalSystem.of(model), 2j * np.pi * SPACING * bins
+    read = model.shapes(places).T @ system.velocity
+    parts = [
+        np.einsum("pk,kc,lk->pcl", r, b, 1 / (s[:, None] - pole), optimize=True)
+        for r, b, pole in (
+            (read, system.input_gain, system.exponent),
+            (read.conj(), system.input_gain.conj(), system.exponent.conj()),
+        )
+    ]
+    return np.asarray((parts[0] + parts[1]) / 2)
+
+
+def _wave(response: ComplexArray | float, line: ComplexArray, bins: NDArray[np.intp]) -> FloatArray:
+    """One period of sines behind a response."""
+    spectrum = np.zeros(N_SAMPLES // 2 + 1, dtype=complex)
+    spectrum[bins] = response * line
+    return np.asarray(np.fft.irfft(spectrum, N_SAMPLES))
+
+
+def _burst(apparatus: Apparatus, voltage: FloatArray, speed: float) -> Burst:
+    converter = instrument_of(apparatus).converter
+    to_beam = apparatus.amplifier.gain_V_per_V * apparatus.generator.load_factor
+    amplitude = tuple(converter.full_scale(2 * float(np.abs(row).max()) / to_beam, (1.0,)) for row in voltage)
+    unit = np.array(amplitude) * to_beam / 2 / converter.mid_code
+    codes = converter.unsigned(converter.round_to_codes(voltage, unit))
+    codes[:, [0, -1]] = converter.mid_code
+    return Burst(codes, N_SAMPLES / RATE, RATE / N_SAMPLES, speed, amplitude, converter)

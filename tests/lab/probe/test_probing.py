@@ -1,0 +1,105 @@
+"""Fingers of the twin, probed through the driver: what is found, written and refused."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ruamel.yaml import YAML
+
+from modaltouch.lab import ProbeOptions, probe_fingers
+from modaltouch.lab.laboratory import open_laboratory
+from modaltouch.lab.probe.excitation import Excitation
+from modaltouch.preflight import examine
+from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.protocol.fingers import FingersFile
+from modaltouch.protocol.source import Source
+from modaltouch.record import RecordError
+from modaltouch.stimulus import Finger
+
+TRUE = {"mass_g": 0.1, "damping_N_s_per_m": 0.7, "stiffness_N_per_mm": 0.9}
+SPEED = 15e-3
+
+
+@pytest.fixture(scope="module")
+def protocol(tmp_path_factory):
+    """Under the finger, one hand, on a beam whose table has its even modes; the twin's fingers are known."""
+    folder, yaml = tmp_path_factory.mktemp("probe"), YAML()
+    apparatus = yaml.load(Source.find("apparatus", "beam_100x6x2").path.read_text(encoding="utf-8"))
+    unlisted = apparatus["twin"].pop("unlisted_modes")
+    apparatus["modes"] += [mode for mode in unlisted if mode.get("family") != "torsion"]
+    apparatus["twin"] |= {"unlisted_modes": [mode for mode in unlisted if "family" in mode], "fingers": TRUE}
+    yaml.dump(apparatus, folder / "beam.yaml")
+    shipped = Source.find("protocol", "under_the_finger").path
+    values = yaml.load(shipped.read_text(encoding="utf-8"))
+    values["apparatus"], values["texts"] = "beam.yaml", str(shipped.parent / "texts" / "english.yaml")
+    values["conditions"] |= {"finger_conditions": ["one_hand"], "peak_velocities_mm_s": [30, 50]}
+    yaml.dump(values, folder / "protocol.yaml")
+    return folder / "protocol.yaml"
+
+
+@pytest.fixture(scope="module")
+def written(protocol):
+    """What the probe of A and C found, its file on the disk."""
+    return probe_fingers(ProbeOptions(protocol, protocol.parent / "mine.yaml", pair="A-C", seed=5)).write()
+
+
+def test_fingers_are_what_the_twin_has(written):
+    """Mass, damping and stiffness of both, within four standard deviations of the probe's covariance."""
+    file = FingersFile.read(Path(written["file"]))
+    deviation = np.sqrt(np.diag(file.probes[0].covariance)).reshape(2, 4)
+    for name, spread in zip(("right index", "right middle"), deviation, strict=True):
+        off = [np.log(getattr(file.of(name), key) / value) for key, value in TRUE.items()]
+        assert np.all(np.abs(off) < 4 * spread[:3])
+    assert deviation[:, 0].max() < 0.01
+
+
+def test_level_is_predicted_with_its_interval(written):
+    """Within 1 % of 50 mm/s by the design from the file, and the interval, about as wide, holds the prediction."""
+    (placement,) = written["placements"]
+    low, high = placement["interval_mm_s"]
+    assert low < placement["level_mm_s"] < high
+    assert placement["level_mm_s"] == pytest.approx(50, rel=0.02)
+    assert high - low < 0.02 * 50
+    assert placement["level_percent"] == pytest.approx([2 * low, 2 * high], abs=1e-3)
+    assert placement["attainable_mm_s"] > 50
+
+
+def test_file_serves_a_check(written, protocol):
+    """Each finger where it lay: the level at the focus is asked there, and the zones are those of the protocol."""
+    figures = examine(protocol).as_dict(fingers=written["file"])["stimuli"][-1]["touched"]
+    assert set(figures) == {"A-C", "B-D", "C-E"}
+    own = protocol.with_name("own.yaml")
+    own.write_text(protocol.read_text(encoding="utf-8").replace("fingers: typical", f"fingers: {written['file']}"))
+    designed = examine(own).as_dict(fingers=written["file"])["stimuli"][-1]["touched"]
+    assert designed["A-C"]["zone_at_focus_mm_s"]["C"] == pytest.approx(50, rel=1e-4)
+
+
+def test_file_is_not_overwritten(written, protocol):
+    """Somebody may have used it."""
+    with pytest.raises(RecordError, match="is there already and is not overwritten; give another file with --out"):
+        probe_fingers(ProbeOptions(protocol, Path(written["file"])))
+
+
+def test_shipped_table_is_refused(tmp_path):
+    """It lacks even modes; nothing is opened."""
+    with pytest.raises(ValueError, match=r"the table lacks modes 2, 4, .* run `modaltouch identify --modes all`"):
+        probe_fingers(ProbeOptions(Path("under_the_finger"), tmp_path / "fingers.yaml", rig="no rig"))
+
+
+def test_unknown_pair_is_refused(protocol, tmp_path):
+    """Given, and what is allowed."""
+    with pytest.raises(ValueError, match="--pair is 'A-E'; allowed: A-C, B-D, C-E, the pairs of under_the_finger"):
+        probe_fingers(ProbeOptions(protocol, tmp_path / "fingers.yaml", pair="A-E"))
+
+
+def test_noise_is_that_of_the_records(protocol):
+    """Two records of the untouched beam differ by the deviation that is told of them, and move it as asked."""
+    apparatus = Apparatus.read(protocol.with_name("beam.yaml"))
+    fingers = (Finger(-0.04, 8e-5, 0.5, 500.0), Finger(0.0, 8e-5, 0.5, 500.0))
+    excitation = Excitation.of(apparatus, apparatus.modal_model(), fingers, 0.049, SPEED)
+    assert np.diff(excitation.bins).min() >= 4
+    with open_laboratory(apparatus, repetition="continuous") as laboratory:
+        laboratory.load(excitation.burst)
+        first, second = excitation.probe(laboratory, 0.049, SPEED, 250e3)
+    ratio = np.abs(first.response - second.response) ** 2 / first.deviation**2 / 4
+    assert ratio.mean() == pytest.approx(1.0, abs=0.25)
