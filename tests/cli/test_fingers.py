@@ -1,0 +1,70 @@
+"""What the probe of fingers says on the screen, and what it asks for at the beam."""
+
+import json
+
+import pytest
+from typer.testing import CliRunner
+
+from modaltouch.cli import app
+
+FOUND = {
+    "placements": [
+        {
+            "placement": "right index on A, right middle on C",
+            "misfit": 1.13,
+            "asked_mm_s": 100,
+            "level_mm_s": 99.83,
+            "interval_mm_s": [99.51, 100.16],
+            "attainable_mm_s": 114.2,
+        }
+    ],
+    "fingers": {"right": {"index": {"mass_g": 0.0812, "damping_N_s_per_m": 0.502, "offset_mm": -1.254}}},
+    "file": "mine.yaml",
+}
+
+
+class Report:
+    """What a probe returns."""
+
+    def write(self):
+        """Return plain values."""
+        return FOUND
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """The options that the command gives to the lab."""
+    given = []
+    monkeypatch.setattr("modaltouch.lab.probe_fingers", lambda options, *_: given.append(options) or Report())
+    return given
+
+
+def test_what_was_found_is_said(asked):
+    """Each finger, the level with its interval, the level attainable, the file."""
+    result = CliRunner().invoke(app, ["fingers", "probe", "own.yaml", "--pair", "A-C"], env={"COLUMNS": "160"})
+    assert result.exit_code == 0
+    row = next(row for row in result.stdout.splitlines() if "0.0812" in row)
+    assert [cell.strip() for cell in row.split("│")[1:-1]] == ["right index", "0.0812", "0.502", "0", "-1.25"]
+    assert "99.8 (99.5 to 100.2)" in result.stdout
+    assert "Written: mine.yaml" in result.stdout
+
+
+def test_options_reach_the_lab_in_si_units(asked):
+    """Millimetres and millimetres per second at the command line."""
+    words = ["fingers", "probe", "own.yaml", "--laser-mm", "-46", "--speed-mm-s", "5", "--hand", "left", "--json"]
+    result = CliRunner().invoke(app, words)
+    assert json.loads(result.stdout) == FOUND
+    (options,) = asked
+    assert (options.laser, options.speed, options.hand, options.pair) == (-0.046, 0.005, "left", "")
+
+
+def test_what_is_refused_is_bad_input(monkeypatch):
+    """Exit status 2, and the sentence alone."""
+
+    def refuse(*_):
+        raise ValueError("the records of the probe differ")
+
+    monkeypatch.setattr("modaltouch.lab.probe_fingers", refuse)
+    result = CliRunner().invoke(app, ["fingers", "probe", "own.yaml"])
+    assert result.exit_code == 2
+    assert result.stderr.strip() == "the records of the probe differ"
