@@ -42,22 +42,6 @@ class FingerSection(Section):
         "From the centre of the zone on which it lies, to the right [mm].", default=0.0
     )
 
-    @classmethod
-    def of(cls, finger: Finger, centre: float) -> FingerSection:
-        """The finger on a zone with its centre at a place of the beam [m], to five digits."""
-        values = {
-            "mass_g": finger.mass * 1e3,
-            "damping_N_s_per_m": finger.damping,
-            "stiffness_N_per_mm": finger.stiffness * 1e-3,
-            "contact_width_mm": finger.width * 1e3,
-            "offset_mm": (finger.position - centre) * 1e3,
-        }
-        terms = [
-            {"stiffness_N_per_mm": _short(stiffness * 1e-3), "relaxation_ms": _short(time * 1e3)}
-            for stiffness, time in finger.maxwell
-        ]
-        return cls.model_validate({**{key: _short(value) for key, value in values.items()}, "maxwell": terms})
-
     def at(self, centre: float) -> Finger:
         """The finger on a zone with its centre at a place of the beam [m], SI units."""
         from modaltouch.stimulus import Finger
@@ -70,10 +54,6 @@ class FingerSection(Section):
             width=self.contact_width_mm * 1e-3,
             maxwell=tuple((each.stiffness_N_per_mm * 1e3, each.relaxation_ms * 1e-3) for each in self.maxwell),
         )
-
-
-def _short(value: float) -> float:
-    return float(f"{value:.5g}")
 
 
 class HandSection(Section):

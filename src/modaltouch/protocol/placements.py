@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.fingers import FingerSection, FingersFile
@@ -76,24 +76,6 @@ class Placements:
         laid = self._laid(Condition(finger_condition, left, right, velocity_mm_s=0.0))
         found = [(name, zone, self.file.of(name)) for zone, name in laid]
         return {name: (zone, each.at(self._centre(zone))) for name, zone, each in found if each is not None}
-
-    def probed(self, fingers: dict[str, tuple[str, Finger]], probes: list[dict[str, Any]]) -> FingersFile:
-        """A file of fingers as measured.
-
-        Parameters
-        ----------
-        fingers : dict of str to (str, Finger)
-            Zone and values of each, by its name.
-        probes : list of dict
-            Values of each `FingerProbe`.
-        """
-        hands: dict[str, dict[str, Any]] = {}
-        for name, (zone, finger) in fingers.items():
-            hand, which = name.split()
-            section = FingerSection.of(finger, self._centre(zone))
-            hands.setdefault(hand, {})[which] = section.model_dump(mode="json", exclude_defaults=True)
-        about = {"description": f"Measured by `modaltouch fingers probe` for {self.protocol.protocol}"}
-        return FingersFile.model_validate({**about, "fingers": hands, "probes": probes})
 
     def _centre(self, zone: str) -> float:
         return self.apparatus.zones[zone].centre_mm * 1e-3

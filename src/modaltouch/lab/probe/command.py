@@ -212,8 +212,28 @@ class _Plan:
             )
             shown.append(probes[-1] | level)
         show(1 + len(self.conditions), 1 + len(self.conditions))
-        values = self.placements.probed(fingers, probes).model_dump(mode="json", exclude_defaults=True)
+        hands: dict[str, dict[str, Any]] = {}
+        for name, (zone, finger) in fingers.items():
+            hand, which = name.split()
+            hands.setdefault(hand, {})[which] = _section(finger, self.apparatus.zones[zone].centre_mm)
+        about = {"description": f"Measured by `modaltouch fingers probe` for {self.placements.protocol.protocol}"}
+        file = self.placements.file.model_validate(about | {"fingers": hands, "probes": probes})
+        values = file.model_dump(mode="json", exclude_defaults=True)
         return ProbeReport(shown, values["fingers"], HEAD + yaml_text(values), self.options.out)
+
+
+def _section(finger: Finger, centre_mm: float) -> dict[str, Any]:
+    """Keys of a finger on a zone with its centre at a place of the beam, to five digits."""
+    values = {
+        "mass_g": finger.mass * 1e3,
+        "damping_N_s_per_m": finger.damping,
+        "stiffness_N_per_mm": finger.stiffness * 1e-3,
+        "contact_width_mm": finger.width * 1e3,
+        "offset_mm": finger.position * 1e3 - centre_mm,
+    }
+    terms = [{"stiffness_N_per_mm": k * 1e-3, "relaxation_ms": time * 1e3} for k, time in finger.maxwell]
+    short = [{key: float(f"{value:.5g}") for key, value in each.items()} for each in (values, *terms)]
+    return {**short[0], "maxwell": short[1:]}
 
 
 def predicted_level(
