@@ -51,7 +51,7 @@ _DELAYS = np.arange(0.0, 60e-6, 0.25e-6)
 _MOST_EVALUATIONS = 40
 """Of a fit that does not end; a good one takes five to fifteen."""
 
-_GOOD, _WORST = 3.0, 10.0
+_GOOD, _WORST = 5.0, 10.0
 """Misfit up to which no other form of impedance is tried, and above which a probe is refused [1]."""
 
 _OUTLIER, _MOST_OUTLIERS = 4.0, 0.1
@@ -220,7 +220,11 @@ class Probe:
         turned = self._responses(start)[0] * np.exp(-2j * np.pi * np.outer(_DELAYS, self.frequency))
         missed = (np.abs((turned - self.response) / self.deviation) ** 2).sum(axis=1)
         start = replace(start, delay=float(_DELAYS[missed.argmin()]), trusted=np.ones(self.frequency.size, dtype=bool))
-        found = self._described(start)
+        found = self._fitted(start)
+        trusted = self._missed(found) <= _OUTLIER
+        if 1 - _MOST_OUTLIERS <= trusted.mean() < 1:
+            # Under fingers no line is left out: it might be what tells that their impedance has another form.
+            found = self._fitted(replace(start, trusted=trusted))
         if found.misfit > _WORST:
             raise ValueError(
                 f"the modes of the table do not describe the untouched beam: misfit {found.misfit:.1f}, at most "
@@ -256,20 +260,13 @@ class Probe:
             near = [replace(each, position=each.position + by) for each, by in zip(fingers, shift, strict=True)]
             for start in (near, [replace(each, maxwell=terms) for each in near]):
                 if found.misfit > _GOOD:
-                    found = min(found, self._described(free.laid(start)), key=lambda each: each.misfit)
+                    found = min(found, self._fitted(free.laid(start)), key=lambda each: each.misfit)
         if found.misfit > _WORST:
             raise ValueError(
                 f"no mass, damper and springs describe the fingers: misfit {found.misfit:.1f}, at most {_WORST:g} is "
                 "allowed; see that each finger lies on its zone and nothing else touches the beam, and probe again"
             )
         return found
-
-    def _described(self, prior: ProbedBeam) -> ProbedBeam:
-        """The beam that all but a few lines say: those of torsion, which moves with the fingers, are left out."""
-        found = self._fitted(prior)
-        trusted = prior.trusted & (self._missed(found) <= _OUTLIER)
-        few = 1 - _MOST_OUTLIERS <= trusted.mean() < prior.trusted.mean()
-        return self._fitted(replace(prior, trusted=trusted)) if few else found
 
     def _missed(self, beam: ProbedBeam) -> FloatArray:
         """What a beam misses of each response, over its uncertainty, (n_lines,) array [1]."""

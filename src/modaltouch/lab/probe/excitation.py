@@ -1,6 +1,6 @@
 """What a probe plays and records: sines of both outputs at once, each at its own frequencies, and their responses.
 
-Half the frequencies are spread evenly over the logarithm, the others lie about the resonances. The outputs take them in
+Some frequencies are spread evenly over the logarithm, the others lie about the resonances. The outputs take them in
 turn, so that one record tells both apart, and the noise is what is found between them.
 """
 
