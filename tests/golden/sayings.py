@@ -333,6 +333,7 @@ REFUSALS: tuple[Refusal, ...] = (
     Refusal("calibrate protocols/demo.yaml --out protocols/threshold.yaml"),
     Refusal("identify nothing.csv"),
     Refusal("identify --points 15"),
+    Refusal("fingers probe protocols/under_the_finger.yaml"),
     Refusal("validate protocols/demo.yaml --points 15"),
     Refusal("compare protocols/demo.yaml --averages 1"),
     Refusal("rig check TCPIP::127.0.0.1,9::inst0::INSTR"),

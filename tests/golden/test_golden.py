@@ -17,7 +17,7 @@ from sayings import MISPLACED, OUTPUTS, REFUSALS, Output, Refusal
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
-NEED_A_WINDOW_OR_A_SCAN = {"modaltouch demo", "modaltouch compare", "modaltouch validate"}
+NEED_A_WINDOW_OR_A_SCAN = {"modaltouch demo", "modaltouch compare", "modaltouch validate", "modaltouch fingers probe"}
 
 
 @pytest.fixture(scope="module")
