@@ -51,8 +51,11 @@ _DELAYS = np.arange(0.0, 60e-6, 0.25e-6)
 _MOST_EVALUATIONS = 40
 """Of a fit that does not end; a good one takes five to fifteen."""
 
-_GOOD, _WORST = 5.0, 10.0
-"""Misfit up to which no other form of impedance is tried, and above which a probe is refused [1]."""
+_GOOD, _FAIR, _WORST = 2.0, 5.0, 10.0
+"""Misfit up to which no Maxwell terms and no other places to begin at are tried, above which a probe is refused [1]."""
+
+_TERMS_MUST_GAIN = 1.5
+"""Misfit of plain fingers over that with Maxwell terms, from which these are taken [1]."""
 
 _OUTLIER, _MOST_OUTLIERS = 4.0, 0.1
 """Standard deviations from which a line is not of the listed modes, and the share of such that may be left out."""
@@ -256,11 +259,12 @@ class Probe:
             )
         terms = tuple((_TERM_DAMPING / time, time) for time in _RELAXATION)
         found = replace(free, misfit=np.inf)
-        for shift in [(0.0,) * len(fingers), *itertools.product((_SHIFT, -_SHIFT), repeat=len(fingers))]:
+        middle = (0.0,) * len(fingers)
+        for shift in [middle, *itertools.product((_SHIFT, -_SHIFT), repeat=len(fingers))]:
             near = [replace(each, position=each.position + by) for each, by in zip(fingers, shift, strict=True)]
             for start in (near, [replace(each, maxwell=terms) for each in near]):
-                if found.misfit > _GOOD:
-                    found = min(found, self._fitted(free.laid(start)), key=lambda each: each.misfit)
+                if found.misfit > (_GOOD if shift == middle else _FAIR):
+                    found = min(found, self._fitted(free.laid(start)), key=_rank)
         if found.misfit > _WORST:
             raise ValueError(
                 f"no mass, damper and springs describe the fingers: misfit {found.misfit:.1f}, at most {_WORST:g} is "
@@ -361,6 +365,11 @@ def _moved(finger: Finger, step: FloatArray, length: float) -> Finger:
         stiffness=finger.stiffness * ratio[2],
         maxwell=tuple((spring * r, time) for (spring, time), r in zip(finger.maxwell, ratio[4:], strict=True)),
     )
+
+
+def _rank(beam: ProbedBeam) -> float:
+    """Misfit, that of Maxwell terms raised: they must explain what the plain fingers do not."""
+    return beam.misfit * (_TERMS_MUST_GAIN if any(finger.maxwell for finger in beam.model.fingers) else 1.0)
 
 
 def _identified(model: ModalModel) -> ProbedBeam:
