@@ -16,7 +16,7 @@ FEWEST_MODES = 3
 OFF = 0.2
 """How far the factor of a point lies from 1 at least [1]."""
 
-EXPLAINED, STANDS_OUT = 0.25, 10.0
+EXPLAINED, STANDS_OUT = 0.25, 3.0
 """What a factor leaves at most of the misfit of its point, and that misfit over the median one at least [1]."""
 
 
