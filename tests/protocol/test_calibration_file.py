@@ -259,7 +259,7 @@ def test_a_marked_calibration_is_taken_on_purpose_only(edit: Callable, tmp_path:
     (problem,) = examine(protocol, file).problems
     line = file.read_text(encoding="utf-8").splitlines().index("missed:") + 2
     assert str(problem).startswith(f"{file}:{line}:")
-    assert "drive_percent 13.6 at 200 mm/s (allowed 1), since the amplifier saturates" in problem.given
+    assert "drive_percent 13.6 at 200 mm/s (allowed 1): the amplifier saturates" in problem.given
     assert "--with-marked-calibration" in problem.remedy
     preflight = examine(protocol, file, marked=True).require()
     told = preflight.as_dict()

@@ -146,8 +146,7 @@ class Calibration(Section):
     def mark(self) -> str:
         """Which limits it misses, and why; empty for one that has proved itself."""
         own = [
-            (f"stimulus {name}: " if name else "")
-            + f"{', '.join(map(str, each.missed))}, since {'; '.join(each.causes)}"
+            (f"stimulus {name}: " if name else "") + f"{', '.join(map(str, each.missed))}: {'; '.join(each.causes)}"
             for name, each in self.by_stimulus.items()
             if each.missed
         ]
@@ -284,7 +283,7 @@ def check_mark(calibration: Reading[Calibration]) -> list[Problem]:
     return [
         calibration.problem(
             (("stimuli", name) if name else ()) + ("missed",),
-            f"{', '.join(map(str, own.missed))}, since {'; '.join(own.causes)}",
+            f"{', '.join(map(str, own.missed))}: {'; '.join(own.causes)}",
             "a calibration within its limits",
             remedy,
         )

@@ -115,7 +115,7 @@ def test_a_marked_calibration_is_said_in_record_and_report(made: Path, edit: Cal
     assert command(*words) == 2
     assert command(*words, "--with-marked-calibration") == 0
     (log,) = (tmp_path / "results").rglob("session.jsonl")
-    said = "level_percent 2 at 200 mm/s (allowed 1), since a test"
+    said = "level_percent 2 at 200 mm/s (allowed 1): a test"
     assert read_chain(log).events[0]["calibration_mark"] == said
     assert take_facts(Session.find(log)).settings["calibration"] == f"misses its limits: {said}"
 

@@ -179,7 +179,7 @@ def refuse_saturation(predicted: FloatArray, measured: FloatArray) -> None:
         raise RigError(
             f"the amplifier saturates: of the {np.abs(predicted[output]).max():.0f} V of output {output + 1} "
             f"the measured peaks lack {lacking[output]:.0%}, allowed {MOST_LACKING:.0%}; the outputs are off; see "
-            "whether its supply is whole, give amplifier.limit_V its true value, and lower the levels to it"
+            "whether its supply is sound, give amplifier.limit_V its true value, and lower the levels to it"
         )
 
 

@@ -112,8 +112,8 @@ def _causes(outcome: CalibrationResult, protocol: Protocol, missed: list[Missed]
         )
     else:
         yield (
-            "of something that the records do not show; identify the beam anew with `modaltouch identify`, and "
-            "calibrate with what it finds"
+            "nothing in the records shows the cause; identify the beam anew with `modaltouch identify`, and calibrate "
+            "with what it finds"
         )
 
 
