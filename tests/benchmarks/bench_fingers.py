@@ -26,26 +26,35 @@ CRITICAL = 0.15e-3
 """Mass of the finger whose damping is made critical [kg]."""
 
 
-def true_beam(apparatus: Apparatus, rng: np.random.Generator | None) -> ModalModel:
-    """Return a beam with the modes that the table lacks, and values off those that it has; without `rng` none is."""
-    table = apparatus.modal_model()
-    unlisted = [mode for mode in apparatus.twin.unlisted_modes if mode.family == "bending"]
+def whole_table(apparatus: Apparatus) -> ModalModel:
+    """Return the table of modes with its even ones and cross gains, as `identify --modes all` finds it on the twin."""
+    table, twin = apparatus.modal_model(), apparatus.twin
+    unlisted = [mode for mode in twin.unlisted_modes if mode.family == "bending"]
     further = np.zeros((len(unlisted), table.n_channels))
     for row, mode in zip(further, unlisted, strict=True):
         for name, gain in mode.gain_mm_s2_per_V.items():
             row[apparatus.actuator_sets[name].channel - 1] = gain * 1e-3
     strongest = np.take_along_axis(table.modal_gain, np.abs(table.modal_gain).argmax(axis=1)[:, None], axis=1)
-    gain = np.where(table.modal_gain == 0, apparatus.twin.cross_gain * strongest, table.modal_gain)
-    off = np.ones((4, table.n_modes))
-    if rng is not None:
-        off = np.exp(rng.standard_normal((4, table.n_modes)) * np.array([[1e-3], [0.02], [0.02], [0.02]]))
-    return ModalModel(
-        label=table.label + tuple(mode.label for mode in unlisted),
-        natural_frequency=np.append(table.natural_frequency * off[0], [mode.natural_frequency_Hz for mode in unlisted]),
-        damping_ratio=np.append(table.damping_ratio * off[1], [mode.damping_ratio for mode in unlisted]),
-        modal_gain=np.concatenate([gain * off[2:].T, further]),
-        length=table.length,
-        mass=table.mass,
+    gain = np.concatenate([np.where(table.modal_gain == 0, twin.cross_gain * strongest, table.modal_gain), further])
+    label = np.append(table.label, [mode.label for mode in unlisted])
+    order = np.argsort(label)
+    return replace(
+        table,
+        label=tuple(label[order].tolist()),
+        natural_frequency=np.append(table.natural_frequency, [m.natural_frequency_Hz for m in unlisted])[order],
+        damping_ratio=np.append(table.damping_ratio, [m.damping_ratio for m in unlisted])[order],
+        modal_gain=gain[order],
+    )
+
+
+def true_beam(table: ModalModel, rng: np.random.Generator) -> ModalModel:
+    """Return a beam whose values are off those of the table."""
+    off = np.exp(rng.standard_normal((4, table.n_modes)) * np.array([[1e-3], [0.02], [0.02], [0.02]]))
+    return replace(
+        table,
+        natural_frequency=table.natural_frequency * off[0],
+        damping_ratio=table.damping_ratio * off[1],
+        modal_gain=table.modal_gain * off[2:].T,
     )
 
 
@@ -92,7 +101,7 @@ def summary(rows: list[dict[str, float]]) -> dict[str, float]:
 def placements(stimulus: Stimulus, apparatus: Apparatus) -> dict[str, dict[str, list[dict[str, float]]]]:
     """Return what each design does in each of forty placements, by pair."""
     found: dict[str, dict[str, list[dict[str, float]]]] = {}
-    table, complete = apparatus.modal_model(), true_beam(apparatus, None)
+    table, complete = apparatus.modal_model(), whole_table(apparatus)
     for pair, places in PAIRS.items():
         rng = np.random.default_rng(16)
         typical = tuple(Finger(place, *TYPICAL) for place in places)
@@ -103,7 +112,7 @@ def placements(stimulus: Stimulus, apparatus: Apparatus) -> dict[str, dict[str, 
         }
         rows: dict[str, list[dict[str, float]]] = {}
         for _ in range(N_DRAWS):
-            beam, fingers = true_beam(apparatus, rng), draw_fingers(places, rng)
+            beam, fingers = true_beam(complete, rng), draw_fingers(places, rng)
             # A beam that is known takes all its modes into the design, even ones included.
             known = {
                 "known": design(stimulus, beam, fingers),

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 from bars import at_least, at_most, write
-from bench_fingers import LEVEL, N_DRAWS, PAIRS, draw_fingers
+from bench_fingers import LEVEL, N_DRAWS, PAIRS, draw_fingers, true_beam, whole_table
 from threadpoolctl import threadpool_limits
 
 from modaltouch.lab.laboratory import open_laboratory
@@ -35,38 +35,6 @@ DENSITY = 0.5e-6 * np.sqrt(1.5)
 
 N_OTHERS = 5
 """Placements on each pair of fingers that are no mass, damper and spring."""
-
-
-def whole_table(apparatus: Apparatus) -> ModalModel:
-    """Return the table of modes with its even ones and cross gains, as `identify --modes all` finds it on the twin."""
-    table, twin = apparatus.modal_model(), apparatus.twin
-    unlisted = [mode for mode in twin.unlisted_modes if mode.family == "bending"]
-    further = np.zeros((len(unlisted), table.n_channels))
-    for row, mode in zip(further, unlisted, strict=True):
-        for name, gain in mode.gain_mm_s2_per_V.items():
-            row[apparatus.actuator_sets[name].channel - 1] = gain * 1e-3
-    strongest = np.take_along_axis(table.modal_gain, np.abs(table.modal_gain).argmax(axis=1)[:, None], axis=1)
-    gain = np.concatenate([np.where(table.modal_gain == 0, twin.cross_gain * strongest, table.modal_gain), further])
-    label = np.append(table.label, [mode.label for mode in unlisted])
-    order = np.argsort(label)
-    return replace(
-        table,
-        label=tuple(label[order].tolist()),
-        natural_frequency=np.append(table.natural_frequency, [m.natural_frequency_Hz for m in unlisted])[order],
-        damping_ratio=np.append(table.damping_ratio, [m.damping_ratio for m in unlisted])[order],
-        modal_gain=gain[order],
-    )
-
-
-def true_beam(table: ModalModel, rng: np.random.Generator) -> ModalModel:
-    """Return a beam whose values are off those of the table."""
-    off = np.exp(rng.standard_normal((4, table.n_modes)) * np.array([[1e-3], [0.02], [0.02], [0.02]]))
-    return replace(
-        table,
-        natural_frequency=table.natural_frequency * off[0],
-        damping_ratio=table.damping_ratio * off[1],
-        modal_gain=table.modal_gain * off[2:].T,
-    )
 
 
 def as_spring_pot(finger: Finger, power: float = 0.5) -> Finger:
