@@ -12,6 +12,7 @@ from typing import Any, Literal
 import numpy as np
 
 from modaltouch.lab.arrays import FloatArray
+from modaltouch.lab.identification.estimates import NORMAL_95
 from modaltouch.lab.laboratory import SIMULATED, Laboratory, MeasurementProgress, open_laboratory, quiet
 from modaltouch.lab.output import rounded, yaml_text
 from modaltouch.lab.probe.excitation import Excitation
@@ -33,9 +34,6 @@ FROM_END = 1e-3
 
 PLACE_ERROR = 2e-3
 """How far from the centres of their zones fingers lie on the twin, standard deviation [m]."""
-
-NORMAL_95 = 1.96
-"""Half-width of a 95 % interval [standard deviations]."""
 
 
 @dataclass(frozen=True)
