@@ -51,10 +51,10 @@ def probe(
 ) -> None:
     """Probe the beam with hands off and on, and write what each finger adds to it.
 
-    Sines of at most --speed-mm-s are played for half a second each time. What comes of it is a file that
-    `stimulus.fingers` and `modaltouch check --fingers` take, with the level that a design for these fingers reaches
-    under them, and its 95 % interval. The table of modes must have all modes that the beam has: `modaltouch identify
-    --modes all`.
+    Sines of at most 15 mm/s, unless told otherwise, are played for half a second each time. What comes of it is a file
+    that `stimulus.fingers` and `modaltouch check --fingers` take, with the level that a design for these fingers
+    reaches under them, and its 95 % interval. The table must have all modes of the beam, even ones too; `modaltouch
+    identify --modes all` finds them.
     """
     from modaltouch.lab import ProbeOptions, probe_fingers
 
