@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
+from modaltouch.protocol import limited_orders
 from modaltouch.protocol.limited_orders import (
     count_orders,
     draw_by_rejection,
@@ -77,6 +78,44 @@ def test_every_valid_order_is_equally_likely(counts: tuple[int, ...], limit: int
     assert set(drawn) == orders
     statistic = sum((drawn[order] - 30) ** 2 / 30 for order in orders)
     assert chi2.sf(statistic, len(orders) - 1) > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("counts", "limit", "n_states"), [((3, 3, 2), 2, 30), ((4, 2, 1), 2, 40), ((3, 2, 2), 1, 12), ((4, 3), 2, 12)]
+)
+def test_long_orders_are_equally_likely_too(
+    counts: tuple[int, ...], limit: int, n_states: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Chi-square as above, where an order is rejected by its beginning and a tail of four or so is counted."""
+    monkeypatch.setattr(limited_orders, "LONG_ORDER", 0)
+    monkeypatch.setattr(limited_orders, "STATE_LIMIT", n_states)
+    tail = limited_orders._longest_tail(len(counts), limit)
+    assert 2 <= tail < sum(counts) - 1
+
+    def draw(counts: Sequence[int], limit: int, source: Stream) -> list[int]:
+        while len(order := limited_orders._draw_word(tuple(counts), limit, tail, source)) < sum(counts):
+            pass
+        return order
+
+    test_every_valid_order_is_equally_likely(counts, limit, draw)
+
+
+@pytest.mark.parametrize("count", [400, 1666])
+def test_thousands_of_trials_are_ordered(count: int) -> None:
+    """A block of 1,200 trials, and one of the most that a protocol may ask for: 100 and 400 beginnings at most."""
+    source = stream()
+    for _ in range(3):
+        order = draw_order((count,) * 3, 2, source)
+        assert longest_run(order) == 2
+        assert [order.count(kind) for kind in range(3)] == [count] * 3
+
+
+def test_orders_too_rare_to_be_found_are_refused_at_once() -> None:
+    """Six pairs, 200 trials of each: one order in some ten million keeps both counts and limit."""
+    source = stream()
+    with pytest.raises(ValueError, match="too many to count and too rare to find; allow 3 or more running"):
+        draw_order((200,) * 6, 2, source)
+    assert source.below(2**64) == stream().below(2**64), "nothing was drawn"
 
 
 def test_the_chi_square_would_find_a_greedy_order() -> None:
