@@ -240,3 +240,15 @@ def test_a_list_is_begun_where_there_is_none_and_an_empty_one_gets_its_header(pl
     (place.dataset / "sub-notes.txt").touch()
     place.list_participants()
     assert (place.dataset / "participants.tsv").read_text() == "participant_id\n"
+
+
+def test_the_row_of_an_answer_is_made_once(session, monkeypatch):
+    """However many answers follow: a trial late in a session costs what an early one does."""
+    start, first = session.events
+    second = {**first, "n": first["n"] + 1, "supersedes": first["n"]}
+    grown = [Session(session.path, events) for events in ((start, first), (start, first, second))]
+    texts = [table_text(each) for each in grown]
+    made, known, row = [], {}, Session.row
+    monkeypatch.setattr(Session, "row", lambda self, event: made.append(event["n"]) or row(self, event))
+    assert [table_text(each, known) for each in (*grown, grown[1])] == [*texts, texts[1]]
+    assert made == [first["n"], second["n"]]

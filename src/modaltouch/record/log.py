@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Self
 from modaltouch.record.chain import GENESIS, Chain, RecordError, describe_torn, encode_line, read_chain
 from modaltouch.record.files import make_folder, move, open_file, sync_folder
 from modaltouch.record.folders import SessionFolder, refuse_existing
-from modaltouch.record.session import SCHEMA, Session, read_session
+from modaltouch.record.session import SCHEMA, Session, count, read_session
 from modaltouch.record.view import write_view
 from modaltouch.system import SYSTEM_CLOCK, Clock, lock, sync_file
 
@@ -39,6 +39,11 @@ class SessionLog:
         self._torn = chain.torn if chain else b""
         self._needs_newline = bool(chain and not chain.ends_in_newline)
         self._failure = ""
+        self._rows: dict[int, str] = {}
+        self._counting: dict[int, dict[str, Any]] = {}
+        self._of_trials: dict[tuple[Any, Any], list[dict[str, Any]]] = {}
+        for event in self.events:
+            self._sort(event)
         self._unsettled: tuple[dict[str, Any], str, int, int] | None = None
         self.listener: Callable[[dict[str, Any]], None] = lambda line: None
         """Hears of each event once it is on the disk."""
@@ -127,7 +132,13 @@ class SessionLog:
     @property
     def session(self) -> Session:
         """The session as it has been written so far."""
-        return Session(self.path, tuple(self.events))
+        session = Session(self.path, tuple(self.events))
+        vars(session)["trials"] = tuple(self._counting.values())  # what it would count anew after each answer
+        return session
+
+    def events_of(self, trial: dict[str, Any]) -> list[dict[str, Any]]:
+        """Return the events of one trial so far; it is told by ``practice`` and ``index``."""
+        return self._of_trials.get(_key(trial), [])
 
     def write_view(self, place: SessionFolder) -> None:
         """Bring the session's BIDS table and its side file up to date.
@@ -137,7 +148,7 @@ class SessionLog:
         RecordError
             If a file cannot be written; the files before it stay valid.
         """
-        write_view(place, self.session, self.head)
+        write_view(place, self.session, self.head, self._rows)
 
     def append(self, event: str, **facts: Any) -> dict[str, Any]:
         """Write one event and return it once it is on the disk.
@@ -230,7 +241,15 @@ class SessionLog:
         if written:
             self._check, self._torn, self._needs_newline = check, b"", False
             self.events[line["n"] - 1 :] = [line]
+            self._sort(line)
         self._unsettled = None
+
+    def _sort(self, event: dict[str, Any]) -> None:
+        """Note of which trial an event is, and which answers count with it."""
+        count(self._counting, event)
+        trial = event.get("trial")
+        if isinstance(trial, dict):
+            self._of_trials.setdefault(_key(trial), []).append(event)
 
     def _write(self, data: bytes) -> None:
         try:
@@ -243,6 +262,10 @@ class SessionLog:
         if written != len(data):
             self._failure = f"{self.path}: the disk is full; all earlier events are on it, this one is not"
             raise RecordError(self._failure)
+
+
+def _key(trial: dict[str, Any]) -> tuple[Any, Any]:
+    return trial.get("practice"), trial.get("index")
 
 
 def _open_log(path: Path) -> int:

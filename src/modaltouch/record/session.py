@@ -116,7 +116,7 @@ class Session:
         closed = [event["begun_anew_as"] for event in self.events if event.get("event") == "closed"]
         return int(closed[-1]) if closed else None
 
-    @property
+    @cached_property
     def multiples(self) -> dict[float, float]:
         """What multiple of the participant's own threshold each level [mm/s] is; empty where levels are not so."""
         own = self.start.get("sensation_levels") or {"levels_mm_s": (), "multiples": ()}
@@ -125,63 +125,62 @@ class Session:
     @cached_property
     def trials(self) -> tuple[dict[str, Any], ...]:
         """The trial events that count: answered, not superseded by a later one, and not to be asked again."""
-        superseded = {event["supersedes"] for event in self.events if event.get("supersedes")}
-        withdrawn = {line for event in self.events if event.get("event") == "withdrawn" for line in event["lines"]}
-        # An answer is written down at once, and again once the end of its stimulus is confirmed.
-        confirmed = {event.get("answered") for event in self.events if event.get("event") == "trial"}
-        gone = superseded | withdrawn | confirmed
-        return tuple(
-            event for event in self.events if event.get("event") in ("trial", "answered") and event["n"] not in gone
-        )
+        counting: dict[int, dict[str, Any]] = {}
+        for event in self.events:
+            count(counting, event)
+        return tuple(counting.values())
 
     def table(self) -> Iterator[dict[str, Any]]:
-        """Yield the answers that count as rows of one table, values by column; None where something is not known.
+        """Yield the answers that count as rows of one table, values by column."""
+        yield from map(self.row, self.trials)
+
+    def row(self, event: dict[str, Any]) -> dict[str, Any]:
+        """Return an answer as a row of the table, values by column; None where something is not known.
 
         The columns are those of the BIDS table (`modaltouch.record.view`), which the analysis reads too, and those that
         tell the sessions apart: ``participant``, ``session``, ``double`` and ``response_uncertainty`` [s].
         """
-        about = {"participant": self.participant, "session": self.start.get("session", 1)}
-        multiples = self.multiples
-        for event in self.trials:
-            trial, response, condition = event["trial"], event["response"], event["trial"]["condition"]
-            bursts, planned, confirmed = (event.get(name) or {} for name in ("bursts", "planned", "confirmed"))
-            velocity = float(condition["velocity_mm_s"])
-            left, right = event.get("fingers") or (None, None)
-            yield about | {
-                "trial": trial["index"],
-                "block": trial["block"],
-                "practice": bool(trial["practice"]),
-                "finger_condition": condition["finger_condition"],
-                "zone_left": condition["zone_left"],
-                "zone_right": condition["zone_right"],
-                "finger_left": left,
-                "finger_right": right,
-                "placement": condition.get("placement", "normal"),
-                "velocity_mm_s": velocity,
-                "multiple_of_threshold": multiples.get(velocity),
-                "masked": bool(event.get("masked")),
-                "catch": velocity == 0,
-                "stimulus": condition.get("stimulus", ""),
-                "repetition": trial["repetition"],
-                "response": response["answer"],
-                "response_time": float(response["reaction_time"]),
-                "response_onset": response.get("onset", ""),
-                "response_uncertainty": _uncertainty(event),
-                "answered_by": response.get("answered_by", ""),
-                "way": response.get("way", ""),
-                "double": bool(response.get("double", False)),
-                "confirmed": bool(confirmed.get("confirmed", False)),
-                "onset": bursts.get("first_s"),
-                "onset_uncertainty": bursts.get("uncertainty_s"),
-                "n_bursts": bursts.get("whole"),
-                "n_bursts_dropped": bursts.get("dropped"),
-                "repetition_by": confirmed.get("repetition"),
-                "presentation": event.get("presentation"),
-                "device": response.get("device"),
-                "speed_left_mm_s": planned.get("speed_left_mm_s"),
-                "speed_right_mm_s": planned.get("speed_right_mm_s"),
-                "log_line": event["n"],
-            }
+        trial, response, condition = event["trial"], event["response"], event["trial"]["condition"]
+        bursts, planned, confirmed = (event.get(name) or {} for name in ("bursts", "planned", "confirmed"))
+        velocity = float(condition["velocity_mm_s"])
+        left, right = event.get("fingers") or (None, None)
+        return {
+            "participant": self.participant,
+            "session": self.start.get("session", 1),
+            "trial": trial["index"],
+            "block": trial["block"],
+            "practice": bool(trial["practice"]),
+            "finger_condition": condition["finger_condition"],
+            "zone_left": condition["zone_left"],
+            "zone_right": condition["zone_right"],
+            "finger_left": left,
+            "finger_right": right,
+            "placement": condition.get("placement", "normal"),
+            "velocity_mm_s": velocity,
+            "multiple_of_threshold": self.multiples.get(velocity),
+            "masked": bool(event.get("masked")),
+            "catch": velocity == 0,
+            "stimulus": condition.get("stimulus", ""),
+            "repetition": trial["repetition"],
+            "response": response["answer"],
+            "response_time": float(response["reaction_time"]),
+            "response_onset": response.get("onset", ""),
+            "response_uncertainty": _uncertainty(event),
+            "answered_by": response.get("answered_by", ""),
+            "way": response.get("way", ""),
+            "double": bool(response.get("double", False)),
+            "confirmed": bool(confirmed.get("confirmed", False)),
+            "onset": bursts.get("first_s"),
+            "onset_uncertainty": bursts.get("uncertainty_s"),
+            "n_bursts": bursts.get("whole"),
+            "n_bursts_dropped": bursts.get("dropped"),
+            "repetition_by": confirmed.get("repetition"),
+            "presentation": event.get("presentation"),
+            "device": response.get("device"),
+            "speed_left_mm_s": planned.get("speed_left_mm_s"),
+            "speed_right_mm_s": planned.get("speed_right_mm_s"),
+            "log_line": event["n"],
+        }
 
     @cached_property
     def answered(self) -> frozenset[tuple[bool, int]]:
@@ -195,12 +194,31 @@ class Session:
     @property
     def n_answered(self) -> int:
         """Number of trials answered, practice not counted."""
-        return sum(not practice for practice, _ in self.answered)
+        return len(
+            {
+                event["trial"]["index"]
+                for event in self.trials
+                if event["confirmed"]["confirmed"] and not event["trial"]["practice"]
+            }
+        )
 
     @property
     def complete(self) -> bool:
         """Whether every scheduled trial is answered, practice not counted."""
         return bool(self.start) and self.n_answered >= self.start["schedule"]["n_trials"]
+
+
+def count(counting: dict[int, dict[str, Any]], event: dict[str, Any]) -> None:
+    """Let the next event change which trial events count, by their lines.
+
+    An answer is written down at once, and again once the end of its stimulus is confirmed.
+    """
+    kind = event.get("event")
+    withdrawn = event.get("lines", ()) if kind == "withdrawn" else ()
+    for line in (event.get("supersedes"), event.get("answered") if kind == "trial" else None, *withdrawn):
+        counting.pop(line, None)
+    if kind in ("trial", "answered"):
+        counting[event["n"]] = event
 
 
 def _uncertainty(event: dict[str, Any]) -> float | None:

@@ -124,7 +124,9 @@ MULTIPLE: dict[str, Any] = {
 STIMULUS: dict[str, Any] = {"Description": "Which of the protocol's stimuli; n/a in a catch trial"}
 
 
-def write_view(place: SessionFolder, session: Session, head: dict[str, Any]) -> None:
+def write_view(
+    place: SessionFolder, session: Session, head: dict[str, Any], known: dict[int, str] | None = None
+) -> None:
     """Write the session's table and its side file from the log.
 
     Parameters
@@ -136,6 +138,8 @@ def write_view(place: SessionFolder, session: Session, head: dict[str, Any]) -> 
     head : dict
         How far the log has come (`SessionLog.head`); the side file carries it, so that a log that lost its last
         lines is noticed.
+    known : dict of str, optional
+        As for `table_text`.
 
     Raises
     ------
@@ -148,15 +152,27 @@ def write_view(place: SessionFolder, session: Session, head: dict[str, Any]) -> 
         "Mode": session.mode,
         "SessionLog": {"File": LOG_NAME, **head},
     }
-    replace_text(place.table, table_text(session))
+    replace_text(place.table, table_text(session, known))
     replace_text(place.table.with_suffix(".json"), json.dumps(side, indent=2, ensure_ascii=False) + "\n")
 
 
-def table_text(session: Session) -> str:
-    """Return the BIDS table of a session: one row for each answer that counts."""
-    columns = _columns(session)
-    rows = ("\t".join(_text(name, row[name]) for name in columns) for row in session.table())
-    return "\n".join(["\t".join(columns), *rows]) + "\n"
+def table_text(session: Session, known: dict[int, str] | None = None) -> str:
+    """Return the BIDS table of a session: one row for each answer that counts.
+
+    Parameters
+    ----------
+    session : Session
+        What its log holds.
+    known : dict of str, optional
+        Rows of an earlier table of this session, by their lines in the log; new ones are added. A row never changes,
+        so that the thousandth answer costs no more than the first.
+    """
+    columns, known = _columns(session), {} if known is None else known
+    for event in session.trials:
+        if event["n"] not in known:
+            row = session.row(event)
+            known[event["n"]] = "\t".join(_text(name, row[name]) for name in columns)
+    return "\n".join(["\t".join(columns), *(known[event["n"]] for event in session.trials)]) + "\n"
 
 
 def _columns(session: Session) -> dict[str, dict[str, Any]]:

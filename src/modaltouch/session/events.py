@@ -122,7 +122,7 @@ def describe_answer(
     masked : bool or None
         Whether noise masked the sound of the beam; None where none is asked for.
     events : sequence of dict
-        The record so far.
+        What the record holds of this trial so far.
     """
     values, onset, around = trial.as_dict(), firing.onset, firing.onset_uncertainty
     answered = onset + response.counted_from + response.reaction_time
