@@ -1,0 +1,125 @@
+"""What people wait for: the processor time of commands beside that of ``import numpy`` in the same run.
+
+Writes ``results/benchmarks/commands.json``. Every command is a process of its own in a user's environment, in turns,
+bytecode caches warm; of several runs the best counts. Processor time is hardly changed by other work on the machine,
+and its ratio to an import is about the same on another one. Where a bar is in seconds, it is processor time too.
+"""
+
+import argparse
+import math
+import re
+import resource
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from bars import at_most, write
+from bench_analysis import write_table
+
+ROOT = Path(__file__).resolve().parents[2]
+PROTOCOLS = ROOT / "protocols"
+PAPER = "differentiated_stimulation.yaml"
+HEAVY = ("psychopy", "pyvisa", "pandas", "matplotlib", "scipy", "statsmodels")
+ROUNDS = 7
+LATE = """
+import statistics, sys, time
+from modaltouch.record import log
+ends, write = [], log.SessionLog.write_view
+def timed(self, place):
+    write(self, place)
+    ends.append(time.process_time())
+log.SessionLog.write_view = timed
+from modaltouch.__main__ import main
+try:
+    main()
+except SystemExit:
+    pass
+took = [after - before for before, after in zip(ends, ends[1:])]
+print("late", statistics.median(took[-200:]) / statistics.median(took[50:250]))
+"""
+
+
+def run(arguments: list[str], status: int = 0) -> tuple[float, subprocess.CompletedProcess[str]]:
+    """Return the processor time of one process [s], and what it said."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    done = subprocess.run([sys.executable, *arguments], capture_output=True, text=True, check=False)
+    if done.returncode != status:
+        raise SystemExit(f"{' '.join(arguments)} ended with {done.returncode}:\n{done.stdout}{done.stderr}")
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, done
+
+
+def with_repetitions(folder: Path, n_repetitions: int) -> str:
+    """Write the paper's protocol with more repetitions, and return its path."""
+    text = (PROTOCOLS / PAPER).read_text(encoding="utf-8").replace(": apparatus/", f": {PROTOCOLS}/apparatus/")
+    text = text.replace(": texts/", f": {PROTOCOLS}/texts/").replace(
+        "repetitions: 1\n", f"repetitions: {n_repetitions}\n"
+    )
+    path = folder / f"repeated_{n_repetitions}.yaml"
+    path.write_text(text, encoding="utf-8")
+    return str(path)
+
+
+def main() -> int:
+    """Run the benchmark and write its figures."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--rig", action="store_true", help="identify, validate, calibrate and compare on the twin, too")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as scratch:
+        folder, paper = Path(scratch), str(PROTOCOLS / PAPER)
+        write_table(folder / "ten.csv", 10, 1)
+        program = ["-m", "modaltouch"]
+        commands = {
+            "import_numpy": (["-c", "import numpy"], 0),
+            "help": ([*program, "--help"], 0),
+            "check_help": ([*program, "check", "--help"], 0),
+            "check_of_no_file": ([*program, "check", "nothing"], 2),
+            "check": ([*program, "check", paper], 0),
+            "check_json": ([*program, "check", paper, "--json"], 0),
+            "analyse_ten": ([*program, "analyse", str(folder / "ten.csv"), "--out", str(folder / "out")], 0),
+            "check_of_2400_trials": ([*program, "check", with_repetitions(folder, 100)], 0),
+            "check_of_24000_trials": ([*program, "check", with_repetitions(folder, 1000)], 2),
+        }
+        best = dict.fromkeys(commands, math.inf)
+        for _ in range(ROUNDS):
+            for name, (arguments, status) in commands.items():
+                best[name] = min(best[name], run(arguments, status)[0])
+        imports = run(["-X", "importtime", *program, "check", paper])[1].stderr
+        heavy = sorted({line.rsplit("|", 1)[-1].strip() for line in imports.splitlines()} & set(HEAVY))
+        session = [*program, "simulate", paper, "-n", "1", "--results"]
+        best["session_of_24_trials"] = min(run([*session, str(folder / f"one{i}")])[0] for i in range(3))
+        long = ["simulate", with_repetitions(folder, 42), "-n", "1", "--results", str(folder / "long")]
+        late = float(re.findall(r"late (\S+)", run(["-c", LATE, *long])[1].stdout)[0])
+        if options.rig:
+            for name in ("identify", "validate", "calibrate", "compare"):
+                out = (
+                    ["--out", str(folder / name)]
+                    if name != "calibrate"
+                    else ["--out", str(folder / "calibration.yaml")]
+                )
+                subject = [] if name == "identify" else [paper]
+                best[name] = run([*program, name, *subject, *out])[0]
+    times = {name: value / best["import_numpy"] for name, value in best.items()}
+    bars = [
+        at_most("modaltouch --help: times import numpy", times["help"], 1.5),
+        at_most("modaltouch check --help: times import numpy", times["check_help"], 1.5),
+        at_most("check of a file that is not there: times import numpy", times["check_of_no_file"], 1.5),
+        at_most("check of the paper's protocol: times import numpy", times["check"], 4),
+        at_most("analyse of ten participants: times import numpy", times["analyse_ten"], 20),
+        at_most("check of 2,400 trials, at most two of a pair running", best["check_of_2400_trials"], 2, "s"),
+        at_most("refusal of 24,000 trials", best["check_of_24000_trials"], 20, "s"),
+        at_most("a trial after 800 others, of one after 50", late, 1.1),
+        at_most("imports of psychopy in check", float("psychopy" in heavy), 0, ""),
+    ]
+    for name, most in (("identify", 20), ("validate", 15), ("calibrate", 5), ("compare", 25)):
+        if name in best:
+            bars.append(at_most(f"{name} on the twin, processor time", best[name], most, "s"))
+    own = best["session_of_24_trials"] - best["check"]
+    bars.append(at_most("a simulated session of 24 trials, preflight apart, processor time", own, 0.5, "s"))
+    results = {"processor_time_s": best, "times_import_numpy": times, "heavy_imports_of_check": heavy}
+    return write("commands", results, bars)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
