@@ -168,11 +168,14 @@ def table_text(session: Session, known: dict[int, str] | None = None) -> str:
         so that the thousandth answer costs no more than the first.
     """
     columns, known = _columns(session), {} if known is None else known
+    rows = ["\t".join(columns)]
     for event in session.trials:
-        if event["n"] not in known:
+        text = known.get(event["n"])
+        if text is None:
             row = session.row(event)
-            known[event["n"]] = "\t".join(_text(name, row[name]) for name in columns)
-    return "\n".join(["\t".join(columns), *(known[event["n"]] for event in session.trials)]) + "\n"
+            text = known[event["n"]] = "\t".join(_text(name, row[name]) for name in columns)
+        rows.append(text)
+    return "\n".join(rows) + "\n"
 
 
 def _columns(session: Session) -> dict[str, dict[str, Any]]:

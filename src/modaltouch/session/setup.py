@@ -62,7 +62,7 @@ class Setup:
     drawn_as : int or None
         Where the records on disk decide the participant's turn (`schedule.balance`): the number of the session in
         the participant's own count. `schedule` is then drawn as the session's log is created.
-    on_progress : callable
+    on_progress : callable, optional
         Called with (answered, total) after each trial.
     console : Console
         Shows the experimenter how the session stands, and takes requests; closed by whoever opened it.
@@ -79,7 +79,7 @@ class Setup:
     facts: dict[str, Any] = field(default_factory=dict)
     replaces: SessionFolder | None = None
     drawn_as: int | None = None
-    on_progress: Callable[[int, int], None] = lambda answered, total: None
+    on_progress: Callable[[int, int], None] | None = None
     console: Console = field(default_factory=Console)
     clock: Clock = SYSTEM_CLOCK
 
@@ -247,7 +247,8 @@ def _sitting(
     def save_view() -> None:
         buffer.flush()
         log.write_view(setup.place)
-        setup.on_progress(log.session.n_answered, total)
+        if setup.on_progress is not None:
+            setup.on_progress(log.session.n_answered, total)
 
     save_view()
     return SessionRun(
