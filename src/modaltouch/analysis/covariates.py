@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations
 from statistics import NormalDist
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -24,6 +22,10 @@ FEW = 30
 
 LARGEST = 10.0
 """A coefficient or standard error beyond this is taken as a sign of separation (probit units)."""
+
+_MOST_STEPS = 60
+_FAR = 1e3
+"""Stands for an infinite cut (probit units)."""
 
 
 def fit_ordered_probit(predictor: ArrayLike, answers: ArrayLike, participants: ArrayLike) -> tuple[Interval, str]:
@@ -82,18 +84,45 @@ def _unfit(x: np.ndarray, y: np.ndarray, groups: np.ndarray) -> str:
 
 
 def _maximise(x: np.ndarray, y: np.ndarray, groups: np.ndarray) -> tuple[float, float]:
-    from statsmodels.miscmodels.ordinal_model import OrderedModel
+    """Return the slope of largest likelihood, by Newton's method, and its standard error from the clustered sandwich.
+
+    Not numbers where it does not converge.
+    """
+    from scipy.special import ndtri
 
     codes = np.unique(y, return_inverse=True)[1]
-    with warnings.catch_warnings():
-        # What a broken fit warns of is judged below by its numbers, which are said in the note.
-        warnings.simplefilter("ignore")
-        fit: Any = OrderedModel(codes, x[:, np.newaxis], distr="probit").fit(
-            method="bfgs", disp=False, maxiter=200, cov_type="cluster", cov_kwds={"groups": groups}
-        )
-    if not fit.mle_retvals.get("converged", False):
-        return math.nan, math.nan
-    return float(fit.params[0]), float(fit.bse[0])
+    values = np.append(0.0, ndtri(np.cumsum(np.bincount(codes))[:-1] / len(codes)))
+    # A broken fit is judged by its numbers, which are said in the note.
+    with np.errstate(all="ignore"):
+        for _ in range(_MOST_STEPS):
+            scores, hessian = _derivatives(values, x, codes)
+            if not (np.isfinite(hessian).all() and np.linalg.cond(hessian) < 1e12):
+                return math.nan, math.nan
+            step = np.linalg.solve(hessian, scores.sum(axis=0))
+            values -= step
+            if np.abs(step).max() < 1e-8:
+                break
+        else:
+            return math.nan, math.nan
+    of_groups = np.array([scores[groups == group].sum(axis=0) for group in np.unique(groups)])
+    n, n_groups, bread = len(x), len(of_groups), np.linalg.inv(hessian)
+    small_sample = n_groups / (n_groups - 1) * (n - 1) / (n - len(values))
+    return float(values[0]), math.sqrt((bread @ of_groups.T @ of_groups @ bread)[0, 0] * small_sample)
+
+
+def _derivatives(values: np.ndarray, x: np.ndarray, codes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the score of each answer, and the Hessian of their log likelihood, in the slope and the cuts."""
+    from scipy.special import ndtr
+
+    # Nothing lies beyond the outer cuts: finite ones keep the product with their density zero.
+    cuts = np.concatenate([[-_FAR], values[1:], [_FAR]])
+    bounds = np.stack([cuts[codes + 1], cuts[codes]]) - values[0] * x
+    density = np.exp(-(bounds**2) / 2) / math.sqrt(2 * math.pi)
+    slopes = density * [[1], [-1]] / (ndtr(bounds[0]) - ndtr(bounds[1]))
+    is_cut = np.stack([codes + 1, codes])[..., np.newaxis] == np.arange(1, len(values))
+    ways = np.concatenate([np.broadcast_to(-x, bounds.shape)[..., np.newaxis], is_cut], axis=-1)
+    scores = (slopes[..., np.newaxis] * ways).sum(axis=0)
+    return scores, np.einsum("en,eni,enj->ij", -bounds * slopes, ways, ways) - scores.T @ scores
 
 
 IntArray = NDArray[np.int64]
