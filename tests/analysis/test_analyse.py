@@ -12,6 +12,7 @@ from html.parser import HTMLParser
 import pytest
 
 from modaltouch.analysis.pipeline import analyse, default_folder
+from modaltouch.protocol import InputError
 
 
 class Page(HTMLParser):
@@ -43,13 +44,19 @@ def analysis(paper_csv, tmp_path_factory):
 
 
 def test_every_promised_file_is_written(analysis) -> None:
-    """Tables, bars as SVG and PNG, statistics, report."""
-    promised = {
-        "counts.csv", "fig_10.csv", "fig_11.csv", "fig_10.svg", "fig_10.png", "fig_11.svg", "fig_11.png", "tests.csv",
-        "tests.json", "report.html",
+    """Tables, bars as SVG, statistics, report; no figure that nobody asked for."""
+    assert set(analysis.files) == {
+        "counts.csv", "fig_10.csv", "fig_11.csv", "fig_10.svg", "fig_11.svg", "tests.csv", "tests.json", "report.html",
     }  # fmt: skip
-    assert promised <= set(analysis.files)
     assert all(path.stat().st_size > 0 for path in analysis.files.values())
+
+
+def test_further_figures_are_drawn_where_they_are_asked_for(paper_csv, tmp_path) -> None:
+    """As PNG, too, on request; one that the table has nothing for is left out."""
+    files = analyse(paper_csv, tmp_path / "out", figures=["side_bias", "order"], png=True).files
+    assert {name for name in files if name.endswith("png")} == {"fig_10.png", "fig_11.png", "side_bias.png"}
+    with pytest.raises(InputError, match="given 'sides'; allowed: fields, side_bias, order"):
+        analyse(paper_csv, tmp_path / "out", figures=["sides"])
 
 
 def test_the_json_is_plain_and_without_nan(analysis) -> None:
@@ -133,10 +140,10 @@ def test_results_land_beside_the_data_unless_told_otherwise(tmp_path) -> None:
 
 
 def test_the_analysis_loads_neither_instrument_nor_screen() -> None:
-    """A fresh interpreter analyses without PyVISA, PsychoPy, pyglet or pyplot, and without statsmodels."""
+    """A fresh interpreter loads it without PyVISA, PsychoPy, pyglet or pyplot, and without statsmodels."""
     code = (
         "import sys, modaltouch.analysis.pipeline, modaltouch.analysis.gallery, modaltouch.analysis.report\n"
-        "import modaltouch.analysis.fields\n"
+        "import modaltouch.analysis.fields, modaltouch.analysis.statistics, modaltouch.analysis.covariate_figures\n"
         "print([m for m in ('pyvisa', 'psychopy', 'pyglet', 'matplotlib.pyplot', 'statsmodels') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -177,7 +177,7 @@ def test_a_session_ends_in_thresholds_that_the_observer_has(
     truth = model_threshold(preflight)
     bounds = [(row["threshold_low_mm_s"] / 1.1, row["threshold_high_mm_s"] * 1.1) for row in values["thresholds"]]
     assert sum(low <= truth <= high for low, high in bounds) >= 3
-    for name in ("report.html", "thresholds.svg", "thresholds.png", "runs_sub-p01_ses-1.svg", "thresholds.csv"):
+    for name in ("report.html", "thresholds.svg", "runs_sub-p01_ses-1.svg", "thresholds.csv"):
         assert (tmp_path / "out" / name).stat().st_size > 500
     report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "SIMULATED DATA" in report

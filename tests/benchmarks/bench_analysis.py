@@ -10,6 +10,7 @@ import argparse
 import json
 import os
 import platform
+import resource
 import subprocess
 import sys
 import tempfile
@@ -134,6 +135,14 @@ def measure(source: Path, out: Path) -> dict[str, Any]:
     return {"wall_s": round(time.perf_counter() - started, 2), **json.loads(done.stdout)}
 
 
+def spend(command: list[str]) -> float:
+    """Return the processor time of a process of its own [s]."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    subprocess.run(command, capture_output=True, check=True)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
 def bar(what: str, measured: float | None, highest: float) -> dict[str, Any]:
     """Return whether a figure stays below its bar; None where it could not be measured."""
     return {
@@ -153,12 +162,23 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=ROOT / "results" / "benchmarks" / "analysis.json")
     options = parser.parse_args()
     rows = []
+    numpy_s = min(spend([sys.executable, "-c", "import numpy"]) for _ in range(5))
     with tempfile.TemporaryDirectory() as scratch:
         for n in options.participants:
             table = Path(scratch) / f"{n}.csv"
             write_table(table, n, options.repetitions)
             rows.append({"participants": n, **measure(table, Path(scratch) / f"out{n}")})
             print(rows[-1])
+        write_table(Path(scratch) / "ten.csv", 10, 1)
+        write_tree(Path(scratch) / "ten", 11, 1)
+        ratios = {
+            kind: min(
+                spend([sys.executable, "-m", "modaltouch", "analyse", str(Path(scratch) / name)]) for _ in range(3)
+            )
+            / numpy_s
+            for kind, name in (("a table", "ten.csv"), ("sessions", "ten"))
+        }
+        print(ratios)
         write_tree(Path(scratch) / "results", options.sessions, options.repetitions)
         tree = {"sessions": options.sessions, **measure(Path(scratch) / "results", Path(scratch) / "tree")}
         print(tree)
@@ -185,6 +205,10 @@ def main() -> None:
                 bar("CPU time of 1,000 participants [s]", row["cpu_s"], 10.0)
                 for row in rows
                 if row["participants"] == 1000
+            ),
+            *(
+                bar(f"CPU time of ten participants from {kind}: times import numpy", round(ratio, 1), 20)
+                for kind, ratio in ratios.items()
             ),
             bar(f"CPU time of a tree of {options.sessions} sessions [s]", tree["cpu_s"], 10.0),
             bar("exponent of CPU time over trials", exponent, 1.25),

@@ -123,9 +123,7 @@ def test_counts_and_exact_tests_are_those_of_the_tables(study, found) -> None:
         assert cell["n"] == sum(counts) == 4
         scope = f"{cell['finger_condition']} {cell['pair']} {cell['velocity_mm_s']:g} mm/s"
         assert chance[scope] == pytest.approx(multinomial_test(counts).p)
-    assert {"counts.csv", "fig_10.csv", "fig_10.svg", "overview.svg", "participants.svg", "report.html"} <= set(
-        found["files"]
-    )
+    assert {"counts.csv", "fig_10.csv", "fig_10.svg", "report.html"} <= set(found["files"])
 
 
 def test_the_report_tells_what_does_not_apply(study, found) -> None:

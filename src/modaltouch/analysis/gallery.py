@@ -2,64 +2,79 @@
 
 from __future__ import annotations
 
-from modaltouch.analysis.counts import AnswerCounts
-from modaltouch.analysis.covariate_figures import draw_order, draw_side, draw_speeds, draw_times
-from modaltouch.analysis.fields import draw_fields
-from modaltouch.analysis.figures import draw_counts, draw_overview, draw_participants
-from modaltouch.analysis.responses import Responses
-from modaltouch.analysis.tables import figure_names, zone_table
+from collections.abc import Callable, Collection
+from typing import TYPE_CHECKING
+
 from modaltouch.report import ReportFigure
 
-FIELDS = (
-    "Left: the target velocity field along the beam, and the field predicted at the focusing instant from the codes "
-    "that were played, on the identified modes. Right: predicted peak speed over time at the centre of each zone."
-)
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from modaltouch.analysis.counts import AnswerCounts
+    from modaltouch.analysis.responses import Responses
+
+FIGURES = {
+    "fields": (
+        "Left: the target velocity field along the beam, and the field predicted at the focusing instant from the "
+        "codes that were played, on the identified modes. Right: predicted peak speed over time at the centre of each "
+        "zone.",
+        "stimulus",
+    ),
+    "side_bias": ("Each point is a participant, shaken a little so that equal ones show.", "further"),
+    "order": ("Share of the dominant zone against the place in the session.", "further"),
+    "reaction_times": (
+        "An answer may wait for the next burst, so reaction times are quantised and small differences mean little. "
+        "Answers too early to be answers are left out.",
+        "further",
+    ),
+    "speed_ratio": (
+        "Predicted peak speeds come from the identified modes of the beam, not from a measurement.",
+        "further",
+    ),
+}
+"""Caption and section of the report of each figure that is drawn where it is asked for."""
+
 INTERVALS = "Error bars: exact 95 % intervals (Clopper-Pearson) over participants."
 
 
-def draw_all(answers: AnswerCounts, responses: Responses) -> tuple[ReportFigure, ...]:
-    """Return every figure that the answers allow."""
-    frame = responses.frame
-    drawn = (
-        (
-            "overview",
-            draw_overview(answers),
-            "Share of every answer but the last over the level. Error bars: 95 % intervals over participants.",
-            "answers",
-        ),
-        ("participants", draw_participants(answers), "Every participant's answer in every cell.", "answers"),
-        ("fields", draw_fields(responses.start, responses.stimulus), FIELDS, "stimulus"),
-        (
-            "side_bias",
-            draw_side(answers) if answers.compares else None,
-            "Each point is a participant, shaken a little so that equal ones show.",
-            "further",
-        ),
-        (
-            "order",
-            draw_order(answers, frame) if answers.compares else None,
-            "Share of the dominant zone against the place in the session.",
-            "further",
-        ),
-        (
-            "reaction_times",
-            draw_times(answers, frame),
-            "An answer may wait for the next burst, so reaction times are quantised and small differences mean little. "
-            "Answers too early to be answers are left out.",
-            "further",
-        ),
-        (
-            "speed_ratio",
-            draw_speeds(answers, frame) if answers.compares else None,
-            "Predicted peak speeds come from the identified modes of the beam, not from a measurement.",
-            "further",
-        ),
-    )
-    known = (ReportFigure(name, figure, *said) for name, figure, *said in drawn if figure is not None)
+def draw_all(answers: AnswerCounts, responses: Responses, asked: Collection[str] = ()) -> tuple[ReportFigure, ...]:
+    """Return Fig. 10 and Fig. 11, and of the figures that are asked for those that the answers allow.
+
+    Parameters
+    ----------
+    answers : AnswerCounts
+        Counts of the answers.
+    responses : Responses
+        The answers.
+    asked : collection of str
+        Names of `FIGURES`.
+    """
+    drawn = {name: _draw(name, answers, responses) for name in FIGURES if name in asked}
+    known = (ReportFigure(name, figure, *FIGURES[name]) for name, figure in drawn.items() if figure is not None)
     return (*_bars(answers), *known)
 
 
+def _draw(name: str, answers: AnswerCounts, responses: Responses) -> Figure | None:
+    from modaltouch.analysis.covariate_figures import draw_order, draw_side, draw_speeds, draw_times
+    from modaltouch.analysis.fields import draw_fields
+
+    frame = responses.frame
+    of_zones: dict[str, Callable[[], Figure | None]] = {
+        "side_bias": lambda: draw_side(answers),
+        "order": lambda: draw_order(answers, frame),
+        "speed_ratio": lambda: draw_speeds(answers, frame),
+    }
+    if name == "fields":
+        return draw_fields(responses.start, responses.stimulus)
+    if name == "reaction_times":
+        return draw_times(answers, frame)
+    return of_zones[name]() if answers.compares else None
+
+
 def _bars(answers: AnswerCounts) -> list[ReportFigure]:
+    from modaltouch.analysis.figures import draw_counts
+    from modaltouch.analysis.tables import figure_names, zone_table
+
     pictures = []
     for condition, name in figure_names(answers.finger_conditions).items():
         table = zone_table(answers, condition)

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import pandas as pd
-
-from modaltouch.analysis.outcome import Analysis, plain_row
+from modaltouch.analysis.gallery import FIGURES, draw_all
 from modaltouch.analysis.reading import read_responses
-from modaltouch.analysis.statistics import find
-from modaltouch.analysis.tables import figure_names, zone_table
-from modaltouch.protocol import AnswerList
+from modaltouch.protocol import InputError
 from modaltouch.report import write_files
 from modaltouch.system import version
 
 if TYPE_CHECKING:
+    import pandas as pd
+
+    from modaltouch.analysis.outcome import Analysis
     from modaltouch.analysis.thresholds import ThresholdAnalysis
+    from modaltouch.protocol import AnswerList
 
 
 def analyse(
@@ -27,6 +28,8 @@ def analyse(
     mode: str | None = None,
     stimulus: str | None = None,
     answers: AnswerList | None = None,
+    figures: Collection[str] = (),
+    png: bool = False,
 ) -> Analysis | ThresholdAnalysis:
     """Analyse answers and write tables, figures, statistics and a report.
 
@@ -42,6 +45,11 @@ def analyse(
         Whose trials to take, of sessions with several stimuli and fixed levels.
     answers : AnswerList, optional
         What could be answered, for a CSV; by default the paper's answers. Sessions tell it themselves.
+    figures : collection of str
+        Figures to draw besides Fig. 10 and Fig. 11: ``fields``, ``side_bias``, ``order``, ``reaction_times``,
+        ``speed_ratio``, or ``all``.
+    png : bool
+        Whether each figure is written as PNG, too.
 
     Returns
     -------
@@ -55,6 +63,7 @@ def analyse(
     RecordError
         If a file would be overwritten that this command did not write, or cannot be written.
     """
+    asked = _figures(figures)
     responses = read_responses(path, mode=mode, stimulus=stimulus, answers=answers)
     folder = Path(out) if out is not None else default_folder(Path(path), responses.stimulus)
     about = {
@@ -67,11 +76,14 @@ def analyse(
         from modaltouch.analysis.thresholds import analyse_runs, render_runs
 
         runs = analyse_runs(responses)
-        return replace(runs, files=write_files(folder, render_runs(runs), about))
+        return replace(runs, files=write_files(folder, render_runs(runs, png=png), about))
+    from modaltouch.analysis.outcome import Analysis
+    from modaltouch.analysis.statistics import find
+
     counts = responses.count()
     findings = tuple(find(counts, responses.frame, responses.catches))
     analysis = Analysis(responses, counts, findings, {})
-    return replace(analysis, files=write_files(folder, render_files(analysis), about))
+    return replace(analysis, files=write_files(folder, render_files(analysis, asked, png=png), about))
 
 
 def default_folder(path: Path, stimulus: str = "") -> Path:
@@ -87,19 +99,27 @@ def default_folder(path: Path, stimulus: str = "") -> Path:
     return dataset / "derivatives" / "_".join(["analysis", *names, *chosen])
 
 
-def render_files(analysis: Analysis) -> dict[str, Any]:
+def _figures(asked: Collection[str]) -> Collection[str]:
+    """Return the names of figures that are asked for."""
+    if unknown := [name for name in asked if name not in (*FIGURES, "all")]:
+        raise InputError.of("--figures", repr(unknown[0]), f"{', '.join(FIGURES)}, or all", "separate them by commas")
+    return FIGURES if "all" in asked else asked
+
+
+def render_files(analysis: Analysis, figures: Collection[str] = (), *, png: bool = False) -> dict[str, Any]:
     """Return the contents of every file of an analysis, by name, as `write_files` takes them."""
-    from modaltouch.analysis.gallery import draw_all
+    from modaltouch.analysis.outcome import plain_row
     from modaltouch.analysis.report import report_files
+    from modaltouch.analysis.tables import figure_names, zone_table
 
     tests = _rows(analysis.tests)
     files: dict[str, Any] = {"counts.csv": _rows(analysis.counts)}
     for condition, name in figure_names(analysis.answers.finger_conditions).items():
         table = zone_table(analysis.answers, condition)
-        table.columns = pd.Index([format(float(level), "g") for level in table.columns])
+        table.columns = table.columns.map("{:g}".format)
         files[f"{name}.csv"] = _rows(table.reset_index())
     files |= {"tests.csv": tests, "tests.json": [plain_row(row) for row in tests]}
-    return files | report_files(analysis, draw_all(analysis.answers, analysis.responses))
+    return files | report_files(analysis, draw_all(analysis.answers, analysis.responses, figures), png=png)
 
 
 def _rows(table: pd.DataFrame) -> list[dict[str, Any]]:

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from modaltouch.analysis.responses import Responses
-from modaltouch.protocol import AnswerList, InputError
+from modaltouch.protocol import InputError
+
+if TYPE_CHECKING:
+    from modaltouch.analysis.responses import Responses
+    from modaltouch.protocol import AnswerList
 
 
 def read_responses(

@@ -17,6 +17,7 @@ from modaltouch.analysis.outcome import Analysis
 from modaltouch.analysis.responses import cell_of
 from modaltouch.analysis.scale import OWN_THRESHOLD
 from modaltouch.analysis.statistics import STATISTICS, questions
+from modaltouch.analysis.strips import participant_strips
 from modaltouch.analysis.tables import zone_table
 from modaltouch.protocol import AnswerList
 from modaltouch.report import ReportFigure, page_files, say_number
@@ -121,7 +122,7 @@ def _verdict(finding: Finding) -> str:
     return f", p {say_p(finding.p)}{corrected}"
 
 
-def report_files(analysis: Analysis, pictures: Sequence[ReportFigure]) -> dict[str, Any]:
+def report_files(analysis: Analysis, pictures: Sequence[ReportFigure], *, png: bool = False) -> dict[str, Any]:
     """Return the report and its figures, by file name."""
     from modaltouch.analysis.provenance import describe_record
 
@@ -131,12 +132,14 @@ def report_files(analysis: Analysis, pictures: Sequence[ReportFigure]) -> dict[s
         "modaltouch.analysis",
         "report",
         pictures,
+        png=png,
         title=_title(analysis),
         source=analysis.responses.source,
         answers=answers,
         n_answers=int(answers.counts.sum()),
         levels=[format(level, "g") for level in answers.levels],
         tables={condition: _zone_rows(answers, condition) for condition in answers.finger_conditions},
+        strips=participant_strips(answers),
         speeds=speed_rows(analysis.responses.frame),
         tests=list_questions(analysis.findings, answers),
         catches=catch_rows(answers, analysis.responses.catches),

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import gc
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from modaltouch.cli.exit_status import print_json, reporting
 from modaltouch.cli.options import JSON, MODE
+
+if TYPE_CHECKING:
+    from modaltouch.protocol import AnswerList
 
 
 def analyse(
@@ -35,19 +39,43 @@ def analyse(
         str | None,
         typer.Option(help="Protocol that a CSV's answers were given in, where they are not left, both, right, none."),
     ] = None,
+    figures: Annotated[
+        str,
+        typer.Option(
+            help="Figures besides Fig. 10 and 11: fields, side_bias, order, reaction_times, speed_ratio, or all.",
+            show_default="none",
+        ),
+    ] = "",
+    png: Annotated[bool, typer.Option("--png", help="Write each figure as PNG, too; SVG is always written.")] = False,
     json_output: JSON = False,
 ) -> None:
     """Write the tables and bars of Fig. 10 and Fig. 11, exact statistics, and an HTML report."""
+    # What loading makes stays: to look for what could go would take a tenth of the time.
+    gc.set_threshold(100_000)
     from modaltouch.analysis import analyse as run_analysis
-    from modaltouch.protocol import Findings
 
     with reporting(json_output=json_output):
-        answers = None if protocol is None else Findings.read(protocol).experiment().protocol.answers.offered
-        analysis = run_analysis(source, out, mode=mode, stimulus=stimulus, answers=answers)
+        answers = None if protocol is None else _offered(protocol)
+        analysis = run_analysis(
+            source,
+            out,
+            mode=mode,
+            stimulus=stimulus,
+            answers=answers,
+            figures=figures.replace(",", " ").split(),
+            png=png,
+        )
         if json_output:
             print_json(analysis.as_dict())
         else:
             tell(analysis)
+
+
+def _offered(protocol: str) -> AnswerList:
+    """Return the answers of a protocol; what reads one is loaded only here."""
+    from modaltouch.protocol import Findings
+
+    return Findings.read(protocol).experiment().protocol.answers.offered
 
 
 def participants(number: int) -> str:
