@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from modaltouch.cli.exit_status import reporting
+
 SHIPPED_APPARATUS = Path("beam_100x6x2")
 
 
@@ -18,9 +20,22 @@ class ThemeChoice(StrEnum):
     light = "light"
 
 
-JSON = Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")]
+# Eager: known before a protocol is looked for.
+JSON = Annotated[bool, typer.Option("--json", help="One JSON object on standard output.", is_eager=True)]
 
-PROTOCOL = Annotated[Path, typer.Argument(help="A YAML file, or a shipped protocol: `demo`.", show_default=False)]
+
+def _find(context: typer.Context, protocol: Path) -> Path:
+    """Refuse a protocol that is not there before what designs its stimulus is loaded."""
+    from modaltouch.protocol import Source
+
+    with reporting(json_output=context.params.get("json_output", False)):
+        Source.find("protocol", protocol)
+    return protocol
+
+
+PROTOCOL = Annotated[
+    Path, typer.Argument(help="A YAML file, or a shipped protocol: `demo`.", show_default=False, callback=_find)
+]
 CALIBRATION = Annotated[
     Path | None,
     typer.Option(

@@ -11,19 +11,7 @@ if TYPE_CHECKING:
 
 
 def print_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[str]], *, n_words: int = 1) -> None:
-    """Print a table.
-
-    Parameters
-    ----------
-    title : str
-        What stands above it.
-    headings : sequence of str
-        One for each column.
-    rows : iterable of sequence of str
-        The cells, with Rich's markup.
-    n_words : int
-        Number of columns on the left that hold words; all others hold numbers.
-    """
+    """Print a table; cells may have Rich's markup, and hold numbers but in the first `n_words` columns."""
     from rich.console import Console
     from rich.table import Table
 
