@@ -60,7 +60,7 @@ def test_further_figures_are_drawn_where_they_are_asked_for(paper_csv, tmp_path)
 
 
 def test_the_json_is_plain_and_without_nan(analysis) -> None:
-    """Keys of the issue; what is not a number is null."""
+    """A value that is infinite or not defined says which; null stands where there is no such number."""
     values = json.loads(json.dumps(analysis.as_dict(), allow_nan=False))
     assert {"counts", "tests", "files", "n_participants", "n_responses", "left_out"} <= set(values)
     assert (values["n_participants"], values["n_responses"]) == (10, 240)
@@ -69,6 +69,11 @@ def test_the_json_is_plain_and_without_nan(analysis) -> None:
     }  # fmt: skip
     keys = ("question", "name", "scope", "statistic", "p", "p_min", "p_holm", "estimate", "low", "high", "n")
     assert all(key in row for row in values["tests"] for key in keys)
+    odds = [
+        row for row in values["tests"] if row["name"].startswith("matched odds") and "no information" in row["note"]
+    ]
+    found = {tuple(row[key] for key in ("estimate", "low", "high", "p")) for row in odds}
+    assert found == {("undefined", 0.0, "infinity", None)}
 
 
 def test_the_table_of_fig_10_holds_the_counts(analysis) -> None:
@@ -107,7 +112,8 @@ def test_the_report_says_the_numbers(analysis) -> None:
     shown = re.sub(r"\s+", " ", page.shown)
     assert "39 C, 0 A, 1 both of 40 answers; 10 of 10 participants lean to C" in shown
     assert "p = 0.002, Holm p = 0.012" in shown
-    assert "No information" in shown
+    assert "none of 6 tests could reach p ≤ 0.05" in shown
+    assert "10, 10, 9, 10" in shown
     assert "In (B, D) zone, side and finger go together" in shown
 
 

@@ -77,7 +77,7 @@ def test_the_first_finger_condition_is_told_from_the_second(build) -> None:
     finding = list(order_findings(count_answers(frame), frame))[1]
     assert finding.p == sign_flip_test([12] * 4).p
     assert finding.estimate == 1
-    assert "2 began with one_hand, 2 began with two_hands" in finding.note
+    assert "2 began with one hand, 2 began with two hands" in finding.note
 
 
 def test_equal_values_have_no_t_interval() -> None:

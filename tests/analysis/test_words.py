@@ -1,18 +1,24 @@
 from __future__ import annotations
 
+import re
+
 import pandas as pd
 import pytest
 
 from modaltouch.analysis.counts import count_answers
-from modaltouch.analysis.report import list_questions, say_p, speed_rows
+from modaltouch.analysis.report import list_questions, speed_rows
 from modaltouch.analysis.statistics import find
+from modaltouch.analysis.words import say_p, say_scope, state_families
 from modaltouch.report import say_number
 
 
 def paragraphs(frame) -> dict[str, str]:
     """Return the text of each question."""
     answers = count_answers(frame)
-    return {asked["question"]: asked["words"] for asked in list_questions(find(answers, frame), answers)}
+    return {
+        asked["question"]: f"{asked['answer']} {asked['caution']}"
+        for asked in list_questions(find(answers, frame), answers)
+    }
 
 
 def test_each_question_has_its_paragraph(paper_frame) -> None:
@@ -21,11 +27,48 @@ def test_each_question_has_its_paragraph(paper_frame) -> None:
 
 
 def test_numbers_are_filled_in(paper_frame) -> None:
-    """Counts, net dominance, p and Holm's p of (C, E) with one hand."""
-    assert "one_hand C-E, P(C) - P(E) 0.95 [0.622, 0.991], p = 0.002, Holm p = 0.012" in paragraphs(paper_frame)["a2"]
+    """Each question is answered first, with its number; of unanimous leaning p is 2/2^10, Holm p six times that."""
+    told = paragraphs(paper_frame)
+    assert told["a2"].startswith("Yes, in 4 of 6 tests: one zone is chosen more than the other. Clearest: P(C) - P(")
+    assert re.search(r"= 1 \[.*\] \(two hands, C and E\), p = 0.002, Holm p = 0.012", told["a2"])
+    assert "cannot tell whether the choice changes with the level: none of 6 tests could reach p ≤ 0.05." in told["b"]
+    assert told["e"].startswith("Gwet AC1 from 0.")
+    assert "Exploratory: p ≤ 0.05 in " in told["e"]
     rows = find(count_answers(paper_frame), paper_frame)
     (row,) = [row for row in rows if (row.question, row.scope, row.quantity) == ("a2", "one_hand C-E", "P(C) - P(E)")]
     assert row.note == "38 C, 0 E, 2 both of 40 answers; 10 of 10 participants lean to C"
+
+
+@pytest.mark.parametrize(
+    ("scope", "words"),
+    [
+        ("one_hand A-C 80 mm/s", "one hand, A and C, 80 mm/s"),
+        ("one_hand - two_hands C-E", "one hand against two hands, C and E"),
+        ("two_hands A-C - B-D", "two hands, A and C against B and D"),
+        ("one_hand A-C, B-D - C-E", "one hand, A and C, B and D against C and E"),
+        ("one_hand A-C 1.5 x threshold", "one hand, A and C, 1.5 x threshold"),
+        ("all", "all"),
+    ],
+)
+def test_conditions_and_zones_are_said_in_words(paper_frame, scope, words) -> None:
+    """No name of a file or key in a sentence."""
+    assert say_scope(scope, count_answers(paper_frame)) == words
+
+
+def test_families_and_their_error_rates_are_stated_once(paper_frame) -> None:
+    """Six families at 5 % each; by Bonferroni's inequality 30 % over all of them."""
+    stated = state_families(find(count_answers(paper_frame), paper_frame))
+    assert "a1 (24), a2 (6), b (6), c (3), c both (3), d (6)" in stated
+    assert "over all 6, that chance is 30 % at most" in stated
+
+
+def test_every_p_is_corrected_or_exploratory(paper_frame) -> None:
+    """A row says what it may support."""
+    rows = find(count_answers(paper_frame), paper_frame)
+    roles = {row.role: [each for each in rows if each.role == row.role] for row in rows}
+    assert all(row.p_holm >= row.p for row in roles["confirmatory"])
+    assert all(row.p == row.p and row.p_holm != row.p_holm for row in roles["exploratory"])
+    assert all(row.p != row.p for row in roles["estimate"])
 
 
 def test_absence_of_evidence_is_not_called_evidence(paper_frame) -> None:
@@ -71,7 +114,7 @@ def test_speeds_under_the_fingers_stand_beside_the_level_asked() -> None:
     columns = ["finger_condition", "zone_left", "zone_right", "velocity_mm_s", "speed_left_mm_s", "speed_right_mm_s"]
     frame = pd.DataFrame(rows, columns=columns)
     assert speed_rows(frame) == [
-        {"finger_condition": "two_hands", "pair": "A-C", "cells": ["49\u201351 | 80", ""]},
-        {"finger_condition": "two_hands", "pair": "C-E", "cells": ["", "200 | 123"]},
+        {"finger_condition": "two hands", "pair": "A and C", "cells": ["49\u201351 | 80", ""]},
+        {"finger_condition": "two hands", "pair": "C and E", "cells": ["", "200 | 123"]},
     ]
     assert speed_rows(frame.drop(columns="speed_left_mm_s")) == []

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from modaltouch.report import page
 from modaltouch.report.page import render_page
 
 
@@ -19,6 +20,20 @@ def test_a_picture_is_held_by_the_page_itself(tmp_path: Path, monkeypatch: pytes
     (package / "__init__.py").touch()
     (package / "templates" / "leaf.html.j2").write_text('<img src="{{ picture | data_uri }}">')
     monkeypatch.syspath_prepend(tmp_path)
-    page = html.unescape(render_page("leaflet", "leaf.html.j2", picture=b"<svg/>"))
-    (content,) = re.findall(r'src="data:image/svg\+xml;base64,([^"]*)"', page)
+    shown = html.unescape(render_page("leaflet", "leaf.html.j2", picture=b"<svg/>"))
+    (content,) = re.findall(r'src="data:image/svg\+xml;base64,([^"]*)"', shown)
     assert base64.b64decode(content) == b"<svg/>"
+
+
+def test_the_page_is_dark_enough_to_read() -> None:
+    """WCAG 2.2, success criterion 1.4.3: a contrast of at least 4.5 on white, of every colour that letters have."""
+    text = (Path(page.__file__).parent / "templates" / "base.html.j2").read_text(encoding="utf-8")
+    named = dict(re.findall(r"--(\w+): (#\w{6})", text))
+    used = re.findall(r"(?<![-\w])color: (?:var\(--(\w+)\)|(#\w+))", text)
+    colours = {named.get(name, code) for name, code in used}
+    assert len(colours) >= 4
+    for colour in colours:
+        shares = [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
+        linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in shares]
+        luminance = 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+        assert 1.05 / (luminance + 0.05) >= 4.5, colour

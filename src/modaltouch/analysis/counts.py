@@ -121,6 +121,12 @@ class AnswerCounts:
         return self.answers.compares
 
     @property
+    def is_of_the_paper(self) -> bool:
+        """Whether pairs and levels are those of the paper's experiment."""
+        pairs = {pair.label for pair in self.pairs}
+        return pairs == {"A-C", "B-D", "C-E"} and (self.levels, self.scale) == ((80.0, 100.0, 150.0, 200.0), VELOCITY)
+
+    @property
     def felt(self) -> list[int]:
         """Places of the answers other than that nothing was felt."""
         return [place for place, answer in enumerate(self.answers) if not answer.says_nothing_felt]

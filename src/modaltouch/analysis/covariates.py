@@ -252,7 +252,9 @@ def order_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Findi
     total = ranked.groupby(["participant", "finger_condition"], observed=True)["dominant"].sum().unstack()
     sign = np.where(began == total.columns[0], 1, -1)
     score = sign * (total.iloc[:, 0] - total.iloc[:, 1]).to_numpy()
-    counted = ", ".join(f"{int((began == name).sum())} began with {name}" for name in answers.finger_conditions)
+    counted = ", ".join(
+        f"{int((began == name).sum())} began with {name.replace('_', ' ')}" for name in answers.finger_conditions
+    )
     yield finding_of(
         "order", "exact sign-flip test of first against second finger condition", "all", sign_flip_test(score),
         "P(dominant), first less second", paired_mean(score, answers.n_answers * len(answers.pairs)),

@@ -79,8 +79,10 @@ def draw_counts(table: pd.DataFrame, finger_condition: str, n_participants: int 
             axes.set_ylabel(f"answers out of {most}")
             quiet_grid(axes)
         panels[-1].set_xlabel(f"answer, and below each bar the {scale_of([str(table.columns.name)]).quantity}")
-        title = f"{finger_condition}: {FINGERS[finger_condition]}" if finger_condition in FINGERS else finger_condition
-        figure.suptitle(title, fontsize=10.5)
+        named = finger_condition.replace("_", " ")
+        figure.suptitle(
+            f"{named}: {FINGERS[finger_condition]}" if finger_condition in FINGERS else named, fontsize=10.5
+        )
     return figure
 
 

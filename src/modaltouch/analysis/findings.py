@@ -30,6 +30,7 @@ COLUMNS = (
     "n",
     "quantity",
     "family",
+    "role",
     "note",
 )
 
@@ -76,6 +77,11 @@ class Finding:
     family: str = ""
     note: str = ""
     p_holm: float = math.nan
+
+    @property
+    def role(self) -> str:
+        """What it may support: a confirmatory test a claim, an exploratory one none; or an estimate without test."""
+        return "confirmatory" if self.family else "estimate" if math.isnan(self.p) else "exploratory"
 
 
 def finding_of(

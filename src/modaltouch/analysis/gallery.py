@@ -82,6 +82,7 @@ def _bars(answers: AnswerCounts) -> list[ReportFigure]:
         figure = draw_counts(table, condition, n if answers.n_repetitions > 1 else None)
         number = {"fig_10": "Fig. 10. ", "fig_11": "Fig. 11. "}.get(name, "")
         several = f", {answers.n_repetitions} answers each" if answers.n_repetitions > 1 else ""
-        caption = f"{number}Answers under {condition}, {n} participant{'s' * (n != 1)}{several}. {INTERVALS}"
+        whose = f"{condition.replace('_', ' ')}, {n} participant{'s' * (n != 1)}"
+        caption = f"{number}Answers with {whose}{several}. {INTERVALS}"
         pictures.append(ReportFigure(name, figure, caption, "answers", condition))
     return pictures

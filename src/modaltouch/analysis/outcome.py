@@ -48,7 +48,7 @@ class Analysis:
         return to_frame(self.findings)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return everything as plain values for ``--json``; what is not a finite number is null."""
+        """Return everything as plain values for ``--json``, rows as `plain_row` gives them."""
         return {
             "counts": [plain_row(row) for row in self.counts.to_dict("records")],
             "tests": [plain_row(row) for row in self.tests.to_dict("records")],
@@ -63,9 +63,17 @@ class Analysis:
 
 
 def plain_row(row: dict[Any, Any]) -> dict[str, Any]:
-    """Return a row of a table as plain values; what is not a finite number becomes None."""
+    """Return a row of a table as plain values, as JSON knows no others.
+
+    Infinity is told in words; not a number is ``undefined`` where something was to be estimated, else null: there is no
+    such number.
+    """
     values: dict[str, Any] = {}
     for key, value in row.items():
         plain = value.item() if hasattr(value, "item") else value
-        values[str(key)] = None if isinstance(plain, float) and not math.isfinite(plain) else plain
+        if isinstance(plain, float) and math.isinf(plain):
+            plain = "infinity" if plain > 0 else "-infinity"
+        elif isinstance(plain, float) and math.isnan(plain):
+            plain = "undefined" if key in ("estimate", "low", "high") and row["quantity"] else None
+        values[str(key)] = plain
     return values

@@ -135,7 +135,7 @@ def _presented(sessions: Sequence[SessionFacts]) -> Iterator[dict[str, Any]]:
     for (finger_condition, level), own in groupby(sorted(together), key=lambda each: each[:2]):
         alike = list(own)
         yield {
-            "finger_condition": finger_condition,
+            "finger_condition": finger_condition.replace("_", " "),
             "level": f"{level:g}",
             "n_trials": sum(together[each] for each in alike),
             "n_confirmed": sum(together[each] for each in alike if each[-1]),

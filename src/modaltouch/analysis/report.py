@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -16,83 +15,14 @@ from modaltouch.analysis.intervals import tango
 from modaltouch.analysis.outcome import Analysis
 from modaltouch.analysis.responses import cell_of
 from modaltouch.analysis.scale import OWN_THRESHOLD
-from modaltouch.analysis.statistics import STATISTICS, questions
 from modaltouch.analysis.strips import participant_strips
-from modaltouch.analysis.tables import zone_table
+from modaltouch.analysis.tables import PAPER_TEXT, zone_table
+from modaltouch.analysis.words import answer_question, headings, say_condition, say_interval, say_scope, state_families
 from modaltouch.protocol import AnswerList
 from modaltouch.report import ReportFigure, page_files, say_number
 
-HEADINGS = {
-    "a1": "Do the answers of a cell differ from guessing?",
-    "a2": "Is one zone of each pair chosen more than the other?",
-    "b": "Does the level matter?",
-    "c": "Do the finger conditions differ?",
-    "d": "Do the pairs of zones differ{in_both}?",
-    "e": "Do the participants agree?",
-    "f": "How large are the effects?",
-    "catch": "Is something felt where nothing is driven?",
-    "side": "Is there a side bias?",
-    "order": "Do answers drift, or depend on what came first?",
-    "time": "Do reaction times differ?",
-    "speed": "Do the answers follow the speeds under the fingers?",
-}
-"""Questions of the analysis plan, then the further ones; other families of tests are headed by what they ask."""
-
-MOST_TOLD = 12
-"""Most findings of a kind that are told one by one in words."""
-
-
-def _headings(answers: AnswerCounts) -> dict[str, str]:
-    """Return the heading of each question, in the order of the report."""
-    both = answers.answers.naming("left", "right") if answers.compares else None
-    in_both = "" if both is None else f" in “{both.name}”"
-    asked = {each.question: f"{each.asks[:1].upper()}{each.asks[1:]}?" for each in STATISTICS.values()}
-    known = asked | {question: heading.format(in_both=in_both) for question, heading in HEADINGS.items()}
-    return {question: known[question] for question in questions()}
-
-
-def say_p(p: float) -> str:
-    """Return a p value as it stands in a paper.
-
-    Examples
-    --------
-    >>> say_p(0.0312), say_p(0.00004), say_p(1.0)
-    ('= 0.031', '< 0.001', '= 1')
-    """
-    if math.isnan(p):
-        return "not available"
-    if p < 0.001:
-        return "< 0.001"
-    return f"= {p:.2g}" if p < 1 else "= 1"
-
-
-def say_interval(finding: Finding) -> str:
-    """Return an estimate with its interval, as in ``0.975 [0.798, 0.996]``."""
-    bounds = ", ".join(say_number(value) for value in (finding.low, finding.high))
-    return f"{say_number(finding.estimate)} [{bounds}]"
-
-
-def _summarise(own: Sequence[Finding]) -> str:
-    """Return what the tests of a question show, what they do not, and on what they hold no information."""
-    own = [f for f in own if f.family] or own
-    estimates = [f for f in own if math.isnan(f.p)]
-    silent = [f for f in own if f.p_min > ALPHA]
-    told = [f for f in own if f.p_min <= ALPHA]
-    shown = [f for f in told if (f.p if math.isnan(f.p_holm) else f.p_holm) <= ALPHA]
-    groups = {
-        "Significant": shown,
-        "Not significant": [f for f in told if f not in shown],
-        f"No information, as no outcome could have given p ≤ {ALPHA:g}": silent,
-        "Estimates": estimates,
-    }
-    return " ".join(f"{words}: {_list(group)}." for words, group in groups.items() if group)
-
-
-def _list(findings: Sequence[Finding]) -> str:
-    if len(findings) > MOST_TOLD:
-        return f"{len(findings)}, in the tables below"
-    told = [f"{f.scope}, {f.quantity} {say_interval(f)}" if f.quantity else f.scope for f in findings]
-    return "; ".join(f"{words}{_verdict(finding)}" for words, finding in zip(told, findings, strict=True))
+MOST_ROWS = 8
+"""Rows of a table that stand open; longer ones are unfolded on request, and not printed."""
 
 
 def _cautions(answers: AnswerCounts) -> dict[str, str]:
@@ -115,13 +45,6 @@ def _cautions(answers: AnswerCounts) -> dict[str, str]:
     }
 
 
-def _verdict(finding: Finding) -> str:
-    if math.isnan(finding.p) or finding.p_min > ALPHA:
-        return ""
-    corrected = "" if math.isnan(finding.p_holm) else f", Holm p {say_p(finding.p_holm)}"
-    return f", p {say_p(finding.p)}{corrected}"
-
-
 def report_files(analysis: Analysis, pictures: Sequence[ReportFigure], *, png: bool = False) -> dict[str, Any]:
     """Return the report and its figures, by file name."""
     from modaltouch.analysis.provenance import describe_record
@@ -137,11 +60,14 @@ def report_files(analysis: Analysis, pictures: Sequence[ReportFigure], *, png: b
         source=analysis.responses.source,
         answers=answers,
         n_answers=int(answers.counts.sum()),
+        conditions=[say_condition(name) for name in answers.finger_conditions],
         levels=[format(level, "g") for level in answers.levels],
         tables={condition: _zone_rows(answers, condition) for condition in answers.finger_conditions},
         strips=participant_strips(answers),
         speeds=speed_rows(analysis.responses.frame),
         tests=list_questions(analysis.findings, answers),
+        families=state_families(analysis.findings),
+        most_rows=MOST_ROWS,
         catches=catch_rows(answers, analysis.responses.catches),
         catch_words=[*(answer.name for answer in answers.answers if answer.says_nothing_felt), *felt]
         if answers.offers_none
@@ -231,8 +157,15 @@ def _title(analysis: Analysis) -> str:
 def _zone_rows(answers: AnswerCounts, condition: str) -> list[dict[str, Any]]:
     table: pd.DataFrame = zone_table(answers, condition)
     total = answers.n_participants * answers.n_repetitions
+    paper = PAPER_TEXT.get(condition, {}) if answers.is_of_the_paper else {}
     return [
-        {"pair": pair, "answer": answer, "cells": [f"{int(k)}" for k in row], "of": total}
+        {
+            "pair": pair.replace("-", ", "),
+            "answer": answer,
+            "cells": [f"{int(k)}" for k in row],
+            "of": total,
+            "paper": paper.get((pair, answer), ""),
+        }
         for (pair, answer), row in zip(table.index, table.to_numpy(), strict=True)
     ]
 
@@ -255,7 +188,7 @@ def speed_rows(frame: pd.DataFrame) -> list[dict[str, Any]]:
     )  # fmt: skip
     rows = said.unstack(level).fillna("")
     return [
-        {"finger_condition": condition, "pair": f"{left}-{right}", "cells": list(cells)}
+        {"finger_condition": say_condition(condition), "pair": f"{left} and {right}", "cells": list(cells)}
         for (condition, left, right), cells in zip(rows.index, rows.to_numpy(), strict=True)
     ]
 
@@ -271,28 +204,42 @@ def list_questions(findings: Sequence[Finding], answers: AnswerCounts) -> list[d
         Counts of the answers.
     """
     tables, cautions = [], _cautions(answers)
-    for question, heading in _headings(answers).items():
+    for question, (heading, claim) in headings(answers).items():
         own = [finding for finding in findings if finding.question == question]
-        groups: dict[str, list[dict[str, Any]]] = {}
+        groups: dict[str, list[Finding]] = {}
         for finding in own:
-            groups.setdefault(finding.name, []).append(_test_row(finding))
+            groups.setdefault(finding.name, []).append(finding)
         if groups:
-            parts = [{"name": name, "lines": lines, "tested": any(row["p"] != "–" for row in lines)}
-                     for name, lines in groups.items()]  # fmt: skip
-            words = f"{_summarise(own)} {cautions.get(question, '')}"
-            tables.append({"question": question, "heading": heading, "words": words, "parts": parts})
+            tables.append({
+                "question": question,
+                "heading": heading,
+                "answer": answer_question(own, claim, answers),
+                "caution": cautions.get(question, ""),
+                "parts": [_part(name, rows, answers) for name, rows in groups.items()],
+            })  # fmt: skip
     return tables
 
 
-def _test_row(finding: Finding) -> dict[str, Any]:
-    numbers = ("statistic", "p", "p_min", "p_holm", "estimate", "low", "high")
-    row: dict[str, Any] = {name: say_number(getattr(finding, name)) for name in numbers}
-    significant = not math.isnan(finding.p_holm) and finding.p_holm <= ALPHA
+def _part(name: str, rows: Sequence[Finding], answers: AnswerCounts) -> dict[str, Any]:
+    """Return the table of one test or estimate."""
+    tested, corrected = any(row.p == row.p for row in rows), any(row.family for row in rows)
     return {
-        **row,
-        "scope": finding.scope,
-        "quantity": finding.quantity,
-        "n": finding.n,
-        "note": finding.note,
-        "significant": significant,
+        "name": name + (" (exploratory, not corrected)" if tested and not corrected else ""),
+        "tested": tested,
+        "corrected": corrected,
+        "folded": len(rows) > MOST_ROWS,
+        "lines": [
+            {
+                "scope": say_scope(row.scope, answers),
+                "quantity": row.quantity,
+                "estimate": say_interval(row),
+                "p": say_number(row.p, 2),
+                "p_min": say_number(row.p_min, 2),
+                "p_holm": say_number(row.p_holm, 2),
+                "n": row.n,
+                "note": row.note,
+                "significant": row.p_holm <= ALPHA,
+            }
+            for row in rows
+        ],
     }

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from modaltouch.analysis.counts import AnswerCounts, Pair
+from modaltouch.analysis.words import say_condition
 
 MOST_PARTICIPANTS = 40
 """Participants that one page of strips can show."""
@@ -65,7 +66,7 @@ def participant_strips(answers: AnswerCounts) -> dict[str, Any]:
     kinds = [kinds_of(answers, pair) for pair in answers.pairs]
     by_place = [{kind.place: kind for kind in own} for own in kinds]
     rows = {
-        condition: {
+        say_condition(condition): {
             name: [[by_place[q][place] for place in cells] for q, cells in enumerate(own[f].tolist())]
             for name, own in zip(answers.participants, modal, strict=False)
         }

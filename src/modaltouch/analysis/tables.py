@@ -10,6 +10,23 @@ import pandas as pd
 from modaltouch.analysis.counts import PAPER_CONDITIONS, AnswerCounts
 from modaltouch.analysis.responses import CELL
 
+PAPER_TEXT: dict[str, dict[tuple[str, str], str]] = {
+    "one_hand": {
+        ("A-C", "C"): "10, 10, 9, 10",
+        ("A-C", "A"): "0, 0, 0, 0",
+        ("A-C", "C & A"): "0, 0, 1, 0",
+        ("B-D", "B"): "some",
+        ("B-D", "D"): "one",
+        ("B-D", "B & D"): "most",
+        ("C-E", "C"): "9, 9, 10, 10",
+        ("C-E", "E"): "0, 0, 0, 0",
+        ("C-E", "C & E"): "1, 1, 0, 0",
+    },
+    "two_hands": {},
+}
+"""Answers of ten participants at 80, 100, 150 and 200 mm/s in the text of section V; of two hands it gives no
+numbers."""
+
 
 def tabulate(answers: AnswerCounts) -> pd.DataFrame:
     """Return the counts of every cell, summed over participants: its names, its level, each answer and their sum n."""

@@ -1,0 +1,167 @@
+"""Findings in words: the answer to each question, families of tests, finger conditions and zones."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import Counter
+from collections.abc import Sequence
+
+from modaltouch.analysis.counts import AnswerCounts
+from modaltouch.analysis.findings import ALPHA, Finding
+from modaltouch.analysis.statistics import STATISTICS, questions
+from modaltouch.report import say_number
+
+HEADINGS = {
+    "a1": ("Do the answers of a cell differ from guessing?", "answers differ from guessing"),
+    "a2": ("Is one zone of each pair chosen more than the other?", "one zone is chosen more than the other"),
+    "b": ("Does the level matter?", "the choice changes with the level"),
+    "c": ("Do the finger conditions differ?", "the finger conditions differ"),
+    "d": ("Do the pairs of zones differ{in_both}?", "the pairs of zones differ{in_both}"),
+    "e": ("Do the participants agree?", ""),
+    "f": ("How large are the effects?", ""),
+    "catch": ("Is something felt where nothing is driven?", ""),
+    "side": ("Is there a side bias?", ""),
+    "order": ("Do answers drift, or depend on what came first?", ""),
+    "time": ("Do reaction times differ?", ""),
+    "speed": ("Do the answers follow the speeds under the fingers?", ""),
+}
+"""Heading of each question, and what its tests claim; other families of tests are headed by what they ask."""
+
+
+def headings(answers: AnswerCounts) -> dict[str, tuple[str, str]]:
+    """Return the heading and the claim of each question, in the order of the report."""
+    both = answers.answers.naming("left", "right") if answers.compares else None
+    in_both = "" if both is None else f" in “{both.name}”"
+    asked = {each.question: (f"{each.asks[:1].upper()}{each.asks[1:]}?", "") for each in STATISTICS.values()}
+    known = {
+        question: (heading.format(in_both=in_both), claim.format(in_both=in_both))
+        for question, (heading, claim) in HEADINGS.items()
+    }
+    return {question: (asked | known)[question] for question in questions()}
+
+
+def say_condition(finger_condition: str) -> str:
+    """Return a finger condition in words.
+
+    Examples
+    --------
+    >>> say_condition("one_hand")
+    'one hand'
+    """
+    return finger_condition.replace("_", " ")
+
+
+def say_scope(scope: str, answers: AnswerCounts) -> str:
+    """Return what a finding is about in words, as in ``one hand, A and C, 80 mm/s``.
+
+    Parameters
+    ----------
+    scope : str
+        As a finding has it: ``one_hand A-C 80 mm/s``, ``one_hand - two_hands A-C``, ``one_hand A-C - C-E``.
+    answers : AnswerCounts
+        Counts of the answers, whose finger conditions and pairs it names.
+    """
+    names = {name: say_condition(name) for name in answers.finger_conditions}
+    names |= {pair.label: f"{pair.left} and {pair.right}" for pair in answers.pairs}
+    longest_first = "|".join(re.escape(name) for name in sorted(names, key=len, reverse=True))
+    words = ""
+    for part in re.split(rf"(?<![\w-])({longest_first})(?![\w-])", scope):
+        if part in names:
+            words += names[part]
+        elif part.strip() == "-":
+            words += " against "
+        elif part:
+            words += ", " + part.strip(" ,") + (", " if part.strip(" ,") and part.endswith(" ") else "")
+    return words.removeprefix(", ").replace(", , ", ", ")
+
+
+def say_p(p: float) -> str:
+    """Return a p value as it stands in a paper.
+
+    Examples
+    --------
+    >>> say_p(0.0312), say_p(0.00004), say_p(1.0)
+    ('= 0.031', '< 0.001', '= 1')
+    """
+    if math.isnan(p):
+        return "not available"
+    if p < 0.001:
+        return "< 0.001"
+    return f"= {p:.2g}" if p < 1 else "= 1"
+
+
+def say_interval(finding: Finding) -> str:
+    """Return an estimate with its interval, as in ``0.975 [0.798, 0.996]``."""
+    estimate, *bounds = (say_number(value) for value in (finding.estimate, finding.low, finding.high))
+    return estimate if bounds == ["–", "–"] else f"{estimate} [{', '.join(bounds)}]"
+
+
+def answer_question(own: Sequence[Finding], claim: str, answers: AnswerCounts) -> str:
+    """Return the answer to a question in one or two plain sentences, with its number.
+
+    Parameters
+    ----------
+    own : sequence of Finding
+        What was found on it.
+    claim : str
+        What its tests would show.
+    answers : AnswerCounts
+        Counts of the answers.
+    """
+    tested = [row for row in own if row.family]
+    if not tested:
+        return _estimate(own, answers)
+    claim, m = claim or "there is such an effect", len(tested)
+    shown = [row for row in tested if row.p_holm <= ALPHA]
+    clearest = min(tested, key=lambda row: (row.p_holm, row.p, -abs(row.estimate)))
+    number = f"{_about(clearest, answers)}, p {say_p(clearest.p)}, Holm p {say_p(clearest.p_holm)}"
+    if all(row.p_min > ALPHA for row in tested):
+        return f"The data cannot tell whether {claim}: none of {m} tests could reach p ≤ {ALPHA:g}. Estimate: {number}."
+    if not shown:
+        return f"Not shown: none of {m} tests finds that {claim}. Smallest p: {number}."
+    where = f"in all {m} tests" if len(shown) == m else f"in {len(shown)} of {m} tests"
+    return f"Yes, {where if m > 1 else 'in the one test'}: {claim}. Clearest: {number}."
+
+
+def _estimate(own: Sequence[Finding], answers: AnswerCounts) -> str:
+    """Return the range of the estimates, and how many uncorrected tests are below the level."""
+    first = [row for row in own if row.name == own[0].name and math.isfinite(row.estimate)]
+    in_order = sorted(first, key=lambda row: row.estimate)
+    ends = in_order if len(first) < 2 else [in_order[0], in_order[-1]]
+    about = [_about(row, answers) for row in ends]
+    if len(ends) > 1 and ends[0].quantity == ends[1].quantity:
+        about = [words.removeprefix(f"{ends[0].quantity} = ") for words in about]
+        said = [f"{ends[0].quantity} from {' to '.join(about)}"]
+    else:
+        said = [" to ".join(about) or "not estimable: see the notes"]
+    tested = [row for row in own if row.p == row.p]
+    if tested:
+        n_low = sum(row.p <= ALPHA for row in tested)
+        said.append(
+            f"Exploratory: p ≤ {ALPHA:g} in {n_low} of {len(tested)} uncorrected tests, where chance alone may give "
+            f"{ALPHA * len(tested):.2g}"
+        )
+    return ". ".join(words[:1].upper() + words[1:] for words in said) + "."
+
+
+def _about(row: Finding, answers: AnswerCounts) -> str:
+    scope = "" if row.scope == "all" else f" ({say_scope(row.scope, answers)})"
+    return f"{row.quantity} = {say_interval(row)}{scope}"
+
+
+def state_families(findings: Sequence[Finding]) -> str:
+    """Return which tests are corrected together, and what error rates that holds."""
+    families = Counter(row.family for row in findings if row.family)
+    n = len(families)
+    if not n:
+        return "No test was possible."
+    named = ", ".join(f"{family} ({m})" for family, m in families.items())
+    level, together = 100 * ALPHA, ""
+    if n > 1:
+        together = f" Each family stands for itself: over all {n}, that chance is {n * level:g} % at most."
+    return (
+        f"Confirmatory tests, by family: {named}. Holm's correction holds the chance of any false claim within a "
+        f"family at {level:g} % at most.{together} All other tests are exploratory: their p are not corrected and "
+        "support no claim."
+    )
