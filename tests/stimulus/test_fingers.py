@@ -1,6 +1,7 @@
 """Fingertips on the beam, judged by matrix exponentials in extended precision that share no code with the engine."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import mpmath
 import numpy as np
@@ -13,6 +14,7 @@ from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
 from modaltouch.stimulus.fingers import CoupledModes, Finger
 from modaltouch.stimulus.modes import ModalModel
+from modaltouch.stimulus.sensitivity import focus_sensitivity
 from modaltouch.stimulus.timing import Timing
 
 LONG = np.longdouble
@@ -380,6 +382,34 @@ def test_what_fingers_make_of_another_design_is_predicted(design, beam, zones, v
     np.testing.assert_allclose(touched.peak_velocity(zones, unit), speed, rtol=1e-6)
     assert touched.passes(zones, unit, speed.max() * (1 - 1e-5))
     assert not touched.passes(zones, unit, speed.max() * (1 + 1e-5))
+
+
+@pytest.mark.parametrize(
+    ("values", "amplifier", "allowed"),
+    [((*FINGERS[0], RELAXING), SLOW, 1e-9), ((*FINGERS[4], ()), PLAIN, 1e-9), ((0.15, None, 0.0, ()), PLAIN, 1e-6)],
+    ids=["light, relaxing", "overdamped", "critical"],
+)
+def test_derivatives_under_fingers_are_those_of_the_coupled_beam(design, beam, critical, values, amplifier, allowed):
+    """Central differences in extended precision, relative step 1e-7, of the parameters of modes 1 and 17."""
+    *given, maxwell = (critical if each is None else each for each in values)
+    fingers = pair("AC", *given, maxwell=maxwell)
+    stimulus = design(beam.touched(fingers), timing=COARSE, amplifier=amplifier)
+    found, step = focus_sensitivity(stimulus), LONG(1e-7)
+
+    def difference(parameter, mode):
+        def moved(by):
+            values = getattr(stimulus.model, parameter).astype(LONG)
+            values[mode] *= 1 + by
+            other = SimpleNamespace(**{**vars(stimulus.model), parameter: values})
+            return np.stack(Coupled(other, fingers, amplifier).at(stimulus.voltage, COARSE, COARSE.focusing_instant))
+
+        return (moved(step) - moved(-step)) / (2 * step)
+
+    for mode in (0, 8):
+        expected = difference("natural_frequency", mode)
+        assert found.natural_frequency[:, :, mode] == pytest.approx(expected, abs=allowed)
+        assert found.damping_ratio[:, :, mode] == pytest.approx(difference("damping_ratio", mode), abs=allowed)
+        assert found.modal_gain[:, :, mode].sum(axis=2) == pytest.approx(difference("modal_gain", mode), abs=allowed)
 
 
 @pytest.mark.parametrize("amplifier", [PLAIN, SLOW], ids=["plain", "slow"])

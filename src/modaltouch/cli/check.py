@@ -160,7 +160,8 @@ def _explore(preflight: Preflight, sensitivity: bool, designs: bool, tolerance: 
 
     inputs, stimulus = preflight.of_one_stimulus().sound
     if sensitivity:
-        asked["sensitivity"] = sensitivity_figures(inputs, stimulus)
+        place = next(iter(preflight.placed), "")
+        asked["sensitivity"] = {**({"placement": place} if place else {}), **sensitivity_figures(inputs, stimulus)}
     if designs:
         asked["designs"] = design_figures(stimulus)
     if tolerance is not None:
@@ -174,9 +175,9 @@ def _show_explored(asked: dict[str, Any]) -> None:
 
     console = Console()
     if found := asked.get("sensitivity"):
-        table = Table(
-            title=f"What an error of a parameter does at {found['velocity_mm_s']:g} mm/s", title_justify="left"
-        )
+        under = f" under fingers at {found['placement']}" if "placement" in found else ""
+        title = f"What an error of a parameter does at {found['velocity_mm_s']:g} mm/s{under}"
+        table = Table(title=title, title_justify="left")
         for heading in ("parameter", "mode", "error %", "field mm/s", "displacement mm/s"):
             table.add_column(heading, justify="left" if heading == "parameter" else "right")
         for row in found["table"][:_MOST_ROWS]:

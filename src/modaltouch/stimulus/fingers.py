@@ -190,14 +190,14 @@ class CoupledModes:
         Of each conjugate pair one is kept, counted twice; a mode that does not swing has no pair.
         """
         n = self.n_modes
-        exponent, vectors = _refined(self.matrix)
+        exponent, vectors = eigenvectors(self.matrix)
         pushed = np.linalg.solve(vectors, self.force.astype(complex)).astype(np.complex128)
         kept = exponent.imag >= 0
         weighted = vectors[:, kept] * np.where(exponent[kept].imag > 0, 2.0, 1.0)
         return (exponent[kept], pushed[kept], weighted[n : 2 * n], weighted[:n]), float(np.linalg.cond(vectors))
 
 
-def _refined(matrix: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+def eigenvectors(matrix: FloatArray) -> tuple[ComplexArray, ComplexArray]:
     """Eigenvalues and vectors after one Newton step in extended precision, where it is a small one.
 
     An eigenvalue is found to 1e-16 of the largest: of a mode 400 times slower, that turns 1e-12 within a burst.

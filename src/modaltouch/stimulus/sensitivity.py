@@ -1,7 +1,7 @@
 r"""How well a lab must identify its beam: what an error of each parameter does to the field at the focus.
 
 The voltages stay as they were designed; the beam differs. Open loop is limited by identification, not by the
-codes: their 1e-13 means nothing without this table.
+codes: their 1e-13 means nothing without this table. Fingers couple the modes: each parameter then moves them all.
 """
 
 from __future__ import annotations
@@ -12,26 +12,34 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from modaltouch.stimulus.dynamics import DiagonalSystem
+from modaltouch.stimulus.fingers import CoupledModes, eigenvectors
+from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.quantities import ComplexArray, FloatArray
 from modaltouch.stimulus.stimulus import Stimulus
+
+_WORST_CONDITION = 1e4
+"""Condition number of the eigenvectors above which their derivatives are not trusted [1]."""
+
+_MEET = 1e-5
+"""Relative distance of exponents below which a difference quotient is a derivative [1]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sensitivity:
     """Derivatives of the state at the focus by relative changes of the parameters, at the reference level.
 
-    A mode depends on its own parameters alone. Each array holds velocities first, then displacements times
-    angular frequency.
+    Each array holds velocities first, then displacements times angular frequency; the modes that move come before
+    those whose parameter changes. Without fingers a mode depends on its own parameters alone.
 
     Attributes
     ----------
     label : tuple of int
         Label of each mode.
-    natural_frequency : (2, n_modes) array
+    natural_frequency : (2, n_modes, n_modes) array
         Per relative change of the natural frequency [m/s].
-    damping_ratio : (2, n_modes) array
+    damping_ratio : (2, n_modes, n_modes) array
         Per relative change of the damping ratio [m/s].
-    modal_gain : (2, n_modes, n_channels) array
+    modal_gain : (2, n_modes, n_modes, n_channels) array
         Per relative change of each channel's gain [m/s].
     """
 
@@ -61,21 +69,20 @@ class Sensitivity:
         -------
         list of dict
             ``parameter``, ``mode``, ``error`` [1], ``field`` (largest change of the velocity at the points
-            [m/s]) and ``displacement`` (change of w eta [m/s]).
+            [m/s]) and ``displacement`` (largest change of any w eta [m/s]).
         """
-        highest = np.abs(shapes).max(axis=1)
         effects = {
             "natural_frequency": (natural_frequency, self.natural_frequency),
             "damping_ratio": (damping_ratio, self.damping_ratio),
-            "modal_gain": (modal_gain, self.modal_gain.sum(axis=2)),
+            "modal_gain": (modal_gain, self.modal_gain.sum(axis=3)),
         }
         rows: list[dict[str, float | int | str]] = [
             {
                 "parameter": name,
                 "mode": label,
                 "error": error,
-                "field": float(abs(effect[0, k]) * error * highest[k]),
-                "displacement": float(abs(effect[1, k]) * error),
+                "field": float(np.abs(effect[0, :, k] @ shapes).max() * error),
+                "displacement": float(np.abs(effect[1, :, k]).max() * error),
             }
             for name, (error, effect) in effects.items()
             for k, label in enumerate(self.label)
@@ -86,47 +93,79 @@ class Sensitivity:
 def focus_sensitivity(stimulus: Stimulus) -> Sensitivity:
     r"""Return the derivatives of the state at the focusing instant, in closed form, on the clock as it is.
 
-    With :math:`z = \sum_c G_c [\frac{p}{p+s} r_c(s) - \frac{u_c}{p+s}]`, r the response to the voltages' steps and u
-    the amplifier's state, the derivatives follow by the chain rule from ds/dw and ds/dxi.
+    In the eigenvectors V of the equations :math:`\dot x = A x + B v` a change :math:`A'` of the matrix moves state j by
+    :math:`\sum_k (V^{-1} A' V)_{jk} \sum_c (V^{-1} B)_{kc} \frac{r_c(s_j) - r_c(s_k)}{s_j - s_k}`, where
+    :math:`r_c(s)` is the response of :math:`\dot x = s x + v_c`; for j = k the quotient is its derivative.
 
     Parameters
     ----------
     stimulus : Stimulus
         The design.
     """
-    timing, model, s = stimulus.timing, stimulus.model, stimulus.model.exponent
-    n_before, remainder = timing.samples_until(timing.focusing_instant - stimulus.amplifier.delay)
+    model, n = stimulus.model, stimulus.model.n_modes
+    omega, damping = model.angular_frequency, 2 * model.damping_ratio * model.angular_frequency
+    coupled, exponent, vectors = _trusted_eigenvectors(model)
+    inverse = np.linalg.inv(vectors)
+    pushed, below = inverse @ coupled.force, inverse[:, n : 2 * n]
+    reached, slope = _responses(stimulus, exponent)
+    gap = (exponent[:, None] - exponent)[:, :, None]
+    meet = np.abs(gap) <= _MEET * np.abs(exponent)[:, None]
+    quotient = np.where(meet, (slope[:, None] + slope) / 2, (reached[:, None] - reached) / np.where(meet, 1, gap))
+    passed_on = np.einsum("jkc,kc->jk", quotient, pushed @ model.modal_gain) @ vectors[: 2 * n].T
+    by_displacement, by_velocity = passed_on[:, :n], passed_on[:, n:]
+    by_ratio = -damping * pushed * by_velocity
+    stiffer = -2 * omega * pushed - below @ coupled.matrix[n : 2 * n, :n]
+    changes = (
+        omega * inverse[:, :n] * by_velocity + stiffer * by_displacement + by_ratio,
+        by_ratio,
+        pushed[:, :, None] * model.modal_gain * reached[:, None],
+    )
+    read = np.stack([vectors[n : 2 * n], vectors[:n]])
+    return Sensitivity(model.label, *(np.tensordot(read, change, axes=1).real for change in changes))
+
+
+def _trusted_eigenvectors(model: ModalModel) -> tuple[CoupledModes, ComplexArray, ComplexArray]:
+    """Return equations that each modal acceleration drives, their exponents and eigenvectors.
+
+    Where these are lost, at critical damping, the fingers are taken a few millionths off.
+    """
+    given = model.angular_frequency, model.damping_ratio, np.eye(model.n_modes)
+    for off in (0.0, 1e-6):
+        loads = [(contact, finger.scaled(1 + off * (2 + i))) for i, (contact, finger) in enumerate(model.loads)]
+        coupled = CoupledModes.of(*given, loads)
+        exponent, vectors = eigenvectors(coupled.matrix)
+        if np.linalg.cond(vectors) <= _WORST_CONDITION:
+            break
+    return coupled, exponent, vectors
+
+
+def _responses(stimulus: Stimulus, exponent: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    """Return r(s), the response behind the amplifier, and dr/ds at the focus, two (n_states, n_channels) arrays."""
+    timing, amplifier = stimulus.timing, stimulus.amplifier
+    n_before, remainder = timing.samples_until(timing.focusing_instant - amplifier.delay)
     n_begun = min(n_before + (remainder > 0), timing.n_samples)
     ago: FloatArray = np.asarray(remainder + timing.hold * (n_before - np.arange(n_begun)))
     if timing.clock_error is not None:
         ago = np.maximum(ago - timing.clock_error[:n_begun], 0.0)
     step = np.diff(stimulus.voltage[:, :n_begun], axis=1, prepend=0.0)
-    reached, slope = _response_to_steps(step, ago, s)
-    if stimulus.amplifier.bandwidth is not None:
-        pole = 2 * np.pi * stimulus.amplifier.bandwidth
-        lagging, _ = _response_to_steps(step, ago, np.array([-pole], dtype=complex))
-        left = pole * lagging[0].real
-        share = (1 / (pole + s))[:, None]
-        slope = pole * share * slope - pole * share**2 * reached + share**2 * left
-        reached = pole * share * reached - share * left
-    by_channel, slope = model.modal_gain * reached, (model.modal_gain * slope).sum(axis=1)
-    ratio = model.damping_ratio
-    damped = np.sqrt((1 - ratio) * (1 + ratio))
-    read = np.stack([1 + 1j * ratio / damped, -1j / damped])
-    read_slope = np.stack([1j / damped**3, -1j * ratio / damped**3])
-    along_ratio = model.angular_frequency * (-1 - 1j * ratio / damped)
-    return Sensitivity(
-        label=model.label,
-        natural_frequency=(read * slope * s).real,
-        damping_ratio=(ratio * (read_slope * by_channel.sum(axis=1) + read * slope * along_ratio)).real,
-        modal_gain=(read[:, :, None] * by_channel).real,
-    )
+    reached, slope = _response_to_steps(step, ago, exponent)
+    if amplifier.bandwidth is None:
+        return reached, slope
+    pole = 2 * np.pi * amplifier.bandwidth
+    lagging, _ = _response_to_steps(step, ago, np.array([-pole], dtype=complex))
+    left = pole * lagging[0].real
+    share = (1 / (pole + exponent))[:, None]
+    slope = pole * share * slope - pole * share**2 * reached + share**2 * left
+    return pole * share * reached - share * left, slope
 
 
 def _response_to_steps(step: FloatArray, ago: FloatArray, exponent: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
     """Return x of x' = s x + v, and dx/ds, after steps of v some time ago, two (n_states, n_channels) arrays."""
     reached, slope = np.empty((2, exponent.size, step.shape[0]), dtype=complex)
     for k, s in enumerate(exponent):
+        if s.imag < 0:  # follows its conjugate
+            reached[k], slope[k] = reached[k - 1].conj(), slope[k - 1].conj()
+            continue
         # One state at a time bounds the memory.
         grown = np.expm1(s * ago) / s
         reached[k] = step @ grown
