@@ -380,8 +380,6 @@ def test_what_fingers_make_of_another_design_is_predicted(design, beam, zones, v
     history = reference.history(np.pad(voltage, ((0, 0), (0, 2500))), longer(COARSE, 15_000))[9:18]
     speed = np.abs(shapes.T @ history).max(axis=1)
     np.testing.assert_allclose(touched.peak_velocity(zones, unit), speed, rtol=1e-6)
-    assert touched.passes(zones, unit, speed.max() * (1 - 1e-5))
-    assert not touched.passes(zones, unit, speed.max() * (1 + 1e-5))
 
 
 @pytest.mark.parametrize(
@@ -410,6 +408,33 @@ def test_derivatives_under_fingers_are_those_of_the_coupled_beam(design, beam, c
         assert found.natural_frequency[:, :, mode] == pytest.approx(expected, abs=allowed)
         assert found.damping_ratio[:, :, mode] == pytest.approx(difference("damping_ratio", mode), abs=allowed)
         assert found.modal_gain[:, :, mode].sum(axis=2) == pytest.approx(difference("modal_gain", mode), abs=allowed)
+
+
+@pytest.mark.parametrize("stays", [(), (0,)], ids=["none", "left"])
+def test_fingers_taken_away_at_the_worst_instant(design, beam, stays):
+    """200 bursts, each on the heavier beam until an instant before the focus, and on the lighter one from its state."""
+    timing = Timing(AFG3022B.converter, n_samples=31_250)
+    fingers = pair("AC", 0.25, 1.5, 1.5)
+    left = tuple(fingers[which] for which in stays)
+    stimulus = design(beam.touched(fingers), timing=timing)
+    loaded, lighter, unit = stimulus.touched(fingers), stimulus.touched(left), stimulus.volts_per_code(LEVEL)
+    voltage, (decay, push) = stimulus.voltage_played(LEVEL), Coupled(beam, left).held(LONG(timing.hold))
+    decay, push = decay.astype(float), push.astype(float)
+    zones = [0.0, 0.05]
+    taken, shapes = np.arange(14_100, 15_700, 8), beam.shapes(zones)
+    states = Coupled(beam, fingers).history(voltage, timing)[:, taken]
+    highest = np.zeros((len(zones), taken.size))
+    for sample in range(taken[0], 15_800):
+        gone = taken <= sample
+        highest = np.where(gone, np.maximum(highest, np.abs(shapes.T @ states[9:18])), highest)
+        states[:, gone] = decay @ states[:, gone] + push @ voltage[:, sample, None]
+    peak = loaded.peak_when_lifted(lighter, zones, unit, 0.15)
+    anyhow = np.maximum(loaded.peak_velocity(zones, unit), lighter.peak_velocity(zones, unit))
+    expected = np.maximum(np.maximum(highest.max(axis=1), anyhow), 0.15)
+    assert (peak >= expected * (1 - 1e-6)).all()
+    np.testing.assert_allclose(peak, expected, rtol=5e-3)
+    assert not stays or peak.max() > 1.02 * anyhow.max()
+    assert loaded.peak_when_lifted(lighter, zones, unit, 2.5 * peak.max()) == pytest.approx(2.5 * peak.max(), abs=0)
 
 
 @pytest.mark.parametrize("amplifier", [PLAIN, SLOW], ids=["plain", "slow"])

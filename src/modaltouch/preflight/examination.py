@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +16,6 @@ from modaltouch.preflight.design_inputs import DesignInputs, design, find_ground
 from modaltouch.protocol import Apparatus, Findings, Problem, Schedule
 from modaltouch.rig import instrument_of
 from modaltouch.stimulus import Burst, Release, Stimulus
-
-if TYPE_CHECKING:
-    from modaltouch.stimulus import Finger
 
 _POINTS_PER_ZONE = 5
 """Points at which a zone's speed is looked at: a quarter of the shortest wavelength of Table I apart."""
@@ -122,17 +118,27 @@ def _moves_fast(inputs: DesignInputs, stimulus: Stimulus) -> bool:
     highest = max((level for level in inputs.levels.values() if level <= limit), default=0.0)
     if highest == 0:
         return False
-    points, least = _zone_points(inputs).ravel(), limit * 1e-3 / _uncertain(inputs)
-    if stimulus.passes(points, highest * 1e-3, least):
+    least = limit * 1e-3 / _uncertain(inputs)
+    if stimulus.passes(_zone_points(inputs).ravel(), highest * 1e-3, least):
         return True
-    unit = stimulus.volts_per_code(highest * 1e-3)
-    return any(stimulus.touched(left).passes(points, unit, least) for left in _lifted(inputs))
+    return any((speeds > least).any() for speeds in _speeds_when_lifted(inputs, stimulus, highest, least).values())
 
 
-def _lifted(inputs: DesignInputs) -> list[tuple[Finger, ...]]:
-    """Return the fingers that are left on the beam when some are taken away within a burst."""
-    fingers = inputs.fingers
-    return [left for n_left in range(len(fingers)) for left in combinations(fingers, n_left)]
+def _speeds_when_lifted(
+    inputs: DesignInputs, stimulus: Stimulus, level: float, floor: float
+) -> dict[str, NDArray[np.float64]]:
+    """Return the highest speeds where fingers are taken away within a burst, whenever, by the words for it [m/s].
+
+    At the points of the zones; those below a floor are returned as it.
+    """
+    points, unit, n = _zone_points(inputs).ravel(), stimulus.volts_per_code(level * 1e-3), len(inputs.fingers)
+    speeds: dict[str, NDArray[np.float64]] = {}
+    touched = stimulus.touched(inputs.fingers)
+    for left in (left for n_left in range(n) for left in combinations(inputs.fingers, n_left)):
+        said = f" once {'both fingers are' if not left else 'a finger is'} taken away"
+        found = touched.peak_when_lifted(stimulus.touched(left), points, unit, floor)
+        speeds[said] = np.maximum(speeds.get(said, 0.0), found)
+    return speeds
 
 
 def _uncertain(inputs: DesignInputs) -> float:
@@ -159,18 +165,15 @@ def _check_safety(
     limit, zones, points = inputs.velocity_limit, inputs.apparatus.ordered_zones, _zone_points(inputs)
     if level > limit:
         return  # said by the protocol's own check
-    unit, uncertain = stimulus.volts_per_code(level * 1e-3), _uncertain(inputs)
-    beams = {"": stimulus.touched(inputs.fingers)}
-    beams |= {
-        f" once {'both fingers are' if not left else 'a finger is'} taken away": stimulus.touched(left)
-        for left in _lifted(inputs)
-    }
-    speeds = {said: beam.peak_velocity(points.ravel(), unit).max() * uncertain for said, beam in beams.items()}
-    said = max(speeds, key=speeds.__getitem__)
-    speed = float(speeds[said]) * 1e3
+    uncertain = _uncertain(inputs)
     # At the focus the codes' rounding may pass a level that is the limit itself.
-    if speed > limit * (1 + 1e-3):
-        fastest = int(beams[said].peak_velocity(points.ravel(), unit).argmax()) // points.shape[1]
+    most = limit * (1 + 1e-3)
+    speeds = {"": stimulus.peak_velocity(points.ravel(), level * 1e-3)}
+    speeds |= _speeds_when_lifted(inputs, stimulus, level, most * 1e-3 / uncertain)
+    said = max(speeds, key=lambda each: float(speeds[each].max()))
+    speed = float(speeds[said].max()) * uncertain * 1e3
+    if speed > most:
+        fastest = int(speeds[said].argmax()) // points.shape[1]
         if uncertain > 1:
             said += f", the upper end of the identification's intervals ({uncertain - 1:.1%}) included"
         given = f"{level:g} mm/s, which moves zone {list(zones)[fastest]} at {speed:.0f} mm/s{said}"

@@ -65,9 +65,26 @@ class TouchedBeam:
         slow = np.abs(system.exponent) < 2 * np.pi * frequency
         return self._played.peak_of(unit, (self.model.shapes([position]).T @ system.velocity) * slow)
 
-    def passes(self, positions: ArrayLike, unit: FloatArray, limit: float) -> bool:
-        """Whether the speed at any of some points passes a limit [m/s]; most blocks are skipped."""
-        return self._played.passes(unit, self.model.shapes(positions), limit)
+    def peak_when_lifted(
+        self, left: TouchedBeam, positions: ArrayLike, unit: FloatArray, floor: float = 0.0
+    ) -> FloatArray:
+        """Highest speed at points where fingers are taken away at the worst instant, (n_positions,) array [m/s].
+
+        Parameters
+        ----------
+        left : TouchedBeam
+            The same burst on the beam under the fingers that stay.
+        positions, unit
+            As for `peak_velocity`.
+        floor : float
+            Speed below which nobody needs to know; lower peaks are returned as it [m/s].
+        """
+        from modaltouch.stimulus.lifted import LiftedBeam
+
+        systems = self._played.system, left._played.system, DiagonalSystem.of(left.model)
+        lifted = LiftedBeam.of(*systems, self.codes * unit[:, None], self.timing.hold)
+        known = np.stack([each.peak_velocity(positions, unit) for each in (self, left)])
+        return lifted.peaks(left.model.shapes(positions), known, floor)
 
     def pull(self, unit: FloatArray) -> FloatArray:
         """Largest force by which each finger would have to stick to the beam to follow it, (n_fingers,) array [N].

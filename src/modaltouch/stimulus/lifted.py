@@ -1,0 +1,127 @@
+r"""The highest speed where fingers are taken away within a burst, at whatever instant.
+
+From that instant the beam goes on as the lighter one that it then is, from the state in which it was left: its response
+as if the fingers had never been there, and the free decay of the difference between both states,
+:math:`y(t) = y_{left}(t) + \mathrm{Re} \sum_j c_j \delta_j(\tau) e^{s_j (t - \tau)}`. Moduli bound the decay, so that
+most pairs of blocks of instants need no closer look. The springs of the Maxwell terms of fingers that stay are taken as
+those of the lighter beam.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from modaltouch.stimulus.blocks import SHORT, BlockKernel
+from modaltouch.stimulus.dynamics import DiagonalSystem
+from modaltouch.stimulus.quantities import ComplexArray, FloatArray
+
+_FINE = 0.4e-6
+"""Between instants at which speeds are looked at, about [s]; fingers are taken away at every sixteenth."""
+
+_BLOCK = 16 * SHORT
+"""Instants judged together."""
+
+_BETWEEN = 1.1
+"""What bounds are multiplied by for instants between those of taking away: of fingers up to 0.3 g and 30 N s/m moduli
+rise by 8 % there within a block, by 0.5 % over a burst [1]."""
+
+
+@dataclass(frozen=True, eq=False)
+class LiftedBeam:
+    """A beam while a burst is played from which fingers are taken away.
+
+    Attributes
+    ----------
+    loaded, left : DiagonalSystem
+        Until then, and with the fingers that stay; behind the amplifier.
+    beam : DiagonalSystem
+        The latter without the amplifier.
+    voltage : (n_channels, n_instants) array
+        Held at instants about `_FINE` apart [V].
+    hold : float
+        Between instants [s].
+    """
+
+    loaded: DiagonalSystem
+    left: DiagonalSystem
+    beam: DiagonalSystem
+    voltage: FloatArray
+    hold: float
+
+    @classmethod
+    def of(
+        cls, loaded: DiagonalSystem, left: DiagonalSystem, beam: DiagonalSystem, voltage: FloatArray, hold: float
+    ) -> LiftedBeam:
+        """Return the beam under samples, (n_channels, n_samples) array [V], each held for a time [s]."""
+        times = max(1, round(hold / _FINE))
+        return cls(loaded, left, beam, np.repeat(voltage, times, axis=1), hold / times)
+
+    def peaks(self, shapes: FloatArray, known: FloatArray, floor: float) -> FloatArray:
+        """Return the highest speed at points, the worst instant of taking away, (n_points,) array [m/s].
+
+        Parameters
+        ----------
+        shapes : (n_modes, n_points) array
+            Mode shapes at the points [1].
+        known : (2, n_points) array
+            Peaks under all fingers, and under those that stay [m/s].
+        floor : float
+            Lower peaks are returned as it [m/s].
+        """
+        peak: FloatArray = np.maximum(known.max(axis=0), floor)
+        output = shapes.T @ self.beam.velocity
+        difference = self._difference()
+        if (known[1] + _BETWEEN * np.abs(output) @ np.abs(difference).max(axis=1) <= peak).all():
+            return peak
+        speed = np.empty((len(output), self.voltage.shape[1]))
+        kernel = BlockKernel.of(self.left, shapes.T @ self.left.velocity, self.hold)
+        kernel.write(lambda start, stop: self.voltage[:, start:stop], speed)
+        return self._raised(speed, output, difference, peak)
+
+    def _difference(self) -> ComplexArray:
+        """Return what the states differ by at every `SHORT` instants, (n_states, n_instants / SHORT) array."""
+        blocks, motion = BlockKernel.blocks(self.voltage), []
+        for system in (self.loaded, self.left):
+            rest = np.zeros(system.exponent.size, dtype=complex)
+            begin, _ = BlockKernel.of(system, np.empty((0, rest.size), dtype=complex), self.hold).states(blocks, rest)
+            motion.append((np.concatenate([system.velocity, system.displacement]) @ begin).real)
+        read = np.concatenate([self.beam.velocity, self.beam.displacement])
+        parts = np.linalg.pinv(np.concatenate([read.real, -read.imag], axis=1)) @ (motion[0] - motion[1])
+        real, imaginary = np.split(parts, 2)
+        return np.asarray(real + 1j * imaginary)
+
+    def _raised(
+        self, speed: FloatArray, output: ComplexArray, difference: ComplexArray, peak: FloatArray
+    ) -> FloatArray:
+        """Return peaks raised by what speeds as if no finger had been there reach with the decay of the difference."""
+        highest, size = _block_peaks(speed, _BLOCK), _BETWEEN * _block_peaks(difference, _BLOCK // SHORT)
+        from_here = np.maximum.accumulate(highest[:, ::-1], axis=1)[:, ::-1]
+        bound = from_here + np.abs(output) @ size
+        n_blocks, rate = highest.shape[1], self.beam.exponent * self.hold
+        swing = np.exp(np.outer(np.arange(_BLOCK), rate)) * output[:, None]
+        swing_parts = np.concatenate([swing.real, -swing.imag], axis=2)
+        for block in np.argsort(-(bound - peak[:, None]).max(axis=0)).tolist():
+            which = np.flatnonzero(bound[:, block] > peak)
+            later = np.maximum(np.arange(n_blocks - block) - 1, 0) * _BLOCK
+            faded = np.exp(np.outer(rate.real, later)) * size[:, block, None]
+            near = highest[which, block:] + np.abs(output[which]) @ faded > peak[which, None]
+            away = difference[:, block * _BLOCK // SHORT : (block + 1) * _BLOCK // SHORT]
+            since = SHORT * np.arange(away.shape[1])
+            for ahead in np.flatnonzero(near.any(axis=0)).tolist():
+                begun = np.exp(np.outer(rate, ahead * _BLOCK - since)) * away
+                begun_parts = np.concatenate([begun.real, begun.imag])
+                for point in which[near[:, ahead]].tolist():
+                    some = speed[point, (block + ahead) * _BLOCK :][:_BLOCK, None]
+                    found = np.abs(some + swing_parts[point, : some.size] @ begun_parts)
+                    if not ahead:  # nothing decays before it is taken away
+                        found[np.arange(some.size)[:, None] < since] = 0.0
+                    peak[point] = max(peak[point], found.max())
+        return peak
+
+
+def _block_peaks(values: FloatArray | ComplexArray, length: int) -> FloatArray:
+    """Return the largest magnitude in each block, (n_rows, n_blocks) array."""
+    filled = np.pad(np.abs(values), ((0, 0), (0, -values.shape[1] % length)))
+    return np.asarray(filled.reshape(len(values), -1, length).max(axis=2))
