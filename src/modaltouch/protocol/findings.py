@@ -196,9 +196,10 @@ class Findings:
         """
         apparatus = self.experiment().apparatus
         fingers = None if self.placements is None else self.placements.drawn(rng)
-        if fingers is None or apparatus.twin.fingers is not None:
+        if self.placements is None or fingers is None or apparatus.twin.fingers is not None:
             return apparatus
-        return apparatus.model_copy(update={"twin": apparatus.twin.model_copy(update={"fingers": fingers})})
+        own = {"fingers": fingers, "finger_spread": self.placements.file.placement_spread}
+        return apparatus.model_copy(update={"twin": apparatus.twin.model_copy(update=own)})
 
     def placement_of(self, finger_condition: str, left: str, right: str) -> str:
         """Name of the placement of a finger condition on two zones of a beam that is not turned; empty for none."""

@@ -76,20 +76,25 @@ def _kind_of_fingers(value: object) -> str:
 
 
 class FingerSpread(Section):
-    """How much fingertips differ between people: standard deviations of logarithms."""
+    """How much fingertips differ: standard deviations of logarithms, and of the place."""
 
     mass: Spread = described("Of the mass.", default=0.0)
     damping: Spread = described("Of the damping.", default=0.0)
     stiffness: Spread = described("Of the stiffness.", default=0.0)
+    offset_mm: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=5)] = described(
+        "Of the place along the beam [mm].", default=0.0
+    )
 
     def drawn(self, typical: FingerSection, rng: np.random.Generator) -> FingerSection:
-        """The fingertip of a person, around the typical one."""
+        """A fingertip of a person or of a placement, around the typical one."""
         mass, damping, stiffness = np.exp(rng.standard_normal(3) * (self.mass, self.damping, self.stiffness)).tolist()
         values = {
             "mass_g": typical.mass_g * mass,
             "damping_N_s_per_m": typical.damping_N_s_per_m * damping,
             "stiffness_N_per_mm": typical.stiffness_N_per_mm * stiffness,
         }
+        if self.offset_mm:
+            values["offset_mm"] = typical.offset_mm + self.offset_mm * float(rng.standard_normal())
         return typical.model_copy(update=values)
 
 
@@ -116,6 +121,10 @@ class FingersFile(Section):
         Annotated[FingerSection, Tag("all")] | Annotated[HandsSection, Tag("hands")], Discriminator(_kind_of_fingers)
     ] = described("One for all fingers, or each by hand and finger.")
     spread: FingerSpread = described("How much they differ between people.", default=FingerSpread())
+    placement_spread: FingerSpread = described(
+        "How much those of a person differ from one placement to the next, on the simulated beam.",
+        default=FingerSpread(),
+    )
     probes: Annotated[tuple[FingerProbe, ...], Field(max_length=100)] = described(
         "The probes that they were measured by, as `modaltouch fingers probe` wrote them.", default=()
     )

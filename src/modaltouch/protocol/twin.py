@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from modaltouch.protocol.fingers import FingerSection
+from modaltouch.protocol.fingers import FingerSection, FingerSpread
 from modaltouch.protocol.problems import fault
 from modaltouch.protocol.section import DampingRatio, Label, NotNegative, Number, Positive, Section, Word, described
 
@@ -141,6 +141,10 @@ class TwinSection(Section):
     )
     fingers: FingerSection | None = described(
         "What a finger adds to the beam where it touches; null for fingers that only feel.", default=None
+    )
+    finger_spread: FingerSpread = described(
+        "How much fingers differ from one placement to the next, in a session that is followed.",
+        default=FingerSpread(),
     )
     amplifier: TrueAmplifier = described("The amplifier as it is.", default=TrueAmplifier())
     generator: TrueGenerator = described("The generator as it is.", default=TrueGenerator())

@@ -78,6 +78,11 @@ class Finger:
             require_positive("the stiffness of a Maxwell term", stiffness, "N/m", "leave it out")
             require_positive("the relaxation time of a Maxwell term", time, "s", "leave it out")
 
+    @property
+    def weighs(self) -> bool:
+        """Whether it adds anything to the beam."""
+        return bool(self.mass or self.damping or self.stiffness or self.maxwell)
+
     def impedance(self, s: ComplexArray) -> ComplexArray:
         """Force per velocity at complex frequencies other than 0 [1/s], array of their shape [N s/m]."""
         total = self.mass * s + self.damping + self.stiffness / s

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from modaltouch.rig.simulator.played import PlayedLog
     from modaltouch.rig.simulator.scope import SimulatedScope
     from modaltouch.rig.simulator.scpi import CommandTable
+    from modaltouch.stimulus import Finger
 
 
 def twin_of(model: str) -> Callable[..., tuple[Any, CommandTable]]:
@@ -78,8 +79,6 @@ class Simulator:
         Amplifier and true beam.
     faults : Faults
         What goes wrong, switchable at any time.
-    touched : tuple of float
-        Where fingers lie while something is measured [m]; `felt_velocity` lays them where they feel.
     """
 
     def __init__(
@@ -103,17 +102,17 @@ class Simulator:
         self.afg, table = twin_of(model)(model, behaviour, **hardware)
         self.faults = Faults()
         self.twin = Twin(apparatus, seed)
-        self.touched: tuple[float, ...] = ()
+        self._touched: dict[str, Finger] = {}
         self._played: PlayedLog | None = None
         self._followed: FollowedSession | None = None
         if follow is not None:
             from modaltouch.rig.simulator.followed import FollowedSession
 
-            self._followed = FollowedSession(follow)
+            self._followed = FollowedSession(follow, apparatus)
         if played is not None:
             from modaltouch.rig.simulator.played import PlayedLog
 
-            self._played = PlayedLog(played, self.twin, self.afg.settle, self._places)
+            self._played = PlayedLog(played, self.twin, self.afg.settle, lambda: self.touched)
             self.afg.timeline.told = self._played.take
         self._instrument = SimulatedInstrument(self.afg, table, self.faults)
         self._port = port
@@ -154,7 +153,8 @@ class Simulator:
         Parameters
         ----------
         places : sequence of str or float
-            Names of zones (their centres are taken) or positions, origin at mid-beam [m].
+            Names of zones (their centres are taken, unless a finger lies elsewhere in them in the session that is
+            followed) or positions, origin at mid-beam [m].
 
         Returns
         -------
@@ -166,7 +166,11 @@ class Simulator:
         ValueError
             If there is no such zone.
         """
-        return self.twin.felt(self.playbacks, [self.position(place) for place in places])
+        if self._followed is None:
+            return self.twin.felt(self.playbacks, [self.position(place) for place in places])
+        laid = self.touched
+        positions = [laid[str(each)].position if str(each) in laid else self.position(each) for each in places]
+        return self.twin.felt(self.playbacks, positions, touched=tuple(laid.values()))
 
     def true_state(self, instant: float, *, first: bool = False) -> TrueState:
         """Return what the beam really does at an instant of the burst that plays now, to judge measurements by.
@@ -178,14 +182,16 @@ class Simulator:
         first : bool
             Whether the burst starts from rest; else it is one after many.
         """
-        return self.twin.true_state(self.playbacks, instant, first=first, touched=self.touched)
+        return self.twin.true_state(self.playbacks, instant, first=first, touched=tuple(self.touched.values()))
 
     def scope(self) -> SimulatedScope:
         """Return the vibrometer and the scope that stand at this beam; equal seeds give equal noise."""
         from modaltouch.rig.simulator.scope import SimulatedScope
 
         timeline = self.afg.timeline
-        return SimulatedScope(self.twin, lambda: self.playbacks, lambda: self.touched, lambda: timeline.commanded)
+        return SimulatedScope(
+            self.twin, lambda: self.playbacks, lambda: tuple(self.touched.values()), lambda: timeline.commanded
+        )
 
     @property
     def playbacks(self) -> tuple[Playback | None, ...]:
@@ -200,13 +206,12 @@ class Simulator:
 
     def touch(self, places: Sequence[str | float]) -> None:
         """Lay fingers on the beam for whatever is measured from now on; nowhere for an empty sequence."""
-        self.touched = tuple(self.position(place) for place in places)
+        self._touched = {str(place): self.twin.finger(self.position(place)) for place in places}
 
-    def _places(self) -> Sequence[str | float]:
-        """Return where fingers lie: zones of this beam in the session that is followed, else as they were laid."""
-        if self._followed is None:
-            return self.touched
-        return [zone for zone in self._followed.zones() if zone in self.apparatus.zones]
+    @property
+    def touched(self) -> dict[str, Finger]:
+        """Fingers on the beam, by zone or position: those of the session that is followed, else as they were laid."""
+        return self._touched if self._followed is None else self._followed.fingers()
 
     def position(self, place: str | float) -> float:
         """Return the centre of a zone, or the position that is given [m]."""

@@ -1,40 +1,64 @@
-"""Where the fingers lie in a session of another process: read in its log, since no instrument tells."""
+"""The fingers on the beam in a session of any process: read in its log, since no instrument tells."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
+
+from modaltouch.protocol import Apparatus, Schedule
+from modaltouch.stimulus import Finger
+
+KINDS = (b'"event":"start"', b'"event":"placement"', b'"event":"hands_off"')
+"""Lines that say who sits there, and where fingers lie."""
 
 
 class FollowedSession:
-    """The latest placement in a session's log, which grows, and may not be there yet.
+    """The fingers of the latest placement in a session's log, which grows, and may not be there yet.
 
     Parameters
     ----------
     path : Path
         The log, ``session.jsonl``.
+    apparatus : Apparatus
+        Its section ``twin`` has the fingers, and how much they differ between placements.
     """
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._read = 0
-        self._zones: tuple[str, ...] = ()
+    def __init__(self, path: Path, apparatus: Apparatus) -> None:
+        self._path, self._apparatus = path, apparatus
+        self._read = self._n_placements = 0
+        self._who = 0, "", 0
+        self._fingers: dict[str, Finger] = {}
 
-    def zones(self) -> tuple[str, ...]:
-        """Return the zones under the two fingers; none before the first placement."""
+    def fingers(self) -> dict[str, Finger]:
+        """Return the fingers on the beam by zone; none before the first placement, and while hands are off."""
         try:
             if self._path.stat().st_size <= self._read:
-                return self._zones
+                return self._fingers
             with self._path.open("rb") as log:
                 log.seek(self._read)
                 lines = log.read().splitlines(keepends=True)
         except FileNotFoundError:
-            return self._zones
+            return self._fingers
         for line in lines:
             if not line.endswith(b"\n"):
                 break  # is being written
             self._read += len(line)
-            if b'"event":"placement"' in line:
-                placement = json.loads(line)
-                self._zones = placement.get("zone_left", ""), placement.get("zone_right", "")
-        return self._zones
+            if any(kind in line for kind in KINDS):
+                self._take(json.loads(line))
+        return self._fingers
+
+    def _take(self, event: dict[str, Any]) -> None:
+        if event["event"] == "start":
+            self._who = event["seed"], event["participant"], event["session"]
+            return
+        self._fingers = {}
+        if event["event"] == "hands_off":
+            return
+        self._n_placements += 1
+        rng, twin = Schedule.random_generator(*self._who, f"placement {self._n_placements}"), self._apparatus.twin
+        for zone in (event["zone_left"], event["zone_right"]):
+            if zone in self._apparatus.zones:
+                centre = self._apparatus.zones[zone].centre_mm * 1e-3
+                own = None if twin.fingers is None else twin.finger_spread.drawn(twin.fingers, rng)
+                self._fingers[zone] = Finger(centre) if own is None else own.at(centre)

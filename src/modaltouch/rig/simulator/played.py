@@ -8,7 +8,7 @@ import math
 import queue
 import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ import numpy as np
 from modaltouch.protocol import InputError, Problem
 from modaltouch.rig.simulator.timeline import Playback, PlayedBurst
 from modaltouch.rig.simulator.twin import MOST_SAMPLES, Twin
+from modaltouch.stimulus import Finger
 
 TICK = 2e-3
 """Time between two looks at what has ended [s]."""
@@ -35,7 +36,7 @@ class PlayedLog:
     settle : callable
         Has every burst that has ended by now given to `take`.
     touched : callable
-        Returns where fingers lie, the names of zones or positions [m].
+        Returns the fingers on the beam, by the names of their zones or their positions.
 
     Raises
     ------
@@ -44,7 +45,7 @@ class PlayedLog:
     """
 
     def __init__(
-        self, path: Path, twin: Twin, settle: Callable[[], None], touched: Callable[[], Sequence[str | float]]
+        self, path: Path, twin: Twin, settle: Callable[[], None], touched: Callable[[], Mapping[str, Finger]]
     ) -> None:
         try:
             # The file stays open until `close`.
@@ -93,8 +94,8 @@ class PlayedLog:
         zones = {name: zone.centre_mm * 1e-3 for name, zone in self._twin.apparatus.zones.items()}
         sent = played.sent if played.whole else tuple(map(_passed, played.sent, played.passed))
         alone = [None if playback is None or tripped else replace(playback, period=math.inf) for playback in sent]
-        touched = {str(place): zones[place] if isinstance(place, str) else place for place in self._touched()}
-        places = [*zones.values(), *touched.values()]
+        touched = self._touched()
+        places = [*zones.values(), *(finger.position for finger in touched.values())]
         peaks = (self._twin.felt(alone, places, touched=tuple(touched.values())) * 1e3).round(4).tolist()
         return {
             "start_s": round(played.start, 9),

@@ -13,6 +13,7 @@ from modaltouch.rig.scope import Scope
 from modaltouch.rig.simulator.motion import Motion
 from modaltouch.rig.simulator.timeline import Playback
 from modaltouch.rig.simulator.twin import Twin
+from modaltouch.stimulus import Finger
 
 FloatArray = NDArray[np.float64]
 
@@ -39,7 +40,7 @@ class SimulatedScope(Scope):
     playing : callable
         Returns what each generator output sends now.
     touched : callable
-        Returns where fingers lie [m].
+        Returns the fingers on the beam.
     commanded : callable
         Returns when the generator obeyed the latest trigger [s].
     """
@@ -48,7 +49,7 @@ class SimulatedScope(Scope):
         self,
         twin: Twin,
         playing: Callable[[], Sequence[Playback | None]],
-        touched: Callable[[], Sequence[float]],
+        touched: Callable[[], Sequence[Finger]],
         commanded: Callable[[], float | None] = lambda: None,
     ) -> None:
         self._twin = twin

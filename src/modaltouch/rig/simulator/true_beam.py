@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from modaltouch.protocol import Apparatus
-from modaltouch.stimulus import Amplifier, DiagonalSystem, ModalModel, mode_shapes
+from modaltouch.stimulus import Amplifier, DiagonalSystem, Finger, ModalModel, mode_shapes
 
 FloatArray = NDArray[np.float64]
 
@@ -25,7 +25,7 @@ class TrueBeam:
     table : ModalModel
         The modes of the table with their true values.
     apparatus : Apparatus
-        Its section ``twin`` has the modes that follow them, and what each finger adds where it touches.
+        Its section ``twin`` has the modes that follow them.
     unlisted_gain : (n_unlisted, n_channels) array
         Their modal accelerations per volt at the beam [m/s^2 per V].
     width : float
@@ -92,7 +92,7 @@ class TrueBeam:
         along = (-1) ** order * np.cos(order * math.pi * (x / self.table.length + 0.5))
         return np.asarray(math.sqrt(24.0) * across / self.width * along)
 
-    def equations(self, amplifier: Amplifier, touched: Sequence[float] = (), stretch: float = 1.0) -> DiagonalSystem:
+    def equations(self, amplifier: Amplifier, touched: Sequence[Finger] = (), stretch: float = 1.0) -> DiagonalSystem:
         """Return the equations of the beam behind its amplifier, with fingers on it.
 
         Fingers couple all modes, torsion included (see `modaltouch.stimulus.fingers`).
@@ -101,14 +101,12 @@ class TrueBeam:
         ----------
         amplifier : Amplifier
             Its pole and delay count; voltages are those it would give without them.
-        touched : sequence of float
-            Centres of the contacts, origin at mid-beam [m]; empty for a free beam.
+        touched : sequence of Finger
+            Fingers on it; none on a free beam.
         stretch : float
             Factor of every natural frequency [1].
         """
-        fingers = self.apparatus.twin.fingers
-        touching = [] if fingers is None else [fingers.at(place) for place in touched]
-        loads = [(finger.contact(self._over_width, self.table.length) / self.mass, finger) for finger in touching]
+        loads = [(finger.contact(self._over_width, self.table.length) / self.mass, finger) for finger in touched]
         return DiagonalSystem.of_modes(
             2 * np.pi * stretch * self.natural_frequency, self.damping_ratio, self.modal_gain, loads, amplifier
         )

@@ -15,7 +15,7 @@ from modaltouch.protocol import Apparatus
 from modaltouch.rig.simulator.held import LONGEST_SILENCE, Held, peak, refined, state_at
 from modaltouch.rig.simulator.timeline import Playback
 from modaltouch.rig.simulator.true_beam import generator_gains, true_amplifier, true_beam
-from modaltouch.stimulus import DiagonalSystem
+from modaltouch.stimulus import DiagonalSystem, Finger
 
 if TYPE_CHECKING:
     from modaltouch.rig.simulator.motion import DriveVoltage, Motion, StateHistory
@@ -79,10 +79,10 @@ class Twin:
     tripped: bool = False
     n_computed: int = field(default=0, init=False)
     n_measured: int = field(default=0, init=False)
-    _felt: dict[tuple[float, Setting], dict[tuple[float, ...], float]] = field(
+    _felt: dict[tuple[float, Setting], dict[tuple[float | Finger, ...], float]] = field(
         default_factory=dict, init=False, repr=False
     )
-    _systems: dict[tuple[float, ...], DiagonalSystem] = field(default_factory=dict, init=False, repr=False)
+    _systems: dict[tuple[float | Finger, ...], DiagonalSystem] = field(default_factory=dict, init=False, repr=False)
     _histories: tuple[object, list[StateHistory]] | None = field(default=None, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -92,23 +92,28 @@ class Twin:
             self.amplifier.gain * self.apparatus.generator.load_factor
         )
 
-    def system(self, touched: Sequence[float] = (), stretch: float = 1.0) -> DiagonalSystem:
-        """Return the equations of the beam with fingers at some places, behind its amplifier.
+    def finger(self, position: float) -> Finger:
+        """Return a finger at a place of the beam [m], as the section ``twin`` has them; one that only feels if none."""
+        section = self.beam.apparatus.twin.fingers
+        return Finger(position) if section is None else section.at(position)
+
+    def system(self, touched: Sequence[Finger] = (), stretch: float = 1.0) -> DiagonalSystem:
+        """Return the equations of the beam with fingers on it, behind its amplifier.
 
         Parameters
         ----------
-        touched : sequence of float
-            Where fingers lie [m].
+        touched : sequence of Finger
+            Those on the beam.
         stretch : float
             Factor of every natural frequency, as `stretch` gives it [1].
         """
-        places = tuple(touched) if self.beam.apparatus.twin.fingers is not None else ()
-        if (stretch, *places) not in self._systems:
+        fingers = tuple(finger for finger in touched if finger.weighs)
+        if (stretch, *fingers) not in self._systems:
             # A beam that drifts has another one with each measurement.
             for oldest in list(self._systems)[:-SETTINGS_KEPT]:
                 self._systems.pop(oldest, None)
-            self._systems[stretch, *places] = self.beam.equations(self.amplifier, places, stretch)
-        return self._systems[stretch, *places]
+            self._systems[stretch, *fingers] = self.beam.equations(self.amplifier, fingers, stretch)
+        return self._systems[stretch, *fingers]
 
     def stretch(self, playbacks: Sequence[Playback | None]) -> float:
         """Return the factor of every natural frequency while something plays [1].
@@ -125,7 +130,7 @@ class Twin:
         playbacks: Sequence[Playback | None],
         positions: Sequence[float],
         *,
-        touched: Sequence[float] | None = None,
+        touched: Sequence[Finger] | None = None,
     ) -> FloatArray:
         """Return the peak speed at points of the beam while the generator sends what it sends.
 
@@ -134,9 +139,9 @@ class Twin:
         playbacks : sequence of Playback or None
             What each channel sends.
         positions : sequence of float
-            Where fingers lie, origin at mid-beam [m].
-        touched : sequence of float, optional
-            Where they lie instead, if other places are asked for [m].
+            Where, origin at mid-beam [m].
+        touched : sequence of Finger, optional
+            Fingers on the beam; if not given, one at each of these points.
 
         Returns
         -------
@@ -153,11 +158,8 @@ class Twin:
         for oldest in list(self._felt)[:-SETTINGS_KEPT]:
             self._felt.pop(oldest, None)
         # Fingers that weigh change the beam for each other; others feel it as it is.
-        fingers = (
-            tuple(sorted(positions if touched is None else touched))
-            if self.beam.apparatus.twin.fingers is not None
-            else ()
-        )
+        laid = [self.finger(x) for x in positions] if touched is None else touched
+        fingers = tuple(sorted((finger for finger in laid if finger.weighs), key=lambda finger: finger.position))
         missing = [x for x in dict.fromkeys(positions) if (x, *fingers) not in felt]
         if missing:
             self.n_computed += 1
@@ -172,7 +174,7 @@ class Twin:
         *,
         offset: float,
         bandwidth: float | None,
-        touched: Sequence[float],
+        touched: Sequence[Finger],
         span: tuple[float, float],
     ) -> list[Motion]:
         """Return the velocity of a point behind a low-pass, in parts that add up.
@@ -185,8 +187,8 @@ class Twin:
             Along the beam and across it, from its middle [m].
         bandwidth : float or None
             Corner of the low-pass [Hz].
-        touched : sequence of float
-            Where fingers lie [m].
+        touched : sequence of Finger
+            Those on the beam.
         span : (float, float)
             First and last instant that will be asked for, from the first sample of a burst at the beam [s].
 
@@ -223,7 +225,7 @@ class Twin:
         instant: float,
         *,
         first: bool = False,
-        touched: Sequence[float] = (),
+        touched: Sequence[Finger] = (),
     ) -> TrueState:
         """Return what the beam really does at an instant, which no instrument of the twin tells.
 
@@ -236,8 +238,8 @@ class Twin:
             then moves the beam only after the amplifier's delay.
         first : bool
             Whether the burst starts from rest; else it is one after many.
-        touched : sequence of float
-            Where fingers lie [m].
+        touched : sequence of Finger
+            Those on the beam.
         """
         system = self.system(touched, self.stretch(playbacks))
         state = np.zeros(system.exponent.size, dtype=complex)
