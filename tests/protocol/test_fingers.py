@@ -155,7 +155,8 @@ def test_crossed_hands_need_the_other_hand_too(named: Callable[..., Findings]) -
             [
                 "1:1: fingers.mass_g: given nothing; allowed: a number [g] of at least 0; add the missing key `mass_g`",
                 "1:11: fingers.mas_g: given 'mas_g', which is not a key here; allowed: mass_g, damping_N_s_per_m, "
-                "stiffness_N_per_mm, contact_width_mm, maxwell, offset_mm, left, right; did you mean 'mass_g'?",
+                "stiffness_N_per_mm, contact_width_mm, maxwell, second_mass, offset_mm, left, right; did you mean "
+                "'mass_g'?",
                 "2:16: spread.mass: given 4; allowed: a number of at least 0, at most 3",
                 "3:1: colour: given 'colour', which is not a key here; allowed: description, sources, fingers, spread, "
                 "probes",
@@ -184,7 +185,8 @@ def test_crossed_hands_need_the_other_hand_too(named: Callable[..., Findings]) -
             "fingers: 3\n",
             [
                 "1:10: fingers: given 3; allowed: a mapping with the keys mass_g, damping_N_s_per_m, "
-                "stiffness_N_per_mm, contact_width_mm, maxwell, offset_mm or a mapping with the keys left, right"
+                "stiffness_N_per_mm, contact_width_mm, maxwell, second_mass, offset_mm or a mapping with the keys left, "
+                "right"
             ],
         ),
     ],

@@ -552,6 +552,35 @@ def test_a_spring_that_gives_way_at_once_is_a_damper(design, beam, zones, time):
     assert np.abs(at[1] - stimulus.touched(()).velocity_at_focus(zones, unit)).max() > 0.05 * LEVEL
 
 
+def test_a_second_mass_swings_on_its_spring(beam):
+    """Mode 1 alone, whose shape is 1: roots of the characteristic polynomial of both masses."""
+    names = ("natural_frequency", "damping_ratio", "modal_gain")
+    first = replace(beam, label=(1,), **{name: getattr(beam, name)[:1] for name in names})
+    mass, spring, damper, w, ratio = 1.2e-3, 1e5, 0.8, 2 * np.pi * 229, 0.0437
+    finger = Finger(0.01, 0.2e-3, 0.6, 700.0, second_mass=(mass, spring, damper))
+    alone = np.array([MASS, 2 * ratio * w * MASS, w**2 * MASS])
+    own = alone + [0.2e-3, 0.6, 700.0]
+    roots = np.roots(np.polyadd(np.polymul(own, [mass, damper, spring]), np.polymul([spring, 0], [mass, damper])))
+    found = np.sort_complex(DiagonalSystem.of(first.touched((finger,))).exponent)
+    assert found == pytest.approx(np.sort_complex(roots[roots.imag > 0]), rel=1e-9)
+    assert finger.impedance(found) == pytest.approx(-np.polyval(alone, found) / found, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("second", "alike"),
+    [((1e6, 900.0, 0.0), {"stiffness": 1400.0}), ((1e-4, 1e13, 0.4), {"mass": 2e-4, "damping": 0.9})],
+    ids=["at rest", "moves along"],
+)
+def test_a_second_mass_between_rest_and_stiff(design, beam, zones, second, alike):
+    """Too heavy to move, it leaves a spring; on a spring too stiff to give way, a mass and a damper."""
+    stimulus, values = design(beam, timing=COARSE), {"mass": 1e-4, "damping": 0.5, "stiffness": 500.0}
+    unit = stimulus.volts_per_code(LEVEL)
+    fingers = Finger(0.01, **values, second_mass=second), Finger(0.01, **{**values, **alike})
+    at = [stimulus.touched((each,)).velocity_at_focus(zones, unit) for each in fingers]
+    np.testing.assert_allclose(*at, rtol=0, atol=1e-6 * LEVEL)
+    assert np.abs(at[1] - stimulus.touched((Finger(0.01, **values),)).velocity_at_focus(zones, unit)).max() > 1e-4
+
+
 def same_loads(one, other):
     """Return whether fingers do the same to two beams, to the last bit: what a design is made from."""
     return all(
@@ -629,6 +658,8 @@ def test_a_contact_of_any_width_is_averaged(uneven_beam, width):
         ({"maxwell": ((0.0, 1e-3),)}, "the stiffness of a Maxwell term is 0"),
         ({"maxwell": ((900.0, 0.0),)}, "the relaxation time of a Maxwell term is 0"),
         ({"maxwell": ((900.0, float("nan")),)}, "the relaxation time of a Maxwell term is nan"),
+        ({"second_mass": (0.0, 900.0, 0.5)}, "the second mass of a finger is 0"),
+        ({"second_mass": (1e-3, 0.0, 0.5)}, "the stiffness before a second mass is 0"),
     ],
 )
 def test_what_is_no_finger_is_refused(values, said):

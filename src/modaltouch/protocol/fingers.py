@@ -27,6 +27,14 @@ class MaxwellSection(Section):
     relaxation_ms: Positive = described("Relaxation time [ms].")
 
 
+class SecondMassSection(Section):
+    """A mass behind a spring, as of the finger behind its pulp."""
+
+    mass_g: Positive = described("The mass [g].")
+    stiffness_N_per_mm: Positive = described("Stiffness of the spring [N/mm].")  # noqa: N815
+    damping_N_s_per_m: NotNegative = described("Of the damper that holds the mass [N s/m].", default=0.0)  # noqa: N815
+
+
 class FingerSection(Section):
     """What a fingertip adds to the beam where it touches."""
 
@@ -37,7 +45,7 @@ class FingerSection(Section):
     maxwell: Annotated[tuple[MaxwellSection, ...], Field(max_length=8)] = described(
         "Springs behind dampers, beside the rest.", default=()
     )
-
+    second_mass: SecondMassSection | None = described("A second mass behind a spring; null for none.", default=None)
     offset_mm: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-10, le=10)] = described(
         "From the centre of the zone on which it lies, to the right [mm].", default=0.0
     )
@@ -46,6 +54,7 @@ class FingerSection(Section):
         """The finger on a zone with its centre at a place of the beam [m], SI units."""
         from modaltouch.stimulus import Finger
 
+        second = self.second_mass
         return Finger(
             centre + self.offset_mm * 1e-3,
             mass=self.mass_g * 1e-3,
@@ -53,6 +62,7 @@ class FingerSection(Section):
             stiffness=self.stiffness_N_per_mm * 1e3,
             width=self.contact_width_mm * 1e-3,
             maxwell=tuple((each.stiffness_N_per_mm * 1e3, each.relaxation_ms * 1e-3) for each in self.maxwell),
+            second_mass=second and (second.mass_g * 1e-3, second.stiffness_N_per_mm * 1e3, second.damping_N_s_per_m),
         )
 
 

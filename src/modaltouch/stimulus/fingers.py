@@ -1,7 +1,7 @@
 r"""Fingertips on the beam: what each adds to the modal equations, and the coupled equations made uncoupled again.
 
 A finger with the impedance :math:`Z(s) = m s + c + k/s + \sum_j k_j \tau_j / (1 + s \tau_j)` along its contact
-couples the modes. With :math:`W = \langle\varphi\varphi^T\rangle` over the contact and the moving mass :math:`m_b` of
+couples the modes; a second mass behind a spring adds :math:`k_2 (m_2 s + c_2) / (m_2 s^2 + c_2 s + k_2)`. With :math:`W = \langle\varphi\varphi^T\rangle` over the contact and the moving mass :math:`m_b` of
 the beam,
 
 .. math:: \left(I + \frac{m}{m_b} W\right)\ddot\eta + \left(2\xi\omega + \frac{c}{m_b} W\right)\dot\eta
@@ -57,6 +57,8 @@ class Finger:
         Of the contact along the beam, over which all of it is spread evenly [m].
     maxwell : tuple of (float, float)
         Springs behind dampers: stiffness [N/m] and relaxation time [s] of each.
+    second_mass : (float, float, float), optional
+        Mass [kg] behind a spring [N/m], which a damper [N s/m] holds to a point at rest.
     """
 
     position: float
@@ -65,6 +67,7 @@ class Finger:
     stiffness: float = 0.0
     width: float = 0.01
     maxwell: tuple[tuple[float, float], ...] = ()
+    second_mass: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
         """Refuse what is no fingertip."""
@@ -77,11 +80,14 @@ class Finger:
         for stiffness, time in self.maxwell:
             require_positive("the stiffness of a Maxwell term", stiffness, "N/m", "leave it out")
             require_positive("the relaxation time of a Maxwell term", time, "s", "leave it out")
+        if self.second_mass is not None:
+            require_positive("the second mass of a finger", self.second_mass[0], "kg", "leave it out")
+            require_positive("the stiffness before a second mass", self.second_mass[1], "N/m", "leave it out")
 
     @property
     def weighs(self) -> bool:
         """Whether it adds anything to the beam."""
-        return bool(self.mass or self.damping or self.stiffness or self.maxwell)
+        return bool(self.mass or self.damping or self.stiffness or self.maxwell or self.second_mass)
 
     def impedance(self, s: ComplexArray) -> ComplexArray:
         """Force per velocity at complex frequencies other than 0 [1/s], array of their shape [N s/m]."""
@@ -91,6 +97,10 @@ class Finger:
             # A state that decays by this term alone moves nothing.
             alone = np.abs(decaying) < _THIN
             total = total + np.where(alone, 0, stiffness * time / np.where(alone, 1, decaying))
+        if self.second_mass is not None:
+            mass, stiffness, damping = self.second_mass
+            held = mass * s + damping
+            total = total + stiffness * held / (s * held + stiffness)
         return np.asarray(total)
 
     def scaled(self, factor: float) -> Finger:
@@ -138,7 +148,7 @@ class CoupledModes:
     Attributes
     ----------
     matrix : (n_states, n_states) array
-        Of the state: displacements times angular frequency, velocities [m/s], and the Maxwell terms [1/s].
+        Of the state: displacements times angular frequency, velocities [m/s], Maxwell terms and second masses [1/s].
     force : (n_states, n_channels) array
         What a volt does to each state [m/s^2 per V].
     n_modes : int
@@ -164,27 +174,33 @@ class CoupledModes:
         """
         n = omega.size
         mass, damping, stiffness = np.eye(n), np.diag(2 * damping_ratio * omega), np.diag(omega)
-        branches, rates = [np.zeros((n, 0))], [np.zeros(0)]
+        branches, inner = [np.zeros((n, 0))], list[FloatArray]()
         for contact, finger in loads:
             mass = mass + finger.mass * contact
             damping = damping + finger.damping * contact
             stiffness = stiffness + finger.stiffness * contact / omega
-            if finger.maxwell:
-                # Along each direction in which the contact moves, every term has a state of its own.
+            if finger.maxwell or finger.second_mass:
+                # Along each direction in which the contact moves, every term has a state of its own, or two.
                 size, direction = np.linalg.eigh(contact)
                 kept = size > _THIN * size[-1]
                 along = direction[:, kept] * np.sqrt(size[kept])
                 for spring, time in finger.maxwell:
                     branches.append(along * np.sqrt(spring))
-                    rates.append(np.full(along.shape[1], 1 / time))
-        branch, rate = np.concatenate(branches, axis=1), np.concatenate(rates)
+                    inner += [np.array([[-1 / time]])] * along.shape[1]
+                if finger.second_mass:
+                    second, spring, damper = finger.second_mass
+                    swing = np.sqrt(spring / second)
+                    branches.append(np.repeat(along * np.sqrt(spring), 2, axis=1) * np.tile([1.0, 0.0], along.shape[1]))
+                    inner += [np.array([[0.0, -swing], [swing, -damper / second]])] * along.shape[1]
+        branch = np.concatenate(branches, axis=1)
         lower = np.linalg.solve(mass, np.concatenate([-stiffness, -damping, -branch, gain], axis=1))
-        n_states = 2 * n + rate.size
+        n_states = 2 * n + branch.shape[1]
         matrix = np.zeros((n_states, n_states))
         matrix[:n, n : 2 * n] = np.diag(omega)
         matrix[n : 2 * n] = lower[:, :n_states]
         matrix[2 * n :, n : 2 * n] = branch.T
-        matrix[2 * n :, 2 * n :] = -np.diag(rate)
+        for row, own in zip(np.cumsum([2 * n, *map(len, inner)]), inner, strict=False):
+            matrix[row : row + len(own), row : row + len(own)] = own
         force = np.zeros((n_states, gain.shape[1]))
         force[n : 2 * n] = lower[:, n_states:]
         return cls(matrix, force, n)
