@@ -31,12 +31,22 @@ def found() -> Identification:
     half = HalfPower(104.0, 1.0, 0.01, 6.0)
     modes = tuple(
         IdentifiedMode(
-            label, Estimate.of(104.0, 0.1), Estimate.of(0.01, 1e-4), (), shape, np.nan, half, np.nan, np.nan, REST
+            label,
+            Estimate.of(104.0, 0.1),
+            Estimate.of(0.01, 1e-4),
+            (),
+            shape,
+            np.nan,
+            half,
+            np.nan,
+            np.nan,
+            REST,
+            np.ones(4),
         )
         for label, shape in ((1, np.array([1.0, -0.5, 0.25, 1.5])), (None, None))
     )
     responses = FrequencyResponses(frequency, response, POSITIONS, ("centre", "side"), coherence, 4)
-    return Identification(modes, Estimate.of(0.0, 1.0), 1.0, responses, 0.1)
+    return Identification(modes, Estimate.of(0.0, 1.0), 1.0, responses, 0.1, response)
 
 
 @pytest.mark.parametrize("name", ["beam.uff", "beam.unv", "beam.csv"])
@@ -70,7 +80,7 @@ def test_shapes_are_data_set_55(tmp_path: Path, found: Identification) -> None:
 def test_responses_without_places_are_exported_without_nodes(tmp_path: Path, found: Identification) -> None:
     """A file that named no position names none after it either."""
     bare = Identification((), found.delay, 1.0, FrequencyResponses(
-        found.responses.frequency, found.responses.response[:1], None, ("hammer",)), None)  # fmt: skip
+        found.responses.frequency, found.responses.response[:1], None, ("hammer",)), None, found.fitted)  # fmt: skip
     export(bare, tmp_path / "beam.uff")
     assert {each["type"] for each in pyuff.UFF(str(tmp_path / "beam.uff")).read_sets()} == {164, 58}
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from modaltouch.lab.arrays import FloatArray
+from modaltouch.lab.arrays import ComplexArray, FloatArray
 from modaltouch.lab.identification.peaks import HalfPower
 from modaltouch.lab.identification.responses import FrequencyResponses
 from modaltouch.lab.identification.rest import Rest
@@ -66,6 +66,9 @@ class IdentifiedMode:
         Median over the points at the peak, for the excitation that drives it most [1]; NaN where unknown.
     rest : Rest
         What the fit leaves about it.
+    residue : (n,) complex array
+        Of the points under the excitation that drives it most, or of all responses where the points are unknown, where
+        residues may be complex [m/s^2 per V].
     """
 
     label: int | None
@@ -78,6 +81,7 @@ class IdentifiedMode:
     half_power_gain: float
     coherence: float
     rest: Rest
+    residue: ComplexArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +100,8 @@ class Identification:
         What was fitted.
     length : float or None
         Length of the beam [m].
+    fitted : (n_sets, n_points, n_bins) complex array
+        What the fit makes of the responses; NaN where nothing was fitted.
     """
 
     modes: tuple[IdentifiedMode, ...]
@@ -103,6 +109,7 @@ class Identification:
     misfit: float
     responses: FrequencyResponses
     length: float | None
+    fitted: ComplexArray
 
     def mode(self, label: int) -> IdentifiedMode:
         """Return the mode of a label.

@@ -1,94 +1,188 @@
-"""The figures of an identification: responses with their peaks, coherence, and shapes as in Fig. 4."""
+"""The figures of an identification: responses with their fit, stability diagram, complexity, coherence, and Fig. 4."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from modaltouch.lab.arrays import FloatArray
+from modaltouch.lab.arrays import ComplexArray, FloatArray
 from modaltouch.lab.identification.estimates import Identification, IdentifiedMode
+from modaltouch.lab.identification.shapes import phase_collinearity, phase_deviation
+from modaltouch.lab.output import DARK, LIGHT, MIDDLE
 from modaltouch.report import CONDITION_COLOURS, FAINT, INK, house_style, quiet_grid
 from modaltouch.stimulus import mode_shapes
-
-STYLES = ("-", "--", ":", "-.")
-"""Of the lines, so that nothing hangs on colour."""
 
 DRAWN_BINS = 1500
 """Bins that a curve keeps: a figure shows no more."""
 
-PANELS_PER_ROW = 3
+STABILITIES: tuple[tuple[str, dict[str, Any]], ...] = (
+    ("new", {"marker": "x", "ms": 3, "color": FAINT}),
+    ("frequency within 1 % of the order before", {"marker": "o", "mfc": "white"}),
+    ("and damping ratio within 5 %", {"marker": "o"}),
+)
+"""What is said of a pole, and how it is drawn."""
+
+MOST_SETS = 6
+"""Excitations that are drawn, a panel each."""
 
 
 def draw_responses(identification: Identification) -> Figure:
-    """Return the responses, root mean square over the points, with every mode at its place."""
+    """Return the responses, root mean square over the points, with the fit and what it leaves."""
     responses = identification.responses
-    size = np.sqrt((np.abs(responses.response) ** 2).mean(axis=1)) * 1e3
+    curves = (
+        (responses.response, "measured", {"lw": 2.4, "alpha": 0.45}),
+        (identification.fitted, "fitted", {"lw": 0.9}),
+        (responses.response - identification.fitted, "measured less fitted", {"lw": 0.7}),
+    )
     with house_style():
-        figure = Figure(figsize=(7.6, 4.0))
-        axes = figure.subplots()
-        for row, name in enumerate(responses.sets):
-            kept = _thinned(responses.frequency, size[row])
-            colour = CONDITION_COLOURS[row % len(CONDITION_COLOURS)]
-            axes.plot(responses.frequency[kept] / 1e3, size[row][kept], STYLES[row % 4], color=colour, lw=1, label=name)
-        _logarithmic(axes)
-        top, bottom = float(size.max()), float(np.percentile(size, 1))
-        axes.set_ylim(bottom / 2, top * 4)
-        for mode in identification.modes:
-            _mark(axes, identification, mode, size, top)
-        unit = "volt" if identification.length is not None else "unit of excitation"
-        axes.set_ylabel(f"rms velocity per {unit} [mm/s]")
-        axes.set_title("Responses; filled: joint fit, labelled by mode; ring: picked peak, where half-power is sound")
-        figure.legend(loc="outside lower center", ncols=4, frameon=False, title="excitation", title_fontsize=8)
+        figure = Figure(figsize=(7.6, 1.0 + 2.5 * len(responses.sets[:MOST_SETS])))
+        panels = figure.subplots(len(responses.sets[:MOST_SETS]), 1, sharex=True, squeeze=False)[:, 0]
+        for row, (axes, name) in enumerate(zip(panels, responses.sets, strict=False)):
+            for values, label, look in curves:
+                size = np.sqrt((np.abs(values[row]) ** 2).mean(axis=0)) * 1e3
+                kept = _thinned(responses.frequency, size)
+                colour = INK if label == "fitted" else _colour(row)
+                axes.plot(responses.frequency[kept] / 1e3, size[kept], color=colour, label=label, **look)
+            _velocity_axis(axes)
+            _mark_modes(axes, identification, labelled=row == 0)
+            axes.set_ylabel(f"{name}\n{_unit(identification)}")
+        _frequency_axis(panels[-1], responses.frequency)
+        handles, names = panels[0].get_legend_handles_labels()
+        figure.legend(handles, names, loc="outside lower center", ncols=3, frameon=False)
+        figure.suptitle("Sum over the points: root mean square of the responses", fontsize=10)
     return figure
 
 
-def _mark(axes: Axes, identification: Identification, mode: IdentifiedMode, size: FloatArray, top: float) -> None:
-    frequency = mode.natural_frequency.value
-    bin_ = int(np.abs(identification.responses.frequency - frequency).argmin())
-    height = float(size[:, bin_].max())
-    labelled = mode.label is not None
-    axes.plot(frequency / 1e3, height, "o", ms=4 if labelled else 2.5, color=INK if labelled else FAINT, zorder=3)
-    if not mode.half_power.verdict:
-        axes.plot(mode.half_power.peak_frequency / 1e3, height, "o", ms=8, mfc="none", mec=INK, mew=0.8, zorder=3)
-    if labelled:
-        axes.annotate(
-            str(mode.label),
-            (frequency / 1e3, height),
-            xytext=(0, 8 + 9 * ((mode.label or 0) % 2)),
-            textcoords="offset points",
-            ha="center",
-            fontsize=8,
-        )
+def draw_fits(identification: Identification) -> Figure:
+    """Return the worst, the median and the best fitted response: magnitude, what is left, and phase."""
+    responses = identification.responses
+    flat = responses.response.reshape(-1, responses.frequency.size)
+    fitted = identification.fitted.reshape(flat.shape)
+    known = np.isfinite(fitted[0])
+    left = np.linalg.norm((flat - fitted)[:, known], axis=1) / np.linalg.norm(flat[:, known], axis=1)
+    order = np.argsort(-left)
+    shown = {int(order[0]): "worst: ", int(order[len(order) // 2]): "median: ", int(order[-1]): "best: "}
+    if len(order) == 1:
+        shown = {0: ""}
+    with house_style():
+        figure = Figure(figsize=(7.6, 4.4))
+        shape: dict[str, Any] = {"squeeze": False, "sharex": True, "sharey": "row", "height_ratios": (3, 2)}
+        panels = figure.subplots(2, len(shown), **shape)
+        for column, (index, rank) in zip(panels.T, shown.items(), strict=True):
+            _draw_fit(column, identification, flat[index], fitted[index])
+            s, p = divmod(index, responses.n_points)
+            place = "" if responses.positions is None else f" at {responses.positions[p] * 1e3:.4g} mm"
+            words = f"{rank}{responses.sets[s]}{place},\n{left[index]:.2%} left"
+            column[0].set_title(words, fontsize=8.5)
+            _frequency_axis(column[1], responses.frequency)
+        panels[0, 0].set_ylabel(_unit(identification))
+        quiet = float(np.nanmedian(np.abs((flat - fitted)[list(shown)])))
+        panels[0, 0].set_ylim(200 * quiet, 2e3 * float(np.abs(flat[list(shown)]).max()))
+        panels[1, 0].set_ylabel("phase [degrees]")
+        panels[1, 0].set_yticks([-180, -90, 0, 90, 180])
+        handles, names = panels[0, 0].get_legend_handles_labels()
+        figure.legend(handles, names, loc="outside lower center", ncols=3, frameon=False)
+    return figure
+
+
+def _draw_fit(
+    column: NDArray[Any], identification: Identification, measured: ComplexArray, fitted: ComplexArray
+) -> None:
+    """Draw one response: measured and fitted, with the delay taken off the phase where it is known."""
+    frequency = identification.responses.frequency
+    delay = identification.delay.value - identification.responses.offset
+    turn = np.exp(2j * np.pi * frequency * (0.0 if math.isnan(delay) else delay))
+    kept = _thinned(frequency, np.abs(measured))
+    place = frequency[kept] / 1e3
+    for values, label, look in (
+        (measured - fitted, "measured less fitted", {"color": FAINT, "lw": 0.4}),
+        (measured, "measured", {"color": MIDDLE, "lw": 1.5}),
+        (fitted, "fitted", {"color": INK, "lw": 0.8}),
+    ):
+        column[0].plot(place, np.abs(values[kept]) * 1e3, label=label, **look)
+    _velocity_axis(column[0])
+    column[1].plot(place, np.degrees(np.angle(measured * turn))[kept], ".", ms=2, color=MIDDLE)
+    phase = np.degrees(np.angle(fitted * turn))[kept]
+    phase[1:][np.abs(np.diff(phase)) > 180] = np.nan
+    column[1].plot(place, phase, color=INK, lw=0.8)
+    column[1].set_ylim(-185, 185)
+    quiet_grid(column[1])
+
+
+def draw_stability(identification: Identification) -> Figure:
+    """Return which model orders of a common denominator find each pole, over the responses and the identified modes."""
+    from modaltouch.lab.identification.stability import HIGHEST_ORDER, poles_by_order
+
+    responses = identification.responses
+    size = np.sqrt((np.abs(responses.response) ** 2).mean(axis=(0, 1)))
+    order, frequency, _, stability = poles_by_order(responses)
+    with house_style():
+        figure = Figure(figsize=(7.6, 4.2))
+        axes = figure.subplots()
+        behind = axes.twinx()
+        kept = _thinned(responses.frequency, size)
+        behind.plot(responses.frequency[kept] / 1e3, size[kept], color=LIGHT, lw=1.6)
+        _velocity_axis(behind)
+        behind.set_axis_off()
+        axes.set_zorder(1)
+        axes.patch.set_visible(False)
+        for kind, (label, look) in enumerate(STABILITIES):
+            given: dict[str, Any] = {"color": DARK, "ms": 3.4, "mew": 0.7, "ls": "", **look}
+            axes.plot(frequency[stability == kind] / 1e3, order[stability == kind], label=label, **given)
+        axes.set_ylim(0, HIGHEST_ORDER + 1)
+        axes.set_ylabel("model order, in each band")
+        _mark_modes(axes, identification)
+        _frequency_axis(axes, responses.frequency)
+        figure.legend(loc="outside lower center", ncols=3, frameon=False)
+        figure.suptitle("Poles of the least squares complex frequency domain; grey line: responses", fontsize=10)
+    return figure
+
+
+def draw_complexity(identification: Identification) -> Figure:
+    """Return the residues of every mode in the complex plane, turned onto their common line."""
+    modes = [mode for mode in identification.modes if mode.residue.size > 1]
+    with house_style():
+        figure, panels = _panels(modes, per_row=6, height=1.05, subplot_kw={"aspect": "equal"})
+        for axes, mode in zip(panels, modes, strict=True):
+            straight = mode.residue * np.exp(-0.5j * np.angle((mode.residue**2).sum()))
+            straight = straight / np.abs(straight).max()
+            axes.axhline(0, color=LIGHT, lw=0.8)
+            axes.axvline(0, color=LIGHT, lw=0.8)
+            axes.plot([0 * straight.real, straight.real], [0 * straight.imag, straight.imag], color=DARK, lw=0.7)
+            axes.plot(straight.real, straight.imag, "o", ms=2.2, color=DARK)
+            name = f"mode {mode.label}" if mode.label else f"{mode.natural_frequency.value / 1e3:.4g} kHz"
+            collinearity, deviation = phase_collinearity(mode.residue), math.degrees(phase_deviation(mode.residue))
+            axes.set_title(f"{name}\n{_rounded_down(collinearity)}, {deviation:.2g}°", fontsize=7.5)
+            axes.set(xlim=(-1.1, 1.1), ylim=(-0.6, 0.6), xticks=[], yticks=[])
+            axes.spines[:].set_visible(False)
+        figure.suptitle("Residues in the complex plane; phase collinearity, mean phase deviation", fontsize=10)
+    return figure
 
 
 def draw_coherence(identification: Identification) -> Figure:
     """Return the coherence over the points: its median, and the band that holds eight points of ten."""
     responses = identification.responses
-    coherence = responses.coherence
+    coherence = np.ones(responses.response.shape) if responses.coherence is None else responses.coherence
     with house_style():
         figure = Figure(figsize=(7.6, 1.2 + 1.7 * len(responses.sets)))
         panels = figure.subplots(len(responses.sets), 1, sharex=True, squeeze=False)[:, 0]
-        for row, (axes, name) in enumerate(zip(panels, responses.sets, strict=True)):
-            if coherence is None:
-                continue
+        for row, axes in enumerate(panels):
             low, median, high = np.percentile(coherence[row], [10, 50, 90], axis=0)
             kept = _thinned(responses.frequency, -median)
             frequency = responses.frequency[kept] / 1e3
-            axes.fill_between(frequency, low[kept], high[kept], color="#d5dae1", lw=0)
-            axes.plot(frequency, median[kept], color=CONDITION_COLOURS[row % len(CONDITION_COLOURS)], lw=0.9)
-            for mode in identification.modes:
-                if mode.label is not None:
-                    axes.axvline(mode.natural_frequency.value / 1e3, color=FAINT, lw=0.5, ls=":")
-            axes.set_xscale("log")
+            axes.fill_between(frequency, low[kept], high[kept], color=LIGHT, lw=0)
+            axes.plot(frequency, median[kept], color=_colour(row), lw=0.9)
+            _mark_modes(axes, identification, labelled=row == 0)
             axes.set_ylim(0, 1.02)
-            axes.set_xlim(frequency[0], frequency[-1])
-            axes.set_ylabel(f"{name}: coherence")
-        _plain_ticks(panels[-1])
-        panels[-1].set_xlabel("frequency [kHz]; dotted: identified modes")
+            axes.set_ylabel(f"{responses.sets[row]}: coherence")
+        _frequency_axis(panels[-1], responses.frequency)
         figure.suptitle("Coherence: median over the points, and its 10th to 90th percentile (shaded)", fontsize=10)
     return figure
 
@@ -97,33 +191,57 @@ def draw_shapes(identification: Identification) -> Figure:
     """Return the measured shapes over those of a uniform free-free beam, as in Fig. 4."""
     modes = [mode for mode in identification.modes if mode.label is not None and mode.shape is not None]
     positions, length = identification.responses.positions, identification.length
-    n_rows = math.ceil(len(modes) / PANELS_PER_ROW)
     with house_style():
-        figure = Figure(figsize=(7.6, 0.5 + 1.5 * n_rows))
-        panels = figure.subplots(n_rows, PANELS_PER_ROW, sharex=True, sharey=True, squeeze=False)
-        for axes in panels.ravel()[len(modes) :]:
-            axes.set_axis_off()
-        for axes, mode in zip(panels.ravel(), modes, strict=False):
+        figure, panels = _panels(modes, per_row=3, height=1.5, sharex=True, sharey=True)
+        for axes, mode in zip(panels, modes, strict=True):
             if positions is None or length is None or mode.shape is None or mode.label is None:
                 continue
             fine = np.linspace(-length / 2, length / 2, 401)
-            axes.axhline(0, color="#e3e7ec", lw=0.8)
+            axes.axhline(0, color=LIGHT, lw=0.8)
             axes.plot(fine * 1e3, mode_shapes([mode.label], fine, length)[0], color=FAINT, lw=1)
-            axes.plot(positions * 1e3, mode.shape, "o", ms=2.4, color=CONDITION_COLOURS[0])
+            axes.plot(positions * 1e3, mode.shape, "o", ms=2.4, color=DARK, clip_on=False)
             kilohertz = mode.natural_frequency.value / 1e3
-            axes.set_title(f"mode {mode.label}, {kilohertz:.4g} kHz, MAC {_mac(mode.mac)}", fontsize=8)
-            axes.set_ylim(-2.6, 2.6)
-        for axes in panels[-1]:
-            axes.set_xlabel("position [mm]")
-        for index in range(PANELS_PER_ROW):
-            last = max(row for row in range(n_rows) if row * PANELS_PER_ROW + index < max(len(modes), index + 1))
-            panels[last, index].set_xlabel("position [mm]")
-            panels[last, index].tick_params(labelbottom=True)
+            axes.set_title(f"mode {mode.label}, {kilohertz:.4g} kHz, MAC {_rounded_down(mode.mac)}", fontsize=8)
+            axes.set(xlim=(-length * 5e2, length * 5e2), ylim=(-2.6, 2.6))
+        for axes in panels[max(0, len(modes) - 3) :]:
+            axes.tick_params(labelbottom=True)
+        figure.supxlabel("position along the beam [mm]", fontsize=9)
         figure.suptitle("Mode shapes of unit mean square: dots measured, lines a uniform free-free beam", fontsize=10)
     return figure
 
 
-def _mac(value: float) -> str:
+def _panels(modes: Sequence[IdentifiedMode], per_row: int, height: float, **shape: Any) -> tuple[Figure, list[Axes]]:
+    """Return a figure with a panel for each mode, and its panels."""
+    n_rows = math.ceil(len(modes) / per_row)
+    figure = Figure(figsize=(7.6, 0.5 + height * n_rows))
+    panels = list(figure.subplots(n_rows, per_row, squeeze=False, **shape).ravel())
+    for axes in panels[len(modes) :]:
+        axes.set_axis_off()
+    return figure, panels[: len(modes)]
+
+
+def _mark_modes(axes: Axes, identification: Identification, *, labelled: bool = True) -> None:
+    """Draw a line at each identified mode, with its label above in two rows."""
+    for mode in identification.modes:
+        place = mode.natural_frequency.value / 1e3
+        axes.axvline(place, color=FAINT, lw=0.5, ls="-" if mode.label else ":", zorder=0.9)
+        if labelled and mode.label:
+            axes.annotate(
+                str(mode.label), (place, 1), xytext=(0, 2 + 8 * (mode.label % 2)), xycoords=axes.get_xaxis_transform(),
+                textcoords="offset points", ha="center", fontsize=7.5,
+            )  # fmt: skip
+
+
+def _colour(row: int) -> str:
+    return CONDITION_COLOURS[row % len(CONDITION_COLOURS)]
+
+
+def _unit(identification: Identification) -> str:
+    excitation = "V" if identification.length is not None else "unit of excitation"
+    return f"velocity [mm/s per {excitation}]"
+
+
+def _rounded_down(value: float) -> str:
     """Return a likeness as it is printed: no 1 that is not one."""
     return f"{math.floor(value * 1e4) / 1e4:.4f}"
 
@@ -140,17 +258,25 @@ def _thinned(frequency: FloatArray, size: FloatArray) -> NDArray[np.intp]:
     return np.array(kept)
 
 
-def _logarithmic(axes: Axes) -> None:
-    axes.set_xscale("log")
-    axes.set_yscale("log")
-    quiet_grid(axes)
-    _plain_ticks(axes)
+def _frequency_axis(axes: Axes, frequency: FloatArray) -> None:
+    """End a logarithmic axis where the measured band does."""
+    low, high = float(frequency[0]) / 1e3, float(frequency[-1]) / 1e3
+    axes.set_xscale("log", subs=(1, 2, 5))
+    _plain_ticks(axes.xaxis, (1.0,) if high > 100 * low else (1.0, 2.0, 5.0))
+    axes.set_xlim(low, high)
     axes.set_xlabel("frequency [kHz]")
 
 
-def _plain_ticks(axes: Axes) -> None:
-    """Write 0.1, 1, 10 instead of powers."""
-    from matplotlib.ticker import FuncFormatter, NullFormatter
+def _velocity_axis(axes: Axes) -> None:
+    axes.set_yscale("log", subs=())
+    _plain_ticks(axes.yaxis, (1.0,))
+    quiet_grid(axes)
 
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.xaxis.set_minor_formatter(NullFormatter())
+
+def _plain_ticks(axis: Axis, digits: tuple[float, ...]) -> None:
+    """Write 0.1, 1, 10 instead of powers."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    axis.set_major_locator(LogLocator(subs=digits))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())

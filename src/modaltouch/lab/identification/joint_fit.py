@@ -2,29 +2,25 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.lab.arrays import ComplexArray, FloatArray
-from modaltouch.lab.identification.estimates import NORMAL_95, Estimate, Identification, IdentifiedMode
-from modaltouch.lab.identification.kernel import N_REST, Bins, Evaluation, LeastSquaresProblem, evaluate
+from modaltouch.lab.identification.estimates import Estimate, Identification
+from modaltouch.lab.identification.kernel import Bins, Evaluation, LeastSquaresProblem, evaluate
+from modaltouch.lab.identification.modal_parameters import ModalParameters
 from modaltouch.lab.identification.peaks import (
     DAMPING_BOUNDS,
     MOST_POLES,
     SIGNIFICANT,
-    HalfPower,
     Poles,
     first_poles,
     half_power,
 )
-from modaltouch.lab.identification.points import refuse_odd_point
 from modaltouch.lab.identification.responses import FrequencyResponses
-from modaltouch.lab.identification.rest import rest_about
-from modaltouch.lab.identification.shapes import label_shapes, unit_shape
 
 
 def make_problem(responses: FrequencyResponses, poles: Poles, phase_at: float | None = None) -> LeastSquaresProblem:
@@ -235,7 +231,7 @@ def identify(
     poles, fit = refine(problem, poles)
     if most:
         poles, problem, fit = find_more(responses, poles, problem, fit, most)
-    return _Reading(responses, length, problem, fit, clock_tolerance).identification()
+    return ModalParameters(responses, length, problem, fit, clock_tolerance).identification()
 
 
 def identify_each(responses: FrequencyResponses) -> Identification:
@@ -259,8 +255,8 @@ def identify_each(responses: FrequencyResponses) -> Identification:
     middle = (poles.natural_frequency[1:] + poles.natural_frequency[:-1]) / 2
     left = np.append(responses.frequency[0], middle)
     right = np.append(middle, responses.frequency[-1])
-    modes = []
-    misfit = []
+    modes, misfit = [], []
+    fitted = np.full(responses.response.shape, np.nan, dtype=complex)
     for own, ratio, low, high in zip(poles.natural_frequency, poles.damping_ratio, left, right, strict=True):
         reach = max(WINDOW * ratio * own, 0.6 * FEWEST_IN_WINDOW * responses.spacing)
         inside = (max(low, own - reach), min(high, own + reach))
@@ -281,157 +277,10 @@ def identify_each(responses: FrequencyResponses) -> Identification:
         peak = half_power(responses.frequency, strongest, float(own), float(ratio * own))
         modes.append(replace(mode, half_power=peak))
         misfit.append(found.misfit)
+        fitted[..., np.isin(responses.frequency, window.frequency)] = found.fitted
     if not modes:
         raise ValueError(
             "no peak of the responses can be fitted by a resonance: average more, or measure with finer bins"
         )
     unknown = Estimate(float("nan"), float("nan"), float("nan"))
-    return Identification(tuple(modes), unknown, float(np.median(misfit)), responses, None)
-
-
-@dataclass(frozen=True, eq=False)
-class _Reading:
-    """Reads modes off a fit."""
-
-    responses: FrequencyResponses
-    length: float | None
-    problem: LeastSquaresProblem
-    fit: Evaluation
-    clock_tolerance: float
-
-    def identification(self) -> Identification:
-        fit = self.fit
-        variance, deviation = fit.variance, fit.deviation
-        scale = 1 / float(self.problem.omega[-1])
-        local = np.sqrt(self._local_misfit(variance) / variance)
-        residue = self._residue()
-        labels, likeness = self._labels(residue)
-        modes = tuple(
-            self._mode(k, residue[k], labels[k], float(likeness[k]), deviation, float(local[k]), variance)
-            for k in range(fit.n_modes)
-            # A pole beyond the band stands for all modes there, and is none of them.
-            if fit.n_modes == 1
-            or self.responses.frequency[0] <= fit.natural_frequency[k] <= self.responses.frequency[-1]
-        )
-        return Identification(
-            modes=modes,
-            delay=Estimate.of(
-                fit.delay + self.responses.offset, float(deviation[-1]) * scale * float(local.max(initial=1.0))
-            ),
-            misfit=variance,
-            responses=self.responses,
-            length=self.length,
-        )
-
-    def _mode(
-        self,
-        k: int,
-        residue: FloatArray,
-        label: int | None,
-        likeness: float,
-        deviation: FloatArray,
-        local: float,
-        variance: float,
-    ) -> IdentifiedMode:
-        fit, n = self.fit, self.fit.n_modes
-        frequency, ratio = float(fit.natural_frequency[k]), float(fit.damping_ratio[k])
-        gain: tuple[Estimate, ...] = ()
-        shape = None
-        if label is not None and self.responses.positions is not None and self.length is not None:
-            shape = unit_shape(residue, self.responses.positions, label, self.length)
-            values = residue @ shape / (shape @ shape)
-            spread = self._gain_deviation(k, shape, variance) * local
-            gain = tuple(Estimate.of(float(v), float(d)) for v, d in zip(values, spread, strict=True))
-        driver, point = np.unravel_index(int(np.abs(residue).argmax()), residue.shape)
-        magnitude = np.abs(self.responses.response[driver, point])
-        peak = half_power(self.responses.frequency, magnitude, frequency, ratio * frequency)
-        return IdentifiedMode(
-            label=label,
-            natural_frequency=Estimate.of(
-                frequency, frequency * math.hypot(float(deviation[k]) * ratio * local, self.clock_tolerance / NORMAL_95)
-            ),
-            damping_ratio=Estimate.of(ratio, float(deviation[n + k]) * ratio * local),
-            gain=gain,
-            shape=shape,
-            mac=likeness if shape is not None else float("nan"),
-            half_power=peak,
-            half_power_gain=self._half_power_gain(peak, residue, shape, int(driver), int(point)),
-            coherence=self._coherence(residue, frequency),
-            rest=rest_about(self.problem, fit, k, self.responses.response.shape[0]),
-        )
-
-    def _residue(self) -> FloatArray:
-        """Return gain times shape of each mode, (n_modes, n_sets, n_points) array [m/s^2 per V]."""
-        n_sets, n_points = self.responses.response.shape[:2]
-        fit = self.fit
-        column = 2 * np.pi * fit.natural_frequency * fit.damping_ratio
-        level = np.sqrt(self._level)[None, :, None]
-        residue = fit.residue[: fit.n_modes].reshape(-1, n_sets, n_points)
-        return np.asarray(residue * column[:, None, None] * level)
-
-    @property
-    def _level(self) -> FloatArray:
-        """Noise of each set, by which the problem scales its responses, (n_sets,) array."""
-        return np.asarray(np.median(self.responses.noise, axis=1))
-
-    def _labels(self, residue: FloatArray) -> tuple[Sequence[int | None], FloatArray]:
-        positions, n_modes = self.responses.positions, self.fit.n_modes
-        if positions is None or self.length is None or positions.size < 3:
-            return [None] * n_modes, np.full(n_modes, np.nan)
-        scaled = residue / np.sqrt(self._level)[None, :, None]
-        refuse_odd_point(scaled, positions, self.length, self.responses.sets)
-        common = np.array([np.linalg.svd(each, full_matrices=False)[2][0] for each in scaled])
-        return label_shapes(common, positions, self.length)
-
-    def _gain_deviation(self, k: int, shape: FloatArray, variance: float) -> FloatArray:
-        """Return the standard deviation of a mode's gains: of its residues, and of what moves them with the poles."""
-        fit = self.fit
-        n_sets, n_points = self.responses.response.shape[:2]
-        column = 2 * np.pi * float(fit.natural_frequency[k] * fit.damping_ratio[k])
-        weight = shape / (shape @ shape)
-        on_shape = fit.residue.reshape(-1, n_sets, n_points) @ weight
-        inverse = np.linalg.inv(fit.factor)
-        alone = float((inverse[k] ** 2).sum()) * float(weight @ weight)
-        spread = []
-        for s in range(n_sets):
-            own = np.concatenate([on_shape[: fit.n_modes, s]] * 2)
-            slope = -np.append(fit.lost[k] * own, fit.lost_turned[k] @ on_shape[:, s])
-            independent = (alone + float(slope @ fit.covariance @ slope)) * variance
-            rest = fit.rest[:, s * n_points : (s + 1) * n_points] @ weight
-            each = inverse[k] @ fit.basis.T * rest
-            n = each.size // 2
-            common = float(((each[:n] + each[n:] + fit.scores @ (fit.covariance @ slope)) ** 2).sum())
-            spread.append(column * np.sqrt(max(independent, common) * float(self._level[s])))
-        return np.array(spread)
-
-    def _local_misfit(self, variance: float) -> FloatArray:
-        """Return the mean square of the rest about each mode, where it passes what chance makes of the whole's."""
-        n = self.problem.bins.start.size
-        square = (self.fit.rest[:n] ** 2 + self.fit.rest[n:] ** 2).sum(axis=1)
-        frequency = self.problem.bins.centre
-        worst = []
-        for own, ratio in zip(self.fit.natural_frequency, self.fit.damping_ratio, strict=True):
-            near = np.abs(frequency - own) <= 2 * max(ratio * own, self.responses.spacing)
-            count = 2 * int(near.sum()) * self.fit.rest.shape[1]
-            # The poles' own parameters take their part of the scatter.
-            free = max(count - self.fit.rest.shape[1] * (1 + N_REST / 4), 1.0)
-            found = float(square[near].sum()) / free
-            worst.append(found if found > variance * (1 + 3 * np.sqrt(2 / free)) else variance)
-        return np.array(worst)
-
-    def _half_power_gain(
-        self, peak: HalfPower, residue: FloatArray, shape: FloatArray | None, driver: int, point: int
-    ) -> float:
-        r"""Return what a peak says of the gain: :math:`G = 2 \xi \omega |H| / \varphi` (section III-B, corrected)."""
-        if shape is None or shape[point] == 0:
-            return float("nan")
-        sign = np.sign(residue[driver, point])
-        height = peak.height * 4 * np.pi * peak.peak_frequency * peak.damping_ratio
-        return float(sign * height / shape[point])
-
-    def _coherence(self, residue: FloatArray, frequency: float) -> float:
-        if self.responses.coherence is None:
-            return float("nan")
-        driver = int((residue**2).sum(axis=1).argmax())
-        bin_ = int(np.abs(self.responses.frequency - frequency).argmin())
-        return float(np.median(self.responses.coherence[driver, :, bin_]))
+    return Identification(tuple(modes), unknown, float(np.median(misfit)), responses, None, fitted)

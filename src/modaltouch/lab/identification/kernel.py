@@ -13,7 +13,7 @@ from it (Kaufman 1975).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -263,6 +263,28 @@ def evaluate(
         lost=lost[:, : 2 * n_modes],
         lost_turned=lost[:, 2 * n_modes :],
     )
+
+
+def fitted(problem: LeastSquaresProblem, fit: Evaluation) -> ComplexArray:
+    """Return what a fit makes of the responses at every bin, in the problem's scale, (n_responses, n_bins) array."""
+    frequency = problem.bins.frequency
+    every = replace(problem, bins=Bins(frequency, np.arange(frequency.size)))
+    columns = _columns(every, fit.natural_frequency, fit.damping_ratio, fit.delay, 1.0)
+    return np.asarray(fit.residue.T @ columns[: fit.n_modes + N_REST])
+
+
+def complex_residue(problem: LeastSquaresProblem, fit: Evaluation) -> ComplexArray:
+    r"""Return residues that may be complex, of the same poles and delay, (n_modes, n_responses) array.
+
+    A complex conjugate pair of poles with the residues :math:`R \mp i S` over :math:`2 i \omega_d` adds
+    :math:`R + S (i\omega + \xi_k\omega_k) / \omega_d` times the mode's column: S stands in quadrature at its resonance.
+    """
+    n, own, ratio = fit.n_modes, fit.natural_frequency[:, None], fit.damping_ratio[:, None]
+    columns = _columns(problem, fit.natural_frequency, fit.damping_ratio, fit.delay, 1.0)[: n + N_REST] * problem.weight
+    quadrature = columns[:n] * (1j * problem.bins.centre + ratio * own) / (own * np.sqrt(1 - ratio**2))
+    both = np.concatenate([columns, quadrature])
+    solved = np.linalg.lstsq(np.concatenate([both.real, both.imag], axis=1).T, problem.stacked, rcond=None)[0]
+    return np.asarray(solved[:n] + 1j * solved[-n:])
 
 
 def _columns(

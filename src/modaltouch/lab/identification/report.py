@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from modaltouch.lab.identification.estimates import Estimate, Identification, IdentifiedMode
-from modaltouch.lab.identification.shapes import recognise
+from modaltouch.lab.identification.shapes import phase_collinearity, phase_deviation, recognise
 from modaltouch.lab.identification.verdict import misfit_verdict, warnings
 from modaltouch.protocol import Apparatus, Source
 from modaltouch.report import figure_files, refuse_other, write_files
@@ -28,6 +28,8 @@ def mode_values(mode: IdentifiedMode, sets: Sequence[str]) -> dict[str, Any]:
         "damping_ratio": _pair(mode.damping_ratio),
         "gain_mm_s2_per_V": gains,
         "mac": _number(mode.mac),
+        "phase_collinearity": _number(phase_collinearity(mode.residue)),
+        "phase_deviation_deg": _number(math.degrees(phase_deviation(mode.residue))),
         "coherence": _number(mode.coherence),
         "left": {"share": _number(mode.rest.share), "smooth": _number(mode.rest.smooth), "cause": mode.rest.cause},
         "half_power": {
@@ -76,8 +78,7 @@ def table_rows(identification: Identification) -> list[dict[str, Any]]:
             row |= {f"{name}{end}": pair.get(key) for end, key in _ENDS}
         half = values["half_power"]
         row |= {
-            "mac": values["mac"],
-            "coherence": values["coherence"],
+            **{name: values[name] for name in ("mac", "phase_collinearity", "phase_deviation_deg", "coherence")},
             "half_power_frequency_Hz": half["peak_frequency_Hz"],
             "half_power_damping_ratio": half["damping_ratio"],
             "half_power_gain_mm_s2_per_V": half["gain_mm_s2_per_V"],
@@ -123,15 +124,21 @@ def write_identification(
     RecordError
         If the folder holds something else, or cannot be written.
     """
-    from modaltouch.lab.identification.figures import draw_coherence, draw_responses, draw_shapes
+    from modaltouch.lab.identification import figures as draw
 
     refuse_other(folder, COMMAND)
-    figures = {"responses": draw_responses(identification)}
+    figures = {
+        "responses": draw.draw_responses(identification),
+        "fits": draw.draw_fits(identification),
+        "stability": draw.draw_stability(identification),
+    }
+    if any(mode.residue.size > 1 for mode in identification.modes):
+        figures["complexity"] = draw.draw_complexity(identification)
     if identification.responses.coherence is not None:
-        figures["coherence"] = draw_coherence(identification)
+        figures["coherence"] = draw.draw_coherence(identification)
     shaped = any(mode.shape is not None for mode in identification.modes)
     if shaped:
-        figures["fig_4"] = draw_shapes(identification)
+        figures["fig_4"] = draw.draw_shapes(identification)
     files: dict[str, Any] = {"table_1.csv": table_rows(identification), "identification.json": as_dict(identification)}
     if shaped:
         files["shapes.csv"] = shape_rows(identification)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from modaltouch.lab.arrays import FloatArray
+from modaltouch.lab.arrays import ComplexArray, FloatArray
 from modaltouch.stimulus import MeasuredShapes, characteristic_root, mode_shapes
 
 ALIKE = 0.5
@@ -30,6 +30,23 @@ def mac(one: FloatArray, other: FloatArray) -> FloatArray:
     """
     size = np.outer((one**2).sum(axis=1), (other**2).sum(axis=1))
     return np.asarray((one @ other.T) ** 2 / np.maximum(size, 1e-300))
+
+
+def phase_collinearity(residue: ComplexArray) -> float:
+    """Return the modal phase collinearity of a shape (Juang and Pappa 1985) [1]; NaN of one point."""
+    if residue.size < 2:
+        return float("nan")
+    size, turned = float((np.abs(residue) ** 2).sum()), abs(complex((residue**2).sum()))
+    return (turned / size) ** 2
+
+
+def phase_deviation(residue: ComplexArray) -> float:
+    """Return the mean deviation of a shape's phases from their common line, by amplitude [rad] (Reynders 2012)."""
+    if residue.size < 2:
+        return float("nan")
+    straight = residue * np.exp(-0.5j * np.angle((residue**2).sum()))
+    size = np.abs(straight)
+    return float((size * np.arctan2(np.abs(straight.imag), np.abs(straight.real))).sum() / size.sum())
 
 
 def fewest_points(highest: int) -> int:

@@ -1,0 +1,171 @@
+"""Modal parameters, read off a fit: natural frequencies, damping ratios, gains and shapes, each with its interval."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modaltouch.lab.arrays import ComplexArray, FloatArray
+from modaltouch.lab.identification.estimates import NORMAL_95, Estimate, Identification, IdentifiedMode
+from modaltouch.lab.identification.kernel import N_REST, Evaluation, LeastSquaresProblem, complex_residue, fitted
+from modaltouch.lab.identification.peaks import HalfPower, half_power
+from modaltouch.lab.identification.points import refuse_odd_point
+from modaltouch.lab.identification.responses import FrequencyResponses
+from modaltouch.lab.identification.rest import rest_about
+from modaltouch.lab.identification.shapes import label_shapes, unit_shape
+
+
+@dataclass(frozen=True, eq=False)
+class ModalParameters:
+    """Modal parameters of a fit."""
+
+    responses: FrequencyResponses
+    length: float | None
+    problem: LeastSquaresProblem
+    fit: Evaluation
+    clock_tolerance: float
+
+    def identification(self) -> Identification:
+        """Return the modes, and what the fit makes of the responses."""
+        fit = self.fit
+        variance, deviation = fit.variance, fit.deviation
+        scale = 1 / float(self.problem.omega[-1])
+        local = np.sqrt(self._local_misfit(variance) / variance)
+        residue = self._scaled(fit.residue[: fit.n_modes])
+        argand = self._scaled(complex_residue(self.problem, fit))
+        labels, likeness = self._labels(residue)
+        modes = tuple(
+            self._mode(k, residue[k], argand[k], labels[k], float(likeness[k]), deviation, float(local[k]), variance)
+            for k in range(fit.n_modes)
+            # A pole beyond the band stands for all modes there, and is none of them.
+            if fit.n_modes == 1
+            or self.responses.frequency[0] <= fit.natural_frequency[k] <= self.responses.frequency[-1]
+        )
+        return Identification(
+            modes=modes,
+            delay=Estimate.of(
+                fit.delay + self.responses.offset, float(deviation[-1]) * scale * float(local.max(initial=1.0))
+            ),
+            misfit=variance,
+            responses=self.responses,
+            length=self.length,
+            fitted=fitted(self.problem, fit).reshape(self.responses.response.shape)
+            * np.sqrt(self._level)[:, None, None],
+        )
+
+    def _mode(
+        self,
+        k: int,
+        residue: FloatArray,
+        argand: ComplexArray,
+        label: int | None,
+        likeness: float,
+        deviation: FloatArray,
+        local: float,
+        variance: float,
+    ) -> IdentifiedMode:
+        fit, n = self.fit, self.fit.n_modes
+        frequency, ratio = float(fit.natural_frequency[k]), float(fit.damping_ratio[k])
+        gain: tuple[Estimate, ...] = ()
+        shape = None
+        if label is not None and self.responses.positions is not None and self.length is not None:
+            shape = unit_shape(residue, self.responses.positions, label, self.length)
+            values = residue @ shape / (shape @ shape)
+            spread = self._gain_deviation(k, shape, variance) * local
+            gain = tuple(Estimate.of(float(v), float(d)) for v, d in zip(values, spread, strict=True))
+        driver, point = np.unravel_index(int(np.abs(residue).argmax()), residue.shape)
+        magnitude = np.abs(self.responses.response[driver, point])
+        peak = half_power(self.responses.frequency, magnitude, frequency, ratio * frequency)
+        return IdentifiedMode(
+            label=label,
+            natural_frequency=Estimate.of(
+                frequency, frequency * math.hypot(float(deviation[k]) * ratio * local, self.clock_tolerance / NORMAL_95)
+            ),
+            damping_ratio=Estimate.of(ratio, float(deviation[n + k]) * ratio * local),
+            gain=gain,
+            shape=shape,
+            mac=likeness if shape is not None else float("nan"),
+            half_power=peak,
+            half_power_gain=self._half_power_gain(peak, residue, shape, int(driver), int(point)),
+            coherence=self._coherence(residue, frequency),
+            rest=rest_about(self.problem, fit, k, self.responses.response.shape[0]),
+            residue=argand.ravel() if self.responses.n_points == 1 else argand[driver],
+        )
+
+    def _scaled(self, residue: NDArray[Any]) -> NDArray[Any]:
+        """Return residues of the problem's scale as gain times shape, (n_modes, n_sets, n_points) [m/s^2 per V]."""
+        column = 2 * np.pi * self.fit.natural_frequency * self.fit.damping_ratio
+        residue = residue.reshape(-1, *self.responses.response.shape[:2])
+        return np.asarray(residue * column[:, None, None] * np.sqrt(self._level)[None, :, None])
+
+    @property
+    def _level(self) -> FloatArray:
+        """Noise of each set, by which the problem scales its responses, (n_sets,) array."""
+        return np.asarray(np.median(self.responses.noise, axis=1))
+
+    def _labels(self, residue: FloatArray) -> tuple[Sequence[int | None], FloatArray]:
+        positions, n_modes = self.responses.positions, self.fit.n_modes
+        if positions is None or self.length is None or positions.size < 3:
+            return [None] * n_modes, np.full(n_modes, np.nan)
+        scaled = residue / np.sqrt(self._level)[None, :, None]
+        refuse_odd_point(scaled, positions, self.length, self.responses.sets)
+        common = np.array([np.linalg.svd(each, full_matrices=False)[2][0] for each in scaled])
+        return label_shapes(common, positions, self.length)
+
+    def _gain_deviation(self, k: int, shape: FloatArray, variance: float) -> FloatArray:
+        """Return the standard deviation of a mode's gains: of its residues, and of what moves them with the poles."""
+        fit = self.fit
+        n_sets, n_points = self.responses.response.shape[:2]
+        column = 2 * np.pi * float(fit.natural_frequency[k] * fit.damping_ratio[k])
+        weight = shape / (shape @ shape)
+        on_shape = fit.residue.reshape(-1, n_sets, n_points) @ weight
+        inverse = np.linalg.inv(fit.factor)
+        alone = float((inverse[k] ** 2).sum()) * float(weight @ weight)
+        spread = []
+        for s in range(n_sets):
+            own = np.concatenate([on_shape[: fit.n_modes, s]] * 2)
+            slope = -np.append(fit.lost[k] * own, fit.lost_turned[k] @ on_shape[:, s])
+            independent = (alone + float(slope @ fit.covariance @ slope)) * variance
+            rest = fit.rest[:, s * n_points : (s + 1) * n_points] @ weight
+            each = inverse[k] @ fit.basis.T * rest
+            n = each.size // 2
+            common = float(((each[:n] + each[n:] + fit.scores @ (fit.covariance @ slope)) ** 2).sum())
+            spread.append(column * np.sqrt(max(independent, common) * float(self._level[s])))
+        return np.array(spread)
+
+    def _local_misfit(self, variance: float) -> FloatArray:
+        """Return the mean square of the rest about each mode, where it passes what chance makes of the whole's."""
+        n = self.problem.bins.start.size
+        square = (self.fit.rest[:n] ** 2 + self.fit.rest[n:] ** 2).sum(axis=1)
+        frequency = self.problem.bins.centre
+        worst = []
+        for own, ratio in zip(self.fit.natural_frequency, self.fit.damping_ratio, strict=True):
+            near = np.abs(frequency - own) <= 2 * max(ratio * own, self.responses.spacing)
+            count = 2 * int(near.sum()) * self.fit.rest.shape[1]
+            # The poles' own parameters take their part of the scatter.
+            free = max(count - self.fit.rest.shape[1] * (1 + N_REST / 4), 1.0)
+            found = float(square[near].sum()) / free
+            worst.append(found if found > variance * (1 + 3 * np.sqrt(2 / free)) else variance)
+        return np.array(worst)
+
+    def _half_power_gain(
+        self, peak: HalfPower, residue: FloatArray, shape: FloatArray | None, driver: int, point: int
+    ) -> float:
+        r"""Return what a peak says of the gain: :math:`G = 2 \xi \omega |H| / \varphi` (section III-B, corrected)."""
+        if shape is None or shape[point] == 0:
+            return float("nan")
+        sign = np.sign(residue[driver, point])
+        height = peak.height * 4 * np.pi * peak.peak_frequency * peak.damping_ratio
+        return float(sign * height / shape[point])
+
+    def _coherence(self, residue: FloatArray, frequency: float) -> float:
+        if self.responses.coherence is None:
+            return float("nan")
+        driver = int((residue**2).sum(axis=1).argmax())
+        bin_ = int(np.abs(self.responses.frequency - frequency).argmin())
+        return float(np.median(self.responses.coherence[driver, :, bin_]))
