@@ -335,13 +335,11 @@ def draw_zones(evidence: Evidence) -> Figure:
         figure = Figure(figsize=(7.6, 0.95 * len(observation.zones) + 0.9))
         shape: dict[str, Any] = {"squeeze": False, "sharex": "col", "sharey": True}
         panels = figure.subplots(len(observation.zones), 2, **shape)
-        middles, envelopes = _envelope(time, evidence.course)
-        for row, (name, measured, envelope, predicted) in zip(
-            panels,
-            zip(observation.zones, evidence.course, envelopes, evidence.prediction.course, strict=True),
-            strict=True,
+        middles, lowest, highest = _envelope(time, evidence.course)
+        for row, name, measured, low, high, predicted in zip(
+            panels, observation.zones, evidence.course, lowest, highest, evidence.prediction.course, strict=True
         ):
-            row[0].fill_between(middles * 1e3, -envelope * 1e3, envelope * 1e3, color=DARK, linewidth=0)
+            row[0].fill_between(middles * 1e3, low * 1e3, high * 1e3, color=DARK, linewidth=0)
             near = np.abs(time - evidence.instant) <= AROUND
             own = np.abs(evidence.prediction.time - evidence.instant) <= AROUND
             row[1].plot(evidence.prediction.time[own] * 1e3, predicted[own] * 1e3, color=MIDDLE, linewidth=2.2)
@@ -362,12 +360,12 @@ def draw_zones(evidence: Evidence) -> Figure:
     return figure
 
 
-def _envelope(time: FloatArray, course: FloatArray, width: float = 0.2e-3) -> tuple[FloatArray, FloatArray]:
-    """Return the highest speed within short stretches of time, and their middles [s]."""
+def _envelope(time: FloatArray, course: FloatArray, width: float = 0.2e-3) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return middles of short stretches of time [s], and the lowest and the highest velocity within each."""
     n = max(1, round(width / (time[1] - time[0])))
     n_parts = time.size // n
-    parts = np.abs(course[:, : n_parts * n]).reshape(len(course), n_parts, n).max(axis=2)
-    return time[: n_parts * n].reshape(n_parts, n).mean(axis=1), parts
+    parts = course[:, : n_parts * n].reshape(len(course), n_parts, n)
+    return time[: n_parts * n].reshape(n_parts, n).mean(axis=1), parts.min(axis=2), parts.max(axis=2)
 
 
 def draw_drives(evidences: Sequence[Evidence], limit: float) -> Figure:
