@@ -9,7 +9,7 @@ import typer
 
 from modaltouch.cli.exit_status import reporting
 from modaltouch.cli.measurement import bars, give
-from modaltouch.cli.options import JSON, MEASURED_RIG, PROTOCOL
+from modaltouch.cli.options import JSON, MEASURED_RIG, PROTOCOL, RECORD
 from modaltouch.cli.tables import print_table
 
 if TYPE_CHECKING:
@@ -24,6 +24,7 @@ def calibrate(
     accept: Annotated[
         bool, typer.Option("--accept", help="Write a calibration that misses its limits too, with a mark.")
     ] = False,
+    record: RECORD = None,
     json_output: JSON = False,
 ) -> None:
     """Measure what each stimulus really does at the focusing instant, and correct its targets until both agree.
@@ -41,7 +42,7 @@ def calibrate(
 
     with reporting(json_output=json_output):
         with bars() as progress:
-            report = measure(CalibrateOptions(protocol, out, rig, person, accept), progress)
+            report = measure(CalibrateOptions(protocol, out, rig, person, accept, record), progress)
         give(report, lambda _: _show(report.calibration, out, protocol), json_output=json_output)
 
 

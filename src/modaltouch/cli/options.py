@@ -84,4 +84,11 @@ PLAIN = Annotated[bool, typer.Option("--plain", help="Plain lines instead of the
 MEASURED_RIG = Annotated[
     str, typer.Option(help="`simulated`, or the generator's VISA address; a real one is measured with a PicoScope.")
 ]
+RECORD = Annotated[
+    Path | None,
+    typer.Option(
+        help="Folder where another scope leaves its records as CSV or NPZ files, each as it is asked for.",
+        show_default="measured with a PicoScope",
+    ),
+]
 SEED_OF_TWIN = Annotated[int | None, typer.Option(min=0, help="Instead of the seed in the apparatus file.")]

@@ -9,7 +9,7 @@ import typer
 
 from modaltouch.cli.exit_status import reporting
 from modaltouch.cli.measurement import bars, give
-from modaltouch.cli.options import CALIBRATION, JSON, MEASURED_RIG, PROTOCOL
+from modaltouch.cli.options import CALIBRATION, JSON, MEASURED_RIG, PROTOCOL, RECORD
 from modaltouch.cli.tables import print_table
 
 
@@ -30,6 +30,7 @@ def validate(
     ] = None,
     points: Annotated[int, typer.Option(min=3, max=1001, help="Points along the beam, from end to end.")] = 41,
     averages: Annotated[int, typer.Option(min=1, max=1000, help="Records at each point.")] = 10,
+    record: RECORD = None,
     json_output: JSON = False,
 ) -> None:
     """Play the drive by both laws, scan the beam, and show the paper's Fig. 2 and 5 to 8 on one page.
@@ -40,7 +41,7 @@ def validate(
     from modaltouch.lab import validate as measure
 
     with reporting(json_output=json_output):
-        options = ValidateOptions(protocol, calibration, rig, out, scan, points, averages)
+        options = ValidateOptions(protocol, calibration, rig, out, scan, points, averages, record)
         try:
             with bars() as progress:
                 report = measure(options, progress)

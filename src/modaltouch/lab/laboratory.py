@@ -39,9 +39,6 @@ ATTEMPTS = 3
 BEAT_PERIOD = 0.1
 """Time between two signs of life for the watchdog while a record is taken [s]."""
 
-SLOWEST = 120.0
-"""What taking and fetching a record may last beyond the record itself before it counts as stalled [s]."""
-
 SETTLING_TIME = 0.5
 """From the first burst until the beam repeats itself: 30 times the decay of a mode of 20 Hz bandwidth [s]."""
 
@@ -173,8 +170,8 @@ class Laboratory:
             )
         recording = None
         try:
-            longest = acquisition.n_records * acquisition.n_samples / acquisition.sampling_rate + SLOWEST
-            with suppress(StimulusLost), self._alive(self.settling_time + longest):
+            longest = acquisition.n_records * acquisition.n_samples / acquisition.sampling_rate
+            with suppress(StimulusLost), self._alive(self.settling_time + longest + self.scope.slowest):
                 time.sleep(self.settling_time)
                 recording = self.scope.measure(position)
         finally:
@@ -215,6 +212,7 @@ def open_laboratory(
     repetition: Literal["single", "timer", "continuous", "wired"] | None = None,
     aim: Callable[[float], None] = quiet,
     log: Callable[..., None] = quiet,
+    scope: Scope | None = None,
     **options: Any,
 ) -> Iterator[Laboratory]:
     """Open generator and scope; on every way out the outputs are off.
@@ -224,7 +222,7 @@ def open_laboratory(
     apparatus : Apparatus
         What is on the table.
     address : str
-        ``simulated``, or the generator's VISA address; beside a real one a PicoScope is opened.
+        ``simulated``, or the generator's VISA address; beside a real one a PicoScope is opened unless `scope` is given.
     seed : int, optional
         Of the twin, instead of that in its apparatus file.
     repetition : str, optional
@@ -234,6 +232,8 @@ def open_laboratory(
         Brings the vibrometer's spot to a position [m from mid-beam]; the twin's needs nobody.
     log : callable
         ``log(event, **facts)`` takes every exchange with the generator.
+    scope : Scope, optional
+        What measures, instead of the twin's scope or a PicoScope; closed here.
     **options
         Further arguments of `modaltouch.rig.open_rig`.
 
@@ -254,12 +254,12 @@ def open_laboratory(
             # The twin's beam is computed in this very process, which would keep a real clock waiting.
             clock = VirtualClock(SYSTEM_CLOCK.now())
             simulator = stack.enter_context(Simulator(apparatus, seed, clock=clock))
-            scope: Scope = stack.enter_context(simulator.scope())
+            scope = stack.enter_context(scope or simulator.scope())
             rig = open_generator(simulator.address, **simulator.driver_options)
             yield Laboratory(apparatus, rig, scope, "simulated", simulator=simulator)
             return
         # The scope first: without it there is nothing to play for.
-        scope = stack.enter_context(Scope.open(apparatus, quiet))
+        scope = stack.enter_context(scope or Scope.open(apparatus, quiet))
         rig = open_generator(address)
         mode: Mode = "simulated" if instrument_of(apparatus).is_simulated(rig.identity) else "real"
         yield Laboratory(apparatus, rig, scope, mode, aim, SETTLING_TIME)

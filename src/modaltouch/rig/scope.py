@@ -21,7 +21,15 @@ from modaltouch.system import SYSTEM_CLOCK
 
 
 class Scope(abc.ABC):
-    """A vibrometer with a scope behind it, simulated or real."""
+    """A vibrometer with a scope behind it, simulated or real.
+
+    Attributes
+    ----------
+    slowest : float
+        What taking and fetching a record may last beyond the record itself before it counts as stalled [s].
+    """
+
+    slowest = 120.0
 
     @staticmethod
     def open(apparatus: Apparatus, aim: Callable[[float], None]) -> Scope:

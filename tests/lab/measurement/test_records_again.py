@@ -31,6 +31,7 @@ class Bench:
     lost: int = 0
     done: list[str] = field(default_factory=list)
     firing: Firing | None = None
+    slowest: float = 120.0
 
     def configure(self, acquisition: Acquisition) -> None:
         self.done.append("configure")

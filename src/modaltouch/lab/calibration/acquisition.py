@@ -271,7 +271,7 @@ class DecayRecorder:
         """
         self.bench.load(burst)
         asked = self._decay()
-        time, rows = np.zeros(0), np.zeros((points.size, asked.n_samples))
+        time, rows = np.zeros(0), dict[int, FloatArray]()
         # Back and forth, so that a spot that is moved by hand is moved less.
         self._forth = not self._forth
         order = np.arange(points.size)[:: 1 if self._forth else -1]
@@ -282,7 +282,7 @@ class DecayRecorder:
             highest = max(highest or 0.0, float(np.abs(recording.velocity).max()))
             time = recording.time
             rows[place] = recording.velocity.mean(axis=0)
-        return time, rows
+        return time, np.stack([rows[place] for place in range(points.size)])
 
     def _decay(self, n_records: int = N_RECORDS) -> Acquisition:
         slowest = float(-self.model.exponent.real.max())

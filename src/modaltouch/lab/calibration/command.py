@@ -12,6 +12,7 @@ from modaltouch.lab.calibration.file import calibration_of, write_calibration
 from modaltouch.lab.calibration.loop import calibrate_each
 from modaltouch.lab.calibration.proof import mark_of
 from modaltouch.lab.laboratory import SIMULATED, MeasurementProgress, open_laboratory
+from modaltouch.lab.recorded_files import RecordedFiles
 from modaltouch.preflight import DesignInputs, Preflight, examine
 from modaltouch.protocol import Calibration, InputError, Problem, Protocol
 from modaltouch.record import prepare_file
@@ -34,6 +35,8 @@ class CalibrateOptions:
         Who calibrates, for the file.
     accept : bool
         Whether one that misses its limits is written, with a mark.
+    record : Path or None
+        Folder where another scope leaves its records as files, instead of a PicoScope.
     """
 
     protocol: Path
@@ -41,6 +44,7 @@ class CalibrateOptions:
     rig: str = SIMULATED
     person: str = ""
     accept: bool = False
+    record: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -86,7 +90,12 @@ def calibrate(options: CalibrateOptions, progress: MeasurementProgress | None = 
     prepare_file(options.out)
     with (
         (progress or MeasurementProgress()).interruptible() as heard,
-        open_laboratory(experiment.apparatus, options.rig, aim=heard.aim) as laboratory,
+        open_laboratory(
+            experiment.apparatus,
+            options.rig,
+            aim=heard.aim,
+            scope=RecordedFiles(options.record, experiment.apparatus, heard) if options.record else None,
+        ) as laboratory,
     ):
         outcomes = calibrate_each(laboratory, experiment.apparatus, inputs_of, heard, between)
         calibration = calibration_of(

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from modaltouch.lab.laboratory import SIMULATED, MeasurementProgress, TooFewPointsError, open_laboratory
 from modaltouch.lab.output import rounded
+from modaltouch.lab.recorded_files import RecordedFiles
 from modaltouch.lab.validation.evidence import Evidence, evaluate
 from modaltouch.lab.validation.figures import (
     PAPER_WORST,
@@ -58,6 +59,8 @@ class ValidateOptions:
         opened.
     points, averages : int
         Points along the beam, and records at each.
+    record : Path or None
+        Folder where another scope leaves its records as files, instead of a PicoScope.
     """
 
     protocol: Path
@@ -67,6 +70,7 @@ class ValidateOptions:
     scan: Path | None = None
     points: int = 41
     averages: int = 10
+    record: Path | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,7 +201,12 @@ def _observe(preflight: Preflight, options: ValidateOptions, progress: Measureme
         return read_laws(inputs, options.scan)
     with (
         progress.interruptible() as heard,
-        open_laboratory(experiment.apparatus, options.rig, aim=heard.aim) as laboratory,
+        open_laboratory(
+            experiment.apparatus,
+            options.rig,
+            aim=heard.aim,
+            scope=RecordedFiles(options.record, experiment.apparatus, heard) if options.record else None,
+        ) as laboratory,
     ):
         return record_laws(
             inputs,

@@ -1,0 +1,266 @@
+"""Records that another scope writes as files, each when it is asked for: an acquisition like any other.
+
+``wanted.json`` in the folder says which record is awaited now; the lab's scope, or its operator, writes it as CSV::
+
+    time_s,velocity_V,drive_1_V,drive_2_V
+    0.02504,0.1873,-31.2,14.6
+    0.0250422,0.1871,-31.4,14.1
+
+A record begins wherever the time begins anew; there are as many as are asked for. Time 0 is the trigger at the start of
+the burst. ``velocity_V`` is the vibrometer's output, which ``acquisition.sensitivity_mm_s_per_V`` turns into a
+velocity; ``velocity_m_s`` may stand instead. ``drive_1_V`` is the voltage at the beam, the probe's attenuation counted.
+An NPZ file holds arrays of these names, (n_samples,) or (n_records, n_samples).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modaltouch.lab.arrays import FloatArray
+from modaltouch.lab.laboratory import MeasurementProgress
+from modaltouch.protocol import Apparatus
+from modaltouch.record import replace_file
+from modaltouch.rig import Acquisition, Recording, RigError, Scope
+
+POLL = 0.25
+"""Between two looks for a file, which is whole once it has not changed from one to the next [s]."""
+
+MOST_OVERSAMPLED = 50.0
+"""Sampling rate of a file over the one that is asked for, at most [1]."""
+
+LARGEST_SHIFT = 20e-9
+"""Difference between the samples' instants of two records up to which they count as the same [s]."""
+
+CUT = 4
+"""Samples at the highest value over those at the next one, from which a record was cut [1]."""
+
+REMEDY = "free the place, or give another folder with --record"
+
+
+class RecordedFiles(Scope):
+    """A scope whose records arrive as files.
+
+    Parameters
+    ----------
+    folder : Path
+        Where they are written; those that are there already are left alone.
+    apparatus : Apparatus
+        Its section ``acquisition`` says what a volt of the vibrometer stands for.
+    progress : MeasurementProgress
+        Told which file is awaited, and why one is refused; may stop the wait.
+    """
+
+    slowest = 1800.0
+
+    def __init__(self, folder: Path, apparatus: Apparatus, progress: MeasurementProgress) -> None:
+        self._folder, self._progress = folder, progress
+        self._sensitivity = apparatus.acquisition.sensitivity_mm_s_per_V * 1e-3
+        self._highest = apparatus.acquisition.range_mm_s * 1e-3
+        self._grids: dict[tuple[float, ...], FloatArray] = {}
+        self._asked = Acquisition()
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise RigError(f"{folder}: cannot hold records ({error.strerror}); {REMEDY}") from None
+
+    @property
+    def identity(self) -> str:
+        """Where the records come from."""
+        return f"records in {self._folder}"
+
+    def configure(self, acquisition: Acquisition) -> Acquisition:
+        """Note what the next records must hold."""
+        self._asked = acquisition
+        return acquisition
+
+    def measure(self, position: float) -> Recording:
+        """Ask for a record, and return it as soon as a file holds what is asked for."""
+        taken = [int(each.stem) for each in self._folder.iterdir() if each.stem.isdecimal()]
+        name = f"{max(taken, default=0) + 1:04d}"
+        self._ask(name, position)
+        before = refused = None
+        deadline = time.monotonic() + self.slowest
+        while time.monotonic() < deadline:
+            self._progress.check()
+            found = next((each for each in (self._folder / f"{name}{end}" for end in READERS) if each.is_file()), None)
+            seen = found and (found.name, found.stat().st_size, found.stat().st_mtime_ns)
+            if found is not None and seen == before != refused:
+                try:
+                    return self._recording(found, position)
+                except (OSError, ValueError) as error:
+                    refused = seen
+                    self._progress.say(f"{error}; write it again")
+                    self._ask(name, position, str(error))
+            before = seen
+            time.sleep(POLL)
+        raise RigError(
+            f"no record came as {self._folder / name}.csv or .npz within {self.slowest / 60:g} min; the outputs are "
+            "off; give the command again, with the scope ready"
+        )
+
+    def time_trigger(self, send: Callable[[], object]) -> tuple[float, float]:
+        """Refuse: a file comes too late to tell when a burst began."""
+        raise RigError("files cannot tell when a burst began; leave --record out")
+
+    def close(self) -> None:
+        """Await nothing more."""
+        (self._folder / "wanted.json").unlink(missing_ok=True)
+
+    def _ask(self, name: str, position: float, refused: str = "") -> None:
+        """Say on the screen and in ``wanted.json`` what is awaited."""
+        asked = self._asked
+        first, last = asked.start, asked.start + (asked.n_samples - 1) / asked.sampling_rate
+        highest = asked.velocity_range or self._highest
+        wanted = {
+            "file": name,
+            "position_mm": position * 1e3,
+            "n_records": asked.n_records,
+            "sampling_rate_Hz": asked.sampling_rate,
+            "first_s": first,
+            "last_s": last,
+            "drives": list(asked.drives),
+            "velocity_up_to_m_s": highest,
+            "drive_up_to_V": asked.drive_range,
+            "refused": refused,
+        }
+        replace_file(self._folder / "wanted.json", (json.dumps(wanted, indent=1) + "\n").encode(), REMEDY)
+        if not refused:
+            also = "".join(f", drive {number}" for number in asked.drives)
+            self._progress.say(
+                f"waiting for {self._folder / name}.csv or .npz: {asked.n_records} records at {position * 1e3:+.2f} mm "
+                f"of velocity{also}, {first * 1e3:.6g} to {last * 1e3:.6g} ms after the trigger, at least "
+                f"{asked.sampling_rate * 1e-3:.6g} kHz, up to {highest * 1e3:.4g} mm/s"
+            )
+
+    def _recording(self, path: Path, position: float) -> Recording:
+        """Return what a file holds, cut to what is asked for."""
+        asked, table = self._asked, READERS[path.suffix](path)
+        names = ["velocity_m_s" if "velocity_m_s" in table else "velocity_V", *(f"drive_{n}_V" for n in asked.drives)]
+        for name in ("time_s", *names):
+            if name not in table:
+                raise ValueError(f"{path}:1: lacks the column {name}; it has {', '.join(table)}")
+            if not np.isfinite(table[name]).all():
+                raise ValueError(f"{_place(path, ~np.isfinite(table[name]))}: {name} is no finite number")
+        begin, step, first, n_samples = _window(path, table["time_s"], asked)
+        key = asked.start, asked.n_samples, asked.sampling_rate
+        grid = np.array([begin, begin + n_samples * step])
+        if np.abs(grid - self._grids.setdefault(key, grid)).max() > LARGEST_SHIFT:
+            raise ValueError(
+                f"{path}: its samples lie at other instants than those of the records before; record all with the same "
+                "sampling rate, and without interpolation of the trigger"
+            )
+        kept = [table[name][:, first : first + n_samples] for name in names]
+        velocity = kept[0] * (self._sensitivity if names[0] == "velocity_V" else 1.0)
+        over = _is_cut(velocity) or float(np.abs(velocity).max()) > self._highest
+        return Recording(
+            position=position,
+            time=np.asarray(begin + step * np.arange(n_samples), dtype=float),
+            velocity=velocity,
+            drive=np.stack(kept[1:], axis=1) if asked.drives else np.empty((asked.n_records, 0, n_samples)),
+            sampling_rate=1 / step,
+            overloaded=("velocity",) if over else (),
+        )
+
+
+def _window(path: Path, time_s: FloatArray, asked: Acquisition) -> tuple[float, float, int, int]:
+    """Return the first instant that is kept and the time between samples [s], its sample, and how many are kept."""
+    n_records, n = time_s.shape
+    if n_records != asked.n_records or n < 2:
+        raise ValueError(f"{path}: holds {n_records} records of {n} samples; asked for are {asked.n_records} records")
+    # Files print few digits: all samples together tell the instants better than any of them.
+    order = np.arange(n) - (n - 1) / 2
+    step = float((time_s @ order).mean() / (order @ order))
+    uneven = np.abs(time_s - time_s.mean() - step * order) > max(step / 4, LARGEST_SHIFT)
+    if uneven.any() or not step > 0:
+        raise ValueError(f"{_place(path, uneven)}: time_s is not evenly spaced, or not as in the first record")
+    if np.ptp(time_s.mean(axis=1)) > LARGEST_SHIFT:
+        raise ValueError(
+            f"{path}: its records were sampled at instants that differ by {np.ptp(time_s.mean(axis=1)) * 1e9:.0f} ns, "
+            f"allowed are {LARGEST_SHIFT * 1e9:.0f} ns; switch off interpolation of the trigger"
+        )
+    if not 0.999 <= 1 / step / asked.sampling_rate <= MOST_OVERSAMPLED:
+        raise ValueError(
+            f"{path}: was sampled at {1e-3 / step:.6g} kHz; allowed are {asked.sampling_rate * 1e-3:.6g} to "
+            f"{MOST_OVERSAMPLED * asked.sampling_rate * 1e-3:.6g} kHz"
+        )
+    start, length = float(time_s.mean()) - step * (n - 1) / 2, (asked.n_samples - 1) / asked.sampling_rate
+    first = max(0, math.ceil((asked.start - start) / step - 0.05))
+    n_kept = int(length / step + 1e-3)
+    if start > asked.start + step or first + n_kept > n:
+        raise ValueError(
+            f"{path}: its records last from {start * 1e3:.6g} to {(start + step * (n - 1)) * 1e3:.6g} ms after the "
+            f"trigger; asked for are {asked.start * 1e3:.6g} to {(asked.start + length) * 1e3:.6g} ms"
+        )
+    return start + step * first, step, first, n_kept
+
+
+def _place(path: Path, faulty: NDArray[np.bool_]) -> str:
+    """Return where the first faulty sample of (n_records, n_samples) stands in a file."""
+    record, sample = np.unravel_index(int(faulty.argmax()), faulty.shape)
+    if path.suffix == ".csv":
+        return f"{path}:{2 + record * faulty.shape[1] + sample}"
+    return f"{path}: record {record + 1}, sample {sample + 1}"
+
+
+def _is_cut(velocity: FloatArray) -> bool:
+    """Return whether more samples lie at the end of a range than the next value lets expect."""
+    for values in (velocity, -velocity):
+        counts = np.unique(values, return_counts=True)[1]
+        if counts.size > 1 and counts[-1] > CUT * (counts[-2] + 1):
+            return True
+    return False
+
+
+def _read_csv(path: Path) -> dict[str, FloatArray]:
+    """Return the columns of a CSV file, (n_records, n_samples) arrays."""
+    header, *rows = path.read_text(encoding="utf-8-sig").splitlines() or [""]
+    names = [name.strip() for name in header.split(",")]
+    if "time_s" not in names:
+        raise ValueError(f"{path}:1: lacks the column time_s; it has {header[:80]!r}")
+    values = np.array([_numbers(path, line, row, len(names)) for line, row in enumerate(rows or [""], start=2)])
+    time_s = values[:, names.index("time_s")]
+    # A record begins wherever the time begins anew.
+    begins = np.append(np.flatnonzero(np.diff(time_s, prepend=math.inf) <= 0), time_s.size)
+    lengths = np.diff(begins)
+    if np.ptp(lengths):
+        odd = int((lengths != lengths[0]).argmax())
+        raise ValueError(
+            f"{path}:{2 + begins[odd]}: the record that begins here has {lengths[odd]} samples, the first has "
+            f"{lengths[0]}; write every record with the same number of samples, time_s increasing"
+        )
+    return {name: column.reshape(lengths.size, -1) for name, column in zip(names, values.T, strict=True)}
+
+
+def _numbers(path: Path, line: int, row: str, n_columns: int) -> list[float]:
+    """Return the numbers of a line of a CSV file."""
+    cells, numbers = row.split(","), list[float]()
+    if len(cells) != n_columns:
+        raise ValueError(f"{path}:{line}: has {len(cells)} cells, the header has {n_columns}")
+    try:
+        numbers.extend(map(float, cells))
+    except ValueError:
+        column = len(numbers) + 1
+        raise ValueError(f"{path}:{line}:{column}: {cells[len(numbers)][:40]!r} is no number") from None
+    return numbers
+
+
+def _read_npz(path: Path) -> dict[str, FloatArray]:
+    """Return the arrays of an NPZ file, (n_records, n_samples)."""
+    try:
+        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
+            arrays = {name: np.atleast_2d(np.asarray(file[name], dtype=float)) for name in file}
+        return dict(zip(arrays, np.broadcast_arrays(*arrays.values()), strict=True))
+    # numpy and zipfile raise whatever damage makes them meet.
+    except Exception as error:
+        raise ValueError(f"{path}: cannot be read ({error}); needed are arrays named as the columns of a CSV") from None
+
+
+READERS = {".csv": _read_csv, ".npz": _read_npz}
+"""How files are read, by their ending."""

@@ -1,0 +1,241 @@
+"""Another scope writes files, in a thread of its own: what comes of them is what comes of a scope that is driven."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import re
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from modaltouch.lab import recorded_files
+from modaltouch.lab.calibration.file import corrected_inputs
+from modaltouch.lab.calibration.loop import calibrate_each
+from modaltouch.lab.laboratory import MeasurementProgress, open_laboratory
+from modaltouch.lab.recorded_files import RecordedFiles
+from modaltouch.preflight import examine
+from modaltouch.preflight.examination import design_to_fit
+from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.rig.acquisition import Acquisition, Recording
+from modaltouch.rig.interface import RigError
+from modaltouch.rig.simulator import Simulator
+
+PROTOCOLS = Path(__file__).parents[3] / "protocols"
+N_FAULTY = 3
+"""Which file is spoilt at first."""
+
+
+def write(path: Path, recording: Recording, volts: float) -> None:
+    """Write a recording as a lab's own program would: the vibrometer in volts, few digits in a CSV."""
+    table = {
+        "time_s": np.broadcast_to(recording.time, recording.velocity.shape),
+        "velocity_V": recording.velocity / volts,
+    }
+    table |= {f"drive_{number}_V": recording.drive[:, number - 1] for number in range(1, recording.drive.shape[1] + 1)}
+    if path.suffix == ".npz":
+        with path.with_suffix(".part").open("wb") as file:
+            np.savez(file, **table)
+        path.with_suffix(".part").rename(path)
+    else:
+        rows = np.stack([column.ravel() for column in table.values()], axis=1)
+        np.savetxt(path, rows, fmt="%.7g", delimiter=",", header=",".join(table), comments="")
+
+
+class LabScope(threading.Thread):
+    """Does what ``wanted.json`` says until it is stopped, faster and longer than asked; CSV where there are drives."""
+
+    def __init__(self, folder: Path, simulator: Simulator) -> None:
+        super().__init__(daemon=True)
+        self._scope, self._folder = simulator.scope(), folder
+        self._volts = simulator.apparatus.acquisition.sensitivity_mm_s_per_V * 1e-3
+        self.ended = threading.Event()
+
+    def run(self) -> None:
+        done = None
+        while not self.ended.wait(0.002):
+            with contextlib.suppress(OSError, ValueError):
+                wanted = json.loads((self._folder / "wanted.json").read_text(encoding="utf-8"))
+                if done != (wanted["file"], wanted["refused"]):
+                    done = wanted["file"], wanted["refused"]
+                    self._record(wanted)
+
+    def _record(self, wanted: dict) -> None:
+        rate = 1.1 * wanted["sampling_rate_Hz"]
+        n_samples = int((wanted["last_s"] - wanted["first_s"]) * rate) + 8
+        drives = tuple(wanted["drives"])
+        ranges = wanted["velocity_up_to_m_s"], wanted["drive_up_to_V"]
+        self._scope.configure(Acquisition(rate, n_samples, wanted["n_records"], drives, wanted["first_s"], *ranges))
+        recording = self._scope.measure(wanted["position_mm"] * 1e-3)
+        path = self._folder / f"{wanted['file']}{'.csv' if drives else '.npz'}"
+        if int(wanted["file"]) == N_FAULTY and not wanted["refused"]:
+            path.write_bytes(b"half of a fi")
+        else:
+            write(path, recording, self._volts)
+
+
+@pytest.fixture
+def quickly(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Look for files every 5 ms."""
+    monkeypatch.setattr(recorded_files, "POLL", 0.005)
+
+
+@pytest.mark.usefixtures("quickly")
+def test_a_calibration_of_files_is_true(tmp_path: Path) -> None:
+    """Through driver and files, one of them spoilt at first: 0.3 mm/s at every mode by the twin's true state."""
+    preflight, said = examine(PROTOCOLS / "demo.yaml").require(), list[str]()
+    apparatus = preflight.experiment.apparatus
+    folder = tmp_path / "records"
+    scope = RecordedFiles(folder, apparatus, MeasurementProgress(say=said.append))
+    with open_laboratory(apparatus, scope=scope) as laboratory:
+        lab_scope = LabScope(folder, laboratory.simulator)
+        lab_scope.start()
+        try:
+            outcome = calibrate_each(laboratory, apparatus, {"": preflight.inputs})[""]
+        finally:
+            lab_scope.ended.set()
+            lab_scope.join()
+        stimulus = design_to_fit(corrected_inputs(preflight.inputs, outcome.refined, outcome.correction))
+        laboratory.load(stimulus.burst)
+        assert laboratory.rig.fire(stimulus.target_field.velocity).started
+        state = laboratory.simulator.true_state(stimulus.timing.focusing_instant)
+    assert np.abs(state.velocity - stimulus.target).max() < 0.3e-3
+    assert np.abs(state.displacement).max() < 0.3e-3
+    assert outcome.turns[0].worst > 1e-3
+    assert outcome.best.number > 0
+    assert len(outcome.levels) == len(preflight.inputs.levels)
+    (refusal,) = [line for line in said if line.endswith("write it again")]
+    assert re.search(r"0003\.npz: cannot be read", refusal)
+    assert re.search(
+        r"waiting for .*0001\.csv or \.npz: 10 records at \+0\.00 mm of velocity, drive 1, drive 2", said[0]
+    )
+    assert not (folder / "wanted.json").exists()
+
+
+ASKED = Acquisition(sampling_rate=1e5, n_samples=50, n_records=2, drives=(1,), start=1e-3)
+
+
+@pytest.fixture(scope="module")
+def apparatus() -> Apparatus:
+    """Return the shipped apparatus."""
+    return Apparatus.read(PROTOCOLS / "apparatus" / "beam_100x6x2.yaml")
+
+
+def csv_of(*, rate: float = 1e5, first: float = 1e-3, n: int = 50, n_records: int = 2, late: float = 0.0) -> list[str]:
+    """Return the lines of a file that holds what is asked for, with as many digits as a scope prints."""
+    rows = [
+        f"{first + late * record + sample / rate:.7f},{0.1 + 0.01 * (sample % 7):.4f},{record:.2f}"
+        for record in range(n_records)
+        for sample in range(n)
+    ]
+    return ["time_s,velocity_V,drive_1_V", *rows]
+
+
+def changed(line: int, text: str) -> list[str]:
+    """Return that file with another text in a line, counted from 1."""
+    lines = csv_of()
+    lines[line - 1] = text
+    return lines
+
+
+@pytest.mark.usefixtures("quickly")
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        ([], r"csv:1: lacks the column time_s"),
+        (["time_s,velocity_V", "0,1"], r"csv:1: lacks the column drive_1_V; it has time_s, velocity_V"),
+        (["time_s,speed,drive_1_V", "0,1,2"], r"csv:1: lacks the column velocity_V"),
+        (changed(4, "0.00102,oops,0"), r"csv:4:2: 'oops' is no number"),
+        (changed(7, "0.00105,0.1"), r"csv:7: has 2 cells, the header has 3"),
+        (changed(9, "0.00107,nan,0"), r"csv:9: velocity_V is no finite number"),
+        (changed(12, "0.001105,0.1,0"), r"csv:12: time_s is not evenly spaced"),
+        (csv_of()[:-1], r"csv:52: the record that begins here has 49 samples, the first has 50"),
+        (csv_of(n_records=3), r"holds 3 records of 50 samples; asked for are 2 records"),
+        (csv_of(rate=5e4), r"was sampled at 50 kHz; allowed are 100 to 5000 kHz"),
+        (csv_of(first=2e-3), r"last from 2 to 2\.49 ms after the trigger; asked for are 1 to 1\.49 ms"),
+        (csv_of(n=40), r"last from 1 to 1\.39 ms"),
+        (csv_of(late=1e-6), r"instants that differ by 1000 ns, allowed are 20 ns; switch off interpolation"),
+    ],
+)
+def test_a_wrong_file_is_refused_with_its_place_and_written_again(
+    apparatus: Apparatus, tmp_path: Path, lines: list[str], said: str
+) -> None:
+    """The refusal stands on the screen and in ``wanted.json``; the same name, written again, is taken."""
+    heard = list[str]()
+
+    def hear(text: str) -> None:
+        heard.append(text)
+        wanted = json.loads((tmp_path / "wanted.json").read_text(encoding="utf-8"))
+        content = csv_of() if len(heard) > 1 else lines
+        (tmp_path / f"{wanted['file']}.csv").write_text("\n".join(content), encoding="utf-8")
+
+    with RecordedFiles(tmp_path, apparatus, MeasurementProgress(say=hear)) as scope:
+        scope.configure(ASKED)
+        recording = scope.measure(0.0125)
+    assert re.search(said, heard[1])
+    assert recording.velocity.shape == (2, 49)
+    assert recording.velocity[0, 0] == pytest.approx(0.1 * apparatus.acquisition.sensitivity_mm_s_per_V * 1e-3)
+    assert recording.drive[:, 0, 0] == pytest.approx([0, 1])
+    assert recording.time[[0, -1]] == pytest.approx([1e-3, 1.48e-3])
+    assert recording.overloaded == ()
+
+
+@pytest.fixture
+def answered(apparatus: Apparatus, tmp_path: Path) -> Iterator[Callable[..., Recording]]:
+    """Return what measures once, a file of these velocities being there [V]."""
+
+    def hear(text: str) -> None:
+        name = json.loads((tmp_path / "wanted.json").read_text(encoding="utf-8"))["file"]
+        np.savez(tmp_path / f"{name}.npz", time_s=answer[0], velocity_V=answer[1], drive_1_V=answer[1])
+
+    answer: list[np.ndarray] = []
+    with RecordedFiles(tmp_path, apparatus, MeasurementProgress(say=hear)) as scope:
+
+        def measure(time: np.ndarray, volts: np.ndarray) -> Recording:
+            answer[:] = time, volts
+            scope.configure(ASKED)
+            return scope.measure(0.0)
+
+        yield measure
+
+
+@pytest.mark.usefixtures("quickly")
+def test_a_record_that_was_cut_is_overloaded(answered: Callable[..., Recording]) -> None:
+    """A sine of 8 bits is whole; cut at 0.9 of its peak it is not, nor beyond the vibrometer's range."""
+    time = 1e-3 + np.arange(60) / 1e5
+    volts = np.round(127 * np.sin(2 * np.pi * 3137 * time + np.zeros((2, 1)))) / 127 * 0.1
+    assert answered(time, volts).overloaded == ()
+    assert answered(time, np.clip(volts, -0.09, 0.09)).overloaded == ("velocity",)
+    assert answered(time, 1e3 * volts).overloaded == ("velocity",)
+
+
+@pytest.mark.usefixtures("quickly")
+def test_other_instants_than_before_are_refused(
+    answered: Callable[..., Recording], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Records at two points are compared sample by sample: 30 ns beside the first are refused."""
+    time, volts = 1e-3 + np.arange(60) / 1e5, np.sin(np.arange(120)).reshape(2, 60) / 100
+    answered(time, volts)
+    answered(time + 10e-9, volts)
+    monkeypatch.setattr(RecordedFiles, "slowest", 0.2)
+    with pytest.raises(RigError, match=r"no record came as .*0003\.csv or \.npz within"):
+        answered(time + 30e-9, volts)
+
+
+@pytest.mark.parametrize("order", ["calibrate", "validate"])
+def test_commands_wait_for_files(order: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`--record` with nobody who writes: the wait ends with the name of the file, and nothing is written."""
+    from modaltouch.lab import CalibrateOptions, ValidateOptions, calibrate, validate
+
+    monkeypatch.setattr(RecordedFiles, "slowest", 0.01)
+    folder, out = tmp_path / "records", tmp_path / "out"
+    orders = {
+        "calibrate": lambda: calibrate(CalibrateOptions(PROTOCOLS / "demo.yaml", out, record=folder)),
+        "validate": lambda: validate(ValidateOptions(PROTOCOLS / "demo.yaml", out=out, record=folder)),
+    }
+    with pytest.raises(RigError, match=r"no record came as .*records.0001\.csv or \.npz within 0\.00"):
+        orders[order]()
+    assert not out.exists()
