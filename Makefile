@@ -81,7 +81,7 @@ format: install
 results: install
 	rm -rf build/results build/analysis build/identification build/validation build/comparison
 	$(PYTHON) -m modaltouch simulate protocols/differentiated_stimulation.yaml -n 10 --results build/results
-	$(PYTHON) -m modaltouch analyse build/results --out build/analysis --png
+	$(PYTHON) -m modaltouch analyse build/results --out build/analysis
 	$(PYTHON) -m modaltouch demo --results build/results
 	mkdir -p results/reference
 	cp build/analysis/fig_10.csv build/analysis/fig_10.png build/analysis/fig_11.csv build/analysis/fig_11.png results/reference/

@@ -44,16 +44,17 @@ def analysis(paper_csv, tmp_path_factory):
 
 
 def test_every_promised_file_is_written(analysis) -> None:
-    """Tables, bars as SVG, statistics, report; no figure that nobody asked for."""
+    """Tables, bars as SVG and PNG, statistics, report; no figure that nobody asked for."""
     assert set(analysis.files) == {
-        "counts.csv", "fig_10.csv", "fig_11.csv", "fig_10.svg", "fig_11.svg", "tests.csv", "tests.json", "report.html",
+        "counts.csv", "fig_10.csv", "fig_11.csv", "fig_10.svg", "fig_11.svg", "fig_10.png", "fig_11.png", "tests.csv",
+        "tests.json", "report.html",
     }  # fmt: skip
     assert all(path.stat().st_size > 0 for path in analysis.files.values())
 
 
 def test_further_figures_are_drawn_where_they_are_asked_for(paper_csv, tmp_path) -> None:
-    """As PNG, too, on request; one that the table has nothing for is left out."""
-    files = analyse(paper_csv, tmp_path / "out", figures=["side_bias", "order"], png=True).files
+    """One that the table has nothing for is left out."""
+    files = analyse(paper_csv, tmp_path / "out", figures=["side_bias", "order"]).files
     assert {name for name in files if name.endswith("png")} == {"fig_10.png", "fig_11.png", "side_bias.png"}
     with pytest.raises(InputError, match="given 'sides'; allowed: fields, side_bias, order"):
         analyse(paper_csv, tmp_path / "out", figures=["sides"])

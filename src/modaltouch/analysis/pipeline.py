@@ -29,7 +29,6 @@ def analyse(
     stimulus: str | None = None,
     answers: AnswerList | None = None,
     figures: Collection[str] = (),
-    png: bool = False,
 ) -> Analysis | ThresholdAnalysis:
     """Analyse answers and write tables, figures, statistics and a report.
 
@@ -48,8 +47,6 @@ def analyse(
     figures : collection of str
         Figures to draw besides Fig. 10 and Fig. 11: ``fields``, ``side_bias``, ``order``, ``reaction_times``,
         ``speed_ratio``, or ``all``.
-    png : bool
-        Whether each figure is written as PNG, too.
 
     Returns
     -------
@@ -76,14 +73,14 @@ def analyse(
         from modaltouch.analysis.thresholds import analyse_runs, render_runs
 
         runs = analyse_runs(responses)
-        return replace(runs, files=write_files(folder, render_runs(runs, png=png), about))
+        return replace(runs, files=write_files(folder, render_runs(runs), about))
     from modaltouch.analysis.outcome import Analysis
     from modaltouch.analysis.statistics import find
 
     counts = responses.count()
     findings = tuple(find(counts, responses.frame, responses.catches))
     analysis = Analysis(responses, counts, findings, {})
-    return replace(analysis, files=write_files(folder, render_files(analysis, asked, png=png), about))
+    return replace(analysis, files=write_files(folder, render_files(analysis, asked), about))
 
 
 def default_folder(path: Path, stimulus: str = "") -> Path:
@@ -106,7 +103,7 @@ def _figures(asked: Collection[str]) -> Collection[str]:
     return FIGURES if "all" in asked else asked
 
 
-def render_files(analysis: Analysis, figures: Collection[str] = (), *, png: bool = False) -> dict[str, Any]:
+def render_files(analysis: Analysis, figures: Collection[str] = ()) -> dict[str, Any]:
     """Return the contents of every file of an analysis, by name, as `write_files` takes them."""
     from modaltouch.analysis.outcome import plain_row
     from modaltouch.analysis.report import report_files
@@ -119,7 +116,7 @@ def render_files(analysis: Analysis, figures: Collection[str] = (), *, png: bool
         table.columns = table.columns.map("{:g}".format)
         files[f"{name}.csv"] = _rows(table.reset_index())
     files |= {"tests.csv": tests, "tests.json": [plain_row(row) for row in tests]}
-    return files | report_files(analysis, draw_all(analysis.answers, analysis.responses, figures), png=png)
+    return files | report_files(analysis, draw_all(analysis.answers, analysis.responses, figures))
 
 
 def _rows(table: pd.DataFrame) -> list[dict[str, Any]]:

@@ -45,7 +45,7 @@ def _cautions(answers: AnswerCounts) -> dict[str, str]:
     }
 
 
-def report_files(analysis: Analysis, pictures: Sequence[ReportFigure], *, png: bool = False) -> dict[str, Any]:
+def report_files(analysis: Analysis, pictures: Sequence[ReportFigure]) -> dict[str, Any]:
     """Return the report and its figures, by file name."""
     from modaltouch.analysis.provenance import describe_record
 
@@ -55,7 +55,6 @@ def report_files(analysis: Analysis, pictures: Sequence[ReportFigure], *, png: b
         "modaltouch.analysis",
         "report",
         pictures,
-        png=png,
         title=_title(analysis),
         source=analysis.responses.source,
         answers=answers,

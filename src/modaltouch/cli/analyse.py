@@ -46,7 +46,6 @@ def analyse(
             show_default="none",
         ),
     ] = "",
-    png: Annotated[bool, typer.Option("--png", help="Write each figure as PNG, too; SVG is always written.")] = False,
     json_output: JSON = False,
 ) -> None:
     """Write the tables and bars of Fig. 10 and Fig. 11, exact statistics, and an HTML report."""
@@ -63,7 +62,6 @@ def analyse(
             stimulus=stimulus,
             answers=answers,
             figures=figures.replace(",", " ").split(),
-            png=png,
         )
         if json_output:
             print_json(analysis.as_dict())

@@ -39,9 +39,7 @@ class ReportFigure:
     finger_condition: str = ""
 
 
-def page_files(
-    package: str, name: str, pictures: Sequence[ReportFigure], /, *, png: bool = True, **values: Any
-) -> dict[str, Any]:
+def page_files(package: str, name: str, pictures: Sequence[ReportFigure], /, **values: Any) -> dict[str, Any]:
     """Return a page and the figures that it shows, by file name, as `write_files` takes them.
 
     Parameters
@@ -53,15 +51,13 @@ def page_files(
         Of the page and of its template.
     pictures : sequence of ReportFigure
         Figures, which the template has as ``pictures``, each with its SVG as ``svg``.
-    png : bool
-        Whether each figure is a PNG file, too.
     **values
         What the template names besides; one that is missing is an error.
     """
     from modaltouch.report.style import figure_files
 
     figures = {picture.name: picture.figure for picture in pictures}
-    files = figure_files(figures, ("svg", "png") if png else ("svg",))
+    files = figure_files(figures)
     shown = [{**vars(picture), "svg": files[f"{picture.name}.svg"]} for picture in pictures]
     libraries = {library: number for library, number in versions().items() if number != "absent"}
     made_by = {"version": version(), "commit": commit(), "versions": libraries}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -68,17 +68,15 @@ def render(figure: Figure, kind: str) -> bytes:
     return buffer.getvalue()
 
 
-def figure_files(figures: Mapping[str, Figure], kinds: Sequence[str] = ("svg", "png")) -> dict[str, bytes]:
+def figure_files(figures: Mapping[str, Figure]) -> dict[str, bytes]:
     """Return figures as SVG and PNG, by file name.
 
     Parameters
     ----------
     figures : mapping of str to Figure
         Figures by name.
-    kinds : sequence of str
-        Which of the two; each costs as much time as the other.
     """
-    return {f"{name}.{kind}": render(figure, kind) for name, figure in figures.items() for kind in kinds}
+    return {f"{name}.{kind}": render(figure, kind) for name, figure in figures.items() for kind in ("svg", "png")}
 
 
 def quiet_grid(axes: Axes) -> None:

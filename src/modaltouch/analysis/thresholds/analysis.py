@@ -64,15 +64,13 @@ def analyse_runs(responses: Responses) -> ThresholdAnalysis:
     return ThresholdAnalysis(responses, find_runs(responses), {})
 
 
-def render_runs(analysis: ThresholdAnalysis, *, png: bool = False) -> dict[str, Any]:
+def render_runs(analysis: ThresholdAnalysis) -> dict[str, Any]:
     """Return the contents of every file of the analysis, by name, as `write_files` takes them.
 
     Parameters
     ----------
     analysis : ThresholdAnalysis
         What was found.
-    png : bool
-        Whether each figure is written as PNG, too.
     """
     from modaltouch.analysis.thresholds.figures import draw_runs, draw_thresholds
 
@@ -87,7 +85,7 @@ def render_runs(analysis: ThresholdAnalysis, *, png: bool = False) -> dict[str, 
         "thresholds.csv": rows,
         "over_participants.csv": together,
         "thresholds.json": {"thresholds": rows, "over_participants": together},
-        **_report_files(analysis, together, pictures, len(sessions), png=png),
+        **_report_files(analysis, together, pictures, len(sessions)),
     }
 
 
@@ -96,8 +94,6 @@ def _report_files(
     together: list[dict[str, Any]],
     pictures: Sequence[ReportFigure],
     n_sessions: int,
-    *,
-    png: bool,
 ) -> dict[str, Any]:
     from modaltouch.analysis.provenance import describe_record
 
@@ -108,7 +104,6 @@ def _report_files(
         "modaltouch.analysis.thresholds",
         "report",
         pictures,
-        png=png,
         title=f"Thresholds: {design.get('title') or responses.start.get('protocol', '')}",
         source=responses.source,
         runs=[{"run": run, "words": in_words(run.fitted.threshold) if run.fitted.threshold else None}
