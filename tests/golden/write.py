@@ -47,7 +47,9 @@ def freeze() -> None:
 
 
 if __name__ == "__main__":
-    if sys.argv[1:] == ["--record"]:
+    if sys.argv[1:] not in ([], ["--record"]):
+        sys.exit(__doc__)
+    if sys.argv[1:]:
         record(RECORDS)
     else:
         freeze()
