@@ -41,7 +41,7 @@ def asked(monkeypatch):
 
 def test_what_was_found_is_said(asked):
     """Each finger, the level with its interval, the level attainable, the file."""
-    result = CliRunner().invoke(app, ["fingers", "probe", "own.yaml", "--pair", "A-C"], env={"COLUMNS": "160"})
+    result = CliRunner().invoke(app, ["fingers", "probe", "demo", "--pair", "A-C"], env={"COLUMNS": "160"})
     assert result.exit_code == 0
     row = next(row for row in result.stdout.splitlines() if "0.0812" in row)
     assert [cell.strip() for cell in row.split("│")[1:-1]] == ["right index", "0.0812", "0.502", "0", "-1.25"]
@@ -51,7 +51,7 @@ def test_what_was_found_is_said(asked):
 
 def test_options_reach_the_lab_in_si_units(asked):
     """Millimetres and millimetres per second at the command line."""
-    words = ["fingers", "probe", "own.yaml", "--laser-mm", "-46", "--speed-mm-s", "5", "--hand", "left", "--json"]
+    words = ["fingers", "probe", "demo", "--laser-mm", "-46", "--speed-mm-s", "5", "--hand", "left", "--json"]
     result = CliRunner().invoke(app, words)
     assert json.loads(result.stdout) == FOUND
     (options,) = asked
@@ -65,6 +65,6 @@ def test_what_is_refused_is_bad_input(monkeypatch):
         raise ValueError("the records of the probe differ")
 
     monkeypatch.setattr("modaltouch.lab.probe_fingers", refuse)
-    result = CliRunner().invoke(app, ["fingers", "probe", "own.yaml"])
+    result = CliRunner().invoke(app, ["fingers", "probe", "demo"])
     assert result.exit_code == 2
     assert result.stderr.strip() == "the records of the probe differ"
