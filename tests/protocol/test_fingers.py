@@ -185,8 +185,8 @@ def test_crossed_hands_need_the_other_hand_too(named: Callable[..., Findings]) -
             "fingers: 3\n",
             [
                 "1:10: fingers: given 3; allowed: a mapping with the keys mass_g, damping_N_s_per_m, "
-                "stiffness_N_per_mm, contact_width_mm, maxwell, second_mass, offset_mm or a mapping with the keys left, "
-                "right"
+                "stiffness_N_per_mm, contact_width_mm, maxwell, second_mass, offset_mm or a mapping with the keys "
+                "left, right"
             ],
         ),
     ],

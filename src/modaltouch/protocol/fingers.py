@@ -34,6 +34,11 @@ class SecondMassSection(Section):
     stiffness_N_per_mm: Positive = described("Stiffness of the spring [N/mm].")  # noqa: N815
     damping_N_s_per_m: NotNegative = described("Of the damper that holds the mass [N s/m].", default=0.0)  # noqa: N815
 
+    @property
+    def values(self) -> tuple[float, float, float]:
+        """Mass [kg], stiffness [N/m] and damping [N s/m]."""
+        return self.mass_g * 1e-3, self.stiffness_N_per_mm * 1e3, self.damping_N_s_per_m
+
 
 class FingerSection(Section):
     """What a fingertip adds to the beam where it touches."""
@@ -54,7 +59,6 @@ class FingerSection(Section):
         """The finger on a zone with its centre at a place of the beam [m], SI units."""
         from modaltouch.stimulus import Finger
 
-        second = self.second_mass
         return Finger(
             centre + self.offset_mm * 1e-3,
             mass=self.mass_g * 1e-3,
@@ -62,7 +66,7 @@ class FingerSection(Section):
             stiffness=self.stiffness_N_per_mm * 1e3,
             width=self.contact_width_mm * 1e-3,
             maxwell=tuple((each.stiffness_N_per_mm * 1e3, each.relaxation_ms * 1e-3) for each in self.maxwell),
-            second_mass=second and (second.mass_g * 1e-3, second.stiffness_N_per_mm * 1e3, second.damping_N_s_per_m),
+            second_mass=None if self.second_mass is None else self.second_mass.values,
         )
 
 

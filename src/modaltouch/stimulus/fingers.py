@@ -1,8 +1,8 @@
 r"""Fingertips on the beam: what each adds to the modal equations, and the coupled equations made uncoupled again.
 
 A finger with the impedance :math:`Z(s) = m s + c + k/s + \sum_j k_j \tau_j / (1 + s \tau_j)` along its contact
-couples the modes; a second mass behind a spring adds :math:`k_2 (m_2 s + c_2) / (m_2 s^2 + c_2 s + k_2)`. With :math:`W = \langle\varphi\varphi^T\rangle` over the contact and the moving mass :math:`m_b` of
-the beam,
+couples the modes; a second mass behind a spring adds :math:`k_2 (m_2 s + c_2) / (m_2 s^2 + c_2 s + k_2)`. With
+:math:`W = \langle\varphi\varphi^T\rangle` over the contact and the moving mass :math:`m_b` of the beam,
 
 .. math:: \left(I + \frac{m}{m_b} W\right)\ddot\eta + \left(2\xi\omega + \frac{c}{m_b} W\right)\dot\eta
    + \left(\omega^2 + \frac{k}{m_b} W\right)\eta = G v.
