@@ -146,6 +146,11 @@ class TwinSection(Section):
         "How much fingers differ from one placement to the next, in a session that is followed.",
         default=FingerSpread(),
     )
+    finger_press_N: Positive | None = described(  # noqa: N815
+        "Force with which each finger presses [N]; where the beam pulls harder, skin and beam part; null for fingers "
+        "that never let go.",
+        default=None,
+    )
     amplifier: TrueAmplifier = described("The amplifier as it is.", default=TrueAmplifier())
     generator: TrueGenerator = described("The generator as it is.", default=TrueGenerator())
     vibrometer: Vibrometer = described("The vibrometer as it is.", default=Vibrometer())

@@ -163,7 +163,7 @@ class Twin:
         missing = [x for x in dict.fromkeys(positions) if (x, *fingers) not in felt]
         if missing:
             self.n_computed += 1
-            peaks = self._peaks(_once(setting), missing, self.system(fingers, stretch))
+            peaks = self._peaks(_once(setting), missing, fingers, stretch)
             felt.update({(x, *fingers): speed for x, speed in zip(missing, peaks, strict=True)})
         return scale * np.array([felt[(x, *fingers)] for x in positions])
 
@@ -298,7 +298,7 @@ class Twin:
         """Return whether another level would move the beam in proportion."""
         twin = self.apparatus.twin
         saturates = any(peak > self.amplifier.limit for peak in self._peak_voltages(playbacks))
-        return not (saturates or twin.softening or twin.hysteresis)
+        return not (saturates or twin.softening or twin.hysteresis or twin.finger_press_N)
 
     def _peak_voltages(self, playbacks: Sequence[Playback | None]) -> list[float]:
         """Return the highest voltage that each output commands at the beam [V]."""
@@ -308,9 +308,18 @@ class Twin:
             if each is not None
         ]
 
-    def _peaks(self, setting: Setting, positions: Sequence[float], system: DiagonalSystem) -> list[float]:
-        output = self.beam.shapes(positions).T @ system.velocity
-        parts = self.forces_of(setting)
+    def _peaks(
+        self, setting: Setting, positions: Sequence[float], fingers: Sequence[Finger], stretch: float
+    ) -> list[float]:
+        system, shapes, parts = self.system(fingers, stretch), self.beam.shapes(positions), self.forces_of(setting)
+        press = self.apparatus.twin.finger_press_N
+        if press is not None and fingers and len(parts) == 1:
+            from modaltouch.rig.simulator.lift_off import PressedBeam
+
+            pressed = PressedBeam.of(self.beam, self.amplifier, fingers, press, stretch)
+            speed = np.abs(shapes.T @ pressed.velocities(*refined(system, parts[0])))
+            return [float(each.max()) for each in speed]
+        output = shapes.T @ system.velocity
         if len(parts) > 1 and len({part.period for part in parts}) == 1:
             return [_common_peak(system, row, parts) for row in output]
         # Bursts of unequal rate slide past each other, so that sooner or later their peaks meet.
