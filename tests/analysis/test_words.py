@@ -52,7 +52,8 @@ def test_numbers_are_filled_in(paper_frame) -> None:
 )
 def test_conditions_and_zones_are_said_in_words(paper_frame, scope, words) -> None:
     """No name of a file or key in a sentence."""
-    assert say_scope(scope, count_answers(paper_frame)) == words
+    answers = count_answers(paper_frame)
+    assert say_scope(scope, answers.finger_conditions, answers.pairs) == words
 
 
 def test_families_and_their_error_rates_are_stated_once(paper_frame) -> None:

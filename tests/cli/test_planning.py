@@ -59,6 +59,15 @@ def test_power_in_words_names_the_floor_and_the_number_needed() -> None:
     assert "never" in done.stdout
 
 
+def test_power_fits_a_terminal_of_80_columns(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All families side by side would be cut; scopes are said in words."""
+    monkeypatch.setenv("COLUMNS", "80")
+    done = run("power", PROTOCOL, "-n", "8:12:4", "--experiments", 4)
+    assert max(map(len, done.stdout.splitlines())) <= 80
+    assert "…" not in done.stdout
+    assert "two hands, A and C" in done.stdout
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from modaltouch.analysis.responses import Responses
     from modaltouch.analysis.statistics import STATISTICS
     from modaltouch.analysis.thresholds.analysis import analyse_runs
+    from modaltouch.analysis.words import say_scope
 else:
     __getattr__ = lazily(
         __name__,
@@ -33,6 +34,7 @@ else:
             "responses": "Responses",
             "statistics": "STATISTICS",
             "thresholds.analysis": "analyse_runs",
+            "words": "say_scope",
         },
     )
 
@@ -46,5 +48,6 @@ __all__ = [
     "analyse_runs",
     "holm",
     "read_responses",
+    "say_scope",
     "wilson",
 ]

@@ -229,7 +229,7 @@ def _part(name: str, rows: Sequence[Finding], answers: AnswerCounts) -> dict[str
         "folded": len(rows) > MOST_ROWS,
         "lines": [
             {
-                "scope": say_scope(row.scope, answers),
+                "scope": say_scope(row.scope, answers.finger_conditions, answers.pairs),
                 "quantity": row.quantity,
                 "estimate": say_interval(row),
                 "p": say_number(row.p, 2),

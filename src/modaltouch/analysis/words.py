@@ -7,7 +7,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 
-from modaltouch.analysis.counts import AnswerCounts
+from modaltouch.analysis.counts import AnswerCounts, Pair
 from modaltouch.analysis.findings import ALPHA, Finding
 from modaltouch.analysis.statistics import STATISTICS, questions
 from modaltouch.report import say_number
@@ -52,18 +52,18 @@ def say_condition(finger_condition: str) -> str:
     return finger_condition.replace("_", " ")
 
 
-def say_scope(scope: str, answers: AnswerCounts) -> str:
+def say_scope(scope: str, finger_conditions: Sequence[str], pairs: Sequence[Pair]) -> str:
     """Return what a finding is about in words, as in ``one hand, A and C, 80 mm/s``.
 
     Parameters
     ----------
     scope : str
         As a finding has it: ``one_hand A-C 80 mm/s``, ``one_hand - two_hands A-C``, ``one_hand A-C - C-E``.
-    answers : AnswerCounts
-        Counts of the answers, whose finger conditions and pairs it names.
+    finger_conditions, pairs : sequence of str, sequence of Pair
+        What it may name.
     """
-    names = {name: say_condition(name) for name in answers.finger_conditions}
-    names |= {pair.label: f"{pair.left} and {pair.right}" for pair in answers.pairs}
+    names = {name: say_condition(name) for name in finger_conditions}
+    names |= {pair.label: f"{pair.left} and {pair.right}" for pair in pairs}
     longest_first = "|".join(re.escape(name) for name in sorted(names, key=len, reverse=True))
     words = ""
     for part in re.split(rf"(?<![\w-])({longest_first})(?![\w-])", scope):
@@ -146,7 +146,7 @@ def _estimate(own: Sequence[Finding], answers: AnswerCounts) -> str:
 
 
 def _about(row: Finding, answers: AnswerCounts) -> str:
-    scope = "" if row.scope == "all" else f" ({say_scope(row.scope, answers)})"
+    scope = "" if row.scope == "all" else f" ({say_scope(row.scope, answers.finger_conditions, answers.pairs)})"
     return f"{row.quantity} = {say_interval(row)}{scope}"
 
 

@@ -16,6 +16,9 @@ from modaltouch.cli.tables import print_table, progress
 if TYPE_CHECKING:
     from modaltouch.planning import Power
 
+_FAMILIES_BESIDE = 4
+"""Families of tests in a table, so that it fits into a terminal of 80 columns."""
+
 _MOST_PARTICIPANTS, _MOST_ANSWERS = 1000, 10_000
 
 PARTICIPANTS = Annotated[
@@ -200,6 +203,8 @@ def tell(found: Power, target: float) -> None:
     from rich.console import Console
     from rich.markup import escape
 
+    from modaltouch.analysis import say_scope
+
     console = Console()
     study = found.study
     what = "False alarms where no effect is simulated" if study.null else "Power"
@@ -211,19 +216,29 @@ def tell(found: Power, target: float) -> None:
     )
     for n_repetitions, own in groupby(found.families, key=lambda row: row["n_repetitions"]):
         rows = [(str(n), *map(_cell, of_size)) for n, of_size in groupby(own, key=lambda row: row["n_participants"])]
-        print_table(f"n participants, {n_repetitions} repetitions", ("n", *study.families), rows, n_words=0)
+        title = f"n participants, {n_repetitions} repetition{'s' * (n_repetitions > 1)}"
+        for first in range(0, len(study.families), _FAMILIES_BESIDE):
+            shown = slice(first, first + _FAMILIES_BESIDE)
+            beside = [(n, *cells[shown]) for n, *cells in rows]
+            print_table(title, ("n", *study.families[shown]), beside, n_words=0)
     if not study.null:
+        of = study.design.finger_conditions, study.design.pairs
         rows = [
-            (row["family"], row["scope"], str(row["n_repetitions"]), str(row["n_participants"] or "more"))
+            (
+                row["family"],
+                say_scope(row["scope"], *of),
+                str(row["n_repetitions"]),
+                str(row["n_participants"] or "more"),
+            )
             for row in found.needed(target)
             if row["family"] != "a1" or row["scope"] == "any test"
         ]
-        headings = ("question", "test", "repetitions", "participants")
+        headings = ("question", "test", "reps", "participants")
         print_table(f"Participants for a power of {target:g}", headings, rows, n_words=2)
     for floor in found.floors:
         least = floor.least_participants
         reach = "no number of participants" if least is None else f"fewer than {least} participants"
-        where = f"{floor.family} ({floor.n_tests} tests, {floor.n_repetitions} repetitions)"
+        where = f"{floor.family} ({floor.n_tests} tests, {floor.n_repetitions} a cell)"
         console.print(f"[dim]{where}: {reach} can {'' if least is None else 'never '}be significant[/]")
 
 
