@@ -26,6 +26,7 @@ INTERRUPTED = "-p p01"
 
 SHORTER = {
     "power": "--experiments 50",
+    "prereg": "--experiments 50",
     "identify": "--averages 1 --points 11",
     "validate": "--averages 2 --points 11",
     "compare": "--averages 2 --points 11 --beams 0",

@@ -244,6 +244,7 @@ OUTPUTS: dict[str, Output] = {
     "analyse_table": Output("analyse answers.csv --json", prepare=few_answers),
     "analyse_runs": Output("analyse format_1/simulated/threshold --out a --json", prepare=former_records, rel=1e-6),
     "analyse_catches": Output("analyse format_1/simulated/with_catch_trials --out a --json", prepare=former_records),
+    "prereg": Output("prereg protocols/demo.yaml -n 8 --experiments 20 --json"),
     "power": Output("power protocols/demo.yaml -n 6,10 --experiments 20 --questions a2,d --out plan --json"),
     "power_of_two": Output("power protocols/two_fields.yaml -n 8 --experiments 10 --questions a2,d --null --json"),
     "fit": Output("fit protocols/demo.yaml records --out fitted.yaml --json", rel=1e-4, absolute=1e-4),

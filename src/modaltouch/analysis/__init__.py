@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from modaltouch.analysis.findings import ALPHA, holm
     from modaltouch.analysis.intervals import wilson
     from modaltouch.analysis.pipeline import analyse
+    from modaltouch.analysis.preregistration import terms_of
     from modaltouch.analysis.reading import read_responses
     from modaltouch.analysis.responses import Responses
     from modaltouch.analysis.statistics import STATISTICS
@@ -30,6 +31,7 @@ else:
             "findings": "ALPHA holm",
             "intervals": "wilson",
             "pipeline": "analyse",
+            "preregistration": "terms_of",
             "reading": "read_responses",
             "responses": "Responses",
             "statistics": "STATISTICS",
@@ -49,5 +51,6 @@ __all__ = [
     "holm",
     "read_responses",
     "say_scope",
+    "terms_of",
     "wilson",
 ]

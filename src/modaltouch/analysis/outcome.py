@@ -30,12 +30,18 @@ class Analysis:
         The statistics.
     files : dict of str to Path
         Files written, by name.
+    preregistration : Path, optional
+        The preregistration that it was held against.
+    departures : tuple of str
+        What departs from that, in words.
     """
 
     responses: Responses
     answers: AnswerCounts
     findings: tuple[Finding, ...]
     files: dict[str, Path]
+    preregistration: Path | None = None
+    departures: tuple[str, ...] = ()
 
     @property
     def counts(self) -> pd.DataFrame:
@@ -58,6 +64,8 @@ class Analysis:
             "n_responses": int(self.answers.counts.sum()),
             "mode": self.responses.source.mode or None,
             "source": self.responses.source.path,
+            "preregistration": str(self.preregistration) if self.preregistration else None,
+            "departures": list(self.departures),
             "left_out": [{"source": item.source, "reason": item.reason} for item in self.responses.left_out],
         }
 

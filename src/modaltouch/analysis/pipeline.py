@@ -29,6 +29,7 @@ def analyse(
     stimulus: str | None = None,
     answers: AnswerList | None = None,
     figures: Collection[str] = (),
+    prereg: Path | str | None = None,
 ) -> Analysis | ThresholdAnalysis:
     """Analyse answers and write tables, figures, statistics and a report.
 
@@ -47,6 +48,8 @@ def analyse(
     figures : collection of str
         Figures to draw besides Fig. 10 and Fig. 11: ``fields``, ``side_bias``, ``order``, ``reaction_times``,
         ``speed_ratio``, or ``all``.
+    prereg : Path or str, optional
+        The preregistration, as ``modaltouch prereg`` wrote it; by default the one beside the protocol, if any.
 
     Returns
     -------
@@ -79,8 +82,22 @@ def analyse(
 
     counts = responses.count()
     findings = tuple(find(counts, responses.frame, responses.catches))
-    analysis = Analysis(responses, counts, findings, {})
+    analysis = _hold_against(prereg, Analysis(responses, counts, findings, {}))
     return replace(analysis, files=write_files(folder, render_files(analysis, asked), about))
+
+
+def _hold_against(prereg: Path | str | None, analysis: Analysis) -> Analysis:
+    """Return an analysis with what departs from its preregistration, given or found beside the protocol."""
+    if prereg is None:
+        protocol = analysis.responses.start.get("sources", {}).get("protocol", {}).get("path", "")
+        beside = Path(protocol or "none").with_suffix(".prereg.md")
+        if not beside.is_file():
+            return analysis
+        prereg = beside
+    from modaltouch.analysis.preregistration import find_departures, read_preregistration
+
+    path = Path(prereg)
+    return replace(analysis, preregistration=path, departures=find_departures(read_preregistration(path), analysis))
 
 
 def default_folder(path: Path, stimulus: str = "") -> Path:

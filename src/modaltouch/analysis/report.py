@@ -74,6 +74,8 @@ def report_files(analysis: Analysis, pictures: Sequence[ReportFigure]) -> dict[s
         # A table is read as the paper's answers where no protocol is named.
         is_named=answers.answers != AnswerList.of_words(("none",) if answers.offers_none else ()),
         limits=design_limits(analysis),
+        preregistration=analysis.preregistration,
+        departures=analysis.departures,
         left_out=analysis.responses.left_out,
         record=describe_record(analysis.responses.sessions),
         own_thresholds=answers.scale == OWN_THRESHOLD,
@@ -91,6 +93,11 @@ def design_limits(analysis: Analysis) -> list[str]:
         (
             analysis.responses.source.mode == "simulated",
             "These answers come from a simulated participant or a simulated rig. They say nothing about people.",
+        ),
+        (
+            analysis.preregistration is None,
+            "No preregistration was found (modaltouch prereg writes one), so nothing shows that hypotheses, tests and "
+            "sample size were chosen before the data.",
         ),
         (
             not answers.compares,

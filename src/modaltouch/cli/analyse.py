@@ -46,6 +46,10 @@ def analyse(
             show_default="none",
         ),
     ] = "",
+    prereg: Annotated[
+        Path | None,
+        typer.Option(help="Preregistration to hold it against.", show_default="PROTOCOL.prereg.md beside the protocol"),
+    ] = None,
     json_output: JSON = False,
 ) -> None:
     """Write the tables and bars of Fig. 10 and Fig. 11, exact statistics, and an HTML report."""
@@ -62,6 +66,7 @@ def analyse(
             stimulus=stimulus,
             answers=answers,
             figures=figures.replace(",", " ").split(),
+            prereg=prereg,
         )
         if json_output:
             print_json(analysis.as_dict())
@@ -87,5 +92,7 @@ def tell(analysis: Any) -> None:
     print(f"{values['n_responses']} answers of {participants(values['n_participants'])}")
     for left_out in values["left_out"]:
         typer.secho(f"left out: {left_out['source']}: {left_out['reason']}", err=True, fg=typer.colors.YELLOW)
+    for departure in values.get("departures", ()):
+        typer.secho(f"departs from the preregistration: {departure}", err=True, fg=typer.colors.YELLOW)
     for name, path in values["files"].items():
         print(f"{name:12} {path}")

@@ -21,6 +21,7 @@ MODULES = {
     "simulate": "simulate",
     "analyse": "analyse",
     "power": "power",
+    "prereg": "prereg",
     "fit": "fit",
     "identify": "identify",
     "fingers": "fingers",

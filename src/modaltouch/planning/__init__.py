@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from modaltouch.planning.observer.population import Observer
     from modaltouch.planning.observer.writing import write_observer
     from modaltouch.planning.power import Power, plan
+    from modaltouch.planning.preregistration import preregister
     from modaltouch.planning.presented import designs_for
 else:
     __getattr__ = lazily(
@@ -33,6 +34,7 @@ else:
             "observer.writing": "write_observer",
             "observer.population": "Observer",
             "power": "Power plan",
+            "preregistration": "preregister",
             "presented": "designs_for",
         },
     )
@@ -45,6 +47,7 @@ __all__ = [
     "designs_for",
     "fit_answers",
     "plan",
+    "preregister",
     "read_observer",
     "usual_observer",
     "write_observer",

@@ -14,7 +14,7 @@ from modaltouch.system import lazily
 if TYPE_CHECKING:
     from modaltouch.report.numbers import say_number
     from modaltouch.report.output import refuse_other, write_files
-    from modaltouch.report.page import ReportFigure, page_files
+    from modaltouch.report.page import ReportFigure, page_files, render_page
     from modaltouch.report.style import (
         CONDITION_COLOURS,
         FAINT,
@@ -30,7 +30,7 @@ else:
         {
             "numbers": "say_number",
             "output": "refuse_other write_files",
-            "page": "ReportFigure page_files",
+            "page": "ReportFigure page_files render_page",
             "style": "CONDITION_COLOURS FAINT INK PAIR_COLOURS figure_files house_style quiet_grid",
         },
     )
@@ -46,6 +46,7 @@ __all__ = [
     "page_files",
     "quiet_grid",
     "refuse_other",
+    "render_page",
     "say_number",
     "write_files",
 ]

@@ -65,13 +65,13 @@ def page_files(package: str, name: str, pictures: Sequence[ReportFigure], /, **v
 
 
 def render_page(package: str, template: str, **values: Any) -> str:
-    """Return a page as HTML; `page_files` says of what."""
+    """Return a page of HTML, or of Markdown, as its template is named; `page_files` says of what."""
     from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
     places = dict.fromkeys((package, "modaltouch.report"))
     environment = Environment(
         loader=ChoiceLoader([PackageLoader(place) for place in places]),
-        autoescape=True,
+        autoescape=".html" in template,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,

@@ -1,0 +1,103 @@
+"""A preregistration, and an analysis held against it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from modaltouch.analysis import analyse
+from modaltouch.analysis.outcome import Analysis
+from modaltouch.analysis.preregistration import find_departures, read_preregistration
+from modaltouch.cli.commands import app
+from modaltouch.protocol import InputError
+
+pytestmark = pytest.mark.usefixtures("undrawn")
+
+DEMO = Path(__file__).parents[2] / "protocols" / "demo.yaml"
+
+
+def run(*words: object) -> Result:
+    """Run the command line in this process."""
+    return CliRunner().invoke(app, [str(word) for word in words])
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the preregistration of the demonstration for three participants."""
+    file = tmp_path_factory.mktemp("prereg") / "demo.prereg.md"
+    done = run("prereg", DEMO, "-n", 3, "--experiments", 20, "--out", file, "--json")
+    assert done.exit_code == 0, done.stderr
+    assert json.loads(done.stdout) == {"file": str(file)}
+    return file
+
+
+@pytest.fixture(scope="module")
+def analysis(page: Path, tmp_path_factory: pytest.TempPathFactory) -> Analysis:
+    """Return the analysis of three simulated sessions, held against it."""
+    results = tmp_path_factory.mktemp("results")
+    assert run("simulate", DEMO, "-n", 3, "--results", results).exit_code == 0
+    found = analyse(results, prereg=page)
+    assert isinstance(found, Analysis)
+    return found
+
+
+def test_the_page_holds_what_a_preregistration_needs(page: Path) -> None:
+    """Design, hypotheses, tests, margins, exclusion rules, sample size with its simulation, and the commit."""
+    text = page.read_text(encoding="utf-8")
+    for heading in ("Design", "Hypotheses and tests", "Margins", "Exclusion rules", "Sample size"):
+        assert f"\n## {heading}\n" in text
+    assert "| participants | 3 |" in text
+    assert "| a2 | is one zone chosen more than the other? | exact sign-flip test of net dominance | 6: one" in text
+    assert "share of 20 simulated experiments" in text and "seed 1" in text
+    assert ", commit `" in text
+    assert "&" not in text
+
+
+def test_an_analysis_that_keeps_to_it_departs_in_nothing(analysis: Analysis) -> None:
+    """The report says so."""
+    assert analysis.departures == ()
+    report = analysis.files["report.html"].read_text(encoding="utf-8")
+    assert "Departures from the preregistration" in report
+    assert "None from" in report
+
+
+def test_every_departure_is_said(analysis: Analysis, page: Path) -> None:
+    """Another number of participants, family of tests, margin and protocol, and sessions that came first."""
+    terms = read_preregistration(page)
+    other = terms | {"participants": 12, "equivalence margin": 0.1, "protocol (SHA-256)": "0", "date": "2999-01-01"}
+    departures = find_departures(other, replace(analysis, findings=analysis.findings[:6]))
+    said = " | ".join(departures)
+    assert "participants: 12 preregistered, 3 analysed" in said
+    assert " preregistered, a1 (6) analysed" in said
+    assert "equivalence margin: 0.1 preregistered, none analysed" in said
+    assert "protocol (SHA-256): 0 preregistered" in said
+    assert "3 sessions began before the day of the preregistration, 2999-01-01" in said
+    assert len(departures) == 5
+
+
+def test_the_page_beside_the_protocol_is_found(tmp_path: Path) -> None:
+    """As `prereg` writes it where nobody says otherwise; what is there already stays."""
+    assert run("new", tmp_path / "study", "--from", "demo").exit_code == 0
+    protocol = tmp_path / "study" / "protocols" / "demo.yaml"
+    assert run("prereg", protocol, "-n", 2, "--experiments", 4).exit_code == 0
+    again = run("prereg", protocol, "-n", 2, "--experiments", 4)
+    assert again.exit_code == 4
+    assert "demo.prereg.md: is there already; move it away" in again.stderr
+    assert run("simulate", protocol, "-n", 1, "--results", tmp_path / "results").exit_code == 0
+    done = run("analyse", tmp_path / "results")
+    assert done.exit_code == 0, done.stderr
+    assert "departs from the preregistration: participants: 2 preregistered, 1 analysed" in done.stderr
+
+
+def test_what_is_no_preregistration_is_refused(tmp_path: Path) -> None:
+    """With its name, and what to do."""
+    file = tmp_path / "notes.md"
+    file.write_text("# Notes", encoding="utf-8")
+    with pytest.raises(InputError, match=r"notes.md: given no block of JSON .*; write one with `modaltouch prereg"):
+        read_preregistration(file)
+    with pytest.raises(InputError, match="given a file that cannot be read"):
+        read_preregistration(tmp_path / "absent.md")
